@@ -208,6 +208,21 @@ def test_a_light_sphere_under_a_weight(ratio: float, more: float) -> None:
     assert solved(given, "P_max").values["P_max"][0] / light[0] - 1.0 == pytest.approx(more, abs=0.006)
 
 
+@pytest.mark.parametrize("kind", ["thick", "mass"])
+def test_a_sphere_without_mass_is_the_limit_of_a_light_one(kind: str) -> None:
+    numbers = {**LIMESTONE, "sphere.density": 0.6, **of("anvil", E=100e9, mass=3.0), **of("hammer", mass=10.0)}
+    given = scene("drop_weight", {**numbers, "hammer.speed": 0.5}, options={"anvil.kind": kind})
+    told = ("P_max", "p_max", "alpha_max", "contact_time", "pulse_width", "rise_time", "energy", "energy_sphere",
+            "mean_force_max", "rebound_speed", "core_tension")  # fmt: skip
+    light, full = impact.solve_light(given, told).values, solved(given, *told, tolerance=1e-6).values
+    for quantity in told:
+        assert light[quantity] == pytest.approx(full[quantity], rel=5e-3), quantity
+    # (R16): what the mass of the sphere adds
+    assert full["P_max"][0] / light["P_max"][0] - 1.0 < 1.3 * 0.70 * float(given.scales.mass[0] / 2.3) ** 0.45
+    with pytest.raises(ValueError, match="weights on elastic faces"):
+        impact.solve_light(struck())
+
+
 def test_platens_are_static() -> None:
     steel = {**LIMESTONE, **of("platens")}
     given = scene("platens", {**steel, "platens.force": 4230.0, "platens.speed": 1e-5})

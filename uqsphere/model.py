@@ -177,6 +177,8 @@ def _solve_rig(
     from uqsphere.mechanics.integrator import solve as dynamics
     from uqsphere.mechanics.outputs import merged_answers
 
+    if fidelity == "massless" and impact.light_sphere_applies(scene):
+        return impact.solve_light(scene, quantities)
     closed = impact.closed_form_rows(scene)
     if closed.all():
         return impact.solve_closed(scene, quantities)

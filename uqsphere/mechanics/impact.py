@@ -171,6 +171,59 @@ def solve_closed(scene: Scene, quantities: Collection[str] | None = None) -> Ans
     return answers_from(scene, tracked, scene.status, np.zeros(len(scene), dtype=np.int64), quantities=quantities)
 
 
+def light_sphere_applies(scene: Scene) -> bool:
+    """Whether `solve_light` has answers: a weight on an elastic sphere, nothing back from what it rests on."""
+    behind, ahead = scene.partners
+    there = behind is not None and ahead is not None and behind.kind == "mass" and scene.horizon is None
+    if not there or ahead is None or np.any(ahead.reflection):
+        return False
+    return all(partner is None or _path_of(partner, scene) is None for partner in scene.partners)
+
+
+def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answers:
+    """A weight on a sphere without mass: two springs in series, (R15) and (R13); it is 0.70 (M/m)^0.45 low in force.
+
+    Raises
+    ------
+    ValueError
+        Where `light_sphere_applies` is false.
+    """
+    behind, ahead = scene.partners
+    if behind is None or ahead is None or not light_sphere_applies(scene):
+        raise ValueError("a sphere without mass is for weights on elastic faces from which no wave comes back")
+    with np.errstate(all="ignore"):
+        scales, both = scene.scales, light_sphere_constant(behind.hertz_constant, ahead.hertz_constant)
+        moved = reduced_mass(behind.mass, ahead.mass)
+        force = both**0.4 * moved**0.6 * scales.speed**1.2
+        waves = ahead.kind in ("bar", "plate")
+        lam = force / (scales.speed * ahead.impedance) if waves else np.zeros(1)
+        at = _elastic(lam) if waves else _on_thick()
+        time = np.cbrt(np.square(force / both)) / scales.speed / scales.time
+        q = at["force"] * force / scales.force
+        x_a = np.cbrt(np.square(q))
+        x_b = np.cbrt(np.square(q * behind.hertz_constant / ahead.hertz_constant))
+        share = behind.mass / (behind.mass + ahead.mass)
+        tracked = {
+            "x_max": x_a, "x_a": x_a, "x_b": x_b, "force_b_at_a": q, "force_a_at_b": q, "mean_force": q,
+            "difference": np.zeros(1), "stored": 0.4 * q * (x_a + x_b),
+            "stored_sphere": 0.4 * q * (behind.share * x_a + ahead.share * x_b),
+            **{name: at[of] * time for name, of in _DURATIONS.items()},
+            "end_speed": np.full(1, np.nan), "end_speed_a": share - (1.0 - share) * at["restitution"],
+            "end_speed_b": share * (1.0 + at["restitution"]), **_CENSORED,
+        }  # fmt: skip
+        if waves:
+            carried = (1.0 - np.square(at["restitution"])) / (2.0 * lam) * force**2 * time / scales.force**2
+            tracked["carried_b"] = carried
+    tracked = {name: np.broadcast_to(value, (len(scene),)) for name, value in tracked.items()}
+    return answers_from(scene, tracked, scene.status, np.zeros(len(scene), dtype=np.int64), quantities=quantities)
+
+
+#: times of a blow -> which of `_COLUMNS` they are
+_DURATIONS: Final = {
+    "contact": "duration", "parting": "duration", "ended": "duration", "width": "width", "rise": "rise",
+}  # fmt: skip
+
+
 def _path_of(partner: Partner, scene: Scene) -> Face | None:
     """The law that moves the bodies at a face; None: Hertz."""
     return partner.face if scene.contact_dynamics == "path" else None

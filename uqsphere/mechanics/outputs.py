@@ -32,7 +32,8 @@ _SCALES: Final = ("modulus", "effective_radius", "hertz_constant", "mass", "forc
 
 def offered_energy(columns: Mapping[str, Any]) -> Array:
     """Ecs of (31) [J/kg]: what a blow offers, and where nothing strikes what both contacts have taken up."""
-    return np.asarray(columns["specific_impact_energy" if "offered" in columns else "specific_energy"])
+    strikes = "offered" in columns or "specific_impact_energy" in columns
+    return np.asarray(columns["specific_impact_energy" if strikes else "specific_energy"])
 
 
 def _of_criterion(entry: Criterion) -> Quantity:
@@ -323,7 +324,7 @@ def _energies(scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Column
     """Energy in both contacts, and the sphere's share of it: chi of what is stored, all where the sphere yields."""
     there = [partner for partner in scene.partners if partner is not None]
     unit = scene.scales.force * scene.scales.approach
-    static = scene.contact_dynamics == "elastic" and scene.struck.face is not None
+    static = scene.contact_dynamics == "elastic" and scene.struck.face is not None and scene.rig != "platens"
 
     def energy() -> Values:
         if not static:

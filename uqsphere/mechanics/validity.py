@@ -15,7 +15,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.criteria import CRITERIA, DIAMETERS, ENERGIES, Criterion, Demands, in_range, ranges_of
-from uqsphere.mechanics.outputs import Answers
+from uqsphere.mechanics.outputs import Answers, offered_energy
 from uqsphere.mechanics.partners import Partner, body_of, softest_partner, sphere_body
 from uqsphere.mechanics.rigs import GRAVITY, RIGS, loss_to_waves, terminal_speed
 from uqsphere.mechanics.scene import CONTACT_LAWS, Scene, answered
@@ -713,7 +713,7 @@ def _farthest(key: str, values: Array, low: float, high: float) -> tuple[float, 
 
 def _check_product(columns: Mapping[str, Array]) -> Check:
     """The fineness against the energies and sizes that its A and b are fitted to."""
-    energy, size = columns["specific_energy"], 2.0 * columns["sphere.radius"]
+    energy, size = offered_energy(columns), 2.0 * columns["sphere.radius"]
     allowed = "0.1 to 2.5 kWh/t, 13 to 63 mm"
     if len(energy) == 0:
         return _result("range_of_t10", np.zeros(3), None, _NO_SCENE)

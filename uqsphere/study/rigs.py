@@ -68,12 +68,14 @@ def refuse_other_tables(document: Document, data: Mapping[str, Raw], findings: F
 
 
 def model_of(document: Document, findings: Findings) -> ModelChoice:
-    """Which mechanics: rigs other than `bars` have closed forms, or the full model."""
+    """Which mechanics: rigs other than `bars` have closed forms, or the full model; a light sphere may have no mass."""
     model = document.model or ModelChoice()
     if document.rig_kind == "bars" or not findings.clean(("model",)):
         return model
+    anvil = document.rig_kind == "drop_weight" and (document.anvil is None or document.anvil.kind != "bar")
+    light = model.fidelity == "massless" and anvil and document.contact is None
     plain_words = {
-        "fidelity": model.fidelity in ("auto", "full"),
+        "fidelity": light or model.fidelity in ("auto", "full"),
         "first_loading_only": not model.first_loading_only,
         "compare_with_paper": not model.compare_with_paper,
     }
@@ -81,7 +83,7 @@ def model_of(document: Document, findings: Findings) -> ModelChoice:
         if not plain:
             said = f'{key} = {shown(getattr(model, key))} belongs to the rig "bars": leave it out'
             findings.add(("model", key), said)
-    return replace(model, fidelity="full")
+    return model if light else replace(model, fidelity="full")
 
 
 def read_rig(document: Document, scene: Scene, findings: Findings) -> None:
