@@ -105,6 +105,18 @@ def _values(of: Row, values: Mapping[str, Est]) -> list[Row]:
     return [[*of, p, *_row(e)] for p, e in values.items()]
 
 
+def _verdict_rows(results: Results) -> list[Row]:
+    """Every way to break that an aim was judged by: its probability of missing it, and the free scalar it asks for."""
+    return [
+        [
+            entry.aim, "" if entry.target is None else entry.target, entry.verdict or "", one.name, one.assumed,
+            "" if one.answer is None else one.answer, *(one.range or ("", "")), *_row(one.miss),
+        ]
+        for entry in results.verdicts
+        for one in entry.judged
+    ]  # fmt: skip
+
+
 def _margin_tables(results: Results) -> Tables:
     """Values at the probabilities asked for, and the curves; over the energy too where that was asked for."""
     margins = results.margins
@@ -172,6 +184,9 @@ def table_cells(results: Results) -> Tables:
         "validity": (("check", "share", "worst", "text"), checks),
         "speed_error": (("method", "quantity", "evaluations", "error", "error_kind"), speed),
     }
+    if results.verdicts:
+        header = ("aim", "target", "verdict", "way", "assumed", "answer", "range_low", "range_high", *_ESTIMATE)
+        found["verdicts"] = (header, _verdict_rows(results))
     if results.fracture:
         found["fracture"] = (("statistic", "of", "unit", *_ESTIMATE), _fracture_rows(results.fracture))
     if results.analyses:
