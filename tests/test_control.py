@@ -27,14 +27,14 @@ SHARES = (0.01, 0.05, 0.5, 0.95, 0.99)
 
 
 def models(uniforms: Array) -> tuple[Array, Array]:
-    """A dear model, and a cheap one that lacks its fast oscillation."""
+    """An expensive model, and a cheap one that lacks its fast oscillation."""
     normals = ndtri(uniforms)
     cheap = np.exp(normals @ SLOPES)
     return cheap + ROUGH * np.sin(normals @ PHASES), cheap
 
 
 def below(value: float) -> float:
-    """Distribution function of the dear model: lognormal plus a sine of a phase that is uniform to e^-1000."""
+    """Distribution function of the expensive model: lognormal plus a sine of a phase that is uniform to e^-1000."""
     phases = (np.arange(256) + 0.5) * (2.0 * np.pi / 256)
     return float(ndtr(np.log(value - ROUGH * np.sin(phases)) / LOG_SD).mean())
 
@@ -51,19 +51,19 @@ def sample(seed: int, ratio: int = RATIO) -> tuple[Array, Array, Array]:
     uniforms = np.stack([
         sobol_points(dimension=4, count=N * ratio, seed=seed, task="control", replicate=r) for r in range(REPLICATES)
     ])  # fmt: skip
-    dear, cheap = models(uniforms)
-    return dear[:, :N], cheap[:, :N], cheap
+    expensive, cheap = models(uniforms)
+    return expensive[:, :N], cheap[:, :N], cheap
 
 
 def estimates(seed: int) -> dict[str, dict[str, Any]]:
-    dear, cheap, many = sample(seed)
-    controlled = describe_controlled(dear, cheap, many, quantiles=SHARES, method="controlled")
-    plain = describe(dear, quantiles=SHARES)
+    expensive, cheap, many = sample(seed)
+    controlled = describe_controlled(expensive, cheap, many, quantiles=SHARES, method="controlled")
+    plain = describe(expensive, quantiles=SHARES)
     found = {}
     for name, described in (("controlled", controlled), ("plain", plain)):
         found[name] = {"mean": described.mean, "sd": described.sd}
         found[name] |= {f"{p:g}": estimate for p, estimate in described.quantiles.items()}
-    shares = [(rows > RARE).mean(axis=1) for rows in (dear, cheap, many)]
+    shares = [(rows > RARE).mean(axis=1) for rows in (expensive, cheap, many)]
     found["controlled"]["rare"] = probability(*shares, sizes=(N, N * RATIO), counted=True, method="controlled")
     return found
 
@@ -138,7 +138,7 @@ def test_a_probability_that_shows_nothing_is_not_answered() -> None:
 
 @pytest.mark.parametrize(("rho", "cost"), [(0.999, 0.1), (0.99, 0.01), (0.95, 0.3)])
 def test_the_predicted_cost_is_that_of_the_best_sizes(rho: float, cost: float) -> None:
-    # variance of n dear and m = k n cheap random rows, at unit variance: (1 - rho²)/n + rho²/(k n)
+    # variance of n expensive and m = k n cheap random rows, at unit variance: (1 - rho²)/n + rho²/(k n)
     def at(k: float) -> float:
         return ((1.0 - rho**2) + rho**2 / k) * (1.0 + k * cost)
 

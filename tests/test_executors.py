@@ -33,7 +33,7 @@ def good(inputs):
     print("the model speaks")
     return {"y": inputs["x1"] + inputs["x2"] ** 2}
 
-def dear(inputs):
+def expensive(inputs):
     time.sleep(0.001 * len(inputs["x1"]))
     return good(inputs)
 
@@ -269,10 +269,12 @@ def test_where_a_black_box_is_evaluated_changes_no_byte(box: Any, tmp_path: Path
 
 
 @pytest.mark.parametrize("count", [2, 4])
-def test_a_dear_black_box_gets_processes(box: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+def test_an_expensive_black_box_gets_processes(
+    box: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
     from uqsphere.runner import workers as engine
 
-    study, reference = box("dear", "analysis.accuracy.sobol=5.0")
+    study, reference = box("expensive", "analysis.accuracy.sobol=5.0")
     alone = uqsphere.run(study, out=tmp_path / "alone", model=reference, threads=1)
     monkeypatch.setattr(engine, "EXPENSIVE", 0.1)
     monkeypatch.setattr(engine, "WORTH", 0.1)
@@ -403,7 +405,7 @@ def test_a_cluster_gives_the_same_bytes_and_survives_its_workers(box: Any, tmp_p
     pytest.importorskip("distributed")
     from uqsphere.runner.cluster import dask_cluster
 
-    study, reference = box("dear", "analysis.accuracy.sobol=5.0")
+    study, reference = box("expensive", "analysis.accuracy.sobol=5.0")
     alone = uqsphere.run(study, out=tmp_path / "alone", model=reference, threads=1)
     scene = study_from(quick=True)
     own = uqsphere.run(scene, out=tmp_path / "own")

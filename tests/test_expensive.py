@@ -1,4 +1,4 @@
-"""Dear black boxes: answered through a surrogate with few runs, and never by a smooth lie."""
+"""Expensive black boxes: answered through a surrogate with few runs, and never by a smooth lie."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 from scipy.special import ndtr
 
 import uqsphere
-from tests.campaigns.coverage import coverage_models, dear_rows
+from tests.campaigns.coverage import coverage_models, expensive_rows
 from uqsphere.cli import main
 from uqsphere.errors import StudyError, TooManyFailures, UsageError
 from uqsphere.report.phrases import without_failed
@@ -40,7 +40,7 @@ from uqsphere.uq.response import cross_fit, index_shares
 from uqsphere.uq.sample import Sample
 
 MODELS = {model.name: model for model in coverage_models()}
-DEAR = """
+EXPENSIVE = """
 seed = 5
 [inputs]
 x1 = { dist = "uniform", lower = -3.141592653589793, upper = 3.141592653589793 }
@@ -63,7 +63,7 @@ EXACT = cross_fit(np.linspace(-1.0, 1.0, 16)[:, None], np.linspace(0.0, 1.0, 16)
 
 
 class Counted:
-    """A model that counts its rows: what a dear one is paid for."""
+    """A model that counts its rows: what an expensive one is paid for."""
 
     def __init__(self, function: Callable[[dict[str, np.ndarray]], np.ndarray]) -> None:
         self.function = function
@@ -86,7 +86,7 @@ def chequered(x: dict[str, np.ndarray]) -> np.ndarray:
 @pytest.fixture
 def ask(study_from: Callable[..., Study], tmp_path: Path) -> Callable[..., Any]:
     def run(model: Any, *overrides: str, out: str = "r", **more: Any) -> Any:
-        return uqsphere.run(study_from(*overrides, text=DEAR), out=tmp_path / out, model=model, **more)
+        return uqsphere.run(study_from(*overrides, text=EXPENSIVE), out=tmp_path / out, model=model, **more)
 
     return run
 
@@ -98,7 +98,7 @@ def holds(estimate: dict[str, Any], truth: float) -> bool:
 # --- runs -----------------------------------------------------------------------------------------------------
 
 
-def test_a_dear_smooth_model_is_answered_with_a_few_hundred_runs(ask) -> None:
+def test_an_expensive_smooth_model_is_answered_with_a_few_hundred_runs(ask) -> None:
     box = Counted(ishigami)
     found = ask(box)
     results = found.results.document()
@@ -199,7 +199,9 @@ def test_a_rough_model_is_sampled_where_the_budget_has_room(ask) -> None:
 
 
 MIXED = (
-    DEAR.replace('names = ["y"]', 'names = ["y", "z"]').replace("[analysis]", '[analysis]\nquantities = ["y", "z"]')
+    EXPENSIVE.replace('names = ["y"]', 'names = ["y", "z"]').replace(
+        "[analysis]", '[analysis]\nquantities = ["y", "z"]'
+    )
     + '[limits.rough]\nquantity = "z"\nstrength = 8.5\n'
 )
 
@@ -253,7 +255,7 @@ def test_intervals_by_the_runs_of_a_rough_output_cover(runs: int) -> None:
     truths = {"mean": 0.5, "sd": math.sqrt(0.25 + 1.0 / 12.0)}
     hits = dict.fromkeys(truths, 0)
     for seed in range(300):
-        u = sobol_points(dimension=3, count=runs, seed=seed, task="dear", replicate=0)[None]
+        u = sobol_points(dimension=3, count=runs, seed=seed, task="expensive", replicate=0)[None]
         values = (np.sin(300.0 * u[..., 0]) * np.sin(270.0 * u[..., 1]) + u[..., 2])[..., None]
         found = describe(blocks_of_runs(Sample.at("abc", u, u).with_answers("y", values)).answer("y"))
         for name, truth in truths.items():
@@ -303,7 +305,7 @@ def test_more_budget_takes_no_margin_and_no_design_point_from_a_surrogate(
 def test_a_small_probability_of_a_surrogate_is_kept_only_where_it_is_better_known(
     study_from: Callable[..., Study],
 ) -> None:
-    study = study_from(text=DEAR)
+    study = study_from(text=EXPENSIVE)
     work = Work(study=study, store=None, ledger=Ledger(), fidelity="full")
 
     def limit(value: float, half: float) -> LimitAnswer:
@@ -318,8 +320,8 @@ def test_a_small_probability_of_a_surrogate_is_kept_only_where_it_is_better_know
         sample = Sample.at("x", nothing, nothing).with_answers("y", nothing)
         sampled = Sampled(sample=sample, descriptions={}, limits={"high": one}, missed=[], stopped="")  # fmt: skip
         question = Surrogates(work=work, found=Answers(limits={"high": other}), responses={"y": EXACT})
-        dear = Expensive(why="", surrogate=False, question=question)
-        return keep_answers(work, sampled, dear)
+        expensive = Expensive(why="", surrogate=False, question=question)
+        return keep_answers(work, sampled, expensive)
 
     # below 1 % the methods for rare events may take over, and widths are not held against the accuracy on the way
     narrow, wide = limit(0.011, 0.003), limit(0.009, 0.008)
@@ -340,8 +342,8 @@ def test_indices_of_a_surrogate_are_kept_where_sampled_ones_are_wider_than_asked
                            missed=told)  # fmt: skip
 
     sampled, own = indices(half, late), indices(0.01, True)
-    dear = Expensive(why="", surrogate=False, question=Any, sensitivity={"y": own})
-    found = keep_indices({"y": sampled, "z": sampled}, dear)
+    expensive = Expensive(why="", surrogate=False, question=Any, sensitivity={"y": own})
+    found = keep_indices({"y": sampled, "z": sampled}, expensive)
     assert found == {"y": own if kept else sampled, "z": sampled}
 
 
@@ -365,7 +367,7 @@ def test_a_probability_that_few_runs_carry_is_bounded_only(study_from: Callable[
 def test_what_is_assumed_of_a_strength_is_bounded_only_where_few_runs_carry_it(
     study_from: Callable[..., Study], tmp_path: Path
 ) -> None:
-    text = DEAR.replace("strength = 10.0", 'strength = { dist = "normal", mean = 16.0, sd = 1.2 }')
+    text = EXPENSIVE.replace("strength = 10.0", 'strength = { dist = "normal", mean = 16.0, sd = 1.2 }')
     study = study_from("analysis.budget.evaluations=300", text=text)
     found = uqsphere.run(study, out=tmp_path / "r", model=lambda x: {"y": ishigami(x)}).results.document()["limits"][
         "high"
@@ -449,8 +451,8 @@ def test_a_cost_that_is_measured_is_kept_with_the_run(ask, monkeypatch: pytest.M
     ticks = iter(range(0, 10**9, 20))
     monkeypatch.setattr(pricing.time, "perf_counter", lambda: float(next(ticks)))
     text = ("analysis.budget.time='3 h'", "analysis.budget.evaluations=3000")
-    no_cost = DEAR.replace('cost = "10 s"\n', "")
-    monkeypatch.setitem(globals(), "DEAR", no_cost)
+    no_cost = EXPENSIVE.replace('cost = "10 s"\n', "")
+    monkeypatch.setitem(globals(), "EXPENSIVE", no_cost)
     box = Counted(ishigami)
     first = ask(box, *text)
     cost = first.manifest.plan.cost_seconds_per_evaluation
@@ -465,19 +467,19 @@ def test_a_cost_that_is_measured_is_kept_with_the_run(ask, monkeypatch: pytest.M
 
 
 def test_a_cheap_model_is_sampled(ask, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(globals(), "DEAR", DEAR.replace('cost = "10 s"', 'cost = "0.000001 s"'))
+    monkeypatch.setitem(globals(), "EXPENSIVE", EXPENSIVE.replace('cost = "10 s"', 'cost = "0.000001 s"'))
     results = ask(Counted(ishigami), "analysis.budget.evaluations=20000").results.document()
     assert results["plan"]["way"] == "sampling"
     assert results["quantities"]["y"]["mean"]["evaluations"] >= 2048
 
 
 def test_what_is_drawn_and_stored_is_no_cost_of_the_model(ask, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(globals(), "DEAR", DEAR.replace('cost = "10 s"\n', ""))
+    monkeypatch.setitem(globals(), "EXPENSIVE", EXPENSIVE.replace('cost = "10 s"\n', ""))
     found = ask(Counted(ishigami), "analysis.budget.evaluations=20000")
     assert found.manifest.plan.cost_seconds_per_evaluation < found.manifest.seconds["pilot"] / 32.0
     plan = found.manifest.plan
-    dear = plan.cost_seconds_per_evaluation > plan.crossover_seconds_per_evaluation
-    assert found.results.plan.way == ("surrogate" if dear else "sampling")
+    expensive = plan.cost_seconds_per_evaluation > plan.crossover_seconds_per_evaluation
+    assert found.results.plan.way == ("surrogate" if expensive else "sampling")
 
 
 def test_budgets_below_the_smallest_designs(ask) -> None:
@@ -511,8 +513,8 @@ def test_rows_without_an_answer_are_left_out_where_the_study_says_so(ask) -> Non
 
 
 def test_dependent_inputs_have_no_classical_indices(ask, monkeypatch: pytest.MonkeyPatch) -> None:
-    tied = DEAR + '[[dependence]]\nof = ["x1", "x2"]\nspearman = 0.5\n'
-    monkeypatch.setitem(globals(), "DEAR", tied)
+    tied = EXPENSIVE + '[[dependence]]\nof = ["x1", "x2"]\nspearman = 0.5\n'
+    monkeypatch.setitem(globals(), "EXPENSIVE", tied)
     results = ask(Counted(lambda x: x["x1"] + x["x2"])).results.document()
     assert results["sensitivity"]["y"]["first"]["x1"]["value"] is None
     # Var(x1 + x2) = 2 V (1 + rho), of uniforms with Spearman's (and so Pearson's) rho
@@ -550,7 +552,7 @@ def test_a_probability_that_no_run_shows_is_learned(ask, monkeypatch: pytest.Mon
 
     # the limit goes by the name of its quantity, whose mean is asked for to more than any run gives
     text = PLANE.replace("[limits.high]", "[limits.y]").replace("mean = 0.02", "mean = 1e-7")
-    monkeypatch.setitem(globals(), "DEAR", text)
+    monkeypatch.setitem(globals(), "EXPENSIVE", text)
     box = Counted(lambda x: x["x1"] + 0.1 * x["x2"])
     results = ask(box).results.document()
     limit = results["limits"]["y"]
@@ -570,7 +572,7 @@ def test_a_probability_that_no_run_shows_is_learned(ask, monkeypatch: pytest.Mon
 
 
 def test_a_design_point_on_a_surrogate_is_confirmed_by_a_run(ask, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(globals(), "DEAR", PLANE.replace("14.0", "11.0"))
+    monkeypatch.setitem(globals(), "EXPENSIVE", PLANE.replace("14.0", "11.0"))
     limit = ask(Counted(plane)).results.document()["limits"]["high"]
     point = {name: np.array([value]) for name, value in limit["design_point"].items()}
     assert float(plane(point)[0]) == pytest.approx(11.0, abs=1e-3)
@@ -581,7 +583,7 @@ def test_a_design_point_that_the_model_contradicts_leaves_the_shares_known_befor
     ask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The search would put its importance factors in the place of shares by direction."""
-    monkeypatch.setitem(globals(), "DEAR", PLANE.replace("14.0", "11.0"))
+    monkeypatch.setitem(globals(), "EXPENSIVE", PLANE.replace("14.0", "11.0"))
 
     def run(out: str) -> dict[str, Any]:
         return dict(ask(Counted(plane), out=out).results.document()["limits"]["high"])
@@ -600,7 +602,7 @@ def test_a_design_point_that_the_model_contradicts_leaves_the_shares_known_befor
 
 
 def test_pairs_and_groups_come_off_the_surrogate(ask, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(globals(), "DEAR", PLANE.replace("14.0", "11.0"))
+    monkeypatch.setitem(globals(), "EXPENSIVE", PLANE.replace("14.0", "11.0"))
     found = ask(Counted(plane)).results.document()["sensitivity"]["y"]
     # Var = 1 + 1/4, the product alone 1/4
     assert holds(found["second"]["x1|x2"], 0.2)
@@ -609,12 +611,12 @@ def test_pairs_and_groups_come_off_the_surrogate(ask, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize(("solve", "shift"), [("limits.high.strength", 10.0), ("x1", 11.0)])
-def test_margins_of_a_dear_model(ask, monkeypatch: pytest.MonkeyPatch, solve: str, shift: float) -> None:
+def test_margins_of_an_expensive_model(ask, monkeypatch: pytest.MonkeyPatch, solve: str, shift: float) -> None:
     """y = x1 + 0.1 x2: a strength, or a mean, at which it is exceeded with 10, 50 and 90 %."""
     from scipy.special import ndtri
 
     text = PLANE.replace("14.0", "11.0") + f'[margins]\nsolve = "{solve}"\nbetween = [6.0, 16.0]\n'
-    monkeypatch.setitem(globals(), "DEAR", text + "for_probability = [0.1, 0.5, 0.9]\n")
+    monkeypatch.setitem(globals(), "EXPENSIVE", text + "for_probability = [0.1, 0.5, 0.9]\n")
     box = Counted(lambda x: x["x1"] + 0.1 * x["x2"])
     values = ask(box).results.document()["margins"]["high"]["values"]
     assert box.rows <= 300
@@ -628,7 +630,7 @@ def test_a_family_that_no_surrogate_draws_is_told(
     ask, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = PLANE.replace("14.0", "11.0") + '[margins]\nsolve = "limits.high.strength"\nbetween = [6.0, 16.0]\n'
-    monkeypatch.setitem(globals(), "DEAR", text + 'family = { path = "x1", values = [9.0, 11.0] }\n')
+    monkeypatch.setitem(globals(), "EXPENSIVE", text + 'family = { path = "x1", values = [9.0, 11.0] }\n')
     results = ask(Counted(plane)).results.document()
     assert "margins high: the curves over x1 are not drawn off a surrogate" in results["accuracy"]["missed"]
     assert main(["report", str(tmp_path / "r")]) == 0
@@ -650,7 +652,7 @@ def test_a_family_that_no_surrogate_draws_is_told(
 )
 def test_a_cost_that_is_none_is_refused(study_from: Callable[..., Study], value: str, message: str) -> None:
     with pytest.raises(StudyError, match=r"analysis\.cost") as caught:
-        study_from(text=DEAR.replace('"10 s"', value))
+        study_from(text=EXPENSIVE.replace('"10 s"', value))
     assert message in str(caught.value)
 
 
@@ -660,14 +662,14 @@ def test_the_cost_of_the_impact_model_is_not_asked(study_from: Callable[..., Stu
 
 
 def test_the_plan_says_the_way_and_the_crossover(study_from: Callable[..., Study]) -> None:
-    dear = plan_run(study_from(text=DEAR))
-    assert dear["way"] == "surrogate"
+    expensive = plan_run(study_from(text=EXPENSIVE))
+    assert expensive["way"] == "surrogate"
     # three smooth inputs: the first fit is likely enough, which a run of this study takes too
-    assert dear["evaluations"] == 64
-    assert dear["most"] >= 256
-    assert dear["seconds"] == pytest.approx(10.0 * dear["evaluations"] + 10.0, abs=20.0)
-    assert "most of it: surrogate 640 s\n" in plan_text(study_from(text=DEAR), dear)
-    study = study_from(text=DEAR.replace('cost = "10 s"\n', ""))
+    assert expensive["evaluations"] == 64
+    assert expensive["most"] >= 256
+    assert expensive["seconds"] == pytest.approx(10.0 * expensive["evaluations"] + 10.0, abs=20.0)
+    assert "most of it: surrogate 640 s\n" in plan_text(study_from(text=EXPENSIVE), expensive)
+    study = study_from(text=EXPENSIVE.replace('cost = "10 s"\n', ""))
     unknown = plan_run(study)
     assert unknown["way"] is None
     assert unknown["seconds"] is None
@@ -676,19 +678,19 @@ def test_the_plan_says_the_way_and_the_crossover(study_from: Callable[..., Study
     assert choose_way(study, 1.01 * way.crossover).surrogate
     assert not choose_way(study, 0.99 * way.crossover).surrogate
     assert way.crossover == CHEAP
-    short = choose_way(study_from("analysis.budget.evaluations=5000", text=DEAR), 1e-9)
+    short = choose_way(study_from("analysis.budget.evaluations=5000", text=EXPENSIVE), 1e-9)
     assert short.crossover * (5000 - short.runs) == pytest.approx(10.0)
 
 
 def test_listed_methods_and_the_impact_model_are_sampled(study_from: Callable[..., Study]) -> None:
-    assert not choose_way(study_from("analysis.methods=['sobol']", text=DEAR)).surrogate
+    assert not choose_way(study_from("analysis.methods=['sobol']", text=EXPENSIVE)).surrogate
     assert plan_run(study_from())["way"] == "sampling"
 
 
 def test_a_cost_that_is_not_given_leaves_the_hash(study_from: Callable[..., Study]) -> None:
-    without = DEAR.replace('cost = "10 s"\n', "")
+    without = EXPENSIVE.replace('cost = "10 s"\n', "")
     assert "cost" not in study_from(text=without).resolved()["analysis"]
-    assert study_from(text=without).hash != study_from(text=DEAR).hash
+    assert study_from(text=without).hash != study_from(text=EXPENSIVE).hash
 
 
 def test_what_a_missed_accuracy_would_take() -> None:
@@ -701,10 +703,10 @@ def test_what_a_missed_accuracy_would_take() -> None:
 
 
 def test_intervals_of_the_surrogate_way_cover() -> None:
-    rows = [r for r in dear_rows(repetitions=12, models=("ishigami", "product"), sizes=(64,)) if not r.exact]
+    rows = [r for r in expensive_rows(repetitions=12, models=("ishigami", "product"), sizes=(64,)) if not r.exact]
     assert {"mean", "sd", "quantile 0.95", "first index", "total index"} <= {r.kind for r in rows}
     assert np.mean([r.covered for r in rows]) > 0.9
     with pytest.raises(ValueError, match="unknown model"):
-        dear_rows(repetitions=1, models=("nothing",))
+        expensive_rows(repetitions=1, models=("nothing",))
     with pytest.raises(ValueError, match="sizes double"):
-        dear_rows(repetitions=1, sizes=(48,))
+        expensive_rows(repetitions=1, sizes=(48,))

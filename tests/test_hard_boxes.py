@@ -1,4 +1,4 @@
-"""Hard black boxes, dear and cheap: an answer that holds, one that is flagged, or a clear error."""
+"""Hard black boxes, expensive and cheap: an answer that holds, one that is flagged, or a clear error."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ on_failure = "bound"
 accuracy = { mean = 0.02, quantile = 0.05, sobol = 0.05, probability = 0.2 }
 budget = { evaluations = RUNS, time = "100 h" }
 """
-DEAR, CHEAP = ("100 s", 48), ("1 us", 900)
+EXPENSIVE, CHEAP = ("100 s", 48), ("1 us", 900)
 
 
 def answers(way: tuple[str, int], box: Callable[[Rows], Rows], folder: Path) -> dict[str, Any]:
@@ -42,9 +42,9 @@ def answers(way: tuple[str, int], box: Callable[[Rows], Rows], folder: Path) -> 
 
 
 @pytest.mark.parametrize("scale", [1e300, 1e155, 1e-300])
-def test_a_dear_model_has_the_answers_of_its_scale(scale: float, tmp_path: Path) -> None:
+def test_an_expensive_model_has_the_answers_of_its_scale(scale: float, tmp_path: Path) -> None:
     """Squares of 1e155 are beyond floating point, and those of 1e-300 nothing."""
-    found = answers(DEAR, lambda rows: {"y": scale * (1.0 + 0.1 * rows["a"])}, tmp_path)["quantities"]["y"]
+    found = answers(EXPENSIVE, lambda rows: {"y": scale * (1.0 + 0.1 * rows["a"])}, tmp_path)["quantities"]["y"]
     for estimate, truth in ((found["mean"], 1.0), (found["sd"], 0.1), (found["quantiles"]["0.95"], 1.1644854)):
         assert estimate["low"] <= truth * scale * (1.0 + 1e-5)
         assert estimate["high"] >= truth * scale * (1.0 - 1e-5)
@@ -53,17 +53,17 @@ def test_a_dear_model_has_the_answers_of_its_scale(scale: float, tmp_path: Path)
 
 def test_scatter_of_rounding_is_no_certainty(tmp_path: Path) -> None:
     """No surrogate follows the last digits, and the output is no constant all the same."""
-    sd = answers(DEAR, lambda rows: {"y": 1.0 + 1e-15 * rows["a"]}, tmp_path)["quantities"]["y"]["sd"]
+    sd = answers(EXPENSIVE, lambda rows: {"y": 1.0 + 1e-15 * rows["a"]}, tmp_path)["quantities"]["y"]["sd"]
     assert 0.0 < sd["low"] < 1.0026e-15 < sd["high"] < 3e-15
 
 
 def test_a_constant_is_known(tmp_path: Path) -> None:
-    found = answers(DEAR, lambda rows: {"y": 0.0 * rows["a"] + 0.1}, tmp_path)["quantities"]["y"]
+    found = answers(EXPENSIVE, lambda rows: {"y": 0.0 * rows["a"] + 0.1}, tmp_path)["quantities"]["y"]
     assert [found["mean"][key] for key in ("low", "value", "high")] == pytest.approx([0.1] * 3, rel=1e-15)
     assert found["sd"]["high"] < 1e-16
 
 
-@pytest.mark.parametrize("way", [DEAR, CHEAP])
+@pytest.mark.parametrize("way", [EXPENSIVE, CHEAP])
 def test_a_run_without_any_answer_is_an_error(way: tuple[str, int], tmp_path: Path) -> None:
     with pytest.raises(TooManyFailures, match=r"none of \d+ evaluations has an answer .*y = nan at a = "):
         answers(way, lambda rows: {"y": np.nan * rows["a"]}, tmp_path)

@@ -164,7 +164,7 @@ def test_a_standard_deviation_without_fourth_moments_holds_what_the_rarest_value
     assert without_moments(describe(outputs), light, outputs.ravel()).sd == describe(outputs).sd
 
 
-# --- dear models whose moments do not exist, or lie beyond what their runs reach: withheld, or held by the intervals
+# --- expensive models whose moments do not exist, or lie beyond their runs: withheld, or held by the intervals
 
 
 Rows = dict[str, np.ndarray[Any, np.dtype[np.float64]]]
@@ -185,7 +185,7 @@ CAUCHY = '{ dist = "student_t", dof = 1, location = 0, scale = 1 }'
 NORMAL = '{ dist = "normal", mean = 0, sd = 1 }'
 
 
-def dear(law: str, box: Callable[[Rows], Rows], out: Path, runs: int = 64) -> dict[str, Any]:
+def expensive(law: str, box: Callable[[Rows], Rows], out: Path, runs: int = 64) -> dict[str, Any]:
     """A run through a surrogate in which a has that law and b is standard normal."""
     (out.parent / "s.toml").write_text(STUDY.replace("LAW", law).replace("RUNS", str(runs)), "utf-8")
     return dict(uqsphere.run(load_study(out.parent / "s.toml"), out=out, model=box).results.document())
@@ -197,9 +197,9 @@ def indices_of(results: dict[str, Any]) -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize("runs", [12, 64])
 @pytest.mark.parametrize("slope", [1.0, 10.0])
-def test_a_dear_model_of_a_cauchy_input_has_no_mean_either(runs: int, slope: float, tmp_path: Path) -> None:
+def test_an_expensive_model_of_a_cauchy_input_has_no_mean_either(runs: int, slope: float, tmp_path: Path) -> None:
     """Some dozens of runs, half of which lie where the other input drowns how the output grows."""
-    results = dear(CAUCHY, lambda rows: {"y": rows["a"] + slope * rows["b"]}, tmp_path / "r", runs)
+    results = expensive(CAUCHY, lambda rows: {"y": rows["a"] + slope * rows["b"]}, tmp_path / "r", runs)
     found = results["quantities"]["y"]
     for estimate in (found["mean"], found["sd"], *indices_of(results)):
         assert estimate["value"] is None
@@ -213,8 +213,8 @@ def test_a_dear_model_of_a_cauchy_input_has_no_mean_either(runs: int, slope: flo
     assert {estimate["reason"] for estimate in indices_of(results)} == {whole}
 
 
-def test_a_dear_model_without_variance_keeps_its_mean(tmp_path: Path) -> None:
-    results = dear(CAUCHY.replace("dof = 1", "dof = 2"), lambda r: {"y": r["a"] + 10.0 * r["b"]}, tmp_path / "r")
+def test_an_expensive_model_without_variance_keeps_its_mean(tmp_path: Path) -> None:
+    results = expensive(CAUCHY.replace("dof = 1", "dof = 2"), lambda r: {"y": r["a"] + 10.0 * r["b"]}, tmp_path / "r")
     found = results["quantities"]["y"]
     assert found["mean"]["low"] < 0.0 < found["mean"]["high"]
     assert "no moments from order 2 on" in found["sd"]["reason"]
@@ -224,7 +224,7 @@ def test_a_dear_model_without_variance_keeps_its_mean(tmp_path: Path) -> None:
 def test_accuracies_are_not_measured_by_a_standard_deviation_that_does_not_exist(tmp_path: Path) -> None:
     """That of the samples grows with the rarest of them, and makes every half-width look small."""
     law = '{ dist = "frechet", shape = 1.5, scale = 1 }'
-    results = dear(law, lambda rows: {"y": np.exp(0.3 * np.tanh(rows["b"])) * rows["a"]}, tmp_path / "r")
+    results = expensive(law, lambda rows: {"y": np.exp(0.3 * np.tanh(rows["b"])) * rows["a"]}, tmp_path / "r")
     found, accuracy = results["quantities"]["y"], results["accuracy"]
     assert "no moments from order 1.5 on" in found["sd"]["reason"]
     short = [row for row in accuracy["questions"] if row["met"] is False]
@@ -238,8 +238,8 @@ def test_accuracies_are_not_measured_by_a_standard_deviation_that_does_not_exist
     assert "of the standard deviation" not in said
 
 
-def test_a_dear_model_that_bounds_a_cauchy_input_keeps_its_moments(tmp_path: Path) -> None:
-    results = dear(CAUCHY, lambda rows: {"y": np.tanh(rows["a"]) + rows["b"]}, tmp_path / "r")
+def test_an_expensive_model_that_bounds_a_cauchy_input_keeps_its_moments(tmp_path: Path) -> None:
+    results = expensive(CAUCHY, lambda rows: {"y": np.tanh(rows["a"]) + rows["b"]}, tmp_path / "r")
     mean, sd = (results["quantities"]["y"][key] for key in ("mean", "sd"))
     assert mean["low"] < 0.0 < mean["high"]
     assert sd["low"] < 1.24497 < sd["high"]  # sqrt(1 + <tanh²>), by quadrature
@@ -248,7 +248,9 @@ def test_a_dear_model_that_bounds_a_cauchy_input_keeps_its_moments(tmp_path: Pat
 @pytest.mark.parametrize("curvature", [1.0, 0.25, 0.1])
 def test_a_surrogate_that_its_runs_hold_back_says_so(curvature: float, tmp_path: Path) -> None:
     """exp(c a²) has a mean for c < 1/2 and a variance for c < 1/4; the logarithm is expanded, within bounds."""
-    results = dear(NORMAL, lambda rows: {"y": np.exp(curvature * rows["a"] ** 2) + 0.0 * rows["b"]}, tmp_path / "r")
+    results = expensive(
+        NORMAL, lambda rows: {"y": np.exp(curvature * rows["a"] ** 2) + 0.0 * rows["b"]}, tmp_path / "r"
+    )
     mean, sd = (results["quantities"]["y"][key] for key in ("mean", "sd"))
     if curvature < 0.5:
         assert mean["low"] < (1.0 - 2.0 * curvature) ** -0.5 < mean["high"]

@@ -167,7 +167,7 @@ def test_equal_intervals_never_pay(ratio: float) -> None:
 
 
 @pytest.mark.parametrize(("cost", "pays"), [(0.01, True), (0.5, False)])
-def test_what_is_narrow_pays_unless_it_is_dear(cost: float, pays: bool) -> None:
+def test_what_is_narrow_pays_unless_it_is_expensive(cost: float, pays: bool) -> None:
     # three times too wide without, accurate with it: 4.3 times the evaluations against 1 + 16 cost of them
     found, within, without = weigh(plan(cost, 16), {"q": 3.0}, {"q": 0.9}, 4096)
     assert found is pays

@@ -47,7 +47,7 @@ NORMAL = ("normal", "normal")
 
 def fitted(name: str, n: int, seed: int = 3) -> tuple[CoverageModel, Array, Array]:
     model = MODELS[name]
-    u = sobol_points(dimension=model.dimension, count=n, seed=seed, task="dear", replicate=0)
+    u = sobol_points(dimension=model.dimension, count=n, seed=seed, task="expensive", replicate=0)
     points = germ_points(np.asarray(ndtri(u)), model.germs)
     return model, points, model.function(u)
 
@@ -342,7 +342,7 @@ def test_an_end_within_the_first_stage_keeps_its_rows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("after", "smooth", "rough"), [(40, 32, 32), (90, 64, 64), (300, 128, 128)])
-def test_an_early_end_of_a_dear_model_answers_by_the_runs_that_are_there(
+def test_an_early_end_of_an_expensive_model_answers_by_the_runs_that_are_there(
     tmp_path: Path, after: int, smooth: int, rough: int
 ) -> None:
     """A stage that is cut short is not counted, whether of a surrogate or of runs that none can use."""

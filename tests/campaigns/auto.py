@@ -107,15 +107,17 @@ def gains(path: str | Path, *, points: int = 256, index_points: int = 128) -> di
     full = Work(study=study, store=None, ledger=Ledger(), fidelity="full", threads=1)
     cheap = replace(full, fidelity="massless", spare=True)
     rows = [draw(full.drawn, seed=study.seed, task="sampling", start=0, count=points * k) for k in (1, 8)]
-    dear, many = (evaluate_sample(work, "gains", each).answers for work, each in zip((full, cheap), rows, strict=True))
+    expensive, many = (
+        evaluate_sample(work, "gains", each).answers for work, each in zip((full, cheap), rows, strict=True)
+    )
     designs = [pick_and_freeze(work, "gains", 0, n)[0] for work, n in ((full, index_points), (cheap, 4 * index_points))]
     blocks, found = Blocks(inputs_count=len(full.scene_names)), {}
     for k, name in enumerate(full.quantities):
         asked = study.analysis.quantiles
-        line = float(np.polyfit(many[:, :points, k].ravel(), dear[..., k].ravel(), 1)[0])
-        scaled = line * many[..., k] + float(dear[..., k].mean() - line * many[:, :points, k].mean())
-        plain = describe(dear[..., k], quantiles=asked).quantiles
-        sharp = describe_controlled(dear[..., k], scaled[:, :points], scaled, quantiles=asked, method="").quantiles
+        line = float(np.polyfit(many[:, :points, k].ravel(), expensive[..., k].ravel(), 1)[0])
+        scaled = line * many[..., k] + float(expensive[..., k].mean() - line * many[:, :points, k].mean())
+        plain = describe(expensive[..., k], quantiles=asked).quantiles
+        sharp = describe_controlled(expensive[..., k], scaled[:, :points], scaled, quantiles=asked, method="").quantiles
         told = [p for p in asked if plain[p].value is not None and sharp[p].value is not None]
         at = designs[1][..., k]
         with_it = controlled_indices(designs[0][..., k], at[:, :index_points], at, method="")

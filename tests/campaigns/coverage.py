@@ -571,7 +571,7 @@ def _large(model: CoverageModel, seed: int) -> Array:
     from scipy.special import ndtri
 
     points = [
-        sobol_points(dimension=model.dimension, count=POINTS, seed=seed, task="dear: large", replicate=r)
+        sobol_points(dimension=model.dimension, count=POINTS, seed=seed, task="expensive: large", replicate=r)
         for r in range(REPLICATES)
     ]
     return germ_points(np.asarray(ndtri(np.concatenate(points))), model.germs)
@@ -579,7 +579,7 @@ def _large(model: CoverageModel, seed: int) -> Array:
 
 def _believed(response: Response, large: Array, seed: int, above: float) -> tuple[Answered, Estimate]:
     """What the surrogate says of the law, and the probability of lying above a threshold."""
-    generator = random_generator(seed=seed, task="dear: residuals")
+    generator = random_generator(seed=seed, task="expensive: residuals")
     found = answered(response, large, (REPLICATES, POINTS), generator, QUANTILES)
     within = found.values if found.within is None else found.within
     middle, down, up, inner = (
@@ -598,7 +598,7 @@ def _repeat(model: CoverageModel, sizes: Sequence[int], large: Array, seed: int)
     """What one design, enlarged, answers at each size."""
     from scipy.special import ndtri
 
-    uniforms = sobol_points(dimension=model.dimension, count=max(sizes), seed=seed, task="dear", replicate=0)
+    uniforms = sobol_points(dimension=model.dimension, count=max(sizes), seed=seed, task="expensive", replicate=0)
     points = germ_points(np.asarray(ndtri(uniforms)), model.germs)
     outputs = model.function(uniforms)
     hits: list[Hit] = []
@@ -620,7 +620,7 @@ def _repeat(model: CoverageModel, sizes: Sequence[int], large: Array, seed: int)
     return hits
 
 
-def dear_rows(
+def expensive_rows(
     *,
     repetitions: int,
     models: Sequence[str] = MODELS,
@@ -678,7 +678,7 @@ def summary(rows: Sequence[CoverageRow]) -> str:
 WAYS: Final[dict[str, tuple[int, Callable[..., list[CoverageRow]]]]] = {
     "sampling": (300, coverage_rows),
     "expansion": (340, surrogate_rows),
-    "expensive": (290, dear_rows),
+    "expensive": (290, expensive_rows),
 }
 
 

@@ -55,7 +55,7 @@ class CurveCost:
 
     @property
     def ratio(self) -> float:
-        """Evaluations of the curve over those of the dearest of its points."""
+        """Evaluations of the curve over those of the most expensive of its points."""
         return self.curve_evaluations / max(self.low_evaluations, self.high_evaluations)
 
 

@@ -337,7 +337,7 @@ def try_study(data: bytes, folder: Path) -> tuple[Outcome, list[str]]:
 
 DOCUMENTS = ("results.json", "study.resolved.json", "manifest.json", "samples.json")
 FILES = (*DOCUMENTS, "samples.npy", "study.toml", "SHA256SUMS")
-#: commands and how often each is tried among 100 folders; the report draws figures, verify repeats runs: they are dear
+#: commands and how often each is tried among 100 folders; the report draws figures, verify repeats runs: they take long
 COMMANDS = {"show": 44, "show --json": 14, "export": 14, "compare": 17, "verify": 10, "report": 1}
 
 

@@ -344,7 +344,7 @@ def integrate_plane(function: Callable[[Array], Array], *, panels: int = 720, gr
     return total
 
 
-# --- Few calls of a dear model: active learning on the public problems, with at most 200 calls.
+# --- Few calls of an expensive model: active learning on the public problems, with at most 200 calls.
 
 CALLS: Final = 200
 FEW_PROBLEMS: Final = ("four branches", "two-sided", "RP14", "RP25", "RP35", "RP53", "RP57", "RP110", "roof truss")

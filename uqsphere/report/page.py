@@ -106,7 +106,7 @@ GLOSSARY: Final[tuple[tuple[str, str, str], ...]] = (
     ("coefficient of variation", r"coefficient of variation",
      "Standard deviation over mean."),
     ("control variate", r"control variate",
-     "A cheaper model, computed beside the dear one, whose known mean takes scatter out of the estimate."),
+     "A cheaper model, computed beside the expensive one, whose known mean takes scatter out of the estimate."),
     ("demand", r"\bdemand\b",
      "What the impact asks of the sphere, the quantity that a limit compares with the strength."),
     ("design point", r"\bdesign point",

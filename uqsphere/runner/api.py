@@ -53,7 +53,7 @@ def run(
         The black box of a black-box study.  A reference is loaded and called in a process of its own, so that a model
         that ends its process, hangs or forks does not do so to the run; a function is called here.
     threads : int, optional
-        Threads of the mechanics, or processes of a dear black box; all processors if None.  Results do not depend
+        Threads of the mechanics, or processes of an expensive black box; all processors if None.  Results do not depend
         on it.
     fresh : bool
         Drop what an earlier run of the same study stored.

@@ -190,7 +190,7 @@ def task_of(work: Work, names: tuple[str, ...], fidelity: str) -> Task:
     return Task(
         study=study,
         names=names,
-        # a black box gives all its outputs at once, and a dear one should not be asked again for another of them
+        # a black box gives all its outputs at once, and an expensive one should not be asked again for another of them
         columns=study.outputs if study.black_box else work.quantities,
         needed=work.quantities,
         fidelity=fidelity,

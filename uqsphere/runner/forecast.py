@@ -328,8 +328,8 @@ def forecast(study: Study, budget: int | None = None, surrogate: bool = False) -
 
 #: seconds that a surrogate takes besides the runs of the model: at all, and for the fits of each quantity
 OVERHEAD, FITS = 5.0, 5.0
-#: cost of an evaluation below which a model is cheap in any case [s]: timed row by row, a vectorised one seems dearer
-#: than it is, and sampling answers more than a surrogate does
+#: cost of an evaluation below which a model is cheap in any case [s]: timed row by row, a vectorised one seems to take
+#: longer than it does, and sampling answers more than a surrogate does
 CHEAP = 1e-3
 
 
@@ -410,7 +410,7 @@ def choose_way(study: Study, cost: float | None = None, seconds: float | None = 
 _STEP_SECONDS = 0.5e-6
 #: seconds to start and to write the report; those of a limit beside its evaluations, and of each of its curves
 _START, _LIMIT, _CURVE_PLAN = 4.0, 1.0, 2.5
-#: steps that a closed form is as dear as, and times t_c for which a blow with two contacts is followed
+#: steps that a closed form is as expensive as, and times t_c for which a blow with two contacts is followed
 _STEPS_CLOSED, _TOUCHES = 2.0, 10.0
 #: parts whose seconds are told
 _TOLD = 3

@@ -31,7 +31,7 @@ def predicted_cost(correlation: float, cost: float) -> float:
     """Cost of a control variate over that of plain sampling at equal error, with random points and the best sizes.
 
     (sqrt(1 - rho²) + sqrt(w rho²))², rho the correlation of the models and w the cost of the cheap one over that
-    of the dear one; 1 where it does not pay (A. Gruber, M. Gunzburger and others call the sizes those of
+    of the expensive one; 1 where it does not pay (A. Gruber, M. Gunzburger and others call the sizes those of
     multifidelity Monte Carlo: B. Peherstorfer, K. Willcox, M. Gunzburger, SIAM J. Sci. Comput. 38, 2016, A3163).
 
     >>> round(predicted_cost(0.99, 0.01), 3), predicted_cost(0.5, 0.5)
@@ -42,7 +42,7 @@ def predicted_cost(correlation: float, cost: float) -> float:
 
 
 def best_ratio(correlation: float, cost: float) -> float:
-    """Evaluations of the cheap model for each of the dear one at which `predicted_cost` is reached.
+    """Evaluations of the cheap model for each of the expensive one at which `predicted_cost` is reached.
 
     >>> round(best_ratio(0.99, 0.01), 1)
     70.2
@@ -66,15 +66,15 @@ def _floor(n: int, m: int, replicates: int) -> float:
 
 
 def probability(
-    dear: Array, cheap: Array, cheap_many: Array, *, sizes: tuple[int, int], counted: bool, method: str
+    expensive: Array, cheap: Array, cheap_many: Array, *, sizes: tuple[int, int], counted: bool, method: str
 ) -> Estimate | None:
     """A probability from those of the replicates (R,); None where it comes out at 0 or 1, which shows nothing.
 
     `sizes` are n and m; `counted` if rows either exceed or do not, so that resolution limits the error.  The
     interval is symmetric in logits, as that of `uqsphere.uq.limit_state`.
     """
-    p, error = corrected(dear, cheap - cheap_many)
-    replicates, (n, m) = len(dear), sizes
+    p, error = corrected(expensive, cheap - cheap_many)
+    replicates, (n, m) = len(expensive), sizes
     if not 0.0 < p < 1.0:
         return None
     error = math.hypot(error, _floor(n, m, replicates)) if counted else error
@@ -90,35 +90,35 @@ def probability(
 
 
 def describe_controlled(
-    dear: Array, cheap: Array, cheap_many: Array, *, quantiles: Sequence[float], method: str
+    expensive: Array, cheap: Array, cheap_many: Array, *, quantiles: Sequence[float], method: str
 ) -> Description:
-    """Mean, standard deviation and quantiles of the dear model, controlled by the cheap one.
+    """Mean, standard deviation and quantiles of the expensive model, controlled by the cheap one.
 
     Parameters
     ----------
-    dear, cheap : (R, n) arrays
+    expensive, cheap : (R, n) arrays
         Both models at the same points, finite and not censored.
     cheap_many : (R, m) array
         The cheap model at the points of each replicate continued; its first n columns are `cheap`.
     quantiles : probabilities
     method : text of every estimate
 
-    Each estimate counts the evaluations of the dear model.
+    Each estimate counts the evaluations of the expensive model.
     """
-    replicates = len(dear)
-    total = dear.size
-    mean, error = corrected(dear.mean(axis=1), cheap.mean(axis=1) - cheap_many.mean(axis=1))
+    replicates = len(expensive)
+    total = expensive.size
+    mean, error = corrected(expensive.mean(axis=1), cheap.mean(axis=1) - cheap_many.mean(axis=1))
     # about one centre for all replicates, so that their means are not taken for scatter of the quantity
-    squares = [((rows - mean) ** 2).mean(axis=1) for rows in (dear, cheap, cheap_many)]
+    squares = [((rows - mean) ** 2).mean(axis=1) for rows in (expensive, cheap, cheap_many)]
     variance, spread = corrected(squares[0], squares[1] - squares[2])
-    scale = math.sqrt(variance) if variance > 0.0 else float(dear.std())
+    scale = math.sqrt(variance) if variance > 0.0 else float(expensive.std())
     loose = 0.5 * spread / scale if scale > 0.0 else 0.0
-    pools = [np.sort(rows, axis=None) for rows in (dear, cheap, cheap_many)]
+    pools = [np.sort(rows, axis=None) for rows in (expensive, cheap, cheap_many)]
     return Description(
         mean=_estimate(mean, error, replicates, method, total),
         sd=_estimate(scale, loose, replicates, method, total, least=0.0),
-        quantiles={p: _quantile(p, (dear, cheap, cheap_many), pools, method) for p in quantiles},
-        censored_share=share(np.zeros(dear.shape, dtype=bool), "share of the samples"),
+        quantiles={p: _quantile(p, (expensive, cheap, cheap_many), pools, method) for p in quantiles},
+        censored_share=share(np.zeros(expensive.shape, dtype=bool), "share of the samples"),
         scale=scale,
     )
 
@@ -126,17 +126,17 @@ def describe_controlled(
 def _quantile(p: float, rows: tuple[Array, Array, Array], pools: list[Array], method: str) -> Estimate:
     """A quantile off the controlled distribution function, its interval after Woodruff (1952).
 
-    The cheap model is shifted so that its own quantile from the n points falls on that of the dear one.  There the
+    The cheap model is shifted so that its own quantile from the n points falls on that of the expensive one.  There the
     replicates give the standard error of the probability; the three pooled samples make one distribution function,
     which is read off at p and at the two ends of the probability.
     """
-    dear, cheap, many = rows
-    (replicates, n), m = dear.shape, many.shape[1]
-    if min(p, 1.0 - p) * dear.size < 5:
-        return absent(f"too few samples beyond the {p:g} quantile", method, dear.size)
+    expensive, cheap, many = rows
+    (replicates, n), m = expensive.shape, many.shape[1]
+    if min(p, 1.0 - p) * expensive.size < 5:
+        return absent(f"too few samples beyond the {p:g} quantile", method, expensive.size)
     at, own = (float(pool[min(int(p * pool.size), pool.size - 1)]) for pool in pools[:2])
     pools = [pools[0], pools[1] + (at - own), pools[2] + (at - own)]
-    shares = [(dear <= at).mean(axis=1), (cheap <= own).mean(axis=1), (many <= own).mean(axis=1)]
+    shares = [(expensive <= at).mean(axis=1), (cheap <= own).mean(axis=1), (many <= own).mean(axis=1)]
     _, error = corrected(shares[0], shares[1] - shares[2])
     half = student(replicates) * math.hypot(error, _floor(n, m, replicates))
     values = np.concatenate(pools)
@@ -159,7 +159,7 @@ def _quantile(p: float, rows: tuple[Array, Array, Array], pools: list[Array], me
         high=max(high, value),
         std_error=0.5 * (high - low) / student(replicates),
         method=method,
-        evaluations=dear.size,
+        evaluations=expensive.size,
     )
 
 
@@ -173,7 +173,7 @@ def _indices(outputs: Array) -> Array:
     return np.stack([first, total])
 
 
-def controlled_indices(dear: Array, cheap: Array, cheap_many: Array, *, method: str) -> dict[str, list[Estimate]]:
+def controlled_indices(expensive: Array, cheap: Array, cheap_many: Array, *, method: str) -> dict[str, list[Estimate]]:
     """First and total Sobol' indices {"first": [...], "total": [...]} by pick and freeze, controlled by a cheap model.
 
     First indices after Saltelli et al. (Comput. Phys. Commun. 181, 2010, 259, table 2 (b)), total ones after
@@ -181,20 +181,20 @@ def controlled_indices(dear: Array, cheap: Array, cheap_many: Array, *, method: 
 
     Parameters
     ----------
-    dear, cheap : (R, N, d + 2) arrays
+    expensive, cheap : (R, N, d + 2) arrays
         Outputs of both models at the same base points, in the blocks of `uqsphere.uq.indices.Blocks`.
     cheap_many : (R, M, d + 2) array
         The cheap model at the base points continued.
     """
-    replicates, d = len(dear), dear.shape[2] - 2
+    replicates, d = len(expensive), expensive.shape[2] - 2
     with np.errstate(all="ignore"):
-        one, two, three = (_indices(outputs) for outputs in (dear, cheap, cheap_many))
+        one, two, three = (_indices(outputs) for outputs in (expensive, cheap, cheap_many))
     if not (np.isfinite(one).all() and np.isfinite(two).all() and np.isfinite(three).all()):
-        nothing = [absent("the output does not vary", method, dear.size)] * d
+        nothing = [absent("the output does not vary", method, expensive.size)] * d
         return {"first": nothing, "total": list(nothing)}
     return {
         order: [
-            _estimate(*corrected(one[k, :, j], two[k, :, j] - three[k, :, j]), replicates, method, dear.size)
+            _estimate(*corrected(one[k, :, j], two[k, :, j] - three[k, :, j]), replicates, method, expensive.size)
             for j in range(d)
         ]
         for k, order in enumerate(("first", "total"))

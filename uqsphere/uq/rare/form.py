@@ -137,7 +137,7 @@ def _starts(size: int, seed: int) -> Array:
     """The origin and a few quasi-random directions at two standard deviations."""
     from scipy.special import ndtri
 
-    # in many variables every start is dear, and directions at random lead nowhere
+    # in many variables every start is expensive, and directions at random lead nowhere
     count = 4 if size <= MANY else 1
     normals = np.asarray(ndtri(sobol_points(dimension=size, count=count, seed=seed, task="form starts", replicate=0)))
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
