@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -124,6 +125,7 @@ def scene_of(
         contact_law=str(study.options.get("contact.law", "hertz")),
         contact_dynamics="elastic" if study.options.get("contact.dynamics") == "elastic" else "path",
         hardness_at_onset=study.options.get("contact.hardness") == "onset",
+        blows=int(study.options.get("contact.blows", 1)),
         record=study.record,
     )
 
@@ -162,6 +164,11 @@ def solve_scene(
     from uqsphere.mechanics.integrator import solve as dynamics
 
     scene, fidelity = as_integrated(scene, fidelity)
+    if scene.contact_law == "damage" and scene.stiffness_left is None:
+        from uqsphere.mechanics.damage import after_blows
+
+        blow = partial(solve_scene, fidelity=fidelity, tolerance=tolerance, threads=threads)
+        return after_blows(scene, lambda one, names: blow(one, quantities=tuple(names)), quantities)
     if scene.rig != "bars":
         return _solve_rig(scene, fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
     if closed_form.closed_form_applies(scene, fidelity):

@@ -218,7 +218,7 @@ def closed_form_applies(scene: Scene, fidelity: str) -> bool:
     The `linear` contact has its history in closed form, but its peaks are roots of transcendental equations.
     """
     plain = scene.shape in ("rectangular", "step") and scene.striker_ratio is None
-    yields = scene.contact_law != "hertz" and scene.contact_dynamics == "path"
+    yields = scene.contact_law == "plastic" and scene.contact_dynamics == "path"
     return fidelity == "massless" and scene.infinite and plain and not yields
 
 

@@ -134,6 +134,9 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
     Quantity(name="plastic_work", symbol="D", dimension="energy", display="J", closed=True,
              meaning="work that both faces have dissipated by yielding", needs=("dissipated",),
              formula=lambda c: c["dissipated"]),
+    Quantity(name="broke_at", symbol="n_b", dimension="number", needs=("blow",), censored="blow_censored",
+             meaning="number of the equal blow that breaks a sphere which earlier ones have damaged",
+             formula=lambda c: c["blow"]),
     Quantity(name="t10", symbol="t10", dimension="share", display="%", upper=1.0, follows="energy",
              meaning="share of the product finer than a tenth of the sphere, if it breaks (needs [product])",
              needs=("specific_energy", "product.A", "product.b"),
@@ -404,6 +407,8 @@ def _lacking(scene: Scene) -> dict[str, str]:
     if all(one is None or one.face is None for one in scene.partners):
         why = 'both bodies are elastic: add a table [contact] with law = "plastic"'
         found |= dict.fromkeys(("dent_left", "dissipated"), why)
+    if scene.contact_law != "damage":
+        found["blow"] = 'blows leave no damage: add a table [contact] with law = "damage"'
     return found
 
 

@@ -85,6 +85,8 @@ def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) 
         modulus = contact.reduced_modulus(
             c["sphere.E"], c["sphere.nu"], face_E, face_nu, rigid_bars=scene.rigid_contact
         )
+        if scene.stiffness_left is not None:
+            modulus = modulus * scene.stiffness_left
         radius = contact.effective_radius(c["sphere.radius"], _face_radius(scene, table))
         return Partner(
             table=table,

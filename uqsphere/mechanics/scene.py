@@ -331,6 +331,10 @@ class Scene:
         Of a law that yields: ``path``, inside the equations of motion, or ``elastic``, from the largest force alone.
     hardness_at_onset : bool
         The hardness is the onset, row by row (Thornton's law).
+    blows : int
+        Equal blows of a sphere that takes damage.
+    stiffness_left : (n,) array or None
+        What blows before have left of every face's stiffness, `uqsphere.mechanics.damage`.
     record : MeasuredPulse or None
         The pulse of the shape ``measured``, the same in every row but for its noise and gain; `striker.speed` is
         then 2 c0 times its peak strain and gain.
@@ -351,6 +355,8 @@ class Scene:
     contact_law: str = "hertz"
     contact_dynamics: str = "path"
     hardness_at_onset: bool = False
+    blows: int = 1
+    stiffness_left: Array | None = None
     record: MeasuredPulse | None = None
     rig: str = "bars"
     options: Mapping[str, str] = field(default_factory=dict)
@@ -396,7 +402,8 @@ class Scene:
 
     def at(self, rows: Places | slice) -> Scene:
         """The scene of some of its rows."""
-        return replace(self, columns={name: column[rows] for name, column in self.columns.items()})
+        left = None if self.stiffness_left is None else self.stiffness_left[rows]
+        return replace(self, columns={name: column[rows] for name, column in self.columns.items()}, stiffness_left=left)
 
     def column(self, name: str, default: Values = np.nan) -> Array:
         """A column, or `default` in every row."""

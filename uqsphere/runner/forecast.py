@@ -202,7 +202,8 @@ def fracture_limits(study: Study) -> tuple[Limit, ...]:
     """The limits of a study whose exceedance breaks the sphere."""
     from uqsphere.mechanics.outputs import path_of
 
-    if study.black_box:
+    if study.black_box or study.options.get("contact.law") == "damage":
+        # blows before the last leave no path from first touch
         return ()
     known = (limit for limit in study.limits if limit.fracture is not False)
     return tuple(limit for limit in known if path_of(limit.quantity, study.demands) is not None)

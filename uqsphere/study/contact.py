@@ -79,9 +79,6 @@ def check_contact(scene: Scene, model: ModelChoice, findings: Findings) -> None:
         said = f'the linear model has no law of the contact: leave it out, or contact.law = "{law}"'
         findings.add(("model", "fidelity"), said)
     if law == "damage":
-        if findings.clean(("contact", "law")):
-            said = "the damage of the sphere is not followed yet"
-            findings.add(("contact", "law"), f'{said}: take "hertz", or "plastic" where a body yields or crushes')
         for key, example in (("gamma", "5"), ("fracture_energy", '"50 J/kg"')):
             if f"contact.{key}" not in scene.readings and findings.clean(("contact", key)):
                 findings.add(("contact", key), f'{key} is missing: law = "damage" needs it, such as {key} = {example}')
