@@ -290,7 +290,7 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
     pole as well: `balance` is that force over the face's own, at its peak.
     """
     rig, one_contact = RIGS[scene.rig], scene.partners[0] is None
-    if rig.name == "bars" and scene.struck.face is None:
+    if rig.name == "bars" and scene.struck.face is None and scene.stiffness_left is None:
         return {}
     sides, firsts, force = [], [], scene.scales.force
     for pole, name in enumerate("ab"):

@@ -85,8 +85,10 @@ def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) 
         modulus = contact.reduced_modulus(
             c["sphere.E"], c["sphere.nu"], face_E, face_nu, rigid_bars=scene.rigid_contact
         )
+        share = np.asarray(modulus * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"])
         if scene.stiffness_left is not None:
-            modulus = modulus * scene.stiffness_left
+            # what blows have softened is the sphere: the partner's share goes down with the stiffness
+            modulus, share = modulus * scene.stiffness_left, 1.0 - scene.stiffness_left * (1.0 - share)
         radius = contact.effective_radius(c["sphere.radius"], _face_radius(scene, table))
         return Partner(
             table=table,
@@ -94,7 +96,7 @@ def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) 
             modulus=modulus,
             effective_radius=radius,
             hertz_constant=contact.hertz_constant(modulus, radius),
-            share=np.asarray(modulus * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"]),
+            share=share,
             impedance=_impedance(scene, table, kind),
             mass=_mass(scene, table) if kind == "mass" else _everywhere(np.inf, scene),
             speed=_everywhere(0.0, scene) if speed is None else speed,
