@@ -296,7 +296,7 @@ def draw_xt(scene: Scene, history: History, row: int = 0) -> Picture:
         for gauge in history.gauges:
             place = -gauge.position if gauge.bar == "incident" else gauge.position
             axes.axvline(place, color=GREEN, linewidth=0.9, linestyle=":")
-            axes.annotate("gauge", (place, 0.98), xycoords=("data", "axes fraction"), xytext=(3, -2), va="top",
+            axes.annotate("gauge", (place, 0.02), xycoords=("data", "axes fraction"), xytext=(3, 2), va="bottom",
                           textcoords="offset points", rotation=90, fontsize=7.5, color=GREEN)  # fmt: skip
         axes.set_ylim(-lengths[0] / c0 * factor, last * factor)
         axes.set_xlabel("place along the bars, sphere at 0 [m]")
