@@ -17,6 +17,7 @@ from uqsphere.mechanics.integrator.faces import (
     face_force,
     largest_approach,
     largest_force,
+    most_stored,
     of_its_own,
     stored_energy,
 )
@@ -582,29 +583,30 @@ def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known,
                 if room[10, LANES + j] > 0.0:
                     flags[j] |= 1 << tracked.FACE_A
     if wanted & _SEARCHED:
-        _look_further(mode, wanted, at, rate, track, theta, flags, yielding, law)
+        _look_further(mode, wanted, at, rate, track, theta, flags, room, yielding, law)
 
 
 @compiled(**INNER)
-def _look_further(mode, wanted, at, rate, track, theta, flags, yielding, law):
+def _look_further(mode, wanted, at, rate, track, theta, flags, room, yielding, law):
     """Flags of the steps in which a function of both faces may be the largest so far."""
     apart()
     if wanted & tracked.WANT_DIFFERENCE:
-        _look_for_difference(mode, at, rate, track, theta, flags, yielding, law)
+        _look_for_difference(mode, at, rate, track, theta, flags, room, yielding, law)
     if wanted & tracked.WANT_ENERGY:
-        _look_for_energy(mode, at, rate, track, theta, flags, yielding, law)
+        _look_for_energy(mode, at, rate, track, theta, flags, room, yielding, law)
     if wanted & tracked.WANT_SHARE:
         for j in range(LANES):
-            _look_at_own(tracked.SHARE, at, rate, track, theta, flags, law, j)
+            if most_stored(law, j, room[1]) > track[tracked.SHARE, j]:
+                _look_at_own(tracked.SHARE, at, rate, track, theta, flags, law, j)
     if wanted & tracked.WANT_MEAN:
-        _look_for_mean(mode, at, rate, track, theta, flags, yielding, law)
+        _look_for_mean(mode, at, rate, track, theta, flags, room, yielding, law)
 
 
 def _look_for(kind, plain):
     """The function that does so for one function of both faces: as a constant its number costs no time."""
 
     @compiled(**INNER)
-    def look_for(mode, at, rate, track, theta, flags, yielding, law):
+    def look_for(mode, at, rate, track, theta, flags, room, yielding, law):
         apart()
         for i in range(tracked.POINTS):
             for j in range(LANES):
@@ -621,7 +623,8 @@ def _look_for(kind, plain):
         for j in range(LANES):
             if yielding and of_its_own(law, j):
                 flags[j] &= ~(1 << kind)
-                _look_at_own(kind, at, rate, track, theta, flags, law, j)
+                if kind != tracked.ENERGY or most_stored(law, j, room[1]) > track[kind, j]:
+                    _look_at_own(kind, at, rate, track, theta, flags, law, j)
 
     return look_for
 
@@ -682,6 +685,40 @@ def decided(mode, wanted, track, lane, a, b, w, mu, level, tolerance):
     if wanted & tracked.WANT_MEAN and force > track[tracked.MEAN, lane] * (1.0 + 0.1 * tolerance):
         return False
     return not (wanted & tracked.WANT_WIDTH and reach > width)
+
+
+@compiled(**INNER)
+def decided_own(wanted, track, lane, x, w, mu, level, tolerance, law):
+    """The same of faces with laws of their own, all springs now: what yields takes energy and brings none back."""
+    apart()
+    if wanted & tracked.WANT_CONTACT or (level > 0.0 and wanted & (_SEARCHED | tracked.WANT_WIDTH)):
+        return False
+    slack = 1.0 + 0.1 * tolerance
+    stored, energy, least, stiffest = 0.5 * mu * (w - level) ** 2, 0.5 * mu * w * w, math.inf, 0.0
+    for face in range(2):
+        m = face * LANES + lane
+        spring, reached = law[tracked.SPRING, m], max(x[0, m], 0.0)
+        if spring == 0.0:
+            return False
+        top = largest_approach(law, m, track[tracked.FACE_A + face, lane]) - law[tracked.DENT, m]
+        rest, stiffest = (level / spring) ** (2.0 / 3.0), max(stiffest, spring)
+        if top < rest:
+            return False
+        top *= slack
+        least = min(least, 0.4 * spring * top**2.5 - level * top + 0.6 * level * rest)
+        stored += 0.4 * spring * reached**2.5 - level * reached + 0.6 * level * rest
+        energy += 0.4 * spring * reached**2.5
+    if least < stored:
+        return False
+    force = stiffest**0.4 * (2.5 * energy) ** 0.6
+    known = largest_force(law, lane, track[tracked.FACE_A, lane], track[tracked.FACE_B, lane])
+    return not (
+        (wanted & tracked.WANT_DIFFERENCE and force > track[tracked.DIFFERENCE, lane] * slack)
+        or (wanted & tracked.WANT_MEAN and force > track[tracked.MEAN, lane] * slack)
+        or (wanted & tracked.WANT_ENERGY and energy > track[tracked.ENERGY, lane] * slack)
+        or (wanted & tracked.WANT_SHARE and energy > track[tracked.SHARE, lane] * slack)
+        or (wanted & tracked.WANT_WIDTH and force > 0.5 * known)
+    )
 
 
 # --- Answers of a row whose record has ended: what was tracked, and the times at which thresholds were passed.

@@ -57,11 +57,11 @@ STILL = 1e-10
 
 @compiled(**INNER)
 def _bend(t):
-    """G(t) = t²/2 - t + ln(1 + t), see `uqsphere.mechanics.yielding`."""
-    if t > 0.3:
+    """G(t) = t²/2 - t + ln(1 + t), see `uqsphere.mechanics.yielding`; what cancels here is 1e-12 of a force."""
+    if t > 0.02:
         return 0.5 * t * t - t + math.log1p(t)
     total = 0.0
-    for k in range(40, 2, -1):
+    for k in range(12, 2, -1):
         total = 1.0 / k - t * total
     return total * t * t * t
 
@@ -249,6 +249,27 @@ def wrong_branch(law, m, x, length, track, lane):
         x[0, m] = switch(law, m, x[0, m], track, lane)
         return True
     return False
+
+
+@compiled(**INNER)
+def may_be_wrong(law, m, x, length):
+    """Whether `wrong_branch` has to look at a face."""
+    if law[SPRING, m] == 0.0:
+        return x[1, m] <= STILL * length
+    return x[0, m] >= (law[LARGEST, m] - law[DENT, m]) * (1.0 - ARMED)
+
+
+@compiled(**INNER)
+def most_force(law, lane, top):
+    """The larger force of a lane at most, while its approaches stay below `top` (PAIR,)."""
+    found = max(face_force(law, lane, top[lane])[0], face_force(law, LANES + lane, top[LANES + lane])[0])
+    return found * (1.0 + 1e-9)
+
+
+@compiled(**INNER)
+def most_stored(law, lane, top):
+    """Elastic energy that a lane stores at most while its approaches stay below `top` (PAIR,)."""
+    return stored_energy(law, lane, top[lane])[0] + stored_energy(law, LANES + lane, top[LANES + lane])[0]
 
 
 @compiled(**INNER)

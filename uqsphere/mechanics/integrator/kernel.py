@@ -18,7 +18,9 @@ from uqsphere.mechanics.integrator import events, incoming, tracked
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
     largest_approach,
+    may_be_wrong,
     may_switch,
+    most_force,
     new_faces,
     of_its_own,
     on_virgin_loading,
@@ -55,7 +57,7 @@ def enter_rig(lane, given, speed, x, u, free, rig, law, size, track, inverse_mu)
     """Put what stands at a row's poles into a lane; how quickly its lightest body and stiffest face answer a force."""
     quickest, stiffest = inverse_mu, 0.0
     u[0, lane] = speed
-    size[1, lane] *= min(1.0, 1.0 / inverse_mu)
+    size[1, lane] *= min(1.0, inverse_mu)  # a heavy sphere moves slowly
     for face in range(2):
         m = face * LANES + lane
         for k in range(tracked.RIGS):
@@ -63,7 +65,7 @@ def enter_rig(lane, given, speed, x, u, free, rig, law, size, track, inverse_mu)
         free[0, m] = given[tracked.RIG_SPEED, face]
         lightness, stiffness = given[tracked.RIG_LIGHTNESS, face], law[tracked.STIFFNESS, m]
         size[2 * face, lane] *= min(1.0, stiffness ** (-2.0 / 3.0))
-        size[3 + face, lane] = 0.1 * min(1.0, 1.0 / lightness) if lightness > 0.0 else 1.0
+        size[3 + face, lane] = 0.1 * min(1.0, lightness) if lightness > 0.0 else 1.0
         if given[tracked.RIG_THERE, face] == 0.0:
             track[tracked.TOUCHED_A + face, lane] = 1.0
         else:
@@ -259,9 +261,9 @@ def march(
                 continue
             if own[j] and touching[j] == 0:
                 # what jumped may have turned a face against its branch: the step is made again on the other one
-                switched[j] = wrong_branch(law, j, x, h[j], track, j)
-                if wrong_branch(law, LANES + j, x, h[j], track, j):
-                    switched[j] = True
+                for m in range(j, PAIR, LANES):
+                    if may_be_wrong(law, m, x, h[j]) and wrong_branch(law, m, x, h[j], track, j):
+                        switched[j] = True
             if touching[j] == 1:
                 theta[j] = 1.0
                 step_from_touch(mode, j, h[j], inverse_mu[j], push, x, u, force, yielding, law, rig, free)
@@ -384,8 +386,8 @@ def march(
             n = count[j] % capacity
             count[j] += 1
             start[j, n], scale[j, n], length[j, n], crests[j, n] = before, h[j], ending * h[j], crest[j]
-            if yielding:
-                crests[j, n] = math.inf
+            if yielding and store:
+                crests[j, n] = most_force(law, j, room[1])
             if store:
                 for face in range(2):
                     m = face * LANES + j
@@ -487,10 +489,13 @@ def march(
                         live -= 1
                         continue
                     stop[j] = incoming.next_break(breaks, r, time[j], queue, head, tail, j, end[j])
-            if not done and steady[j] >= 0.0 and touching[j] == 0 and not own[j] and not rigged:
-                done = events.decided(
-                    mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], local
-                )
+            if not done and steady[j] >= 0.0 and touching[j] == 0 and not rigged:
+                if own[j]:
+                    done = events.decided_own(wanted, track, j, x, u[0, j], mass[r], steady[j], local, law)
+                else:
+                    done = events.decided(
+                        mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], local
+                    )
             if done:
                 events.finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
                               local, out[r], yielding, law)  # fmt: skip
