@@ -337,6 +337,14 @@ def test_three_carriers_are_answered_and_the_range_is_named(ran: Run) -> None:
     assert rotor.safe("break") == rotor.highest == "centre"
 
 
+def test_how_far_a_strength_is_carried_is_a_check(ran: Run) -> None:
+    (check,) = (one for one in ran.results.services["chute"].validity if one.check == "carried_far")
+    # rigid platens against steel of the library, limestone of 60 GPa and nu 0.25 between them
+    plane = 60.0 / (1.0 - 0.25**2) / (205.0 / (1.0 - 0.29**2))
+    assert check.worst == pytest.approx(1.0 + plane, rel=1e-9)
+    assert (check.share_information, check.share_warning) == (1.0, 0.0)
+
+
 def test_the_answer_in_metres_is_a_speed_as_well(ran: Run) -> None:
     entry = ran.results.services["chute"].margins["chute"]
     height, speed = entry.value.number, entry.also["rig.speed"].number

@@ -61,6 +61,7 @@ _FOUND: Final = {
     "oblique": "the path is far from square to the surface",
     "wave_loss": "a thick target carries energy off as waves",
     "one_dimensional_rod": "the force rises faster than one-dimensional waves in the rod carry",
+    "carried_far": "the strength was measured on a contact of another stiffness",
     "one_sided_field": "the forces at the poles differ where the contact is large",
     "before_reflection": "reflected waves are back before the record ends",
 }

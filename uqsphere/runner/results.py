@@ -23,6 +23,7 @@ from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.fidelity import Pilot
 from uqsphere.runner.index_control import IndexControl, report_of
 from uqsphere.runner.limits import LimitAnswer
+from uqsphere.runner.questions.carried import carried_far
 from uqsphere.runner.questions.curves import lognormal_table
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Sensitivity
@@ -255,7 +256,7 @@ def build_results(work: Work, found: Findings) -> Results:
             "numbers": found.pilot.numbers,
             **report_of(work, found.pilot, found.sampled.control, found.index_control),
         },
-        "validity": [_judged(check, found.fracture) for check in found.pilot.validity],
+        "validity": [*(_judged(check, found.fracture) for check in found.pilot.validity), *carried_far(study)],
         "plan": found.plan,
         "speed_error": found.history,
         "accuracy": {

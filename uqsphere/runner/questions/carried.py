@@ -10,19 +10,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
+from uqsphere.mechanics import contact
 from uqsphere.mechanics.carried import CARRIERS, carried_parameters
-from uqsphere.results.entries import CarriedEntry
+from uqsphere.model import scene_of
+from uqsphere.results.entries import CarriedEntry, CheckEntry
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_sample
 from uqsphere.runner.limits import LimitAnswer, judge_limits
 from uqsphere.runner.questions.curves import CurveFound, curves_along
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.margins import decisive
 from uqsphere.runner.schedule import CARRIED
-from uqsphere.study import Limit
+from uqsphere.study import Limit, Study
 from uqsphere.uq.estimate import absent
 
 #: share of the budget for the curves of one carrier: with the sample and the margins less than half of it
 CURVES: Final = 0.05
+#: ratio of the contact moduli of test and service that is told, and that is warned of (rigs.md section 8)
+TOLD, FAR = 1.1, 1.5
 
 
 def find_carried(work: Work, sampled: Sampled) -> dict[str, CarriedEntry]:
@@ -49,6 +53,37 @@ def find_carried(work: Work, sampled: Sampled) -> dict[str, CarriedEntry]:
     }
     curves = {carrier: _curves(asked, carried, carrier) for carrier, carried in demands.items()}
     return {limit.name: _entry(work, limit, answers, curves) for limit in limits}
+
+
+def carried_far(study: Study) -> list[CheckEntry]:
+    """How much stiffer or softer the contact of the test was than those of the service, at the means.
+
+    The ratio of E* is told above 1.1 and warned of above 1.5 (rigs.md section 8); sizes are compared where the tests
+    are read.
+    """
+    tests = {limit.name: limit.platens for limit in study.limits if limit.platens is not None}
+    if not tests:
+        return []
+    scene = scene_of(study, {})
+    here = [float(one.modulus[0]) for one in scene.partners if one is not None]
+    E, nu = (float(scene.columns[f"sphere.{key}"][0]) for key in ("E", "nu"))
+    ratios = {
+        name: max(max(there / own, own / there) for own in here)
+        for name, platens in tests.items()
+        for there in (float(contact.reduced_modulus(E, nu, *platens)),)
+    }
+    worst = max(ratios, key=lambda name: ratios[name])
+    far, told = (ratios[worst] > bound for bound in (FAR, TOLD))
+    text = (
+        f"the strength of {worst} was measured on a contact whose E* differs by a factor of {ratios[worst]:.3g} "
+        f"(told from {TOLD:g}, warned of from {FAR:g}): what each carrier makes of it differs by that"
+    )
+    return [
+        CheckEntry(
+            check="carried_far", share=float(far), share_information=float(told and not far),
+            share_warning=float(far), share_failure=0.0, worst=ratios[worst], text=text,
+        )
+    ]  # fmt: skip
 
 
 def _carried(limit: Limit, carrier: str) -> Limit:
