@@ -261,7 +261,7 @@ def _side(scene: Scene, pole: int, x: Array) -> dict[str, Any]:
     assert partner is not None
     modulus, radius, beta = partner.modulus, partner.effective_radius, partner.hertz_constant
     approach = scales.approach * x
-    force = scales.force * x**1.5
+    force = scales.force * (x * np.sqrt(x))
     if partner is not scene.struck:
         force = force * (beta / scales.hertz_constant)
     if (face := partner.face) is None:

@@ -550,7 +550,9 @@ class Scene:
         else:
             speed = self.closing_speed
             moved = mass / (1.0 + mass / face.mass) if behind is None else behind.mass
-            force = beta**0.4 * moved**0.6 * speed**1.2
+            # one root for the three powers: m³ v⁶ beta²
+            impulse = moved * speed * speed
+            force = (beta * beta * impulse * impulse * impulse) ** 0.2
         approach = contact.approach_at_force(force, beta)
         time = approach / speed
         return Scales(
