@@ -8,15 +8,12 @@ where the budget has room for it, else by the runs that were made.  The others k
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
-from uqsphere.black_box import BlackBox
 from uqsphere.errors import UsageError
 from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import Accuracy, Cost, Course, Missed, campaign, cost_of, indices_missed, speed_rows_of
@@ -27,6 +24,7 @@ from uqsphere.runner.questions.distributions import METHOD, Sampled, find_missed
 from uqsphere.runner.questions.indices import CHAOS, Sensitivity, dependent_names
 from uqsphere.runner.questions.margins import MarginAnswer
 from uqsphere.runner.questions.probabilities import Demand, Learned, learn_limits, reserve, with_surrogate_design
+from uqsphere.runner.remote import Watch
 from uqsphere.runner.schedule import FIRST_SAMPLE, REPLICATES, SURROGATE
 from uqsphere.runner.surrogate_answers import (
     Answers,
@@ -82,27 +80,13 @@ def enlarge(work: Work, design: Sample | None, count: int) -> Sample:
     return sample if design is None else design.join(sample)
 
 
-class _Watch:
-    """A black box with a clock: what is drawn and stored around it is no cost of the model."""
-
-    def __init__(self, box: BlackBox) -> None:
-        self.box = box
-        self.seconds = 0.0
-
-    def __call__(self, inputs: dict[str, Array]) -> Mapping[str, Any]:
-        started = time.perf_counter()
-        found = self.box(inputs)
-        self.seconds += time.perf_counter() - started
-        return found
-
-
 def _timed(work: Work, design: Sample | None, count: int) -> tuple[Sample, float | None]:
     """The design with `count` runs, and seconds of each new one; None where they were stored already."""
     reused = work.ledger.reused
     new = count - (0 if design is None else design.count)
     before, watch = work.engine.seconds, None
     if work.black_box is not None and work.engine.here:
-        watch = _Watch(work.black_box)
+        watch = Watch(work.black_box)
     larger = enlarge(work if watch is None else replace(work, black_box=watch), design, count)
     # elsewhere the engine has the seconds of the calls, which an expensive model is known by just as well
     spent = watch.seconds if watch is not None and work.engine.here else work.engine.seconds - before

@@ -14,6 +14,7 @@ import queue
 import struct
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import metadata
@@ -113,14 +114,31 @@ def prepare(packed: bytes, rows: Array) -> None:
     _opened(packed)
 
 
+class Watch:
+    """A black box with a clock: what is drawn, checked and stored around it is no cost of the model."""
+
+    def __init__(self, box: BlackBox) -> None:
+        self.box = box
+        self.seconds = 0.0
+        self.__qualname__ = getattr(box, "__qualname__", type(box).__name__)
+
+    def __call__(self, inputs: dict[str, Array]) -> Mapping[str, Any]:
+        started = time.perf_counter()
+        try:
+            return self.box(inputs)
+        finally:
+            self.seconds += time.perf_counter() - started
+
+
 def evaluate_remote(packed: bytes, rows: Array) -> tuple[Answered, float]:
-    """Answers of rows in a worker process, with the seconds they took; one thread."""
+    """Answers of rows in a worker process, with the seconds that the model took; one thread."""
     from threadpoolctl import threadpool_limits
 
     task, box = _opened(packed)
     with _one_at_a_time, threadpool_limits(limits=1, user_api="blas"):
-        began = time.perf_counter()
-        return evaluate_rows(task, rows, box, 1), time.perf_counter() - began
+        began, watch = time.perf_counter(), None if box is None else Watch(box)
+        found = evaluate_rows(task, rows, watch, 1)
+        return found, time.perf_counter() - began if watch is None else watch.seconds
 
 
 def evaluate_rows(task: Task, rows: Array, box: BlackBox | None, threads: int | None) -> Answered:
