@@ -329,7 +329,9 @@ def _stricter(results: Results, name: str, *, most: bool) -> str:
     assert limit.target is not None
     judged = [one for v in results.verdicts if (v.aim, v.target) == (limit.aim, limit.target) for one in v.judged]
     assumed = {one.name: one.answer for one in judged if one.assumed and one.answer is not None}
-    nowhere = [one.name for one in judged if one.assumed and one.answer is None and one.miss.number > limit.target]
+    # without a curve no value was looked for
+    missed = [one for one in judged if one.assumed and one.curve and one.answer is None]
+    nowhere = [one.name for one in missed if one.miss.number > limit.target]
     if not any(one.name == name for one in judged):
         return ""
     if nowhere:
