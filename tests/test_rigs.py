@@ -172,6 +172,36 @@ def test_limits_of_partners() -> None:
             assert found[quantity] == pytest.approx(thick[quantity], rel=2e-6), (kind, quantity)
 
 
+def test_a_crushed_pole_takes_more_speed_for_the_same_force() -> None:
+    """(R23), poles of 0.75/1.5 GPa: +11, +15, +24, +27 % at 2.5, 4.2, 9.8, 13.1 kN against Hertz."""
+    speeds, forces = np.linspace(1.0, 25.0, 2000), np.array([2500.0, 4200.0, 9800.0, 13100.0])
+    numbers = {**LIMESTONE, **of("target"), "rig.speed": speeds}
+    pole = {"sphere.onset_pressure": 0.75e9, "sphere.hardness": 1.5e9}
+    elastic = solved(scene("impact", numbers), "P_max").values["P_max"]
+    crushed = solved(scene("impact", {**numbers, **pole}, contact_law="plastic"), "P_max").values["P_max"]
+    due = np.interp(forces, crushed, speeds) / np.interp(forces, elastic, speeds)
+    assert due == pytest.approx([1.11, 1.15, 1.24, 1.27], abs=0.006)
+
+
+def test_faces_may_yield_at_the_end_of_an_elastic_motion() -> None:
+    """Stage 1: the force is Hertz's, pressure and dent those of the law at that force; all work is the sphere's."""
+    numbers = {**LIMESTONE, **of("target"), "rig.speed": 5.0, "sphere.onset_pressure": 0.75e9, "sphere.hardness": 1.5e9}
+    told = ("P_max", "p_max", "p_hertz", "a_max", "dent", "plastic_work", "energy", "energy_sphere")
+    given = scene("impact", numbers, contact_law="plastic", contact_dynamics="elastic")
+    found = solved(given, *told).values
+    elastic = solved(scene("impact", numbers), "P_max", "p_max", "a_max").values
+    face = given.faces
+    assert face is not None
+    state = face.pressed(face.depth_at(elastic["P_max"]))
+    assert found["P_max"] == pytest.approx(elastic["P_max"], rel=1e-12)
+    assert found["p_hertz"] == pytest.approx(elastic["p_max"], rel=1e-12)
+    assert found["p_max"] == pytest.approx(state.centre, rel=1e-12)
+    assert found["dent"] == pytest.approx(state.dent, rel=1e-9)
+    assert found["a_max"][0] > elastic["a_max"][0]
+    share = float(given.struck.share[0])
+    assert found["energy_sphere"] == pytest.approx(share * found["energy"] + found["plastic_work"], rel=1e-12)
+
+
 def test_only_the_closing_speed_counts() -> None:
     """Two spheres of one kind: reduced mass M/2, face radius r; the mirror has the same blow."""
     one = scene(
