@@ -8,6 +8,7 @@ import pytest
 
 from uqsphere.errors import StudyError
 from uqsphere.model import cheaper_fidelities, evaluate, scene_of
+from uqsphere.runner.fidelity import out_of_reach
 from uqsphere.study import load_study
 
 BASE = """
@@ -157,3 +158,13 @@ def test_the_law_at_the_end_is_a_fidelity_of_its_own(tmp_path):
     assert evaluate(elastic, speeds, quantities)["p_max"].tolist() == end["p_max"].tolist()
     assert cheaper_fidelities(study) == ("massless", "elastic")
     assert cheaper_fidelities(elastic) == ("massless",)
+
+
+def test_a_strength_above_the_hardness_is_out_of_reach(tmp_path):
+    """Bars of 1 GPa have a hardness of 2.84 GPa: a strength of 4 GPa is never reached, which a break cannot be."""
+    for settings, grade in (((), 1), (("limits.crushing.aim=break",), 3), (("limits.crushing.strength='2 GPa'",), 0)):
+        study = load(tmp_path, *settings)
+        (check,) = out_of_reach(study, scene_of(study, {}, 3))
+        assert [check.share_information, check.share_warning, check.share_failure].count(1.0) == (grade > 0)
+        assert {1: check.share_information, 3: check.share_failure, 0: 1.0}[grade] == 1.0
+    assert out_of_reach(load(tmp_path, "contact.law=hertz"), scene_of(load(tmp_path, "contact.law=hertz"), {}, 3)) == []

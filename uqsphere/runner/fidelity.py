@@ -16,7 +16,8 @@ from uqsphere.results.entries import CheckEntry
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import Work, draw
 from uqsphere.runner.schedule import PILOT, pilot_points
-from uqsphere.study import Study
+from uqsphere.study import Limit, Study
+from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
     from uqsphere.mechanics.outputs import Answers
@@ -87,6 +88,10 @@ class Pilot:
     evaluations: dict[str, int] = field(default_factory=dict)
     candidates: tuple[Candidate, ...] = ()
     fallback: Fallback | None = None
+
+
+#: share of the strengths above the hardness that is told, and beyond which breaking is doubtful, and out of reach
+_REACH = (0.01, 0.5, 0.99)
 
 
 def allowed_error(study: Study) -> float:
@@ -253,7 +258,7 @@ def first_look(work: Work) -> Pilot:
         chosen=chosen,
         why=_why(asked, chosen, taken, measured, candidates, bound),
         measured_error=dict(measured),
-        validity=check_table(scene, full, work.quantities),
+        validity=[*check_table(scene, full, work.quantities), *out_of_reach(study, scene)],
         numbers=_numbers(scene),
         evaluations=look.evaluations,
         candidates=candidates if asked == "auto" else (),
@@ -368,6 +373,30 @@ def check_table(scene: Scene, answers: Answers, quantities: tuple[str, ...]) -> 
     from uqsphere.mechanics.validity import check_ranges, check_validity
 
     return [check_entry(row) for row in (*check_validity(scene, answers), *check_ranges(scene, answers, quantities))]
+
+
+def out_of_reach(study: Study, scene: Scene) -> list[CheckEntry]:
+    """A strength that is a true pressure above the hardness, which no pressure exceeds; none where nothing yields.
+
+    Of the limit most of whose strengths are such; a warning or a failure where the sphere is meant to break.
+    """
+    limits = [limit for limit in study.limits if limit.quantity in ("p_max", "first_peak", "p_mean")]
+    if scene.faces is None or not limits:
+        return []
+    hardness = scene.faces.hardness[scene.status == 0]
+
+    def above(limit: Limit) -> float:
+        strength = limit.strength
+        beyond = strength.sf(hardness) if isinstance(strength, Law) else np.asarray(strength > hardness, dtype=float)
+        return float(np.mean(beyond)) if len(hardness) else 0.0
+
+    worst = max(limits, key=lambda limit: (limit.aim == "break") + above(limit))
+    share = above(worst)
+    grade = np.searchsorted(_REACH if worst.aim == "break" else _REACH[:1], share)
+    shares = [float(grade == k) for k in (1, 2, 3)]
+    said = f"{100.0 * share:.3g} % of the strengths of {worst.name} lie above the hardness, which no pressure exceeds"
+    return [CheckEntry(check="reachable", share=shares[1] + shares[2], share_information=shares[0],
+                       share_warning=shares[1], share_failure=shares[2], worst=share, text=said)]  # fmt: skip
 
 
 def check_entry(row: Check) -> CheckEntry:
