@@ -8,7 +8,7 @@ from typing import Final
 
 from uqsphere.materials import library
 from uqsphere.quantities import INPUTS
-from uqsphere.study.document import RIG_TABLES, Document, ModelChoice, TargetTable
+from uqsphere.study.document import RIG_TABLES, Document, ModelChoice, RigTable, TargetTable
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
 from uqsphere.study.numbers import Reading
 from uqsphere.study.scene import Scene, require, take_from_library
@@ -55,16 +55,26 @@ def refuse_other_tables(document: Document, data: Mapping[str, Raw], findings: F
         if table in data and rig not in names:
             belongs = one_of([shown(name) for name in names])
             findings.add((table,), f"[{table}] belongs to the rig {belongs}, and this is {shown(rig)}: leave it out")
+    _refuse_limits_of_no_rig(document, findings)
+    if _STARTS.get(rig) != "rig" and document.rig is not None:
+        _refuse_speeds(document.rig, findings)
+
+
+def _refuse_limits_of_no_rig(document: Document, findings: Findings) -> None:
+    """Note every limit of a study without a rig that is asked of no service."""
     for name, limit in document.limits.items():
-        if rig == "none" and limit.service is None and findings.clean(("limits", name)):
+        if document.rig_kind == "none" and limit.service is None and findings.clean(("limits", name)):
             known = f", {one_of([shown(one) for one in document.service])}" if document.service else ""
             findings.add(("limits", name), f"the study has no rig to ask it of: add in = the name of a service{known}")
-    if _STARTS.get(rig) == "rig" or document.rig is None:
-        return
+
+
+def _refuse_speeds(rig: RigTable, findings: Findings) -> None:
+    """Note the speed, height or angle of a sphere that is not thrown."""
     for key in ("speed", "drop_height", "angle"):
-        if getattr(document.rig, key) is not None:
-            where = f"[{_STARTS[rig]}]" if rig in _STARTS and key != "angle" else "impact and sphere_on_sphere"
-            findings.add(("rig", key), f"{key} does not belong to the rig {shown(rig)}: it stands in {where}")
+        if getattr(rig, key) is not None:
+            there = rig.kind in _STARTS and key != "angle"
+            where = f"[{_STARTS[rig.kind]}]" if there else "impact and sphere_on_sphere"
+            findings.add(("rig", key), f"{key} does not belong to the rig {shown(rig.kind)}: it stands in {where}")
 
 
 def model_of(document: Document, findings: Findings) -> ModelChoice:

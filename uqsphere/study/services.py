@@ -273,35 +273,40 @@ def _share_dependence(own: dict[str, Raw], made: list[Service], ties: Sequence[R
     """Give every part the dependences between the numbers that it has."""
     if not made or not ties:
         return
-    mine: list[Raw] = []
-    theirs: dict[str, list[tuple[int, Raw]]] = {service.name: [] for service in made}
     for index, tie in enumerate(ties):
-        names = tie.get("of") if isinstance(tie, Mapping) else None
-        if not isinstance(names, list) or len(names) < 2:
-            mine.append(tie)
-            continue
-        ours = [name for name in names if _has(own, name)]
-        if len(ours) > 1:
-            mine.append({**tie, "of": ours})
-        shared = len(ours) > 1
-        for service in made:
-            kept = [_local(name, service.name) for name in names if _has(service.data, name, service.name)]
-            if len(kept) > 1:
-                theirs[service.name].append((index, {**tie, "of": kept}))
-                shared = True
-        found = {name for name in names if _has(own, name) or any(_has(s.data, name, s.name) for s in made)}
-        for at, name in enumerate(names):
-            if name not in found:
-                findings.add(("dependence", index, "of", at), f"unknown random input {shown(name)} in every part")
-        if not shared and len(found) == len(names):
-            said = "no part of the study has two of these numbers: a dependence is between numbers of one rig"
-            findings.add(("dependence", index, "of"), said)
-    own["dependence"] = mine
+        _check_tie(tie, ("dependence", index, "of"), [own, *(service.data for service in made)], made, findings)
+    # what is no list of names stays with the rig's own, where it is told
+    own["dependence"] = [kept for tie in ties if (kept := tie if _names(tie) is None else _share(tie, own))]
     for at, service in enumerate(made):
-        given = theirs[service.name]
+        given = {index: kept for index, tie in enumerate(ties) if (kept := _share(tie, service.data, service.name))}
         if given:
-            made[at] = replace(service, data={**service.data, "dependence": [tie for _, tie in given]},
-                               dependences=tuple(index for index, _ in given))  # fmt: skip
+            data = {**service.data, "dependence": list(given.values())}
+            made[at] = replace(service, data=data, dependences=tuple(given))
+
+
+def _names(tie: Raw) -> list[Raw] | None:
+    """The names of a dependence; None where it has none, or too few to be shared."""
+    names = tie.get("of") if isinstance(tie, Mapping) else None
+    return names if isinstance(names, list) and len(names) > 1 else None
+
+
+def _share(tie: Raw, data: Mapping[str, Raw], service: str = "") -> Raw | None:
+    """The part of a dependence that stands between numbers of one part; None where there are no two."""
+    kept = [_local(name, service) for name in _names(tie) or () if _has(data, name, service)]
+    return {**tie, "of": kept} if len(kept) > 1 else None
+
+
+def _check_tie(
+    tie: Raw, place: Place, parts: Sequence[Mapping[str, Raw]], made: Sequence[Service], findings: Findings
+) -> None:
+    """Note a name that no part has, and a dependence no two numbers of which are in one part."""
+    of = list(zip(parts, ["", *(service.name for service in made)], strict=True))
+    names = _names(tie) or []
+    unknown = [at for at, name in enumerate(names) if not any(_has(data, name, own) for data, own in of)]
+    for at in unknown:
+        findings.add((*place, at), f"unknown random input {shown(names[at])} in every part")
+    if names and not unknown and not any(_share(tie, data, own) for data, own in of):
+        findings.add(place, "no part of the study has two of these numbers: a dependence is between numbers of one rig")
 
 
 def _local(path: Raw, service: str) -> str:
