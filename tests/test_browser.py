@@ -79,6 +79,7 @@ function probe(frame) {
     if (!a.getAttribute('href').startsWith('#') || !page.getElementById(a.getAttribute('href').slice(1)))
       out.lost.push(a.getAttribute('href'));
   for (const s of page.querySelectorAll('svg, img')) {
+    if (s.getAttribute('aria-hidden') === 'true') continue;
     const ids = (s.getAttribute('aria-labelledby') || '').split(' ');
     const words = ids.map(id => page.getElementById(id)?.textContent || '');
     if (s.getAttribute('role') !== 'img' || words.length < 2 || words.some(w => w.length < 4)) out.mute.push(s.id);

@@ -483,7 +483,7 @@ def test_gauges_do_not_change_the_hash(study_from, small_text):
 @pytest.mark.parametrize(
     ("gauge", "words"),
     [
-        ('bar = "left"\nposition = "1 mm"', "allowed: incident or receiving"),
+        ('bar = "left"\nposition = "1 mm"', "allowed: incident, receiving or rod"),
         ('bar = "incdent"\nposition = "1 mm"', "did you mean 'incident'"),
         ('bar = 3\nposition = "1 mm"', "found 3"),
         ('bar = "incident"', "position is missing"),

@@ -322,7 +322,8 @@ def test_every_figure_has_words(page: str) -> None:
     drawings = [attributes for tag, attributes in reader.tags if tag == "svg" and "id" in attributes]
     assert len(drawings) == 8
     assert all(a["role"] == "img" and a["aria-labelledby"] for a in drawings)
-    assert [tag for tag, _ in reader.tags].count("desc") == 8
+    named = [a for tag, a in reader.tags if tag == "svg" and a.get("aria-labelledby")]
+    assert [tag for tag, _ in reader.tags].count("desc") == len(named) > 8
 
 
 def test_same_folder_gives_the_same_bytes(standard: Path, tmp_path: Path) -> None:

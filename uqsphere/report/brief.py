@@ -144,10 +144,10 @@ def two(value: float, digits: int = 2) -> str:
 
 
 def share(value: float, target: float | None = None) -> str:
-    """A share in per cent with two digits; three where two would equal the target though the number does not.
+    r"""A share in per cent with two digits; three where two would equal the target though the number does not.
 
-    >>> share(0.0020161), share(0.010494, 0.01), share(4e-5), share(0.99996), share(0.147)
-    ('0.20 %', '1.05 %', 'under 0.1 %', 'over 99.9 %', '15 %')
+    >>> [share(p, 0.01).replace("\u00a0", " ") for p in (0.0020161, 0.010494, 4e-5, 0.99996, 0.147)]
+    ['0.20 %', '1.05 %', 'under 0.1 %', 'over 99.9 %', '15 %']
     """
     if value < 1e-3:
         return "under 0.1\u00a0%" if value > 0.0 else "0\u00a0%"

@@ -87,10 +87,15 @@ def _circle(x: float, y: float, radius: float, kind: str) -> str:
     return f'<circle {_kind_of(kind)} cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}"/>'
 
 
-def _svg(sheet: Sheet, title: str, parts: Sequence[str]) -> str:
+def _svg(sheet: Sheet, name: str, title: str, seen: str, parts: Sequence[str]) -> str:
+    """A drawing with its name and what is seen on it, for those who do not see it."""
+    own = f"brief-{name}-{sheet.name}"
     box = f'viewBox="0 0 {sheet.width:g} {sheet.height:g}"'
-    head = f'<svg class="{sheet.name}" {box} role="img" font-size="{sheet.type:g}">'
-    return head + f"<title>{html.escape(clean(title))}</title>" + "".join(parts) + "</svg>"
+    head = f'<svg class="{sheet.name}" {box} role="img" aria-labelledby="{own}-t {own}-d" font-size="{sheet.type:g}">'
+    told = (
+        f'<title id="{own}-t">{html.escape(clean(title))}</title><desc id="{own}-d">{html.escape(clean(seen))}</desc>'
+    )
+    return head + told + "".join(parts) + "</svg>"
 
 
 def _beside(paper: _Paper, x: float, y: float, words: str, *, left: bool = False, kind: str = "strong halo") -> str:
@@ -182,10 +187,10 @@ def curve_drawings(answers: Sequence[Answer]) -> list[list[str]]:
         if answer.axis is not None and any(len(mode.curve) > 1 for mode in answer.modes):
             groups.setdefault((answer.service, answer.axis.path), []).append(answer)
     sheets = SHEETS if len(groups) == 1 else (replace(SHEETS[-1], name="every", type=12),)
-    return [[_curve(group, sheet) for sheet in sheets] for group in groups.values()]
+    return [[_curve(group, sheet, k) for sheet in sheets] for k, group in enumerate(groups.values(), start=1)]
 
 
-def _curve(answers: Sequence[Answer], sheet: Sheet) -> str:
+def _curve(answers: Sequence[Answer], sheet: Sheet, number: int) -> str:
     paper, size = _Paper(answers, sheet), sheet.type
     modes = list({m.name: m for a in answers for m in a.modes if len(m.curve) > 1}.values())
     parts: list[str] = []
@@ -216,8 +221,9 @@ def _curve(answers: Sequence[Answer], sheet: Sheet) -> str:
         parts += _cross(paper, answer)
     if answers[0].service:
         parts.append(_text(paper.left, paper.bottom + 2.9 * size, answers[0].service, kind="strong"))
-    title = "Share broken over " + paper.axis.words + ": " + ", ".join(m.name.lower() for m in shown)
-    return _svg(sheet, title, parts)
+    title = f"Share broken over {paper.axis.words}"
+    seen = "Ways of breaking: " + ", ".join(m.name.lower() for m in shown)
+    return _svg(sheet, f"curve-{number}", title, seen, parts)
 
 
 def _kind(mode: Mode) -> str:
