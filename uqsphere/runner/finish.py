@@ -12,6 +12,7 @@ from uqsphere.runner.datafiles import keep_data
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.expensive import Expensive, Priced
 from uqsphere.runner.finished import Run
+from uqsphere.runner.forecast import JUDGED
 from uqsphere.runner.results import Findings, bare_results, build_manifest, build_results, write_results
 from uqsphere.runner.samples import save_points
 from uqsphere.runner.verdict import gather
@@ -22,7 +23,7 @@ def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None
     """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""
     way = priced.way
     found = replace(found, evidence=gather(work, found.sampled.sample))
-    work.ledger.close("ways to break")
+    work.ledger.close(JUDGED)
     taken = "surrogate" if expensive is not None and expensive.surrogate else "sampling"
     plan = PlanEntry(
         way=taken,

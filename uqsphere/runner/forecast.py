@@ -67,6 +67,10 @@ _RARE: Final = 6_000
 _RUNS, _RUNS_MANY = 64, 256
 
 
+#: the part in which the ways to break are judged
+JUDGED: Final = "ways to break"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Part:
     """A part of a run: its name, the evaluations it is likely to take, and the most."""
@@ -299,7 +303,7 @@ def _planned(study: Study, budget: int | None, surrogate: bool) -> Iterator[tupl
         likely, most = _sensitivity(study) if study.random else (0.0, 0.0)
         yield "sensitivity", likely, most
         yield CHEAPER[1], 0, cheaper * most
-        yield "ways to break", *_ways(study)
+        yield JUDGED, *_ways(study)
 
 
 def forecast(study: Study, budget: int | None = None, surrogate: bool = False) -> tuple[Part, ...]:
@@ -373,7 +377,8 @@ def choose_way(study: Study, cost: float | None = None, seconds: float | None = 
     analysis = study.analysis
     cost = analysis.cost if cost is None else cost
     seconds = analysis.budget.time if seconds is None else seconds
-    planned = sum(part.likely for part in forecast(study))
+    # what verdicts rest on besides is the same by either way
+    planned = sum(part.likely for part in forecast(study) if part.name != JUDGED)
     runs = sum(part.likely for part in forecast(study, surrogate=True))
     affordable = analysis.budget.evaluations
     if cost and cost * affordable > seconds:
