@@ -10,12 +10,12 @@ from uqsphere.runner.account import account, further_rows
 from uqsphere.runner.courses import save_courses
 from uqsphere.runner.datafiles import keep_data
 from uqsphere.runner.evaluate import Work
+from uqsphere.runner.evidence import gather
 from uqsphere.runner.expensive import Expensive, Priced
 from uqsphere.runner.finished import Run
 from uqsphere.runner.forecast import JUDGED
 from uqsphere.runner.results import Findings, bare_results, build_manifest, build_results, write_results
 from uqsphere.runner.samples import save_points
-from uqsphere.runner.verdict import gather
 from uqsphere.store import Store
 
 

@@ -20,6 +20,7 @@ from uqsphere.runner.account import questions
 from uqsphere.runner.datafiles import named_files
 from uqsphere.runner.drivers import Drivers
 from uqsphere.runner.evaluate import Ledger, Work
+from uqsphere.runner.evidence import Evidence
 from uqsphere.runner.fidelity import Pilot
 from uqsphere.runner.index_control import IndexControl, report_of
 from uqsphere.runner.limits import LimitAnswer
@@ -29,7 +30,7 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Sensitivity
 from uqsphere.runner.questions.margins import MarginAnswer
 from uqsphere.runner.sums import write_sums
-from uqsphere.runner.verdict import Evidence, Known, judge
+from uqsphere.runner.verdict import Known, judge
 from uqsphere.runner.whatif import find_assumed, find_ignorance
 from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.study import Margins, Study
