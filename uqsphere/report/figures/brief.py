@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from uqsphere.report.brief import Answer, Mode, share, two
-from uqsphere.report.figures.canvas import clean
+from uqsphere.report.figures.canvas import clean, shorten
 
 #: probabilities that are marked on probability paper
 _TICKS: Final = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99)
@@ -99,10 +99,15 @@ def _svg(sheet: Sheet, name: str, title: str, seen: str, parts: Sequence[str]) -
 
 
 def _beside(paper: _Paper, x: float, y: float, words: str, *, left: bool = False, kind: str = "strong halo") -> str:
-    """A text beside a place, on the side that is asked for if it has room there."""
-    wide = 0.58 * paper.sheet.type * len(words) + 8.0
-    left = (left and x - wide > paper.left) or x + wide > paper.right
-    return _text(x - 6 if left else x + 6, y, words, at="end" if left else "start", kind=kind)
+    """A text beside a place, on the side that is asked for if it has room there; none where it would cover another."""
+    wide = 0.6 * paper.sheet.type * len(words)
+    for side in (left, not left):
+        begin = x - 6.0 - wide if side else x + 6.0
+        if begin < paper.left - 2.0 or begin + wide > paper.right + 2.0 or not paper.free(begin, y, wide):
+            continue
+        paper.taken.append((begin, y, wide))
+        return _text(x - 6 if side else x + 6, y, words, at="end" if side else "start", kind=kind)
+    return ""
 
 
 # --- the curve ------------------------------------------------------------------------------------------------
@@ -121,6 +126,15 @@ class _Paper:
         inside += [v for a in answers for v in ((a.axis.planned if a.axis else None), *_solved(a)) if v]
         self.low, self.high = min(inside) * 0.97, max(inside) * 1.03
         self.log = self.low > 0.0
+        #: where texts stand: left end, base line, length
+        self.taken: list[tuple[float, float, float]] = []
+
+    def free(self, begin: float, y: float, wide: float) -> bool:
+        """Whether a line of text would cover no other one."""
+        return not any(
+            begin < other + length and other < begin + wide and abs(y - base) < 1.1 * self.sheet.type
+            for other, base, length in self.taken
+        )
 
     def x(self, value: float) -> float:
         low, high, at = self.low, self.high, value
@@ -216,9 +230,9 @@ def _curve(answers: Sequence[Answer], sheet: Sheet, number: int) -> str:
         parts.append(_path(lines[mode.name], f"curve {_kind(mode)}"))
     for answer in answers:
         parts += _tests(paper, answer)
-    parts += _names(paper, shown)
     for answer in answers:
         parts += _cross(paper, answer)
+    parts += _names(paper, shown)
     if answers[0].service:
         parts.append(_text(paper.left, paper.bottom + 2.9 * size, answers[0].service, kind="strong"))
     title = f"Share broken over {paper.axis.words}"
@@ -257,18 +271,17 @@ def _target(paper: _Paper, answer: Answer) -> list[str]:
     if answer.level is not None:
         y, solved = paper.y(answer.level), [paper.x(v) for v in _solved(answer) if paper.inside(v)]
         right = not solved or max(solved) < 0.75 * paper.right
-        x, at = (paper.right - 2, "end") if right else (paper.left + 4, "start")
+        words = f"target {100 * answer.level:g} %"
         parts += [
             _line(paper.left, y, paper.right, y, "target"),
-            _text(x, y - 5, f"target {100 * answer.level:g} %", at=at, kind="halo"),
+            _beside(paper, paper.right + 4 if right else paper.left - 2, y - 5, words, left=right, kind="halo"),
         ]
     planned = answer.axis.planned if answer.axis else None
     if planned is not None and paper.inside(planned):
         x = paper.x(planned)
-        side = "end" if x > paper.left + 6 * size else "start"
         parts += [
             _line(x, paper.top, x, paper.bottom, "plan"),
-            _text(x + (-5 if side == "end" else 5), paper.top + size, "planned", at=side, kind="strong halo"),
+            _beside(paper, x, paper.top + size, "planned", left=True),
         ]
     return parts
 
@@ -281,10 +294,10 @@ def _tests(paper: _Paper, answer: Answer) -> list[str]:
     count = len(answer.tests) + answer.left_whole
     x, y = points[len(points) // 3]
     made = " made-up" if answer.made_up else ""
-    parts.append(_text(x - 9, y + 4, f"{count}{made} tests", at="end", kind="halo"))
+    parts.append(_beside(paper, x - 3, y + 4, f"{count}{made} tests", left=True, kind="halo"))
     if answer.left_whole:
         x, y = points[-1]
-        parts += [_text(x - 9, y - 6, f"{answer.left_whole} left whole →", at="end", kind="halo")]
+        parts.append(_beside(paper, x - 3, y - 6, f"{answer.left_whole} left whole →", left=True, kind="halo"))
     return parts
 
 
@@ -292,11 +305,15 @@ def _names(paper: _Paper, modes: Sequence[Mode]) -> list[str]:
     """The name of every curve beside it, each at a height of its own."""
     parts = []
     for mode, level in zip(modes, _NAMED, strict=False):
-        found = ((p, paper.at(mode, p)) for p in (level, 0.5, 0.2, 0.05, 0.01))
-        p, value = next(((p, v) for p, v in found if v is not None), (0.5, None))
-        if value is not None:
-            y = paper.y(p) + 0.35 * paper.sheet.type
-            parts.append(_beside(paper, paper.x(value) + 4, y, mode.name.lower(), kind=f"strong halo {_kind(mode)}"))
+        for p in (level, 0.5, 0.2, 0.8, 0.05, 0.01):
+            value = paper.at(mode, p)
+            if value is None:
+                continue
+            y, name = paper.y(p) + 0.35 * paper.sheet.type, shorten(mode.name.lower(), 30)
+            placed = _beside(paper, paper.x(value) + 4, y, name, kind=f"strong halo {_kind(mode)}")
+            if placed:
+                parts.append(placed)
+                break
     return parts
 
 
