@@ -137,10 +137,10 @@ def _lost_to(work: Work, where: Where) -> dict[str, Any]:
         return {"reason": placed}
     moved, limit = placed
     own = strength_name(limit.name)
+    if not moved.drawn.names and isinstance(limit.strength, Law):
+        return {"shares": {own: 1.0}, "partial": {}}
     found = find_design(moved, limit)
     if isinstance(found, str):
-        if found.startswith("nothing but") and isinstance(limit.strength, Law):
-            return {"shares": {own: 1.0}, "partial": {}}
         return {"reason": found}
     laws = {**dict(zip(moved.drawn.names, moved.drawn.laws, strict=True))}
     if isinstance(limit.strength, Law):
