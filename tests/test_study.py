@@ -32,6 +32,7 @@ from uqsphere.study.document import (
     SphereTable,
     StrikerTable,
 )
+from uqsphere.study.rigs import NO_SPHERE
 from uqsphere.study.tables import declared
 from uqsphere.uq.law import Law
 
@@ -88,8 +89,10 @@ def test_granite_is_the_study_of_the_contract() -> None:
 @pytest.mark.parametrize("path", sorted(STUDIES.glob("*.toml")), ids=lambda path: path.stem)
 def test_shipped_study(path: Path) -> None:
     study = load_study(path)
-    # Only a recorded pulse has something to say: what was mended of the record.
-    said = [warning.split(": ", 2)[2] for warning in study.warnings]
+    # Only a recorded pulse has something to say, what was mended of the record, but for what holds of every rock: that
+    # it is no sphere, and bears more in a quick rig than in the slow tests of its strength.
+    told = [text for text in study.warnings if text != NO_SPHERE and "rocks bear more" not in text]
+    said = [warning.split(": ", 2)[2] for warning in told]
     if path.stem == "gauge_records":
         assert said == [
             "incident: a baseline of -7.037 microstrain is taken off",
