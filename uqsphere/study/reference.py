@@ -43,6 +43,7 @@ from uqsphere.study.document import (
     TargetTable,
 )
 from uqsphere.study.faults import Raw
+from uqsphere.study.scene import FLAT
 from uqsphere.study.tables import BAR_ENDS, Node, declared, far_end
 from uqsphere.units import UNITS, units_of
 from uqsphere.uq.families import FAMILIES, Family
@@ -153,6 +154,8 @@ def _add_numbers(made: Node, tables: dict[str, Node]) -> None:
         node = _number_or_law(quantity.dimension)
         if far_end(quantity):
             node["anyOf"].insert(0, {"enum": list(BAR_ENDS)})
+        if key == "face_radius":
+            node["anyOf"].insert(0, {"const": FLAT})
         keys = tables[names[section]]["properties"]
         unit = f" [{quantity.unit}]" if quantity.unit else ""
         told = keys[key].get("description", quantity.meaning)
