@@ -13,7 +13,7 @@ from reports.same_strength import CASES, rows_of, yielding_rows
 from uqsphere import load_study, run
 from uqsphere.cli import main
 from uqsphere.cli.verify import verify_folder
-from uqsphere.errors import FolderError, StudyError
+from uqsphere.errors import FolderError, StudyError, UsageError
 from uqsphere.mechanics.rigs import GRAVITY
 from uqsphere.report import build_report
 from uqsphere.report.compare import compare_folders, comparison_text
@@ -234,6 +234,12 @@ def test_a_fault_is_told_at_its_place_with_a_way_out(case: str, tmp_path: Path) 
 def test_tests_of_a_somewhat_larger_sphere_are_told(tmp_path: Path) -> None:
     study = loaded(SERVICES, tmp_path, "sphere.radius=8 mm")
     assert any("mean diameter of 20 mm" in text for text in study.services["chute"].warnings)
+
+
+def test_a_quantity_that_the_rig_lacks_is_refused_with_the_reason(tmp_path: Path) -> None:
+    study = loaded(IMPACT + LIMIT, tmp_path, 'analysis.quantities=["force_imbalance"]')
+    with pytest.raises(UsageError, match="the rig impact has no force_imbalance: with one contact"):
+        run(study, out=tmp_path / "r")
 
 
 # --- services ---------------------------------------------------------------------------------------------

@@ -88,6 +88,7 @@ def run(
 
     _check_usage(study, model, executor)
     check_range(study)
+    check_quantities(study)
     reference = model if isinstance(model, str) else None
     seconds = study.analysis.budget.time if seconds is None else seconds
     folder = Path(out) if out is not None else Path(f"{study.path.stem}-results")
@@ -181,6 +182,18 @@ def check_range(study: Study) -> None:
         code = int(scene_of(study, {name: np.array([value])}).status[0])
         if code:
             raise UsageError(f"margins.between: {format_value(value, name)} for {name}: {STATUS[code]}")
+
+
+def check_quantities(study: Study) -> None:
+    """Refuse a quantity that the rig of a study does not have, with the reason."""
+    if study.black_box or study.rig in ("bars", "none"):
+        return
+    from uqsphere.mechanics.outputs import absent_in
+
+    scene = scene_of(study, {})
+    for name in study.analysis.quantities:
+        if why := absent_in(scene, name):
+            raise UsageError(f"analysis.quantities: the rig {study.rig} has no {name}: {why}; leave it out")
 
 
 # --- When a study may go on with the evaluations of another one.
