@@ -130,16 +130,16 @@ def test_no_tension_where_nothing_pulls():
 
 
 def test_tension_of_a_record_is_no_tension_of_the_bar():
-    """Noise and baseline leave tension at the foot of a measured pulse; the reflected wave brings the first of its own.
+    """A record's baseline is found on its pulse, so that its foot leaves no tension: the reflected wave brings the first.
 
-    With the level of an ideal pulse it is found in the first nanosecond.
+    What counts as tension is then above the noise of the record, and hardly moves the place.
     """
     found = history(load_study(shipped_studies()["gauge_records"]))
     level = tension_level(found.motion)
     assert 1e-4 < level < 0.05
-    first, near = first_tension(found.motion, "incident"), first_tension(found.motion, "incident", share=2.0 * level)
-    assert first_tension(found.motion, "incident", share=1e-6).time < 1e-9
-    assert first.time == pytest.approx(near.time, rel=0.02)
+    first = first_tension(found.motion, "incident")
+    for share in (1e-6, 1e-3, 2.0 * level):
+        assert first.time == pytest.approx(first_tension(found.motion, "incident", share=share).time, rel=0.02)
     assert first.time > 50e-6
     assert first_tension(found.motion, "receiving") is None
     assert tension_level(history_with().motion) == 1e-6
