@@ -130,7 +130,7 @@ def test_no_tension_where_nothing_pulls():
 
 
 def test_tension_of_a_record_is_no_tension_of_the_bar():
-    """A record's baseline is found on its pulse, so that its foot leaves no tension: the reflected wave brings the first.
+    """The baseline of a record is found on its pulse: its foot leaves no tension, the reflected wave brings the first.
 
     What counts as tension is then above the noise of the record, and hardly moves the place.
     """
