@@ -485,19 +485,18 @@ def _between_rivals(answer: Answer) -> tuple[str, str] | None:
     rivals = [n for n in middle if n != mild and middle[n] < middle[mild] / _SAME]
     if not rivals:
         return None
-    harsh = np.min([table[n] for n in rivals], axis=0)
+    harsh = np.max([table[n] for n in rivals], axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         count = np.ceil(np.log(_RULED_OUT) / np.log1p(-np.clip(harsh, 1e-12, 1.0 - 1e-12)))
         fair = (1.0 - table[mild]) ** count >= _FAIR
     if not fair.any():
         return None
     best = int(np.argmin(np.where(fair, count, np.inf)))
-    where = f"{two(float(grid[best]) * answer.axis.factor, 1)} {answer.axis.unit}"
-    names = " and ".join(n.lower() for n in rivals[:2])
-    return (
-        f"{int(count[best])} {'sphere' if count[best] == 1 else 'spheres'} at {where}",
-        f"None broken rules out {names} (95 % sure).",
-    )
+    spheres, where = int(count[best]), f"{two(float(grid[best]) * answer.axis.factor, 1)} {answer.axis.unit}"
+    out = [n for n in rivals if (1.0 - table[n][best]) ** spheres <= _RULED_OUT]
+    names = " and ".join(n.lower().removesuffix(", assumed") for n in out[:2])
+    said = f"None broken rules out {names} (95 % sure)."
+    return f"{spheres} {'sphere' if spheres == 1 else 'spheres'} at {where}", said
 
 
 def _cautions(parts: dict[str, Contents]) -> Iterator[str]:
@@ -526,7 +525,7 @@ def _moved(limit: LimitEntry) -> Iterator[tuple[float, str]]:
             yield moved + (1e3 if crosses else 0.0), f"{told}{', over target' if crosses else ''}."
     if limit.ignorance.known and limit.ignorance.fitted:
         high = float(limit.ignorance.miss[1])
-        if share(high) != share(miss):
+        if high > miss and share(high) != share(miss):
             tests = sum(entry.tests for entry in limit.ignorance.fitted)
             yield abs(_log_odds(high) - _log_odds(miss)), f"{tests} tests leave up to {share(high, target)} open."
 
