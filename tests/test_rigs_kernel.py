@@ -87,6 +87,8 @@ def test_a_second_integrator_of_another_method_agrees(row: Row) -> None:
         assert answers[tracked.ANSWER_OTHERS + k] == pytest.approx(other.other[k], abs=1e-6)
         if pole.law is not None:
             assert answers[tracked.ANSWER_CARRIED + k] * pole.gives == pytest.approx(other.carried[k], rel=1e-7)
+    assert answers[tracked.ANSWER_MEAN] == pytest.approx(other.mean, rel=1e-7)
+    assert answers[tracked.ANSWER_DIFFERENCE] == pytest.approx(other.difference, rel=1e-7)
     assert answers[tracked.ANSWER_CONTACT] == pytest.approx(other.first_loss, rel=1e-7)
     assert answers[tracked.ANSWER_PARTING] == pytest.approx(other.parting, rel=2e-7)
     speeds = answers[[tracked.ANSWER_SPEED, tracked.ANSWER_SPEEDS, tracked.ANSWER_SPEEDS + 1]]
@@ -155,3 +157,80 @@ def test_a_record_that_ends_while_pressed_has_no_answer() -> None:
     given = arguments([rig(speed=1.0, B={})])
     given["horizon"][:] = 1.0
     assert march_rows(given, 0, 1e-6).status[0] == tracked.STILL_PRESSED
+
+
+def random_rigs(count: int, seed: int) -> list[Row]:
+    """Weights, free spheres and yielding faces of every kind, without order."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for _ in range(count):
+        poles = []
+        for _ in range(2):
+            pole = {**RIGID, "kappa": 10.0 ** rng.uniform(-1, 1)}
+            if rng.random() < 0.5:
+                ratio = rng.uniform(1.3, 4.0)
+                pole |= {"onset": 10.0 ** rng.uniform(-2, 0), "C": 2.0, "b": 2.0 * ratio - 1.0}
+            pole |= [{}, {"zeta": 10.0 ** rng.uniform(-2, 0)}, {"mu": 10.0 ** rng.uniform(-0.5, 2)}][rng.integers(3)]
+            poles.append(pole)
+        if rng.random() < 0.3:
+            rows.append(rig(speed=1.0, mu=1.0, B=poles[1]))
+        else:
+            rows.append(
+                rig(mu=10.0 ** rng.uniform(-2, 1), A={**poles[0], "mu": 1.0, "zeta": 0.0, "V": 1.0}, B=poles[1])
+            )
+    return rows
+
+
+def test_energy_and_momentum_of_random_rigs() -> None:
+    """(R8) and (R9): what the bodies lose is carried off or is plastic; nothing is stored after parting."""
+    rows, tolerance = random_rigs(500, 3), 1e-7
+    found = march(rows, tolerance)
+    assert (found.status == 0).all()
+    for row, answers in zip(rows, found.answers, strict=True):
+        speeds = answers[[tracked.ANSWER_SPEED, tracked.ANSWER_SPEEDS, tracked.ANSWER_SPEEDS + 1]]
+        before = np.array([row["speed"], *(0.0 if pole is None else pole["V"] for pole in row["poles"])])
+        masses = [row["mu"], *(math.inf if pole is None else pole["mu"] for pole in row["poles"])]
+        lost, change = 0.0, 0.0
+        for mass, old, new in zip(masses, before, speeds, strict=True):
+            if mass < math.inf:
+                lost += 0.5 * mass * (old * old - new * new)
+                change += mass * (new - old)
+        for k, pole in enumerate(row["poles"]):
+            if pole is not None:
+                law = Law(onset=pole["onset"], b=pole["b"], pile_up=pole["C"], stiffness=pole["kappa"])
+                lost -= pole["zeta"] * answers[tracked.ANSWER_CARRIED + k]
+                deepest = answers[tracked.ANSWER_FACES + k]
+                if deepest > pole["onset"]:
+                    law.unload(deepest)
+                    lost -= law.energy(law.dent)
+        assert abs(lost) < 10.0 * tolerance
+        if all(pole is None or (pole["mu"] < math.inf and pole["zeta"] == 0.0) for pole in row["poles"]):
+            assert abs(change) < 10.0 * tolerance
+
+
+def test_mirrored_rigs_have_mirrored_answers() -> None:
+    for row in random_rigs(12, 5):
+        mirror = {**row, "speed": -row["speed"], "poles": [pole and {**pole, "V": -pole["V"]} for pole in row["poles"]]}
+        mirror["poles"].reverse()
+        one, other = march([row, mirror], 1e-7).answers
+        for column in (tracked.ANSWER_FACES, tracked.ANSWER_CARRIED, tracked.ANSWER_OTHERS):
+            assert one[[column, column + 1]] == pytest.approx(other[[column + 1, column]], rel=1e-9, abs=1e-12)
+        for column in (tracked.ANSWER_CONTACT, tracked.ANSWER_PARTING, tracked.ANSWER_ENERGY, tracked.ANSWER_MEAN):
+            assert one[column] == pytest.approx(other[column], rel=1e-8)
+        assert one[tracked.ANSWER_SPEED] == pytest.approx(-other[tracked.ANSWER_SPEED], abs=1e-9)
+
+
+def test_limits_of_partners() -> None:
+    """A plate of infinite impedance and a mass without end are thick; a sphere without mass is a spring in series."""
+    thick, plate, mass, light = march([
+        rig(speed=1.0, B={}), rig(speed=1.0, B={"zeta": 1e-12}), rig(speed=1.0, B={"mu": 1e12}),
+        rig(mu=1e-6, A={"mu": 1.0, "V": 1.0}, B={}),
+    ]).answers  # fmt: skip
+    assert thick[tracked.ANSWER_FACES + 1] == pytest.approx(1.25**0.4, rel=1e-9)
+    assert thick[tracked.ANSWER_PARTING] == pytest.approx(3.2180655 * 1.0, rel=1e-7)
+    for other in (plate, mass):
+        assert other[tracked.ANSWER_FACES + 1] == pytest.approx(thick[tracked.ANSWER_FACES + 1], rel=1e-9)
+        assert other[tracked.ANSWER_PARTING] == pytest.approx(thick[tracked.ANSWER_PARTING], rel=1e-9)
+    # (R15) with equal faces: force 1.25^0.6 (1/2^1.5)^0.4; its correction (R16) is 0.70 (M/m)^0.45
+    series = 1.25**0.6 * 2.0**-0.6
+    assert 0.0 < light[tracked.ANSWER_FACES :][:2].max() ** 1.5 / series - 1.0 < 2.0 * 0.70 * 1e-6**0.45

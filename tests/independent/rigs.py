@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.optimize import minimize_scalar
 
 from tests.independent.yielding import FREE, SPRING, VIRGIN, Law
 
@@ -40,7 +42,6 @@ class Blow:
     other: list[float] = field(default_factory=lambda: [0.0, 0.0])
     losses: int = 0
     mean: float = 0.0
-    stored: float = 0.0
     difference: float = 0.0
 
 
@@ -67,8 +68,8 @@ def _rates(mu: float, poles: list[Pole]) -> Any:
 def _events(rates: Any, poles: list[Pole], begin: float) -> tuple[list[Any], list[tuple[int, str]]]:
     events, meanings = [], []
 
-    def add(k: int, what: str, direction: int, terminal: bool, value: Any) -> None:
-        value.direction, value.terminal = direction, terminal
+    def add(k: int, what: str, direction: int, value: Any) -> None:
+        value.direction, value.terminal = direction, True
         events.append(value)
         meanings.append((k, what))
 
@@ -77,15 +78,14 @@ def _events(rates: Any, poles: list[Pole], begin: float) -> tuple[list[Any], lis
         if law is None:
             continue
         if law.state == VIRGIN:
-            add(k, "turns", -1, True, lambda t, y, k=k: rates(t, y)[k])
+            add(k, "turns", -1, lambda t, y, k=k: rates(t, y)[k])
             continue
         if law.state == FREE:
-            add(k, "touches", 1, True, lambda t, y, k=k, dent=law.dent: y[k] - dent if t > begin + 1e-12 else -1.0)
+            add(k, "touches", 1, lambda t, y, k=k, dent=law.dent: y[k] - dent if t > begin + 1e-12 else -1.0)
             continue
         over = law.largest * (1 + 1e-13)
-        add(k, "yields", 1, True, lambda t, y, k=k, over=over: y[k] - over if over < math.inf else -1.0)
-        add(k, "lost", -1, True, lambda t, y, k=k, dent=law.dent: y[k] - dent if t > begin + 1e-7 else 1.0)
-        add(k, "peak", -1, False, lambda t, y, k=k: rates(t, y)[k])
+        add(k, "yields", 1, lambda t, y, k=k, over=over: y[k] - over if over < math.inf else -1.0)
+        add(k, "lost", -1, lambda t, y, k=k, dent=law.dent: y[k] - dent if t > begin + 1e-7 else 1.0)
     return events, meanings
 
 
@@ -95,13 +95,28 @@ def strike(mu: float, speed: float, poles: list[Pole], rtol: float = 1e-12, hori
     found, time, first = Blow(parting=math.nan, first_loss=math.nan, speeds=y, impulse=y, carried=y), 0.0, math.nan
     rates = _rates(mu, poles)
 
-    def note(state: np.ndarray) -> None:
-        q = [pole.law.force(state[k]) if pole.law else 0.0 for k, pole in enumerate(poles)]
-        for k in range(2):
-            if q[k] > found.force[k]:
-                found.force[k], found.other[k], found.largest[k] = q[k], q[1 - k], state[k]
-        found.mean = max(found.mean, 0.5 * (q[0] + q[1]))
-        found.difference = max(found.difference, abs(q[0] - q[1]))
+    def forces(state: np.ndarray) -> list[float]:
+        return [pole.law.force(state[k]) if pole.law else 0.0 for k, pole in enumerate(poles)]
+
+    def note(way: Any) -> None:
+        """Largest values along a piece of the way: at a few points of every step, then closely around the best."""
+        grid = np.unique(np.concatenate([np.linspace(a, b, 9) for a, b in pairwise(way.t)]))
+        q = np.array([forces(state) for state in way.sol(grid).T])
+        tops = {"A": lambda q: q[0], "B": lambda q: q[1], "mean": lambda q: 0.5 * (q[0] + q[1]),
+                "difference": lambda q: abs(q[0] - q[1])}  # fmt: skip
+        for name, top in tops.items():
+            best = int(np.argmax(top(q.T)))
+            low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+            close = minimize_scalar(lambda t, top=top: -top(forces(way.sol(t))), bounds=(low, high), method="bounded",
+                                    options={"xatol": 1e-9 * (high - low)})  # fmt: skip
+            at = max((grid[best], float(close.x), low, high), key=lambda t: top(forces(way.sol(t))))
+            state = way.sol(at)
+            now = forces(state)
+            if name in ("mean", "difference"):
+                setattr(found, name, max(getattr(found, name), top(now)))
+            elif top(now) > found.force["AB".index(name)]:
+                k = "AB".index(name)
+                found.force[k], found.other[k], found.largest[k] = now[k], now[1 - k], float(state[k])
 
     while time < horizon:
         for k, pole in enumerate(poles):
@@ -118,17 +133,12 @@ def strike(mu: float, speed: float, poles: list[Pole], rtol: float = 1e-12, hori
         events, meanings = _events(rates, poles, time)
         way = solve_ivp(rates, (time, horizon), y, method="DOP853", rtol=rtol, atol=rtol * 1e-2, events=events,
                         first_step=1e-6, dense_output=True)  # fmt: skip
-        for t in way.t[1:]:
-            note(way.sol(t))
-        for (_, what), times in zip(meanings, way.t_events, strict=True):
-            if what == "peak":
-                for t in times:
-                    note(way.sol(t))
+        note(way)
         time, y = float(way.t[-1]), way.y[:, -1].copy()
         if way.status != 1:
             break
         for (k, what), times in zip(meanings, way.t_events, strict=True):
-            if what == "peak" or not len(times) or abs(times[-1] - time) > 1e-13 * (1 + time):
+            if not len(times) or abs(times[-1] - time) > 1e-13 * (1 + time):
                 continue
             law = poles[k].law
             assert law is not None
@@ -141,7 +151,6 @@ def strike(mu: float, speed: float, poles: list[Pole], rtol: float = 1e-12, hori
             elif what == "yields":
                 law.state, y[k] = VIRGIN, law.largest
             else:
-                note(y)
                 law.unload(y[k])
     found.parting, found.first_loss = time, first
     found.speeds, found.carried, found.impulse = y[2:5], y[5:7], y[7:9]

@@ -385,6 +385,18 @@ def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
 
 
 @compiled(**INNER)
+def _dip(piece, face, level, a, b, slope_b):
+    """theta at which an approach that turns at `level` and dips below it is there again; it lies above it at b."""
+    apart()
+    # where it turns the slope is zero but for rounding
+    a += 1e-3 * (b - a)
+    _, slope_a = both(piece, face, a)
+    if slope_a < 0.0 < slope_b:
+        a = _bend(piece, face, a, b, slope_a, slope_b, _SHARP)
+    return _root(piece, face, level, a, b) if value(piece, face, a) < level else a
+
+
+@compiled(**INNER)
 def _switch(law, lane, piece, grid, theta):
     """The first change of branch of either face in a step: its theta, and face + 4 or face + 6, or 0."""
     apart()
@@ -403,8 +415,10 @@ def _switch(law, lane, piece, grid, theta):
             for i in range(tracked.POINTS):
                 left, right = grid[face, 0, i], grid[face, 0, i + 1]
                 if left >= room * (1.0 - ARMED):
-                    continue
-                if right >= room:
+                    # from its largest approach: down again, but for a dip of a turn that hardly was one
+                    if right > room * (1.0 + ARMED):
+                        found = _dip(piece, face, room, i * width, (i + 1) * width, grid[face, 1, i + 1])
+                elif right >= room:
                     found = _root(piece, face, room, i * width, (i + 1) * width)
                 elif highest_between(left, width * grid[face, 1, i], right, width * grid[face, 1, i + 1]) >= room:
                     found = passage(piece, face, room, 1.0, i * width, (i + 1) * width)
@@ -432,10 +446,9 @@ def after_step(
     ends, why = theta, 0
     if flags & tracked.SWITCHES:
         ends, why = _switch(law, lane, piece, grid, theta)
-        if ends < theta and flags != tracked.SWITCHES:
+        if why != 0:  # the step is cut: what `look` saw of it is more than there is
+            flags |= 1 << tracked.FACE_A
             _survey(piece, ends, grid)
-        elif ends < theta:
-            grid[0, 0, tracked.POINTS], grid[1, 0, tracked.POINTS] = value(piece, 0, ends), value(piece, 1, ends)
         theta = ends
     if flags & tracked.SOMETHING:
         ends, met, lost = _faces(track, lane, piece, grid, theta, before, h, near, hover, graze)

@@ -200,7 +200,7 @@ def march(
                     status[r] = tracked.NEVER_CLOSES
                     row[j] = -1
                     live -= 1
-        if live == 0:
+        if live == 0 and taken >= len(order):
             break
         # ---- the waves over the trial steps
         for j in range(lanes):
@@ -378,8 +378,6 @@ def march(
                 for face in range(2):
                     if law[tracked.SPRING, face * LANES + j] == 0.0:  # on virgin loading it is at its deepest
                         places[face] = ending
-                    elif why >= 4 and flags[j] & (1 << tracked.FACE_A) == 0:
-                        places[face] = -1.0
                 events.note_peaks(track, j, force, places)
             if wanted & tracked.WANT_CARRIED:
                 events.note_carried(track, j, force, h[j], ending)

@@ -1,0 +1,94 @@
+"""Random scenes of every rig against a second integrator of another method: errors over the tolerance, by stratum.
+
+    python -m tests.campaigns.rigs --rows 400 --seed 1
+
+A row is wrong and silent where an answer is off by more than a hundred tolerances and its status says nothing.  Times
+of losses jump where contact is nearly kept; the kernel says so by status 7, which counts as no answer here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections import Counter, defaultdict
+from typing import Any
+
+import numpy as np
+
+from tests.test_rigs_kernel import RIGID, Row, arguments, rig, second
+from uqsphere.mechanics.integrator import solve, tracked
+
+#: what stands ahead of the sphere, and whether something falls on it from behind
+KINDS = ("thick", "plate", "mass", "drop on thick", "drop on mass", "drop on rod")
+TOLERANCE = 1e-6
+
+
+def random_row(rng: np.random.Generator, kind: str, yields: bool) -> Row:
+    def pole(**numbers: float) -> Row:
+        found = {**RIGID, **numbers}
+        if yields and rng.random() < 0.7:
+            found["C"] = float(rng.choice([1.0, 1.5, 2.0, 8 / 3, 2.9]))
+            ratio = 1.0 if found["C"] == 1.0 and rng.random() < 0.5 else rng.uniform(1.2, 4.0)
+            found["b"] = 0.0 if ratio == 1.0 else found["C"] * ratio - 1.0
+            found["onset"] = 10.0 ** rng.uniform(-3.0, 0.0)
+        return found
+
+    ahead = {
+        "plate": {"zeta": 10.0 ** rng.uniform(-3, 0.4)}, "drop on rod": {"zeta": 10.0 ** rng.uniform(-3, 0.4)},
+        "mass": {"mu": 10.0 ** rng.uniform(-1, 2)}, "drop on mass": {"mu": 10.0 ** rng.uniform(-1, 2)},
+    }.get(kind, {})  # fmt: skip
+    if not kind.startswith("drop"):
+        mass = 1.0 + 1.0 / ahead["mu"] if "mu" in ahead else 1.0
+        return rig(mu=mass, speed=1.0, B=pole(**(ahead | ({"mu": mass * ahead["mu"]} if "mu" in ahead else {}))))
+    mu = 10.0 ** rng.uniform(-2.5, 1.0)
+    return rig(mu=mu, A=pole(mu=1.0, V=1.0), B=pole(kappa=10.0 ** rng.uniform(-1.5, 1.5), **ahead))
+
+
+def errors_of(answers: np.ndarray, row: Row) -> dict[str, float]:
+    """Errors over the tolerance of one row's answers."""
+    other, poles = second(row, rtol=1e-11)
+    found = {}
+    for k, pole in enumerate(poles):
+        if pole.law is not None and other.largest[k] > 0.0:
+            found[f"x_{'ab'[k]}"] = answers[tracked.ANSWER_FACES + k] / other.largest[k] - 1.0
+    found["contact"] = answers[tracked.ANSWER_CONTACT] / other.first_loss - 1.0
+    found["parting"] = answers[tracked.ANSWER_PARTING] / other.parting - 1.0
+    speeds = answers[[tracked.ANSWER_SPEED, tracked.ANSWER_SPEEDS, tracked.ANSWER_SPEEDS + 1]]
+    found["speeds"] = float(np.abs(speeds - other.speeds).max())
+    return {name: abs(value) / TOLERANCE for name, value in found.items()}
+
+
+def _marched(picked: Any, closer: float, graze: Any, given: dict[str, Any]) -> solve.Scaled:
+    some = {name: column[picked] for name, column in given.items()}
+    if graze is not None:
+        some["graze"] = graze
+    return solve.march_rows(some, 0, closer, asked=TOLERANCE)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rows", type=int, default=120)
+    parser.add_argument("--seed", type=int, default=1)
+    chosen = parser.parse_args()
+    rng = np.random.default_rng(chosen.seed)
+    strata = [(kind, yields) for kind in KINDS for yields in (False, True)]
+    rows = [(stratum, random_row(rng, *stratum)) for stratum in strata for _ in range(chosen.rows // len(strata))]
+    given = arguments([row for _, row in rows])
+    found = _marched(np.arange(len(rows)), TOLERANCE, None, given)
+    solve._repeat_undecided(lambda p, c, g: _marched(p, c, g, given), found, TOLERANCE, peak_only=False)
+    worst: dict[Any, dict[str, float]] = defaultdict(lambda: defaultdict(float))
+    status = Counter(found.status.tolist())
+    for i, (stratum, row) in enumerate(rows):
+        if found.status[i] != 0:
+            continue
+        for name, error in errors_of(found.answers[i], row).items():
+            worst[stratum][name] = max(worst[stratum][name], error)
+            if not error < 100.0:
+                print("wrong and silent:", stratum, name, f"{error:.3g}", row)
+    for stratum, errors in worst.items():
+        print(*stratum, {name: round(error, 3) for name, error in errors.items()})
+    print("status", dict(status), "steps", math.ceil(found.steps.mean()))
+
+
+if __name__ == "__main__":
+    main()
