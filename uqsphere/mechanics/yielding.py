@@ -130,10 +130,12 @@ class Face:
     @property
     def valid(self) -> Flags:
         """Rows whose numbers make a law: no b between 0 and 0.2, where it has a singularity near onset, and none above
-        100, where the face is Hertz's but for rounding."""
-        b = self.softening
+        100, where the face is Hertz's but for rounding.  One whose onset is infinite is elastic, and valid."""
+        elastic = np.isinf(self.onset)
+        with np.errstate(invalid="ignore"):
+            b = np.where(elastic, 1.0, self.softening)
         ordered = (self.pile_up >= 1.0) & (self.onset > 0.0) & (self.hardness >= self.onset)
-        return np.asarray(ordered & ((np.abs(b) < 1e-12) | ((b >= 0.2) & (b <= 100.0))))
+        return np.asarray(elastic | (ordered & ((np.abs(b) < 1e-12) | ((b >= 0.2) & (b <= 100.0)))))
 
     @property
     def onset_approach(self) -> Array:
