@@ -182,6 +182,7 @@ def _tells_of_bars(work: Work, where: Where) -> bool:
     study = work.study
     return (
         not study.black_box
+        and study.options.get("contact.law", "hertz") == "hertz"  # else the answers hold what yields
         and study.margins is not None
         and study.margins.axis.moves_rows
         and study.at_means().get("bars.yield_strength", 0.0) > 0.0
