@@ -200,7 +200,7 @@ def test_the_table_of_choices(study_from: Build, tmp_path: Path, capsys: pytest.
              "analysis.accuracy.quantile=0.5", "bars.infinite=true")  # fmt: skip
     found = compare(tmp_path / "study.toml", quick)
     assert found.farthest < 4.0
-    assert found.full.evaluations.keys() == {"full"}
+    assert found.full.evaluations.keys() - {"ways"} == {"full"}
     assert min(found.seconds) > 0.0
     assert print_table([str(tmp_path / "study.toml"), *(f"--set={setting}" for setting in quick)]) == 0
     printed = capsys.readouterr().out

@@ -47,7 +47,7 @@ NORMAL = ("normal", "normal")
 
 def fitted(name: str, n: int, seed: int = 3) -> tuple[CoverageModel, Array, Array]:
     model = MODELS[name]
-    u = sobol_points(dimension=model.dimension, count=n, seed=seed, task="expensive", replicate=0)
+    u = sobol_points(dimension=model.dimension, count=n, seed=seed, task="dear", replicate=0)
     points = germ_points(np.asarray(ndtri(u)), model.germs)
     return model, points, model.function(u)
 

@@ -10,263 +10,17 @@ from __future__ import annotations
 
 import math
 
-from uqsphere.mechanics.integrator import tracked
+from uqsphere.mechanics.integrator import searches, tracked
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
     ARMED,
-    face_force,
     largest_approach,
     largest_force,
     most_stored,
     of_its_own,
-    stored_energy,
 )
-from uqsphere.mechanics.integrator.tracked import CHI, INNER, LANES, ORDER, PAIR
+from uqsphere.mechanics.integrator.tracked import INNER, LANES, ORDER, PAIR
 from uqsphere.mechanics.integrator.vectors import apart, curves_at, elementwise, larger, row, size_of, smaller, where
-
-#: how closely a top is found as a share of the step: where its height matters, which hardly depends on it; where the
-#: motion goes on from it
-_BROAD, _SHARP = 1e-6, 1e-13
-
-
-@compiled(**INNER)
-def value(piece, face, theta):
-    """Approach of a face inside a step."""
-    total = piece[face, ORDER]
-    for k in range(ORDER - 1, -1, -1):
-        total = total * theta + piece[face, k]
-    return total
-
-
-@compiled(**INNER)
-def both(piece, face, theta):
-    """Approach of a face inside a step and its derivative by theta."""
-    total, rate = piece[face, ORDER], 0.0
-    for k in range(ORDER - 1, -1, -1):
-        rate = rate * theta + total
-        total = total * theta + piece[face, k]
-    return total, rate
-
-
-@compiled(**INNER)
-def _combine_own(kind, x1, x2, d1, d2, law, lane):
-    """A searched function of both faces of a lane whose faces have laws of their own, and its derivative."""
-    apart()
-    if kind == tracked.DIFFERENCE or kind == tracked.MEAN:
-        force1, slope1 = face_force(law, lane, x1)
-        force2, slope2 = face_force(law, LANES + lane, x2)
-        if kind == tracked.DIFFERENCE:
-            return force1 - force2, slope1 * d1 - slope2 * d2
-        return 0.5 * (force1 + force2), 0.5 * (slope1 * d1 + slope2 * d2)
-    energy1, slope1 = stored_energy(law, lane, x1)
-    energy2, slope2 = stored_energy(law, LANES + lane, x2)
-    if kind == tracked.SHARE:
-        chi1, chi2 = law[CHI, lane], law[CHI, LANES + lane]
-        return chi1 * energy1 + chi2 * energy2, chi1 * slope1 * d1 + chi2 * slope2 * d2
-    return energy1 + energy2, slope1 * d1 + slope2 * d2
-
-
-@compiled(**INNER)
-def mean_force(kind, mode, x1, x2, d1, d2):
-    """Mean of both forces and its derivative, both forces x^(3/2) or, if linear, x."""
-    x1, d1 = (x1, d1) if x1 > 0.0 else (0.0, 0.0)
-    x2, d2 = (x2, d2) if x2 > 0.0 else (0.0, 0.0)
-    if mode == 1:
-        return 0.5 * (x1 + x2), 0.5 * (d1 + d2)
-    root1, root2 = math.sqrt(x1), math.sqrt(x2)
-    return 0.5 * (x1 * root1 + x2 * root2), 0.75 * (root1 * d1 + root2 * d2)
-
-
-@compiled(**INNER)
-def combine(kind, mode, x1, x2, d1, d2):
-    """Value and derivative of a searched function from the approaches and their derivatives, both forces x^(3/2)."""
-    if kind == tracked.FACE_A:
-        return x1, d1
-    if kind == tracked.FACE_B:
-        return x2, d2
-    if x1 <= 0.0:
-        x1, d1 = 0.0, 0.0
-    if x2 <= 0.0:
-        x2, d2 = 0.0, 0.0
-    if mode == 1:
-        if kind == tracked.DIFFERENCE:
-            return x1 - x2, d1 - d2
-        return 0.5 * (x1 * x1 + x2 * x2), x1 * d1 + x2 * d2
-    root1, root2 = math.sqrt(x1), math.sqrt(x2)
-    if kind == tracked.DIFFERENCE:
-        return x1 * root1 - x2 * root2, 1.5 * (root1 * d1 - root2 * d2)
-    return 0.4 * (x1 * x1 * root1 + x2 * x2 * root2), x1 * root1 * d1 + x2 * root2 * d2
-
-
-@compiled(**INNER)
-def _combined(kind, mode, x1, x2, d1, d2, own, law, lane):
-    """The same, whether faces have laws of their own or not."""
-    if kind > tracked.FACE_B and (own or kind > tracked.ENERGY):
-        if kind == tracked.MEAN and not own:
-            return mean_force(kind, mode, x1, x2, d1, d2)
-        return _combine_own(kind, x1, x2, d1, d2, law, lane)
-    return combine(kind, mode, x1, x2, d1, d2)
-
-
-@compiled(**INNER)
-def _measure(kind, mode, piece, theta, own, law, lane):
-    """Value and derivative of one of the searched functions inside a step."""
-    if kind <= tracked.FACE_B:
-        return both(piece, kind, theta)
-    x1, d1 = both(piece, 0, theta)
-    x2, d2 = both(piece, 1, theta)
-    return _combined(kind, mode, x1, x2, d1, d2, own, law, lane)
-
-
-@compiled(**INNER)
-def highest_between(left, left_slope, right, right_slope):
-    """What a function can reach between two ends: where the tangents meet, and a fifth for bends."""
-    top = max(left, right)
-    if left_slope > 0.0 and right_slope < 0.0:
-        top += 1.2 * left_slope * right_slope / (right_slope - left_slope)
-    return top
-
-
-@compiled(**INNER)
-def _root(piece, face, level, a, b):
-    """Where a face passes `level` between a and b, which bracket it; regula falsi with the Illinois rule."""
-    apart()
-    at_a, at_b = value(piece, face, a) - level, value(piece, face, b) - level
-    # an end may be the root itself, to the last bit: there is then nothing left to bracket
-    if at_a == 0.0:
-        return a
-    if at_b == 0.0 or (at_a < 0.0) == (at_b < 0.0):
-        return b
-    for _ in range(100):
-        if abs(b - a) < 1e-14 or at_b == at_a:
-            break
-        c = b - at_b * (b - a) / (at_b - at_a)
-        if c == b:
-            return b
-        if not min(a, b) < c < max(a, b):
-            c = 0.5 * (a + b)
-        at_c = value(piece, face, c) - level
-        if abs(c - b) < 1e-15 or at_c == 0.0:
-            return c
-        if (at_c < 0.0) != (at_b < 0.0):
-            a, at_a = b, at_b
-        else:
-            at_a *= 0.5
-        b, at_b = c, at_c
-    return b
-
-
-@compiled(**INNER)
-def _extremum(kind, mode, piece, a, b, slope_a, slope_b, close, own, law, lane):
-    """theta between a and b, to `close`, at which the slope of a searched function changes sign, as at the ends."""
-    apart()
-    for _ in range(60):
-        c = b - slope_b * (b - a) / (slope_b - slope_a)
-        if not min(a, b) < c < max(a, b):
-            c = 0.5 * (a + b)
-        _, slope_c = _measure(kind, mode, piece, c, own, law, lane)
-        if abs(c - b) < close or slope_c == 0.0:
-            return c
-        if (slope_c < 0.0) != (slope_b < 0.0):
-            a, slope_a = b, slope_b
-        else:
-            slope_a *= 0.5
-        b, slope_b = c, slope_c
-    return b
-
-
-@compiled(**INNER)
-def _bend(piece, face, a, b, slope_a, slope_b, close):
-    """The same of the approach of a face, for which no law matters."""
-    return _extremum(face, 0, piece, a, b, slope_a, slope_b, close, False, piece, 0)
-
-
-@compiled(**INNER)
-def passage(piece, face, level, sign, begin, end):
-    """First theta on the way from `begin` to `end` at which sign·(approach - level) >= 0, or NaN."""
-    apart()
-    width = (end - begin) / tracked.POINTS
-    a = begin
-    at_a, slope_a = both(piece, face, a)
-    at_a, slope_a = sign * (at_a - level), sign * slope_a
-    if at_a >= 0.0:
-        return begin
-    for k in range(1, tracked.POINTS + 1):
-        b = begin + k * width if k < tracked.POINTS else end
-        at_b, slope_b = both(piece, face, b)
-        at_b, slope_b = sign * (at_b - level), sign * slope_b
-        if at_b >= 0.0:
-            return _root(piece, face, level, a, b)
-        if (
-            slope_a * width > 0.0 > slope_b * width
-            and highest_between(at_a, slope_a * width, at_b, slope_b * width) >= 0.0
-        ):
-            # the search measures the slopes themselves, without the sign; at a face no mode matters
-            peak = _bend(piece, face, a, b, sign * slope_a, sign * slope_b, _BROAD)
-            if sign * (value(piece, face, peak) - level) >= 0.0:
-                return _root(piece, face, level, a, peak)
-        a, at_a, slope_a = b, at_b, slope_b
-    return math.nan
-
-
-@compiled(**INNER)
-def _survey(piece, end, grid):
-    """Values and slopes of both faces at equal distances over [0, end]: grid (face, 2, tracked.POINTS + 1)."""
-    apart()
-    for face in range(2):
-        for i in range(tracked.POINTS + 1):
-            grid[face, 0, i], grid[face, 1, i] = both(piece, face, end * i / tracked.POINTS)
-
-
-def _largest_of(face_alone):
-    """The search for a largest value, of an approach or of a function of both faces.
-
-    Gives the largest value in [0, end] and its theta, or `known` and -1 if that is larger.  Of the difference of the
-    forces the size counts, of an approach no gap.
-    """
-
-    @compiled(**INNER)
-    def largest(kind, mode, piece, end, grid, known, own, law, lane):
-        apart()
-        width, place, signed = end / tracked.POINTS, -1.0, kind == tracked.DIFFERENCE
-        left, left_slope = 0.0, 0.0
-        for i in range(tracked.POINTS + 1):
-            if face_alone:
-                right, right_slope = grid[kind, 0, i], grid[kind, 1, i]
-            else:
-                right, right_slope = _combined(
-                    kind, mode, grid[0, 0, i], grid[1, 0, i], grid[0, 1, i], grid[1, 1, i], own, law, lane
-                )
-            if (abs(right) if signed else right) > known:
-                known, place = abs(right), i * width
-            sign = 1.0 if left + right >= 0.0 else -1.0
-            top = highest_between(sign * left, sign * left_slope * width, sign * right, sign * right_slope * width)
-            if i > 0 and top > max(known, max(abs(left), abs(right))):
-                peak = _extremum(
-                    kind, mode, piece, (i - 1) * width, i * width, left_slope, right_slope, _BROAD, own, law, lane
-                )
-                at_peak, _ = _measure(kind, mode, piece, peak, own, law, lane)
-                if (abs(at_peak) if signed else at_peak) > known:
-                    known, place = abs(at_peak), peak
-            left, left_slope = right, right_slope
-        return known, place
-
-    return largest
-
-
-_largest_approach, _largest_of_both = _largest_of(True), _largest_of(False)
-
-
-@compiled(**INNER)
-def _may_pass(grid, face, sign, width, level):
-    """Whether sign·approach can pass -level at all, from its values and slopes at the points of a grid."""
-    apart()
-    for i in range(tracked.POINTS):
-        left, left_slope = sign * grid[face, 0, i], sign * grid[face, 1, i] * width
-        right, right_slope = sign * grid[face, 0, i + 1], sign * grid[face, 1, i + 1] * width
-        if highest_between(left, left_slope, right, right_slope) >= -level:
-            return True
-    return False
 
 
 @compiled(**INNER)
@@ -290,7 +44,7 @@ def _both_below(piece, level, theta):
     for _ in range(8 * tracked.POINTS):
         found = at
         for face in range(2):
-            found = passage(piece, face, level, -1.0, found, theta)
+            found = searches.passage(piece, face, level, -1.0, found, theta)
             if math.isnan(found):
                 return found
         if found == at:
@@ -308,8 +62,8 @@ def _lowest(piece, face, end, grid):
     for i in range(tracked.POINTS):
         left, right = grid[face, 1, i], grid[face, 1, i + 1]
         if left < 0.0 < right:
-            found = _bend(piece, face, i * width, (i + 1) * width, left, right, _BROAD)
-            at = value(piece, face, found)
+            found = searches.bend(piece, face, i * width, (i + 1) * width, left, right, searches.BROAD)
+            at = searches.value(piece, face, found)
             if 0.0 < at < least:
                 least, place = at, found
     return least, place
@@ -328,7 +82,7 @@ def _near_loss(track, lane, piece, face, grid, theta, ends, near, hover, graze):
     if max(piece[face, 0], grid[face, 0, tracked.POINTS]) < hover:
         track[tracked.NEAREST, lane] = min(track[tracked.NEAREST, lane], grid[face, 0, tracked.POINTS])
         if graze > 0.0:
-            return passage(piece, face, graze, -1.0, 0.0, ends)
+            return searches.passage(piece, face, graze, -1.0, 0.0, ends)
     return math.nan
 
 
@@ -336,7 +90,7 @@ def _near_loss(track, lane, piece, face, grid, theta, ends, near, hover, graze):
 def _depth(piece, face, theta):
     """How deep a face that leaves at theta goes, moving freely: it turns after rate²/(2 acceleration)."""
     apart()
-    _, rate = both(piece, face, theta)
+    _, rate = searches.both(piece, face, theta)
     bend = 0.0
     for k in range(ORDER, 1, -1):
         bend = bend * theta + k * (k - 1.0) * piece[face, k]
@@ -360,11 +114,11 @@ def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
         if piece[face, 0] == 0.0 and piece[face, 1] >= 0.0:  # touching just now
             continue
         level = near if pressed else 0.0
-        if not _may_pass(grid, face, -1.0 if pressed else 1.0, theta / tracked.POINTS, level):
+        if not searches.may_pass(grid, face, -1.0 if pressed else 1.0, theta / tracked.POINTS, level):
             continue
         # a face that left at the start of this step is clear of zero a little later
         clear = 1e-3 * ends if piece[face, 0] == 0.0 and piece[face, 1] < 0.0 else 0.0
-        found = passage(piece, face, 0.0, -1.0 if pressed else 1.0, clear, ends)
+        found = searches.passage(piece, face, 0.0, -1.0 if pressed else 1.0, clear, ends)
         if not math.isnan(found):
             ends, why = found, 2 + face
             continue
@@ -379,7 +133,7 @@ def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
                 track[tracked.DEPTH, lane] = depth
     if lost >= 0 and math.isnan(track[tracked.LOST, lane]):
         track[tracked.LOST, lane] = before + ends * h
-        _, rate = both(piece, lost, ends)
+        _, rate = searches.both(piece, lost, ends)
         track[tracked.LOSS_RATE, lane] = abs(rate) / h
     return ends, why, lost
 
@@ -390,10 +144,10 @@ def _dip(piece, face, level, a, b, slope_b):
     apart()
     # where it turns the slope is zero but for rounding
     a += 1e-3 * (b - a)
-    _, slope_a = both(piece, face, a)
+    _, slope_a = searches.both(piece, face, a)
     if slope_a < 0.0 < slope_b:
-        a = _bend(piece, face, a, b, slope_a, slope_b, _SHARP)
-    return _root(piece, face, level, a, b) if value(piece, face, a) < level else a
+        a = searches.bend(piece, face, a, b, slope_a, slope_b, searches.SHARP)
+    return searches.root(piece, face, level, a, b) if searches.value(piece, face, a) < level else a
 
 
 @compiled(**INNER)
@@ -407,7 +161,9 @@ def _switch(law, lane, piece, grid, theta):
             for i in range(tracked.POINTS):
                 if grid[face, 1, i] > 0.0 and grid[face, 1, i + 1] <= 0.0:
                     part = theta / tracked.POINTS
-                    found = _bend(piece, face, i * part, (i + 1) * part, grid[face, 1, i], grid[face, 1, i + 1], _SHARP)
+                    found = searches.bend(
+                        piece, face, i * part, (i + 1) * part, grid[face, 1, i], grid[face, 1, i + 1], searches.SHARP
+                    )
                     break
         else:
             room = law[tracked.LARGEST, m] - law[tracked.DENT, m]
@@ -419,9 +175,12 @@ def _switch(law, lane, piece, grid, theta):
                     if right > room * (1.0 + ARMED):
                         found = _dip(piece, face, room, i * width, (i + 1) * width, grid[face, 1, i + 1])
                 elif right >= room:
-                    found = _root(piece, face, room, i * width, (i + 1) * width)
-                elif highest_between(left, width * grid[face, 1, i], right, width * grid[face, 1, i + 1]) >= room:
-                    found = passage(piece, face, room, 1.0, i * width, (i + 1) * width)
+                    found = searches.root(piece, face, room, i * width, (i + 1) * width)
+                elif (
+                    searches.highest_between(left, width * grid[face, 1, i], right, width * grid[face, 1, i + 1])
+                    >= room
+                ):
+                    found = searches.passage(piece, face, room, 1.0, i * width, (i + 1) * width)
                 if not math.isnan(found):
                     break
         if found <= ends and (why == 0 or found < ends):
@@ -448,7 +207,7 @@ def after_step(
         ends, why = _switch(law, lane, piece, grid, theta)
         if why != 0:  # the step is cut: what `look` saw of it is more than there is
             flags |= 1 << tracked.FACE_A
-            _survey(piece, ends, grid)
+            searches.survey(piece, ends, grid)
         theta = ends
     if flags & tracked.SOMETHING:
         ends, met, lost = _faces(track, lane, piece, grid, theta, before, h, near, hover, graze)
@@ -459,18 +218,20 @@ def after_step(
         elif met != 0:
             why = met
     if ends < theta:
-        _survey(piece, ends, grid)
+        searches.survey(piece, ends, grid)
     own = yielding and of_its_own(law, lane)
     known = max(track[tracked.FACE_A, lane], track[tracked.FACE_B, lane])
     if flags & (1 << tracked.FACE_A):
         for face in range(2):
             # faces that are alike share the largest approach so far
             least = track[tracked.FACE_A + face, lane] if yielding else known
-            found, places[face] = _largest_approach(face, mode, piece, ends, grid, least, own, law, lane)
+            found, places[face] = searches.largest_approach(face, mode, piece, ends, grid, least, own, law, lane)
             track[tracked.FACE_A + (face if yielding else 0), lane], known = found, max(known, found)
     for kind in range(tracked.DIFFERENCE, tracked.KINDS):
         if flags & (1 << kind):
-            track[kind, lane], _ = _largest_of_both(kind, mode, piece, ends, grid, track[kind, lane], own, law, lane)
+            track[kind, lane], _ = searches.largest_of_both(
+                kind, mode, piece, ends, grid, track[kind, lane], own, law, lane
+            )
     for face in range(2):
         if grid[face, 0, tracked.POINTS] > max(50.0 * tiny, 2.0 * hover):
             track[tracked.TOUCHED_A + face, lane] = 1.0
@@ -629,8 +390,8 @@ def _look_for(kind, plain):
                 right, right_slope = plain(
                     kind, mode, at[i + 1, j], at[i + 1, k], width * rate[i + 1, j], width * rate[i + 1, k]
                 )
-                above = highest_between(left, left_slope, right, right_slope)
-                below = highest_between(-left, -left_slope, -right, -right_slope)
+                above = searches.highest_between(left, left_slope, right, right_slope)
+                below = searches.highest_between(-left, -left_slope, -right, -right_slope)
                 if max(above, below) > track[kind, j]:
                     flags[j] |= 1 << kind
         for j in range(LANES):
@@ -649,16 +410,21 @@ def _look_at_own(kind, at, rate, track, theta, flags, law, j):
     k, width = LANES + j, theta[j] / tracked.POINTS
     left, left_slope = 0.0, 0.0
     for i in range(tracked.POINTS + 1):
-        right, right_slope = _combine_own(kind, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k], law, j)
-        above = highest_between(left, left_slope, right, right_slope)
-        below = highest_between(-left, -left_slope, -right, -right_slope)
+        right, right_slope = searches.combine_own(
+            kind, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k], law, j
+        )
+        above = searches.highest_between(left, left_slope, right, right_slope)
+        below = searches.highest_between(-left, -left_slope, -right, -right_slope)
         if i > 0 and max(above, below) > track[kind, j]:
             flags[j] |= 1 << kind
         left, left_slope = right, right_slope
 
 
-_look_for_difference, _look_for_energy = _look_for(tracked.DIFFERENCE, combine), _look_for(tracked.ENERGY, combine)
-_look_for_mean = _look_for(tracked.MEAN, mean_force)
+_look_for_difference, _look_for_energy = (
+    _look_for(tracked.DIFFERENCE, searches.combine),
+    _look_for(tracked.ENERGY, searches.combine),
+)
+_look_for_mean = _look_for(tracked.MEAN, searches.mean_force)
 
 
 @compiled(**INNER)
@@ -755,7 +521,7 @@ def _outermost(path, scale, start, length, crest, count, ended, level, backward)
         a, b = (end, 0.0) if backward else (0.0, end)
         best = math.nan
         for face in range(2):
-            found = passage(path[n], face, level, 1.0, a, b)
+            found = searches.passage(path[n], face, level, 1.0, a, b)
             if math.isnan(best) or (found > best if backward else found < best):
                 best = found
         if not math.isnan(best):
