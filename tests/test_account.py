@@ -49,8 +49,8 @@ def test_a_band_looks_at_probabilities_of_interest_alone() -> None:
 
 #: parts of a plan in the order of the columns of docs/validation.md
 COLUMNS = ("pilot", "sampling", "rare events", "margins", "fracture", "sensitivity", "ways to break")
-#: contact times may jump so much that their indices take more
-ROUGH = ("granite", "sensitivity")
+#: contact times may jump so much that their indices take more; of a load cell the sampling is over sooner
+FAR = (("granite", "sensitivity"), ("quartz_load_cell", "sampling"))
 
 
 def measured() -> dict[str, dict[str, tuple[int, int]]]:
@@ -70,7 +70,9 @@ def measured() -> dict[str, dict[str, tuple[int, int]]]:
 
 
 def test_every_shipped_study_is_measured() -> None:
-    assert set(measured()) == {path.stem for path in STUDIES.glob("*.toml")}
+    studies = {path.stem: load_study(path) for path in STUDIES.glob("*.toml")}
+    # a study without a rig of its own is planned service by service
+    assert set(measured()) == {name for name, study in studies.items() if study.rig != "none"}
 
 
 @pytest.mark.parametrize("name", sorted(measured()))
@@ -81,7 +83,7 @@ def test_likely_numbers_are_within_a_factor_of_two_of_the_shipped_studies(name: 
     for part, (likely, taken) in measured()[name].items():
         assert planned[part].likely == likely, part
         assert taken <= planned[part].most, part
-        if (name, part) != ROUGH:
+        if (name, part) not in FAR:
             assert taken / FACTOR <= likely <= FACTOR * taken, part
 
 

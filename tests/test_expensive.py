@@ -22,7 +22,7 @@ from uqsphere.report.phrases import without_failed
 from uqsphere.report.terminal import summary_of
 from uqsphere.results import Results
 from uqsphere.runner import evaluate as work
-from uqsphere.runner import expensive as pricing
+from uqsphere.runner import remote
 from uqsphere.runner.campaign import Cost, cost_of, indices_missed
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.expensive import Expensive, Surrogates, keep_answers, keep_indices
@@ -449,7 +449,7 @@ def test_two_runs_agree_and_one_that_is_resumed_evaluates_nothing(ask, monkeypat
 def test_a_cost_that_is_measured_is_kept_with_the_run(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     """The clock says 20 s an evaluation at first, and nothing the second time."""
     ticks = iter(range(0, 10**9, 20))
-    monkeypatch.setattr(pricing.time, "perf_counter", lambda: float(next(ticks)))
+    monkeypatch.setattr(remote.time, "perf_counter", lambda: float(next(ticks)))
     text = ("analysis.budget.time='3 h'", "analysis.budget.evaluations=3000")
     no_cost = EXPENSIVE.replace('cost = "10 s"\n', "")
     monkeypatch.setitem(globals(), "EXPENSIVE", no_cost)
@@ -460,7 +460,7 @@ def test_a_cost_that_is_measured_is_kept_with_the_run(ask, monkeypatch: pytest.M
     assert cost == pytest.approx(20.0)
     assert first.results.plan.way == "surrogate"
     assert box.rows <= 3.0 * 3600.0 / cost
-    monkeypatch.setattr(pricing.time, "perf_counter", lambda: 0.0)
+    monkeypatch.setattr(remote.time, "perf_counter", lambda: 0.0)
     resumed = ask(Counted(ishigami), *text)
     assert resumed.manifest.plan.cost_seconds_per_evaluation == cost
     assert resumed.results.document() == first.results.document()
