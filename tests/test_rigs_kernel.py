@@ -10,8 +10,9 @@ import pytest
 
 from tests.independent.rigs import Pole, strike
 from tests.independent.yielding import Law
+from uqsphere.mechanics.impact import solve_closed
 from uqsphere.mechanics.integrator import tracked
-from uqsphere.mechanics.integrator.solve import Scaled, march_rows, scaled_arguments
+from uqsphere.mechanics.integrator.solve import Scaled, march_rows, motion, scaled_arguments, solve
 from uqsphere.mechanics.scene import Scene
 
 #: (R3) of one scene: mu, speed of the sphere, and of both poles zeta, mu_i, speed V_i, kappa, onset, b, C; a pole
@@ -234,3 +235,42 @@ def test_limits_of_partners() -> None:
     # (R15) with equal faces: force 1.25^0.6 (1/2^1.5)^0.4; its correction (R16) is 0.70 (M/m)^0.45
     series = 1.25**0.6 * 2.0**-0.6
     assert 0.0 < light[tracked.ANSWER_FACES :][:2].max() ** 1.5 / series - 1.0 < 2.0 * 0.70 * 1e-6**0.45
+
+
+def test_blows_that_yield_agree_with_their_closed_form() -> None:
+    """300 spheres on thick metals, most of them far beyond yield, against (R23) with its own quadrature of times."""
+    draw = np.random.default_rng(7)
+    columns = {
+        "sphere.E": 10.0 ** draw.uniform(9.5, 11.6, 300), "sphere.nu": draw.uniform(0.05, 0.4, 300),
+        "sphere.radius": 10.0 ** draw.uniform(-3.5, -1.3, 300), "sphere.density": draw.uniform(1e3, 8e3, 300),
+        "target.E": 10.0 ** draw.uniform(9.5, 11.7, 300), "target.nu": draw.uniform(0.1, 0.4, 300),
+        "target.yield_strength": 10.0 ** draw.uniform(8.0, 9.7, 300), "rig.speed": 10.0 ** draw.uniform(-2.0, 2.0, 300),
+    }  # fmt: skip
+    scene = Scene(columns=columns, rig="impact", contact_law="plastic")
+    asked = ("P_max", "p_max", "contact_time", "pulse_width", "rise_time", "energy", "restitution", "a_max")
+    closed, found = solve_closed(scene, asked), solve(scene, tolerance=1e-6, quantities=asked)
+    assert (closed.status == 0).all()
+    assert (found.status == 0).all()
+    for name in asked:
+        np.testing.assert_allclose(found.values[name], closed.values[name], rtol=3e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("speed", [0.3, 0.8, 2.0])
+def test_width_and_rise_of_faces_that_yield_are_those_of_their_forces(speed: float) -> None:
+    numbers = {
+        "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0, "bars.E": 205e9,
+        "bars.nu": 0.29, "bars.density": 7850.0, "bars.diameter": 0.04, "bars.incident_length": 1.5,
+        "bars.receiving_length": 1.5, "bars.incident_end": 1.0, "bars.receiving_end": 0.0, "striker.length": 0.5,
+        "striker.speed": speed, "pulse.rise": 25e-6, "pulse.fall": 25e-6,
+        "contact.onset_pressure": 0.75e9, "contact.hardness": 1.5e9, "contact.pile_up": 2.0,
+    }  # fmt: skip
+    columns = {name: np.array([value]) for name, value in numbers.items()}
+    scene = Scene(columns=columns, shape="trapezoid", contact_law="plastic", contact_dynamics="path")
+    found = solve(scene, quantities=("P_max", "pulse_width", "rise_time"))
+    whole = motion(scene, 0, tolerance=1e-9)
+    times = np.linspace(0.0, min(whole.horizon, float(found.record[0])), 40_001)
+    share = whole.forces_at(times).max(axis=1) / found.values["P_max"][0]
+    above = np.flatnonzero(share >= 0.5)
+    assert found.values["pulse_width"][0] == pytest.approx(times[above[-1]] - times[above[0]], rel=2e-4)
+    rise = times[np.argmax(share >= 0.9)] - times[np.argmax(share >= 0.1)]
+    assert found.values["rise_time"][0] == pytest.approx(rise, rel=1e-3)

@@ -211,13 +211,16 @@ def largest_approach(law, m, known):
 @compiled(**INNER)
 def largest_force(law, lane, known_a, known_b):
     """Largest force of a row so far, from the largest approaches of its faces while they have not yielded."""
-    found = max(law[STIFFNESS, lane] * known_a**1.5, law[STIFFNESS, LANES + lane] * known_b**1.5)
+    found = 0.0
     for face in range(2):
         m = face * LANES + lane
         if law[SPRING, m] == 0.0:
             found = max(found, face_force(law, m, law[LARGEST, m] - law[DENT, m])[0])
         elif law[LARGEST, m] > law[ONSET, m]:
             found = max(found, law[PEAK, m])
+        else:
+            # of a face that has yielded this would be Hertz's force at its depth, which it never had
+            found = max(found, law[STIFFNESS, m] * (known_b if face == 1 else known_a) ** 1.5)
     return found
 
 
