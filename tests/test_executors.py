@@ -290,7 +290,7 @@ def test_an_expensive_black_box_gets_processes(
 
 @pytest.mark.parametrize(("name", "override", "status"), [
     ("raising", "analysis.on_failure='drop'", "raised an exception"),
-    ("hanging", 'analysis.time_limit="0.3 s"', "took longer"),
+    ("hanging", 'analysis.time_limit="2 s"', "took longer"),
     ("dying", "analysis.rows_per_call=256", "ended the process"),
 ])  # fmt: skip
 def test_a_row_that_fails_fails_alone(box: Any, tmp_path: Path, name: str, override: str, status: str) -> None:

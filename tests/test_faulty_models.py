@@ -121,7 +121,7 @@ def test_a_faulty_model_is_told_of_through_both_doors(
     assert out == ""
     assert said in err
     assert all(c.isprintable() or c == "\n" for c in err)
-    assert len(err) < 4000
+    assert len(err) < 8000  # a traceback of the process, with the paths of its files
     with pytest.raises((ModelError, TooManyFailures)) as raised:
         uqsphere.run(uqsphere.load_study(place / "s.toml"), out=place / "door", model=reference)
     assert said in str(raised.value)
