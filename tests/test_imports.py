@@ -161,6 +161,7 @@ FLOORS = {
     "uqsphere.materials": 3,
     "uqsphere.records": 3,
     "uqsphere.black_box": 3,
+    "uqsphere.feed": 3,
     "uqsphere.study": 4,
     "uqsphere.model": 6,
     "uqsphere.store": 6,
