@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.campaigns.stress_tables import hoop_field
 from uqsphere import load_study
 from uqsphere.cli import main
 from uqsphere.mechanics import contact, criteria
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, demand, in_range
 from uqsphere.mechanics.outputs import path_of
-from uqsphere.mechanics.stress.make_tables import hoop_field
 from uqsphere.model import evaluate
 from uqsphere.quantities import OUTPUTS
 from uqsphere.study import shipped_studies

@@ -12,14 +12,10 @@ import numpy.typing as npt
 import pytest
 
 from docs.figures.stress_elements import elements_figure
-from tests.independent import elements
-from tests.independent.elements import compare, make_mesh, solve_elements
-from uqsphere import history, load_study
-from uqsphere.mechanics.contact import centre_tension
-from uqsphere.mechanics.stress import tables
-from uqsphere.mechanics.stress.make_tables import (
+from tests.campaigns.stress_tables import (
     SHAPES,
     axis_series,
+    chebyshev_nodes,
     exact,
     hoop_field,
     largest_hoop,
@@ -29,6 +25,11 @@ from uqsphere.mechanics.stress.make_tables import (
     surface_integrals,
     volume_integrals,
 )
+from tests.independent import elements
+from tests.independent.elements import compare, make_mesh, solve_elements
+from uqsphere import history, load_study
+from uqsphere.mechanics.contact import centre_tension
+from uqsphere.mechanics.stress import tables
 from uqsphere.mechanics.stress.series import Load, load_coefficients, pressure_on_surface, series_stress, surface_stress
 from uqsphere.mechanics.stress.tables import core_ratio
 from uqsphere.report.figures.canvas import render, style
@@ -386,7 +387,7 @@ def test_packing_keeps_what_it_says() -> None:
     matrix = np.zeros(packed["shape"])
     for index, row in enumerate(packed["rows"]):
         matrix[index, : len(row)] = np.array(row) * packed["unit"]
-    nodes = tables.chebyshev_nodes((4, 5))
+    nodes = chebyshev_nodes((4, 5))
     table = tables.Table(name="test", coefficients=matrix)
     assert table(nodes[0][:, None], nodes[1][None, :]) == pytest.approx(values, rel=1e-8)
 

@@ -1,7 +1,7 @@
 """What the series says about a whole batch: Chebyshev tables over a/r, Poisson ratio and Weibull modulus.
 
 Every table holds a ratio that depends on nothing else, as coefficients of products of Chebyshev polynomials in
-ln(a/r), nu and 1/m; `tables.json` beside this file holds them, `make_tables.py` computes them anew, and
+ln(a/r), nu and 1/m; `tables.json` beside this file holds them, `tests/campaigns/stress_tables.py` computes them, and
 tests/test_sphere_stress.py compares random points with the series.  The error of every ratio, against the series,
 is below 1e-6 of its value over the whole range (of one force alone: 2e-5 at m = 2 and 1e-4 at m = 50); that of the
 rim below 2e-4, for it bends where the largest tension of a place is one of the past.
@@ -127,29 +127,6 @@ def _polynomials(x: Array, count: int) -> Array:
         np.multiply(double, out[k - 1], out=out[k])
         out[k] -= out[k - 2]
     return out.T
-
-
-def chebyshev_nodes(counts: tuple[int, ...]) -> list[Array]:
-    """Values of a/r, nu (and m) at the Chebyshev points of a table of that shape."""
-    units = [np.cos(math.pi * (np.arange(count) + 0.5) / count) for count in counts]
-    low, high = (math.log(bound) for bound in CONTACT_RATIO)
-    most_nu = POISSON[1] if len(counts) == 2 else POISSON_WEIBULL[1]
-    nodes = [np.exp(low + 0.5 * (units[0] + 1.0) * (high - low)), 0.5 * (units[1] + 1.0) * most_nu]
-    if len(counts) > 2:
-        least, most = 1.0 / MODULUS[1], 1.0 / MODULUS[0]
-        nodes.append(1.0 / (least + 0.5 * (units[2] + 1.0) * (most - least)))
-    return nodes
-
-
-def chebyshev_fit(values: Array) -> Array:
-    """Coefficients of ln(values) given at `chebyshev_nodes`, of the same shape."""
-    found = np.log(values)
-    for axis, count in enumerate(values.shape):
-        angles = math.pi * (np.arange(count) + 0.5) / count
-        matrix = np.cos(np.outer(np.arange(count), angles)) * (2.0 / count)
-        matrix[0] *= 0.5
-        found = np.moveaxis(np.tensordot(matrix, found, axes=(1, axis)), 0, axis)
-    return np.asarray(found)
 
 
 @cache

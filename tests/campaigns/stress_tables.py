@@ -1,6 +1,6 @@
 """What the tables of stress hold, computed from the series: largest stresses on the axis, weakest-link integrals.
 
-``python -m uqsphere.mechanics.stress.make_tables`` computes `tables.json` anew (minutes).
+``python -m tests.campaigns.stress_tables`` computes `uqsphere/mechanics/stress/tables.json` anew (minutes).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
+from uqsphere.mechanics.stress import tables
 from uqsphere.mechanics.stress.series import (
     Load,
     cross_in_closed_form,
@@ -22,7 +23,7 @@ from uqsphere.mechanics.stress.series import (
     pressure_on_surface,
     terms_for,
 )
-from uqsphere.mechanics.stress.tables import CONTACT_RATIO, POISSON, chebyshev_fit, chebyshev_nodes, half_space_rim
+from uqsphere.mechanics.stress.tables import CONTACT_RATIO, MODULUS, POISSON, POISSON_WEIBULL, half_space_rim
 
 # --- Weakest-link integrals of the hoop tension over the volume and the surface of the sphere.
 # A flaw on a meridian plane is opened by sigma_phi alone, and cracks on meridian planes are what splits a sphere
@@ -492,6 +493,29 @@ def _rim() -> Array:
     return np.array([[rim_integrals(float(ratio), float(nu), moduli) for nu in poisson] for ratio in ratios])
 
 
+def chebyshev_nodes(counts: tuple[int, ...]) -> list[Array]:
+    """Values of a/r, nu (and m) at the Chebyshev points of a table of that shape."""
+    units = [np.cos(math.pi * (np.arange(count) + 0.5) / count) for count in counts]
+    low, high = (math.log(bound) for bound in CONTACT_RATIO)
+    most_nu = POISSON[1] if len(counts) == 2 else POISSON_WEIBULL[1]
+    nodes = [np.exp(low + 0.5 * (units[0] + 1.0) * (high - low)), 0.5 * (units[1] + 1.0) * most_nu]
+    if len(counts) > 2:
+        least, most = 1.0 / MODULUS[1], 1.0 / MODULUS[0]
+        nodes.append(1.0 / (least + 0.5 * (units[2] + 1.0) * (most - least)))
+    return nodes
+
+
+def chebyshev_fit(values: Array) -> Array:
+    """Coefficients of ln(values) given at `chebyshev_nodes`, of the same shape."""
+    found = np.log(values)
+    for axis, count in enumerate(values.shape):
+        angles = math.pi * (np.arange(count) + 0.5) / count
+        matrix = np.cos(np.outer(np.arange(count), angles)) * (2.0 / count)
+        matrix[0] *= 0.5
+        found = np.moveaxis(np.tensordot(matrix, found, axes=(1, axis)), 0, axis)
+    return np.asarray(found)
+
+
 def pack(values: Array) -> dict[str, Any]:
     """A table as JSON holds it: whole numbers of one unit, rows without the zeros at their end."""
     unit = _UNITS[values.ndim]
@@ -514,4 +538,4 @@ def make(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    make(Path(__file__).parent / "tables.json")
+    make(Path(tables.__file__).parent / "tables.json")
