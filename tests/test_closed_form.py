@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import CLOSED, log_peak
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
@@ -253,35 +254,10 @@ def test_linear_closed_form_against_the_integrator(mu, theta):
 # --- a study whose every answer is known: rigid contact, infinite bars, a step, no mass, lognormal inputs
 
 
-TEXT = """\
-title = "Closed form"
-seed = 12
-
-[sphere]
-E = { dist = "lognormal", mean = "52 GPa", cov = 0.2 }
-nu = 0.25
-radius = { dist = "lognormal", mean = "10 mm", cov = 0.1 }
-density = "2650 kg/m3"
-
-[bars]
-E = "210 GPa"
-nu = 0.3
-density = "7850 kg/m3"
-yield_strength = "1500 MPa"
-diameter = "60 mm"
-infinite = true
-rigid_contact = true
-
-[striker]
-speed = { dist = "lognormal", mean = "1 m/s", cov = 0.3 }
-
-[pulse]
-shape = "step"
-
-[model]
-fidelity = "massless"
-horizon = "30 ms"
-
+TEXT = (
+    'title = "Closed form"\nseed = 12\n'
+    + CLOSED % (0.2, 0.1, 0.3)
+    + """
 [limits.crushing]
 quantity = "p_max"
 strength = { dist = "lognormal", mean = "5 GPa", cov = 0.1 }
@@ -295,28 +271,19 @@ quantities = ["p_max"]
 accuracy = { mean = 0.002, quantile = 0.01, sobol = 0.01, probability = 0.05 }
 budget = { evaluations = 400_000, time = "10 min" }
 """
+)
 
 #: exponents of the inputs in p_max
 POWERS = {"sphere.E": 2.0 / 3.0, "sphere.radius": -2.0 / 3.0, "striker.speed": 1.0 / 3.0}
-MEANS = {"sphere.E": 52e9, "sphere.radius": 0.01, "striker.speed": 1.0}
 COVS = {"sphere.E": 0.2, "sphere.radius": 0.1, "striker.speed": 0.3}
 #: variances of the logarithms, each times its power squared
 SHARES = {name: power**2 * math.log1p(COVS[name] ** 2) for name, power in POWERS.items()}
 VARIANCE = sum(SHARES.values())
 
 
-def log_median() -> float:
-    """Mean of ln p_max."""
-    impedance = math.sqrt(210e9 * 7850.0) * math.pi * 0.06**2 / 4.0
-    constant = (3.0 * impedance / math.pi**3 / (1.0 - 0.25**2) ** 2) ** (1.0 / 3.0)
-    return math.log(constant) + sum(
-        power * (math.log(MEANS[name]) - 0.5 * math.log1p(COVS[name] ** 2)) for name, power in POWERS.items()
-    )
-
-
 def exact() -> dict[tuple[str, ...], float]:
     """Every answer by its path in results.json."""
-    centre, spread = log_median(), math.sqrt(VARIANCE)
+    centre, spread = log_peak((0.2, 0.1, 0.3)), math.sqrt(VARIANCE)
     mean = math.exp(centre + 0.5 * VARIANCE)
     found: dict[tuple[str, ...], float] = {
         ("quantities", "p_max", "mean"): mean,
@@ -407,7 +374,7 @@ def test_what_governs_is_the_direction_of_the_design_point(answers: dict[str, An
 
 def test_the_step_of_the_study_is_the_formula() -> None:
     """The horizon is long enough for the peak to be the asymptotic one."""
-    assert math.exp(log_median()) == pytest.approx(
+    assert math.exp(log_peak((0.2, 0.1, 0.3))) == pytest.approx(
         (3 * math.sqrt(210e9 * 7850) * math.pi * 9e-4 / math.pi**3 * (52e9 / math.sqrt(1.04) / 0.9375) ** 2
          * (1 / math.sqrt(1.09)) / (0.01 / math.sqrt(1.01)) ** 2) ** (1 / 3), rel=1e-12)  # fmt: skip
 

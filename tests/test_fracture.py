@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import CLOSED, log_peak, middle, spread
 from report_folders import put
 from scipy.special import ndtr, owens_t
 
@@ -187,29 +188,10 @@ def test_balance_judged_at_fracture() -> None:
 
 # --- whole runs -------------------------------------------------------------------------------------------
 
-CLOSED = """\
-title = "Two ways to break, everything lognormal"
-seed = 5
-[sphere]
-E = { dist = "lognormal", mean = "52 GPa", cov = 0.1 }
-nu = 0.25
-radius = { dist = "lognormal", mean = "10 mm", cov = 0.05 }
-density = "2650 kg/m3"
-[bars]
-E = "210 GPa"
-nu = 0.3
-density = "7850 kg/m3"
-yield_strength = "1500 MPa"
-diameter = "60 mm"
-infinite = true
-rigid_contact = true
-[striker]
-speed = { dist = "lognormal", mean = "1 m/s", cov = 0.1 }
-[pulse]
-shape = "step"
-[model]
-fidelity = "massless"
-horizon = "30 ms"
+TWO = (
+    'title = "Two ways to break, everything lognormal"\nseed = 5\n'
+    + CLOSED % (0.1, 0.05, 0.1)
+    + """\
 [limits.pressure]
 quantity = "p_max"
 strength = { dist = "lognormal", mean = "PRESSURE GPa", cov = 0.1 }
@@ -223,27 +205,18 @@ methods = METHODS
 budget = { evaluations = 60_000, time = "5 min" }
 accuracy = { mean = 0.02, quantile = 0.05, sobol = 0.2, probability = 0.03 }
 """
-
-
-def spread(cov: float) -> float:
-    return math.sqrt(math.log1p(cov**2))
-
-
-def middle(mean: float, cov: float) -> float:
-    return math.log(mean) - 0.5 * spread(cov) ** 2
+)
 
 
 def exact_union(pressure: float, force: float, tie: float = 0.0) -> float:
     """1 - P(both strengths hold): the logarithms of strength over demand are two normals, by Owen (1956)."""
     impedance = math.pi * 0.03**2 * math.sqrt(210e9 * 7850.0)
-    log_e = middle(52e9, 0.1) - math.log(1.0 - 0.25**2)
-    log_p = (math.log(3.0 * impedance / math.pi**3) + middle(1.0, 0.1) + 2.0 * log_e - 2.0 * middle(0.01, 0.05)) / 3.0
     log_force = math.log(0.5 * impedance) + middle(1.0, 0.1)
     v = spread(0.1) ** 2
     first = math.sqrt((v + 4.0 * v + 4.0 * spread(0.05) ** 2) / 9.0 + v)
     second = math.sqrt(v + spread(0.15) ** 2)
     rho = (v / 3.0 + tie * spread(0.1) * spread(0.15)) / (first * second)
-    h = (middle(pressure, 0.1) - log_p) / first
+    h = (middle(pressure, 0.1) - log_peak((0.1, 0.05, 0.1))) / first
     k = (middle(force, 0.15) - log_force) / second
     root = math.sqrt(1.0 - rho**2)
     both = 0.5 * (ndtr(h) + ndtr(k)) - owens_t(h, (k - rho * h) / (h * root)) - owens_t(k, (h - rho * k) / (k * root))
@@ -252,7 +225,7 @@ def exact_union(pressure: float, force: float, tie: float = 0.0) -> float:
 
 def closed_run(folder: Path, pressure: str, force: str, tie: str = "", methods: str = '["qmc"]') -> dict[str, Any]:
     path = folder / "two.toml"
-    text = CLOSED.replace("PRESSURE", pressure).replace("FORCE", force).replace("TIE", tie).replace("METHODS", methods)
+    text = TWO.replace("PRESSURE", pressure).replace("FORCE", force).replace("TIE", tie).replace("METHODS", methods)
     path.write_text(text, encoding="utf-8")
     return uqsphere.run(uqsphere.load_study(path), out=folder / "r").results.document()
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from conftest import CLOSED, log_peak, middle, spread
 from scipy.special import ndtr
 from scipy.stats import chi2, norm
 
@@ -399,35 +400,10 @@ def test_paths_between_peaks_are_points_also_from_the_origin() -> None:
 # --- small probabilities in whole runs, against the closed form of a lognormal peak pressure; black boxes too
 
 
-TEXT = """\
-title = "Rare"
-seed = 5
-
-[sphere]
-E = { dist = "lognormal", mean = "52 GPa", cov = 0.1 }
-nu = 0.25
-radius = { dist = "lognormal", mean = "10 mm", cov = 0.05 }
-density = "2650 kg/m3"
-
-[bars]
-E = "210 GPa"
-nu = 0.3
-density = "7850 kg/m3"
-yield_strength = "1500 MPa"
-diameter = "60 mm"
-infinite = true
-rigid_contact = true
-
-[striker]
-speed = { dist = "lognormal", mean = "1 m/s", cov = 0.1 }
-
-[pulse]
-shape = "step"
-
-[model]
-fidelity = "massless"
-horizon = "30 ms"
-
+TEXT = (
+    'title = "Rare"\nseed = 5\n'
+    + CLOSED % (0.1, 0.05, 0.1)
+    + """
 [limits.random]
 quantity = "p_max"
 strength = { dist = "lognormal", mean = "11.5 GPa", cov = 0.1 }
@@ -453,21 +429,13 @@ methods = METHODS
 budget = { evaluations = 300_000, time = "5 min" }
 accuracy = { mean = 0.02, quantile = 0.05, sobol = 0.05, probability = 0.03 }
 """
-
-
-def spread(cov: float) -> float:
-    return math.sqrt(math.log1p(cov**2))
+)
 
 
 def exact() -> dict[str, float]:
     """Probability of missing each aim: everything is lognormal, p_max = (3 Z v0 E*^2/(pi^3 r^2))^(1/3)."""
 
-    def middle(mean: float, cov: float) -> float:
-        return math.log(mean) - 0.5 * spread(cov) ** 2
-
-    impedance = math.pi * 0.03**2 * math.sqrt(210e9 * 7850.0)
-    log_e = middle(52e9, 0.1) - math.log(1.0 - 0.25**2)
-    log_p = (math.log(3.0 * impedance / math.pi**3) + middle(1.0, 0.1) + 2.0 * log_e - 2.0 * middle(0.01, 0.05)) / 3.0
+    log_p = log_peak((0.1, 0.05, 0.1))
     variance = (spread(0.1) ** 2 + 4.0 * spread(0.1) ** 2 + 4.0 * spread(0.05) ** 2) / 9.0
     tied = 2.0 * math.sin(math.pi * 0.5 / 6.0) * (2.0 / 3.0) * spread(0.1) ** 2
     own = spread(0.1) ** 2
