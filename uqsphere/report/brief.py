@@ -7,8 +7,9 @@ tell two ways of breaking apart.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -16,10 +17,10 @@ import numpy as np
 from uqsphere.quantities import OUTPUTS, display_unit, reading_units
 from uqsphere.report.contents import Contents, law_of, units_of
 from uqsphere.report.figures.canvas import shorten
-from uqsphere.report.phrases import plain_percent, short_input, unit_text
+from uqsphere.report.phrases import breaks, limit_name, plain_percent, short_input, unit_text
 from uqsphere.results import NO_RIG, LimitEntry, Results
 from uqsphere.results.margins import MarginEntry
-from uqsphere.results.verdicts import JudgedEntry
+from uqsphere.results.verdicts import AssumedEntry, JudgedEntry
 from uqsphere.study.axis import limit_of, strength_name
 
 #: words of the brief for where a sphere breaks, by `uqsphere.units.Quantity.place`, and how its curve is drawn
@@ -47,6 +48,8 @@ _SAME: Final = 1.2
 _RULED_OUT: Final = 0.05
 #: ... while none breaks with this chance at least if the milder way is true
 _FAIR: Final = 0.7
+#: fewest spheres that are asked for: of fewer, one odd sphere or one blow that went wrong would decide
+_FEWEST: Final = 5
 #: most answers and cautions on a sheet
 _ANSWERS, _CAUTIONS = 3, 3
 
@@ -55,7 +58,9 @@ _ANSWERS, _CAUTIONS = 3, 3
 class Mode:
     """One way of breaking: its probability as planned with a range, its curve, and what it asks for at the target.
 
-    curve: values of the free scalar and probabilities of breaking, ascending; at_target in units of that scalar.
+    curve: values of the free scalar and probabilities of breaking, ascending; at_target in units of that scalar, where
+    the share `asked` breaks: that of the target, or where there is none the smallest that was asked for; force [N] and
+    energy [J/kg] are the medians there.
     """
 
     limit: str
@@ -70,6 +75,7 @@ class Mode:
     sure: float | None = None
     force: float | None = None
     energy: float | None = None
+    asked: float | None = None
     assumed: bool = False
     reason: str = ""
 
@@ -106,6 +112,7 @@ class Answer:
     tests: tuple[tuple[float, float], ...] = ()
     left_whole: int = 0
     made_up: bool = False
+    checks: tuple[str, ...] = ()
 
     @property
     def level(self) -> float | None:
@@ -217,7 +224,7 @@ def make_brief(contents: Contents) -> Brief:
         drivers=drivers,
         driven=shorten(driven, 40),
         measure=_next_measurement(parts, answers),
-        cautions=tuple(shorten(text, 220) for text in _cautions(parts))[:_CAUTIONS],
+        cautions=tuple(shorten(text, 220) for text in _cautions(parts, answers))[:_CAUTIONS],
         footer=footer,
     )
 
@@ -234,10 +241,17 @@ def _all_answers(parts: dict[str, Contents]) -> Iterator[Answer]:
             yield from _answers(part, name, several=len(parts) > 1)
 
 
+def _deciding(results: Results, names: Iterable[str]) -> list[str]:
+    """Those of some limits that mean fracture; all of them where none does, as in a black box."""
+    found = list(names)
+    return [name for name in found if breaks(results, name)] or found
+
+
 def _leading(results: Results) -> str | None:
-    """The limit of the study itself that is most likely missed."""
-    known = {n: e.miss.value for n, e in results.limits.items() if e.miss.value is not None}
-    return max(known, key=lambda name: known[name] or 0.0) if known else next(iter(results.limits), None)
+    """The limit of the study itself that is most likely missed, of those that mean fracture."""
+    names = _deciding(results, results.limits)
+    known = {n: v for n in names if (v := results.limits[n].miss.value) is not None}
+    return max(known, key=lambda name: known[name]) if known else next(iter(names), None)
 
 
 def _answers(contents: Contents, service: str, *, several: bool) -> Iterator[Answer]:
@@ -305,6 +319,7 @@ def _mode(contents: Contents, name: str, limit: LimitEntry, margin: MarginEntry 
         sure=None if margin is None else margin.ignorance.sure,
         force=None if margin is None else margin.validity.medians.get("P_max"),
         energy=None if margin is None else margin.validity.medians.get("specific_energy"),
+        asked=None if margin is None else margin.probability,
         reason="" if limit.miss.value is not None else shorten(str(limit.miss.reason or ""), 120),
     )
 
@@ -313,11 +328,14 @@ def _limit_answer(contents: Contents, group: dict[str, LimitEntry], service: str
     """The answer of limits with one aim: their ways of breaking are its rivals."""
     results = contents.results
     margins = results.margins
-    modes = [_mode(contents, name, limit, margins.get(name)) for name, limit in group.items()]
-    modes = _told_apart(modes)
-    carried = tuple(value for limit in group.values() for value in _carried(limit))
-    first = next(iter(group.values()))
-    judged = next((v for v in results.verdicts if v.aim == first.aim), None)
+    deciding = {name: group[name] for name in _deciding(results, group)}
+    # the target of one limit holds for all that stand beside it without one
+    first = next((limit for limit in deciding.values() if limit.target is not None), next(iter(deciding.values())))
+    level = None if first.target is None else first.target if first.aim == "survive" else 1.0 - first.target
+    modes = _told_apart([_mode(contents, name, limit, margins.get(name)) for name, limit in deciding.items()])
+    modes = [mode if level is None else _at_level(mode, level) for mode in modes]
+    carried = tuple(value for limit in deciding.values() for value in _carried(limit))
+    judged = next((v for v in results.verdicts if (v.aim, v.target) == (first.aim, first.target)), None)
     modes += [_assumed(way) for way in judged.judged if way.assumed] if judged is not None else []
     if judged is not None:
         modes += [
@@ -325,40 +343,85 @@ def _limit_answer(contents: Contents, group: dict[str, LimitEntry], service: str
             for n, why in judged.not_judged.items()
         ]
     modes.sort(key=lambda mode: -(mode.miss if mode.miss is not None else -1.0))
-    target, survive = first.target, first.aim == "survive"
-    axis = _axis(contents, next((margins[n] for n in group if n in margins), None))
-    misses = [m.miss for m in modes if m.miss is not None]
-    found = [*(v for m in modes for v in (m.at_target, m.sure)), *carried]
-    solved = [v * axis.factor for v in found if v is not None] if axis else []
-    what = "Share broken" if survive else "Share left whole"
-    at = f" at the planned {given(axis)}" if axis and axis.planned else ""
-    allowed = f"Target: at most {plain_percent(target)}." if target is not None else "No target was set."
-    second: tuple[str, str, str] | None = None
+    verdict, reasons = _judged(deciding)
+    answer = Answer(
+        question="", big="", unit="", note="", second=None, verdict=verdict, reasons=reasons,
+        vetoed=verdict == "not established" and all(limit.met for limit in deciding.values()),
+        target=first.target, aim=first.aim, modes=tuple(modes), service=service, carried=carried,
+        axis=_axis(contents, next((margins[n] for n in deciding if n in margins), None)),
+        checks=tuple(_check(name, limit) for name, limit in group.items() if name not in deciding),
+    )  # fmt: skip
+    fracture = any(breaks(results, name) for name in deciding)
+    return _with_tests(contents, _worded(answer, fracture=fracture, several=several))
+
+
+def _at_level(mode: Mode, level: float) -> Mode:
+    """A mode at the share broken that the target allows, read off its curve where it was solved for another share."""
+    if mode.asked is None or math.isclose(mode.asked, level):
+        return mode
+    there = crossing(mode.curve, level)
+    return replace(mode, at_target=there, sure=None, force=None, energy=None)
+
+
+def crossing(curve: Sequence[tuple[float, float]], probability: float) -> float | None:
+    """Where a curve of (value, probability) has a probability; None where it does not reach it."""
+    for (x0, p0), (x1, p1) in pairwise(curve):
+        if min(p0, p1) <= probability <= max(p0, p1) and p0 != p1:
+            return x0 + (x1 - x0) * (probability - p0) / (p1 - p0)
+    return None
+
+
+def _check(name: str, limit: LimitEntry) -> str:
+    """A limit that does not mean fracture, with how often it is exceeded, and its verdict where it has a target."""
+    often = "not known" if limit.miss.value is None else share(limit.miss.value, limit.target)
+    word = "" if limit.target is None else f" ({limit.word}: at most {plain_percent(limit.target)})"
+    return f"{limit_name(name, 30)} {'missed' if limit.aim == 'break' else 'exceeded'}: {often}{word}"
+
+
+def _worded(answer: Answer, *, fracture: bool, several: bool) -> Answer:
+    """The answer with its question, its large number and what stands beside it."""
+    axis, target, survive, service = answer.axis, answer.target, answer.aim == "survive", answer.service
+    solved = [v * axis.factor for v in solved_for(answer)] if axis else []
+    of, allowed = (f", {service}" if service else ""), "No target was set."
+    if target is not None:
+        allowed = f"Target: at most {plain_percent(target)}."
+    misses = [m.miss for m in answer.modes if m.miss is not None]
     if several and axis is not None and solved and target is not None:
         must = f"{plain_percent(target)} may break" if survive else f"{plain_percent(1.0 - target)} must break"
-        question, big, unit = (
-            f"{'Highest' if survive else 'Least'} {axis.words}{f', {service}' if service else ''} ({must})",
-            span(solved, safe_is_low=survive),
-            axis.unit,
-        )
         planned = f"Planned: {given(axis)}. " if axis.planned else ""
-        best = next((m.at_target for m in modes if m.at_target is not None and not m.assumed), None)
-        note = planned + (f"Best estimate {two(best * axis.factor)} {axis.unit}." if best is not None else "")
-    else:
-        question = what + at + (f", {service}" if service else "")
-        big, unit = share_span(misses, target) if misses else ("not known", "")
-        note = allowed
-        if axis is not None and solved and target is not None:
-            words = f"{axis.words[:1].upper()}{axis.words[1:]} at the target"
-            value = f"{span(solved, safe_is_low=survive)}\u00a0{axis.unit}"
-            second = (words, value, "by way of breaking" if len(modes) > 1 else "")
-    verdict, reasons = _judged(group)
-    answer = Answer(
-        question=question, big=big, unit=unit, note=note, second=second, verdict=verdict, reasons=reasons,
-        vetoed=verdict == "not established" and all(limit.met for limit in group.values()),
-        target=target, aim=first.aim, modes=tuple(modes), axis=axis, service=service, carried=carried,
-    )  # fmt: skip
-    return _with_tests(contents, answer)
+        best = next((m.at_target for m in answer.modes if m.at_target is not None and not m.assumed), None)
+        return replace(
+            answer,
+            question=f"{'Highest' if survive else 'Least'} {axis.words}{of} ({must})",
+            big=span(solved, safe_is_low=survive),
+            unit=axis.unit,
+            note=planned + (f"Best estimate {two(best * axis.factor)} {axis.unit}." if best is not None else ""),
+        )
+    broken = ("Share broken" if survive else "Share left whole") if fracture else "Share beyond the limit"
+    at = f" at the planned {given(axis)}" if axis and axis.planned else ""
+    big, unit = share_span(misses, target) if misses else ("not known", "")
+    second = None
+    asked = {mode.asked for mode in answer.modes if mode.asked is not None}
+    if axis is not None and solved and (target is not None or len(asked) == 1):
+        where = "at the target" if target is not None else f"where {plain_percent(next(iter(asked)))} break"
+        words = f"{axis.words[:1].upper()}{axis.words[1:]} {where}"
+        value = f"{span(solved, safe_is_low=survive)}\u00a0{axis.unit}"
+        second = (words, value, "by way of breaking" if len(answer.modes) > 1 else "")
+    return replace(answer, question=f"{broken}{at}{of}", big=big, unit=unit, note=allowed, second=second)
+
+
+def solved_for(answer: Answer) -> list[float]:
+    """The numbers solved for, by every way of breaking, what is 95 % sure, and every carrier (SI)."""
+    return [*(v for mode in answer.modes for v in (mode.at_target, mode.sure) if v is not None), *answer.carried]
+
+
+def asked_note(answers: Sequence[Answer]) -> str:
+    """Where force and energy of the ways of breaking are taken: at the targets, or where a share breaks."""
+    shown = [(answer, mode) for answer in answers for mode in answer.modes if mode.force is not None]
+    if all(answer.target is not None for answer, _ in shown):
+        return "at the target"
+    shares = {mode.asked for _, mode in shown if mode.asked is not None}
+    return f"where {plain_percent(next(iter(shares)))} break" if len(shares) == 1 else "at the smallest share asked"
 
 
 def _carried(limit: LimitEntry) -> list[float]:
@@ -411,7 +474,8 @@ def _with_tests(contents: Contents, answer: Answer) -> Answer:
         count = len(failed) + len(law.censored or ())
         places = np.interp(fitted.cdf(np.array(failed)), p[order], x[order], left=np.nan, right=np.nan)
         points = [(float(v), (k + 0.7) / (count + 0.4)) for k, v in enumerate(places) if math.isfinite(v)]
-        return replace(answer, tests=tuple(points), left_whole=count - len(failed))
+        made_up = strength_name(mode.limit) in contents.resolved.made_up
+        return replace(answer, tests=tuple(points), left_whole=count - len(failed), made_up=made_up)
     return answer
 
 
@@ -449,13 +513,15 @@ def _next_measurement(parts: dict[str, Contents], answers: Sequence[Answer]) -> 
 
 def _of_strength(results: Results) -> tuple[str, str] | None:
     """How many tests settle a target or give the value, or what to measure for a probability."""
-    for name, limit in results.limits.items():
+    deciding = _deciding(results, results.limits)
+    for name in deciding:
+        limit = results.limits[name]
         settle = limit.tests_to_settle
         if settle and settle.tests and limit.met is not False:
             said = f"They settle the target of {shorten(name, 30)} ({plain_percent(float(settle.confidence))} sure)."
             return f"{settle.tests} tests of strength", said
-    for name, margin in results.margins.items():
-        more = margin.more_tests
+    for name in [name for name in deciding if name in results.margins]:
+        more = results.margins[name].more_tests
         if more and more.to_settle:
             said = f"They settle the target of {shorten(name, 30)}, if they fall as those before."
             return f"{int(more.to_settle)} more tests of strength", said
@@ -488,21 +554,28 @@ def _between_rivals(answer: Answer) -> tuple[str, str] | None:
     harsh = np.max([table[n] for n in rivals], axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         count = np.ceil(np.log(_RULED_OUT) / np.log1p(-np.clip(harsh, 1e-12, 1.0 - 1e-12)))
-        fair = (1.0 - table[mild]) ** count >= _FAIR
-    if not fair.any():
+    count = np.maximum(count, _FEWEST)
+    chance = (1.0 - table[mild]) ** count
+    if not (chance >= _FAIR).any():
         return None
-    best = int(np.argmin(np.where(fair, count, np.inf)))
-    spheres, where = int(count[best]), f"{two(float(grid[best]) * answer.axis.factor, 1)} {answer.axis.unit}"
+    # the fewest spheres, and of as many where the milder way most likely leaves them whole
+    best = int(np.argmin(np.where(chance >= _FAIR, count - chance, np.inf)))
+    spheres, where = int(count[best]), f"{two(float(grid[best]) * answer.axis.factor)} {answer.axis.unit}"
     out = [n for n in rivals if (1.0 - table[n][best]) ** spheres <= _RULED_OUT]
     names = " and ".join(n.lower().removesuffix(", assumed") for n in out[:2])
     said = f"None broken rules out {names} (95 % sure)."
-    return f"{spheres} {'sphere' if spheres == 1 else 'spheres'} at {where}", said
+    return f"{spheres} spheres at {where}", said
 
 
-def _cautions(parts: dict[str, Contents]) -> Iterator[str]:
+def _cautions(parts: dict[str, Contents], answers: Sequence[Answer]) -> Iterator[str]:
     """What moves the answers most, the largest first: assumptions, then what few tests leave open, then checks."""
-    found = [moved for part in parts.values() for limit in part.results.limits.values() for moved in _moved(limit)]
-    yield from dict.fromkeys(text for _, text in sorted(found, reverse=True))
+    named = [(answer, mode) for answer in answers for mode in answer.modes if mode.limit]
+    found: list[tuple[float, str]] = []
+    for answer, mode in named:
+        own = " ".join(text for text in (answer.service, mode.name.lower() if answer.service else mode.name) if text)
+        limit = parts[answer.service].results.limits[mode.limit]
+        found += [(moved, f"{own}: {text}" if len(named) > 1 else text) for moved, text in _moved(limit)]
+    yield from dict.fromkeys(f"{text[:1].upper()}{text[1:]}" for _, text in sorted(found, key=lambda one: -one[0]))
     for part in parts.values():
         for check in part.results.validity:
             if check.share_failure + check.share_warning > 0.01:
@@ -510,19 +583,24 @@ def _cautions(parts: dict[str, Contents]) -> Iterator[str]:
 
 
 def _moved(limit: LimitEntry) -> Iterator[tuple[float, str]]:
-    """How far other assumptions, and few tests, move the probability of missing an aim, in log odds, and in words."""
+    """How far other assumptions, and few tests, move the probability of missing an aim, in log odds, and in words.
+
+    Of what is assumed in one way, such as several Weibull moduli, what moves it furthest is told.
+    """
     miss, target = limit.miss.value, limit.target
     if miss is None:
         return
+    furthest: dict[str, tuple[float, str]] = {}
     for entry in limit.assumed:
         other = entry.miss.value
         if other is None or share(other) == share(miss):
             continue
         crosses = target is not None and (other > target) != (miss > target)
-        moved = abs(_log_odds(other) - _log_odds(miss))
-        if moved > math.log(_SAME):
-            told = f"{_assumption(entry.assumption, entry.taken, entry.instead)}: {share(other, target)}"
-            yield moved + (1e3 if crosses else 0.0), f"{told}{', over target' if crosses else ''}."
+        moved = abs(_log_odds(other) - _log_odds(miss)) + (1e3 if crosses else 0.0)
+        if moved > max(math.log(_SAME), furthest.get(entry.assumption, (0.0, ""))[0]):
+            over = ", over target" if crosses and other > miss else ""
+            furthest[entry.assumption] = moved, f"{share(other, target)} {_assumption(entry)}{over}."
+    yield from furthest.values()
     if limit.ignorance.known and limit.ignorance.fitted:
         high = float(limit.ignorance.miss[1])
         if high > miss and share(high) != share(miss):
@@ -535,10 +613,13 @@ def _log_odds(p: float) -> float:
     return math.log(p / (1.0 - p))
 
 
-def _assumption(kind: str, taken: object, instead: object) -> str:
-    if kind == "dependence":
-        return "If strength and stiffness are independent"
-    if kind == "law":
-        return f"With a {instead} law for {taken}"
-    label = {"modulus": "Weibull modulus", "cov": "Scatter of strength"}[kind]
-    return f"{label} {float(str(instead)):.2g} for {float(str(taken)):.2g}"
+def _assumption(entry: AssumedEntry) -> str:
+    """What is put in place of what is assumed of a strength."""
+    taken, instead = entry.taken, entry.instead
+    if entry.assumption == "dependence":
+        return "if strength and stiffness are independent"
+    if isinstance(taken, str) or isinstance(instead, str) or taken is None or instead is None:
+        return f"with a {instead} strength, not {taken}"
+    if entry.assumption == "modulus":
+        return f"with Weibull modulus {instead:.2g}, not {taken:.2g}"
+    return f"with {100.0 * instead:.2g} % scatter of strength, not {100.0 * taken:.2g} %"

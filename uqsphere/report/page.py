@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from uqsphere.errors import UsageError
 from uqsphere.quantities import reading_units
 from uqsphere.report.blocks import Block, Chapter, Table
-from uqsphere.report.brief import make_brief, share, two
+from uqsphere.report.brief import asked_note, make_brief, share, two
 from uqsphere.report.chapters import build_chapters
 from uqsphere.report.contents import Contents, read_contents, units_of
 from uqsphere.report.figures.brief import curve_drawings, mode_dots
@@ -361,12 +361,17 @@ def _brief_parts(contents: Contents) -> dict[str, Any]:
         for answer in brief.answers
         for mode in answer.modes
     ]
+    forces = [mode.force for mode, *_ in modes if mode.force is not None]
     return {
         "two": two,
         "brief": brief,
         "curves": [[Markup(drawing) for drawing in one] for one in curve_drawings(brief.answers)],
         "modes": modes,
-        "forces": any(mode.force is not None for mode, *_ in modes),
+        "forces": bool(forces),
+        "force_unit": "kN" if max(forces, default=0.0) >= 1000.0 else "N",
+        "force_factor": 1e-3 if max(forces, default=0.0) >= 1000.0 else 1.0,
+        "asked": asked_note(brief.answers),
+        "targets": any(answer.target is not None for answer in brief.answers),
     }
 
 

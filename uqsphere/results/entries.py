@@ -324,6 +324,7 @@ class Resolved(Entry):
     dependence: tuple[TieTable, ...] = ()
     analysis: AnalysisTable
     overrides: tuple[StrictStr, ...] = ()
+    made_up: tuple[StrictStr, ...] = ()
     model_reference: StrictStr | None = None
     model_digest: StrictStr | None = None
 

@@ -9,13 +9,12 @@ import html
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from uqsphere.report.brief import Answer, Mode, share, two
+from uqsphere.report.brief import Answer, Mode, crossing, share, solved_for, two
 from uqsphere.report.figures.canvas import clean, shorten
 
 #: probabilities that are marked on probability paper
@@ -123,7 +122,7 @@ class _Paper:
         self.left, self.right = 3.6 * sheet.type, sheet.width - 4.0
         self.top, self.bottom = 1.2 * sheet.type, sheet.height - 3.4 * sheet.type
         inside = [x for answer in answers for mode in answer.modes for x, p in mode.curve if _LEAST < p < _MOST]
-        inside += [v for a in answers for v in ((a.axis.planned if a.axis else None), *_solved(a)) if v]
+        inside += [v for a in answers for v in ((a.axis.planned if a.axis else None), *solved_for(a)) if v]
         self.low, self.high = min(inside) * 0.97, max(inside) * 1.03
         self.log = self.low > 0.0
         #: where texts stand: left end, base line, length
@@ -164,15 +163,8 @@ class _Paper:
 
     def at(self, mode: Mode, probability: float) -> float | None:
         """Where a curve has a probability; None where it does not reach it within the paper."""
-        for (x0, p0), (x1, p1) in pairwise(mode.curve):
-            if min(p0, p1) <= probability <= max(p0, p1) and p0 != p1:
-                value = x0 + (x1 - x0) * (probability - p0) / (p1 - p0)
-                return value if self.inside(value) else None
-        return None
-
-
-def _solved(answer: Answer) -> list[float]:
-    return [*(v for mode in answer.modes for v in (mode.at_target, mode.sure) if v is not None), *answer.carried]
+        value = crossing(mode.curve, probability)
+        return value if value is not None and self.inside(value) else None
 
 
 def _nice(low: float, high: float, factor: float, most: int) -> Iterator[float]:
@@ -269,7 +261,7 @@ def _scale(paper: _Paper) -> list[str]:
 def _target(paper: _Paper, answer: Answer) -> list[str]:
     parts, size = [], paper.sheet.type
     if answer.level is not None:
-        y, solved = paper.y(answer.level), [paper.x(v) for v in _solved(answer) if paper.inside(v)]
+        y, solved = paper.y(answer.level), [paper.x(v) for v in solved_for(answer) if paper.inside(v)]
         right = not solved or max(solved) < 0.75 * paper.right
         words = f"target {100 * answer.level:g} %"
         parts += [
@@ -320,7 +312,7 @@ def _names(paper: _Paper, modes: Sequence[Mode]) -> list[str]:
 def _cross(paper: _Paper, answer: Answer) -> list[str]:
     """The two answers: a bar on the target and a bar on the plan, their ends with their numbers."""
     axis, size, parts = paper.axis, paper.sheet.type, []
-    solved = [v for v in _solved(answer) if paper.inside(v)]
+    solved = [v for v in solved_for(answer) if paper.inside(v)]
     if solved and answer.level is not None:
         low, high, y = min(solved), max(solved), paper.y(answer.level)
         parts += [
