@@ -29,6 +29,7 @@ from pydantic import (
 
 from uqsphere.errors import FolderError
 from uqsphere.store import read_json
+from uqsphere.uq.estimate import Estimate
 
 # --- what the entries are made of -----------------------------------------------------------------------
 
@@ -44,8 +45,12 @@ Number = StrictInt | StrictFloat
 Count = Annotated[int, Field(strict=True, ge=0)]
 Share = Annotated[StrictInt | StrictFloat, Field(ge=0.0, le=1.0)]
 Name = Annotated[str, StringConstraints(strict=True, min_length=1, max_length=5000)]
-#: a probability as a key, "0.05"
-ShareKey = Annotated[StrictStr, AfterValidator(_be_share)]
+#: a probability as a key, "0.05"; two numbers that differ have two keys, also close to 1
+ShareKey = Annotated[
+    StrictStr,
+    BeforeValidator(lambda key: f"{key:.15g}" if isinstance(key, float) else key),
+    AfterValidator(_be_share),
+]
 Aim = Literal["survive", "break"]
 
 
@@ -110,6 +115,11 @@ class Est(Part):
     method: StrictStr = ""
     evaluations: Number = 0
     reason: StrictStr | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _told(cls, content: object) -> object:
+        return content.as_dict() if isinstance(content, Estimate) else content
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

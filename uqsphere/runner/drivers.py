@@ -98,7 +98,7 @@ def find_drivers(work: Work, sampled: Sampled, shared: Shared) -> Drivers:
 
 
 def _json(names: Sequence[str], estimates: Sequence[Estimate]) -> Table:
-    return {name: estimate.as_dict() for name, estimate in zip(names, estimates, strict=True)}
+    return dict(zip(names, estimates, strict=True))
 
 
 def _distances(work: Work, sample: Sample, quantity: str) -> Table:
@@ -123,7 +123,7 @@ def _measure_variance(work: Work, found: Sensitivity) -> Table:
     rows = [
         {
             "input": name,
-            "share": e.as_dict(),
+            "share": e,
             "tests": specimens_for_share(max(0.0, e.value or 0.0), WANTED),
             "observations": _observed(work.study.random[name]),
         }
@@ -147,7 +147,7 @@ def _of_limit(work: Work, limit: Limit, sample: Sample, shared: Shared) -> Table
     chance = _missing(limit, state)
     p = float(chance.mean())
     driving: Table = {"probability": p, **_indices(work, limit, shared)}
-    driving["explained"] = explained_share(chance).as_dict()
+    driving["explained"] = explained_share(chance)
     driving["given_failure"] = _given_failure(work, limit, sample, state, chance)
     return {"drivers": driving, "measure_first": _measure_probability(work, limit, sample, state, chance)}
 
@@ -256,13 +256,13 @@ def _given_failure(work: Work, limit: Limit, sample: Sample, state: LimitState, 
         law = laws[name]
         quantiles = law.ppf(np.array(list(found.quantiles)))
         table[name] = {
-            "mean": found.mean.as_dict(),
-            "sd": found.sd.as_dict(),
-            "quantiles": {f"{p:g}": e.as_dict() for p, e in found.quantiles.items()},
+            "mean": found.mean,
+            "sd": found.sd,
+            "quantiles": found.quantiles,
             "law": {
                 "mean": _finite(law.mean()),
                 "sd": _finite(law.sd()),
-                "quantiles": {f"{p:g}": float(q) for p, q in zip(found.quantiles, quantiles, strict=True)},
+                "quantiles": dict(zip(found.quantiles, quantiles.tolist(), strict=True)),
             },
         }
     return table
@@ -316,7 +316,7 @@ def _measure_probability(work: Work, limit: Limit, sample: Sample, state: LimitS
     rows_found = [
         {
             "input": name,
-            "sway": e.as_dict(),
+            "sway": e,
             "share": (e.value or 0.0) ** 2 / total if total > 0.0 else 0.0,
             # of a probability near 1 it is the other side that there is to know
             "tests": specimens_for_probability(e.value or 0.0, min(p, 1.0 - p), WANTED),

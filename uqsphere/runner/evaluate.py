@@ -252,6 +252,16 @@ def evaluate_points(
     return answered
 
 
+def evaluate_whole(work: Work, key: str, rows: Array) -> Answered | str:
+    """Answers of rows (n, d) of the model's random inputs, or why there are none of any: budget or time is over."""
+    if len(rows) > work.study.analysis.budget.evaluations - work.ledger.total:
+        return f"the budget of evaluations has no room for {len(rows):,} runs"
+    try:
+        return evaluate_points(work, key, work.scene_names, rows)
+    except OutOfBudget:
+        return "the time budget ended before"
+
+
 def _account(work: Work, fidelity: str, answered: Answered) -> None:
     """Count evaluations and failures, and stop where the policy says so."""
     ledger, status, route = work.ledger, answered.status, answered.route

@@ -13,7 +13,16 @@ from typing import Any, Final
 import uqsphere
 from uqsphere.files import read_whole
 from uqsphere.quantities import lookup
-from uqsphere.results import NO_RIG, AnalysisEntry, FractureEntry, PlanEntry, Results, SpeedRow, ToleranceEntry
+from uqsphere.results import (
+    NO_RIG,
+    AnalysisEntry,
+    FractureEntry,
+    LimitEntry,
+    PlanEntry,
+    Results,
+    SpeedRow,
+    ToleranceEntry,
+)
 from uqsphere.results.entries import CarriedEntry, CheckEntry, Manifest, PricesEntry
 from uqsphere.results.tables import tables
 from uqsphere.runner.account import questions
@@ -62,15 +71,6 @@ class Findings:
     plan: PlanEntry = field(default_factory=PlanEntry)
 
 
-def _share(p: float) -> str:
-    """A probability as a key: two that differ have two keys, also close to 1.
-
-    >>> _share(0.05), _share(0.9999999)
-    ('0.05', '0.9999999')
-    """
-    return f"{p:.15g}"
-
-
 def _number(value: float) -> float | None:
     return float(value) if value == value and abs(value) != float("inf") else None
 
@@ -95,74 +95,48 @@ def _quantities(sampled: Sampled, tolerance: Mapping[str, ToleranceEntry]) -> di
     return {
         name: {
             "unit": lookup(name).unit,
-            "mean": found.mean.as_dict(),
-            "sd": found.sd.as_dict(),
-            "quantiles": {_share(p): estimate.as_dict() for p, estimate in found.quantiles.items()},
-            "censored_share": found.censored_share.as_dict(),
+            "mean": found.mean,
+            "sd": found.sd,
+            "quantiles": found.quantiles,
+            "censored_share": found.censored_share,
             **({"tolerance": tolerance[name]} if name in tolerance else {}),
         }
         for name, found in sampled.descriptions.items()
     }
 
 
-def _estimates(table: Mapping[str, Estimate]) -> dict[str, Any]:
-    return {name: estimate.as_dict() for name, estimate in table.items()}
+def _sensitivity(names: Sequence[str], indices: Sensitivity) -> dict[str, Any]:
+    """Indices of one quantity; of pairs, "a|b", and of groups by their name, where the study asks for them."""
 
+    def named(rows: Mapping[str, Sequence[Estimate]]) -> dict[str, dict[str, Estimate]]:
+        return {order: dict(zip(names, row, strict=True)) for order, row in rows.items()}
 
-def _sets(indices: Sensitivity) -> dict[str, Any]:
-    """Indices of pairs, "a|b", and of groups by their name, where the study asks for them."""
-    found: dict[str, Any] = {"second": _estimates(indices.second)} if indices.second else {}
-    if indices.group_first:
-        groups = {"first": _estimates(indices.group_first), "total": _estimates(indices.group_total)}
-        found["groups"] = groups
-    return found
-
-
-def _sensitivity(names: Sequence[str], found: dict[str, Sensitivity], drivers: Drivers) -> dict[str, Any]:
-    answer = {}
-    for quantity, indices in found.items():
-        answer[quantity] = {
-            "first": _estimates(indices.first),
-            "total": _estimates(indices.total),
-            **_sets(indices),
-            "estimators": indices.estimators,
-            "surrogate": indices.surrogate,
-            "check": {
-                "agree": indices.agree,
-                "text": indices.text,
-                "sampled": {
-                    order: _estimates(dict(zip(names, row, strict=True))) for order, row in indices.sampled.items()
-                },
-                "chaos": {
-                    order: _estimates(dict(zip(names, row, strict=True))) for order, row in indices.expanded.items()
-                },
-            },
-            **drivers.quantities.get(quantity, {}),
-        }
-        if indices.shapley:
-            answer[quantity]["shapley"] = _estimates(indices.shapley)
-            answer[quantity]["kucherenko"] = {order: _estimates(row) for order, row in indices.kucherenko.items()}
-    return answer
+    return {
+        "first": indices.first,
+        "total": indices.total,
+        **({"second": indices.second} if indices.second else {}),
+        **({"groups": {"first": indices.group_first, "total": indices.group_total}} if indices.group_first else {}),
+        **({"shapley": indices.shapley, "kucherenko": indices.kucherenko} if indices.shapley else {}),
+        "estimators": indices.estimators,
+        "surrogate": indices.surrogate,
+        "check": {
+            "agree": indices.agree,
+            "text": indices.text,
+            "sampled": named(indices.sampled),
+            "chaos": named(indices.expanded),
+        },
+    }
 
 
 def _limit(limit: LimitAnswer) -> dict[str, Any]:
+    told = vars(limit)
     return {
-        "quantity": limit.quantity,
-        "aim": limit.aim,
-        "target": limit.target,
-        "exceedance": limit.exceedance.as_dict(),
-        "miss": limit.miss.as_dict(),
-        "reliability_index": limit.reliability_index,
-        "reliability_index_interval": list(limit.reliability_interval),
-        "margin": _estimates(limit.margin),
+        **{key: told[key] for key in LimitEntry.model_fields if key in told},
+        "reliability_index_interval": limit.reliability_interval,
         "design_point": limit.design,
         "design_point_reason": None if limit.design else limit.design_reason,
-        "design_points": limit.design_points,
-        "modes": limit.modes,
-        "checks": list(limit.checks),
         "governing_inputs": limit.governing,
         "governing_inputs_method": limit.governing_method,
-        "met": limit.met,
     }
 
 
@@ -174,7 +148,7 @@ def _margins(margins: dict[str, MarginAnswer], asked: Margins | None, quantities
         name: {
             "solve": path,
             "unit": lookup(quantity_of(path, quantities)).unit,
-            "values": {_share(p): estimate.as_dict() for p, estimate in found.values.items()},
+            "values": found.values,
             "curve": [list(point) for point in found.curve],
             "lognormal": lognormal_table(found.lognormal),
             **({"family": {"path": family.path, "members": found.family}} if family and found.family else {}),
@@ -227,7 +201,10 @@ def build_results(work: Work, found: Findings) -> Results:
             name: {**entry, "ignorance": quantities_open.get(name)}
             for name, entry in _quantities(found.sampled, found.tolerance).items()
         },
-        "sensitivity": _sensitivity(work.scene_names, found.sensitivity, found.drivers),
+        "sensitivity": {
+            name: {**_sensitivity(work.scene_names, indices), **found.drivers.quantities.get(name, {})}
+            for name, indices in found.sensitivity.items()
+        },
         "limits": {
             name: {
                 **_limit(limit),

@@ -350,7 +350,7 @@ def _entry(case: _Case, word: str | None, reasons: list[ReasonEntry]) -> Verdict
         "target": case.limit.target,
         "verdict": word,
         "reasons": reasons,
-        "miss": case.miss.as_dict(),
+        "miss": case.miss,
         "judged": judged,
         "not_judged": dict(evidence.ways.not_judged),
         "governing": most.name,
@@ -364,14 +364,14 @@ def _judged(case: _Case, limit: Limit, way: Way | None = None) -> JudgedEntry:
     assert case.evidence is not None
     if way is None:
         found, margin = case.own(limit), case.known.margins.get(limit.name)
-        value = (margin.about.get("value") or {}).get("value") if margin and limit.aim == case.aim else None
+        value = margin.value if margin and limit.aim == case.aim else None
         answer = value if value is not None else _root(case, [limit])
         return JudgedEntry(name=limit.name, quantity=limit.quantity, assumed=False,
-                           miss=Est.model_validate(found.as_dict()), answer=answer)  # fmt: skip
+                           miss=Est.model_validate(found), answer=answer)  # fmt: skip
     found = _more(exact(0.0), case.chance(way, limit.strength))
     ends = [float(case.chance(way, law).mean()) for law in (way.weak, way.strong)]
     return JudgedEntry(
-        name=way.called, quantity=limit.quantity, assumed=True, miss=Est.model_validate(found.as_dict()),
+        name=way.called, quantity=limit.quantity, assumed=True, miss=Est.model_validate(found),
         range=(min(ends), max(ends)), answer=_root(case, [limit]), source=way.source, seen=way.seen,
         curve=tuple(case.evidence.curve(limit)),
     )  # fmt: skip

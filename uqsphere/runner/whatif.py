@@ -305,7 +305,7 @@ def _row(limit: Limit, answer: LimitAnswer, state: LimitState, whatif: WhatIf, a
     told = told_by_runs(miss(other, limit.aim), other, "miss", limit.aim)
     found = _against(answer.miss, miss(state, limit.aim), told)
     met = None if limit.target is None or found.value is None else target_met(found, limit.target)
-    return {**about, "miss": found.as_dict(), "met": met}
+    return {**about, "miss": found, "met": met}
 
 
 def _against(answer: Estimate, same: Estimate, other: Estimate) -> Estimate:

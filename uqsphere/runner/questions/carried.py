@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.carried import CARRIERS, carried_parameters
@@ -21,7 +21,7 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.margins import decisive
 from uqsphere.runner.schedule import CARRIED
 from uqsphere.study import Limit, Study
-from uqsphere.uq.estimate import absent
+from uqsphere.uq.estimate import Estimate, absent
 
 #: share of the budget for the curves of one carrier: with the sample and the margins less than half of it
 CURVES: Final = 0.05
@@ -115,7 +115,7 @@ def _entry(
     """The entry of results.json: the free number where one is solved for, else the probability of missing the aim."""
     margins = work.study.margins
     miss = {carrier: answers[carrier][limit.name].miss for carrier in CARRIERS}
-    told, values = miss, dict[str, dict[str, Any]]()
+    told, values = miss, dict[str, Mapping[float, Estimate]]()
     solved = margins is not None and all(limit.name in curves[carrier] for carrier in CARRIERS)
     if solved:
         p, told = decisive(work, limit), {}
@@ -125,14 +125,14 @@ def _entry(
                 told[carrier] = absent(found, "none", 0)
                 continue
             told[carrier] = found.value_at(p)
-            values[carrier] = {f"{at:.15g}": estimate.as_dict() for at, estimate in found.values.items()}
+            values[carrier] = found.values
     known = {carrier: one.value for carrier, one in told.items() if one.value is not None}
     return CarriedEntry.model_validate({
         "solve": margins.axis.path if solved and margins is not None else "",
-        **{carrier: one.as_dict() for carrier, one in told.items()},
+        **told,
         "lowest": min(known, key=lambda carrier: known[carrier], default=""),
         "highest": max(known, key=lambda carrier: known[carrier], default=""),
-        "miss": {carrier: one.as_dict() for carrier, one in miss.items()},
+        "miss": miss,
         "met": {carrier: answers[carrier][limit.name].met for carrier in CARRIERS},
         **({"values": values} if values else {}),
     })  # fmt: skip

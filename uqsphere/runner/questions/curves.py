@@ -480,7 +480,7 @@ class CurveFound:
         """The entry of results.json for a curve of a family."""
         return {
             "value": value,
-            "values": {f"{p:.15g}": e.as_dict() for p, e in self.values.items()},
+            "values": self.values,
             "curve": [list(row) for row in self.answer(()).curve],
             "lognormal": lognormal_table(self.lognormal()),
             **({} if self.band is None else {"band": self.band.table()}),
@@ -493,7 +493,7 @@ def lognormal_table(fitted: LognormalCurve | str) -> dict[str, Any]:
     if isinstance(fitted, str):
         return {"median": None, "dispersion": None, "reason": fitted}
     return {
-        "median": fitted.median.as_dict(), "dispersion": fitted.dispersion.as_dict(), "rising": fitted.rising,
+        "median": fitted.median, "dispersion": fitted.dispersion, "rising": fitted.rising,
         "largest_gap": fitted.gap, "largest_gap_at": fitted.gap_at,
     }  # fmt: skip
 
@@ -609,7 +609,7 @@ class EnergyCurve:
         return {
             "quantity": self.quantity,
             "unit": lookup(self.quantity).unit,
-            "values": {f"{p:.15g}": estimate.as_dict() for p, estimate in self.values.items()},
+            "values": self.values,
             "curve": [list(point) for point in self.curve],
             "lognormal": lognormal_table(self.lognormal),
             **({"reason": self.reason} if self.reason else {}),

@@ -86,7 +86,7 @@ class Fracture:
         else:
             union = self.together.probability(self.work, self.sampled.sample)
         self.union = union
-        self.answer |= {"union": union.as_dict(), "over_record": union.as_dict()}
+        self.answer |= {"union": union, "over_record": union}
 
     def _moments(self) -> None:
         """What is governing, the order, and the state at fracture; a reason where nothing can be said."""
@@ -102,7 +102,7 @@ class Fracture:
         over_record = self.together.at(full, pool)
         drawn = draw_breaking(over_record, specimens, random_generator(seed=work.study.seed, task="fracture.specimens"))
         if work.study.rig == "bars":
-            self.answer["first_loading"] = self._first_loading(full, pool, over_record).as_dict()
+            self.answer["first_loading"] = self._first_loading(full, pool, over_record)
         self.answer |= {"reason": "no sample breaks"} if drawn is None else _at_fracture(full, pool, self.limits, drawn)
 
     def _pool(self) -> Sample | None:
@@ -150,7 +150,7 @@ class Fracture:
         if found is not None and margins is not None:
             self.answer |= {
                 "solve": margins.axis.path,
-                "values": {f"{p:.15g}": estimate.as_dict() for p, estimate in found.values.items()},
+                "values": found.values,
                 "curve": [list(point) for point in found.curve],
             }
 
@@ -168,7 +168,7 @@ def find_fracture(work: Work, sampled: Sampled, margins: Mapping[str, MarginAnsw
     answer: dict[str, object] = {"limits": names, "left_out": left_out}
     if tied := tied_otherwise(work, names):
         reason = f"the strengths of {' and '.join(tied)} depend on each other by a copula that is not Gaussian"
-        return FractureEntry.model_validate({**answer, "union": absent(reason, _METHOD, 0).as_dict(), "reason": reason})
+        return FractureEntry.model_validate({**answer, "union": absent(reason, _METHOD, 0), "reason": reason})
     question = Fracture(
         work=work, sampled=sampled, margins=margins, limits=limits, together=AnyLimit.of(work, limits), answer=answer
     )
@@ -229,10 +229,10 @@ def _at_fracture(work: Work, pool: Sample, limits: Sequence[Limit], drawn: Break
     graded = np.repeat(weights, shape[1]) * (result.first >= 0)
     governing = [share_of(first == k, weights, _METHOD, evaluations) for k in range(len(limits))]
     return {
-        "governed_by": {limit.name: _est(share) for limit, share in zip(limits, governing, strict=True)},
+        "governed_by": dict(zip((limit.name for limit in limits), governing, strict=True)),
         "order": _orders(result.times, weights, shape, limits, evaluations),
         **{name: _state(name, values.reshape(shape), weights, evaluations) for name, values in known.items()},
-        "share_in_first_loading": _est(share_of(result.early.reshape(shape), weights, _METHOD, evaluations)),
+        "share_in_first_loading": share_of(result.early.reshape(shape), weights, _METHOD, evaluations),
         "specimens": evaluations,
         "distinct_rows": len(distinct),
         "lost_share": lost,
@@ -240,13 +240,9 @@ def _at_fracture(work: Work, pool: Sample, limits: Sequence[Limit], drawn: Break
     }
 
 
-def _est(estimate: Estimate) -> Est:
-    return Est.model_validate(estimate.as_dict())
-
-
 def _state(name: str, values: Array, weights: Array, evaluations: int) -> StateEntry:
-    found = {f"{p:g}": _est(weighted_quantile(values, weights, p, _METHOD, evaluations)) for p in _QUANTILES}
-    return StateEntry(unit=_UNITS[name], median=found["0.5"], quantiles=found)
+    found = {p: weighted_quantile(values, weights, p, _METHOD, evaluations) for p in _QUANTILES}
+    return StateEntry.model_validate({"unit": _UNITS[name], "median": found[0.5], "quantiles": found})
 
 
 def _orders(
@@ -263,7 +259,7 @@ def _orders(
     return [
         LimitsOrder(
             limits=tuple(limits[k].name for k in order),
-            share=_est(
+            share=Est.model_validate(
                 share_of(np.array([other == order for other in orders]).reshape(shape), weights, _METHOD, evaluations)
             ),
         )

@@ -1,7 +1,7 @@
 """Analyses that a study asks for by name (`analysis.methods`) beside what every run answers.
 
-Each is a module of this package that goes by that name, with the evaluations that it is likely to take and a `Question`
-whose answer is a table of estimates.
+Each is a module of this package that goes by that name, with the evaluations that it is likely to take and a table of
+estimates.
 """
 
 from __future__ import annotations
@@ -11,23 +11,16 @@ from importlib import import_module
 from typing import Protocol, cast
 
 from uqsphere.results import AnalysisEntry
-from uqsphere.runner.campaign import Question, campaign
 from uqsphere.runner.evaluate import Work
 from uqsphere.study import Study
 from uqsphere.study.document import FURTHER
-
-
-class FurtherQuestion(Question, Protocol):
-    """A question whose answer is a table of its own; `reason` says why its stages could not be made."""
-
-    def answer(self, reason: str) -> AnalysisEntry: ...
 
 
 class Analysis(Protocol):
     """What a module of this package has that is asked for by name."""
 
     def planned(self, study: Study) -> int: ...
-    def question(self, work: Work) -> FurtherQuestion: ...
+    def answer(self, work: Work) -> AnalysisEntry: ...
 
 
 def _asked(study: Study) -> Iterator[tuple[str, Analysis]]:
@@ -45,9 +38,6 @@ def find_analyses(work: Work) -> dict[str, AnalysisEntry]:
     """The answers by name; empty where the study asks for none or nothing is random."""
     found = {}
     for name, analysis in _asked(work.study):
-        question = analysis.question(work)
-        ended = campaign(work, question).stopped
-        reason = "the time budget ended before" if ended == "time" else "the budget of evaluations has no room for it"
-        found[name] = question.answer(reason)
+        found[name] = analysis.answer(work)
         work.ledger.close(name)
     return found

@@ -50,7 +50,7 @@ def describe_margin(work: Work, sampled: Sampled, where: Where) -> dict[str, Any
     known = value.value is not None
     about: dict[str, Any] = {
         "probability": where.probability,
-        "value": value.as_dict(),
+        "value": value,
         "factors": safety_factors(work, sampled, where.limit),
     }
     try:
@@ -90,7 +90,7 @@ def _also(work: Work, value: Estimate) -> dict[str, Any]:
         numbers = [None if end is None else next(read) for end in ends]
         method = f"from {path}, the rest of the scene at its means"
         answers[name] = replace(value, value=numbers[0], low=numbers[1], high=numbers[2], std_error=None,
-                                method=method).as_dict()  # fmt: skip
+                                method=method)  # fmt: skip
     return answers
 
 
@@ -224,7 +224,7 @@ def _bars(work: Work, where: Where) -> dict[str, Any]:
     values, share = np.array(rows.grid), rows.curve_of("p_max", yields).table(rows.grid)
     answered = fragility(values, share, (BARS_SHARE,), samples=rows.samples, evaluations=0).values[BARS_SHARE]
     found["contact_probability"] = BARS_SHARE
-    found["contact"] = answered.as_dict()
+    found["contact"] = answered
     shares = share.mean(axis=1)
     told = {**where.found.values, where.probability: where.found.value_at(where.probability)}
     found["yields_at"] = {

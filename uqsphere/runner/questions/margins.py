@@ -69,6 +69,11 @@ class MarginAnswer:
     bands: dict[str, Band] = field(default_factory=dict)
     steps: dict[str, Coarse] = field(default_factory=dict)
 
+    @property
+    def value(self) -> float | None:
+        """The free scalar at the probability that the margin is told for."""
+        return self.about["value"].value if "value" in self.about else None
+
 
 def unmoved_margins(work: Work) -> dict[str, MarginAnswer]:
     """The answers of limits that a free strength of another leaves where they are."""
@@ -150,7 +155,7 @@ def _unknown(work: Work, limit: Limit, reason: str, against: str | None) -> Marg
     nothing = absent(reason, "none", 0)
     return MarginAnswer(
         values=dict.fromkeys(asked_probabilities(work, limit), nothing), curve=[], missed=[reason], lognormal=reason,
-        about={"probability": decisive(work, limit), "value": nothing.as_dict()},
+        about={"probability": decisive(work, limit), "value": nothing},
         against=None if against is None else EnergyCurve.none(against, reason),
     )  # fmt: skip
 
@@ -169,7 +174,7 @@ def judge_answers(work: Work, margins: Mapping[str, MarginAnswer]) -> dict[str, 
     found, seen = dict(margins), dict[float, ValidityAtEntry | None]()
     for limit in work.study.limits:
         margin = margins.get(limit.name)
-        value = ((margin.about.get("value") or {}) if margin else {}).get("value")
+        value = None if margin is None else margin.value
         if margin is None or value is None:
             continue
         if value not in seen:

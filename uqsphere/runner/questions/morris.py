@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.model import Answered, is_answered
-from uqsphere.results import AnalysisEntry, SpeedRow
+from uqsphere.model import is_answered
+from uqsphere.results import AnalysisEntry
 from uqsphere.results.entries import Est
-from uqsphere.runner.campaign import Accuracy
-from uqsphere.runner.evaluate import Work, evaluate_points
+from uqsphere.runner.evaluate import Work, evaluate_whole
 from uqsphere.study import Study
 from uqsphere.uq.estimate import Estimate, absent, mean_alone, sd_alone
 from uqsphere.uq.points import random_generator
@@ -46,63 +45,29 @@ def trajectories(count: int, inputs: int, rng: np.random.Generator) -> tuple[Arr
     return np.asarray(ndtri((levels + 0.5) / LEVELS)), np.sign(after - start).astype(float)
 
 
-@dataclass(kw_only=True)
-class Morris:
-    """The trajectories of one stage, and the effects along them (a `Question`)."""
+def answer(work: Work) -> AnalysisEntry:
+    """Mean of the absolute effect, mean and standard deviation of the effect, by quantity and input.
 
-    work: Work
-    scores: Array
-    directions: Array
-    answered: Answered | None = None
-    judged: int = 0
-
-    @property
-    def size(self) -> int:
-        """Evaluations so far."""
-        return 0 if self.answered is None else len(self.answered.status)
-
-    @property
-    def tied(self) -> list[str]:
-        """Inputs that depend on each other."""
-        return self.work.all_inputs.only(self.work.scene_names).tied()
-
-    def advance(self, room: float) -> bool:
-        """All trajectories at once."""
-        work, (count, steps, d) = self.work, self.scores.shape
-        if self.answered is not None or self.tied or count * steps > room:
-            return False
-        rows = work.all_inputs.only(work.scene_names).physical(self.scores.reshape(-1, d))
-        self.answered = evaluate_points(work, "morris", work.scene_names, rows)
-        return True
-
-    def lacking(self) -> dict[Accuracy, float]:
-        """Nothing: a screening ranks inputs and pursues no accuracy."""
-        return {}
-
-    def errors(self) -> list[SpeedRow]:
-        """None."""
-        return []
-
-    def answer(self, reason: str) -> AnalysisEntry:
-        """Mean of the absolute effect, mean and standard deviation of the effect, by quantity and input.
-
-        The mean absolute effect is that of F. Campolongo, J. Cariboni, A. Saltelli, Environ. Model. Softw. 22, 2007,
-        1509; intervals are those of independent trajectories.  A trajectory with a row without an answer is left out.
-        """
-        if tied := self.tied:
-            return AnalysisEntry(reason=f"{', '.join(tied)} depend on each other: none moves alone")
-        if self.answered is None:
-            return AnalysisEntry(reason=reason)
-        names, shape = self.work.scene_names, self.scores.shape[:2]
-        whole = is_answered(self.answered.status).reshape(shape).all(axis=1)
-        values = self.answered.values.reshape(*shape, -1)[whole]
-        # the step before which an input has its first score, and after which its second
-        step = np.argmax(np.diff(self.scores[whole], axis=1) != 0.0, axis=1)
-        table = {}
-        for k, quantity in enumerate(self.work.quantities):
-            jumps = np.take_along_axis(np.diff(values[..., k], axis=1), step, axis=1) * self.directions[whole]
-            table[quantity] = {name: _columns(jumps[:, j], self.size) for j, name in enumerate(names)}
-        return AnalysisEntry(values=table)
+    The mean absolute effect is that of F. Campolongo, J. Cariboni, A. Saltelli, Environ. Model. Softw. 22, 2007, 1509;
+    intervals are those of independent trajectories.  A trajectory with a row without an answer is left out.
+    """
+    names, inputs = work.scene_names, work.all_inputs.only(work.scene_names)
+    if tied := inputs.tied():
+        return AnalysisEntry(reason=f"{', '.join(tied)} depend on each other: none moves alone")
+    scores, directions = trajectories(TRAJECTORIES, len(names), random_generator(seed=work.study.seed, task="morris"))
+    answered = evaluate_whole(work, "morris", inputs.physical(scores.reshape(-1, len(names))))
+    if isinstance(answered, str):
+        return AnalysisEntry(reason=answered)
+    shape, evaluations = scores.shape[:2], len(answered.status)
+    whole = is_answered(answered.status).reshape(shape).all(axis=1)
+    values = answered.values.reshape(*shape, -1)[whole]
+    # the step before which an input has its first score, and after which its second
+    step = np.argmax(np.diff(scores[whole], axis=1) != 0.0, axis=1)
+    table = {}
+    for k, quantity in enumerate(work.quantities):
+        jumps = np.take_along_axis(np.diff(values[..., k], axis=1), step, axis=1) * directions[whole]
+        table[quantity] = {name: _columns(jumps[:, j], evaluations) for j, name in enumerate(names)}
+    return AnalysisEntry(values=table)
 
 
 def _columns(effects: Array, evaluations: int) -> dict[str, Est]:
@@ -117,14 +82,4 @@ def _columns(effects: Array, evaluations: int) -> dict[str, Est]:
             "mean effect": mean_alone(effects),
             "sd of the effect": sd_alone(effects),
         }
-    return {
-        name: Est.model_validate({**e.as_dict(), "method": METHOD, "evaluations": evaluations})
-        for name, e in found.items()
-    }
-
-
-def question(work: Work) -> Morris:
-    """The question of a run."""
-    rng = random_generator(seed=work.study.seed, task="morris")
-    scores, directions = trajectories(TRAJECTORIES, len(work.scene_names), rng)
-    return Morris(work=work, scores=scores, directions=directions)
+    return {name: Est.model_validate(replace(e, method=METHOD, evaluations=evaluations)) for name, e in found.items()}
