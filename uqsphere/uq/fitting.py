@@ -23,7 +23,7 @@ from uqsphere.uq.families.empirical import MOST_KERNELS, bandwidth
 from uqsphere.uq.families.family import Posterior
 from uqsphere.uq.law import Law, bounds_of, checked, make_law
 from uqsphere.uq.points import random_generator
-from uqsphere.uq.weibull import STRENGTHS, StrengthTests, fit_strength, fitted_parameters, make_tests, pivots
+from uqsphere.uq.weibull import STRENGTHS, StrengthTests, fitted_parameters, make_tests, pivots
 
 #: what a column of observations can become: a kernel density, a step function, or a member of a family
 FITS: Final = ("kde", "steps", *(name for name, family in FAMILIES.items() if not family.observed))
@@ -128,28 +128,6 @@ def _strength(
     parameters = family.parameters(fitted_parameters(tests, STRENGTHS[fit], unbiased=unbiased), a, b)
     return Law(family=family, parameters=parameters, lower=a, upper=b, data=tuple(sorted(data)),
                censored=tuple(sorted(censored)))  # fmt: skip
-
-
-def goodness_of_fit(law: Law) -> dict[str, float]:
-    """Kolmogorov distance of the observations from the law in force: {"distance", "p_value", "observations"}.
-
-    The p-value takes the law as given beforehand; with parameters fitted to the same observations it is
-    too large, and says only that a small one is bad.  Raises LawError for a law without observations.
-    """
-    if not law.data:
-        raise LawError("the law was not made from observations", "")
-    if law.censored:
-        found = fit_strength(series_behind(law), STRENGTHS[law.family.name])
-        return {"distance": found.distance, "p_value": found.p_value, "observations": float(found.tests)}
-    values = np.asarray(law.data)
-    values = values[(values >= law.lower) & (values <= law.upper)]
-    n = values.size
-    below = law.cdf(values)
-    above_step = np.searchsorted(values, values, side="right") / n
-    below_step = np.searchsorted(values, values, side="left") / n
-    left = law.cdf(np.nextafter(values, -math.inf)) if law.is_steps else below
-    distance = float(max(np.max(above_step - below), np.max(left - below_step), 0.0))
-    return {"distance": distance, "p_value": kolmogorov_p_value(distance, n), "observations": float(n)}
 
 
 def kolmogorov_p_value(distance: float, observations: int) -> float:

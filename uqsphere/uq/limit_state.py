@@ -66,29 +66,42 @@ class LimitState:
         return self.censored & ~self.broken
 
 
-def strength_tails(
-    strength: Law | float, demands: Array, shift: Array | None = None, remaining_sd: float = 1.0
-) -> tuple[Array, Array]:
-    """P(strength < demand) and its complement; `shift`, `remaining_sd` as in `LimitState`."""
+def score_of(below: Array, above: Array) -> Array:
+    """Normal score of a probability that is given with its complement, through the smaller of the two."""
+    from scipy.special import ndtri
+
+    with np.errstate(divide="ignore"):
+        return np.where(below <= 0.5, ndtri(below), -ndtri(above))
+
+
+def strength_tails(strength: Law | float, demands: Array) -> tuple[Array, Array]:
+    """P(strength < demand) and its complement."""
     if not isinstance(strength, Law):
         return (demands > strength).astype(float), (demands <= strength).astype(float)
     if strength.is_steps:
         # P(S < d): an observation that equals the demand has not been exceeded.
         demands = np.nextafter(demands, -math.inf)
-    below, above = strength.cdf(demands), strength.sf(demands)
-    return (below, above) if shift is None else shifted_tails(below, above, shift, remaining_sd)
+    return strength.cdf(demands), strength.sf(demands)
 
 
 def tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
     """P(strength < factor · demand | inputs) and its complement, (R, n) each; broken rows hold 0 and 0."""
     broken = state.broken
     demands = np.where(broken, 0.0, state.demands) * factor
-    below, above = strength_tails(state.strength, demands, state.shift, state.remaining_sd)
-    if state.tie is not None:
-        below, above = _tied_tails(state, below, above)
+    below, above = tails_given_inputs(state, *strength_tails(state.strength, demands))
     if broken.any():
         below, above = np.where(broken, 0.0, below), np.where(broken, 0.0, above)
     return below, above
+
+
+def tails_given_inputs(state: LimitState, below: Array, above: Array) -> tuple[Array, Array]:
+    """The two tails (R, n) of a strength's own law as the inputs leave them that it is tied to."""
+    from scipy.special import ndtr
+
+    if state.tie is None and state.shift is None:
+        return below, above
+    score = score_given_inputs(state, score_of(below, above))
+    return np.asarray(ndtr(score)), np.asarray(ndtr(-score))
 
 
 def score_given_inputs(state: LimitState, score: Array) -> Array:
@@ -100,33 +113,14 @@ def score_given_inputs(state: LimitState, score: Array) -> Array:
         near = np.clip(score, -FARTHEST, FARTHEST)
         found = conditional_score(copula, last, range(last), known, near.reshape(-1)).reshape(score.shape)
         return np.where(np.isinf(score), score, found)
-    if state.shift is None:
-        return score
-    if state.remaining_sd == 0.0:
-        return np.where(score > state.shift, math.inf, -math.inf)
-    return np.asarray((score - state.shift) / state.remaining_sd)
+    return score if state.shift is None else shifted_score(score, state.shift, state.remaining_sd)
 
 
-def _tied_tails(state: LimitState, below: Array, above: Array) -> tuple[Array, Array]:
-    """The two tails given the inputs that another copula ties the strength to."""
-    from scipy.special import ndtr, ndtri
-
-    with np.errstate(divide="ignore"):
-        score = np.where(below <= 0.5, ndtri(below), -ndtri(above))
-    score = score_given_inputs(state, score)
-    return np.asarray(ndtr(score)), np.asarray(ndtr(-score))
-
-
-def shifted_tails(below: Array, above: Array, shift: Array, remaining: float) -> tuple[Array, Array]:
-    """The two tails given the inputs: Φ((z - shift)/sd) with z the normal score of the demand."""
-    from scipy.special import ndtr, ndtri
-
-    with np.errstate(divide="ignore"):
-        score = np.where(below <= 0.5, ndtri(below), -ndtri(above)) - shift
-        if remaining == 0.0:
-            return (score > 0.0).astype(float), (score <= 0.0).astype(float)
-        score = score / remaining
-    return np.asarray(ndtr(score)), np.asarray(ndtr(-score))
+def shifted_score(score: Array, shift: Array, remaining: float) -> Array:
+    """Normal score given the inputs by the Gaussian copula, (z - shift)/sd; certainty where they leave no scatter."""
+    if remaining == 0.0:
+        return np.where(score > shift, math.inf, -math.inf)
+    return np.asarray((score - shift) / remaining)
 
 
 def pick_replicates(state: LimitState, rows: Sequence[int]) -> LimitState:

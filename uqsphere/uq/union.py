@@ -20,7 +20,7 @@ from uqsphere.uq.archimedean import FARTHEST
 from uqsphere.uq.estimate import Estimate, none_of, student
 from uqsphere.uq.joint import conditional_scores
 from uqsphere.uq.law import Law, make_law
-from uqsphere.uq.limit_state import LimitState, tails
+from uqsphere.uq.limit_state import LimitState, score_of, tails
 
 Index = npt.NDArray[np.int64]
 
@@ -100,9 +100,7 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
     for j, state in enumerate(states):
         below, above = reversed(tails(state)) if missed else tails(state)
         if np.any(factor[j, :j]):
-            with np.errstate(divide="ignore"):
-                score = np.where(below <= 0.5, ndtri(below), -ndtri(above))
-            score = (score - np.tensordot(factor[j, :j], holding[:j], axes=1)) / factor[j, j]
+            score = (score_of(below, above) - np.tensordot(factor[j, :j], holding[:j], axes=1)) / factor[j, j]
             below, above = ndtr(score), ndtr(-score)
         chances[j] = np.where(state.broken, 0.0, below)
         # a point of the upper tail
@@ -117,8 +115,6 @@ def union_state(union: Union) -> LimitState:
 
     Without any random strength it is the largest demand over its strength, against 1.
     """
-    from scipy.special import ndtri
-
     policy = union.states[0].on_failure
     if not any(isinstance(state.strength, Law) for state in union.states):
         over = np.where(union.any > 0.5, 2.0, 0.5)
@@ -126,7 +122,7 @@ def union_state(union: Union) -> LimitState:
     p = union.any
     with np.errstate(divide="ignore"):
         held = np.log1p(-union.chances).sum(axis=0)
-        score = np.where(p <= 0.5, ndtri(p), -ndtri(np.exp(held)))
+    score = score_of(p, np.exp(held))
     return LimitState(
         demands=np.clip(score, -_FAR, _FAR),
         strength=make_law("normal", {"mean": 0.0, "sd": 1.0}),

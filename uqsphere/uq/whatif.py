@@ -16,7 +16,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.uq.fitting import possible_densities
 from uqsphere.uq.law import Law
-from uqsphere.uq.limit_state import LimitState, shifted_tails, tails
+from uqsphere.uq.limit_state import LimitState, tails, tails_given_inputs
 
 #: more tests than this are not asked of anybody
 MOST_TESTS: Final = 5000
@@ -60,9 +60,7 @@ class WhatIf:
         """P(strength < demand | inputs) and its complement, (R, n) each, weighted."""
         state = self.of(state)
         if isinstance(self.strength, tuple):
-            below, above = self.strength
-            if state.shift is not None:
-                below, above = shifted_tails(below, above, state.shift, state.remaining_sd)
+            below, above = tails_given_inputs(state, *self.strength)
         else:
             below, above = tails(state)
         return (below, above) if self.weights is None else (self.weights * below, self.weights * above)

@@ -31,7 +31,7 @@ from uqsphere.runner.schedule import DESIGN_POINT, RARE
 from uqsphere.study import Limit
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.law import Law
-from uqsphere.uq.limit_state import strength_tails
+from uqsphere.uq.limit_state import score_of, shifted_score, strength_tails
 from uqsphere.uq.rare.active import METHOD as ACTIVE
 from uqsphere.uq.rare.active import ActiveAnswer, learn_probability
 from uqsphere.uq.rare.auto import RareAnswer, find_probability
@@ -142,10 +142,13 @@ def _search(work: Work, at: int, limit: Limit, answer: LimitAnswer, room: float)
         ]
         return _joined(work, limit, answer, rare, space), rows
     if budget >= DESIGN_POINT:
-        evaluator = Evaluator(limit=space.function, budget=budget)
-        design = find_design_points(evaluator, seed=work.study.seed, most=DESIGN_POINT)
-        return with_design(work, answer, design, space), []
+        return with_design(work, answer, _design_points(work, space, DESIGN_POINT), space), []
     return answer, []
+
+
+def _design_points(work: Work, space: LimitSpace, most: int) -> FormAnswer:
+    """Design points of a limit by so many evaluations at the most."""
+    return find_design_points(Evaluator(limit=space.function, budget=most), seed=work.study.seed, most=most)
 
 
 def search_failures(
@@ -220,6 +223,8 @@ def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Arr
     evaluate = _evaluate_without_scatter if d == 0 else evaluate_points
 
     def g(normals: Array) -> Array:
+        from scipy.special import ndtr
+
         if work.out_of_time:
             raise OutOfBudget
         physical = work.drawn.physical(normals)
@@ -233,8 +238,11 @@ def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Arr
             censored = answered.censored[:, k]
         if isinstance(limit.strength, Law):
             shift = work.drawn.scores(normals) @ weights if np.any(weights) else None
-            below, above = strength_tails(limit.strength, np.nan_to_num(demands), shift, remaining)
-            value = -_score(below, above)
+            score = score_of(*strength_tails(limit.strength, np.nan_to_num(demands)))
+            if shift is not None:
+                given = shifted_score(score, shift, remaining)
+                score = score_of(ndtr(given), ndtr(-given))
+            value = -np.clip(score, -_FAR, _FAR)
         else:
             value = limit.strength - demands
         # a demand that outlasts the record is only known to be larger: it is not known whether it fails
@@ -260,15 +268,6 @@ def _evaluate_without_scatter(work: Work, key: str, names: tuple[str, ...], rows
         status=np.repeat(answered.status, len(rows)),
         route=np.repeat(answered.routes, len(rows)),
     )
-
-
-def _score(below: Array, above: Array) -> Array:
-    """Normal score of a probability that is given with its complement."""
-    from scipy.special import ndtri
-
-    with np.errstate(divide="ignore"):
-        score = np.where(below <= 0.5, ndtri(below), -ndtri(above))
-    return np.clip(score, -_FAR, _FAR)
 
 
 # --- answers --------------------------------------------------------------------------------------
@@ -313,24 +312,39 @@ def complement(e: Estimate) -> Estimate:
 
 def with_design(work: Work, answer: LimitAnswer, design: FormAnswer, space: LimitSpace) -> LimitAnswer:
     """Physical design point and importance factors of the nearest design point."""
-    known = [point for point in design.points if point.converged]
-    if not known:
-        return replace(answer, design_reason=design.text or "no design point was found")
-    point = known[0]
-    names = list(work.drawn.names)
-    if space.function.integrated:
-        names.append(f"limits.{space.limit.name}.strength")
-    shares = {name: float(share) for name, share in zip(names, point.importance, strict=True)}
+    found = _nearest(work, design, space)
+    if isinstance(found, str):
+        return replace(answer, design_reason=found)
     return replace(
         answer,
-        design=physical_values(work, point, space),
-        design_points=len(known),
-        governing=shares,
+        design=found.values,
+        design_points=sum(point.converged for point in design.points),
+        governing=found.shares,
         governing_method="squared direction cosines of the design point (importance factors)",
     )
 
 
-def physical_values(work: Work, point: DesignPoint, space: LimitSpace) -> dict[str, float]:
+@dataclass(frozen=True, kw_only=True)
+class DesignFound:
+    """A design point: values of the variables (SI), and their importance factors."""
+
+    values: dict[str, float]
+    shares: dict[str, float]
+
+
+def _nearest(work: Work, design: FormAnswer, space: LimitSpace) -> DesignFound | str:
+    """The nearest of the design points that were found, or why there is none."""
+    point = next((point for point in design.points if point.converged), None)
+    if point is None:
+        return design.text or "no design point was found"
+    names = list(work.drawn.names)
+    if space.function.integrated:
+        names.append(f"limits.{space.limit.name}.strength")
+    shares = dict(zip(names, point.importance.tolist(), strict=True))
+    return DesignFound(values=_physical(work, point, space), shares=shares)
+
+
+def _physical(work: Work, point: DesignPoint, space: LimitSpace) -> dict[str, float]:
     """Values of the inputs, and of a random strength, at a design point; SI."""
     d = len(work.drawn.names)
     normals = point.point[None, :d]
@@ -343,15 +357,6 @@ def physical_values(work: Work, point: DesignPoint, space: LimitSpace) -> dict[s
     return {name: value for name, value in found.items() if np.isfinite(value)}
 
 
-@dataclass(frozen=True, kw_only=True)
-class DesignFound:
-    """A design point by itself: values of the variables (SI), their importance factors, its distance."""
-
-    values: dict[str, float]
-    shares: dict[str, float]
-    beta: float
-
-
 def find_design(work: Work, limit: Limit) -> DesignFound | str:
     """The nearest design point of a limit of another study than that of the run, or why there is none."""
     if not work.drawn.names:
@@ -361,17 +366,7 @@ def find_design(work: Work, limit: Limit) -> DesignFound | str:
     if work.study.analysis.budget.evaluations - work.ledger.total < DESIGN_POINT:
         return f"no design point was searched for: the budget has no room for {DESIGN_POINT:,} evaluations more"
     space = limit_space(replace(work, spare=True), limit, 0)
-    found = find_design_points(
-        Evaluator(limit=space.function, budget=DESIGN_POINT), seed=work.study.seed, most=DESIGN_POINT
-    )
-    known = [point for point in found.points if point.converged]
-    if not known:
-        return found.text or "no design point was found"
-    names = list(work.drawn.names)
-    if space.function.integrated:
-        names.append(f"limits.{limit.name}.strength")
-    shares = {name: float(share) for name, share in zip(names, known[0].importance, strict=True)}
-    return DesignFound(values=physical_values(work, known[0], space), shares=shares, beta=known[0].beta)
+    return _nearest(work, _design_points(work, space, DESIGN_POINT), space)
 
 
 # --- by active learning ---------------------------------------------------------------------------------
@@ -385,19 +380,13 @@ class Learned:
     calls: dict[str, int] = field(default_factory=dict)
 
 
-def _size(work: Work, limit: Limit) -> int:
-    """Variables of the space in which the limit is hard."""
-    from uqsphere.uq.law import Law
-
-    return len(work.drawn.names) + int(isinstance(limit.strength, Law))
-
-
 def learnable(work: Work, limit: Limit, answer: LimitAnswer) -> bool:
     """Whether a limit is of the kind that one design cannot answer and active learning can: small, in few variables."""
     if not takes_over(work, answer) or answer.beneath("miss") or tied_strength(work, limit):
         return False
     open_ = answer.accuracy_missed("miss", work.study.analysis.accuracy.probability)
-    return bool(open_) and _size(work, limit) <= MOST_VARIABLES
+    # the space in which the limit is hard
+    return bool(open_) and len(work.drawn.names) + isinstance(limit.strength, Law) <= MOST_VARIABLES
 
 
 def reserve(work: Work, limits: Mapping[str, LimitAnswer], affordable: int) -> int:
@@ -483,9 +472,7 @@ def with_surrogate_design(
         demand, scatter, sd = demands[limit.quantity]
         space = limit_space(work, limit, at, demand)
         try:
-            design: FormAnswer = find_design_points(
-                Evaluator(limit=space.function, budget=ON_SURROGATE), seed=work.study.seed, most=ON_SURROGATE
-            )
+            design = _design_points(work, space, ON_SURROGATE)
         except OutOfBudget:
             reason = "no search for a design point was made: the time was over, or the run was stopped"
             found[limit.name] = replace(answer, design_reason=reason)

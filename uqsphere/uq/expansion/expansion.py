@@ -17,17 +17,15 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.uq.expansion.germs import GermLike, Indices, orthonormal_slopes, orthonormal_values, products
 
-#: what can be expanded in place of an output y, with t = sign (y - origin) > 0
-TRANSFORMS: Final = ("identity", "log", "shifted log", "square root", "reciprocal")
-
 #: how far beyond the range of its samples a transformed output may go, over that range
 _MARGIN: Final = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Transform:
-    """z = (w(sign (y - origin)) - centre)/scale, with w as in `kind`; its inverse takes z within [lowest, highest].
+    """z = (w(sign (y - origin)) - centre)/scale, its inverse taking z within [lowest, highest].
 
+    `kind` says what w is: identity, log, shifted log, square root or reciprocal.
     The bounds keep the exponential of a polynomial, which has no bounds of its own, within a range of the samples
     around them; the identity has none.  Outputs are counted in `unit`, which keeps squares of large ones finite.
     """

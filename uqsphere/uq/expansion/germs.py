@@ -46,11 +46,6 @@ class Germ:
 GermLike: TypeAlias = str | Germ
 
 
-def germ_name(germ: GermLike) -> str:
-    """The name of a germ, whichever kind it is."""
-    return germ if isinstance(germ, str) else germ.name
-
-
 @contextmanager
 def _quiet_chaospy() -> Iterator[None]:
     """On import chaospy turns the root logger to DEBUG and adds a handler of its own: both are undone."""

@@ -1,4 +1,4 @@
-"""First-order reliability: design points, reliability index, importance and omission factors.
+"""First-order reliability: design points, reliability index, importance factors.
 
 Design points are the points of the failure domain's edge that are nearest to the origin of standard normal space.
 The search is the improved HLRF step (Hasofer and Lind 1974; Rackwitz and Fiessler 1978; Zhang and Der Kiureghian
@@ -48,12 +48,6 @@ class DesignPoint:
     def importance(self) -> Array:
         """Squared direction cosines (size,): shares of the variables in the index; they sum to 1."""
         return np.asarray(self.direction**2)
-
-    @property
-    def omission(self) -> Array:
-        """Factor (size,) by which the index grows when a variable is held at its median (Madsen 1988)."""
-        with np.errstate(divide="ignore"):
-            return np.asarray(1.0 / np.sqrt(np.maximum(1.0 - self.direction**2, 0.0)))
 
 
 @dataclass(frozen=True, kw_only=True)
