@@ -91,7 +91,7 @@ class Posterior:
         if thresholds != 1:
             reach = laws.thresholds(self.draws["gamma"], thresholds)[:, -1].reshape(-1, *(1,) * e.ndim)
         found = np.empty((len(self), *e.shape))
-        for name, rows, p in self._by_law(d):
+        for name, rows, p in self.by_law(d):
             if laws.LAWS[name].sized:
                 bound = np.asarray(reach)[rows] * e if thresholds != 1 else e
             else:
@@ -104,7 +104,7 @@ class Posterior:
         """Energy [J/kg] (n, ...) that breaks this share of fresh particles of a diameter [m] in one blow."""
         q, d = np.broadcast_arrays(np.asarray(share, dtype=float), np.asarray(diameter, dtype=float))
         found = np.empty((len(self), *d.shape))
-        for name, rows, p in self._by_law(d):
+        for name, rows, p in self.by_law(d):
             found[rows] = laws.LAWS[name].quantile(q, p)
         return found
 
@@ -117,7 +117,7 @@ class Posterior:
     def _column(self, name: str, dims: int) -> Array:
         return self.draws[name].reshape(-1, *(1,) * dims)
 
-    def _by_law(self, diameter: Array) -> list[tuple[str, npt.NDArray[np.int64], dict[str, Values]]]:
+    def by_law(self, diameter: Array) -> list[tuple[str, npt.NDArray[np.int64], dict[str, Values]]]:
         """Every law with the places of its draws and its parameters at the diameters."""
         median = self.median(diameter)
         found = []
