@@ -332,28 +332,31 @@ def _answers(read: Reading, columns: Mapping[str, float]) -> tuple[dict[str, obj
     """The numbers of the JSON document and the rows of the table."""
     keys, rows = ("value", "low", "high"), []
     largest = {}
+    waves = {"A": "largest force at A, two waves", "B": "largest force at B, one wave",
+             "mean": "largest mean of both, three waves"}  # fmt: skip
     for face, peak in read.peaks.items():
         numbers = (peak.value, peak.low, peak.high)
         largest[face] = {"time": peak.time, **dict(zip(keys, numbers, strict=True)), "doubts": list(peak.doubts)}
-        rows.append(_row(f"largest force at {face}, at {peak.time * 1e6:.4g} us", "kN", 1e-3, numbers))
+        rows.append(_row(f"{waves[face]}, at {peak.time * 1e6:.4g} us", "kN", 1e-3, numbers))
         rows += [("  doubted", doubt, "") for doubt in peak.doubts]
-    loading, whole = read.energies
-    for what, energy in (("up to the largest force", loading), ("in all", whole)):
+    energies = dict(zip(("to_largest", "whole"), read.energies or (), strict=False))
+    for what, energy in energies.items():
         parts = f"{energy.incident:.4g} J in, {energy.reflected:.3g} back, {energy.transmitted:.3g} on"
-        rows.append((f"energy absorbed, {what}", f"{energy.absorbed:.4g} J", parts))
-    balanced = "never" if read.balanced is None else f"{read.balanced * 1e6:.4g} us"
-    rows.append(("forces first within 5 % of their mean", balanced,
-                 f"{read.balance:.0%} of the time from half the force to the largest"))  # fmt: skip
+        said = "in all" if what == "whole" else "up to the largest force"
+        rows.append((f"energy absorbed, {said}", f"{energy.absorbed:.4g} J", parts))
+    if read.balance is not None:
+        balanced = "never" if read.balanced is None else f"{read.balanced * 1e6:.4g} us"
+        rows.append(("forces first within 5 % of their mean", balanced,
+                     f"{read.balance:.0%} of the time from half the force to the largest"))  # fmt: skip
     rows.append(("loading rate", f"{read.loading_rate * 1e-9:.4g} kN/us", ""))
     rows.append(("for the camera: first touch", f"{read.touch * 1e6:.8g} us of the record",
                  f"the largest force {read.peaks['B'].time * 1e6:.4g} us later"))  # fmt: skip
     model, more = _of_the_sphere(read, columns)
-    energies = {
-        what: {key: getattr(one, key) for key in ("incident", "reflected", "transmitted", "absorbed")}
-        for what, one in (("to_largest", loading), ("whole", whole))
-    }
     content: dict[str, object] = {
-        "largest_force": largest, "energy": energies, "balanced_from": read.balanced, "balanced_share": read.balance,
+        "largest_force": largest, "energy": {
+            what: {key: getattr(one, key) for key in ("incident", "reflected", "transmitted", "absorbed")}
+            for what, one in energies.items()
+        }, "balanced_from": read.balanced, "balanced_share": read.balance,
         "loading_rate": read.loading_rate, "first_touch": read.touch, **model, "withheld": list(read.withheld),
     }  # fmt: skip
     return content, [*rows, *more, *(("withheld", text, "") for text in read.withheld)]
@@ -456,7 +459,7 @@ def _line(content: Mapping[str, object]) -> tuple[list[object], tuple[str, ...]]
     held = content["elastic_throughout"]
     outcome = "broke" if broke else "survived" if held else ""
     line = [content["file"], float(str(content["diameter"])) * 1e3, *(force[key] * 1e-3 for key in
-            ("value", "low", "high")), 1 if held else 0, outcome, energy["whole"]["absorbed"],
+            ("value", "low", "high")), 1 if held else 0, outcome, energy["whole"]["absorbed"] if energy else "",
             float(str(content["loading_rate"])) * 1e-9, doubts]  # fmt: skip
     changes = content["changes"]
     assert isinstance(changes, list)

@@ -105,6 +105,8 @@ class Faces:
         Whether the incident, and the receiving, bar's signal lacks a gauge that would show bending.
     spread : (n,) array
         Bending that the gauges of the receiving bar show, 0 with one.
+    merged : bool
+        The two overlap by more than a tail: only the force at B is known.
     pulse : CutPulse
         The incident wave as samples.
     """
@@ -123,6 +125,7 @@ class Faces:
     alone: tuple[bool, bool]
     pulse: CutPulse
     notes: tuple[str, ...]
+    merged: bool = False
 
     @property
     def time(self) -> Array:
@@ -208,13 +211,15 @@ def at_faces(record: Record, rig: Rig, *, begin: float | None = None, end: float
     incident[:last] = values[round(first) : round(first) + last]
     noise, memory = record.noise[channels] * grown, record.memory[channels] / np.square(grown)
     # the tail of the incident wave stands in the beginning of the reflected one, and is missing where it belongs
-    overlap, over = np.zeros(count), round(_MEETING * delay) if tail else 0
+    # where it is no tail any more nobody knows where the two part
+    much = tail > _TAIL * float(cut.strain.max())
+    overlap, over = np.zeros(count), count if much else round(_MEETING * delay) if tail else 0
     overlap[:over] = tail
     overlap[last:][:over] = tail
     return Faces(
         step=step, incident=incident, reflected=waves[0], transmitted=waves[1], noise=noise, memory=memory,
         offset=record.offset[channels], known=last, shared=shared, pulse=cut, notes=(*cut.notes, *notes),
-        overlap=overlap, alone=(bool(record.alone[channels[0]]), bool(record.alone[channels[2]])),
+        overlap=overlap, merged=much, alone=(bool(record.alone[channels[0]]), bool(record.alone[channels[2]])),
         spread=_read_at(record.spread[:, channels[2]], behind, count)[0],
     )  # fmt: skip
 
@@ -232,17 +237,17 @@ def _incident(record: Record, rig: Rig, delay: float, begin: float | None,
         strain = cut.strain
         peak, split = float(strain.max()), int(delay)
         tail = float(np.abs(strain[split:]).max())
-        if end is not None or tail > _TAIL * peak:
-            raise RecordError(
+        end = record.start + step * (round((cut.begin - record.start) / step) + split)
+        cut = cut_pulse(record, begin=cut.begin, end=end)
+        said = f"the tail of the pulse, {tail / peak:.1%} of its peak, meets the reflected wave: the force at A is "
+        if tail > _TAIL * peak:
+            said = (
                 f"incident and reflected wave overlap at the incident gauge: the pulse lasts {lasts * step * 1e6:.4g} "
                 f"us, and {delay * step * 1e6:.4g} us lie between the two at {rig.incident_gauge:.4g} m from the "
                 f"sphere, where {tail / peak:.0%} of its peak are left; shorten the pulse, set the gauge further back, "
-                f"or say where the pulse stands by {WINDOW}"
+                f"or say where the pulse stands by {WINDOW}; the force at A is "
             )
-        end = record.start + step * (round((cut.begin - record.start) / step) + split)
-        cut = cut_pulse(record, begin=cut.begin, end=end)
-        cut = replace(cut, notes=(*cut.notes, f"the tail of the pulse, {tail / peak:.1%} of its peak, meets the "
-                                  "reflected wave: the force at A is so much less sure there"))  # fmt: skip
+        cut = replace(cut, notes=(*cut.notes, f"{said}so much less sure there"))
     if distance:
         notes = cut.notes[len(record.notes) :]
         cut = cut_pulse(record, bar=bar, distance=distance, begin=cut.begin if tail else begin, end=end)

@@ -66,18 +66,19 @@ class Energies:
 class Reading:
     """One test.
 
-    `peaks` by face; `energies` to the largest force at B, and to the end; `balanced` the time from which the forces
-    first agree within 5 % of their mean [s], None for never, and `balance` the share of the time from half the largest
-    force to it in which they do; `inverse` is None where no elastic sphere explains the record, and `broke` whether the
-    end of its elastic contact can be its fracture; `withheld` says why not.
+    `peaks` at A by two waves, at B by one, and of their mean by three; `energies` to the largest force at B, and to the
+    end, None (as what follows) where incident and reflected wave are not told apart; `balanced` the time from which the
+    forces first agree within 5 % of their mean [s], None for never, and `balance` the share of the time from half the
+    largest force to it in which they do; `inverse` is None where no elastic sphere explains the record, and `broke`
+    whether the end of its elastic contact can be its fracture; `withheld` says why not.
     """
 
     faces: Faces
     forces: Forces
     peaks: Mapping[str, Peak]
-    energies: tuple[Energies, Energies]
+    energies: tuple[Energies, ...] | None
     balanced: float | None
-    balance: float
+    balance: float | None
     loading_rate: float
     inverse: Inverse | None
     broke: bool
@@ -105,22 +106,28 @@ def _follow(force: Array) -> tuple[Array, int]:
     return _savgol(force, width), width
 
 
-def _peak(forces: Forces, faces: Faces, face: str, scale: float) -> Peak:
-    """The largest force at a face, from its top and not from its highest sample."""
+def _peak(forces: Forces, faces: Faces, face: str, scales: tuple[float, float]) -> Peak:
+    """The largest force at a face, or of their mean, from its top and not from its highest sample."""
     from scipy.special import ndtri
 
-    force, sd = (forces.force_a, forces.sd_a) if face == "A" else (forces.force_b, forces.sd_b)
+    own = [part * one for part, one in zip((scales[0], scales[0], scales[1]), faces.noise, strict=True)]
+    force, sd, noises = {
+        "A": (forces.force_a, forces.sd_a, own[:2]),
+        "B": (forces.force_b, forces.sd_b, own[2:]),
+        "mean": (0.5 * (forces.force_a + forces.force_b), 0.5 * np.hypot(forces.sd_a, forces.sd_b),
+                 [0.5 * one for one in own]),
+    }[face]  # fmt: skip
+    memory = float({"A": faces.memory[:2], "B": faces.memory[2:], "mean": faces.memory}[face].max())
     # a single sample that no step of mending took out must not set the width of the top
     curve, width = _follow(_median(force))
     curve = _savgol(force, width)
     at = int(np.argmax(curve))
     value = float(curve[at])
-    parts = (faces.noise[:2], faces.memory[:2]) if face == "A" else (faces.noise[2:], faces.memory[2:])
-    noise = scale * float(np.sqrt(np.square(parts[0]).sum()))
+    noise = math.hypot(*noises)
     # the middle of a parabola through `width` samples has 9/4 of the variance of their mean
-    kept = noise * math.sqrt(min(1.0, 2.25 * float(parts[1].max()) / width))
+    kept = noise * math.sqrt(min(1.0, 2.25 * memory / width))
     # of several places that might as well be the top the highest is found too high, by Blom's mean of the largest of m
-    rivals = 1.0 + float((curve > value - 2.0 * kept).sum()) / (width * max(1.0, float(parts[1].max()) / width))
+    rivals = 1.0 + float((curve > value - 2.0 * kept).sum()) / (width * max(1.0, memory / width))
     value -= kept * float(ndtri((rivals - 0.375) / (rivals + 0.25)))
     spread = _Z * math.hypot(math.sqrt(max(float(sd[at]) ** 2 - noise**2, 0.0)), kept)
     low, high, doubts = value - spread, value + spread, []
@@ -130,10 +137,13 @@ def _peak(forces: Forces, faces: Faces, face: str, scale: float) -> Peak:
         high = max(high, highest)
     if at >= len(force) - max(3, width // 2):
         doubts.append("the force is at its largest where the record ends: it is at least this")
-        high = max(high, 2.0 * scale * float(np.abs(faces.incident).max()))
-    if face == "B" and faces.spread[at] * scale > _DOUBT * value:
-        doubts.append(f"the gauges of the receiving bar differ by {2.0 * faces.spread[at] * scale / value:.0%} there")
-        low, high = low - faces.spread[at] * scale, high + faces.spread[at] * scale
+        high = max(high, 2.0 * scales[0] * float(np.abs(faces.incident).max()))
+    if faces.merged and face != "B":
+        doubts.append("incident and reflected wave overlap at the incident gauge: it is not known")
+    bent = faces.spread[at] * scales[1]
+    if face == "B" and bent > _DOUBT * value:
+        doubts.append(f"the gauges of the receiving bar differ by {2.0 * bent / value:.0%} there")
+        low, high = low - bent, high + bent
     return Peak(time=float(forces.time[at]), value=value, low=low, high=high, doubts=tuple(doubts))
 
 
@@ -152,7 +162,7 @@ def _savgol(force: Array, width: int) -> Array:
 def _doubted(peaks: dict[str, Peak], incident: float, bound: float) -> dict[str, Peak]:
     """The peaks held against each other, the wave that made them, and what the specimen can bear."""
     a, b = peaks["A"], peaks["B"]
-    found = {}
+    found = dict(peaks)
     for face, own, other in (("A", a, b), ("B", b, a)):
         doubts, low, high = list(own.doubts), own.low, own.high
         apart = own.low > other.high or own.high < other.low
@@ -201,28 +211,30 @@ def read_test(record: Record, rig: Rig, columns: Mapping[str, float], *, gain_sd
     scale = columns["bars.E"] * float(bars.section(columns["bars.diameter"]))
     behind = scale if receiving is None else receiving
     forces = forces_of(faces, columns, gain_sd, receiving)
-    peaks = {"A": _peak(forces, faces, "A", scale), "B": _peak(forces, faces, "B", behind)}
+    peaks = {face: _peak(forces, faces, face, (scale, behind)) for face in ("A", "B", "mean")}
     if not peaks["B"].low > 0.0:
         raise RecordError("no force at the receiving face rises above the noise of the record")
-    peaks = _doubted(peaks, scale * float(faces.pulse.strain.max()), bound)
+    peaks = _doubted(peaks, math.inf if faces.merged else scale * float(faces.pulse.strain.max()), bound)
     top = int(np.searchsorted(forces.time, peaks["B"].time))
     flow = tuple(part * faces.step for part in (scale * rig.bar.wave_speed, behind * rig.behind.wave_speed))
-    energies = [
+    energies = None if faces.merged else tuple(
         Energies(incident=flow[0] * float(np.square(faces.incident[:last]).sum()),
                  reflected=flow[0] * float(np.square(faces.reflected[:last]).sum()),
                  transmitted=flow[1] * float(np.square(faces.transmitted[:last]).sum()))
         for last in (top + 1, len(forces.time))
-    ]  # fmt: skip
-    if not sphere or receiving is not None:
-        said = "the model of the sphere has two equal bars" if sphere else "the specimen is said to be no sphere"
-        fitted: tuple[Inverse | None, bool, tuple[str, ...]] = (None, False, (said,))
-    else:
-        fitted = _fitted(faces, forces, columns, gain_sd)
-    inverse, broke, withheld = fitted
+    )  # fmt: skip
+    said = (
+        "the specimen is said to be no sphere" if not sphere
+        else "the model of the sphere has two equal bars: of unequal ones forces, equilibrium and energies are said"
+        if receiving is not None
+        else "incident and reflected wave overlap at the incident gauge" if faces.merged else ""
+    )  # fmt: skip
+    inverse, broke, withheld = (None, False, (said,)) if said else _fitted(faces, forces, columns, gain_sd)
     balanced, balance, rate = _balance(forces, peaks["B"].value, top)
     return Reading(
-        faces=faces, forces=forces, peaks=peaks, energies=(energies[0], energies[1]), balanced=balanced,
-        balance=balance, loading_rate=rate, inverse=inverse, broke=broke, withheld=withheld,
+        faces=faces, forces=forces, peaks=peaks, energies=energies,
+        balanced=None if faces.merged else balanced,
+        balance=None if faces.merged else balance, loading_rate=rate, inverse=inverse, broke=broke, withheld=withheld,
         touch=faces.pulse.begin + rig.incident_gauge / rig.bar.wave_speed,
         notes=inverse.notes if inverse is not None else faces.notes,
     )  # fmt: skip

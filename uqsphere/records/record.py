@@ -44,6 +44,8 @@ _JUMP: Final = 0.4
 _FOOT_SHARE, _FOOT_NOISE = 0.01, 4.0
 #: part of the longest excursion that a first wave has to last: bursts of a trigger do not
 _LASTS: Final = 0.25
+#: difference of two medians of n samples over their noise/sqrt(n) that is a drift: four times its 1.25 sqrt(2)
+_CLIMBS: Final = 7.0
 #: a gauge that shows less than this share of what its partner shows is dead
 _DEAD: Final = 0.2
 #: share of the peak beyond which a bending, a drift or a burst is told of
@@ -583,7 +585,10 @@ def _rested(values: Array, step: float, name: str, time: Array, changes: list[Ch
         if early >= _BASELINE:
             low, high = np.median(values[:early]), np.median(values[early : 2 * early])
             level = low + (high - low) / early * (np.arange(len(values)) - 0.5 * early)
-            wave = first_wave(values - level, step, scatter)
+            flat = first_wave(values - level, step, scatter)
+            # medians of noise differ too, and a line through them climbs to anything by the end of a record
+            if flat.half <= wave.end or abs(high - low) > _CLIMBS * scatter / math.sqrt(early):
+                wave = flat
     except RecordError as error:
         raise RecordError(f"{name}: {error}") from None
     count = wave.foot - max(3, wave.rising // 5)
@@ -661,8 +666,10 @@ def _joined(record: Record, polarity: str) -> Record:
     alone = [bool(record.alone[list(bar)].any()) for bar in record.bars]
     names: list[str] = []
     columns, helds, spreads, rests = [], [], [], []
+    # half of what most gauges show at the most
+    largest = 0.5 * float(np.median(np.abs(record.strain - np.median(record.strain, axis=0)).max(axis=0)))
     for bar in record.bars:
-        alive = _alive(record, bar, polarity, changes, signs)
+        alive = _alive(record, bar, polarity, changes, signs, largest)
         alone[len(names)] |= len(alive) < len(bar)
         known = np.stack([~record.held[:, k] for k, _ in alive], axis=1)
         gauges = np.stack([one.values for _, one in alive], axis=1)
@@ -713,7 +720,7 @@ def _bridged(gauges: Array, known: Flags) -> Array:
 
 
 def _alive(record: Record, bar: tuple[int, ...], polarity: str, changes: list[Change],
-           signs: list[str]) -> list[tuple[int, _Rested]]:  # fmt: skip
+           signs: list[str], least: float) -> list[tuple[int, _Rested]]:  # fmt: skip
     """Gauges of a bar that show its wave, about their rest and with their sign."""
     found: list[tuple[int, _Rested]] = []
     faults = []
@@ -729,6 +736,7 @@ def _alive(record: Record, bar: tuple[int, ...], polarity: str, changes: list[Ch
             signs.append(record.names[k])
     if not found:
         raise RecordError(faults[0])
+    found = _sound(record, found, faults, least)
     largest = max(rest.wave.peak for _, rest in found)
     for k, rest in found:
         if rest.wave.peak < _DEAD * largest:
@@ -737,3 +745,26 @@ def _alive(record: Record, bar: tuple[int, ...], polarity: str, changes: list[Ch
         changes.append(Change(step="dead gauge", signal=fault.partition(":")[0],
                               text=f"{fault}: left out, the other gauges of the bar stand alone"))  # fmt: skip
     return [(k, rest) for k, rest in found if rest.wave.peak >= _DEAD * largest]
+
+
+def _sound(record: Record, found: list[tuple[int, _Rested]], faults: list[str],
+           least: float) -> list[tuple[int, _Rested]]:  # fmt: skip
+    """Two gauges of a bar without one that came off: they differ by more than the other ever shows, and than `least`,
+    which no bending of a bar does."""
+    if len(found) != 2:
+        return found
+    (one, first), (two, other) = found
+    both = ~record.held[:, one] & ~record.held[:, two]
+    both[: min(first.wave.foot, other.wave.foot)] = False
+    sizes = [float(np.abs(rest.values[both]).max(initial=0.0)) for rest in (first, other)]
+    apart = float(np.abs(first.values - other.values)[both].max(initial=0.0))
+    clipped = [int(record.held[:, k].sum()) for k in (one, two)]
+    # a weak one is left to the next step
+    if apart <= max(min(sizes), least) or (not any(clipped) and min(sizes) < _DEAD * max(sizes)):
+        return found
+    # a gauge at the end of its range is the one that came off; else the one that shows more
+    lost = int(clipped[1] > clipped[0]) if clipped[0] != clipped[1] else int(sizes[1] > sizes[0])
+    at = record.start + record.step * int(np.argmax(both & (np.abs(first.values - other.values) > min(sizes))))
+    faults.append(f"{record.names[found[lost][0]]}: came off, at {at * 1e6:.6g} us it differs from its partner by "
+                  f"{apart * 1e6:.4g} microstrain, more than that ever shows")  # fmt: skip
+    return [found[1 - lost]]
