@@ -40,6 +40,75 @@ class Entry(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, protected_namespaces=())
 
 
+class Interval(Entry):
+    """Median of a number with its 95 % interval; null, with the reason, where the draws do not settle it."""
+
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
+    reason: str = ""
+
+
+class ParameterEntry(Entry):
+    """A parameter: largest likelihood, posterior, prior, and whether the tests tell it; sds are of its logarithm."""
+
+    unit: str
+    posterior: Interval
+    likelihood: float | None
+    sd: float
+    prior: tuple[float, float] | None
+    told: bool
+    r_hat: float | None = None
+    effective: float | None = None
+
+
+class SizeEntry(Entry):
+    """One tested size [m]: its tests, E50 [J/kg] (the median of e*), the energy that breaks half, -d ln E50/d ln d.
+
+    `low_tail`: the energy [J/kg] that breaks 1 %, by every law that is carried.
+    """
+
+    diameter: float
+    tests: int
+    broke: int
+    E50: Interval
+    half: Interval
+    slope: Interval
+    low_tail: dict[str, Interval]
+
+
+class LawEntry(Entry):
+    """One law on the same tests: largest ln likelihood, leave-one-out log score, and its share in an average."""
+
+    name: str
+    law: str
+    ratio: float | None
+    log_likelihood: float
+    loo: float | None
+    weight: float = 0.0
+    words: str = ""
+
+
+class GoodnessEntry(Entry):
+    """Largest distance of the law from the Turnbull estimate, and the share of made-up series that lie farther."""
+
+    distance: float | None = None
+    p_value: float | None = None
+    series: int = 0
+    reason: str = ""
+
+
+class CountsEntry(Entry):
+    """What the tests were."""
+
+    specimens: int
+    particles: int
+    broke: int
+    exact: int
+    repeated: int
+    cell: float = 0.0
+
+
 class FitEntry(Entry):
     """What fit.json holds; `ratio` null means E_max = inf."""
 
@@ -48,6 +117,17 @@ class FitEntry(Entry):
     ratio: float | None
     tested: tuple[float, float]
     classes: tuple[float, ...] = ()
+    title: str = ""
+    seed: int = 0
+    made_up: bool = False
+    tests: CountsEntry | None = None
+    method: str = ""
+    converged: bool = True
+    parameters: dict[str, dict[str, ParameterEntry]] = {}
+    sizes: tuple[SizeEntry, ...] = ()
+    laws: tuple[LawEntry, ...] = ()
+    goodness: GoodnessEntry = GoodnessEntry()
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,6 +187,23 @@ class Posterior:
         for name, rows, p in self.by_law(d):
             found[rows] = laws.LAWS[name].quantile(q, p)
         return found
+
+    def slope(self, diameter: Values) -> Array:
+        """-d ln E50/d ln d (n, ...) at diameters [m]; nan where there is no size law."""
+        d = np.asarray(diameter, dtype=float)
+        p = {name: self._column(name, d.ndim) for name in self.draws}
+        if self.size == "class":
+            return np.full((len(self), *d.shape), np.nan)
+        return np.broadcast_to(laws.size_slope(self.size, d, p), (len(self), *d.shape))
+
+    def force(self, reference: float, stiffness: float, density: float, share: float) -> Array:
+        """Fs [N] (n,) of (F6) at a reference size [m], E* [Pa] of both contacts: nan but for draws of a Weibull law.
+
+        `share` is the particle's of the energy of a contact; the modulus of the force is the draws' own.
+        """
+        m = self.draws.get("modulus", np.full(len(self), np.nan))
+        scale = self.median(reference) * np.log(2.0) ** (-1.0 / (0.6 * m))
+        return laws.force_of_energy(scale / share, reference, stiffness, density)
 
     def at(self, rows: npt.NDArray[np.int64]) -> Posterior:
         """Some of the draws."""

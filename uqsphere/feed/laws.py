@@ -101,11 +101,27 @@ def _log_rest(hazard: Array) -> Array:
         return np.where(hazard < 1.0, np.log(-np.expm1(-hazard)), np.log1p(-np.exp(-np.maximum(hazard, 1.0))))
 
 
+def _lognormal_between(low: Values, high: Values, p: Parameters) -> Array:
+    a, b = _standard(low, p), _standard(high, p)
+    # the normal law is even: both ends in the lower tail
+    upper = a + b > 0.0
+    larger, smaller = log_ndtr(np.where(upper, -a, b)), log_ndtr(np.where(upper, -b, a))
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isneginf(larger), -np.inf, larger + _log_rest(np.maximum(larger - smaller, 0.0)))
+
+
+def _between_hazards(first: Array, last: Array) -> Array:
+    """ln(exp(-h) - exp(-H)) = -h + ln(1 - exp(h - H))."""
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isposinf(first), -np.inf, -first + _log_rest(np.maximum(last - first, 0.0)))
+
+
 @dataclass(frozen=True, kw_only=True)
 class FractureLaw:
     """One law of the first fracture energy, as functions of energies [J/kg] and parameters.
 
     below, above : ln P(e) and ln(1 - P(e)); density : ln f(e) [ln kg/J]; quantile : share -> energy [J/kg]
+    between : (low, high) -> ln(P(high) - P(low))
     keys : its own parameters beside those of the size, which give `median`
     sized : whether a size law gives its median
     """
@@ -115,6 +131,7 @@ class FractureLaw:
     below: Callable[[Values, Parameters], Array]
     above: Callable[[Values, Parameters], Array]
     density: Callable[[Values, Parameters], Array]
+    between: Callable[[Values, Values, Parameters], Array]
     quantile: Callable[[Values, Parameters], Array]
     sized: bool = True
 
@@ -125,15 +142,18 @@ LAWS: Final = {
         FractureLaw(
             name="lognormal", keys=("sigma",), density=_lognormal_density, quantile=_lognormal_quantile,
             below=lambda e, p: log_ndtr(_standard(e, p)), above=lambda e, p: log_ndtr(-_standard(e, p)),
+            between=_lognormal_between,
         ),
         FractureLaw(
             name="weibull", keys=("modulus",), density=_weibull_density, quantile=_weibull_quantile,
             below=lambda e, p: _log_rest(_hazard(e, p)), above=lambda e, p: -_hazard(e, p),
+            between=lambda low, high, p: _between_hazards(_hazard(low, p), _hazard(high, p)),
         ),
         FractureLaw(
             name="vogel_peukert", keys=("f_mat", "threshold"), sized=False,
             density=_excess_density, quantile=_excess_quantile,
             below=lambda e, p: _log_rest(_excess(e, p)), above=lambda e, p: -_excess(e, p),
+            between=lambda low, high, p: _between_hazards(_excess(low, p), _excess(high, p)),
         ),
     )
 }  # fmt: skip
@@ -150,14 +170,7 @@ def broken_share(law: str, energy: Values, p: Parameters) -> Array:
 
 def log_between(law: str, low: Values, high: Values, p: Parameters) -> Array:
     """ln(P(high) - P(low)), from the tail that both lie in; low 0 and high inf are the ends."""
-    one = LAWS[law]
-    below, above = one.below(low, p), one.above(high, p)
-    upper = below > math.log(0.5)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        larger = np.where(upper, one.above(low, p), one.below(high, p))
-        smaller = np.where(upper, above, below)
-        found = larger + _log_rest(np.maximum(larger - smaller, 0.0))
-    return np.where(np.isneginf(larger), -np.inf, found)
+    return LAWS[law].between(low, high, p)
 
 
 # --- size -------------------------------------------------------------------------------------------------
