@@ -19,7 +19,7 @@ PAGES = sorted((ROOT / "docs").glob("tutorial-*.md"))
 def files_of(page: Path) -> dict[str, str]:
     """Files that a page shows: blocks whose first line is a comment with the name of a file."""
     blocks = re.findall(
-        r"^```(?:toml|python)\n(# ([\w.]+)\n.*?)^```$", page.read_text("utf-8"), re.DOTALL | re.MULTILINE
+        r"^```(?:toml|python|c|text)\n((?:#|//) ([\w.]+)\n.*?)^```$", page.read_text("utf-8"), re.DOTALL | re.MULTILINE
     )
     return {name: text for text, name in blocks}
 

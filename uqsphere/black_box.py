@@ -132,7 +132,7 @@ def call_black_box(box: BlackBox, given: dict[str, npt.NDArray[np.float64]]) -> 
 
 
 def checked_reference(reference: str) -> tuple[Path, str]:
-    """File and function of ``FILE.py:FUNCTION``.
+    """File and function of ``FILE.py:FUNCTION``; no function of ``FILE.toml``, which declares a program or a server.
 
     Raises
     ------
@@ -141,16 +141,22 @@ def checked_reference(reference: str) -> tuple[Path, str]:
     AccessError
         When there is no such file.
     """
-    file, separator, name = reference.rpartition(":")
-    if not separator or not file.endswith(".py") or not name.isidentifier():
-        raise UsageError(f"--model takes FILE.py:FUNCTION, found {reference!r}")
+    file, _, name = reference.rpartition(":")
+    if reference.endswith(".toml"):
+        file, name = reference, ""
+    elif not file.endswith(".py") or not name.isidentifier():
+        raise UsageError(
+            f"--model takes FILE.py:FUNCTION, or FILE.toml with a program or a server, found {reference!r}"
+        )
     if not Path(file).is_file():
         raise AccessError(f"the model file {file} does not exist")
     return Path(file), name
 
 
 def load_black_box(reference: str) -> BlackBox:
-    """The function that ``FILE.py:FUNCTION`` names.  This runs the file: it is the only way to run foreign code.
+    """The function that ``FILE.py:FUNCTION`` names, or the program or server that ``FILE.toml`` declares.
+
+    This runs the file, or what it names: it is the only way to run foreign code.
 
     Raises
     ------
@@ -162,6 +168,10 @@ def load_black_box(reference: str) -> BlackBox:
     import importlib.util
 
     path, name = checked_reference(reference)
+    if not name:
+        from uqsphere.external import load_external
+
+        return load_external(path)
     spec = importlib.util.spec_from_file_location(f"uqsphere_black_box_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise UsageError(f"{path} cannot be loaded as a Python file")
@@ -208,6 +218,10 @@ def model_digest(model: str | BlackBox) -> str:
 
     if isinstance(model, str):
         path, name = checked_reference(model)
+        if not name:
+            from uqsphere.external import external_digest
+
+            return external_digest(path)
         source = read_given(path, LARGEST_MODEL)
     else:
         name = f"{getattr(model, '__module__', '')}.{getattr(model, '__qualname__', type(model).__qualname__)}"

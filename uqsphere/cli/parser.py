@@ -86,7 +86,11 @@ def _add_studies(command: Command) -> None:
     again.add_argument("--extend", action="store_true", help=more)
     where = '"tcp://HOST:8786" of its scheduler, or "local" for one of this machine\'s processes (-j of them)'
     run.add_argument("--dask", metavar="ADDRESS", help=f"evaluate on a Dask cluster: {where}")
-    run.add_argument("--model", metavar="FILE.py:FUNCTION", help="the model of a black-box study; THIS RUNS THE FILE")
+    run.add_argument(
+        "--model",
+        metavar="FILE.py:FUNCTION",
+        help="the model of a black-box study, or FILE.toml that names a program; THIS RUNS IT",
+    )
 
 
 def _add_folders(command: Command) -> None:
@@ -224,6 +228,11 @@ def _add_others(command: Command) -> None:
     bench.add_argument("--measured", action="store_true", help="the model beside published measurements instead")
     bench.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: bench-results)")
     _json(bench)
+    serve = command("serve", "the impact model of a study as an UM-Bridge server on this machine", "uqsphere.cli.serve")
+    serve.add_argument("study", type=Path)
+    serve.add_argument("--port", type=int, default=4242, help="where it listens (default: 4242)")
+    _set(serve)
+    _json(serve)
     schema = command("schema", "print the JSON schema of study files, for editors", "uqsphere.cli.studies")
     _json(schema, "the same: a schema is a JSON document")
     _json(command("doctor", "check this installation", "uqsphere.cli.doctor"))

@@ -18,14 +18,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import metadata
-from pathlib import Path
 from typing import IO, Any, Final
 
 import numpy as np
 
 import uqsphere
 from uqsphere.arrays import Array
-from uqsphere.black_box import BlackBox, load_black_box, model_digest, prints_to_stderr, where_raised
+from uqsphere.black_box import BlackBox, checked_reference, load_black_box, model_digest, prints_to_stderr, where_raised
 from uqsphere.console import outlets
 from uqsphere.errors import ModelError, ModelRaised, UqsphereError, UsageError, told
 from uqsphere.mechanics.fidelity import Fallback
@@ -67,8 +66,8 @@ def pack_task(task: Task) -> bytes:
     """A task as it travels: with the versions that a worker must have, and a path that holds in any folder."""
     model = None
     if task.model is not None:
-        file, _, name = task.model.rpartition(":")
-        model = f"{Path(file).resolve()}:{name}"
+        file, name = checked_reference(task.model)
+        model = f"{file.resolve()}:{name}" if name else str(file.resolve())
     return pickle.dumps(replace(task, model=model, versions=_versions()), protocol=5)
 
 
