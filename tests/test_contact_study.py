@@ -108,6 +108,7 @@ def test_it_has_no_default_where_a_face_yields(tmp_path):
     (("bars.rigid_contact=true",), "bars.rigid_contact", "rigid bars do not yield"),
     (("sphere.onset_pressure='1 GPa'",), "sphere.hardness", "hardness is missing"),
     (("bars.insert_nu=0.2",), "bars.insert_nu", "insert_E is missing"),
+    (("bars.insert_material='tungsten'",), "bars.insert_material", "did you mean 'tungsten_carbide'"),
     (("bars.insert_E='500 GPa'", "bars.rigid_contact=true"), "bars.insert_E", "rigid_contact"),
     (("limits.crushing.quantity=P_max", "limits.crushing.strength='5 kN'"), "limits.crushing.strength_is",
      "not on P_max"),

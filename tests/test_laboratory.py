@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.campaigns.inverse import Made, make_test, rig_of, scene_of_test
+from tests.campaigns.inverse import Made, make_test, peak_coverage, rig_of, scene_of_test
 from uqsphere.cli import main
 from uqsphere.records.inverse import Rig
 from uqsphere.records.laboratory import Reading, calibrate, read_test
@@ -151,17 +151,9 @@ def test_what_cannot_be_mended_is_doubted_or_refused(clean: Made, fault: str) ->
 
 
 def test_peaks_are_inside_their_intervals_as_often_as_they_say() -> None:
-    scene, hits = scene_of_test(), {"A": 0, "B": 0}
     many = 40
-    for seeds in np.random.SeedSequence(8).spawn(many):
-        made = make_test(scene, noise=2e-6, gain_sd=0.01, offset=2e-5, rng=np.random.default_rng(seeds))
-        columns = {name: float(column[0]) for name, column in scene.columns.items()}
-        read = read_test(mend(make_record(made.table, 2)), rig_of(scene), columns, sphere=False)
-        truth = made.forces(read.forces.time + read.faces.pulse.begin - made.begin)
-        for face, true in zip("AB", truth, strict=True):
-            hits[face] += bool(read.peaks[face].low <= true.max() <= read.peaks[face].high)
-    for face in "AB":
-        assert hits[face] / many > 0.95 - 4.0 * math.sqrt(0.95 * 0.05 / many)
+    for share in peak_coverage(many).values():
+        assert share > 0.95 - 4.0 * math.sqrt(0.95 * 0.05 / many)
 
 
 def test_an_elastic_sphere_is_not_seen_where_there_is_none(clean: Made) -> None:

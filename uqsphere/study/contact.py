@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from uqsphere.materials import library
 from uqsphere.mechanics.yielding import CAP_PILE_UP, FLOW, METAL_PILE_UP, metal_onset
 from uqsphere.quantities import format_value
-from uqsphere.study.document import ContactTable, LimitTable, ModelChoice
-from uqsphere.study.faults import Findings
-from uqsphere.study.scene import Scene
+from uqsphere.study.document import Document, LimitTable, ModelChoice
+from uqsphere.study.faults import Findings, one_of, shown, suggestion
+from uqsphere.study.scene import Scene, take_from_library
 from uqsphere.study.sphere_tests import is_sphere_tests
 from uqsphere.uq.law import Law
 
@@ -21,15 +22,16 @@ _LEAST_SOFTENING, _MOST_SOFTENING = 0.2, 100.0
 _ROUNDED: Final = 1.001
 
 
-def read_contact(table: ContactTable | None, scene: Scene, findings: Findings) -> None:
+def read_contact(document: Document, scene: Scene, findings: Findings) -> None:
     """The law of the contact as options of a scene; numbers of another law are left out, with a warning."""
+    table = document.contact
     law = "hertz" if table is None else table.law
     for other, keys in _NUMBERS.items():
         for key in keys if other != law and findings.clean(("contact", "law")) else ():
             if getattr(table, key, None) is not None:
                 scene.readings.pop(f"contact.{key}", None)
                 findings.warn(("contact", key), f'not used: it belongs to law = "{other}"')
-    _read_inserts(scene, findings)
+    _read_inserts(None if document.bars is None else document.bars.insert_material, scene, findings)
     if table is None or law == "hertz":
         return
     scene.options["contact.law"] = law
@@ -54,8 +56,15 @@ def _fixed(scene: Scene, name: str) -> float | None:
     return None if reading is None or isinstance(reading.value, Law) else reading.value
 
 
-def _read_inserts(scene: Scene, findings: Findings) -> None:
-    """Inserts have a modulus, and stand before bars that give way."""
+def _read_inserts(material: str | None, scene: Scene, findings: Findings) -> None:
+    """Inserts have a modulus, given or of a material, and stand before bars that give way."""
+    if material is not None:
+        known = library()["plates"] | library()["bars"]
+        if material not in known:
+            said = f"unknown material {shown(material)}, known for inserts: {one_of(tuple(known))}"
+            findings.add(("bars", "insert_material"), said + suggestion(material, tuple(known)))
+            return
+        take_from_library(scene, findings, "bars", known[material], ("E", "nu", "yield_strength"), "insert_")
     parts = [
         key for key in ("insert_nu", "insert_yield_strength", "insert_thickness") if f"bars.{key}" in scene.readings
     ]

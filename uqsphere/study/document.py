@@ -212,12 +212,16 @@ class BarsTable:
         "`impedance_imag` [kg/s] of the far end"
     )
     end_radius: Number = key("radius of rounded ends at the sphere", default_is="flat")
+    insert_material: Text | None = key(
+        "a material of bars or plates, such as `tungsten_carbide` or `hard_4340`; fills `insert_E`, `insert_nu`, "
+        "`insert_yield_strength` that are not given"
+    )
     insert_E: Number = key(
         "Young's modulus of inserts that stand between bars and sphere; their waves are left out",
-        default_is="no insert",
+        default_is="from the material, else no insert",
     )
-    insert_nu: Number = key("Poisson ratio of the inserts", default_is="that of the bars")
-    insert_yield_strength: Number = key("yield strength of the inserts", default_is="that of the bars")
+    insert_nu: Number = key("Poisson ratio of the inserts", default_is="from the material, else that of the bars")
+    insert_yield_strength: Number = key("yield strength of the inserts", default_is="as `insert_nu`")
     insert_thickness: Number = key("thickness of the inserts, for a validity check")
     infinite: Flag = key("no reflections", False)
     rigid_contact: Flag = key("leaves the bars out of the contact stiffness, `1/E* = (1 - nu²)/E`", False)

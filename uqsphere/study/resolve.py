@@ -118,7 +118,7 @@ def _resolve_part(data: dict[str, Raw], findings: Findings, path: Path, text: st
     elif black_box is not None:
         scene = read_scene(document, data, findings)
         refuse_other_tables(document, data, findings)
-        read_contact(document.contact, scene, findings)
+        read_contact(document, scene, findings)
         if document.rig_kind == "bars":
             check_scene(scene, model, findings)
             check_contact(scene, model, findings)

@@ -193,14 +193,15 @@ def _fill_from_library(document: Document, section: str, scene: Scene, findings:
 
 
 def take_from_library(
-    scene: Scene, findings: Findings, section: str, material: Material, keys: tuple[str, ...]
+    scene: Scene, findings: Findings, section: str, material: Material, keys: tuple[str, ...], prefix: str = ""
 ) -> None:
-    """The numbers of a table that a material gives and the file does not."""
-    scene.materials[section] = material.name
+    """The numbers of a table that a material gives and the file does not; with a prefix, of a part of the body."""
+    if not prefix:
+        scene.materials[section] = material.name
     for key in keys:
         found = material.properties.get(key)
-        path = f"{section}.{key}"
-        if found is not None and path not in scene.readings and findings.clean((section, key)):
+        path = f"{section}.{prefix}{key}"
+        if found is not None and path not in scene.readings and findings.clean((section, prefix + key)):
             scene.readings[path] = Reading(value=found.value)
             scene.sources[path] = Source(text=found.source, seen=found.seen)
 
