@@ -330,7 +330,7 @@ def test_swapping_identical_bars() -> None:
 
     @njit
     def run(h: Any, inverse_mu: Any, push: Any, x: Any, u: Any, root: Any, force: Any, half: Any, *law: Any) -> None:
-        expand(0, h, inverse_mu, push, x, u, root, force, half, False, False, *law[:3], False, *law[3:])
+        expand(0, h, inverse_mu, push, x, u, root, force, half, False, False, *law[:3], False, *law[3:], False, law[1])
 
     rng = np.random.default_rng(15)
     h, inverse_mu = rng.uniform(0.01, 0.1, LANES), rng.uniform(1.0, 100.0, LANES)

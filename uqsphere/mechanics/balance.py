@@ -98,7 +98,7 @@ def _face(motion: Motion, pole: int, gap: Array, force: Array) -> tuple[Array, A
     if partner is None:
         return none, none, none, none, none
     law = partner.face if motion.forces is not None else None
-    if law is None or not np.isfinite(law.onset[motion.row]):
+    if law is None or not law.own[motion.row]:
         beta, radius = float(partner.hertz_constant[motion.row]), float(partner.effective_radius[motion.row])
         pressed = np.maximum(gap, 0.0)
         return gap, np.sqrt(radius * pressed), none, np.asarray(contact.contact_energy(pressed, beta)), none

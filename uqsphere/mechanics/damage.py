@@ -1,33 +1,33 @@
-"""Damage of the sphere by blows: the stiffness that its contacts lose and the fracture energy that is left (Tavares).
+"""Damage of the sphere: a contact that softens while it is pressed, and what a blow leaves of it (Tavares).
 
 While the approach grows the force is P = beta (1 - d) alpha^(3/2) with d = (alpha/d_c)^gamma; it falls and rises again
-on the secant of the largest d.  The work up to d, and that at d = 1 for both faces, the fracture energy, are
+on the secant of the largest d, without a dent.  The work up to d, at one face, and the fracture energy of the sphere,
+which is its share chi of that work at d = 1 over all its faces, are
 
-    W = beta alpha^(5/2) (2/5 - d/(gamma + 5/2))        E_f = (4/5) gamma/(2 gamma + 5) beta d_c^(5/2)          (C16)
-    E_k/E_f = d^(5/(2 gamma)) (2 gamma + 5 - 5 d)/(2 gamma)                                                      (C17)
+    W = beta alpha^(5/2) (2/5 - d/(gamma + 5/2))      E_f = sum of chi (4/5) gamma/(2 gamma + 5) beta d_c^(5/2)   (C16)
+    E_k/E_f = d^(5/(2 gamma)) (2 gamma + 5 - 5 d)/(2 gamma)                                                       (C17)
 
-(C17) gives the damage of a blow from the sphere's share of its energy, E_k; the next blow meets beta (1 - d) and
-E_f (1 - d).  Forces of a blow are those of Hertz with the stiffness that it meets: how the force falls back while the
-sphere softens is not followed, so that a sphere whose force would pass its peak, at d = 3/(3 + 2 gamma), has broken.
+The force is largest at d = 3/(3 + 2 gamma), long before d = 1: a sphere that comes so far has broken, and its record
+ends there.  A blow, from first touch to parting, is one stressing event; the next one meets beta (1 - d) and
+E_f (1 - d) at every face, with the larger d of both.
 Source: L. M. Tavares and R. P. King, Powder Technol. 123 (2002) 138, from memory; (C17) is exact with (C16).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Values
-from uqsphere.mechanics.outputs import OUTPUTS, Answers, absent_in, merged_answers
-from uqsphere.mechanics.scene import Scene, answered
+from uqsphere.arrays import Array, Flags, Places, Values
+from uqsphere.mechanics.yielding import Press
 
-#: the quantity that the blows add, and the energy of the sphere that does the damage
-BROKE_AT, ENERGY = "broke_at", "specific_energy_sphere"
 #: halvings that find a damage to 1e-15
 _HALVINGS: Final = 52
+#: rounding of a largest approach that stands at the force's peak
+_AT_PEAK: Final = 1e-9
 
 
 def energy_share(damage: Values, gamma: Values) -> Array:
@@ -59,56 +59,137 @@ def peak_damage(gamma: Values) -> Array:
     return np.asarray(3.0 / (3.0 + 2.0 * np.asarray(gamma)))
 
 
-def after_blows(
-    scene: Scene, solve: Callable[[Scene, Collection[str]], Answers], quantities: Collection[str] | None
-) -> Answers:
-    """Answers of the last of `scene.blows` equal blows that a sphere holds, or of the one that breaks it.
+@dataclass(frozen=True, kw_only=True)
+class Softening:
+    """The law of n faces that take damage, asked like `uqsphere.mechanics.yielding.Face`; (n,) each, SI.
 
-    Parameters
-    ----------
-    scene : Scene
-        With `contact.gamma` and `contact.fracture_energy` among its columns.
-    solve : function of (scene, quantities)
-        Answers of one blow.
-    quantities : collection of str, optional
-
-    Returns
-    -------
-    Answers
-        `broke_at` is the number of the blow that breaks the sphere, censored at the last where it holds them all.
+    Depths are z = alpha/d_c, d = z^gamma; forces are in units of beta d_c^1.5.  Beyond the peak of the force all stays
+    what it is there.
     """
-    if quantities is None:
-        quantities = [*(name for name in OUTPUTS if not absent_in(scene, name)), *scene.demands]
-    asked = tuple(dict.fromkeys([*(name for name in quantities if name != BROKE_AT), ENERGY]))
-    left, alive, parts = np.ones(len(scene)), np.arange(len(scene)), []
-    gamma, toughness = scene.columns["contact.gamma"], scene.columns["contact.fracture_energy"]
-    for blow in range(1, scene.blows + 1):
-        found = solve(replace(scene.at(alive), stiffness_left=left[alive]), asked)
-        with np.errstate(invalid="ignore"):
-            done = damage_of(found.values[ENERGY] / (toughness[alive] * left[alive]), gamma[alive])
-        breaks = ~(done <= peak_damage(gamma[alive])) & answered(found.status)
-        last = breaks | ~answered(found.status) | (blow == scene.blows)
-        counted = np.where(answered(found.status), float(blow), np.nan)
-        told = replace(
-            found,
-            values={**found.values, BROKE_AT: counted},
-            censored={**found.censored, BROKE_AT: ~breaks & answered(found.status)},
-        )
-        parts.append((alive[last], _rows(told, last)))
-        left[alive] = left[alive] * (1.0 - done)
-        alive = alive[~last]
-        if len(alive) == 0:
-            break
-    return merged_answers(*parts)
+
+    critical: Array
+    gamma: Array
+    modulus: Array
+    effective_radius: Array
+    hertz_constant: Array
+
+    def at(self, rows: int | Places) -> Softening:
+        """The law of some rows, (1,) each of one."""
+        picked = np.atleast_1d(rows)
+        return Softening(**{name: getattr(self, name)[picked] for name in self.__dataclass_fields__})
+
+    @property
+    def valid(self) -> Flags:
+        """Rows whose numbers make a law."""
+        return np.asarray(np.isfinite(self.critical) & (self.critical > 0.0))
+
+    @property
+    def own(self) -> Flags:
+        """Rows whose force is not Hertz's: all."""
+        return self.valid
+
+    @property
+    def softening(self) -> Array:
+        """gamma, as the integrator reads it beside a pile-up of 0."""
+        return self.gamma
+
+    @property
+    def pile_up(self) -> Array:
+        """0: no law of `Face` has it."""
+        return np.zeros_like(self.gamma)
+
+    @property
+    def onset_approach(self) -> Array:
+        """d_c [m]."""
+        return self.critical
+
+    @property
+    def onset_force(self) -> Array:
+        """beta d_c^1.5 [N]."""
+        return np.asarray(self.hertz_constant * self.critical**1.5)
+
+    @property
+    def peak(self) -> Array:
+        """z at the largest force."""
+        return np.asarray(peak_damage(self.gamma) ** (1.0 / self.gamma))
+
+    def _pressed(self, depth: Array) -> Array:
+        return np.clip(depth, 0.0, self.peak)
+
+    def force(self, depth: Array) -> Array:
+        """P at z, pressed so far for the first time."""
+        z = self._pressed(depth)
+        return np.asarray(z**1.5 * (1.0 - z**self.gamma))
+
+    def slope(self, depth: Array) -> Array:
+        """dP/dz; 0 from the peak on."""
+        z = self._pressed(depth)
+        return np.asarray(np.maximum(1.5 * np.sqrt(z) - (1.5 + self.gamma) * z ** (0.5 + self.gamma), 0.0))
+
+    def work(self, depth: Array) -> Array:
+        """W at z, (C16)."""
+        z = self._pressed(depth)
+        return np.asarray(z**2.5 * (0.4 - z**self.gamma / (self.gamma + 2.5)))
+
+    def recovery(self, depth: Array) -> Array:
+        """What unloading gives back of z: all."""
+        return self._pressed(depth)
+
+    def restitution(self, depth: Array) -> Array:
+        """Speed after over speed before a blow on a rigid wall that presses to z."""
+        z = self._pressed(depth)
+        return np.asarray(np.sqrt(0.4 * self.force(z) * z / self.work(z)))
+
+    def depth_at(self, force: Array) -> Array:
+        """z at a force P [N]; that of the peak if the sphere does not bear it."""
+        return self._found(self.force, force / self.onset_force)
+
+    def depth_of_work(self, work: Array) -> Array:
+        """z at a work over beta d_c^2.5; that of the peak if it takes more."""
+        return self._found(self.work, work)
+
+    def static_depth(self, approach: Array, force: Array) -> Array:
+        """z of the same work as a motion without damage up to an approach [m] and force [N], (C17)."""
+        return self.depth_of_work(0.4 * (approach / self.critical) ** 2.5)
+
+    def _found(self, rising: Callable[[Array], Array], wanted: Array) -> Array:
+        low, high = np.zeros(np.broadcast_shapes(np.shape(wanted), np.shape(self.gamma))), self.peak
+        high = np.broadcast_to(high, low.shape)
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            below = rising(middle) < wanted
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return high
+
+    def pressed(self, depth: Array) -> Press:
+        """The state of the face whose largest approach so far is z d_c; centre: the largest pressure on the way.
+
+        p_0 = (2/pi) E* (1 - d) sqrt(alpha/r_eff) is largest at d = 1/(1 + 2 gamma), before the force is.
+        """
+        z, unit = self._pressed(depth), self.onset_force
+        force, approach = self.force(z), z * self.critical
+        hardest = np.minimum(z, (1.0 / (1.0 + 2.0 * self.gamma)) ** (1.0 / self.gamma))
+        roots = np.sqrt(hardest * self.critical / self.effective_radius)
+        radius, stored = np.sqrt(self.effective_radius * approach), 0.4 * force * z
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = np.where(z > 0.0, force * unit / (np.pi * np.square(radius)), 0.0)
+        return Press(
+            depth=z, approach=approach, force=force * unit, radius=radius, mean=mean,
+            centre=2.0 / np.pi * self.modulus * (1.0 - hardest**self.gamma) * roots, dent=np.zeros_like(z),
+            stored=stored * unit * self.critical, plastic=(self.work(z) - stored) * unit * self.critical,
+        )  # fmt: skip
+
+    def damage(self, approach: Array) -> Array:
+        """d at the largest approach [m]."""
+        return np.asarray(self._pressed(approach / self.critical) ** self.gamma)
 
 
-def _rows(answers: Answers, which: Flags) -> Answers:
-    """Some rows of a batch of answers."""
-    return Answers(
-        values={name: column[which] for name, column in answers.values.items()},
-        censored={name: column[which] for name, column in answers.censored.items()},
-        status=answers.status[which],
-        record=answers.record[which],
-        steps=answers.steps[which],
-        others={name: column[which] for name, column in answers.others.items()},
-    )
+def critical_approach(energy: Values, share: Values, hertz_constant: Values, gamma: Values) -> Array:
+    """d_c [m] of a face that takes its part of the fracture energy [J] at d = 1; share: chi. (C16)."""
+    whole = 0.8 * np.asarray(gamma) / (2.0 * np.asarray(gamma) + 5.0) * share * hertz_constant
+    return np.asarray((energy / whole) ** 0.4)
+
+
+def broken(damage: Values, gamma: Values) -> Flags:
+    """Whether a damage is that of the force's peak."""
+    return np.asarray(damage >= peak_damage(gamma) * (1.0 - _AT_PEAK))

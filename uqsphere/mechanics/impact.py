@@ -20,6 +20,7 @@ from typing import Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
+from uqsphere.mechanics.damage import Softening, broken
 from uqsphere.mechanics.outputs import Answers, answers_from, merged_answers
 from uqsphere.mechanics.partners import Partner
 from uqsphere.mechanics.rigs import MOST_YIELDING, RIGS
@@ -102,21 +103,12 @@ def speed_for_force(force: Any, hertz_constant: Any, mass: Any) -> Array:
     return np.asarray(force ** (5.0 / 6.0) / np.sqrt(1.25 * mass) / np.asarray(hertz_constant) ** (1.0 / 3.0))
 
 
-def yielding_depth(face: Face, mass: Any, speed: Any) -> Array:
+def yielding_depth(face: Face | Softening, mass: Any, speed: Any) -> Array:
     """z = alpha/alpha_y to which a blow presses a face that yields: M* v²/2 = W(z) P_y alpha_y, (R23).
 
     The face's `pressed` has force, pressure, dent and work at that depth, its `restitution` the speed after.
     """
-    wanted = 0.5 * mass * np.square(speed) / (face.onset_force * face.onset_approach)
-    elastic = (wanted / 0.4) ** 0.4
-    # the softest law, b = 0, goes deepest: 0.4 + (z - 1) + 0.75 (z - 1)²; W is convex, so Newton comes from above
-    depth = 1.0 + (np.sqrt(np.maximum(1.0 + 3.0 * (wanted - 0.4), 1.0)) - 1.0) / 1.5
-    for _ in range(60):
-        step = (face.work(depth) - np.maximum(wanted, 0.4)) / face.force(depth)
-        depth = np.maximum(depth - step, 1.0)
-        if not np.any(np.abs(step) > 1e-15 * depth):
-            break
-    return np.asarray(np.where(wanted > 0.4, depth, elastic))
+    return face.depth_of_work(0.5 * mass * np.square(speed) / (face.onset_force * face.onset_approach))
 
 
 def light_sphere_constant(behind: Any, ahead: Any) -> Array:
@@ -135,9 +127,14 @@ def closed_form_rows(scene: Scene) -> Flags:
     """Rows that `solve_closed` answers, (n,): one contact, nothing back before the bodies part; platens all."""
     kind = RIGS[scene.rig].kind(1, scene.options)
     bare = RIGS[scene.rig].contacts == 1 and kind in ("thick", "mass") and scene.horizon is None
+    behind, ahead = scene.partners
+    if bare and ahead is not None and isinstance(face := _path_of(ahead, scene), Softening):
+        # a sphere that breaks has no way back
+        with np.errstate(all="ignore"):
+            depth = yielding_depth(face, reduced_mass(scene.scales.mass, ahead.mass), scene.scales.speed)
+            return ~broken(depth**face.gamma, face.gamma)
     if scene.rig == "platens" or bare:
         return np.ones(len(scene), dtype=bool)
-    behind, ahead = scene.partners
     if behind is not None or ahead is None or scene.horizon is not None:
         return np.zeros(len(scene), dtype=bool)
     if _path_of(ahead, scene) is not None:
@@ -224,7 +221,7 @@ _DURATIONS: Final = {
 }  # fmt: skip
 
 
-def _path_of(partner: Partner, scene: Scene) -> Face | None:
+def _path_of(partner: Partner, scene: Scene) -> Face | Softening | None:
     """The law that moves the bodies at a face; None: Hertz."""
     return partner.face if scene.contact_dynamics == "path" else None
 
@@ -258,7 +255,7 @@ def _speeds(scene: Scene, ahead: Partner, restitution: Array) -> dict[str, Array
     return {"end_speed": share - (1.0 - share) * restitution, "end_speed_b": share * (1.0 + restitution)}
 
 
-def _yielded(scene: Scene, face: Face, ahead: Partner) -> dict[str, Array]:
+def _yielded(scene: Scene, face: Face | Softening, ahead: Partner) -> dict[str, Array]:
     """A blow on a face that yields, in scaled variables: depth by (R23), times by quadrature."""
     scales = scene.scales
     depth = yielding_depth(face, reduced_mass(scales.mass, ahead.mass), scales.speed)
@@ -284,7 +281,7 @@ _UNLOADING: Final = (1.4716375921624, 0.8084992204472)
 _POINTS: Final = 24
 
 
-def _loading(face: Face, depth: Array, start: Array) -> Array:
+def _loading(face: Face | Softening, depth: Array, start: Array) -> Array:
     """Time of loading from z = start to the top z_m over alpha_y/v: the integral of dz/sqrt(1 - W(z)/W(z_m)).
 
     With z = z_m cos²(t) the integrand is smooth at both ends; it bends at the onset, where the range is cut.
@@ -313,6 +310,8 @@ def _pressed(scene: Scene) -> dict[str, Array]:
     else:
         depth = face.depth_at(force)
         approach = depth * face.onset_approach
+        if isinstance(face, Softening):  # no more than the sphere bears
+            force = face.pressed(depth).force
         slope, stored = face.slope(depth) * face.onset_force / face.onset_approach, face.pressed(depth).stored
     rate = c.get("platens.loading_rate", scene.column("platens.speed") / (2.0 / slope + softness))
     x, q = approach / scales.approach, force / scales.force

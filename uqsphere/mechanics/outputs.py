@@ -20,9 +20,10 @@ from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.carried import CARRIED, in_the_test, needs_of
 from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, demand, product_fineness
+from uqsphere.mechanics.damage import Softening, broken
 from uqsphere.mechanics.integrator.tracked import NOT_FINITE, SCALED
 from uqsphere.mechanics.rigs import RIGS, loss_to_waves
-from uqsphere.mechanics.scene import Scales, Scene, answered
+from uqsphere.mechanics.scene import BROKEN, Scales, Scene, answered
 from uqsphere.units import Quantity
 
 _Kind = TypeVar("_Kind", bound=np.generic)
@@ -132,8 +133,11 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              meaning="energy that the partners carry off as waves", needs=("carried_off", "carried_a", "carried_b"),
              formula=lambda c: c["carried_off"]),
     Quantity(name="plastic_work", symbol="D", dimension="energy", display="J", closed=True,
-             meaning="work that both faces have dissipated by yielding", needs=("dissipated",),
+             meaning="work that both faces have dissipated, by yielding or damage", needs=("dissipated",),
              formula=lambda c: c["dissipated"]),
+    Quantity(name="damage", symbol="d", dimension="number", closed=True, needs=("blow",),
+             meaning="share of the stiffness that the blow takes from the sphere's more damaged contact",
+             formula=lambda c: c["damaged"]),
     Quantity(name="broke_at", symbol="n_b", dimension="number", needs=("blow",), censored="blow_censored",
              meaning="number of the equal blow that breaks a sphere which earlier ones have damaged",
              formula=lambda c: c["blow"]),
@@ -274,12 +278,13 @@ def _side(scene: Scene, pole: int, x: Array) -> dict[str, Any]:
             **dict.fromkeys(("stored", "elastic"), lambda: contact.contact_energy(approach, beta)),
         }  # fmt: skip
     path = scene.contact_dynamics == "path" or scene.rig == "platens"
-    state = face.pressed(approach / face.onset_approach if path else face.depth_at(force))
+    state = face.pressed(approach / face.onset_approach if path else face.static_depth(approach, force))
     return {
         "P_max": state.force, "alpha_max": state.approach, "p_max": state.centre, "p_mean": state.mean,
         "p_hertz": contact.pressure_at_force(state.force, modulus, radius),
         "p_field": 1.5 * state.mean, "a_max": state.radius, "dent_left": state.dent, "dissipated": state.plastic,
         "stored": state.stored, "elastic": contact.contact_energy(approach, beta),
+        "damage": face.damage(state.approach) if isinstance(face, Softening) else np.zeros(1),
     }  # fmt: skip
 
 
@@ -308,6 +313,8 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
     for column in ("P_max", "alpha_max", "a_max", "p_max", "p_mean", "p_hertz", "dent_left"):
         found[column] = partial(_largest, sides, column)
     found["dissipated"] = lambda: sum(side["dissipated"] for side in sides)
+    if scene.contact_law == "damage":
+        found["damaged"] = partial(_largest, sides, "damage")
     if not one_contact and "difference" in tracked:
         found["force_imbalance"] = lambda: force * tracked["difference"] / _largest(sides, "P_max")
     if firsts:
@@ -346,7 +353,7 @@ def _energies(scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Column
         if all(partner.face is None for partner in there):
             return own
         crushed = (
-            np.where(partner.sphere_yields, side["dissipated"], 0.0)
+            np.where(partner.takes > 0.0, partner.takes * side["dissipated"], 0.0)
             for partner, side in zip(there, sides, strict=True)
         )  # fmt: skip
         return own + sum(crushed)
@@ -404,7 +411,9 @@ def _lacking(scene: Scene) -> dict[str, str]:
             found["rise"] = 'how fast the platens press is not given: add speed = "1 mm/min" or loading_rate'
     if rig.name != "bars" and not any(one is not None and np.any(one.reflection) for one in scene.partners):
         found["x_first"] = "no wave comes back to the sphere"
-    if all(one is None or one.face is None for one in scene.partners):
+    if scene.contact_law == "damage":
+        found["dent_left"] = "a contact that takes damage keeps no dent"
+    elif all(one is None or one.face is None for one in scene.partners):
         why = 'both bodies are elastic: add a table [contact] with law = "plastic"'
         found |= dict.fromkeys(("dent_left", "dissipated"), why)
     if scene.contact_law != "damage":
@@ -482,6 +491,10 @@ def _carried(columns: Columns, key: str, parameters: Mapping[str, float]) -> Arr
     return demand(CRITERIA[key], state, rest) if key in CRITERIA else np.asarray(state[key])
 
 
+#: what is known of a sphere only once the bodies have parted
+_AFTER: Final = {"parting", "touches", "leaving", "parting_speed", "carried_off"}
+
+
 def answers_of(
     scene: Scene,
     scaled: Array,
@@ -536,6 +549,12 @@ def answers_from(
         for name in values
         if name in OUTPUTS and OUTPUTS[name].censored
     }
+    if "damaged" in made:
+        gone = broken(columns["damaged"], scene.columns["contact.gamma"]) & ~bad
+        censored = {name: flags | gone for name, flags in censored.items()}
+        if any(_roots(name, scene.demands) & _AFTER for name in values):
+            status = np.where(gone, BROKEN, status)
+            values = {name: np.where(gone, np.nan, value) for name, value in values.items()}
     record = np.asarray(scene.scales.time * columns["ended"])
     return Answers(values=values, censored=censored, status=status, record=record, steps=steps)
 

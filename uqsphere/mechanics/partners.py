@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Final, TypedDict
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Values
+from uqsphere.arrays import Array, Values
 from uqsphere.mechanics import bars, contact
+from uqsphere.mechanics.damage import Softening, critical_approach
 from uqsphere.mechanics.yielding import CAP_PILE_UP, Body, Face, metal_body, softer
 
 if TYPE_CHECKING:
@@ -45,10 +46,10 @@ class Partner:
         V at first touch [m/s], positive from pole A to pole B.
     round_trip, reflection : (n,) arrays
         Of a bar [s] and of its far end; infinite and 0 where nothing returns.
-    face : Face or None
-        The law of a face that yields; None: elastic.
-    sphere_yields : (n,) array of bool
-        Whether it is the sphere that yields at such a face.
+    face : Face, Softening or None
+        The law of a face that yields or takes damage; None: elastic.
+    takes : (n,) array
+        The sphere's share of what such a face dissipates: 1 where it is the sphere that yields, chi of damage.
     """
 
     table: str
@@ -62,8 +63,8 @@ class Partner:
     speed: Array
     round_trip: Array
     reflection: Array
-    face: Face | None
-    sphere_yields: Flags
+    face: Face | Softening | None
+    takes: Array
 
 
 def plate_impedance(E: Values, nu: Values, density: Values, thickness: Values) -> Array:
@@ -100,7 +101,7 @@ def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) 
             impedance=_impedance(scene, table, kind),
             mass=_mass(scene, table) if kind == "mass" else _everywhere(np.inf, scene),
             speed=_everywhere(0.0, scene) if speed is None else speed,
-            **_law(scene, table, face_nu, modulus, radius),
+            **_law(scene, table, face_nu, modulus, radius, share),
             **_echo(scene, table, kind),
         )
 
@@ -171,13 +172,23 @@ def softest_partner(scene: Scene) -> Body:
 
 
 class _Law(TypedDict):
-    face: Face | None
-    sphere_yields: Flags
+    face: Face | Softening | None
+    takes: Array
 
 
-def _law(scene: Scene, table: str, nu: Array, modulus: Array, radius: Array) -> _Law:
-    """The law of a face that yields: that of its softer body, row by row, but for what [contact] gives."""
-    elastic = _Law(face=None, sphere_yields=np.broadcast_to(np.False_, (len(scene),)))
+def _law(scene: Scene, table: str, nu: Array, modulus: Array, radius: Array, share: Array) -> _Law:
+    """The law of a face that takes damage, or yields: of its softer body, row by row, but for what [contact] gives."""
+    elastic = _Law(face=None, takes=_everywhere(0.0, scene))
+    if scene.contact_law == "damage":
+        c, beta = scene.columns, contact.hertz_constant(modulus, radius)
+        energy = c["contact.fracture_energy"] * contact.sphere_mass(c["sphere.radius"], c["sphere.density"])
+        if scene.stiffness_left is not None:
+            energy = energy * scene.stiffness_left
+        critical = critical_approach(energy / scene.contacts, share, beta, c["contact.gamma"])
+        law = Softening(
+            critical=critical, gamma=c["contact.gamma"], modulus=modulus, effective_radius=radius, hertz_constant=beta
+        )
+        return _Law(face=law, takes=share)
     if scene.contact_law != "plastic":
         return elastic
     body, sphere = body_of(scene, table, nu), sphere_body(scene)
@@ -193,4 +204,4 @@ def _law(scene: Scene, table: str, nu: Array, modulus: Array, radius: Array) -> 
         modulus=modulus,
         effective_radius=radius,
     )
-    return _Law(face=face, sphere_yields=sphere.onset < body.onset)
+    return _Law(face=face, takes=np.where(sphere.onset < body.onset, 1.0, 0.0))

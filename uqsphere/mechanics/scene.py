@@ -15,6 +15,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import bars, contact
+from uqsphere.mechanics.damage import Softening
 from uqsphere.mechanics.partners import Partner
 from uqsphere.mechanics.pulses import (
     PARAMETERS,
@@ -249,12 +250,15 @@ STATUS: dict[int, str] = {
     7: "an event comes at one of several times, and less than the tolerance decides which: the answer may jump",
     11: "the bodies never close: a speed that is not positive",
     12: "the record ended while the bodies were still pressed: give a later horizon",
+    13: "the sphere broke while it was pressed: what comes after that has no number",
 }
 #: shortest pulse and round trip over t_c: a double tells times of the record apart to 1e-16 of it
 _SHORTEST: Final = 1e-9
 #: the status of a row that has two answers, and of one whose bodies never meet
 UNDECIDED: Final = 7
 NEVER_CLOSE: Final = 11
+#: ... and of one that broke before what is asked for
+BROKEN: Final = 13
 
 
 def answered(status: Places) -> Flags:
@@ -489,6 +493,11 @@ class Scene:
         return partners_of(self)
 
     @property
+    def contacts(self) -> int:
+        """Faces at which the sphere is pressed."""
+        return RIGS[self.rig].contacts
+
+    @property
     def struck(self) -> Partner:
         """The partner whose face the scale factors are those of: the one that is struck first, A if both are."""
         return next(one for one in self.partners if one is not None)
@@ -570,7 +579,7 @@ class Scene:
         )
 
     @property
-    def faces(self) -> Face | None:
+    def faces(self) -> Face | Softening | None:
         """The law of the face that is struck first, of both of `bars`, where it yields, (n,) each; None: elastic."""
         return self.struck.face
 

@@ -192,7 +192,7 @@ def _depth(scene: Scene, answers: Answers) -> Array | str:
 
 def _of_faces(scene: Scene, answers: Answers, pick: Callable[[Face, Array], Array]) -> Array | None:
     """The largest over the faces that yield of what is picked at the depth of the largest force; None: none yields."""
-    faces = [one.face for one in scene.partners if one is not None and one.face is not None]
+    faces = [one.face for one in scene.partners if one is not None and isinstance(one.face, Face)]
     with np.errstate(all="ignore"):
         found = [pick(face, face.depth_at(np.asarray(answers.values["P_max"]))) for face in faces]
     return np.maximum.reduce(found) if found else None

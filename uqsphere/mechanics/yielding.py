@@ -138,6 +138,11 @@ class Face:
         return np.asarray(elastic | (ordered & ((np.abs(b) < 1e-12) | ((b >= 0.2) & (b <= 100.0)))))
 
     @property
+    def own(self) -> Flags:
+        """Rows whose force is not Hertz's for ever."""
+        return np.isfinite(self.onset)
+
+    @property
     def onset_approach(self) -> Array:
         """alpha_y [m], (C2)."""
         return np.asarray(self.effective_radius * np.square(0.5 * math.pi * self.onset / self.modulus))
@@ -197,6 +202,21 @@ class Face:
             if not np.any(np.abs(step) > 1e-15 * depth):
                 break
         return np.where(ratio > 1.0, depth, np.cbrt(np.square(ratio)))
+
+    def depth_of_work(self, work: Array) -> Array:
+        """z at which virgin loading has taken a work over P_y alpha_y."""
+        # the softest law, b = 0, goes deepest: 0.4 + (z - 1) + 0.75 (z - 1)²; W is convex, so Newton comes from above
+        depth = 1.0 + (np.sqrt(np.maximum(1.0 + 3.0 * (work - 0.4), 1.0)) - 1.0) / 1.5
+        for _ in range(_STEPS):
+            step = (self.work(depth) - np.maximum(work, 0.4)) / self.force(depth)
+            depth = np.maximum(depth - step, 1.0)
+            if not np.any(np.abs(step) > 1e-15 * depth):
+                break
+        return np.where(work > 0.4, depth, (work / 0.4) ** 0.4)
+
+    def static_depth(self, approach: Array, force: Array) -> Array:
+        """z of the same force as an elastic motion up to an approach [m] and force [N]."""
+        return self.depth_at(force)
 
     def recovery(self, depth: Array) -> Array:
         """alpha_e/alpha_y: the approach that unloading from z gives back, (C8)."""

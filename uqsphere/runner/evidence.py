@@ -15,6 +15,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.mechanics.outputs import absent_in
+from uqsphere.mechanics.yielding import Face
 from uqsphere.model import Answered, is_answered, scene_of, solve_scene
 from uqsphere.runner.axis_rows import evaluate_at
 from uqsphere.runner.chunks import remembered
@@ -127,7 +128,7 @@ def _static(work: Work, points: Sample, scene: Scene, elastic: Answers) -> Sampl
     if scene.contact_law != "hertz":
         return None
     yielding = replace(scene, contact_law="plastic", contact_dynamics="elastic")
-    onsets = [partner.face.onset for partner in yielding.partners if partner is not None and partner.face is not None]
+    onsets = [partner.face.onset for partner in yielding.partners if partner and isinstance(partner.face, Face)]
     rows = (
         np.any([elastic.values["p_hertz"] > onset for onset in onsets], axis=0) if onsets else np.zeros(1, dtype=bool)
     )

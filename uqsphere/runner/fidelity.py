@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.mechanics.fidelity import Fallback, fit_error_law
+from uqsphere.mechanics.yielding import Face
 from uqsphere.model import cheaper_fidelities, is_answered, scene_of, solve_scene
 from uqsphere.results.entries import CheckEntry
 from uqsphere.runner.chunks import remembered
@@ -381,7 +382,7 @@ def out_of_reach(study: Study, scene: Scene) -> list[CheckEntry]:
     Of the limit most of whose strengths are such; a warning or a failure where the sphere is meant to break.
     """
     limits = [limit for limit in study.limits if limit.quantity in ("p_max", "first_peak", "p_mean")]
-    if scene.faces is None or not limits:
+    if not isinstance(scene.faces, Face) or not limits:
         return []
     hardness = scene.faces.hardness[scene.status == 0]
 

@@ -20,7 +20,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 #: files with compiled code, or with numbers that it takes in
-_SOURCES = ("compiled", "events", "faces", "incoming", "kernel", "step", "tracked", "vectors")
+_SOURCES = ("compiled", "events", "faces", "incoming", "kernel", "searches", "step", "tracked", "vectors")
 
 
 @lru_cache(maxsize=1)

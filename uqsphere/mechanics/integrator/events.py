@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from uqsphere.mechanics.integrator import searches, tracked
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
@@ -20,7 +22,17 @@ from uqsphere.mechanics.integrator.faces import (
     of_its_own,
 )
 from uqsphere.mechanics.integrator.tracked import INNER, LANES, ORDER, PAIR
-from uqsphere.mechanics.integrator.vectors import apart, curves_at, elementwise, larger, row, size_of, smaller, where
+from uqsphere.mechanics.integrator.vectors import (
+    apart,
+    curves_at,
+    elementwise,
+    larger,
+    row,
+    size_of,
+    smaller,
+    values_at,
+    where,
+)
 
 
 @compiled(**INNER)
@@ -152,22 +164,26 @@ def _dip(piece, face, level, a, b, slope_b):
 
 @compiled(**INNER)
 def _switch(law, lane, piece, grid, theta):
-    """The first change of branch of either face in a step: its theta, and face + 4 or face + 6, or 0."""
+    """The first change of branch of either face in a step: its theta, and face + 4 or face + 6, 1: it breaks, or 0."""
     apart()
     ends, why = theta, 0
     for face in range(2):
         m, found = face * LANES + lane, math.nan
+        width, breaks = theta / tracked.POINTS, False
         if law[tracked.SPRING, m] == 0.0:
             for i in range(tracked.POINTS):
                 if grid[face, 1, i] > 0.0 and grid[face, 1, i + 1] <= 0.0:
-                    part = theta / tracked.POINTS
-                    found = searches.bend(
-                        piece, face, i * part, (i + 1) * part, grid[face, 1, i], grid[face, 1, i + 1], searches.SHARP
+                    found = searches.settle(
+                        piece, face, True, i * width, (i + 1) * width, grid[face, 1, i], grid[face, 1, i + 1], 0.0
                     )
                     break
+            if law[tracked.GAMMA, m] > 0.0:
+                limit = theta if math.isnan(found) else found
+                broken = searches.passage(piece, face, law[tracked.BREAKS, m], 1.0, 0.0, limit)
+                if not math.isnan(broken):
+                    found, breaks = broken, True
         else:
             room = law[tracked.LARGEST, m] - law[tracked.DENT, m]
-            width = theta / tracked.POINTS
             for i in range(tracked.POINTS):
                 left, right = grid[face, 0, i], grid[face, 0, i + 1]
                 if left >= room * (1.0 - ARMED):
@@ -175,7 +191,9 @@ def _switch(law, lane, piece, grid, theta):
                     if right > room * (1.0 + ARMED):
                         found = _dip(piece, face, room, i * width, (i + 1) * width, grid[face, 1, i + 1])
                 elif right >= room:
-                    found = searches.root(piece, face, room, i * width, (i + 1) * width)
+                    found = searches.settle(
+                        piece, face, False, i * width, (i + 1) * width, left - room, right - room, room
+                    )
                 elif (
                     searches.highest_between(left, width * grid[face, 1, i], right, width * grid[face, 1, i + 1])
                     >= room
@@ -184,13 +202,13 @@ def _switch(law, lane, piece, grid, theta):
                 if not math.isnan(found):
                     break
         if found <= ends and (why == 0 or found < ends):
-            ends, why = found, face + (6 if law[tracked.SPRING, m] == 0.0 else 4)
+            ends, why = found, 1 if breaks else face + (6 if law[tracked.SPRING, m] == 0.0 else 4)
     return ends, why
 
 
 @compiled(**INNER)
 def after_step(
-    mode, flags, track, lane, piece, grid, places, theta, before, h, echo, low, tiny, near, hover, graze,
+    mode, flags, track, lane, piece, pushes, grid, places, theta, before, h, echo, low, tiny, near, hover, graze,
     stop_at_loss, yielding, law,
 ):  # fmt: skip
     """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
@@ -198,8 +216,9 @@ def after_step(
     What ends the step: 0 nothing, 1 the record, 2 a face that lost contact or touched again while the motion goes on
     (face + 2), a face that begins to yield (face + 4) or ceases to (face + 6).  `echo` is the time of the first
     reflected wave, `tiny` the error allowed in an approach, `low` > 0 the share of the largest approach below which
-    the record ends; for the others see `_faces`.  grid (face, 2, POINTS + 1): values and slopes over [0, theta].
-    places (2,) receive the theta of a face's largest approach so far, or -1.
+    the record ends; for the others see `_faces`.  grid (face, 2, POINTS + 1): values and slopes over [0, theta]; room.
+    places (2,) receive the theta of a face's largest approach so far, or -1.  pushes (6, TERMS): the series of both
+    forces, where faces have laws of their own, and room.
     """
     apart()
     ends, why = theta, 0
@@ -228,7 +247,9 @@ def after_step(
             found, places[face] = searches.largest_approach(face, mode, piece, ends, grid, least, own, law, lane)
             track[tracked.FACE_A + (face if yielding else 0), lane], known = found, max(known, found)
     for kind in range(tracked.DIFFERENCE, tracked.KINDS):
-        if flags & (1 << kind):
+        if flags & (1 << kind) and own and (kind == tracked.DIFFERENCE or kind == tracked.MEAN):
+            track[kind, lane] = searches.largest_of_forces(kind, pushes, ends, grid[2:], track[kind, lane])
+        elif flags & (1 << kind):
             track[kind, lane], _ = searches.largest_of_both(
                 kind, mode, piece, ends, grid, track[kind, lane], own, law, lane
             )
@@ -314,14 +335,16 @@ _SEARCHED = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SHARE |
 
 
 @compiled(**INNER)
-def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known, crest, room, yielding, law):
+def look(
+    mode, wanted, x, at, rate, push, push_rate, track, theta, low, near, live, flags, known, crest, room, yielding, law,
+):  # fmt: skip
     """What may have happened in each lane's step, as flags, and the largest approach up to its end.
 
-    at, rate (tracked.POINTS + 1, PAIR): values and derivatives (by theta) at equal distances over [0, theta].
-    low, near (LANES,): the record may end below the first; a contact may be lost below the second.  live
-    (LANES,): rows in the lanes, -1 where there is none.  known (1, PAIR), crest (LANES,): largest approach of each face
-    so far (of both where they are alike), and what it may have been in this step.  room (11, PAIR): working space,
-    from whose rows 3 and 4 the caller reads where in the step a bend lies.
+    at, rate (tracked.POINTS + 1, PAIR): values and derivatives (by theta) at equal distances over [0, theta]; push,
+    push_rate: the same of the forces, where faces have laws of their own.  low, near (LANES,): the record may end below
+    the first; a contact may be lost below the second.  live (LANES,): rows in the lanes, -1 where there is none.  known
+    (1, PAIR), crest (LANES,): largest approach of each face so far (of both where they are alike), and what it may have
+    been in this step.  room (11, PAIR): working space, from whose rows 3 and 4 the caller reads where a bend lies.
     """
     apart()
     best, top, second, place = row(room, 0, 0), row(room, 1, 0), row(room, 2, 0), row(room, 3, 0)
@@ -357,30 +380,30 @@ def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known,
                 if room[10, LANES + j] > 0.0:
                     flags[j] |= 1 << tracked.FACE_A
     if wanted & _SEARCHED:
-        _look_further(mode, wanted, at, rate, track, theta, flags, room, yielding, law)
+        _look_further(mode, wanted, at, rate, push, push_rate, track, theta, flags, room, yielding, law)
 
 
 @compiled(**INNER)
-def _look_further(mode, wanted, at, rate, track, theta, flags, room, yielding, law):
+def _look_further(mode, wanted, at, rate, push, push_rate, track, theta, flags, room, yielding, law):
     """Flags of the steps in which a function of both faces may be the largest so far."""
     apart()
     if wanted & tracked.WANT_DIFFERENCE:
-        _look_for_difference(mode, at, rate, track, theta, flags, room, yielding, law)
+        _look_for_difference(mode, at, rate, push, push_rate, track, theta, flags, room, yielding, law)
     if wanted & tracked.WANT_ENERGY:
-        _look_for_energy(mode, at, rate, track, theta, flags, room, yielding, law)
+        _look_for_energy(mode, at, rate, push, push_rate, track, theta, flags, room, yielding, law)
     if wanted & tracked.WANT_SHARE:
         for j in range(LANES):
             if most_stored(law, j, room[1]) > track[tracked.SHARE, j]:
-                _look_at_own(tracked.SHARE, at, rate, track, theta, flags, law, j)
+                flags[j] |= 1 << tracked.SHARE
     if wanted & tracked.WANT_MEAN:
-        _look_for_mean(mode, at, rate, track, theta, flags, room, yielding, law)
+        _look_for_mean(mode, at, rate, push, push_rate, track, theta, flags, room, yielding, law)
 
 
 def _look_for(kind, plain):
     """The function that does so for one function of both faces: as a constant its number costs no time."""
 
     @compiled(**INNER)
-    def look_for(mode, at, rate, track, theta, flags, room, yielding, law):
+    def look_for(mode, at, rate, push, push_rate, track, theta, flags, room, yielding, law):
         apart()
         for i in range(tracked.POINTS):
             for j in range(LANES):
@@ -397,22 +420,24 @@ def _look_for(kind, plain):
         for j in range(LANES):
             if yielding and of_its_own(law, j):
                 flags[j] &= ~(1 << kind)
-                if kind != tracked.ENERGY or most_stored(law, j, room[1]) > track[kind, j]:
-                    _look_at_own(kind, at, rate, track, theta, flags, law, j)
+                if kind != tracked.ENERGY:
+                    _look_at_forces(kind, push, push_rate, track, theta, flags, j)
+                elif most_stored(law, j, room[1]) > track[kind, j]:
+                    flags[j] |= 1 << kind
 
     return look_for
 
 
 @compiled(**INNER)
-def _look_at_own(kind, at, rate, track, theta, flags, law, j):
-    """The same of one lane whose faces have laws of their own: in a function of its own, so that others stay fast."""
+def _look_at_forces(kind, push, push_rate, track, theta, flags, j):
+    """The same of one lane whose faces have laws of their own, from the series of its forces."""
     apart()
-    k, width = LANES + j, theta[j] / tracked.POINTS
+    width, sign = theta[j] / tracked.POINTS, -1.0 if kind == tracked.DIFFERENCE else 1.0
+    share = 1.0 if kind == tracked.DIFFERENCE else 0.5
     left, left_slope = 0.0, 0.0
     for i in range(tracked.POINTS + 1):
-        right, right_slope = searches.combine_own(
-            kind, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k], law, j
-        )
+        right = share * (push[i, j] + sign * push[i, LANES + j])
+        right_slope = share * width * (push_rate[i, j] + sign * push_rate[i, LANES + j])
         above = searches.highest_between(left, left_slope, right, right_slope)
         below = searches.highest_between(-left, -left_slope, -right, -right_slope)
         if i > 0 and max(above, below) > track[kind, j]:
@@ -636,18 +661,25 @@ def note_peaks(track, lane, force, places):
             track[tracked.CHATTER, lane] = track[tracked.TOUCHES, lane]
 
 
+#: Gauss points of a step: exact to the power 23 of the squared force, whose further terms are below the tolerance
+_NODES, _WEIGHTS = (array.copy() for array in np.polynomial.legendre.leggauss(12))
+
+
 @compiled(**INNER)
-def note_carried(track, lane, force, length, theta):
-    """Add the integrals of both squared forces over a step up to theta."""
+def note_carried(track, lane, force, length, theta, work):
+    """Add the integrals of both squared forces over a step up to theta; work (4, TERMS): room."""
     apart()
+    places, values, series = row(work, 0, 0), row(work, 1, 0), row(work, 2, 0)
+    for i in range(12):
+        work[0, i] = 0.5 * theta * (1.0 + _NODES[i])
     for face in range(2):
-        m, total = face * LANES + lane, 0.0
-        for n in range(2 * ORDER, -1, -1):
-            term = 0.0
-            for k in range(max(0, n - ORDER), min(n, ORDER) + 1):
-                term += force[k, m] * force[n - k, m]
-            total = total * theta + term / (n + 1.0)
-        track[tracked.CARRIED + face, lane] += total * theta * length
+        for k in range(tracked.TERMS):
+            work[2, k] = force[k, face * LANES + lane]
+        values_at(series, ORDER, places, values)
+        total = 0.0
+        for i in range(12):
+            total += _WEIGHTS[i] * work[1, i] * work[1, i]
+        track[tracked.CARRIED + face, lane] += 0.5 * total * theta * length
 
 
 @compiled(**INNER)

@@ -13,6 +13,11 @@ l = ln((y + base)/...), so that its series costs one recurrence more:
 
     q = constant + by_x x + by_root y + by_log l        l' (y + base) = y'        base = (b - 1) sqrt(x_y)
 
+A face that takes damage (`uqsphere.mechanics.damage`) is on virgin loading from first touch, has no dent, and its
+spring is the secant.  Its virgin loading needs the series of x^(gamma + 3/2), one recurrence as well:
+
+    virgin   q = hertz x^(3/2) + by_log x^(gamma + 3/2)         until x reaches `breaks`, where q is largest
+
 `law` holds these numbers of every lane and face, (NUMBERS, PAIR); scaled variables.
 """
 
@@ -23,12 +28,15 @@ import math
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.tracked import (
     BASE,
+    BREAKS,
     BY_LOG,
     BY_ROOT,
     BY_X,
     CHI,
     CONSTANT,
     DENT,
+    GAMMA,
+    HERTZ,
     INNER,
     LANES,
     LARGEST,
@@ -45,6 +53,7 @@ from uqsphere.mechanics.integrator.tracked import (
     SOFTENING,
     SPRING,
     STIFFNESS,
+    UNIT,
     UNLOADINGS,
 )
 from uqsphere.mechanics.integrator.vectors import apart
@@ -67,19 +76,23 @@ def _bend(t):
 
 
 @compiled(**INNER)
-def _virgin(z, b, pile_up):
-    """L and A at z >= 1, (C5) and (C6)."""
+def _virgin_force(z, b):
+    """L at z >= 1, (C5)."""
     s = math.sqrt(z) - 1.0
     force = 1.0 + 3.0 * s + (1.5 if b == 0.0 else 3.0) * s * s
-    if b > 0.0:
-        force += 3.0 * b * b * (b - 1.0) * _bend(s / b)
-    g = 5.0
+    return force + 3.0 * b * b * (b - 1.0) * _bend(s / b) if b > 0.0 else force
+
+
+@compiled(**INNER)
+def _virgin_area(z, b, pile_up):
+    """A at z >= 1, (C6)."""
+    s, g = math.sqrt(z) - 1.0, 5.0
     if pile_up > 1.0:
         g = min(5.0, pile_up * b * b / ((pile_up - 1.0) * (1.0 + b)))
     if g == 0.0:
-        return force, 1.0 + pile_up * s * (2.0 + s)
+        return 1.0 + pile_up * s * (2.0 + s)
     area = 1.0 + 2.0 * s + s * s * (1.0 + (pile_up - 1.0) / g)
-    return force, area + 2.0 * (pile_up - 1.0) * g * (g - 1.0) * _bend(s / g)
+    return area + 2.0 * (pile_up - 1.0) * g * (g - 1.0) * _bend(s / g)
 
 
 @compiled(**INNER)
@@ -93,16 +106,27 @@ def new_faces(law, lane, given):
         onset, stiffness = given[LAW_ONSET, face], given[LAW_STIFFNESS, face]
         law[ONSET, m], law[SOFTENING, m], law[PILE_UP, m] = onset, given[LAW_SOFTENING, face], given[LAW_PILE_UP, face]
         law[STIFFNESS, m], law[SPRING, m], law[LARGEST, m] = stiffness, stiffness, onset
-        law[PEAK, m], law[CHI, m] = stiffness * onset**1.5, given[LAW_SHARE, face]
+        law[UNIT, m], law[HERTZ, m] = stiffness * onset**1.5, stiffness
+        law[PEAK, m], law[CHI, m], law[BREAKS, m] = law[UNIT, m], given[LAW_SHARE, face], math.inf
+        if law[PILE_UP, m] == 0.0:
+            gamma = law[SOFTENING, m]
+            law[GAMMA, m], law[BREAKS, m] = gamma, onset * (3.0 / (3.0 + 2.0 * gamma)) ** (1.0 / gamma)
+            law[ONSET, m], law[LARGEST, m], law[PEAK, m] = 0.0, 0.0, 0.0
+            law[BASE, m] = -stiffness * onset**-gamma
+            press_on(law, m)
 
 
 @compiled(**INNER)
 def press_on(law, m):
     """A spring whose approach rises through the largest so far: virgin loading."""
     apart()
+    law[SPRING, m] = 0.0
+    if law[GAMMA, m] > 0.0:
+        law[HERTZ, m], law[BY_LOG, m] = law[STIFFNESS, m], law[BASE, m]
+        return
     onset, b = law[ONSET, m], law[SOFTENING, m]
-    force, side = law[STIFFNESS, m] * onset**1.5, math.sqrt(onset)
-    law[SHIFT, m], law[SPRING, m] = law[DENT, m], 0.0
+    force, side = law[UNIT, m], math.sqrt(onset)
+    law[SHIFT, m], law[HERTZ, m] = law[DENT, m], 0.0
     law[BY_X, m] = 1.5 * force * (1.0 + b) / onset
     law[BY_ROOT, m] = -3.0 * force * b * b / side
     law[BY_LOG, m] = 3.0 * force * b * b * (b - 1.0)
@@ -116,11 +140,18 @@ def let_go(law, m, above):
     apart()
     approach, onset = above + law[DENT, m], law[ONSET, m]
     largest = max(approach, law[LARGEST, m])
-    force, area = _virgin(largest / onset, law[SOFTENING, m], law[PILE_UP, m])
+    if law[GAMMA, m] > 0.0:
+        force, _ = face_force(law, m, largest)
+        law[LARGEST, m], law[PEAK, m], law[SPRING, m] = largest, force, force / largest**1.5
+        law[HERTZ, m], law[BY_LOG, m] = law[SPRING, m], 0.0
+        return approach
+    force = _virgin_force(largest / onset, law[SOFTENING, m])
+    area = _virgin_area(largest / onset, law[SOFTENING, m], law[PILE_UP, m])
     recovered = onset * force / math.sqrt(area)
-    law[PEAK, m] = law[STIFFNESS, m] * onset**1.5 * force
+    law[PEAK, m] = law[UNIT, m] * force
     law[LARGEST, m], law[DENT, m] = largest, largest - recovered
     law[SPRING, m] = law[PEAK, m] / recovered**1.5
+    law[HERTZ, m] = law[SPRING, m]
     law[SHIFT, m], law[BY_X, m], law[BY_ROOT, m], law[BY_LOG, m], law[CONSTANT, m] = 0.0, 0.0, 0.0, 0.0, 0.0
     return approach - law[DENT, m]
 
@@ -180,6 +211,11 @@ def face_force(law, m, above):
             return 0.0, 0.0
         side = law[SPRING, m] * math.sqrt(above)
         return side * above, 1.5 * side
+    if law[GAMMA, m] > 0.0:
+        side = math.sqrt(max(above, 0.0))
+        lost = law[BY_LOG, m] * max(above, 0.0) ** law[GAMMA, m]
+        hertz = law[HERTZ, m]
+        return (hertz + lost) * side * above, (1.5 * hertz + (1.5 + law[GAMMA, m]) * lost) * side
     root = math.sqrt(max(above + law[SHIFT, m], 1e-300))
     force, slope = law[CONSTANT, m] + law[BY_X, m] * above + law[BY_ROOT, m] * root, law[BY_ROOT, m]
     if law[BY_LOG, m] != 0.0:
@@ -194,10 +230,11 @@ def stored_energy(law, m, above):
     force, slope = face_force(law, m, above)
     if law[SPRING, m] > 0.0:
         return 0.4 * force * max(above, 0.0), force
+    if law[GAMMA, m] > 0.0:
+        return 0.4 * force * max(above, 0.0), 0.4 * (force + slope * above)
     onset, b = law[ONSET, m], law[SOFTENING, m]
     z = max((above + law[SHIFT, m]) / onset, 1.0)
-    reached, area = _virgin(z, b, law[PILE_UP, m])
-    recovered = onset * reached / math.sqrt(area)
+    recovered = onset * (force / law[UNIT, m]) / math.sqrt(_virgin_area(z, b, law[PILE_UP, m]))
     # its slope is only used to look for tops between points: that of a spring of the present stiffness
     return 0.4 * force * recovered, 0.8 * recovered * slope
 
@@ -265,14 +302,19 @@ def may_be_wrong(law, m, x, length):
 @compiled(**INNER)
 def most_force(law, lane, top):
     """The larger force of a lane at most, while its approaches stay below `top` (PAIR,)."""
-    found = max(face_force(law, lane, top[lane])[0], face_force(law, LANES + lane, top[LANES + lane])[0])
+    found = 0.0
+    for m in range(lane, 2 * LANES, LANES):
+        found = max(found, face_force(law, m, min(top[m], law[BREAKS, m]))[0])
     return found * (1.0 + 1e-9)
 
 
 @compiled(**INNER)
 def most_stored(law, lane, top):
     """Elastic energy that a lane stores at most while its approaches stay below `top` (PAIR,)."""
-    return stored_energy(law, lane, top[lane])[0] + stored_energy(law, LANES + lane, top[LANES + lane])[0]
+    found = 0.0
+    for m in range(lane, 2 * LANES, LANES):
+        found += stored_energy(law, m, min(top[m], law[BREAKS, m]))[0]
+    return found
 
 
 @compiled(**INNER)
@@ -284,6 +326,8 @@ def may_switch(law, lane, top, rate):
     for face in range(2):
         m = face * LANES + lane
         if law[SPRING, m] == 0.0:
+            if top[m] >= law[BREAKS, m]:
+                return True
             for i in range(1, POINTS + 1):
                 if rate[i, m] < 0.0:
                     return True

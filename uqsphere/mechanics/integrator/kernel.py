@@ -113,12 +113,19 @@ def march(
         np.zeros((4, lanes)), np.zeros((2, lanes, incoming.QUEUE)), np.zeros((2, lanes), dtype=np.int64),
         np.zeros((2, lanes), dtype=np.int64), np.zeros((2, lanes), dtype=np.int64),
         np.zeros((2, lanes), dtype=np.int64), np.zeros((tracked.TRACKS, lanes)), np.ones((SCALES, lanes)),
-        np.zeros((2, 2, tracked.POINTS + 1)), np.zeros((3, PAIR)), np.zeros((19, lanes)),
+        np.zeros((4, 2, tracked.POINTS + 1)), np.zeros((3, PAIR)), np.zeros((19, lanes)),
         np.zeros((4, lanes), dtype=np.int64), np.zeros((tracked.NUMBERS, PAIR)), np.zeros((TERMS, PAIR)),
         np.zeros((1, PAIR)), np.zeros((tracked.RIGS, PAIR)), np.zeros((TERMS, PAIR)), np.full(2, -1.0),
+        np.zeros((TERMS, PAIR)), np.zeros((6, TERMS)), np.zeros((2 * tracked.POINTS + 2, PAIR)),
     )  # fmt: skip
     # faces that yield: their law, the series of the logarithm in it, a divisor; see `faces`
-    law, log, inverse_root = bare(owned[23]), bare(owned[24]), bare(owned[25][0])
+    law, log, inverse_root, sloped, pushes = (
+        bare(owned[23]), bare(owned[24]), bare(owned[25][0]), bare(owned[29]), bare(owned[30])
+    )  # fmt: skip
+    pressed, pressing = bare(owned[31][: tracked.POINTS + 1]), bare(owned[31][tracked.POINTS + 1 :])
+    softens = False
+    for r in range(laws.shape[0] if laws.shape[1] > 0 else 0):
+        softens |= laws[r, tracked.LAW_PILE_UP, 0] == 0.0 or laws[r, tracked.LAW_PILE_UP, 1] == 0.0
     yielding, switched, own = (
         laws.shape[1] > 0,
         np.zeros(lanes, dtype=np.bool_),
@@ -253,7 +260,7 @@ def march(
                     apart = True
                     virgin |= on_virgin_loading(law, j)
         expand(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
-               rigged, rig, free)  # fmt: skip
+               rigged, rig, free, softens, sloped)  # fmt: skip
         longest(x, u, free, size, rigged, local, theta)
         for j in range(lanes):
             theta[j] = min(theta[j], 1.0)
@@ -315,7 +322,29 @@ def march(
         evaluate(u, theta, 1.0, half, at_u, rate_u)
         if mode != 1:
             root_error(root, theta, half, at, law, branch, row_of(room, 0, 0), row_of(room, 1, 0))
-        events.look(mode, wanted, x, at, rate, track, theta, low, near, row, flags, known, crest, room, yielding, law)
+        if apart and wanted & (tracked.WANT_DIFFERENCE | tracked.WANT_MEAN):
+            for i in range(tracked.POINTS + 1):
+                evaluate(force, theta, i / tracked.POINTS, half, row_of(pressed, i, 0), row_of(pressing, i, 0))
+        events.look(
+            mode,
+            wanted,
+            x,
+            at,
+            rate,
+            pressed,
+            pressing,
+            track,
+            theta,
+            low,
+            near,
+            row,
+            flags,
+            known,
+            crest,
+            room,
+            yielding,
+            law,
+        )
         for j in range(lanes):
             if row[j] < 0:
                 continue
@@ -352,6 +381,7 @@ def march(
                 for face in range(2):
                     for k in range(TERMS):
                         piece[face, k] = x[k, face * LANES + j]
+                        pushes[face, k] = force[k, face * LANES + j]
                     for i in range(tracked.POINTS + 1):
                         grid[face, 0, i] = at[i, face * LANES + j]
                         grid[face, 1, i] = rate[i, face * LANES + j]
@@ -361,7 +391,7 @@ def march(
                         max(track[tracked.FACE_A, j], track[tracked.FACE_B, j]), max(known[0, j], known[0, LANES + j])
                     )
                 ending, why = events.after_step(
-                    mode, flags[j], track, j, piece, grid, places, theta[j], before, h[j],
+                    mode, flags[j], track, j, piece, pushes, grid, places, theta[j], before, h[j],
                     min(trips[0, j], trips[1, j]), quiet, local * size[0, j], near[j], asked * size[0, j], graze[r],
                     stop_at_loss and not rigged, yielding, law,
                 )  # fmt: skip
@@ -374,13 +404,13 @@ def march(
                     track[tracked.FACE_B, j] = known[0, LANES + j]
                     if before < min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
                         track[tracked.X_FIRST + 1, j] = known[0, LANES + j]
-            if yielding:
+            if rigged:
                 for face in range(2):
                     if law[tracked.SPRING, face * LANES + j] == 0.0:  # on virgin loading it is at its deepest
                         places[face] = ending
                 events.note_peaks(track, j, force, places)
             if wanted & tracked.WANT_CARRIED:
-                events.note_carried(track, j, force, h[j], ending)
+                events.note_carried(track, j, force, h[j], ending, pushes)
             n = count[j] % capacity
             count[j] += 1
             start[j, n], scale[j, n], length[j, n], crests[j, n] = before, h[j], ending * h[j], crest[j]
@@ -415,17 +445,18 @@ def march(
                     kept[n, 0, 0] += law[tracked.DENT, j]
                     kept[n, 1, 0] += law[tracked.DENT, LANES + j]
             touching[j] = 0
-            if why >= 2:  # the motion goes on from where a face left or touched
-                at_stop = False
+            if why >= 2 or (why == 1 and own[j]):
                 a, b, w = 0.0, 0.0, 0.0
                 for k in range(ORDER, -1, -1):
                     a, b, w = a * ending + x[k, j], b * ending + x[k, LANES + j], w * ending + u[k, j]
+                at[last_point, j], at[last_point, LANES + j], at_u[j] = a, b, w
+            if why >= 2:  # the motion goes on from where a face left or touched
+                at_stop = False
                 touching[j] = 1 if why < 4 and x[0, (why - 2) * LANES + j] <= 0.0 else 0
                 if why < 4 and touching[j] == 1:
                     track[tracked.TOUCHES, j] += 1.0
                 elif why < 4:
                     track[tracked.PARTED, j] = before + ending * h[j]
-                at[last_point, j], at[last_point, LANES + j], at_u[j] = a, b, w
                 if why < 4:
                     at[last_point, (why - 2) * LANES + j] = 0.0
                 else:

@@ -10,10 +10,7 @@ import math
 
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.faces import (
-    face_force,
-    stored_energy,
-)
+from uqsphere.mechanics.integrator.faces import stored_energy
 from uqsphere.mechanics.integrator.tracked import CHI, INNER, LANES, ORDER
 from uqsphere.mechanics.integrator.vectors import apart
 
@@ -43,14 +40,8 @@ def both(piece, face, theta):
 
 @compiled(**INNER)
 def combine_own(kind, x1, x2, d1, d2, law, lane):
-    """A searched function of both faces of a lane whose faces have laws of their own, and its derivative."""
+    """Stored energy of both faces of a lane whose faces have laws of their own, or the sphere's; and its derivative."""
     apart()
-    if kind == tracked.DIFFERENCE or kind == tracked.MEAN:
-        force1, slope1 = face_force(law, lane, x1)
-        force2, slope2 = face_force(law, LANES + lane, x2)
-        if kind == tracked.DIFFERENCE:
-            return force1 - force2, slope1 * d1 - slope2 * d2
-        return 0.5 * (force1 + force2), 0.5 * (slope1 * d1 + slope2 * d2)
     energy1, slope1 = stored_energy(law, lane, x1)
     energy2, slope2 = stored_energy(law, LANES + lane, x2)
     if kind == tracked.SHARE:
@@ -175,6 +166,59 @@ def bend(piece, face, a, b, slope_a, slope_b, close):
 
 
 @compiled(**INNER)
+def curve(piece, face, turns, theta):
+    """Approach of a face inside a step and its derivative, or if it `turns` that and the next one.
+
+    The even and the odd powers, of value and derivative, are four sums side by side: half as long a wait as `both`.
+    """
+    square, even, odd, even_rate, odd_rate = theta * theta, 0.0, 0.0, 0.0, 0.0
+    for n in range(ORDER // 2, 0, -1):
+        two, low, high = 2.0 * n, piece[face, 2 * n], piece[face, 2 * n + 1] if 2 * n < ORDER else 0.0
+        if turns:
+            low, high = two * low, (two + 1.0) * high
+            even, odd = even * square + high, odd * square + low
+            even_rate, odd_rate = even_rate * square + (two - 1.0) * low, odd_rate * square + two * high
+        else:
+            even, odd = even * square + low, odd * square + high
+            even_rate, odd_rate = even_rate * square + (two + 1.0) * high, odd_rate * square + two * low
+    if turns:
+        return even * square + piece[face, 1] + theta * odd, even_rate + theta * odd_rate
+    even, odd = even * square + piece[face, 0], odd * square + piece[face, 1]
+    return even + theta * odd, even_rate * square + piece[face, 1] + theta * odd_rate
+
+
+@compiled(**INNER)
+def settle(piece, face, turns, a, b, at_a, at_b, level):
+    """theta between a and b at which a face passes `level`, or turns if `turns`; Newton, to the last bits.
+
+    at_a, at_b: what is sought a zero of, at the ends, which bracket it.
+    """
+    apart()
+    if at_a == 0.0:
+        return a
+    if at_b == 0.0 or (at_a < 0.0) == (at_b < 0.0):
+        return b
+    found = a + (b - a) * at_a / (at_a - at_b)
+    for _ in range(60):
+        off, slope = curve(piece, face, turns, found)
+        off -= level
+        if off == 0.0:
+            break
+        if (off < 0.0) == (at_a < 0.0):
+            a = found
+        else:
+            b = found
+        following = found - off / slope
+        if not a <= following <= b:
+            following = 0.5 * (a + b)
+        # the next step would be the square of this one
+        if abs(following - found) < 1e-8:
+            return following
+        found = following
+    return found
+
+
+@compiled(**INNER)
 def passage(piece, face, level, sign, begin, end):
     """First theta on the way from `begin` to `end` at which sign·(approach - level) >= 0, or NaN."""
     apart()
@@ -206,9 +250,18 @@ def passage(piece, face, level, sign, begin, end):
 def survey(piece, end, grid):
     """Values and slopes of both faces at equal distances over [0, end]: grid (face, 2, tracked.POINTS + 1)."""
     apart()
+    a, b, c, d = end * 1 / tracked.POINTS, end * 2 / tracked.POINTS, end * 3 / tracked.POINTS, end
     for face in range(2):
-        for i in range(tracked.POINTS + 1):
-            grid[face, 0, i], grid[face, 1, i] = both(piece, face, end * i / tracked.POINTS)
+        at_a = at_b = at_c = at_d = piece[face, ORDER]
+        rate_a = rate_b = rate_c = rate_d = 0.0
+        # the points side by side: none waits for another
+        for k in range(ORDER - 1, -1, -1):
+            term = piece[face, k]
+            rate_a, rate_b, rate_c, rate_d = rate_a * a + at_a, rate_b * b + at_b, rate_c * c + at_c, rate_d * d + at_d
+            at_a, at_b, at_c, at_d = at_a * a + term, at_b * b + term, at_c * c + term, at_d * d + term
+        grid[face, 0, 0], grid[face, 1, 0] = piece[face, 0], piece[face, 1]
+        grid[face, 0, 1], grid[face, 0, 2], grid[face, 0, 3], grid[face, 0, 4] = at_a, at_b, at_c, at_d
+        grid[face, 1, 1], grid[face, 1, 2], grid[face, 1, 3], grid[face, 1, 4] = rate_a, rate_b, rate_c, rate_d
 
 
 def _largest_of(face_alone):
@@ -248,6 +301,22 @@ def _largest_of(face_alone):
 
 
 largest_approach, largest_of_both = _largest_of(True), _largest_of(False)
+
+
+@compiled(**INNER)
+def largest_of_forces(kind, pushes, end, grid, known):
+    """Largest difference or mean of both forces in [0, end] from their series, rows 0 and 1 of pushes (6, TERMS)."""
+    apart()
+    # a piece of its own, of the function and its opposite, or of the function twice; grid: room
+    piece, sides = pushes[2:4], 2 if kind == tracked.DIFFERENCE else 1
+    for k in range(ORDER + 1):
+        a, b = pushes[0, k], pushes[1, k]
+        piece[0, k] = a - b if sides == 2 else 0.5 * (a + b)
+        piece[1, k] = b - a
+    survey(piece, end, grid)
+    for side in range(sides):
+        known, _ = largest_approach(side, 0, piece, end, grid, known, False, piece, 0)
+    return known
 
 
 @compiled(**INNER)

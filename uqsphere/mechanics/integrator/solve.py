@@ -188,7 +188,7 @@ class Motion:
         partner = self.scene.partners[pole]
         if partner is None:
             return np.zeros_like(force)
-        if self.forces is not None and partner.face is not None and np.isfinite(partner.face.onset[self.row]):
+        if self.forces is not None and partner.face is not None and partner.face.own[self.row]:
             law = partner.face.at(self.row)
             return law.pressed(law.depth_at(np.asarray(force))).centre
         return contact.pressure_at_force(force, partner.modulus[self.row], partner.effective_radius[self.row])
@@ -246,10 +246,10 @@ def _laws(scene: Scene, rows: Places) -> Array:
         laws[:, LAW_STIFFNESS, pole] = (partner.hertz_constant / scene.scales.hertz_constant)[rows]
         laws[:, LAW_SHARE, pole] = partner.share[rows]
         if face is not None:
-            yields, b = np.isfinite(face.onset[rows]), face.softening[rows]
-            laws[yields, LAW_ONSET, pole] = (face.onset_approach / scene.scales.approach)[rows][yields]
-            laws[yields, LAW_SOFTENING, pole] = np.where(np.abs(b) < 1e-12, 0.0, b)[yields]
-            laws[yields, LAW_PILE_UP, pole] = face.pile_up[rows][yields]
+            own, b = face.own[rows], face.softening[rows]
+            laws[own, LAW_ONSET, pole] = (face.onset_approach / scene.scales.approach)[rows][own]
+            laws[own, LAW_SOFTENING, pole] = np.where(np.abs(b) < 1e-12, 0.0, b)[own]
+            laws[own, LAW_PILE_UP, pole] = face.pile_up[rows][own]
     return laws
 
 

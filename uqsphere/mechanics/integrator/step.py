@@ -26,6 +26,8 @@ from uqsphere.mechanics.integrator.tracked import (
     BY_ROOT,
     BY_X,
     CONSTANT,
+    GAMMA,
+    HERTZ,
     INNER,
     LANES,
     ORDER,
@@ -75,9 +77,15 @@ _log_term = elementwise(PAIR, 1, lambda total, root, k, inverse: (k * root - tot
 _any_branch = elementwise(
     PAIR,
     1,
-    lambda force, spring, x, by_x, root, by_root, log, by_log, inverse_k: (
-        spring * force + by_x * x + by_root * root + by_log * log * inverse_k
+    lambda force, hertz, x, by_x, root, by_root, log, by_log, inverse_k: (
+        hertz * force + by_x * x + by_root * root + by_log * log * inverse_k
     ),
+)
+_first_power = elementwise(PAIR, 1, lambda x: where(x > 0.0, 1.0 / larger(x, 1e-300), 0.0))
+_slope_term = elementwise(PAIR, 1, lambda x, k: k * x)
+# k x_0 P_k = sum of ((p + 1) j - k) x_j P_(k-j), 0 < j <= k, of P = x^p with p = gamma + 3/2
+_power_term = elementwise(
+    PAIR, 1, lambda total, sloped, gamma, k, inverse, share: ((gamma + 2.5) * sloped - k * total) * inverse * share
 )
 _add = elementwise(PAIR, 1, lambda force, constant: force + constant)
 _stiffer = elementwise(PAIR, 1, lambda force, spring: spring * force)
@@ -117,12 +125,16 @@ _next_massless = elementwise(
 
 
 @compiled(**INNER)
-def expand(mode, h, inverse_mu, push, x, u, root, force, half, yielding, virgin, law, log, inverse, rigged, rig, free):
+def expand(
+    mode, h, inverse_mu, push, x, u, root, force, half, yielding, virgin, law, log, inverse, rigged, rig, free, softens,
+    sloped,
+):  # fmt: skip
     """Fill the series of x (TERMS, PAIR), u (TERMS, LANES), root = sqrt(x) and force = q(x) from their first terms.
 
     push : (TERMS, PAIR), 2 f and -2 h_B.  A face whose approach is not positive carries no force.  yielding, virgin:
     whether faces have a law of their own, and whether one of them is on virgin loading; law: see
     `uqsphere.mechanics.integrator.faces`; log (TERMS, PAIR): k times the k-th term of l; inverse (PAIR,): room.
+    softens: whether faces take damage; log then has the terms of x^(gamma + 3/2); sloped (TERMS, PAIR): room.
     rigged, rig (RIGS, PAIR): whether something else than a bar stands at a pole, and what; free (TERMS, PAIR): the
     series of U_A and -U_B.
     """
@@ -145,7 +157,9 @@ def expand(mode, h, inverse_mu, push, x, u, root, force, half, yielding, virgin,
                 else:
                     _odd_root(root_k, x_k, root_k, half)
             products(x, root, k, 0, k + 1, force_k)
-            if virgin:
+            if virgin and softens:
+                _softened(k, x, force_k, law, log, inverse, sloped)
+            elif virgin:
                 _branches(k, x, root, force_k, law, log, inverse)
             elif yielding:
                 _stiffer(force_k, force_k, row(law, SPRING, 0))
@@ -177,10 +191,29 @@ def _branches(k, x, root, force_k, law, log, inverse):
         scale = 1.0 * k
         products(log, root, k, 1, k, log_k)
         _log_term(log_k, log_k, root_k, scale, inverse)
-    _any_branch(force_k, force_k, row(law, SPRING, 0), row(x, k, 0), row(law, BY_X, 0), root_k, row(law, BY_ROOT, 0),
+    _any_branch(force_k, force_k, row(law, HERTZ, 0), row(x, k, 0), row(law, BY_X, 0), root_k, row(law, BY_ROOT, 0),
                 log_k, row(law, BY_LOG, 0), 1.0 / scale)  # fmt: skip
     if k == 0:
         _add(force_k, force_k, row(law, CONSTANT, 0))
+
+
+@compiled(**INNER)
+def _softened(k, x, force_k, law, power, inverse, sloped):
+    """The same where a face may take damage."""
+    apart()
+    power_k, x_k = row(power, k, 0), row(x, k, 0)
+    if k == 0:
+        _first_power(inverse, x_k)
+        for m in range(PAIR):
+            power[0, m] = x[0, m] ** (law[GAMMA, m] + 1.5) if law[BY_LOG, m] != 0.0 and x[0, m] > 0.0 else 0.0
+    else:
+        sloped_k, scale = row(sloped, k, 0), 1.0 * k
+        _slope_term(sloped_k, x_k, scale)
+        products(x, power, k, 1, k + 1, power_k)
+        products(sloped, power, k, 1, k + 1, row(sloped, 0, 0))
+        _power_term(power_k, power_k, row(sloped, 0, 0), row(law, GAMMA, 0), scale, inverse, 1.0 / scale)
+    _any_branch(force_k, force_k, row(law, HERTZ, 0), x_k, row(law, BY_X, 0), x_k, row(law, BY_ROOT, 0), power_k,
+                row(law, BY_LOG, 0), 1.0)  # fmt: skip
 
 
 def _root_16(a):

@@ -82,8 +82,9 @@ SCALED = {
 
 # the law of a face of its own, see `uqsphere.mechanics.integrator.faces`: numbers of a lane's face
 (DENT, SHIFT, SPRING, BY_X, BY_ROOT, BY_LOG, CONSTANT, BASE, LARGEST, PEAK, ONSET, SOFTENING, PILE_UP,
- STIFFNESS, CHI, NUMBERS) = range(16)  # fmt: skip
-# ... and of a row, for both faces: onset x_y, softening b, pile-up C, factor of x^(3/2), sphere's share of the energy
+ STIFFNESS, CHI, UNIT, HERTZ, GAMMA, BREAKS, NUMBERS) = range(20)  # fmt: skip
+# ... and of a row, for both faces: onset x_y, softening b, pile-up C, factor of x^(3/2), sphere's share of the energy;
+# of a face that takes damage its critical approach, gamma and 0 stand in the place of the first three
 LAW_ONSET, LAW_SOFTENING, LAW_PILE_UP, LAW_STIFFNESS, LAW_SHARE, LAWS = range(6)
 # what stands at a row's poles: zeta, 1/mu_i, U_A and -U_B at the start, 1 or 0 where nothing stands
 RIG_GIVES, RIG_LIGHTNESS, RIG_SPEED, RIG_THERE, RIGS = range(5)
