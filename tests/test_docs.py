@@ -210,7 +210,7 @@ def test_commands_and_their_options_are_those_of_the_parser() -> None:
     assert told.keys() == parsers().keys()
     for name, parser in parsers().items():
         options = set(re.findall(r"(?<![\w-])--?[a-z]+(?:-[a-z]+)*", told[name]))
-        options |= {"--set"} if name in ("check", "run", "history", "plan", "records") else set()
+        options |= {"--set"} if name in ("check", "run", "history", "plan", "feed", "records") else set()
         options |= {"--json"}
         known = [set(action.option_strings) for action in parser._actions if action.option_strings]
         assert options <= set().union(*known), name

@@ -27,11 +27,11 @@ from uqsphere.study.document import (
     BarsTable,
     LimitTable,
     MarginsTable,
-    ProductTable,
     PulseTable,
     SphereTable,
     StrikerTable,
 )
+from uqsphere.study.feed_tables import ProductTable
 from uqsphere.study.rigs import NO_SPHERE
 from uqsphere.study.tables import declared
 from uqsphere.uq.law import Law

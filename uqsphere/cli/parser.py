@@ -139,8 +139,28 @@ def _add_data(command: Command) -> None:
     _add_records(command("records", records, "uqsphere.cli.records"))
     _add_fit(command("fit-contact", "onset, hardness and pile-up from a slow test on a sphere between two platens",
                      "uqsphere.cli.records"))  # fmt: skip
+    _add_feed(command)
     plan = "speeds, ramps and lengths at which a sphere breaks as wanted, between elastic bars"
     _add_plan(command("plan", plan, "uqsphere.cli.plan"))
+
+
+def _add_feed(command: Command) -> None:
+    """Commands of single particles, feeds and DEM."""
+    home = "uqsphere.cli.feed"
+    feed = command("feed", "what becomes of a feed under its blows, from tests of its particles", home)
+    feed.add_argument("study", metavar="FILE", type=Path)
+    _set(feed)
+    feed.add_argument("--fit", type=Path, metavar="DIR", help="a posterior of `uqsphere fit`, in place of [tests]")
+    feed.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: the study's name + -feed)")
+    _json(feed)
+    export = command("export-dem", "draws of a feed's parameters for a DEM program, as it names them", home)
+    export.add_argument("folder", metavar="DIR", type=Path, help="what `uqsphere feed` wrote")
+    export.add_argument("--to", required=True, choices=("rocky", "liggghts", "edem", "csv"))
+    export.add_argument("--draws", type=int, default=20, metavar="N", help="spread over the share broken (default 20)")
+    factor = "E_inf is multiplied by it: 1 + k_p/k_s of the test rig, where the program divides (default: not)"
+    export.add_argument("--rig-factor", type=float, metavar="X", help=factor)
+    export.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: DIR/dem)")
+    _json(export)
 
 
 def _add_plan(parser: argparse.ArgumentParser) -> None:

@@ -24,6 +24,7 @@ from scipy.special import betainc, ndtr, ndtri
 
 from uqsphere.arrays import Array, Places, Values
 from uqsphere.mechanics.criteria import product_fineness
+from uqsphere.uq.law import Law
 
 #: t10 by its name in a study, and what its b is: dimension in a study
 FORMS: Final = {"jk": "mass_per_energy", "tavares": "number", "tavares_own": "number", "shi_kojovic": "f_mat"}
@@ -151,7 +152,65 @@ class Product:
         return replace(self, A=pick(self.A), b=pick(self.b), threshold=pick(self.threshold), curve=curve)
 
 
+@dataclass(frozen=True, kw_only=True)
+class ProductPlan:
+    """Fineness as a study has it: numbers and laws in SI; None what the tests are to tell, or nothing tells."""
+
+    form: str = "jk"
+    A: Law | float | None = None
+    b: Law | float | None = None
+    threshold: float = 0.0
+    curve: str = "trr"
+    alpha: Law | float | None = None
+    knots: tuple[tuple[float, float, float], ...] = ()
+    discrepancy: float | None = None
+
+
 # --- what tests tell ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fineness:
+    """What was sieved of tests that broke: (r,) diameter [m], energy offered [J/kg], t10 (a share, nan where it was not
+    taken); `sieves` (m,) [m] with `passing` (r, m), nan where not sieved."""
+
+    diameter: Array
+    offered: Array
+    t10: Array
+    sieves: Array = field(default_factory=lambda: np.empty(0))
+    passing: Array = field(default_factory=lambda: np.empty((0, 0)))
+
+
+def draw_product(
+    plan: ProductPlan, tests: Fineness | None, draws: int, rng: np.random.Generator
+) -> tuple[Product | None, str]:
+    """The product in so many draws, laws and fits with all that they leave open; None, with the reason, without one."""
+    sources, known = {"A": "given", "b": "given"}, None if tests is None else np.isfinite(tests.t10)
+    A, b = (_drawn(value, draws, rng) for value in (plan.A, plan.b))
+    if A is None or b is None:
+        if tests is None or known is None or known.sum() < 3 or plan.form != "jk":
+            return None, "the study has no [product] with A and b, and its tests no three t10: neither has a curve"
+        best, A, b = fit_t10(tests.offered[known], tests.t10[known], draws, rng)
+        sources = dict.fromkeys(sources, f"{int(known.sum())} tests, least squares of ln t10: sd {best['sd']:.2g}")
+    alpha, misfit = _drawn(plan.alpha, draws, rng), None
+    if plan.curve == "trr" and alpha is None:
+        sources["alpha"] = "lognormal about 0.6: no sieve curve tells it"
+        alpha = np.exp(ALPHA[0] + ALPHA[1] * rng.standard_normal(draws))
+        if tests is not None and known is not None and tests.passing.size and known.any():
+            n = tests.diameter[known, None] / tests.sieves
+            best_alpha, misfit, alpha = fit_alpha(n, tests.t10[known], tests.passing[known], draws, rng)
+            sources["alpha"] = f"{int(known.sum())} sieve curves: {best_alpha:.3g}, t_n off by {misfit:.2g}"
+    sd = plan.discrepancy if plan.discrepancy is not None else DISCREPANCY if misfit is None else misfit
+    sources["t_n"] = f"sd {sd:.2g} about the family at t_n = 0.5"
+    curve = Curve(law=plan.curve, alpha=0.0 if alpha is None else alpha, knots=plan.knots)
+    return Product(form=plan.form, A=A, b=b, threshold=plan.threshold, sources=sources,
+                   curve=drawn_curve(curve, draws, rng, sd)), ""  # fmt: skip
+
+
+def _drawn(value: Law | float | None, draws: int, rng: np.random.Generator) -> Values:
+    if isinstance(value, Law):
+        return value.ppf(rng.random(draws))
+    return None if value is None else np.full(draws, float(value))
 
 
 def fit_t10(x: Values, t10: Values, draws: int, rng: np.random.Generator) -> tuple[dict[str, float], Array, Array]:

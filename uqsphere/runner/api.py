@@ -158,6 +158,8 @@ def _check_usage(study: Study, model: str | BlackBox | None, executor: Executor 
     """Refuse a study that cannot be run, or not with such a model or executor."""
     if study.receiving_damper is not None:
         raise UsageError(NO_DAMPER)
+    if not study.parts:
+        raise UsageError("this study has neither a rig nor a service to run: uqsphere feed or fit answers it")
     if study.black_box and model is None:
         raise UsageError("this is a black-box study: give its model with --model FILE.py:FUNCTION")
     if not study.black_box and model is not None:

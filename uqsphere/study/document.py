@@ -20,6 +20,7 @@ from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.pulses import PRESETS
 from uqsphere.mechanics.scene import CONTACT_LAWS
 from uqsphere.study.faults import Misplaced, Raw, one_of, shown
+from uqsphere.study.feed_tables import FeedTable, MaterialTable, ProductTable
 from uqsphere.study.tables import (
     MOST_LISTED,
     Check,
@@ -301,14 +302,6 @@ class ContactTable:
     blows: Annotated[Whole, within(1, 1000, closed=True)] = key(
         "`damage`: equal blows, each with the stiffness and fracture energy that the last has left", 1
     )
-
-
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
-class ProductTable:
-    """How fine the product of crushing is."""
-
-    A: Number = key('largest `t10`, a share with its unit: `"55 %"`', due='add A = "55 %"')
-    b: Number = key('how fast `t10` rises with the specific energy, such as `"0.8 t/kWh"`', due='add b = "0.8 t/kWh"')
 
 
 @dataclass(frozen=True, kw_only=True, config=_CLOSED)
@@ -718,6 +711,8 @@ class Document:
     pulse: PulseTable | None = None
     contact: ContactTable | None = None
     product: ProductTable | None = None
+    material: MaterialTable | None = None
+    feed: FeedTable | None = None
     rig: RigTable | None = None
     target: TargetTable | None = None
     anvil: TargetTable | None = None

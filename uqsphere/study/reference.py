@@ -33,7 +33,6 @@ from uqsphere.study.document import (
     ModelChoice,
     OtherTable,
     PlatensTable,
-    ProductTable,
     RigTable,
     RodTable,
     ServiceTable,
@@ -43,6 +42,16 @@ from uqsphere.study.document import (
     TargetTable,
 )
 from uqsphere.study.faults import Raw
+from uqsphere.study.feed_tables import (
+    CurveTable,
+    EnergyTable,
+    FeedTable,
+    GoalTable,
+    MaterialTable,
+    OnTable,
+    ProductTable,
+    SizesTable,
+)
 from uqsphere.study.scene import FLAT
 from uqsphere.study.tables import BAR_ENDS, Node, declared, far_end
 from uqsphere.units import UNITS, units_of
@@ -57,6 +66,13 @@ TABLES: Final = {
     "## [striker]": StrikerTable,
     "## [contact]": ContactTable,
     "## [product]": ProductTable,
+    "### product.curve": CurveTable,
+    "## [material]": MaterialTable,
+    "## [feed]": FeedTable,
+    "### feed.sizes": SizesTable,
+    "### feed.energy": EnergyTable,
+    "### feed.on": OnTable,
+    "### feed.goal": GoalTable,
     "## [rig]": RigTable,
     "## [target], [anvil]": TargetTable,
     "## [other]": OtherTable,

@@ -20,6 +20,7 @@ from uqsphere.study.document import (
     ToleranceRequest,
 )
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
+from uqsphere.study.feed import read_feed, read_particles, readable, without_scene
 from uqsphere.study.limits import LimitReading, known_quantity, read_limits, share_fracture_energy, valid_name
 from uqsphere.study.margins import check_moved_mean, read_margins
 from uqsphere.study.numbers import Reading, plain_quantity, read_number
@@ -102,6 +103,11 @@ def _resolve(data: dict[str, Raw], findings: Findings, path: Path, text: str) ->
         part.report(found, findings)
         if made is not None:
             services[part.name] = made
+    if {"feed", "material"} & set(data):
+        document = read_table(Document, own, Findings(folder=findings.folder))
+        particles = read_particles(document, study, findings)
+        plan = read_feed(document, particles, services, findings)
+        study = None if study is None else replace(study, particles=particles, feed=plan)
     if study is None or findings.faults:
         return None
     return replace(study, services=services) if services else study
@@ -115,6 +121,8 @@ def _resolve_part(data: dict[str, Raw], findings: Findings, path: Path, text: st
     if black_box:
         outputs = _read_outputs(document, findings)
         _read_inputs(document, scene, findings)
+    elif black_box is not None and without_scene(data):
+        scene.options["rig.kind"] = "none"
     elif black_box is not None:
         scene = read_scene(document, data, findings)
         refuse_other_tables(document, data, findings)
@@ -199,7 +207,7 @@ def _kind(data: Mapping[str, Raw], findings: Findings) -> bool | None:
     parts = [name for name in (*SCENE, "model", "gauges") if name in data]
     black = [name for name in ("inputs", "outputs") if name in data]
     if not black:
-        if not any(name in SCENE for name in data):
+        if not any(name in SCENE for name in data) and not without_scene(data):
             said = "found neither a scene ([sphere], [bars], [striker]) nor a black box ([inputs], [outputs])"
             findings.add((), said)
             return None
@@ -264,7 +272,7 @@ def _read_analysis(
     default = list(outputs) if outputs is not None else (needed or ["p_max", "contact_time"])
     asked = [*(given.quantities or default), *needed]
     if document.product is not None:
-        asked.append(FINENESS)
+        asked += [FINENESS] if readable(document.product) else []
     elif not black_box:
         _refuse_fineness(document, findings)
     tolerance = _tolerance(given.tolerance_intervals, findings)

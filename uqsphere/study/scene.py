@@ -15,6 +15,7 @@ from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study.columns import inside_folder, open_observations
 from uqsphere.study.document import MOST_GAUGES, SCENE, BarsTable, Document, Gauge, ModelChoice, PulseTable
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
+from uqsphere.study.feed_tables import FROM_TESTS, ProductTable
 from uqsphere.study.numbers import Reading, read_number
 from uqsphere.study.study import EndImpedance, Source
 from uqsphere.study.tables import BAR_ENDS
@@ -119,6 +120,8 @@ def _read_numbers(document: Document, data: Mapping[str, Raw], scene: Scene, fin
         table = getattr(document, section) if section in SCENE else None
         if table is None or not isinstance(data[section], Mapping):
             continue
+        if isinstance(table, ProductTable) and table.form != "jk":
+            continue  # no input of a scene
         for key in data[section]:
             name = f"{section}.{key}"
             raw = getattr(table, key, None)
@@ -130,7 +133,9 @@ def _read_numbers(document: Document, data: Mapping[str, Raw], scene: Scene, fin
 
 
 def worded(section: str, key: str, raw: Raw) -> bool:
-    """Whether a number of [contact] is written in words: ``hardness = "onset"``, ``{ same_as = … }``."""
+    """Whether a number is written in words: ``hardness = "onset"``, ``{ same_as = … }``, ``A = "tests"``."""
+    if section == "product":
+        return bool(raw == FROM_TESTS)
     if section != "contact":
         return False
     return (key == "hardness" and raw == "onset") or (

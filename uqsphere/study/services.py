@@ -91,7 +91,8 @@ def split(data: Mapping[str, Raw], findings: Findings) -> tuple[dict[str, Raw], 
             del own["limits"]
     margins = _table(own, "margins")
     if str(margins.get("solve", "")).startswith(_BEGINNING) or ("solve" not in margins and tables):
-        _check_named(margins, tables, findings)
+        if "feed" not in data or margins:
+            _check_named(margins, tables, findings)
         own.pop("margins", None)
     _share_dependence(own, made, _list(own, "dependence"), findings)
     _share_budget(made, own)

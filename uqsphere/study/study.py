@@ -17,6 +17,7 @@ from uqsphere.study.document import Accuracy, Analysis, Dependence, Gauge, Model
 from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
+    from uqsphere.study.feed import FeedPlan, Particles
     from uqsphere.uq.joint import Dependence as Tie
     from uqsphere.uq.joint import Joint
 
@@ -111,6 +112,10 @@ class Study:
         The machines that are asked, each a study of its own.
     made_up : tuple of str
         The random numbers whose observations the file calls made up.
+    particles : Particles or None
+        What the particles of tests and of a feed are of, where the file has any.
+    feed : FeedPlan or None
+        What is asked of a feed, which `uqsphere feed` answers.
     """
 
     title: str
@@ -137,6 +142,8 @@ class Study:
     receiving_damper: EndImpedance | None = None
     made_up: tuple[str, ...] = ()
     services: Mapping[str, Study] = field(default_factory=dict)
+    particles: Particles | None = None
+    feed: FeedPlan | None = None
 
     @property
     def rig(self) -> str:
@@ -205,6 +212,7 @@ class Study:
             **({"gauges": [asdict(gauge) for gauge in self.gauges]} if self.gauges else {}),
             **({"services": {name: own.hash for name, own in self.services.items()}} if self.services else {}),
             **({"made_up": list(self.made_up)} if self.made_up else {}),
+            **({"feed": dict(self.feed.meaning)} if self.feed else {}),
         }
 
 

@@ -1,0 +1,390 @@
+"""What becomes of a feed, with how sure that is: answers with ignorance and scatter apart, the target, feed.json."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from uqsphere.arrays import Array, Flags, Places
+from uqsphere.errors import FolderError
+from uqsphere.feed.fit import Entry, FitEntry, Interval, Posterior
+from uqsphere.feed.population import Breaking, Feed, Outcome, breaking, draws_for, populate
+from uqsphere.feed.product import Fineness, Product, ProductPlan, draw_product
+from uqsphere.files import load_document, read_whole
+from uqsphere.mechanics.criteria import DIAMETERS, ENERGIES
+from uqsphere.uq.points import random_generator
+
+FEED_FILE, TABLE_FILE = "feed.json", "feed-draws.csv"
+#: ends of a 95 % interval
+_ENDS: Final = (0.025, 0.975)
+#: sizes within this factor of the tested ones are theirs: half a root-two class
+_NEAR: Final = 2.0**0.25
+#: standard errors of a probability that leave a target undecided
+_ERRORS: Final = 2.0
+#: a product without one, so that the shares broken can be computed
+_NO_PRODUCT: Final = Product(A=0.5, b=1e-4)
+
+
+class Answer(Entry):
+    """A mean with its 95 % interval over the draws (ignorance), that of lots, and both standard deviations apart.
+
+    Null, with the reason, where it is not known.
+    """
+
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
+    lot_low: float | None = None
+    lot_high: float | None = None
+    ignorance: float | None = None
+    scatter: float | None = None
+    reason: str = ""
+
+
+class ClassEntry(Entry):
+    """A class of sizes [m], its mass share, particles of a lot, and whether it lies beyond the tested sizes."""
+
+    upper: float
+    lower: float
+    size: float
+    mass: float
+    particles: float | None
+    extrapolated: bool
+    E50: Interval
+    slope: Interval
+    broken: Answer
+    blows: Answer
+
+
+class SieveEntry(Entry):
+    """A sieve [m]: share of the feed and of the product that is finer."""
+
+    sieve: float
+    feed: float
+    value: float
+    low: float
+    high: float
+
+
+class GoalEntry(Entry):
+    """The target: its probability with the error of the draws, its verdict as of a limit, and why."""
+
+    broken: float
+    at_least: float
+    probability: float
+    error: float
+    verdict: str
+    reasons: tuple[str, ...] = ()
+
+
+class FeedEntry(Entry):
+    """What feed.json holds, in SI: energies in J/kg given to the particles, not by the machine."""
+
+    title: str
+    seed: int
+    hash: str = ""
+    made_up: bool = False
+    draws: int
+    blows: int
+    progeny: str
+    of: dict[str, str]
+    particles: dict[str, float] = Field(default_factory=dict)
+    share: float = 1.0
+    reference_size: float = 0.0
+    form: str = ""
+    curve_law: str = ""
+    lot: float | None
+    spectrum_error: float
+    tested: tuple[float, float]
+    classes: tuple[ClassEntry, ...]
+    broken: Answer
+    never: Answer
+    expected_blows: Answer
+    energy: Answer
+    t10: Answer
+    p80: Answer
+    p50: Answer
+    reduction: Answer
+    fines: Answer
+    fines_sieve: float | None = None
+    curve: tuple[SieveEntry, ...] = ()
+    product: dict[str, Interval] = Field(default_factory=dict)
+    sources: dict[str, str] = Field(default_factory=dict)
+    goal: GoalEntry | None = None
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Answered:
+    """The answers with what they were computed from, draw by draw: which draws of the posterior, and the product."""
+
+    entry: FeedEntry
+    rows: Places
+    broken: Array
+    product: Product | None
+
+    def table(self) -> tuple[list[str], list[list[float]]]:
+        """feed-draws.csv: the share broken and the product's numbers of every draw of the feed."""
+        columns: dict[str, Array] = {"draw": np.asarray(self.rows + 1, dtype=float), "broken": self.broken}
+        if self.product is not None:
+            count = len(self.rows)
+            unit = "kg/J" if self.product.form == "jk" else "1"
+            A, b, alpha = (
+                np.broadcast_to(v, count) for v in (self.product.A, self.product.b, self.product.curve.alpha)
+            )
+            columns |= {"A": A, f"b [{unit}]": b, "alpha": alpha}
+        return list(columns), np.column_stack(list(columns.values())).tolist()
+
+
+def answer_feed(
+    posterior: Posterior, fitted: FitEntry, feed: Feed, plan: ProductPlan, *, tests: Fineness | None = None,
+    goal: tuple[float, float] | None = None, of: dict[str, str] | None = None,
+    particles: dict[str, float] | None = None, title: str = "",
+) -> Answered:  # fmt: skip
+    """The answers of a feed to what a posterior leaves open.
+
+    Raises
+    ------
+    ValueError
+        Where fragments are to be hit again and nothing tells their sizes, or the tests tell nothing of a class.
+    """
+    rng = random_generator(seed=feed.seed, task="feed.product")
+    drawn, missing = draw_product(plan, tests, len(posterior), rng)
+    if drawn is None and feed.progeny == "again":
+        raise ValueError(f'progeny = "again" hits the fragments, and {missing}')
+    rows = _thinned(len(posterior), draws_for(drawn or _NO_PRODUCT, feed, len(posterior)))
+    some = posterior.at(rows)
+    product = _NO_PRODUCT if drawn is None else drawn.drawn(rows)
+    _refuse_between_classes(some, feed)
+    if feed.blows.count > 1 and "gamma" not in some.draws and any(name != "vogel_peukert" for name in some.which):
+        raise ValueError('repeated blows need gamma: add gamma to [tests], a number, a law or "fit"')
+    broken = breaking(some, product, feed)
+    mean = populate(broken, product, feed)
+    lots = None
+    if math.isfinite(feed.lot):
+        lots = populate(broken, product, feed, random_generator(seed=feed.seed, task="feed.lots"))
+    target = None if goal is None else _judge(goal, mean, lots, broken, feed, posterior, fitted)
+    finds = _finding(mean, lots, feed, missing)
+    entry = FeedEntry(
+        title=title, seed=feed.seed, made_up=fitted.made_up, draws=len(rows), blows=feed.blows.count,
+        progeny=feed.progeny, of=of or {}, particles=particles or {}, share=feed.blows.share,
+ lot=feed.lot if math.isfinite(feed.lot) else None,
+        spectrum_error=broken.error, tested=posterior.tested, classes=_classes(some, mean, lots, feed), goal=target,
+        reference_size=_middle(feed), form=product.form, curve_law=product.curve.law,
+        fines_sieve=feed.fines, curve=() if drawn is None else _curve(mean, lots, feed),
+        product={} if drawn is None else _numbers(product), sources={} if drawn is None else dict(drawn.sources),
+        warnings=tuple(_warnings(fitted, mean, feed, posterior, drawn is not None)),
+        broken=finds["broken"], never=finds["never"], expected_blows=finds["expected_blows"], energy=finds["energy"],
+        t10=finds["t10"], p80=finds["p80"], p50=finds["p50"], reduction=finds["reduction"], fines=finds["fines"],
+    )  # fmt: skip
+    return Answered(entry=entry, rows=rows, broken=mean.broken, product=None if drawn is None else product)
+
+
+def _middle(feed: Feed) -> float:
+    """The class [m] that half of the feed's mass is coarser than: where laws of one kind stand for those of another."""
+    return float(feed.classes.sizes[int(np.searchsorted(np.cumsum(feed.classes.mass), 0.5))])
+
+
+def _thinned(count: int, wanted: int) -> Places:
+    """Places of `wanted` draws of `count`, evenly."""
+    return np.unique(np.linspace(0, count - 1, wanted).astype(np.int64))
+
+
+def _refuse_between_classes(posterior: Posterior, feed: Feed) -> None:
+    if posterior.size != "class":
+        return
+    sizes = feed.classes.sizes if feed.rest_breaks else feed.classes.sizes[:-1]
+    unknown = sizes[~np.isfinite(posterior.at(np.array([0])).median(sizes)[0])]
+    if unknown.size:
+        raise ValueError(
+            f'size = "class" says nothing of {len(unknown)} classes of the feed, {1e3 * unknown[0]:.3g} mm among them: '
+            'take size = "tavares", "king" or "power"'
+        )
+
+
+# --- answers with their intervals -----------------------------------------------------------------------------
+
+
+def answer(mean: Array, lots: Array | None = None, particles: float | None = None, reason: str = "") -> Answer:
+    """The answer of draws (D,) and of lots (D,); of a share of so many particles the scatter is that of (F10)."""
+    known = np.isfinite(mean)
+    if reason or not known.all():
+        share = f"in {float((~known).mean()):.0%} of the draws it lies below the finest sieve, or nothing broke"
+        return Answer(reason=reason or share)
+    low, high = (float(v) for v in np.quantile(mean, _ENDS))
+    found = {"value": float(mean.mean()), "low": low, "high": high, "ignorance": float(mean.std())}
+    if lots is not None and np.isfinite(lots).all():
+        scatter = math.sqrt(float(((lots - mean) ** 2).mean()))
+        if particles is not None:
+            scatter = math.sqrt(float((mean * (1.0 - mean)).mean()) / max(1.0, particles))
+        ends = (float(v) for v in np.quantile(lots, _ENDS))
+        found |= {"scatter": scatter, **dict(zip(("lot_low", "lot_high"), ends, strict=True))}
+    return Answer.model_validate(found)
+
+
+def interval(values: Array) -> Interval:
+    """Median and 95 % interval of draws; null where they are not finite."""
+    if not np.isfinite(values).all():
+        return Interval(reason="no law of size")
+    low, middle, high = (float(v) for v in np.quantile(values, (_ENDS[0], 0.5, _ENDS[1])))
+    return Interval(value=middle, low=low, high=high)
+
+
+def _finding(mean: Outcome, lots: Outcome | None, feed: Feed, missing: str) -> dict[str, Answer]:
+    def one(name: str, *, product: bool = False) -> Answer:
+        of_lots = None if lots is None else getattr(lots, name)
+        return answer(getattr(mean, name), of_lots, reason=missing if product else "")
+
+    fines = one("fines", product=True) if feed.fines is not None else Answer(reason="no sieve fines was asked for")
+    return {
+        "broken": one("broken"), "expected_blows": one("blows"), "energy": one("energy"),
+        "never": answer(1.0 - mean.broken, None if lots is None else 1.0 - lots.broken), "fines": fines,
+        **{name: one(name, product=True) for name in ("t10", "p80", "p50", "reduction")},
+    }  # fmt: skip
+
+
+def _beyond(feed: Feed, posterior: Posterior) -> Flags:
+    """Classes beyond the tested sizes."""
+    sizes, (low, high) = feed.classes.sizes, posterior.tested
+    return np.asarray((sizes * _NEAR < low) | (sizes > high * _NEAR))
+
+
+def _classes(posterior: Posterior, mean: Outcome, lots: Outcome | None, feed: Feed) -> tuple[ClassEntry, ...]:
+    classes, beyond = feed.classes, _beyond(feed, posterior)
+    particle = math.pi / 6.0 * feed.density * classes.sizes**3
+    median, slope = posterior.median(classes.sizes), posterior.slope(classes.sizes)
+    lower = np.append(classes.edges[1:], 0.0)
+    found = []
+    for k, size in enumerate(classes.sizes):
+        count = None if lots is None else float(feed.lot * classes.mass[k] / particle[k])
+        broken, blows = (
+            (getattr(mean, name)[:, k], None if lots is None else getattr(lots, name)[:, k])
+            for name in ("by_class", "blows_by_class")
+        )
+        found.append(
+            ClassEntry(
+                upper=float(classes.edges[k]),
+                lower=float(lower[k]),
+                size=float(size),
+                mass=float(classes.mass[k]),
+                particles=count,
+                extrapolated=bool(beyond[k]),
+                E50=interval(median[:, k]),
+                slope=interval(slope[:, k]),
+                broken=answer(*broken, particles=count),
+                blows=answer(*blows),
+            )
+        )
+    return tuple(found)
+
+
+def _curve(mean: Outcome, lots: Outcome | None, feed: Feed) -> tuple[SieveEntry, ...]:
+    """The product on every sieve, its band over draws and, where there is one, over lots."""
+    drawn = mean.passing if lots is None else lots.passing
+    low, high = np.quantile(drawn, _ENDS, axis=0)
+    finer = feed.classes.passing(mean.sieves)
+    columns = (mean.sieves, finer, mean.passing.mean(axis=0), low, high)
+    keys = ("sieve", "feed", "value", "low", "high")
+    return tuple(SieveEntry(**dict(zip(keys, map(float, row), strict=True))) for row in zip(*columns, strict=True))
+
+
+def _numbers(product: Product) -> dict[str, Interval]:
+    parts = {"A": product.A, "b": product.b, "A b": np.asarray(product.A) * product.b}
+    if product.curve.law == "trr":
+        parts["alpha"] = product.curve.alpha
+    return {name: interval(np.atleast_1d(np.asarray(values, dtype=float))) for name, values in parts.items()}
+
+
+# --- the target, and what to be careful about -------------------------------------------------------------------
+
+
+def _judge(
+    goal: tuple[float, float], mean: Outcome, lots: Outcome | None, broken: Breaking, feed: Feed,
+    posterior: Posterior, fitted: FitEntry,
+) -> GoalEntry:  # fmt: skip
+    """Whether so much breaks so surely; in lots of the feed where there are any."""
+    least, sure = goal
+    outcome = mean if lots is None else lots
+
+    def share(total: Array) -> float:
+        return float((total >= least).mean())
+
+    probability = share(outcome.broken)
+    error = math.sqrt(max(probability * (1.0 - probability), 1.0 / len(mean.broken)) / len(mean.broken))
+    kept = probability - _ERRORS * error >= sure
+    lost = probability + _ERRORS * error < sure
+    verdict = "met" if kept else "not met" if lost else "undecided"
+    reasons = [] if verdict != "undecided" else [f"{len(mean.broken)} draws give the probability to ± {error:.2g}"]
+    beyond = _beyond(feed, posterior)
+    mass = feed.classes.mass
+    known = (outcome.by_class * mass)[:, ~beyond].sum(axis=1)
+    if verdict == "met" and share(known) < sure:
+        reasons.append(f"{float(mass[beyond].sum()):.0%} of the feed lies beyond the tested sizes, and counts on them")
+    elif verdict == "not met" and share(known + float(mass[beyond].sum())) >= sure:
+        reasons.append(f"{float(mass[beyond].sum()):.0%} of the feed lies beyond the tested sizes, and could turn it")
+    if not fitted.converged:
+        reasons.append("the draws of the fit did not settle")
+    if fitted.made_up:
+        reasons.append("the tests are made up")
+    if reasons and verdict != "undecided":
+        verdict = "not established"
+    return GoalEntry(broken=least, at_least=sure, probability=probability, error=error, verdict=verdict,
+                     reasons=tuple(reasons))  # fmt: skip
+
+
+def _warnings(fitted: FitEntry, mean: Outcome, feed: Feed, posterior: Posterior, product: bool) -> list[str]:
+    found = ["the tests are made up: no number of this page is of a rock"] if fitted.made_up else []
+    found.append("energies are those given to the particles: what the machine takes is more, and is not told here")
+    beyond = _beyond(feed, posterior)
+    if beyond.any():
+        low, high = (1e3 * v for v in posterior.tested)
+        found.append(
+            f"{float(feed.classes.mass[beyond].sum()):.0%} of the feed lies beyond the tested sizes of {low:.3g} to "
+            f"{high:.3g} mm: its classes are extrapolated"
+        )
+    if product:
+        offered = feed.blows.offered(feed.blows.series(feed.seed), feed.classes.sizes, feed.density).mean(axis=(0, 1))
+        sizes = feed.classes.sizes
+        outside = (offered < ENERGIES[0]) | (offered > ENERGIES[1]) | (sizes < DIAMETERS[0]) | (sizes > DIAMETERS[1])
+        weight = mean.by_class.mean(axis=0) * feed.classes.mass
+        share = float(weight[outside].sum() / max(weight.sum(), 1e-300))
+        if share > 0.0:
+            found.append(
+                f"range_of_t10: {share:.0%} of what breaks lies outside the drop-weight tests that A and b stand for "
+                f"(0.1 to 2.5 kWh/t, 13 to 63 mm; here {offered.min() / 3600:.2g} to {offered.max() / 3600:.2g} kWh/t)"
+            )
+    found.append("a rock is no sphere: sizes are those of the sphere of equal volume, tests must be of such particles")
+    return found
+
+
+def read_feed(folder: Path) -> FeedEntry:
+    """feed.json of a folder; raises FolderError where it is missing or damaged."""
+    try:
+        return FeedEntry.model_validate(load_document(folder / FEED_FILE))
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"]))
+        raise FolderError(f"{folder / FEED_FILE} is damaged: {place}: {first['msg']}") from error
+
+
+def read_draws(folder: Path, draws: int) -> dict[str, Array]:
+    """Columns of feed-draws.csv; raises FolderError where it is damaged, or not of so many draws of a fit."""
+    path = folder / TABLE_FILE
+    try:
+        header, *rows = csv.reader(io.StringIO(read_whole(path).decode("utf-8")), strict=True)
+        values = np.array(rows, dtype=float)
+        columns = {name: values[:, k] for k, name in enumerate(header)}
+        number = columns["draw"]
+        sound = bool(np.isfinite(values).all() and (number >= 1).all() and (number <= draws).all())
+    except (ValueError, IndexError, KeyError, csv.Error) as error:
+        raise FolderError(f"{path} is damaged: {error}") from error
+    if not sound or "broken" not in columns:
+        raise FolderError(f"{path} is damaged: it is no table of draws as `uqsphere feed` writes it")
+    return columns
