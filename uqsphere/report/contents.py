@@ -14,8 +14,10 @@ from uqsphere.arrays import Array
 from uqsphere.errors import FolderError
 from uqsphere.quantities import lookup, unit_that_reads
 from uqsphere.results import NO_RIG, Results, read_results
-from uqsphere.results.entries import LawTable, Manifest, Resolved, read_manifest, read_resolved
+from uqsphere.results.entries import LawTable, Manifest, Resolved, read_entry, read_manifest, read_resolved
+from uqsphere.results.sliders import Sliders
 from uqsphere.runner.samples import read_points
+from uqsphere.runner.schedule import REPLICATES
 from uqsphere.store import read_json
 from uqsphere.study.axis import quantity_of
 from uqsphere.uq.families import FAMILIES, Family, LawError
@@ -47,6 +49,9 @@ class Contents:
     points: Mapping[str, Array] = field(default_factory=dict)
     courses: Mapping[str, Any] | None = None
     services: Mapping[str, Contents] = field(default_factory=dict)
+    #: the randomisation that each row belongs to (n,), and what its page may move
+    replicates: Array = field(default_factory=lambda: np.zeros(0))
+    sliders: Sliders | None = None
 
     @property
     def black_box(self) -> bool:
@@ -76,6 +81,11 @@ def law_of(resolved: Resolved, name: str) -> Law | None:
     found = resolved.random.get(name)
     if found is None:
         return None
+    return stored_law(found, name)
+
+
+def stored_law(found: LawTable, name: str) -> Law:
+    """The law that a table holds, of what is called `name`."""
     family = family_of(found)
     if family.observed:
         return Law(
@@ -131,6 +141,8 @@ def read_contents(folder: Path) -> Contents:
         points=points,
         courses=courses,
         services=services,
+        replicates=(np.arange(len(rows)) * min(REPLICATES, len(rows)) // max(len(rows), 1))[good],
+        sliders=read_entry(folder / "sliders.json", Sliders) if (folder / "sliders.json").is_file() else None,
     )
 
 

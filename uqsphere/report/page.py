@@ -1,7 +1,9 @@
-"""One self-contained page from a finished run: figures inlined, no script, nothing fetched."""
+"""One self-contained page from a finished run: figures inlined, nothing fetched, one script of its own."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import html
 import io
 import logging
@@ -24,6 +26,7 @@ from uqsphere.report.margins import margin_verdicts
 from uqsphere.report.services import all_cautions, service_chapters, service_verdicts
 from uqsphere.report.tables import commands, repeat_rows
 from uqsphere.report.verdict import glances, verdicts
+from uqsphere.report.whatif import panels
 from uqsphere.results import NO_RIG
 from uqsphere.results.entries import Manifest
 from uqsphere.runner.sums import write_sums
@@ -285,6 +288,7 @@ def new_environment() -> Environment:
     )  # fmt: skip
     environment.globals["style"] = Markup(_own_text("style.css"))
     environment.globals["brief_style"] = Markup(_own_text("brief.css"))
+    environment.globals["panel_style"] = Markup(_own_text("whatif.css"))
     environment.filters["loose"] = _loose
     return environment
 
@@ -334,6 +338,7 @@ def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[s
         "version": contents.results.versions.get("uqsphere", ""),
         "black_box": contents.black_box,
         **_brief_parts(contents),
+        **_panel_parts(contents),
     }
 
     def set_page(draw: Callable[[Picture], Any], words: Sequence[tuple[str, str]]) -> str:
@@ -372,6 +377,21 @@ def _brief_parts(contents: Contents) -> dict[str, Any]:
         "force_factor": 1e-3 if max(forces, default=0.0) >= 1000.0 else 1.0,
         "asked": asked_note(brief.answers),
         "targets": any(answer.target is not None for answer in brief.answers),
+    }
+
+
+def _panel_parts(contents: Contents) -> dict[str, Any]:
+    """The what-if panels and their script, which the page's policy knows by its hash: no other one runs."""
+    from markupsafe import Markup
+
+    # no text of a study may end the element that holds it
+    found = [replace(one, data=Markup(one.data.replace("<", "\\u003c"))) for one in panels(contents)]
+    script = _own_text("whatif.js") if any(one.data for one in found) else ""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    return {
+        "panels": found,
+        "script": Markup(script),
+        "policy": Markup(f"; script-src 'sha256-{digest}'") if script else "",
     }
 
 

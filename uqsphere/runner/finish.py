@@ -16,6 +16,7 @@ from uqsphere.runner.finished import Run
 from uqsphere.runner.forecast import JUDGED
 from uqsphere.runner.results import Findings, bare_results, build_manifest, build_results, write_results
 from uqsphere.runner.samples import save_points
+from uqsphere.runner.sliders import save_sliders
 from uqsphere.store import Store
 
 
@@ -36,6 +37,7 @@ def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None
     store.take_over()
     save_points(work, store, found.sampled)
     save_courses(work, store, found.sampled)
+    save_sliders(work, store, found.evidence, found.margins)
     keep_data(work.study, store.folder)
     results = build_results(work, found)
     further = further_rows(results)

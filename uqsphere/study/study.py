@@ -195,7 +195,7 @@ class Study:
             "seed": self.seed,
             "kind": "black box" if self.black_box else "scene",
             "fixed": dict(self.fixed),
-            "random": {name: _law_json(law, self.given.get(name, {})) for name, law in laws.items()},
+            "random": {name: law_json(law, self.given.get(name, {})) for name, law in laws.items()},
             # The order of the random variables decides which point of a sequence goes to which of them.
             "order": list(laws),
             "options": dict(self.options),
@@ -250,7 +250,7 @@ def _bound(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _law_json(law: Law, given: Mapping[str, float]) -> dict[str, Json]:
+def law_json(law: Law, given: Mapping[str, float]) -> dict[str, Json]:
     return {
         "dist": law.family.name,
         "parameters": dict(law.parameters),

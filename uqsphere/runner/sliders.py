@@ -1,0 +1,254 @@
+"""Rows around the study, so that a page can answer for other speeds, sizes and stiffnesses without a run.
+
+Numbers that people move are drawn between ends together with all that scatters, the full model answers, and ln of every
+demand becomes one polynomial of their logarithms.  Rows that it has not seen say how far it may be off.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from uqsphere.arrays import Array, Flags
+from uqsphere.errors import UqsphereError
+from uqsphere.model import is_answered, scene_of, solve_scene
+from uqsphere.quantities import INPUTS
+from uqsphere.results.sliders import AxisEntry, SliderEntry, Sliders, SurfaceEntry, WayEntry
+from uqsphere.runner.chunks import remembered
+from uqsphere.runner.evaluate import Work
+from uqsphere.runner.evidence import Evidence
+from uqsphere.runner.schedule import SLIDERS
+from uqsphere.store import Store, write_json
+from uqsphere.study import Study
+from uqsphere.study.axis import SPEED, spaced, with_number
+from uqsphere.study.study import law_json
+from uqsphere.study.ways import Way, ways_of
+from uqsphere.uq.expansion.germs import Indices, hyperbolic_indices, orthonormal_values, products
+from uqsphere.uq.expansion.solvers import solve_rows
+from uqsphere.uq.families import LawError
+from uqsphere.uq.law import Law
+from uqsphere.uq.points import sobol_points
+
+if TYPE_CHECKING:
+    from uqsphere.runner.questions.margins import MarginAnswer
+
+#: what people move first, in this order: the load, then sizes, then stiffness
+_LOADS: Final = (SPEED, "rig.speed", "rig.drop_height", "hammer.speed", "hammer.drop_height")
+_OTHERS: Final = ("sphere.radius", "bars.diameter", "target.thickness", "target.mass", "hammer.mass", "other.radius",
+                  "rod.diameter", "sphere.E")  # fmt: skip
+#: most sliders on a page
+_MOST: Final = 5
+#: ratio of an end to the study's number: a load, and anything else; a load reaches its answers by `_BEYOND`
+_WIDE, _NEAR, _BEYOND, _FARTHEST = 2.0, 1.3, 1.2, 5.0
+#: values at which the law of a number is told, to both sides
+_NODES: Final = 9
+#: quantile beyond which the rows of a law that stays in place are not covered
+_TAIL: Final = 1e-5
+#: highest degree, share of the rows that judge, and the quantile of their errors that is told
+_DEGREE, _UNSEEN, _LEVEL = 6, 0.25, 0.95
+#: an error in ln demand beyond which a surface tells nothing, and the share of rows that may lack an answer
+_ROUGH, _LOST = 0.15, 0.01
+#: normal score of the ends of a law that is moved
+_FAR: Final = 4.0
+
+
+def save_sliders(work: Work, store: Store, evidence: Evidence | None, margins: Mapping[str, MarginAnswer]) -> None:
+    """Store sliders.json."""
+    write_json(store.folder / "sliders.json", find_sliders(work, evidence, margins).document())
+
+
+def find_sliders(work: Work, evidence: Evidence | None, margins: Mapping[str, MarginAnswer]) -> Sliders:
+    """The sliders of a study and the surfaces of its limits' demands, with the reason where there are none."""
+    study = work.study
+    if study.black_box:
+        return Sliders(reason="a model of your own is asked by a run alone")
+    if not study.limits:
+        return Sliders(reason="the study has no limits")
+    # as the courses of a few scenes they are no evaluations of the study's budget, but few beside those of the run
+    count = min(SLIDERS.first, int(SLIDERS.share * work.ledger.total))
+    if count < SLIDERS.least or work.ledger.stopped_by_time or work.ledger.interrupted:
+        return Sliders(reason="the run was too short for it")
+    try:
+        sliders = _sliders(study, margins)
+        if not sliders:
+            return Sliders(reason="none of its numbers can be moved")
+        wide = study if evidence is None else evidence.work.study
+        axes = _axes(study, sliders)
+        values, points = _drawn(study, axes, count)
+        scene = scene_of(wide, values, count)
+        tolerance = max(study.model.tolerance, 1e-6)
+        quantities = tuple(dict.fromkeys(limit.quantity for limit in wide.limits))
+        found = remembered(
+            work.store, "sliders", scene, [tolerance, quantities],
+            lambda: solve_scene(scene, "full", tolerance=tolerance, threads=work.threads, quantities=quantities),
+        )  # fmt: skip
+    except (UqsphereError, LawError) as error:
+        return Sliders(reason=str(error))
+    surfaces, rough = {}, {}
+    good = is_answered(found.status)
+    for name in quantities:
+        late = found.censored.get(name)
+        fitted = _surface(points, found.values[name], good if late is None else good & ~late)
+        if isinstance(fitted, str):
+            rough[name] = fitted
+        else:
+            surfaces[name] = fitted
+    ways = {} if evidence is None else _ways(study, evidence.ways.assumed, sliders, surfaces)
+    return Sliders(evaluations=count, axes=axes, sliders=tuple(sliders), surfaces=surfaces, rough=rough, ways=ways)
+
+
+def _sliders(study: Study, margins: Mapping[str, MarginAnswer]) -> list[SliderEntry]:
+    """The numbers that can be moved: what is solved for, the load, sizes and stiffness."""
+    means = study.at_means()
+    free = study.margins.axis.path if study.margins is not None and study.margins.axis.kind == "number" else None
+    names = [
+        name for name in dict.fromkeys([*([free] if free else []), *_LOADS, *_OTHERS]) if means.get(name, 0.0) > 0.0
+    ]
+    if study.record is not None:
+        names = [name for name in names if name != SPEED]  # the speed is that of the record
+    found = []
+    for name in names:
+        base, low, high = means[name], 1.0 / _NEAR, _NEAR
+        if name == free or name in _LOADS:
+            answers = [e.value / base for m in margins.values() for e in m.values.values() if e.value]
+            answers = [ratio for ratio in answers if 1.0 / _FARTHEST < ratio < _FARTHEST] if name == free else []
+            low, high = (
+                min([1.0 / _WIDE, *(r / _BEYOND for r in answers)]),
+                max([_WIDE, *(r * _BEYOND for r in answers)]),
+            )
+        entry = _slider(study, name, base, (low * base, high * base))
+        if entry is not None:
+            found.append(entry)
+    return found[:_MOST]
+
+
+def _slider(study: Study, name: str, base: float, ends: tuple[float, float]) -> SliderEntry | None:
+    """One number with the law that it has at every node; None where its law has no mean to move."""
+    quantity = INPUTS[name]
+    low, high = max(ends[0], quantity.lower), min(ends[1], quantity.upper)
+    nodes = sorted({*spaced(low, base, _NODES), *spaced(base, high, _NODES)})
+    centres, spreads = [], []
+    for node in nodes:
+        try:
+            law = with_number(study, name, node).random.get(name)
+        except LawError:
+            return None
+        centre, spread = (math.log(node), 0.0) if law is None else _middle(law)
+        if not math.isfinite(centre + spread):
+            return None
+        centres.append(centre)
+        spreads.append(spread)
+    return SliderEntry(name=name, low=low, high=high, base=base, nodes=tuple(nodes), centres=tuple(centres),
+                       spreads=tuple(spreads))  # fmt: skip
+
+
+def _middle(law: Law) -> tuple[float, float]:
+    """Median and spread of the logarithm of a positive number; not finite where it may be negative."""
+    below, middle, above, least = law.from_normal(np.array([-1.0, 0.0, 1.0, -_FAR]))
+    if not least > 0.0:
+        return math.nan, math.nan
+    return math.log(middle), 0.5 * math.log(above / below)
+
+
+def _axes(study: Study, sliders: Sequence[SliderEntry]) -> tuple[AxisEntry, ...]:
+    """What the rows are drawn over: the sliders with the scatter at their ends, and all else that scatters."""
+    axes = []
+    for one in sliders:
+        low, high = one.centres[0] - _FAR * one.spreads[0], one.centres[-1] + _FAR * one.spreads[-1]
+        axes.append(AxisEntry(name=one.name, logarithm=True, middle=0.5 * (low + high), half=0.5 * (high - low)))
+    for name, law in study.random.items():
+        if any(one.name == name for one in sliders):
+            continue
+        low, high = (float(end[0]) for end in (law.ppf(np.array([_TAIL])), law.isf(np.array([_TAIL]))))
+        logarithm = low > 0.0
+        if logarithm:
+            low, high = math.log(low), math.log(high)
+        half = 0.5 * (high - low)
+        if half > 0.0:
+            axes.append(AxisEntry(name=name, logarithm=logarithm, middle=0.5 * (low + high), half=half))
+    return tuple(axes)
+
+
+def _drawn(study: Study, axes: Sequence[AxisEntry], count: int) -> tuple[dict[str, Array], Array]:
+    """Values (n,) of every axis by name, and the points (n, d) in [-1, 1] that they are drawn at."""
+    unit = sobol_points(dimension=len(axes), count=count, start=0, seed=study.seed, task="sliders", replicate=0)
+    points = 2.0 * unit - 1.0
+    values = {}
+    for k, axis in enumerate(axes):
+        value = axis.middle + axis.half * points[:, k]
+        values[axis.name] = np.exp(value) if axis.logarithm else value
+    return values, points
+
+
+def _surface(points: Array, values: Array, known: Flags) -> SurfaceEntry | str:
+    """The polynomial of ln values (n,) at points (n, d), the degree chosen by rows unseen; or why there is none."""
+    known = known & np.isfinite(values)
+    if known.mean() < 1.0 - _LOST or (values[known] <= 0.0).any():
+        return f"the model answers {100.0 * known.mean():.3g} % of the settings"
+    points, logs = points[known], np.log(values[known])
+    seen = int((1.0 - _UNSEEN) * len(logs))
+    best: tuple[float, Indices, Array] | None = None
+    for degree in range(1, _DEGREE + 1):
+        indices = hyperbolic_indices(points.shape[1], degree, 1.0, seen // 4)
+        if indices is None:
+            break
+        tables = [orthonormal_values("uniform", points[:, k], degree) for k in range(points.shape[1])]
+        rows = products(tables, indices)
+        unseen = logs[seen:] - solve_rows(rows[:, :seen], logs[:seen]) @ rows[:, seen:]
+        error = float(np.quantile(np.abs(unseen), _LEVEL))
+        if best is None or error < best[0]:
+            best = error, indices, solve_rows(rows, logs)
+    if best is None or best[0] > _ROUGH:
+        return "it is too rough for a polynomial"
+    return _as_powers(*best)
+
+
+def _as_powers(error: float, indices: Indices, coefficients: Array) -> SurfaceEntry:
+    """Products of orthonormal Legendre polynomials as products of powers; what changes nothing is left out."""
+    degree = int(indices.max(initial=0))
+    # coefficients of the powers 0, 1, ... of every polynomial
+    turn = [
+        math.sqrt(2.0 * k + 1.0) * np.polynomial.legendre.leg2poly(np.eye(degree + 1)[k]) for k in range(degree + 1)
+    ]
+    sums: dict[tuple[int, ...], float] = {}
+    for row, coefficient in zip(indices.tolist(), coefficients.tolist(), strict=True):
+        for powers in itertools.product(*(range(k % 2, k + 1, 2) for k in row)):
+            part = coefficient * math.prod(turn[k][p] for k, p in zip(row, powers, strict=True))
+            sums[powers] = sums.get(powers, 0.0) + float(part)
+    kept = {powers: value for powers, value in sums.items() if abs(value) > 1e-3 * error / len(sums)}
+    return SurfaceEntry(
+        powers=tuple(kept), coefficients=tuple(float(f"{value:.9g}") for value in kept.values()), error=error
+    )
+
+
+def _ways(
+    study: Study, ways: Sequence[Way], sliders: Sequence[SliderEntry], surfaces: Mapping[str, SurfaceEntry]
+) -> dict[str, WayEntry]:
+    """The assumed ways whose demands have a surface, with how their strengths follow the sliders."""
+    found = {}
+    for way in ways:
+        if way.limit.quantity not in surfaces or not isinstance(way.limit.strength, Law):
+            continue
+        scales = {one.name: _scale(study, way, one) for one in sliders if one.name == "sphere.radius"}
+        found[way.called] = WayEntry.model_validate({
+            "quantity": way.limit.quantity,
+            "laws": [law_json(law, {}) for law in (way.weak, way.limit.strength, way.strong)],
+            "scales": {name: scale for name, scale in scales.items() if any(scale)},
+        })  # fmt: skip
+    return found
+
+
+def _scale(study: Study, way: Way, slider: SliderEntry) -> tuple[float, ...]:
+    """ln of the strength over that of the study at the nodes of a slider: that of particles hangs on their size."""
+    base = way.limit.strength
+    assert isinstance(base, Law)
+    scale = []
+    for node in slider.nodes:
+        other = next(w for w in ways_of(with_number(study, slider.name, node)).assumed if w.called == way.called)
+        assert isinstance(other.limit.strength, Law)
+        scale.append(math.log(other.limit.strength.median() / base.median()))
+    return tuple(scale)
