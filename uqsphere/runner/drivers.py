@@ -28,6 +28,7 @@ from uqsphere.uq.failure_indices import (
     specimens_for_probability,
     specimens_for_share,
     sway_estimates,
+    too_few,
 )
 from uqsphere.uq.fitting import count_tests
 from uqsphere.uq.indices import Blocks, sampled_indices, uniform_halves
@@ -195,6 +196,14 @@ def _indices(work: Work, limit: Limit, shared: Shared) -> Table:
     if design is not None:
         from uqsphere.uq.shapley import shapley_estimates
 
+        reason = too_few(chance if chance.mean() <= 0.5 else 1.0 - chance)
+        if reason:
+            refused = _no_indices(names, reason, method)
+            return {
+                **refused,
+                "shapley": refused["first"],
+                "kucherenko": {o: refused["first"] for o in ("first", "total")},
+            }
         orders = orders_at(work, design, count)
         if orders is not None:
             orders = np.asarray(without(orders.astype(float), failed)).astype(np.int64)

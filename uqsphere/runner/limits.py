@@ -165,7 +165,9 @@ def _governing(work: Work, limit: Limit, sample: Sample, state: LimitState) -> t
         names.append(f"limits.{limit.name}.strength")
     else:
         weight = (state.demands > limit.strength)[keep].astype(float)
-    found = failure_shares(sample.scores[keep][:, : len(work.drawn.names)], weight, score)
+    regression = work.all_inputs.regression(names[-1], work.drawn.names) if score is not None else None
+    inputs = sample.scores[keep][:, : len(work.drawn.names)]
+    found = failure_shares(inputs, weight, score, work.drawn, regression)
     if found is None:
         return None, BY_DIRECTION
     return dict(zip(names, found[0].tolist(), strict=True)), found[1]

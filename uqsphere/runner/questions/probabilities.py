@@ -30,6 +30,7 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.schedule import DESIGN_POINT, RARE
 from uqsphere.study import Limit
 from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.failure_indices import linear_shares
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import score_of, shifted_score, strength_tails
 from uqsphere.uq.rare.active import METHOD as ACTIVE
@@ -320,7 +321,8 @@ def with_design(work: Work, answer: LimitAnswer, design: FormAnswer, space: Limi
         design=found.values,
         design_points=sum(point.converged for point in design.points),
         governing=found.shares,
-        governing_method="squared direction cosines of the design point (importance factors)",
+        governing_method="squared direction cosines of the design point (importance factors); of tied inputs their "
+        "Shapley effects",
     )
 
 
@@ -340,8 +342,12 @@ def _nearest(work: Work, design: FormAnswer, space: LimitSpace) -> DesignFound |
     names = list(work.drawn.names)
     if space.function.integrated:
         names.append(f"limits.{space.limit.name}.strength")
-    shares = dict(zip(names, point.importance.tolist(), strict=True))
-    return DesignFound(values=_physical(work, point, space), shares=shares)
+    inputs = point.point[: len(work.drawn.names)]
+    shares = linear_shares(
+        work.drawn, point.direction, inputs, space.weights, -space.remaining if space.flipped else space.remaining
+    )
+    named = dict(zip(names, shares.tolist(), strict=True))
+    return DesignFound(values=_physical(work, point, space), shares=named)
 
 
 def _physical(work: Work, point: DesignPoint, space: LimitSpace) -> dict[str, float]:

@@ -44,11 +44,6 @@ class DesignPoint:
     converged: bool
     gap: float
 
-    @property
-    def importance(self) -> Array:
-        """Squared direction cosines (size,): shares of the variables in the index; they sum to 1."""
-        return np.asarray(self.direction**2)
-
 
 @dataclass(frozen=True, kw_only=True)
 class FormAnswer:
