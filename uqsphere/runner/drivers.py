@@ -202,7 +202,7 @@ def _indices(work: Work, limit: Limit, shared: Shared) -> Table:
             return {
                 **refused,
                 "shapley": refused["first"],
-                "kucherenko": {o: refused["first"] for o in ("first", "total")},
+                "kucherenko": dict.fromkeys(("first", "total"), refused["first"]),
             }
         orders = orders_at(work, design, count)
         if orders is not None:
