@@ -3,7 +3,7 @@
     python -m reports.publish                    # all of them, to reports/
     python -m reports.publish granite benchmark --out reports
 
-Every report has a folder: report.html, which is whole by itself, the study with the data it reads, results.json, and
+Every report has a folder: report.html and brief.html, each whole by itself, the study with the data it reads, results.json, and
 the tables that the page names.  What a run stores beside that, samples and evaluations, is left behind: the page ends
 with the command that makes them again.  README.md beside the folders lists what is there.
 """
@@ -94,6 +94,7 @@ def _benchmark(folder: Path) -> Path:
 def _report(folder: Path, entry: Published) -> Path:
     """One study run elsewhere, and what is kept of it moved to `folder`."""
     from uqsphere.report import build_report
+    from uqsphere.report.page import build_brief
     from uqsphere.runner.api import run
     from uqsphere.study import load_study, shipped_studies
 
@@ -104,13 +105,14 @@ def _report(folder: Path, entry: Published) -> Path:
         found = run(load_study(source, overrides), out=Path(place) / folder.name)
         page = build_report(found.folder)
         text = page.read_text("utf-8")
+        build_brief(found.folder)
         if page.stat().st_size > _LARGEST:
             raise UsageError(
                 f"{folder.name}: the page has {page.stat().st_size:,} bytes, at most {_LARGEST:,} are kept"
             )
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        for name in ("report.html", "study.toml", "results.json"):
+        for name in ("brief.html", "report.html", "study.toml", "results.json"):
             shutil.copyfile(found.folder / name, folder / name)
         for table in sorted((found.folder / "tables").glob("*.csv")):
             if f"tables/{table.name}" in text:

@@ -298,7 +298,13 @@ def test_one_is_made_with_what_it_needs_and_no_more(tmp_path: Path, monkeypatch:
     pages = publish.publish(tmp_path / "reports", ["small"])
     folder = tmp_path / "reports" / "small"
     assert pages == [folder / "report.html"]
-    assert {path.name for path in folder.iterdir()} == {"report.html", "results.json", "study.toml", "tables"}
+    assert {path.name for path in folder.iterdir()} == {
+        "brief.html",
+        "report.html",
+        "results.json",
+        "study.toml",
+        "tables",
+    }
     text = pages[0].read_text("utf-8")
     assert str(tmp_path) not in text
     for table in re.findall(r"tables/([\w.-]+\.csv)", text):

@@ -6,6 +6,7 @@ import argparse
 import math
 import re
 import tomllib
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from scipy.special import gamma
 from test_broken_studies import BASE
 from test_imports import FLOORS
 
+import uqsphere
 from uqsphere import errors
 from uqsphere.cli import build_parser
 from uqsphere.cli.run import MISSED
@@ -425,3 +427,30 @@ def test_commands_are_executed_or_said_not_to_be() -> None:
             continue
         for after in re.findall(r"^```(?:sh|console|python)\n.*?^```\n\n(.*?)$", page, re.DOTALL | re.MULTILINE):
             assert after.startswith("(Not run by the tests: "), f"{name}: {after[:60]}"
+
+
+# --- the site, and how to cite -------------------------------------------------------------------------------
+
+
+def test_the_site_has_every_page_and_the_public_names(tmp_path: Path) -> None:
+    build = pytest.importorskip("sphinx.cmd.build")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert build.main(["-q", "-W", str(ROOT / "docs"), str(tmp_path)]) == 0
+    pages = {path.stem for path in (ROOT / "docs").glob("*.md")}
+    assert pages <= {path.stem for path in tmp_path.glob("*.html")}
+    reference = (tmp_path / "api.html").read_text("utf-8")
+    for name in uqsphere.__all__:
+        assert f'id="uqsphere.{name}"' in reference, name
+    for page in pages - {"index"}:
+        assert f'href="{page}.html"' in (tmp_path / "index.html").read_text("utf-8")
+
+
+def test_what_is_cited_is_this_version() -> None:
+    cited = dict(re.findall(r"^([\w-]+): (.+)$", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert (cited["version"], cited["license"], cited["cff-version"]) == (
+        project["version"],
+        project["license"],
+        "1.2.0",
+    )
