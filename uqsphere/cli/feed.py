@@ -20,6 +20,7 @@ def command_feed(chosen: argparse.Namespace) -> int:
     """What becomes of a feed; exit code 3 for a target whose verdict is anything but met."""
     from uqsphere.feed.answers import FEED_FILE, TABLE_FILE, answer_feed
     from uqsphere.feed.fit import DRAWS_FILE, FIT_FILE, Posterior, read_fit
+    from uqsphere.report.feed import feed_page
     from uqsphere.store import csv_text, write_outputs
 
     study = load_study(chosen.study, chosen.overrides)
@@ -40,13 +41,14 @@ def command_feed(chosen: argparse.Namespace) -> int:
     files = {
         DRAWS_FILE: posterior.csv(), FIT_FILE: fitted.model_dump_json(indent=1) + "\n",
         FEED_FILE: entry.model_dump_json(indent=1) + "\n", TABLE_FILE: csv_text(*found.table()),
+        **feed_page(entry, fitted, posterior, None),
     }  # fmt: skip
     written = [str(path) for path in write_outputs(folder, files)]
     if chosen.json:
         print_document({**entry.model_dump(mode="json"), "written": written})
     else:
         print(feed_text(entry))
-        print(f"\nwrote {len(written)} files to {folder}")
+        print(f"\nreport: {folder / 'report.html'}")
     return 0 if entry.goal is None or entry.goal.verdict == "met" else MISSED
 
 
@@ -93,7 +95,7 @@ def feed_text(entry: FeedEntry) -> str:
         rows.append(_row(f"finer than {1e3 * entry.fines_sieve:.3g} mm", entry.fines, 100.0, "%"))
     head = ("feed", "mean", "95 %: ignorance", "95 %: a lot")
     blocks = [
-        wrap(f"{entry.title}: {', '.join(entry.of.values())}; {entry.blows} blows", width),
+        wrap(f"{entry.title}: {', '.join(entry.of.values())}; {entry.blows} blow{'s' * (entry.blows > 1)}", width),
         table(head, rows, width),
     ]
     if entry.goal is not None:

@@ -216,7 +216,7 @@ def answer(mean: Array, lots: Array | None = None, particles: float | None = Non
     """The answer of draws (D,) and of lots (D,); of a share of so many particles the scatter is that of (F10)."""
     known = np.isfinite(mean)
     if reason or not known.all():
-        share = f"in {float((~known).mean()):.0%} of the draws it lies below the finest sieve, or nothing broke"
+        share = f"in {100 * float((~known).mean()):.0f} % of the draws it lies below the finest sieve, or nothing broke"
         return Answer(reason=reason or share)
     low, high = (float(v) for v in np.quantile(mean, _ENDS))
     found = {"value": float(mean.mean()), "low": low, "high": high, "ignorance": float(mean.std())}
@@ -324,11 +324,11 @@ def _judge(
     reasons = [] if verdict != "undecided" else [f"{len(mean.broken)} draws give the probability to ± {error:.2g}"]
     beyond = _beyond(feed, posterior)
     mass = feed.classes.mass
-    known = (outcome.by_class * mass)[:, ~beyond].sum(axis=1)
+    known, untested = (outcome.by_class * mass)[:, ~beyond].sum(axis=1), 100.0 * float(mass[beyond].sum())
     if verdict == "met" and share(known) < sure:
-        reasons.append(f"{float(mass[beyond].sum()):.0%} of the feed lies beyond the tested sizes, and counts on them")
+        reasons.append(f"{untested:.0f} % of the feed lies beyond the tested sizes, and counts")
     elif verdict == "not met" and share(known + float(mass[beyond].sum())) >= sure:
-        reasons.append(f"{float(mass[beyond].sum()):.0%} of the feed lies beyond the tested sizes, and could turn it")
+        reasons.append(f"{untested:.0f} % of the feed lies beyond the tested sizes, and could turn it")
     if not fitted.converged:
         reasons.append("the draws of the fit did not settle")
     if fitted.made_up:
@@ -341,14 +341,12 @@ def _judge(
 
 def _warnings(fitted: FitEntry, mean: Outcome, feed: Feed, posterior: Posterior, product: bool) -> list[str]:
     found = ["the tests are made up: no number of this page is of a rock"] if fitted.made_up else []
-    found.append("energies are those given to the particles: what the machine takes is more, and is not told here")
+    found.append("energies are those given to the particles: the machine takes more")
     beyond = _beyond(feed, posterior)
     if beyond.any():
         low, high = (1e3 * v for v in posterior.tested)
-        found.append(
-            f"{float(feed.classes.mass[beyond].sum()):.0%} of the feed lies beyond the tested sizes of {low:.3g} to "
-            f"{high:.3g} mm: its classes are extrapolated"
-        )
+        share = 100.0 * float(feed.classes.mass[beyond].sum())
+        found.append(f"{share:.0f} % of the feed lies beyond the tested {low:.3g} to {high:.3g} mm: extrapolated")
     if product:
         offered = feed.blows.offered(feed.blows.series(feed.seed), feed.classes.sizes, feed.density).mean(axis=(0, 1))
         sizes = feed.classes.sizes
@@ -357,10 +355,10 @@ def _warnings(fitted: FitEntry, mean: Outcome, feed: Feed, posterior: Posterior,
         share = float(weight[outside].sum() / max(weight.sum(), 1e-300))
         if share > 0.0:
             found.append(
-                f"range_of_t10: {share:.0%} of what breaks lies outside the drop-weight tests that A and b stand for "
-                f"(0.1 to 2.5 kWh/t, 13 to 63 mm; here {offered.min() / 3600:.2g} to {offered.max() / 3600:.2g} kWh/t)"
+                f"{100 * share:.0f} % of what breaks lies beyond the drop-weight tests behind A and b "
+                "(range_of_t10: 0.1 to 2.5 kWh/t, 13 to 63 mm)"
             )
-    found.append("a rock is no sphere: sizes are those of the sphere of equal volume, tests must be of such particles")
+    found.append("sizes are those of the sphere of equal volume; tests must be of particles of this shape")
     return found
 
 
