@@ -268,6 +268,7 @@ def test_the_top_level_is_as_agreed() -> None:
         "README.md",
         "docs",
         "CHANGELOG.md",
+        "CITATION.cff",
         "LICENSE",
     }
     assert {name for name in names if not name.startswith(".")} == agreed | {"constraints.txt"}
