@@ -97,6 +97,10 @@ def test_bounds_that_follow_from_the_speed_alone() -> None:
     modulus, radius = scene.scales.modulus[0], 0.005
     onset = force_at_pressure(1.295 * math.exp(0.736 * 0.3) * 2e9, modulus, radius)
     np.testing.assert_allclose(used["contact_yield"] ** 3, 2e3 / onset, rtol=1e-6)
+    # a law of the contact that has the dent is no bound on it
+    breaks = break_on_ramp(scene, ["P_max"], FORCE, np.array([[2e3]]))
+    dented = usages(scene, breaks, Rig(length=0.4, round_trip=4e-4, dents=True))
+    assert np.isnan(dented["contact_yield"]).all()
 
 
 def test_a_stiffer_striker_makes_a_stronger_pulse_and_stays_longer() -> None:

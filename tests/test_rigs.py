@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from uqsphere.mechanics import contact, impact
 from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.integrator import solve as dynamics
-from uqsphere.mechanics.outputs import OUTPUTS, Answers, absent_in, answers_from
+from uqsphere.mechanics.outputs import OUTPUTS, Answers, absent_in, answers_from, path_of
 from uqsphere.mechanics.rigs import RIGS, closing_speed
 from uqsphere.mechanics.scene import NEVER_CLOSE, Scene
 from uqsphere.mechanics.stress import tables
@@ -248,7 +249,7 @@ def test_a_sphere_without_mass_is_the_limit_of_a_light_one(kind: str) -> None:
     for quantity in told:
         assert light[quantity] == pytest.approx(full[quantity], rel=5e-3), quantity
     # (R16): what the mass of the sphere adds
-    assert full["P_max"][0] / light["P_max"][0] - 1.0 < 1.3 * 0.70 * float(given.scales.mass[0] / 2.3) ** 0.45
+    assert abs(full["P_max"][0] / light["P_max"][0] - 1.0) < 0.4 * 0.70 * float(given.scales.mass[0] / 2.3) ** 0.45
     with pytest.raises(ValueError, match="weights on elastic faces"):
         impact.solve_light(struck())
 
@@ -347,6 +348,8 @@ def test_rows_outside_their_range_say_so() -> None:
     assert plates.status.tolist() == [1, 0]
     deep = scene("platens", {**LIMESTONE, **of("platens"), "platens.displacement": np.array([1e-5, 0.011])})
     assert deep.status.tolist() == [0, 1]
+    # a rod may be thinner than the sphere, but not than their contact
+    assert solved(struck(300.0, "bar", diameter=np.array([5e-3, 2e-2])), "P_max").status.tolist() == [1, 0]
     with pytest.raises(ValueError, match=r"lacks target\.thickness, rig\.speed"):
         scene("impact", {**LIMESTONE, **of("target")}, options={"target.kind": "plate"})
     with pytest.raises(ValueError, match="unknown rig"):
@@ -359,6 +362,12 @@ def grade(given: Scene, name: str) -> int | None:
 
 
 def test_every_rig_has_its_checks() -> None:
+    # two bodies that are nearly as hard, or whose hardness is the other way round: the law is only a bound
+    for onset, hardness, wanted in ((1.5e9, 3e9, 1), (2.5e9, 6e9, 0), (2.5e9, 2e9, 1)):
+        soft = struck(3.6, law="plastic", onset_pressure=1.2e9, hardness=2.4e9)
+        own = {"sphere.onset_pressure": np.array([onset]), "sphere.hardness": np.array([hardness])}
+        assert grade(replace(soft, columns={**soft.columns, **own}), "softer_body") == wanted
+    assert path_of("impact_energy") is None
     assert grade(struck(3.6), "quasi_static_sphere") == 0
     assert grade(struck(250.0), "quasi_static_sphere") >= 2  # type: ignore[operator]
     assert grade(struck(3.6), "thin_plate") is None

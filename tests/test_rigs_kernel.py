@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.independent.rigs import Pole, strike
+from tests.independent.rigs import Pole, strike, strike_rod
 from tests.independent.yielding import Law
 from uqsphere.mechanics.impact import solve_closed
 from uqsphere.mechanics.integrator import tracked
@@ -146,6 +146,45 @@ def test_scenes_of_the_theory(name: str) -> None:
     assert np.array([*faces, *times, *energies]) == pytest.approx(np.array(wanted[:6]), rel=1e-7)
     assert speeds[: 1 if math.isnan(wanted[7]) else 2] == pytest.approx(
         [v for v in wanted[6:] if not math.isnan(v)], rel=1e-7
+    )
+
+
+@pytest.mark.parametrize("end", [1.0, -1.0, 0.4])
+@pytest.mark.parametrize("kind", ["impact", "load_cell"])
+def test_echoes_of_a_rod_agree_with_a_second_integrator(kind: str, end: float) -> None:
+    """Waves that come back while the sphere is pressed, many times: (R3) as an equation with delay."""
+    table = "target" if kind == "impact" else "rod"
+    numbers = {"sphere.E": 60e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2600.0}
+    numbers |= {
+        f"{table}.{key}": value for key, value in (STEEL | {"diameter": 0.02, "length": 0.04, "end": end}).items()
+    }
+    if kind == "impact":
+        numbers |= {"rig.speed": 3.0}
+    else:
+        numbers |= {f"hammer.{key}": value for key, value in (STEEL | {"mass": 0.05, "speed": 2.0}).items()}
+    scene = Scene(columns={key: np.array([value]) for key, value in numbers.items()}, rig=kind,
+                  options={"target.kind": "bar"} if kind == "impact" else {}, horizon=4e-4)  # fmt: skip
+    found = motion(scene, 0, tolerance=1e-10)
+    scales, rod = scene.scales, scene.partners[1]
+    assert rod is not None
+    behind, unit = scene.partners[0], float(scales.time[0])
+    light = math.inf if behind is None else float(behind.mass[0] * scales.speed[0] / (scales.force[0] * unit))
+    zeta = float(scales.force[0] / (rod.impedance[0] * scales.speed[0]))
+    start = (1.0, 0.0) if behind is None else (0.0, 1.0)
+    kappa = float(rod.hertz_constant[0] / scales.hertz_constant[0])
+    echo = (float(rod.round_trip[0]) / unit, end)
+    largest, first, state = strike_rod(float(scales.mass_number[0]), start, light, zeta, kappa, echo, found.end)
+    times = np.linspace(0.0, found.horizon, 20_001)
+    pushes = found.forces_at(times).max(axis=0) / scales.force[0]
+    assert pushes == pytest.approx(np.array(largest) * (0.0 if behind is None else 1.0, 1.0), rel=2e-6)
+    at_end = found.states_at(np.array([found.horizon]))[0]
+    units = np.array([scales.approach[0], scales.approach[0], scales.speed[0]])
+    kept = slice(1 if behind is None else 0, 3)
+    assert (at_end / units)[kept] == pytest.approx(state[:3][kept], abs=2e-7)
+    answers = solve(scene, tolerance=1e-9, quantities=("contact_time", "P_max"))
+    assert answers.values["contact_time"][0] == pytest.approx(first * unit, rel=1e-7)
+    assert answers.values["P_max"][0] == pytest.approx(
+        max(largest[0 if behind else 1], largest[1]) * scales.force[0], rel=2e-6
     )
 
 

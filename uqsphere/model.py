@@ -141,8 +141,10 @@ def _library_onset(study: Study) -> dict[str, float]:
 
 
 def cheaper_fidelities(study: Study) -> tuple[str, ...]:
-    """The fidelities that may stand for `full` in a study: no spring where faces yield, and no law without one."""
+    """The fidelities that may stand for `full` in a study: no spring where faces yield or another rig stands."""
     law = study.options.get("contact.law", "hertz")
+    if study.rig != "bars":
+        return ("massless",)
     if law == "hertz":
         return "massless", "linear"
     path = law == "plastic" and study.options.get("contact.dynamics") == "auto"

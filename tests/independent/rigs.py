@@ -1,7 +1,8 @@
-"""A second integrator of one scene, (R3): a sphere with a partner at each pole; DOP853 with events, slow, no echoes.
+"""A second integrator of one scene, (R3): a sphere with a partner at each pole; DOP853 with events, slow.
 
-It follows the table of states (C14) face by face, carries along what partners of an impedance take off, so that the
-balances of energy and momentum (R8), (R9) can be held against it, and ends where the bodies part.
+`strike` follows the table of states (C14) face by face, carries along what partners of an impedance take off, so that
+the balances of energy and momentum (R8), (R9) can be held against it, and ends where the bodies part.  `strike_rod` has
+the echoes of a rod ahead, with elastic faces: round trip by round trip, each with what the ones before sent back.
 """
 
 from __future__ import annotations
@@ -155,3 +156,53 @@ def strike(mu: float, speed: float, poles: list[Pole], rtol: float = 1e-12, hori
     found.parting, found.first_loss = time, first
     found.speeds, found.carried, found.impulse = y[2:5], y[5:7], y[7:9]
     return found
+
+
+def strike_rod(
+    mu: float,
+    start: tuple[float, float],
+    weight: float,
+    zeta: float,
+    kappa: float,
+    echo: tuple[float, float],
+    end: float,
+) -> tuple[list[float], float, np.ndarray]:
+    """A blow on a rod of finite length: largest q at A and B, first loss of contact, (x_A, x_B, u, U_A) at `end`.
+
+    start: speeds of sphere and weight; weight: mu_A, inf where nothing stands at A; echo: round trip and reflection.
+    """
+    trip, reflection = echo
+    pieces: list[Any] = []
+
+    def returned(t: float, n: int) -> float:
+        """What the far end sends back in round trip n: h(t) = R (zeta q_B + h)(t - T)."""
+        if n == 0:
+            return 0.0
+        push = kappa * max(pieces[n - 1](t - trip)[1], 0.0) ** 1.5
+        return reflection * (zeta * push + returned(t - trip, n - 1))
+
+    def rates(t: float, y: np.ndarray) -> list[float]:
+        a, b = max(y[0], 0.0) ** 1.5, kappa * max(y[1], 0.0) ** 1.5
+        there = 0.0 if math.isinf(weight) else 1.0
+        return [
+            there * (y[3] - y[2]),
+            y[2] - zeta * b - 2.0 * returned(t, len(pieces)),
+            (there * a - b) / mu,
+            -there * a / weight,
+        ]
+
+    losses = [lambda t, y, k=k: y[k] if t > 1e-3 else 1.0 for k in ((1,) if math.isinf(weight) else (0, 1))]
+    for loss in losses:
+        loss.direction = -1  # type: ignore[attr-defined]
+    state, largest, first = np.array([0.0, 0.0, *start]), [0.0, 0.0], math.inf
+    for begin in np.arange(0.0, end, trip):
+        until = min(begin + trip, end)
+        way = solve_ivp(rates, (begin, until), state, method="DOP853", rtol=1e-11, atol=1e-14, events=losses,
+                        dense_output=True, max_step=0.02)  # fmt: skip
+        pieces.append(way.sol)
+        state = way.y[:, -1]
+        first = min([first, *(float(times[0]) for times in way.t_events if len(times))])
+        fine = way.sol(np.linspace(begin, until, 20_001))
+        for k, factor in enumerate((1.0, kappa)):
+            largest[k] = max(largest[k], factor * float(np.maximum(fine[k], 0.0).max()) ** 1.5)
+    return largest, first, state

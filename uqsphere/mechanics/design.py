@@ -79,6 +79,8 @@ class Rig:
         Time at which the first reflected wave is back at the sphere [s]; may be infinite.
     round_trip : float
         Of the incident bar [s], within which the striker has to leave it; infinite if its end sends nothing back.
+    dents : bool
+        Whether the bars may yield under the sphere: the study's law of the contact has it.
     """
 
     length: float
@@ -86,6 +88,7 @@ class Rig:
     level: float = 0.1
     first_return: float = np.inf
     round_trip: float = np.inf
+    dents: bool = False
 
     def __post_init__(self) -> None:
         for name, value in (("length", self.length), ("level", self.level)):
@@ -239,7 +242,7 @@ def usages(scene: Scene, breaks: Breaks, rig: Rig) -> dict[str, Array]:
         "length": shortest_striker(scene, breaks, rig.fall) / rig.length,
         "equilibrium": breaks.imbalance / rig.level,
         "pulse_yield": wide(stress / strength),
-        "contact_yield": pressure / wide(np.where(np.isfinite(onset), onset, np.nan)),
+        "contact_yield": pressure / wide(np.where(np.isfinite(onset) & (not rig.dents), onset, np.nan)),
         "striker": wide(end / rig.round_trip),
     }
 

@@ -21,7 +21,7 @@ from uqsphere.mechanics import contact
 from uqsphere.mechanics.carried import CARRIED, in_the_test, needs_of
 from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, demand, product_fineness
 from uqsphere.mechanics.damage import Softening, broken
-from uqsphere.mechanics.integrator.tracked import NOT_FINITE, SCALED
+from uqsphere.mechanics.integrator.tracked import DOMAIN, NOT_FINITE, SCALED
 from uqsphere.mechanics.rigs import RIGS, loss_to_waves
 from uqsphere.mechanics.scene import BROKEN, Scales, Scene, answered
 from uqsphere.units import Quantity
@@ -542,6 +542,7 @@ def answers_from(
     values = {name: _value(scene, columns, name) for name in quantities}
     finite = np.logical_and.reduce([np.isfinite(value) for value in (columns["x_max"], *values.values())])
     status = np.where(answered(status) & ~finite, NOT_FINITE, status)
+    status = np.where(answered(status) & _wider_than_its_rod(scene, made), DOMAIN, status)
     bad = ~answered(status)
     values = {name: np.where(bad, np.nan, value) for name, value in values.items()}
     censored = {
@@ -557,6 +558,17 @@ def answers_from(
             values = {name: np.where(gone, np.nan, value) for name, value in values.items()}
     record = np.asarray(scene.scales.time * columns["ended"])
     return Answers(values=values, censored=censored, status=status, record=record, steps=steps)
+
+
+def _wider_than_its_rod(scene: Scene, made: Mapping[str, Any]) -> Flags:
+    """Rows of a rig other than bars whose contact is wider than the end of a bar that it is on."""
+    found = np.zeros(len(scene), dtype=bool)
+    there = [partner for partner in scene.partners if partner is not None]
+    for partner, side in zip(there, made.get("sides", ()), strict=False):
+        if partner.kind == "bar" and scene.rig != "bars":
+            with np.errstate(invalid="ignore"):
+                found |= 2.0 * side["a_max"] > scene.columns[f"{partner.table}.diameter"]
+    return found
 
 
 def merged_answers(*parts: tuple[Places, Answers]) -> Answers:
@@ -592,7 +604,7 @@ class Path:
     Attributes
     ----------
     over : str
-        `force` or `energy`: the quantity rises with the largest one so far.
+        `force` or `energy`: the quantity rises with the largest one so far; empty: with neither.
     criterion : str or None
         Key of `CRITERIA` whose formula it is; None for the force or energy itself.
     parameters : mapping of str to float
@@ -628,7 +640,8 @@ def path_of(quantity: str, demands: Demands = MappingProxyType({})) -> Path | No
     ('force', 'energy', None)
     """
     if quantity not in demands:
-        return PATHS.get(quantity)
+        # what a blow offers is there before it: nothing that rises along the loading
+        return PATHS[quantity] if quantity in PATHS and PATHS[quantity].over else None
     key, parameters = demands[quantity]
     kept = {name: value for name, value in parameters.items() if name != "rate_0"}
     return Path(over=CRITERIA[key].follows, criterion=key, parameters=kept)

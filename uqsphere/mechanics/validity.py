@@ -198,6 +198,19 @@ def _of_faces(scene: Scene, answers: Answers, pick: Callable[[Face, Array], Arra
     return np.maximum.reduce(found) if found else None
 
 
+def _other_onset(scene: Scene, answers: Answers) -> Array | str:
+    """Onset of the harder body over that of the softer one, the least of the faces that yield; 1 where the harder body
+    has the lower hardness."""
+    sphere, found = sphere_body(scene), []
+    for one in (one for one in scene.partners if one is not None and isinstance(one.face, Face)):
+        body = body_of(scene, one.table, scene.column(f"{one.table}.insert_nu", scene.column(f"{one.table}.nu")))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = np.maximum(body.onset, sphere.onset) / np.minimum(body.onset, sphere.onset)
+            crossed = (body.onset < sphere.onset) != (body.hardness < sphere.hardness)
+            found.append(np.where(crossed & np.isfinite(ratio), 1.0, ratio))
+    return np.fmin.reduce(found) if found else "not checked: nothing yields"
+
+
 def _dent_over_radius(scene: Scene, answers: Answers) -> Array | str:
     found = _of_faces(scene, answers, lambda face, depth: face.pressed(depth).dent / face.effective_radius)
     return "not checked: nothing yields" if found is None else found
@@ -436,6 +449,12 @@ RULES: Final[tuple[Rule, ...]] = (
          measure=_depth, information=1.0, laws=("plastic",), further=_dents,
          words="a face yields, its approach reaches {worst} times that at first yield",
          fine="no face yields: the approach is at most {worst} of that at first yield"),
+    Rule(name="softer_body", meaning="onset of the harder body of a face over that of the softer one",
+         measure=_other_onset, information=1.3, rising=False, laws=("plastic",),
+         words="the body of a face that is taken for hard begins to yield at {worst} times the pressure of the softer "
+               "one (clear from {limit}), or has the lower hardness: the law is only a bound",
+         fine="one body of each face is clearly the softer: the other begins to yield at {worst} times its pressure "
+              "(clear from {limit})"),
     Rule(name="plastic_range", meaning="approach over that at which a face first yields (law seen up to 110)",
          measure=_depth, warning=_SEEN_DEPTH, failure=1000.0, laws=("plastic",),
          words="a face is pressed to {worst} times its first yield, beyond what its law was compared with ({limit})",

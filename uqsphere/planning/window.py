@@ -76,6 +76,7 @@ class Subject:
 
     columns: Mapping[str, float]
     rigid_contact: bool
+    dents: bool
     demands: Mapping[str, tuple[str, Mapping[str, float]]]
     limits: tuple[Limit, ...]
     paths: tuple[Path, ...]
@@ -188,6 +189,7 @@ def subject_of(study: Study, quantile: float = 0.5) -> Subject:
     return Subject(
         columns={name: float(column[0]) for name, column in scene.columns.items()},
         rigid_contact=scene.rigid_contact,
+        dents=scene.contact_law == "plastic",
         demands=study.demands,
         limits=limits,
         paths=paths,
@@ -263,7 +265,7 @@ def judge_points(
 
 def _rig(subject: Subject, request: Request, length: float) -> Rig:
     return Rig(length=length, fall=subject.fall, level=request.level, first_return=subject.first_return,
-               round_trip=subject.round_trip)  # fmt: skip
+               round_trip=subject.round_trip, dents=subject.dents)  # fmt: skip
 
 
 def plan_test(study: Study, request: Request) -> Plan:

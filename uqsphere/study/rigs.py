@@ -78,14 +78,14 @@ def _refuse_speeds(rig: RigTable, findings: Findings) -> None:
 
 
 def model_of(document: Document, findings: Findings) -> ModelChoice:
-    """Which mechanics: rigs other than `bars` have closed forms, or the full model; a light sphere may have no mass."""
+    """Which mechanics: other rigs than `bars`: closed forms, or the full model; under a weight a sphere is light."""
     model = document.model or ModelChoice()
     if document.rig_kind == "bars" or not findings.clean(("model",)):
         return model
     anvil = document.rig_kind == "drop_weight" and (document.anvil is None or document.anvil.kind != "bar")
-    light = model.fidelity == "massless" and anvil and document.contact is None
+    light = anvil and document.contact is None and model.horizon is None
     plain_words = {
-        "fidelity": light or model.fidelity in ("auto", "full"),
+        "fidelity": model.fidelity in ("auto", "full", "massless" if light else "full"),
         "first_loading_only": not model.first_loading_only,
         "compare_with_paper": not model.compare_with_paper,
     }
