@@ -15,14 +15,11 @@ from typing import Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.bench.rivals import METHODS, heyoka_present, solve_heyoka, solve_scipy
+from uqsphere.bench.rivals import METHODS, solve_scipy
 from uqsphere.bench.scenes import BenchScene, scattered_scene
 from uqsphere.mechanics import closed_form
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator import tracked as layout
-from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.tracked import ORDER, PAIR, TERMS
-from uqsphere.mechanics.integrator.vectors import products, row
 from uqsphere.mechanics.scene import Scene
 
 
@@ -38,11 +35,11 @@ def describe_machine() -> dict[str, Any]:
         ]
         model = names[0] if names else model
     packages = {}
-    for name in ("numpy", "scipy", "numba", "llvmlite", "heyoka"):
+    for name in ("numpy", "scipy", "numba", "llvmlite"):
         try:
             packages[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
-            packages[name] = "absent (extra: bench)" if name == "heyoka" else "absent"
+            packages[name] = "absent"
     return {
         "processor": model,
         "processors": thread_count(None),
@@ -106,37 +103,6 @@ def massless_rate(rows: int = 200_000) -> float:
         loading_approach(theta)
         best = min(best, time.process_time() - begin)
     return float(rows / best)
-
-
-def peak_rate() -> float | None:
-    """Multiplications with an addition that one core does in a second on vectors held in its first cache."""
-    from importlib.util import find_spec
-
-    if find_spec("numba") is None:
-        return None
-
-    vector_work(10)
-    rounds, best = 20_000, np.inf
-    for _ in range(7):
-        begin = time.process_time()
-        operations = vector_work(rounds)
-        best = min(best, (time.process_time() - begin) / operations)
-    return float(1.0 / best)
-
-
-# --- A loop of nothing but the integrator's own sums, to measure how near the integrator comes to the machine.
-
-#: multiplications with an addition that the series of one step of one row needs: root and force at both faces
-STEP_WORK = 2 * sum((k + 1) // 2 + k + 1 for k in range(ORDER + 1))
-
-
-@compiled()
-def vector_work(rounds: int) -> int:
-    """Do `rounds` of the longest sum; the number of multiplications with an addition."""
-    a, b, out = np.full((TERMS, PAIR), 0.5), np.full((TERMS, PAIR), 0.25), np.zeros((1, PAIR))
-    for _ in range(rounds):
-        products(a, b, ORDER, 0, TERMS, row(out, 0, 0))
-    return rounds * TERMS * PAIR + int(out[0, 0] < 0.0)
 
 
 # --- Speed against error, side by side in one process: contenders take turns, the best of several rounds counts.
@@ -234,12 +200,6 @@ def measure_scene(chosen: BenchScene, *, tolerances: list[float], rounds: int, s
             answers = solve_scipy(scene, rows, method, t, contact=contact)
             seconds = time.process_time() - begin
             entries += _entries(chosen, f"solve_ivp {method}", t, answers[:, : len(quantities)], exact, seconds)
-    if heyoka_present() and not contact:
-        for t in (1e-3, 1e-6, 1e-9, 1e-12):
-            compiled = solve_heyoka(scene, min(64, len(scene)), t)
-            turns_of = {"heyoka": compiled.find_peaks, "heyoka, no peaks": compiled.integrate_alone}
-            for name, run_it in turns_of.items():
-                entries += _entries(chosen, name, t, compiled.peaks[:, None], exact, _best_time(run_it, rounds))
     return entries
 
 

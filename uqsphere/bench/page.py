@@ -9,14 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.bench.measure import (
-    STEP_WORK,
     Entry,
     cost_tables,
     describe_machine,
     massless_rate,
     measure_scene,
     memory_of,
-    peak_rate,
     ratio_at_error,
     ready_seconds,
     reference_gap,
@@ -56,7 +54,7 @@ def run_bench(folder: Path, *, quick: bool, notice: Callable[[str], None]) -> di
     cost = cost_tables(largest=10_000 if quick else 1_000_000, rounds=rounds)
     notice("memory and start of a process of its own")
     many = 200_000 if quick else 10_000_000
-    rate, best = peak_rate(), min(e.seconds_per_row for e in entries if (e.scene, e.contender) == ("A", "full"))
+    best = min(e.seconds_per_row for e in entries if (e.scene, e.contender) == ("A", "full"))
     limits = {
         "memory of 10 million rows of A [MB]" if not quick else "memory of 200,000 rows of A [MB]": {
             "found": memory_of(many), "aim": "below 1,000"},
@@ -64,9 +62,6 @@ def run_bench(folder: Path, *, quick: bool, notice: Callable[[str], None]) -> di
         "massless closed form, million rows a second and core": {"found": massless_rate() / 1e6, "aim": "10"},
         "scene A at the loosest tolerance [us a row]": {"found": best * 1e6, "aim": "5"},
     }  # fmt: skip
-    if rate is not None:
-        limits["series arithmetic of one step and row at the machine's rate [us]"] = {
-            "found": STEP_WORK / rate * 1e6, "aim": "-"}  # fmt: skip
     content = {
         "schema_version": SCHEMA_VERSION, "quick": quick, "machine": describe_machine(), "scenes": scenes,
         "entries": [asdict(entry) for entry in entries], "ratios": ratios(entries), "cost": cost, "limits": limits,
@@ -87,10 +82,6 @@ COMPARED: Final = (
     ("A", "p_max", "solve_ivp DOP853", 1e-8, 1000.0),
     ("A", "p_max", "solve_ivp LSODA", 1e-6, None),
     ("A", "p_max", "solve_ivp Radau", 1e-8, None),
-    ("A", "p_max", "heyoka", 1e-6, 5.0),
-    ("A", "p_max", "heyoka", 1e-9, 5.0),
-    ("A", "p_max", "heyoka, no peaks", 1e-6, None),
-    ("A", "p_max", "heyoka, no peaks", 1e-9, None),
     ("B", "p_max", "solve_ivp DOP853", 1e-8, 300.0),
     ("B", "contact_time", "solve_ivp DOP853", 1e-8, 300.0),
 )
@@ -171,8 +162,7 @@ def speed_error_figure(entries: Sequence[Entry]) -> Picture:
 
     colours = {
         "full": BLUE, "linear": PURPLE, "massless": GREEN, "solve_ivp DOP853": RED,
-        "solve_ivp LSODA": ORANGE, "solve_ivp Radau": GREY, "heyoka": "#000000",
-        "heyoka, no peaks": "#555555",
+        "solve_ivp LSODA": ORANGE, "solve_ivp Radau": GREY,
     }  # fmt: skip
     scenes = sorted({e.scene for e in entries})
     figure, axes = new_figure(3.6 * len(scenes), rows=len(scenes))

@@ -8,8 +8,6 @@ the earlier pieces (the method of steps for delay equations).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from importlib.util import find_spec
 from itertools import pairwise
 from typing import Any, Final
 
@@ -22,7 +20,7 @@ from uqsphere.mechanics.scene import Scene
 #: methods of scipy.integrate.solve_ivp
 METHODS: Final = ("DOP853", "LSODA", "Radau")
 #: time over t_c after which no peak can follow the pulse of scene A: the energy that is left lies below the peak's
-_AFTER: Final = 0.6
+AFTER: Final = 0.6
 
 
 def _pulse(arguments: dict[str, Any], row: int, time: float) -> float:
@@ -68,7 +66,7 @@ def _solve_row(
     trips, ends = arguments["round_trips"][row], arguments["ends"][row]
     horizon = float(arguments["horizon"][row])
     if not np.isfinite(horizon):
-        horizon = float(arguments["pulse_end"][row]) + _AFTER
+        horizon = float(arguments["pulse_end"][row]) + AFTER
     pieces: list[tuple[float, Any]] = []
 
     def force(face: int, time: float) -> float:
@@ -120,74 +118,3 @@ def solve_scipy(scene: Scene, rows: int, method: str, tolerance: float, *, conta
     """Largest approach and contact time (rows, 2), scaled, by solve_ivp."""
     arguments = scaled_arguments(scene, np.arange(rows))
     return np.array([_solve_row(arguments, row, method, tolerance, contact) for row in range(rows)])
-
-
-def heyoka_present() -> bool:
-    """Whether the compiled Taylor integrator of that name is installed (extra `bench`)."""
-    return find_spec("heyoka") is not None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Compiled:
-    """A compiled rival on scene A: its peaks (rows,), how to find them, and how to integrate without looking."""
-
-    peaks: Array
-    find_peaks: Callable[[], None]
-    integrate_alone: Callable[[], None]
-
-
-def _touched(mu: Array, start: float) -> Array:
-    """State (3, n) at a small time, by the series about the touch: x1 = 2 s, u = (2/5) 2^(3/2) s^(5/2)/mu."""
-    speed = 0.4 * 2.0**1.5 * start**2.5 / mu
-    return np.stack([np.full(len(mu), 2.0 * start - 0.4 * 2.0**1.5 * start**2.5), speed * start / 3.5, speed])
-
-
-def solve_heyoka(scene: Scene, rows: int, tolerance: float) -> Compiled:
-    """Scene A by heyoka in batches as wide as the machine's vectors.
-
-    The peaks come from its own event detection, the roots of the rates of both faces; its callbacks are Python,
-    which is what a user of the package has.  The integration without them finds no peak: what the compiled code
-    itself costs.
-    """
-    import heyoka
-
-    x1, x2, u = heyoka.make_vars("x1", "x2", "u")
-    push = 2.0 * heyoka.par[1]
-    q1, q2 = x1 * heyoka.sqrt(x1), x2 * heyoka.sqrt(x2)
-    rates = (push - q1 - u, u - q2)
-    system = [(x1, rates[0]), (x2, rates[1]), (u, (q1 - q2) / heyoka.par[0])]
-    batch = int(heyoka.recommended_simd_size())
-    arguments = scaled_arguments(scene, np.arange(rows))
-    start = 1e-4
-    highest = np.zeros((2, batch))
-    peaks = np.zeros(rows)
-
-    def watch(face: int) -> Any:
-        def seen(solver: Any, time: float, sign: int, lane: int) -> None:
-            solver.update_d_output(np.full(batch, time))
-            highest[face, lane] = max(highest[face, lane], solver.d_output[face, lane])
-
-        return heyoka.nt_event_batch(rates[face], seen, direction=heyoka.event_direction.negative)
-
-    def build(**events: Any) -> Any:
-        return heyoka.taylor_adaptive_batch(
-            system, np.ones((3, batch)), pars=np.ones((2, batch)), tol=tolerance, compact_mode=False, **events
-        )
-
-    def run(solver: Any) -> None:
-        for first in range(0, rows, batch):
-            chosen = np.minimum(np.arange(first, first + batch), rows - 1)
-            mu, end = arguments["mass"][chosen], np.asarray(arguments["pulse_end"][chosen])
-            solver.set_time(start)
-            solver.state[:] = _touched(mu, start)
-            solver.pars[0], solver.pars[1] = mu, 1.0
-            highest[:] = 0.0
-            solver.propagate_until(end)
-            at_end = solver.state[:2].max(axis=0)
-            solver.pars[1] = 0.0
-            solver.propagate_until(end + _AFTER)
-            peaks[chosen] = np.maximum(at_end, highest.max(axis=0))
-
-    alone, watching = build(), build(nt_events=[watch(0), watch(1)])
-    run(watching)
-    return Compiled(peaks=peaks.copy(), find_peaks=lambda: run(watching), integrate_alone=lambda: run(alone))
