@@ -324,6 +324,24 @@ def test_a_shot_without_a_specimen_gives_speed_and_gains() -> None:
         calibrate(broken, rig)
 
 
+def test_unequal_bars_have_forces_equilibrium_and_energies_and_no_sphere(clean: Made) -> None:
+    columns = {name: float(values[0]) for name, values in clean.scene.columns.items()}
+    rig, record = rig_of(clean.scene), mend(make_record(clean.table, 2))
+    alike = read_test(record, rig, columns)
+    soft = 0.4 * columns["bars.E"] * math.pi * rig.bar.radius**2
+    read = read_test(record, replace(rig, receiving_bar=rig.bar), columns, receiving=soft)
+    assert "two equal bars" in read.withheld[0]
+    assert read.inverse is None
+    assert read.balance == 0.0
+    # the gauge of a bar with 0.4 of the stiffness says 0.4 of the force, and of the energy that goes on
+    assert read.peaks["B"].value == pytest.approx(0.4 * alike.peaks["B"].value, rel=1e-9)
+    assert alike.energies is not None
+    assert read.energies is not None
+    for own, other in zip(read.energies, alike.energies, strict=True):
+        assert own.incident == other.incident
+        assert own.transmitted == pytest.approx(0.4 * other.transmitted, rel=1e-9)
+
+
 def test_an_end_called_absorbing_is_warned_of(clean: Made) -> None:
     columns = {name: float(values[0]) for name, values in clean.scene.columns.items()}
     record = mend(make_record(clean.table, 2))

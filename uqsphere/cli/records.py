@@ -297,8 +297,9 @@ def _test(chosen: argparse.Namespace, path: Path, record: Record, study: Study, 
         from uqsphere.store import csv_text
 
         force = read.forces
-        names = ["time [s]", "force_a [N]", "force_b [N]", "force_mean [N]"]
-        courses = [force.time, force.force_a, force.force_b, 0.5 * (force.force_a + force.force_b)]
+        names = ["time [s]", "force_a [N]", "force_b [N]", "force_mean [N]", "difference_over_largest [-]"]
+        apart = (force.force_a - force.force_b) / read.peaks["mean"].value
+        courses = [force.time, force.force_a, force.force_b, 0.5 * (force.force_a + force.force_b), apart]
         for face in "AB":
             names += [f"force_{face.lower()}_{side} [N]" for side in ("low", "high")]
             courses += force.interval(face)
