@@ -44,6 +44,7 @@ from uqsphere.report.figures.fragility import (
     lognormal_remarks,
     margin_figure,
 )
+from uqsphere.report.figures.history import loop_figure
 from uqsphere.report.figures.indices import (
     MOST_INPUTS,
     group_figure,
@@ -384,7 +385,10 @@ def quantities_chapter(contents: Contents) -> Chapter:
             files=("tables/courses.csv",) if contents.courses is not None else (),
         )
     )
-    bars, inside = bars_figure(contents), stress_inside_figure(contents)
+    loop, bars, inside = loop_figure(contents), bars_figure(contents), stress_inside_figure(contents)
+    if loop is not None:
+        heading_loop = "How the contact of the hardest scene yields"
+        blocks.append(Block(heading=heading_loop, finding=loop.finding, picture=loop, appendix=True))
     heading_bars = "What the bars see of the hardest scene"
     blocks.append(Block(heading=heading_bars, finding=bars.finding if bars else "", picture=bars))
     blocks.append(

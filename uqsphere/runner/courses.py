@@ -100,6 +100,10 @@ def _followed(work: Work, rows: Array) -> tuple[Array, Array] | None:
     return (times, forces) if len(times) >= 20 and forces.max() > 0.0 else None
 
 
+#: instants over which the energies of a scene that yields are summed, and how many of them are one that is stored
+_LOOP, _STORED = 2401, 10
+
+
 def _hardest(work: Work, row: Array, times: Array) -> dict[str, object] | None:
     """The scene of one row of inputs; None where its record ends before those of the others."""
     from uqsphere.mechanics.history import trace, view_field
@@ -110,7 +114,14 @@ def _hardest(work: Work, row: Array, times: Array) -> dict[str, object] | None:
     single, fidelity = _scene(work, row[None, :])
     course = trace(single, 0, points=2, fidelity=fidelity, tolerance=_tolerance(work))
     ratio, pressure = course.hardest_contact
+    loop = {}
+    if course.balance is not None and course.balance.dent.max() > 0.0:
+        whole = trace(single, 0, points=_LOOP, fidelity=fidelity, tolerance=_tolerance(work)).balance
+        hertz = [0.0 if one is None else float(one.hertz_constant[0]) for one in single.partners]
+        courses = {name: value[..., ::_STORED].tolist() for name, value in vars(whole).items()}
+        loop = {"loop": courses, "hertz_constants": hertz}
     return {
+        **loop,
         "inputs": {name: float(row[k]) for k, name in enumerate(work.scene_names)},
         "force_a": pair[0, 0].tolist(),
         "force_b": pair[0, 1].tolist(),

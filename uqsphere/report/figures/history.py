@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.gauges import GaugeRecord
     from uqsphere.mechanics.history import History
     from uqsphere.mechanics.scene import Scene
+    from uqsphere.report.contents import Contents
 
 #: instants of a drawn course
 _POINTS: Final = 1200
@@ -154,23 +156,28 @@ def _yields(history: History) -> bool:
 
 def draw_balance(history: History) -> Picture:
     """Force over approach with the loop of what yields, Hertz beside it, and where the energy is over time."""
-    balance, motion = history.balance, history.motion
-    assert balance is not None
+    assert history.balance is not None
+    partners, row = history.motion.scene.partners, history.motion.row
+    hertz = [0.0 if partner is None else float(partner.hertz_constant[row]) for partner in partners]
+    return balance_picture(history.balance, hertz)
+
+
+def balance_picture(balance: Balance, hertz: Sequence[float]) -> Picture:
+    """The same from the energies of a scene; `hertz` are the Hertz constants of the faces, 0 where nothing stands."""
     force_unit, force = display_unit("P_max")
     energy_unit = unit_that_reads("energy", [float(balance.stored.sum(axis=0).max())])
-    unit, factor = _time_unit(history.horizon)
+    unit, factor = _time_unit(float(balance.time[-1]))
     with style():
         figure, (loop, over) = new_figure(7.0, rows=2)
         for pole, (name, colour, line) in enumerate((("A", BLUE, "-"), ("B", ORANGE, "--"))):
-            partner = motion.scene.partners[pole]
-            if partner is None:
+            if not hertz[pole] > 0.0:
                 continue
             loop.plot(balance.approach[pole] * 1e6, balance.force[pole] * force, color=colour, linestyle=line,
                       linewidth=1.2, label=f"face {name}")  # fmt: skip
-            beta = float(partner.hertz_constant[motion.row])
             x = np.linspace(0.0, float(balance.approach[pole].max()), 100)
             if pole == 1:
-                loop.plot(x * 1e6, beta * x**1.5 * force, color=GREY, linestyle=":", linewidth=1.2, label="Hertz")
+                loop.plot(x * 1e6, hertz[pole] * x**1.5 * force, color=GREY, linestyle=":", linewidth=1.2,
+                          label="Hertz")  # fmt: skip
         loop.set_xlim(left=min(0.0, 1.05e6 * float(balance.approach.max()) * -0.02))
         loop.set_ylim(0.0, 1.15 * force * float(balance.force.max()))
         loop.set_xlabel("approach [µm]")
@@ -194,6 +201,17 @@ def draw_balance(history: History) -> Picture:
         loop.grid()
     title = "Force over approach, and where the energy is"
     return Picture(name="balance", title=title, finding=_balance_finding(balance), figure=figure)
+
+
+def loop_figure(contents: Contents) -> Picture | None:
+    """Force over approach of the hardest scene and where its energy is; None where no face yields."""
+    from uqsphere.mechanics.balance import Balance
+
+    hardest = {} if contents.courses is None else contents.courses["hardest"]
+    if "loop" not in hardest:
+        return None
+    balance = Balance(**{name: np.array(values, dtype=float) for name, values in hardest["loop"].items()})
+    return balance_picture(balance, hardest["hertz_constants"])
 
 
 def _balance_finding(balance: Balance) -> str:
