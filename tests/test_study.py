@@ -98,6 +98,9 @@ def test_shipped_study(path: Path) -> None:
             "incident: a baseline of -7.037 microstrain is taken off",
             "13 cubics follow the record to 0.02 of its peak",
         ]
+    elif path.stem == "limestone_three_ways":
+        # inserts, and onset and hardness that nobody has measured
+        assert [text.rpartition(" ")[2] for text in said] == ["bars", "it", "it"]
     else:
         assert said == []
     resolved = json.loads(json.dumps(study.resolved(), allow_nan=False))
