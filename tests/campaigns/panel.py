@@ -103,7 +103,7 @@ def full_run(study: Path, setting: Setting, data: Mapping[str, Any], place: Path
     overrides = []
     for one in data["sliders"]:
         if one["path"] in setting.at:
-            keys = {one["set"]: 1.0, **{f"{one['path']}.{key}": ratio for key, ratio in one["cut"].items()}}
+            keys = {one["set"]: 1.0, **{f"{one['key']}.{key}": ratio for key, ratio in one["cut"].items()}}
             value = setting.at[one["path"]] * one["factor"]
             overrides += [f'{key}="{ratio * value!r} {one["file_unit"]}"' for key, ratio in keys.items()]
     if "mean" in setting.strength:

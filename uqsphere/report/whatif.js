@@ -293,6 +293,8 @@
       return a.mean === b.mean && !a.scatter && a.spearman === b.spearman;
     }
 
+    // what a law is moved by: Weibull's modulus, else the coefficient of variation
+    const scatterOf = ({ law }) => law.kind === "weibull" ? law.m : Math.sqrt(Math.expm1(law.sd * law.sd));
     const met = (found, target) => found.high < target ? true : found.low > target ? false : null;
 
     // the verdict: the study's own where nothing moved, else by what rows can judge again
@@ -364,7 +366,7 @@
       return null;
     }
 
-    return { data, start, answer, verdict, curve, crossing, moved, covered, sliders, score };
+    return { data, start, answer, verdict, curve, crossing, sliders, score, scatterOf };
   }
 
   if (typeof module !== "undefined") module.exports = { makeModel };
@@ -460,7 +462,7 @@
       found.push(control("mean", law.kind === "fixed" ? "Strength" : "Mean strength", "exact", [mean / 2, mean * 2], [mean / 2, mean * 2],
         limit.unit, limit.factor, s => own(s).mean, v => { own(setting).mean = v; }, true));
       if (law.kind === "weibull" && !law.threshold || law.kind === "lognormal") {
-        const base = law.kind === "weibull" ? law.m : Math.sqrt(Math.expm1(law.sd * law.sd)), ends = [base / 3, base * 3];
+        const base = model.scatterOf(limit), ends = [base / 3, base * 3];
         found.push(control("scatter", law.kind === "weibull" ? "Weibull modulus" : "Scatter of strength", "exact", ends, ends, "", 1,
           s => own(s).scatter || base, v => { own(setting).scatter = v === base ? 0 : v; }, true));
       }
@@ -577,11 +579,17 @@
       for (const one of data.sliders) {
         if (setting.at[one.path] === first.at[one.path]) continue;
         const number = ratio => `"${plain(setting.at[one.path] * ratio * one.factor)} ${one.file_unit}"`;
-        set.push(`${one.set}=${number(1)}`, ...Object.entries(one.cut).map(([key, ratio]) => `${one.path}.${key}=${number(ratio)}`));
+        set.push(`${one.set}=${number(1)}`, ...Object.entries(one.cut).map(([key, ratio]) => `${one.key}.${key}=${number(ratio)}`));
       }
-      const strength = `limits.${limit.name}.strength`;
-      if (own.mean !== before.mean) set.push(`${strength}${limit.law.kind === "fixed" ? "" : ".mean"}="${plain(own.mean * limit.factor)} ${limit.file_unit}"`);
-      if (own.scatter) set.push(`${strength}.${limit.law.kind === "weibull" ? "modulus" : "cov"}=${plain(own.scatter)}`);
+      const strength = `limits.${limit.name}.strength`, { kind } = limit.law, mean = `"${plain(own.mean * limit.factor)} ${limit.file_unit}"`;
+      if (own.mean !== before.mean || own.scatter) {
+        const key = kind === "weibull" ? "modulus" : "cov", scatter = plain(own.scatter || model.scatterOf(limit));
+        set.push(kind === "fixed" ? `${strength}=${mean}` : kind === "table" ? `${strength}.mean=${mean}` :
+          `${strength}={ dist = "${kind}", mean = ${mean}, ${key} = ${scatter} }`);
+      }
+      if (own.spearman !== before.spearman) {
+        set.push(`dependence=[{ of = ["${limit.tie.with}", "${strength}"], spearman = ${plain(own.spearman)} }]`);
+      }
       if (own.target !== before.target) set.push(`limits.${limit.name}.target=${plain(own.target)}`);
       return "uqsphere run study.toml" + set.map(text => ` --set '${text}'`).join("");
     }
@@ -609,7 +617,8 @@
         code.textContent = commands();
       } else {
         big.textContent = percent(found.value, own.target);
-        interval.textContent = `${found.kind === "exact" ? "Exact from rows" : "Estimate"}: ${fine(found.low)} to ${fine(found.high)}${NARROW}%`;
+        interval.textContent = `${found.kind === "exact" ? "Exact from rows" : "Estimate"}: ` +
+          (found.high < 1e-6 ? "at most 0.0001" : `${fine(found.low)} to ${fine(found.high)}`) + NARROW + "%";
       }
       if (path() && data.surfaces[limit.quantity]) {
         const one = model.sliders.get(path()), shown = found ? model.curve(limit, setting, path(), 17) : null, d = shown ? draw(shown) : "";

@@ -112,7 +112,7 @@ def _data(contents: Contents, service: str, room: int) -> dict[str, object]:
         "moved": {name: _packed(columns[name][few_kept]) for name in moved},
         "limits": limits,
         "axes": [[one.name, one.middle, one.half] for one in sliders.axes],
-        "sliders": [_slider(contents, one) for one in sliders.sliders] if sliders.surfaces else [],
+        "sliders": [_slider(contents, one, service) for one in sliders.sliders] if sliders.surfaces else [],
         "surfaces": {name: _surface(one) for name, one in sliders.surfaces.items()},
         "absent": sliders.reason or "; ".join(dict.fromkeys(sliders.rough.values())),
         "weibull": _weibull_scores(),
@@ -192,7 +192,6 @@ def _limit(contents: Contents, name: str, columns: dict[str, Array]) -> dict[str
         "factor": factor,
         "law": _law(law, positive) if law is not None else {"kind": "fixed", "ln": math.log(_number(contents, name))},
         "mean": law.nominal_mean() if law is not None else _number(contents, name),
-        "given": [] if law is None else sorted(contents.resolved.random[strength_name(name)].given),
         "tie": None if tie is None else {"with": tie[0], "label": short_input(tie[0]), "spearman": tie[1]},
         "miss": [entry.miss.value, entry.miss.low, entry.miss.high],
         "word": entry.word if entry.target is not None else "",
@@ -334,7 +333,12 @@ def _judged(contents: Contents, judged: VerdictEntry | None, name: str, logs: Ar
 # --- sliders --------------------------------------------------------------------------------------------------
 
 
-def _slider(contents: Contents, one: SliderEntry) -> dict[str, object]:
+def _slider(contents: Contents, one: SliderEntry, service: str) -> dict[str, object]:
+    """A slider, with the key that the study file has it by: the rig of a service stands in its own tables."""
+    table, _, rest = one.name.partition(".")
+    key = one.name
+    if service and table not in ("sphere", "contact"):
+        key = f"service.{service}.{rest if table == 'rig' else one.name}"
     unit, factor = display_unit(one.name)
     law = contents.resolved.random.get(one.name)
     # what a law is cut off at keeps its place relative to the mean (`Law.with_mean`), and a study has to be told so
@@ -343,7 +347,8 @@ def _slider(contents: Contents, one: SliderEntry) -> dict[str, object]:
     return {
         "path": one.name,
         "cut": {key: bound / one.base for key, bound in cut.items() if bound is not None},
-        "set": one.name if law is None else f"{one.name}.mean",
+        "key": key,
+        "set": key if law is None else f"{key}.mean",
         "label": _CALLED.get(one.name) or short_input(one.name),
         "unit": unit_text(unit),
         "file_unit": unit,
