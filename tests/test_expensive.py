@@ -202,7 +202,7 @@ MIXED = (
     EXPENSIVE.replace('names = ["y"]', 'names = ["y", "z"]').replace(
         "[analysis]", '[analysis]\nquantities = ["y", "z"]'
     )
-    + '[limits.rough]\nquantity = "z"\nstrength = 8.5\n'
+    + '[limits.rough]\nquantity = "z"\nstrength = 4.5\n'
 )
 
 
@@ -569,6 +569,23 @@ def test_a_probability_that_no_run_shows_is_learned(ask, monkeypatch: pytest.Mon
     # what was learned of the limit is no answer to what the mean of its quantity would take
     assert "active learning" not in mean["text"]
     assert mean["needed"] > mean["evaluations"]
+
+
+def test_a_limit_is_learned_although_its_quantity_is_too_rough(ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    """RP57 of the black-box reliability challenge: the largest of branches that no expansion follows."""
+    from tests.campaigns.rare import problem
+
+    entry = problem("RP57")
+    text = PLANE.replace("mean = 10.0", "mean = 0.0").replace("strength = 14.0", 'strength = 0.0\naim = "break"')
+    text = text.replace("second_order = true", "").replace('groups = { both = ["x1", "x2"] }', "")
+    monkeypatch.setitem(globals(), "EXPENSIVE", text.replace("evaluations = 300", "evaluations = 200"))
+    results = ask(Counted(lambda x: entry.function(np.column_stack([x["x1"], x["x2"]])))).results
+    miss = results.limits["high"].miss
+    assert miss.method.startswith("active learning")
+    assert miss.low is not None
+    assert miss.high is not None
+    assert miss.low <= entry.reference <= miss.high
+    assert miss.number == pytest.approx(entry.reference, rel=0.1)
 
 
 def test_a_design_point_on_a_surrogate_is_confirmed_by_a_run(ask, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -544,6 +544,44 @@ def test_a_black_box_with_two_failure_modes(tmp_path: Path) -> None:
     assert run.results.limits["g"].design_points >= 2
 
 
+def test_evaluations_go_where_an_accuracy_is_asked_for(tmp_path: Path) -> None:
+    asked = 'cost = "1 us"\nbudget = { evaluations = 14_000 }'
+    text = BOX.replace('methods = ["qmc", "subset"]\nbudget = { evaluations = 60_000 }', asked)
+    (tmp_path / "study.toml").write_text(text, encoding="utf-8")
+    study = uqsphere.load_study(tmp_path / "study.toml")
+    assert not math.isfinite(study.analysis.accuracy.quantile)
+    assert study.resolved()["analysis"]["accuracy"] == {"probability": 0.03}
+    results = uqsphere.run(study, out=tmp_path / "out", model=lambda x: {"g": 4.0 - np.abs(x["a"])}).results
+    parts = {part.part: part for part in results.plan.parts}
+    # the first stage of sampling, no pairs for indices, all the rest for the probability; forecast so too
+    assert parts["sampling"].taken == parts["sampling"].likely == 2048
+    assert "sensitivity" not in parts or parts["sensitivity"].taken == 0
+    assert parts["rare events"].taken > 6000
+    miss, value = results.limits["g"].miss, 2.0 * float(norm.cdf(-4.0))
+    assert miss.low is not None
+    assert miss.high is not None
+    assert miss.low <= value <= miss.high
+    assert miss.number == pytest.approx(value, rel=0.03)
+    assert {row.quantity for row in results.accuracy.questions} == {"limits.g"}
+    assert results.accuracy.missed == ()
+
+
+@pytest.mark.parametrize("budget", [1000, 2000, 3000, 5000])
+def test_what_subset_simulation_alone_has_found_is_a_bound(budget: int) -> None:
+    limit = LimitFunction(function=lambda u: 4.75 - u.sum(axis=1) / math.sqrt(2.0), dimension=2)
+    found = find_probability(limit, seed=1, budget=budget)
+    value = float(norm.sf(4.75))
+    assert found.evaluations <= budget
+    assert found.estimate.low is not None
+    assert found.estimate.high is not None
+    assert found.estimate.low <= value <= found.estimate.high
+    if found.importance is None or found.importance.estimate.value is None:
+        assert found.estimate.value is None
+        assert found.estimate.reason
+    else:
+        assert found.estimate.value == pytest.approx(value, rel=0.1)
+
+
 def test_plain_sampling_that_falls_a_little_short_of_a_small_probability_is_no_contradiction() -> None:
     def told(value: float, half: float) -> Estimate:
         return Estimate(

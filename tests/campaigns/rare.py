@@ -10,14 +10,18 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+import uqsphere
 from tests.campaigns import table, tell
+from uqsphere.results.entries import Est
 from uqsphere.uq.law import Law, make_law
 
 Array = npt.NDArray[np.float64]
@@ -376,11 +380,82 @@ def few_call_text(repetitions: int, problems: Sequence[str] = FEW_PROBLEMS) -> s
             f"{table(header, rows)}\n\nOff by more than 20 % without interval or warning: {silent}.")  # fmt: skip
 
 
+# --- The same problems as a user has them: studies with a budget in all, through `uqsphere.run`.
+
+#: evaluations of a cheap model, and runs of an expensive one: how many in all, at what cost, how accurate
+BUDGETS: Final = {"cheap": (30_000, "1 us", 0.015), "few": (CALLS, "10 s", 0.05)}
+_STUDY: Final = """
+title = "{name}"
+seed = {seed}
+[inputs]
+{inputs}
+[outputs]
+names = ["g"]
+[limits.failure]
+quantity = "g"
+strength = 0.0
+aim = "break"
+[analysis]
+cost = "{cost}"
+budget = {{ evaluations = {evaluations}, time = "100 h" }}
+accuracy = {{ probability = {accuracy} }}
+"""
+
+
+def run_problem(entry: Problem, kind: str, seed: int, folder: Path) -> Est:
+    """The probability of failure that a run of a study gives, by the number of evaluations in all."""
+    evaluations, cost, accuracy = BUDGETS[kind]
+    names = [f"u{k}" for k in range(entry.dimension)]
+    inputs = "\n".join(f'{name} = {{ dist = "normal", mean = 0.0, sd = 1.0 }}' for name in names)
+    file = folder / f"{entry.name.replace(' ', '_')}-{kind}-{seed}.toml"
+    text = _STUDY.format(name=entry.name, seed=seed, inputs=inputs, cost=cost, evaluations=evaluations,
+                         accuracy=accuracy)  # fmt: skip
+    file.write_text(text, encoding="utf-8")
+
+    def model(x: dict[str, Array]) -> dict[str, Array]:
+        return {"g": np.asarray(entry.function(np.column_stack([x[name] for name in names])))}
+
+    results = uqsphere.run(uqsphere.load_study(file), out=file.with_suffix(""), model=model).results
+    return results.limits["failure"].miss
+
+
+def run_text(kind: str, repetitions: int, problems: Sequence[str]) -> str:
+    """Every problem through `uqsphere.run`: error and coverage of what is answered, and how often it is but a bound."""
+    rows, errors, held = [], [], []
+    for name in problems:
+        tell(f"through run, {kind}: {name}")
+        entry = problem(name)
+        with tempfile.TemporaryDirectory() as place:
+            found = [run_problem(entry, kind, 1 + k, Path(place)) for k in range(repetitions)]
+        known = [one.value / entry.reference - 1.0 for one in found if one.value is not None]
+        covered = [(one.low or 0.0) <= entry.reference <= (1.0 if one.high is None else one.high) for one in found]
+        rms = float(np.sqrt(np.mean(np.square(known)))) if known else math.nan
+        errors.append(rms)
+        held += covered
+        widths = [0.5 * (one.high - one.low) / entry.reference for one in found
+                  if one.value is not None and one.high is not None and one.low is not None]  # fmt: skip
+        rows.append((name, entry.dimension, f"{entry.reference:.3g}", f"{rms:.2%}",
+                     f"{max(np.abs(known), default=math.nan):.1%}", f"{np.mean(covered):.0%}",
+                     f"{np.mean(widths) if widths else math.nan:.2%}", len(found) - len(known)))  # fmt: skip
+    header = ("problem", "inputs", "reference", "rms error", "worst", "covered", "half-width", "bounds alone")
+    within = [sum(error <= bound for error in errors) for bound in (0.01, 0.03)]
+    return (
+        f"{BUDGETS[kind][0]:,} evaluations in all, {repetitions} runs of each.\n\n{table(header, rows)}\n\n"
+        f"Rms error at most 1 % on {within[0]} and 3 % on {within[1]} of {len(rows)}; {np.mean(held):.1%} of the "
+        "intervals hold the reference."
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Prints both tables; progress goes to stderr."""
+    """Prints the tables; progress goes to stderr."""
     parser = argparse.ArgumentParser(description="Rare-event methods on public problems")
     parser.add_argument("--repetitions", type=int, default=10, help="runs of each problem (default 10)")
+    parser.add_argument("--through-run", choices=[*BUDGETS], help="as studies of a user, with a budget in all")
     asked = parser.parse_args(arguments)
+    if asked.through_run:
+        names = [entry.name for entry in PROBLEMS] if asked.through_run == "cheap" else FEW_PROBLEMS
+        print(run_text(asked.through_run, asked.repetitions, names))
+        return 0
     print(rare_text(rare_table(repetitions=asked.repetitions, notice=tell)))
     print()
     print(few_call_text(asked.repetitions))

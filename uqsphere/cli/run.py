@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING
@@ -69,7 +70,7 @@ def _watched_run(study: Study, chosen: argparse.Namespace, seconds: float | None
     progress = Progress(
         evaluations=budget.evaluations,
         seconds=budget.time if seconds is None else seconds,
-        asked=asdict(study.analysis.accuracy),
+        asked={kind: asked for kind, asked in asdict(study.analysis.accuracy).items() if math.isfinite(asked)},
     )
     with contextlib.ExitStack() as around:
         executor = None

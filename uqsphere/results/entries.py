@@ -275,10 +275,10 @@ class LimitTable(Entry):
 class AccuracyTable(Entry):
     """Half-widths of the 95 % intervals that were asked for."""
 
-    mean: Number
-    quantile: Number
-    sobol: Number
-    probability: Number
+    mean: Number | None = None
+    quantile: Number | None = None
+    sobol: Number | None = None
+    probability: Number | None = None
     curve: Number = 0.02
 
 

@@ -192,11 +192,11 @@ def questions(work: Work, found: Findings, missed: Sequence[Missed]) -> tuple[Qu
     rows: list[QuestionRow] = []
     for name, described in found.sampled.descriptions.items():
         rows += _of_description(name, described, asked, told)
-    for name, indices in found.sensitivity.items():
+    for name, indices in found.sensitivity.items() if math.isfinite(asked.sobol) else ():
         refused = indices.text if not indices.missed else ""
         reached = _worst(indices.estimates(), 1.0)
         rows.append(_row(name, "worst index", asked.sobol, reached, told[name, "indices"], refused))
-    for name, limit in found.sampled.limits.items():
+    for name, limit in found.sampled.limits.items() if math.isfinite(asked.probability) else ():
         for which in ("exceedance", "miss") if limit.aim == "break" else ("miss",):
             estimate: Estimate = getattr(limit, which)
             said = "of missing the aim" if which == "miss" else "of exceedance"
@@ -240,11 +240,11 @@ def _of_description(
     if not described.scale > 0.0:
         return
     scale, over = described.scale, described.scale_name
-    if described.mean.value is not None:
+    if described.mean.value is not None and math.isfinite(asked.mean):
         reached = _worst([described.mean], scale)
         yield _row(name, f"mean, over {over}", asked.mean, reached, told.get((name, "mean"), []))
     counted = [e for p, e in described.quantiles.items() if p not in described.exempt]
-    if counted:
+    if counted and math.isfinite(asked.quantile):
         reached = _worst(counted, scale)
         yield _row(name, f"worst quantile, over {over}", asked.quantile, reached, told.get((name, "quantile"), []))
 

@@ -13,6 +13,7 @@ from uqsphere.runner.expensive import Expensive, answer_expensive, keep_answers,
 from uqsphere.runner.fidelity import Pilot, first_look
 from uqsphere.runner.finish import finish, finish_bare
 from uqsphere.runner.finished import Run
+from uqsphere.runner.forecast import more_to_come
 from uqsphere.runner.multifidelity import propose
 from uqsphere.runner.questions.carried import find_carried
 from uqsphere.runner.questions.distributions import Sampled, sample_distributions
@@ -71,7 +72,7 @@ def _by_surrogate(work: Work, pilot: Pilot, one: Expensive) -> Findings | None:
 def _by_sampling(work: Work, pilot: Pilot, one: Expensive | None, notice: Callable[[str], None] | None) -> Findings:
     """Everything by sampling the model; surrogates that did not answer all still answer what they know better."""
     ledger, proposed = work.ledger, propose(pilot)
-    sampled = sample_distributions(work, more_to_come=bool(work.scene_names), control=proposed)
+    sampled = sample_distributions(work, more_to_come=more_to_come(work.study), control=proposed)
     ledger.close("sampling")
     sampled = refine_limits(work, sampled)
     if one is not None:

@@ -149,7 +149,7 @@ def campaign(work: Work, question: Question, share: float = 1.0) -> Course:
             course.stopped = "time"
             return course
         work.tell(question.errors())
-        lacking = question.lacking()
+        lacking = {a: ratio for a, ratio in question.lacking().items() if work.study.analysis.pursues(a.kind)}
         if not lacking:
             return course
         course.note(question.size, lacking)

@@ -141,6 +141,7 @@ class Surrogates:
     design: Sample | None = None
     responses: dict[str, Response] = field(default_factory=dict)
     found: Answers = field(default_factory=Answers)
+    alone: Answers = field(default_factory=Answers)
     begun: bool = False
 
     @property
@@ -166,7 +167,11 @@ class Surrogates:
     def advance(self, room: float) -> bool:
         """The design doubled and all fitted again; in whole blocks, and no more than leaves room for rare events."""
         have = self.size
-        affordable = min(int(have + room) - reserve(self.work, self.found.limits, int(have + room)), SURROGATE.most)
+        every = int(have + room)
+        # what is too rough for a response so far may be less so once its course tells
+        rough = max(min(reserve(self.work, self.alone.limits, every), every - SURROGATE.judged), 0)
+        kept = min(reserve(self.work, self.found.limits, every) + rough, every // 2)
+        affordable = min(every - kept, SURROGATE.most)
         count = self._next(affordable)
         if self.begun and count <= have:
             return False
@@ -201,6 +206,8 @@ class Surrogates:
             fitted = cross_fit(points, self.design.answers[0][whole], work.germs)
             self.responses = dict(zip(work.quantities, fitted, strict=True))
         self.found = answers_of(work, self.size, self.usable)
+        # a limit may be followed by learning although its quantity is too rough for a response
+        self.alone = answers_of_runs(work, blocks_of_runs(self.design), self.rough)
 
     def lacking(self) -> dict[Accuracy, float]:
         """What surrogates leave of the variance over what they may, and what their answers lack."""
@@ -320,7 +327,9 @@ class _End:
     def conclude(self) -> Expensive:
         """Everything the run answers: by surrogates, and what is too rough for one by the runs themselves."""
         work, affordable = self.work, self.priced.way.affordable
-        alone = answers_of_runs(work, blocks_of_runs(self.design), self.question.rough)
+        alone = self.question.alone
+        if not self.question.begun:
+            alone = answers_of_runs(work, blocks_of_runs(self.design), self.question.rough)
         before = self.question.found.limits | alone.limits
         limits, learned = before, Learned(limits={})
         if self.course.stopped != "time":

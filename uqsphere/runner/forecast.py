@@ -93,7 +93,7 @@ def _finer(asked: float) -> float:
     return 0.01 / max(asked, 1e-50)
 
 
-def _points(study: Study) -> tuple[float, float]:
+def _points(study: Study, budget: float) -> tuple[float, float]:
     """Points that sampling takes for its quantiles, likely and by plain Monte Carlo, for an output near normal.
 
     n = (t sqrt(p (1 - p))/(phi(z_p) e))^2 for the half-width e over the standard deviation.
@@ -110,11 +110,15 @@ def _points(study: Study) -> tuple[float, float]:
     smooth = (plain * math.sqrt(FIRST_SAMPLE) / first) ** (2.0 / 3.0)
     # the mean of smooth outputs is known long before its quantiles, the root of the points ahead
     mean = (_T / max(analysis.accuracy.mean, 1e-50)) ** (4.0 / 3.0)
-    counted = 0.0
-    if any(not isinstance(limit.strength, Law) for limit in study.limits):
-        # a row tells only on which side of a fixed strength it lies
-        counted = (_T / max(analysis.accuracy.probability, 1e-50)) ** 2 * (1.0 - _CHANCE) / _CHANCE
+    counted = _counted(study) if any(not isinstance(limit.strength, Law) for limit in study.limits) else 0.0
+    # what the budget has too few rows to count is searched for
+    counted = 0.0 if "auto" in analysis.methods and counted > budget else counted
     return max(min(smooth, plain), mean, counted), max(plain, counted)
+
+
+def _counted(study: Study) -> float:
+    """Points that a limit of fixed strength takes, of which a row tells only on which side it lies."""
+    return (_T / max(study.analysis.accuracy.probability, 1e-50)) ** 2 * (1.0 - _CHANCE) / _CHANCE
 
 
 def _stage(points: float, room: float) -> int:
@@ -129,26 +133,35 @@ def _stage(points: float, room: float) -> int:
 
 def _sampling(study: Study, budget: int | None) -> tuple[float, float]:
     """Sampling; the most where the model is rough, or the accuracy is pursued as far as the budget goes."""
-    likely, plain = _points(study)
+    likely, plain = _points(study, math.inf if budget is None else budget)
     if budget is None:
         return _stage(likely, math.inf), _stage(2.0 * plain, math.inf)
-    room = SAMPLING.share * budget
+    room = (SAMPLING.share if more_to_come(study) else 1.0) * budget
     if likely > CAUTION * room and not study.analysis.budget.exhaust:
         # the accuracy is given up as soon as it is seen to be out of reach
         return _stage(REPLICATES * SAMPLING.judged, room), _stage(room, room)
     return _stage(likely, room), _stage(2.0 * plain, room)
 
 
+def more_to_come(study: Study) -> bool:
+    """Whether anything is left to be evaluated for once distributions and probabilities are known."""
+    analysis = study.analysis
+    if not study.random or not study.black_box:
+        return bool(study.random)
+    named = set(analysis.methods) & {"form", "importance", "subset", *FURTHER}
+    return bool(named or analysis.samples_indices or study.margins or analysis.tolerance_intervals)
+
+
 def rough_quantities(study: Study) -> tuple[str, ...]:
     """Quantities whose indices may take several times what is likely: how rough they are shows with the first rows."""
-    sampled = study.random and not study.black_box and {"auto", "sobol"} & set(study.analysis.methods)
+    sampled = study.random and not study.black_box and study.analysis.samples_indices
     return tuple(name for name in study.analysis.quantities if lookup(name).rough) if sampled else ()
 
 
 def _sensitivity(study: Study) -> tuple[float, float]:
     """Evaluations of the indices, likely and most: with a surrogate as control variate their first stage is enough."""
     analysis, blocks, first = study.analysis, base_rows(study), REPLICATES * INDICES.first
-    if not {"auto", "sobol"} & set(analysis.methods):
+    if not analysis.samples_indices:
         return 0.0, 0.0
     finer = _finer(analysis.accuracy.sobol)
     most = max(first, _ROUGHEST * finer**2)
@@ -196,8 +209,12 @@ def _rare(study: Study, budget: float) -> tuple[float, float]:
     searched = {"auto", "form", "importance", "subset"} & set(study.analysis.methods)
     if not (limits and study.random and searched):
         return 0.0, 0.0
-    share = RARE.share * budget / len(limits)
-    rare = sum(limit.target is not None and limit.target < 1e-4 for limit in limits)
+    share = (RARE.share if more_to_come(study) else 1.0) * budget / len(limits)
+    beyond = "auto" in study.analysis.methods and _counted(study) > budget
+    rare = sum(
+        (limit.target is not None and limit.target < 1e-4) or (beyond and not isinstance(limit.strength, Law))
+        for limit in limits
+    )
     design = DESIGN_POINT if share >= DESIGN_POINT else 0
     return rare * min(_RARE, share) + (len(limits) - rare) * design, len(limits) * min(RARE.most, share)
 

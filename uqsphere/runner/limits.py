@@ -32,6 +32,8 @@ from uqsphere.uq.sample import Sample
 NEGLIGIBLE = 1e-12
 #: a probability below this is left to the methods for rare events where sampling is not accurate
 SMALL = 0.01
+#: a probability above this is as well sampled; 97.5 % point of a normal law
+MOST_SEARCHED, NORMAL = 0.3, 1.96
 #: runs that a probability has to rest on
 SEEN = 1.0
 #: runs that have to carry a smaller one for the spread of replicates to tell how well it is known, by Kish's count:
@@ -42,7 +44,7 @@ CARRYING = 20.0
 
 @dataclass(frozen=True, kw_only=True)
 class LimitAnswer:
-    """What is known of one limit; `met` None: undecided, or no target."""
+    """What is known of one limit; `met` None: undecided, or no target; `counted`: by rows that lie on a side of it."""
 
     quantity: str
     aim: str
@@ -60,10 +62,13 @@ class LimitAnswer:
     design_reason: str = "no search for a design point was made"
     modes: int | None = None
     checks: tuple[str, ...] = ()
+    counted: bool = False
 
     def accuracy_missed(self, which: str, asked: float) -> str:
         """Why a probability is not as accurate as asked, or an empty text."""
         estimate: Estimate = getattr(self, which)
+        if math.isinf(asked):
+            return ""
         if estimate.value is None:
             return f"{which}: {estimate.reason}"
         if self.beneath(which):
@@ -97,13 +102,18 @@ class LimitAnswer:
 
 
 def takes_over(work: Work, answer: LimitAnswer) -> bool:
-    """Whether the methods for rare events may take a limit on: its probability is small, or nothing of it was seen.
+    """Whether the methods for rare events may take a limit on: its probability is small, or nothing of it was seen, or
+    the budget has too few rows to be counted on either side of it.
 
     They know the Gaussian copula alone.
     """
     if work.all_inputs.groups:
         return False
-    small = answer.miss.value is None or answer.miss.value < SMALL
+    p, analysis = answer.miss.value, work.study.analysis
+    small = p is None or p < SMALL
+    if p is not None and answer.counted and SMALL <= p < MOST_SEARCHED and analysis.pursues("miss"):
+        # half-width of n independent rows: t sqrt((1 - p)/(p n)) of itself
+        small = (NORMAL / analysis.accuracy.probability) ** 2 * (1.0 - p) / p > analysis.budget.evaluations
     return small and "auto" in work.study.analysis.methods and bool(work.drawn.names)
 
 
@@ -196,6 +206,7 @@ def judge_limits(work: Work, sample: Sample, quantities: Container[str] | None =
             governing=shares,
             governing_method=method,
             met=None if limit.target is None else target_met(missed, limit.target),
+            counted=not isinstance(limit.strength, Law),
         )
     return answers
 

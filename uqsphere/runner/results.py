@@ -189,7 +189,8 @@ def build_results(work: Work, found: Findings) -> Results:
     assumed = find_assumed(work, found.sampled)
     known = Known(limits=found.sampled.limits, left_open=limits_open, margins=found.margins, carried=found.carried)
     words, verdicts = judge(work, known, found.evidence)
-    missed = [*found.sampled.missed, *(one for indices in found.sensitivity.values() for one in indices.missed)]
+    every = [*found.sampled.missed, *(one for indices in found.sensitivity.values() for one in indices.missed)]
+    missed = [one for one in every if study.analysis.pursues(one.kind)]
     told = [one.text for one in missed]
     told += [f"margins {name}: {text}" for name, margin in found.margins.items() for text in margin.missed]
     content = {

@@ -77,7 +77,7 @@ def answers_of(work: Work, runs: int, usable: Mapping[str, Response]) -> Answers
         }
     lacking = shortfalls(work, descriptions, limits)
     for quantity, described in descriptions.items():
-        if described.mean.value is None and described.mean.why not in NEVER:
+        if described.mean.value is None and described.mean.why not in NEVER and work.study.analysis.pursues("mean"):
             lacking[Accuracy(quantity, "mean")] = math.inf
     for limit in _limits(work, usable):
         # what active learning goes on with is not waited for
@@ -148,6 +148,7 @@ def _limit(answers: Sequence[LimitAnswer], runs: int, carried: Mapping[str, floa
     return replace(
         middle.with_probabilities(probability("exceedance"), probability("miss")),
         margin={key: of_margin(key) for key in middle.margin},
+        counted=False,
         design_reason="no search for a design point was made: the model is expensive",
     )
 

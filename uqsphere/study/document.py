@@ -534,6 +534,7 @@ class Accuracy:
     """Half-widths of the 95 % intervals asked for: mean and quantile over sd, sobol absolute, probability relative.
 
     `curve` is that of the probability at every value of a fragility curve, over the smaller side of that probability.
+    Infinite is what a study that names another of the first four leaves open.
     """
 
     mean: Positive = 0.002
@@ -541,6 +542,11 @@ class Accuracy:
     sobol: Positive = 0.01
     probability: Positive = 0.05
     curve: Positive = 0.02
+
+
+#: which accuracy each kind of answer is held against
+_PURSUED: Final = {"mean": "mean", "quantile": "quantile", "indices": "sobol", "exceedance": "probability",
+                   "miss": "probability"}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, config=_CLOSED)
@@ -582,7 +588,8 @@ class Analysis:
     )
     accuracy: Accuracy = key(
         "half-widths of the 95 % intervals: mean and quantile relative to the standard deviation (half the 16-84 % "
-        "range where it has none), sobol absolute, probability relative, curve relative to the smaller side",
+        "range where it has none), sobol absolute, probability relative, curve relative to the smaller side; where one "
+        "of the first four is given, no evaluations are spent on those that are not",
         Accuracy(),
     )
     budget: Budget = key(
@@ -617,6 +624,15 @@ class Analysis:
         "rows in one call of a black box: [cluster.md](cluster.md)", default_is="by their number"
     )
     time_limit: Seconds | None = key("longest time of one evaluation of a black box; one that takes longer has failed")
+
+    def pursues(self, kind: str) -> bool:
+        """Whether evaluations are spent on the accuracy of a kind of answer."""
+        return kind not in _PURSUED or math.isfinite(getattr(self.accuracy, _PURSUED[kind]))
+
+    @property
+    def samples_indices(self) -> bool:
+        """Whether runs are paired for indices."""
+        return bool({"auto", "sobol"} & set(self.methods)) and self.pursues("indices")
 
 
 @dataclass(frozen=True, kw_only=True, config=_CLOSED)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -135,7 +136,7 @@ def _resolve_part(data: dict[str, Raw], findings: Findings, path: Path, text: st
     limits = read_limits(document.limits, outputs, findings, scene)
     if document.contact is not None:
         share_fracture_energy(document.contact.fracture_energy, limits, scene, findings)
-    analysis = _read_analysis(document, outputs, limits, findings)
+    analysis = _as_asked(_read_analysis(document, outputs, limits, findings), data)
     parts: dict[str, Raw] = {}
     if black_box is not None:
         parts = _read_relations(document, scene, limits, analysis, black_box, findings)
@@ -285,6 +286,17 @@ def _read_analysis(
         # a limit of time is kept by ending a process: one row in each call unless the study says otherwise
         rows_per_call=given.rows_per_call or (None if given.time_limit is None else 1),
     )
+
+
+def _as_asked(analysis: Analysis, data: Mapping[str, Raw]) -> Analysis:
+    """The analysis without the accuracies that the file leaves out where it names another of them."""
+    given = data.get("analysis")
+    named = given.get("accuracy") if isinstance(given, Mapping) else None
+    every = ("mean", "quantile", "sobol", "probability")
+    if not isinstance(named, Mapping) or not any(key in named for key in every):
+        return analysis
+    open_ = dict.fromkeys((key for key in every if key not in named), math.inf)
+    return replace(analysis, accuracy=replace(analysis.accuracy, **open_))
 
 
 def _refuse_fineness(document: Document, findings: Findings) -> None:

@@ -153,7 +153,8 @@ def within(low: float, high: float = math.inf, *, closed: bool = False) -> Check
         due = f"from {low:g} to {high:g}" if closed else f"between {low:g} and {high:g}, both excluded,"
 
     def look(value: float) -> float:
-        if not (low <= value <= high if closed else low < value < high):
+        # without a bound above, infinity is what stands for nothing asked
+        if not (low <= value <= high if closed or (math.isinf(high) and value > low) else low < value < high):
             raise ValueError(f"found {bare_number(value)}, a number {due} is due")
         return value
 

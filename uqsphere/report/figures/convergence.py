@@ -99,13 +99,12 @@ def _short(kind: str) -> str:
     return "unexplained" if "variance" in kind else kind
 
 
-def _asked(kind: str, accuracy: AccuracyTable) -> float:
+def _asked(kind: str, accuracy: AccuracyTable) -> float | None:
     if _short(kind) == "band":
         return accuracy.curve
-    if kind in FURTHER:
-        return float(getattr(accuracy, FURTHER[kind]))
     word = {"mean": "mean", "quantile": "quantile", "probability": "probability"}.get(_short(kind), "sobol")
-    return float(getattr(accuracy, word))
+    found: float | None = getattr(accuracy, FURTHER.get(kind, word))
+    return found
 
 
 def error_series(contents: Contents) -> list[Series]:
@@ -120,6 +119,8 @@ def error_series(contents: Contents) -> list[Series]:
             continue
         key = (row.method, row.quantity, row.error_kind)
         asked = _asked(row.error_kind, accuracy)
+        if asked is None:
+            continue
         series = found.setdefault(key, Series(method=key[0], quantity=key[1], kind=key[2], asked=asked))
         point = (float(row.evaluations), float(second), row.error / asked)
         found[key] = replace(series, points=(*series.points, point))

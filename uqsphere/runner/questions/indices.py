@@ -320,7 +320,7 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
     used = min(max(FIT_POINTS, least), n)
     outputs = sample.answer(quantity)
     whole = ~sample.failed
-    alone = not {"sobol", "auto"} & set(work.study.analysis.methods)
+    alone = not work.study.analysis.samples_indices
     fits: list[Chaos] = []
     errors = []
     for replicate in range(FITS):
@@ -549,7 +549,7 @@ def find_sensitivity(work: Work, sampled: Sampled, control: IndexControl | None 
     question = Indices(
         work=work, control=control or IndexControl(used=False), expansions=expansions, blocks=blocks_of(work)
     )
-    return question.answer(campaign(work, question) if {"sobol", "auto"} & methods else Course())
+    return question.answer(campaign(work, question) if work.study.analysis.samples_indices else Course())
 
 
 def _sets(drawn: SampledIndices) -> list[Estimate]:

@@ -25,6 +25,7 @@ from uqsphere.model import is_answered
 from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import MISS_KIND, Accuracy, Cost, Missed, campaign, cost_of, speed_rows_of
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points
+from uqsphere.runner.forecast import more_to_come
 from uqsphere.runner.limits import LimitAnswer, limits_missed, takes_over
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.schedule import DESIGN_POINT, RARE
@@ -134,7 +135,8 @@ def _search(work: Work, at: int, limit: Limit, answer: LimitAnswer, room: float)
     """The failures of a limit searched for where sampling fell short; else its design point alone."""
     if tied_strength(work, limit):
         return replace(answer, design_reason=_TIED), []
-    space, budget = limit_space(work, limit, at), int(min(RARE.most, RARE.share * room))
+    share = RARE.share if more_to_come(work.study) else 1.0
+    space, budget = limit_space(work, limit, at), int(min(RARE.most, share * room))
     if _goes_on(work, answer, budget):
         asked = work.study.analysis.accuracy.probability
         rare = find_probability(space.function, seed=work.study.seed, accuracy=asked, budget=budget)
@@ -291,7 +293,8 @@ def _joined(work: Work, limit: Limit, answer: LimitAnswer, rare: RareAnswer, spa
 def narrower(own: Estimate, old: Estimate) -> tuple[Estimate, str]:
     """The narrower of two estimates that agree; where they do not, one that holds both, and why."""
     if own.value is None or own.low is None or own.high is None:
-        return (own if old.value is None else old), f"importance sampling: {own.reason}"
+        both = replace(own, high=min(1.0 if end is None else end for end in (own.high, old.high)))
+        return (both if old.value is None else old), f"importance sampling: {own.reason}"
     if old.value is None or old.low is None or old.high is None:
         return own, ""
     if own.half_width >= old.half_width and old.value >= DOUBTFUL:
@@ -455,6 +458,8 @@ def _with_learned(limit: Limit, answer: LimitAnswer, learned: ActiveAnswer) -> L
     if old.value is not None and old.low is not None and old.high is not None and (low > old.high or high < old.low):
         checks.append(f"the surrogate gave {old.value:.3g}, outside of this: the interval holds both")
         low, high = min(low, old.low), max(high, old.high)
+    if learned.warning and old.value is not None and old.half_width < 0.5 * (high - low):
+        return replace(answer, checks=(*checks, "what was known before is known better, and kept"))
     own = replace(own, low=low, high=high, std_error=(high - low) / 3.92)
     exceeded = own if limit.aim == "survive" else complement(own)
     return replace(answer.with_probabilities(exceeded, own), modes=learned.modes or None, checks=tuple(checks))

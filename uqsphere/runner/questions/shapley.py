@@ -128,7 +128,7 @@ def share_variance(work: Work, sampled: Sampled, plan: Plan | None = None) -> Sh
     `plan` proposes a cheaper model as control variate.
     """
     shared = find_sensitivity(work, sampled, IndexControl(plan=plan))
-    if dependent_names(work) and shared.stopped != "failures":
+    if dependent_names(work) and shared.stopped != "failures" and work.study.analysis.pursues("indices"):
         shared = _share_dependent(work, shared.sensitivity)
     own = shared.pairs if shared.subsets is None else None
     return replace(shared, sensitivity=share_heavy(work, sampled, shared.sensitivity, own))

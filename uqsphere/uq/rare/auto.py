@@ -15,10 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.estimate import Estimate, Why, absent
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.rare.form import FormAnswer, find_design_points
 from uqsphere.uq.rare.importance import (
+    REPLICATES,
     ImportanceAnswer,
     Pool,
     adapt,
@@ -165,6 +166,10 @@ MOST_WIDE = 12
 _CHAIN = (4.0, 10.0)
 #: evaluations kept for telling the parts of the failure domain apart
 FOR_MODES = 400
+#: points of each replicate of importance sampling, where the budget has room for no more
+LEAST_BLOCK = 16
+#: factor on the upper end of subset simulation alone: of 5,000 rows its intervals missed by factors up to 10
+UNCERTIFIED = 10.0
 #: shape of the weights' tail, and share of one point, above which the weights are not trusted
 WORST_SHAPE, HEAVIEST = 0.7, 0.1
 
@@ -310,6 +315,8 @@ def _sample(evaluator: Evaluator, pool: Pool, mixture: Mixture, seed: int, accur
         # nothing is kept for mending where it would not suffice
         stop = _poor if turn < 2 and evaluator.left > 9000 else None
         block = 256 if evaluator.left > 10_000 else 128
+        while block > LEAST_BLOCK and REPLICATES * block > evaluator.left - reserve:
+            block //= 2
         again = importance_sampling(
             evaluator,
             defended(mixture),
@@ -356,7 +363,7 @@ def _certify(answer: ImportanceAnswer, subset: SubsetAnswer, checks: list[str]) 
     own, other = answer.estimate, subset.estimate
     if own.value is None or own.low is None or own.high is None:
         checks.append(f"importance sampling: {own.reason}; subset simulation alone")
-        return other, False
+        return _bound(other), False
     if other.value is None or other.low is None or other.high is None:
         checks.append(f"subset simulation: {other.reason}; importance sampling alone")
         agreed = other.high is None or own.low <= other.high
@@ -387,6 +394,15 @@ def _certify(answer: ImportanceAnswer, subset: SubsetAnswer, checks: list[str]) 
     low, high = min(own.low, other.low), max(own.high, other.high)
     return replace(own, low=low, high=high, std_error=0.5 * (high - low) / 1.96,
                    method=f"{own.method}, widened to hold subset simulation"), agreed  # fmt: skip
+
+
+def _bound(alone: Estimate) -> Estimate:
+    """What subset simulation says by itself: a bound, since its chains may have missed most of the failures."""
+    if alone.value is None or alone.high is None:
+        return alone
+    high = min(1.0, UNCERTIFIED * alone.high)
+    reason = f"subset simulation gave {alone.value:.2g} and no second method certifies it; it is below {high:.2g}"
+    return replace(absent(reason, alone.method, alone.evaluations, Why.TOO_FEW), low=0.0, high=high)
 
 
 def _flipped(limit: LimitFunction, *, seed: int, accuracy: float, budget: int, spent: int) -> RareAnswer:
