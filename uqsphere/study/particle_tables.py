@@ -1,0 +1,170 @@
+"""The columns of tests of single particles, declared once: [tests], and strengths that are read from tests."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Final
+
+from pydantic import ConfigDict
+from pydantic.dataclasses import dataclass
+
+from uqsphere.study.faults import Raw, one_of, shown, suggestion
+from uqsphere.study.tables import Check, Flag, Node, Number, Text, among, key
+from uqsphere.units import UNITS
+
+#: what an energy per mass, or a strength in it, can mean, and the quantity that is then held against it
+ENERGY_OF: Final = {
+    "contact": "specific_energy",
+    "sphere": "specific_energy_sphere",
+    "input": "specific_impact_energy",
+}
+#: rigs of tests by their names: those whose energy is that at failure, then those whose is what was offered;
+#: `uqsphere.feed.tests.RIGS` says which
+RIGS: Final = ("platens", "load_cell", "bars", "drop_weight", "impact", "drop", "sphere_on_sphere")
+LAWS: Final = ("average", "lognormal", "weibull", "vogel_peukert")
+SIZES: Final = ("tavares", "king", "power", "class", "weakest_link")
+_SHARES: Final = ("%", "share")
+#: no key beyond those declared
+_CLOSED: Final = ConfigDict(extra="forbid", defer_build=True)
+
+
+def platen_words() -> tuple[str, ...]:
+    """What a strength can have been measured between, but for a table of `E` and `nu`."""
+    from uqsphere.materials import library
+
+    return "bars", "rigid", *library()["bars"]
+
+
+def _platens(value: Raw) -> Raw:
+    if not isinstance(value, Mapping):
+        return among(platen_words).look(value)
+    if set(value) != {"E", "nu"}:
+        raise ValueError(f"found a table of {one_of(list(value)) if value else 'nothing'}: E and nu are due")
+    return value
+
+
+def _platens_schema() -> Node:
+    return {"anyOf": [{"enum": list(platen_words())}, {"type": "object", "required": ["E", "nu"]}]}
+
+
+def _rig(value: Raw) -> Raw:
+    if isinstance(value, Mapping) and set(value) == {"column"} and isinstance(value["column"], str):
+        return value
+    if value not in RIGS:
+        near = suggestion(value, RIGS) if isinstance(value, str) else ""
+        raise ValueError(f'found {shown(value)}, allowed: {one_of(RIGS)}, or {{ column = "rig" }}{near}')
+    return value
+
+
+def _rig_schema() -> Node:
+    return {"anyOf": [{"enum": list(RIGS)}, {"type": "object", "required": ["column"]}]}
+
+
+def _ratio(value: Raw) -> Raw:
+    if value != "inf" and (isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 1.0):
+        raise ValueError(f'found {shown(value)}: a number above 1 or "inf" is due')
+    return value
+
+
+def _texts(value: Mapping[str, Raw]) -> Mapping[str, Raw]:
+    for name, text in value.items():
+        if not isinstance(text, str):
+            raise ValueError(f"{name}: found {shown(text)}, where a text in quotes is due")
+    return value
+
+
+Platens = Annotated[Raw, Check(_platens, _platens_schema, first=True)]
+Rig = Annotated[Raw, Check(_rig, _rig_schema, first=True)]
+Ratio = Annotated[Raw, Check(_ratio, lambda: {"anyOf": [{"const": "inf"}, {"type": "number"}]}, first=True)]
+Texts = Annotated[Mapping[str, Raw], Check(_texts)]
+
+
+
+Lengths = Annotated[Text, among(tuple(UNITS["length"]))] | None
+
+
+@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+class TestColumns:
+    """What the columns of a table of tests are called: a row is one blow or one compression."""
+
+    rig: Rig | None = key(
+        f'what the particles were tested in: {one_of(RIGS)}; or a column, `{{ column = "rig" }}`'
+    )
+    diameter: Text | None = key("column of diameters, of the sphere of equal volume, or one length")
+    diameter_unit: Lengths = key("unit of the diameters")
+    mesh_lower: Text | None = key("in place of `diameter`: column of the sieve that held them; d is the geometric mean")
+    mesh_upper: Text | None = key("column of the sieve that they passed")
+    mesh_unit: Lengths = key("unit of the sieves")
+    mass: Text | None = key("column of masses", default_is="a sphere of the density")
+    mass_unit: Annotated[Text, among(tuple(UNITS["mass"]))] | None = key("unit of the masses")
+    force: Text | None = key("column of forces at failure")
+    force_unit: Annotated[Text, among(tuple(UNITS["force"]))] | None = key("unit of the forces")
+    energy: Text | None = key("column of energies; every row has one of force, energy and speed")
+    energy_unit: Annotated[Text, among(tuple(UNITS["energy"]))] | None = key("unit of the energies")
+    specific_energy: Text | None = key("column of energies per mass")
+    specific_energy_unit: Annotated[Text, among(tuple(UNITS["specific_energy"]))] | None = key("unit of these")
+    speed: Text | None = key("column of closing speeds: `v²/2` per mass was offered")
+    speed_unit: Annotated[Text, among(tuple(UNITS["speed"]))] | None = key("unit of the speeds")
+    energy_is: Annotated[Text, among(tuple(ENERGY_OF))] | None = key(
+        'what the energies are: `"sphere"` (the particle\'s own), `"contact"` (of both bodies) or `"input"` (offered)',
+        default_is="required with a column of energies",
+    )
+    outcome: Text | None = key("column of `broke` or `survived`, or 1 and 0", default_is="required but for a strength")
+    specimen: Text | None = key("column of names: rows of one name are blows on one particle, in their order")
+    blows: Text | None = key("column of numbers: the blow was repeated so often, the outcome is that of the last")
+    stiffness: Text | None = key("column of K_e, the reduced modulus of the contact in this test; needed with forces")
+    stiffness_unit: Annotated[Text, among(tuple(UNITS["pressure"]))] = key("unit of K_e", "GPa")
+    assume_intact: Flag = key("takes K_e from `E` and `nu` of the intact rock, which is often too stiff", False)
+    t10: Text | None = key("column of the mass share of the broken finer than a tenth of the particle")
+    t10_unit: Annotated[Text, among(_SHARES)] = key("`%` or `share`", "%")
+    passing: Texts = key('columns of mass shares finer than sieves, `{ "2 mm" = "p2" }`, in `t10_unit`', {})
+    particles: Text | None = key("column of numbers: the row stands for so many particles alike")
+    broken: Text | None = key("with `particles`: column of how many of them broke, in place of `outcome`")
+    where: Texts = key('rows that count, by the text of a column: `{ material = "ore A" }`', {})
+    platens: Platens | None = key(
+        "what the particles were tested between, or thrown at: `bars`, `rigid`, a material of bars, or a table of `E` "
+        "and `nu`",
+        default_is="`bars` of the study for a strength; else required where a share of the energy is to be taken",
+    )
+    made_up: Flag = key("the tests were made up, so that no verdict is established by them", False)
+
+
+@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+class TestsTable(TestColumns):
+    """Tests of single particles, which `uqsphere fit` makes a law of fracture energy from."""
+
+    file: Text = key("CSV beside the study: comma, semicolon or tab; lines with `#` are comments",
+                     due='add file = "tests.csv"')  # fmt: skip
+    law: Annotated[Text, among(LAWS)] = key(
+        f"law of the fracture energy: {one_of(LAWS)}; the first carries lognormal and Weibull by their scores", "average"
+    )
+    ratio: Ratio = key('E_max over E50 of the lognormal law; `"inf"`: no bound', 4.0)
+    size: Annotated[Text, among(SIZES)] = key(
+        f"law of the size: {one_of(SIZES)}; `class` gives every size an E50 of its own, `weakest_link` is Weibull's alone",
+        "tavares",
+    )
+    gamma: Number = key('damage by repeated blows: a number, a lognormal law (the prior), or `"fit"`', "fit")
+    prior: Mapping[str, Raw] = key("lognormal laws of parameters in place of the house's priors, by name", {})
+
+
+@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+class SphereTestsTable(TestColumns):
+    """A strength from the forces, or the energies, at which spheres broke."""
+
+    dist: Annotated[Text, among(("empirical",))] | None = key("`empirical`, with `file`; or `tests`")
+    file: Text | None = key("CSV beside the study", default_is="that of `tests`")
+    tests: Text | None = key("CSV beside the study, in place of `dist` and `file`")
+    rate: Text | None = key("column of loading rates")
+    rate_unit: Annotated[Text, among(tuple(UNITS["loading_rate"]))] | None = key("unit of the loading rates")
+    censored: Text | None = key("column of flags: tests stopped before a failure; or `outcome` in its place")
+    fit: Text = key("the law that is fitted to the strengths", "weibull")
+    unbiased: Flag = key("takes the bias of few tests out of the modulus or the scatter", False)
+
+
+@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+class FitStrengthTable:
+    """A strength that `uqsphere fit` has found: its draws are what few tests leave open."""
+
+    fit: Text = key("folder beside the study that `uqsphere fit` wrote", due='add fit = "limestone-fit"')
+
+
