@@ -84,9 +84,9 @@ def test_the_bias_is_taken_out_on_request(load: Load) -> None:
 @pytest.mark.parametrize(
     ("change", "csv", "says"),
     [
-        (("", ""), "F,D,stop\n", "found 0 values"),
+        (("", ""), "F,D,stop\n", "has no row"),
         (("", ""), "F,D,stop\n6,20,1\n7,20,1\n", "all 2 tests were stopped"),
-        (("", ""), "F,D,stop\n6,20,0\n-7,20,0\n", "line 3 .*force at failure must be above 0, found -7"),
+        (("", ""), "F,D,stop\n6,20,0\n-7,20,0\n", r"t\.csv:3: the force at failure must be above 0, found -7"),
         (("", ""), "F,D,stop\n6,20,0\n7,0,0\n", "the diameter must be above 0"),
         (("", ""), "F,D,stop\n6,20,0\n7,20,1\n", "only one failure"),
         (("", ""), "F,D,stop\n6,20,0\n7,20,maybe\n", "0 or 1"),

@@ -21,6 +21,7 @@ from uqsphere.arrays import Array, Values
 from uqsphere.errors import FolderError
 from uqsphere.feed import laws
 from uqsphere.files import load_document, read_whole
+from uqsphere.uq.families.drawn import LOGNORMAL, WEIBULL, WIDTH
 
 #: draws that go on to populations and exports
 DRAWS: Final = 4000
@@ -204,6 +205,21 @@ class Posterior:
         m = self.draws.get("modulus", np.full(len(self), np.nan))
         scale = self.median(reference) * np.log(2.0) ** (-1.0 / (0.6 * m))
         return laws.force_of_energy(scale / share, reference, stiffness, density)
+
+    def as_laws(self, diameter: float, count: int) -> tuple[tuple[float, ...], ...]:
+        """Draws at one diameter [m] as `uqsphere.uq.families.drawn` takes them; none between size classes."""
+        rows = np.linspace(0, len(self) - 1, min(count, len(self))).astype(int)
+        some, found = self.at(rows), np.empty((len(rows), WIDTH))
+        for name, where, p in some.by_law(np.asarray(diameter)):
+            if name == "lognormal":
+                parts = (LOGNORMAL, 0.0, p["median"], p["sigma"], 1.0 / self.ratio)
+            elif name == "weibull":
+                m_e = 0.6 * p["modulus"]
+                parts = (WEIBULL, 0.0, p["median"] * np.log(2.0) ** (-1.0 / m_e), m_e, 0.0)
+            else:
+                parts = (WEIBULL, p["threshold"] / diameter, 1.0 / (p["f_mat"] * diameter), 1.0, 0.0)
+            found[where] = np.stack(np.broadcast_arrays(*parts), axis=-1)
+        return () if np.isnan(found).any() else tuple(map(tuple, found.tolist()))
 
     def at(self, rows: npt.NDArray[np.int64]) -> Posterior:
         """Some of the draws."""

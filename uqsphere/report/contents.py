@@ -20,7 +20,7 @@ from uqsphere.runner.samples import read_points
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.store import read_json
 from uqsphere.study.axis import quantity_of
-from uqsphere.uq.families import FAMILIES, Family, LawError
+from uqsphere.uq.families import ALL, Family, LawError
 from uqsphere.uq.law import Law, make_law
 
 
@@ -71,9 +71,9 @@ class Contents:
 
 def family_of(table: LawTable) -> Family:
     """The family of a law of the study."""
-    if table.dist not in FAMILIES:
+    if table.dist not in ALL:
         raise FolderError(f"study.resolved.json is damaged: there is no distribution {table.dist[:60]!r}")
-    return FAMILIES[table.dist]
+    return ALL[table.dist]
 
 
 def law_of(resolved: Resolved, name: str) -> Law | None:
@@ -92,6 +92,7 @@ def stored_law(found: LawTable, name: str) -> Law:
             family=family,
             parameters=found.parameters,
             data=tuple(found.data),
+            draws=tuple(found.draws),
             lower=-np.inf if found.lower is None else found.lower,
             upper=np.inf if found.upper is None else found.upper,
         )

@@ -13,7 +13,7 @@ from uqsphere.report.figures.canvas import clean, shorten
 from uqsphere.results import Results
 from uqsphere.results.entries import Est
 from uqsphere.results.margins import MarginEntry
-from uqsphere.uq.families import FAMILIES
+from uqsphere.uq.families import ALL
 
 #: digits of a number on the page that has an interval: more are known of some, and read by nobody
 MOST_DIGITS: Final = 5
@@ -67,7 +67,7 @@ def capital(text: str) -> str:
 
 def law_name(kind: str) -> str:
     """A family of laws as it is written."""
-    return FAMILIES[kind].label
+    return ALL[kind].label
 
 
 def begin(name: str, words: str) -> str:

@@ -259,6 +259,7 @@ class LawTable(Entry):
     lower: Number | None
     upper: Number | None
     data: tuple[Number, ...]
+    draws: tuple[tuple[Number, ...], ...] = ()
     censored: tuple[StrictBool | Number, ...] = ()
 
 

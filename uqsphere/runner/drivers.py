@@ -114,7 +114,7 @@ def _distances(work: Work, sample: Sample, quantity: str) -> Table:
 
 def _observed(law: Law | float) -> int | None:
     """How many observations a law was made from, where it was."""
-    return count_tests(law) if isinstance(law, Law) and law.data else None
+    return count_tests(law) if isinstance(law, Law) and (law.data or law.draws) else None
 
 
 def _measure_variance(work: Work, found: Sensitivity) -> Table:

@@ -16,6 +16,8 @@ from uqsphere.units import UNITS, Quantity, units_of
 
 #: bytes of a CSV, and values of a column
 LARGEST_CSV: Final = 1 << 20
+#: bytes of a table of tests: 100,000 rows of 300 characters
+LARGEST_TESTS: Final = 32 << 20
 MOST_VALUES: Final = 100_000
 #: what a flag of a test can say
 _FLAGS: Final = {"0": False, "1": True, "no": False, "yes": True, "false": False, "true": True, "": False}
@@ -58,26 +60,35 @@ class Observations:
 
     def _cells(self, column: str, key: str) -> list[tuple[int, str]]:
         """Lines and texts of a column, which must be there once."""
+        at = self.place_of(column, key)
+        return [(line, row[at] if at < len(row) else "") for line, row in self.lines]
+
+    def place_of(self, column: str, key: str = "") -> int:
+        """Where a column stands, which must be there once; raises Misplaced at `key`."""
         if self.header.count(column) != 1:
             said = "twice or more" if column in self.header else "not"
             listed = one_of([shown(cell, 24) for cell in self.header[:12]])
             found = f"the column {shown(column)} is {said} in {shown(self.name)}, which has {listed}"
             raise Misplaced(found + suggestion(column, self.header), key)
-        at = self.header.index(column)
-        return [(line, row[at] if at < len(row) else "") for line, row in self.lines]
+        return self.header.index(column)
 
 
-def open_observations(name: str, folder: Path, key: str = "file") -> Observations:
-    """The CSV of a name in the study's folder; raises Misplaced at `key` where there is none to be read."""
+def open_observations(name: str, folder: Path, key: str = "file", largest: int = LARGEST_CSV) -> Observations:
+    """The CSV of a name in the study's folder; raises Misplaced at `key` where there is none to be read.
+
+    Divided by commas, or by the semicolons or tabs that its header has in their place; lines with `#` are comments.
+    """
     path = inside_folder(name, folder, key)
     try:
-        data = read_given(path, LARGEST_CSV)
-        reader = csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True)
+        text = read_given(path, largest).decode("utf-8-sig")
+        reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=_delimiter(text))
         rows = [
-            (reader.line_num, [cell.strip() for cell in row]) for row in reader if any(cell.strip() for cell in row)
+            (reader.line_num, [cell.strip() for cell in row])
+            for row in reader
+            if any(cell.strip() for cell in row) and not row[0].lstrip().startswith("#")
         ]
     except TooLarge:
-        raise Misplaced(f"{shown(name)} is larger than 1 MiB", key) from None
+        raise Misplaced(f"{shown(name)} is larger than {largest >> 20} MiB", key) from None
     except (AccessError, UsageError):
         raise Misplaced(f"{shown(name)} cannot be read as a file", key) from None
     except UnicodeDecodeError:
@@ -87,6 +98,12 @@ def open_observations(name: str, folder: Path, key: str = "file") -> Observation
     if not rows:
         raise Misplaced(f"{shown(name)} is empty", key)
     return Observations(name=name, header=rows[0][1], lines=rows[1:])
+
+
+def _delimiter(text: str) -> str:
+    """What divides the cells of a table, by its header."""
+    header = next((line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")), "")
+    return max(",;\t", key=header.count) if header.count(",") == 0 else ","
 
 
 def inside_folder(name: str, folder: Path, key: str = "file") -> Path:

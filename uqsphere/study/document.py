@@ -21,6 +21,7 @@ from uqsphere.mechanics.pulses import PRESETS
 from uqsphere.mechanics.scene import CONTACT_LAWS
 from uqsphere.study.faults import Misplaced, Raw, one_of, shown
 from uqsphere.study.feed_tables import FeedTable, MaterialTable, ProductTable
+from uqsphere.study.particle_tables import ENERGY_OF, Platens, TestsTable
 from uqsphere.study.tables import (
     MOST_LISTED,
     Check,
@@ -54,12 +55,6 @@ RIG_TABLES: Final[dict[str, tuple[str, ...]]] = {
     "platens": ("platens",),
     "none": (),
 }
-#: what a strength in J/kg can mean, and the quantity that is then held against it
-ENERGY_OF: Final = {
-    "contact": "specific_energy",
-    "sphere": "specific_energy_sphere",
-    "input": "specific_impact_energy",
-}
 #: what a target or an anvil is
 PARTNERS: Final = ("thick", "plate", "bar", "mass")
 FIDELITIES: Final = ("auto", "massless", "linear", "full")
@@ -80,25 +75,6 @@ def _signal_units() -> Iterable[str]:
     from uqsphere.records.table import SIGNAL_UNITS
 
     return SIGNAL_UNITS
-
-
-def platen_words() -> tuple[str, ...]:
-    """What a strength can have been measured between, but for a table of `E` and `nu`."""
-    from uqsphere.materials import library
-
-    return "bars", "rigid", *library()["bars"]
-
-
-def _platens(value: Raw) -> Raw:
-    if not isinstance(value, Mapping):
-        return among(platen_words).look(value)
-    if set(value) != {"E", "nu"}:
-        raise ValueError(f"found a table of {one_of(list(value)) if value else 'nothing'}: E and nu are due")
-    return value
-
-
-def _platens_schema() -> Node:
-    return {"anyOf": [{"enum": list(platen_words())}, {"type": "object", "required": ["E", "nu"]}]}
 
 
 def _in_order(values: tuple[float, ...]) -> tuple[float, ...]:
@@ -152,7 +128,6 @@ Names = Annotated[tuple[Text, ...], several(1, "names")]
 Seconds = Annotated[float, _fixed("time", "t")]
 #: an instant of a record, which may begin before 0
 Instant = Annotated[float, _fixed("time", "t", -math.inf)]
-Platens = Annotated[Raw, Check(_platens, _platens_schema, first=True)]
 Length = Annotated[float, _fixed("length", "d", display="m")]
 Methods = Annotated[
     tuple[Annotated[Text, among((*METHODS, "auto"))], ...],
@@ -687,28 +662,6 @@ class EmpiricalTable:
 
 
 @dataclass(frozen=True, kw_only=True, config=_CLOSED)
-class SphereTestsTable:
-    """A strength from the forces, or the energies, at which spheres broke."""
-
-    dist: Text = "empirical"
-    file: Text = key("CSV beside the study", due='add file = "tests.csv"')
-    force: Text | None = key("column of forces at failure of spheres, in place of column")
-    force_unit: Annotated[Text, among(tuple(UNITS["force"]))] | None = key("unit of the forces")
-    energy: Text | None = key("column of energies at failure of spheres, in place of force")
-    energy_unit: Annotated[Text, among(tuple(UNITS["energy"]))] | None = key("unit of the energies")
-    energy_is: Annotated[Text, among(tuple(ENERGY_OF))] | None = key("what the energies are, as of the limit")
-    diameter: Text = key("column of diameters, or one length", due='add a column, or a value: diameter = "16 mm"')
-    diameter_unit: Annotated[Text, among(tuple(UNITS["length"]))] | None = key("unit of the diameters")
-    rate: Text | None = key("column of loading rates")
-    rate_unit: Annotated[Text, among(tuple(UNITS["loading_rate"]))] | None = key("unit of the loading rates")
-    censored: Text | None = key("column of flags: tests stopped before a failure")
-    platens: Platens = key("`bars`, `rigid`, a material of bars, or a table of `E` and `nu`", "bars")
-    fit: Text = key("the law that is fitted to the strengths", "weibull")
-    unbiased: Flag = key("takes the bias of few tests out of the modulus or the scatter", False)
-    made_up: Flag = key("the tests were made up, so that no verdict is established by them", False)
-
-
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
 class OutputsTable:
     """What a black box answers."""
 
@@ -729,6 +682,7 @@ class Document:
     product: ProductTable | None = None
     material: MaterialTable | None = None
     feed: FeedTable | None = None
+    tests: TestsTable | None = None
     rig: RigTable | None = None
     target: TargetTable | None = None
     anvil: TargetTable | None = None

@@ -79,7 +79,6 @@ Ratio = Annotated[Raw, Check(_ratio, lambda: {"anyOf": [{"const": "inf"}, {"type
 Texts = Annotated[Mapping[str, Raw], Check(_texts)]
 
 
-
 Lengths = Annotated[Text, among(tuple(UNITS["length"]))] | None
 
 
@@ -87,9 +86,7 @@ Lengths = Annotated[Text, among(tuple(UNITS["length"]))] | None
 class TestColumns:
     """What the columns of a table of tests are called: a row is one blow or one compression."""
 
-    rig: Rig | None = key(
-        f'what the particles were tested in: {one_of(RIGS)}; or a column, `{{ column = "rig" }}`'
-    )
+    rig: Rig | None = key(f'what the particles were tested in: {one_of(RIGS)}; or a column, `{{ column = "rig" }}`')
     diameter: Text | None = key("column of diameters, of the sphere of equal volume, or one length")
     diameter_unit: Lengths = key("unit of the diameters")
     mesh_lower: Text | None = key("in place of `diameter`: column of the sieve that held them; d is the geometric mean")
@@ -136,11 +133,12 @@ class TestsTable(TestColumns):
     file: Text = key("CSV beside the study: comma, semicolon or tab; lines with `#` are comments",
                      due='add file = "tests.csv"')  # fmt: skip
     law: Annotated[Text, among(LAWS)] = key(
-        f"law of the fracture energy: {one_of(LAWS)}; the first carries lognormal and Weibull by their scores", "average"
+        f"law of the fracture energy: {one_of(LAWS)}; the first carries both by their scores",
+        "average",
     )
     ratio: Ratio = key('E_max over E50 of the lognormal law; `"inf"`: no bound', 4.0)
     size: Annotated[Text, among(SIZES)] = key(
-        f"law of the size: {one_of(SIZES)}; `class` gives every size an E50 of its own, `weakest_link` is Weibull's alone",
+        f"law of the size: {one_of(SIZES)}; `class`: every size has an E50 of its own; `weakest_link`: Weibull's alone",
         "tavares",
     )
     gamma: Number = key('damage by repeated blows: a number, a lognormal law (the prior), or `"fit"`', "fit")
@@ -166,5 +164,3 @@ class FitStrengthTable:
     """A strength that `uqsphere fit` has found: its draws are what few tests leave open."""
 
     fit: Text = key("folder beside the study that `uqsphere fit` wrote", due='add fit = "limestone-fit"')
-
-

@@ -37,7 +37,6 @@ from uqsphere.study.document import (
     RodTable,
     ServiceTable,
     SphereTable,
-    SphereTestsTable,
     StrikerTable,
     TargetTable,
 )
@@ -52,6 +51,7 @@ from uqsphere.study.feed_tables import (
     ProductTable,
     SizesTable,
 )
+from uqsphere.study.particle_tables import SphereTestsTable, TestsTable
 from uqsphere.study.scene import FLAT
 from uqsphere.study.tables import BAR_ENDS, Node, declared, far_end
 from uqsphere.units import UNITS, units_of
@@ -73,6 +73,7 @@ TABLES: Final = {
     "### feed.energy": EnergyTable,
     "### feed.on": OnTable,
     "### feed.goal": GoalTable,
+    "## [tests]": TestsTable,
     "## [rig]": RigTable,
     "## [target], [anvil]": TargetTable,
     "## [other]": OtherTable,
@@ -239,8 +240,8 @@ def _observed(value: Node, dimension: str) -> Node:
     properties = {**forces["properties"], **column["properties"], **own}
     if dimension == "number":
         del properties["unit"]
-    needs = [column["required"] + (["unit"] if dimension != "number" else []), forces["required"]]
-    node = {"type": "object", "properties": properties, "required": ["dist"], "additionalProperties": False}
+    needs = [["dist", *column["required"], *(["unit"] if dimension != "number" else [])], ["dist", "file"], ["tests"]]
+    node = {"type": "object", "properties": properties, "additionalProperties": False}
     return node | {"anyOf": [{"required": names} for names in needs]}
 
 

@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from uqsphere.materials import library
-from uqsphere.study.document import ENERGY_OF, RIG_TABLES, RigTable
+from uqsphere.study.document import RIG_TABLES, RigTable
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
 from uqsphere.study.limits import valid_name
+from uqsphere.study.particle_tables import ENERGY_OF
 from uqsphere.study.sphere_tests import is_sphere_tests
 from uqsphere.study.tables import declared
 

@@ -10,32 +10,41 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
+from uqsphere.errors import AccessError, FolderError
 from uqsphere.materials import library
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.criteria import demand as demand_of
 from uqsphere.mechanics.outputs import Columns, at_force, follows_force
 from uqsphere.quantities import INPUTS
-from uqsphere.study.columns import Observations, open_observations, unit_factor
-from uqsphere.study.document import ENERGY_OF, RIG_TABLES, SphereTestsTable
-from uqsphere.study.faults import Findings, Misplaced, Place, Raw, one_of, shown
+from uqsphere.study.columns import LARGEST_TESTS, inside_folder, open_observations
+from uqsphere.study.document import RIG_TABLES
+from uqsphere.study.faults import Findings, Misplaced, Place, Raw
 from uqsphere.study.numbers import Reading, read_fixed
+from uqsphere.study.particle_tables import ENERGY_OF, FitStrengthTable, SphereTestsTable
 from uqsphere.study.scene import Scene
 from uqsphere.study.tables import read_table
-from uqsphere.units import Quantity, UnitError, parse_value
-from uqsphere.uq.families import LawError
+from uqsphere.uq.families import ALL, LawError
 from uqsphere.uq.fitting import fitted_law
 from uqsphere.uq.law import Law
 
+if TYPE_CHECKING:
+    from uqsphere.study.tests import Measured
+
 #: columns at the failure of every test, (n,) each, by the names of the nomenclature
 State = Mapping[str, Any]
+#: where tests belong that give no strength by themselves
+_TO_FIT: Final = '`uqsphere fit` makes a law of such tests, strength = { fit = "DIR" } takes it'
 #: ratio of the mean diameters of tests and sphere that is told, and that only a modulus can carry
 _TOLD, _REFUSED = 1.1, 1.5
+#: draws of a fit that a study carries: the Monte Carlo error of a mean of 200 laws is 7 % of what tests leave open;
+#: a diameter counts as tested within this factor
+_DRAWS, _BESIDE = 200, 1.01
 #: rock, rate_0 [1/s] and mean of the dynamic over the slow strength [-]: slow uniaxial strengths (36 cylinders) against
 #: those between titanium bars at 36 to 346 1/s (86), Rae and others, 2020 and 2021; rate_0 by least squares of
 #: logarithms in 1 + (rate/rate_0)^(2/3), which leaves 10 to 27 % (docs/validation.md)
@@ -48,13 +57,6 @@ MEASURED_RATES: Final = (
     ("limestone of Savonnieres", 190.0, 1.79),
     ("marble of Carrara", 110.0, 2.12),
 )
-#: what a column holds, by its key
-_COLUMNS: Final = {
-    "energy": Quantity(name="energy", symbol="W", dimension="energy", meaning="the energy at failure"),
-    "force": Quantity(name="force", symbol="P", dimension="force", meaning="the force at failure"),
-    "diameter": Quantity(name="diameter", symbol="D", dimension="length", meaning="the diameter"),
-    "rate": Quantity(name="rate", symbol="dP/dt", dimension="loading_rate", meaning="the loading rate"),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,8 +69,53 @@ class Demand:
 
 
 def is_sphere_tests(raw: object) -> bool:
-    """Whether a strength is written as tests that give a force, or an energy."""
-    return isinstance(raw, Mapping) and raw.get("dist") == "empirical" and ("force" in raw or "energy" in raw)
+    """Whether a strength is written as tests that give a force, or an energy: by `tests`, or by `dist` and `file`."""
+    if not isinstance(raw, Mapping):
+        return False
+    return "tests" in raw or (raw.get("dist") == "empirical" and ("force" in raw or "energy" in raw))
+
+
+def is_fit(raw: object) -> bool:
+    """Whether a strength is what `uqsphere fit` has found, by its folder."""
+    return isinstance(raw, Mapping) and "fit" in raw and not {"dist", "tests", "file"} & set(raw)
+
+
+def read_fit_strength(
+    raw: Mapping[str, Raw], place: Place, demand: Demand, scene: Scene, findings: Findings
+) -> Reading | None:
+    """The fracture energy of the sphere by the draws of a fit, at its mean diameter; None, with the faults noted.
+
+    Each draw is one of the laws that the tests allow, and the law in force their mean.
+    """
+    table = read_table(FitStrengthTable, raw, findings, place)
+    if demand.quantity != ENERGY_OF["sphere"]:
+        said = 'a fit is of the energy that the particle itself takes up: criterion = "specific_energy"'
+        findings.add((*place, "fit"), f'{said} with energy_is = "sphere" goes with it')
+    radius = scene.mean("sphere.radius")
+    if not table.fit or radius is None or not findings.clean(place):
+        return None
+    from uqsphere.feed.fit import Posterior, read_fit
+
+    with findings.noting(place):
+        folder = inside_folder(table.fit, findings.folder, "fit")
+        try:
+            posterior, about = Posterior.load(folder), read_fit(folder)
+        except (FolderError, AccessError) as error:
+            raise Misplaced(str(error), "fit") from None
+        diameter = 2.0 * radius
+        low, high = about.tested
+        if not low / _BESIDE <= diameter <= high * _BESIDE:
+            found = (
+                f"the sphere of {1e3 * diameter:.4g} mm lies beyond the tests, {1e3 * low:.4g} to {1e3 * high:.4g} mm"
+            )
+            findings.warn((*place, "fit"), f"{found}: its strength is extrapolated")
+        draws = posterior.as_laws(diameter, _DRAWS)
+        if not draws:
+            raise Misplaced(f"no size class of the fit is near {1e3 * diameter:.4g} mm", "fit")
+        tests = 0.0 if about.tests is None else float(about.tests.particles)
+        law = Law(family=ALL["drawn"], parameters={"tests": tests}, draws=draws)
+        return Reading(value=law, made_up=about.made_up)
+    return None
 
 
 def read_sphere_tests(
@@ -76,25 +123,28 @@ def read_sphere_tests(
 ) -> Reading | None:
     """The law of the strength against a demand; None, with the faults noted, where there is none."""
     table = read_table(SphereTestsTable, raw, findings, place)
+    from uqsphere.study.tests import read_measured
+
+    file, key = _file_of(table, place, findings)
     _check_measured(table, place, demand, findings)
     sphere = {key: scene.mean(f"sphere.{key}") for key in ("E", "nu", "density")}
-    platens = read_platens(table.platens, (*place, "platens"), scene, findings)
+    platens = read_platens(table.platens or "bars", (*place, "platens"), scene, findings)
     stiff = {key: value for key, value in sphere.items() if value is not None}
-    if not findings.clean(place) or platens is None or len(stiff) < len(sphere):
+    measured = read_measured(table, file, place, findings, key=key, rig="platens") if file else None
+    if not findings.clean(place) or measured is None or platens is None or len(stiff) < len(sphere):
         # a sphere without its stiffness has been told of already
         return None
     with findings.noting(place):
-        tests = open_observations(table.file, findings.folder)
-        columns = _columns(table, tests)
-        stopped = None if table.censored is None else tests.flags(table.censored, "censored")
+        columns = _columns(table, file, measured, stiff["density"], findings)
+        stopped = _stopped(table, file, measured, findings)
         _compare_sizes(columns["diameter"], place, demand, scene, findings)
         _compare_rates(place, demand, scene, findings)
         try:
-            state = _at_failure(columns, stiff, platens)
-            if table.energy is not None:
+            state = _at_failure(columns, stiff, platens, measured.stiffness)
+            if "energy" in columns:
                 state = {
                     **state,
-                    **_by_energy(np.array(columns["energy"]), str(table.energy_is), stiff, platens, state),
+                    **_by_energy(columns["energy"], str(table.energy_is), stiff, platens, state),
                 }
             law = _law(table, _beside(state, stiff, platens, scene), stopped, demand)
             return Reading(value=law, made_up=table.made_up)
@@ -106,27 +156,30 @@ def read_sphere_tests(
     return None
 
 
+def _file_of(table: SphereTestsTable, place: Place, findings: Findings) -> tuple[str, str]:
+    """The file of the tests and the key that names it."""
+    if table.tests is not None and table.file is not None:
+        findings.add((*place, "file"), "tests names a file too: leave one of them out")
+    if table.tests is None and table.file is None and findings.clean((*place, "file")):
+        findings.add((*place, "file"), 'file is missing: add file = "tests.csv"')
+    return (table.tests, "tests") if table.tests is not None else (table.file or "", "file")
+
+
 def _check_measured(table: SphereTestsTable, place: Place, demand: Demand, findings: Findings) -> None:
-    """Note what was measured where it says nothing of the demand, or is not told in full."""
-    both = table.force is not None and table.energy is not None
-    key, unit, example = ("energy", "energy_unit", "J") if table.energy is not None else ("force", "force_unit", "kN")
-    if both:
-        findings.add((*place, "energy"), "force is given too: leave one of force or energy out")
-    elif getattr(table, unit) is None and findings.clean((*place, unit)):
-        findings.add((*place, unit), f'{unit} is missing: add {unit} = "{example}"')
+    """Note what was measured where it says nothing of the demand."""
+    key = "energy" if table.energy is not None else "specific_energy"
+    if table.speed is not None:
+        findings.add((*place, "speed"), f"a speed is what was offered, not what broke the sphere: {_TO_FIT}")
     if demand.criterion is None and not follows_force(demand.quantity):
+        key = key if getattr(table, key) is not None else "force"
         findings.add((*place, key), f"a force at failure says nothing of {demand.quantity}")
-    if table.energy is None:
-        if table.energy_is is not None:
-            findings.add((*place, "energy_is"), "energy_is belongs to a column of energies: leave it out")
+    if getattr(table, key) is None:
         return
+    if table.force is not None:
+        findings.add((*place, key), f"force is given too: leave one of force or {key} out")
     if _base(demand) not in ENERGY_OF.values():
-        findings.add(
-            (*place, "energy"), f"an energy at failure says nothing of {_base(demand)}: name a column of forces"
-        )
-    if table.energy_is is None and findings.clean((*place, "energy_is")):
-        findings.add((*place, "energy_is"), f"energy_is is missing: say what the energies are, {one_of(ENERGY_OF)}")
-    elif table.energy_is == "input" and _base(demand) != ENERGY_OF["input"]:
+        findings.add((*place, key), f"an energy at failure says nothing of {_base(demand)}: name a column of forces")
+    if table.energy_is == "input" and _base(demand) != ENERGY_OF["input"]:
         said = "what was offered to a sphere is not what it took"
         findings.add((*place, "energy_is"), f'{said}: it goes with energy_is = "input" of the limit alone')
 
@@ -136,14 +189,12 @@ def _base(demand: Demand) -> str:
     return demand.quantity if demand.criterion is None else str(CRITERIA[demand.criterion].quantity)
 
 
-def _compare_sizes(
-    diameters: tuple[float, ...], place: Place, demand: Demand, scene: Scene, findings: Findings
-) -> None:
+def _compare_sizes(diameters: Array, place: Place, demand: Demand, scene: Scene, findings: Findings) -> None:
     """Tests on spheres of another size: told, and refused where the criterion knows no size."""
     radius = scene.mean("sphere.radius")
     if radius is None:
         return
-    mean = sum(diameters) / len(diameters)
+    mean = sum(diameters.tolist()) / len(diameters)
     ratio = max(mean / (2.0 * radius), 2.0 * radius / mean)
     found = f"the tests have a mean diameter of {1e3 * mean:.4g} mm, the sphere of {2e3 * radius:.4g} mm"
     knows = demand.criterion is not None and "modulus" in CRITERIA[demand.criterion].parameters
@@ -167,32 +218,46 @@ def _compare_rates(place: Place, demand: Demand, scene: Scene, findings: Finding
     )
 
 
-def _columns(table: SphereTestsTable, tests: Observations) -> dict[str, tuple[float, ...]]:
-    """Force or energy, diameter and rate of every test in SI; raises Misplaced."""
-    measured = "force" if table.energy is None else "energy"
-    found = {measured: _positive(str(getattr(table, measured)), getattr(table, f"{measured}_unit"), tests, measured)}
-    try:
-        same = parse_value(table.diameter, "length")
-    except UnitError:
-        found["diameter"] = _positive(table.diameter, table.diameter_unit, tests, "diameter")
+def _columns(
+    table: SphereTestsTable, file: str, measured: Measured, density: float, findings: Findings
+) -> dict[str, Array]:
+    """Force or energy, diameter and rate of every test in SI; raises Misplaced for tests that are no strengths."""
+    from uqsphere.feed.tests import RIGS
+    from uqsphere.study.tests import rates_of
+
+    offered = ~np.isin(measured.rig, [name for name, at_failure in RIGS.items() if at_failure])
+    alike = measured.particles > 1
+    again = (measured.blows > 1) | (np.bincount(measured.specimen)[measured.specimen] > 1)
+    for key, wrong, said in (
+        ("rig", offered, "this rig gives what was offered, not what broke the sphere"),
+        ("particles", alike, "a strength takes one particle a row"),
+        ("specimen", again, "a strength takes one blow a particle"),
+    ):
+        for row in np.flatnonzero(wrong)[:1]:
+            raise Misplaced(f"{file}:{measured.lines[row]}: {said}: {_TO_FIT}", key)
+    if len(measured.value) < 2:
+        raise Misplaced(f"found {len(measured.value)} test, two or more are due", "tests" if table.tests else "file")
+    kind = str(measured.kind[0])
+    found = {"diameter": measured.diameter}
+    if kind == "specific_energy":
+        mass = measured.mass if measured.mass is not None else contact.sphere_mass(0.5 * measured.diameter, density)
+        found["energy"] = measured.value * mass
     else:
-        if same <= 0.0:
-            raise Misplaced(f"found {shown(table.diameter)}: the diameter must be above 0", "diameter")
-        found["diameter"] = (same,) * len(tests.lines)
+        found[kind] = measured.value
     if table.rate is not None:
-        found["rate"] = _positive(table.rate, table.rate_unit, tests, "rate")
+        found["rate"] = rates_of(table.rate, table.rate_unit, measured, open_observations(file, findings.folder))
     return found
 
 
-def _positive(column: str, unit: str | None, tests: Observations, key: str) -> tuple[float, ...]:
-    """A column of numbers above zero in SI, which a rate may be too; raises Misplaced."""
-    factor = unit_factor(unit, _COLUMNS[key], f"{key}_unit")
-    values = tests.numbers(column, key, factor)
-    for (line, _), value in zip(tests.lines, values, strict=True):
-        if value < 0.0 or (value == 0.0 and key != "rate"):
-            found = f"{_COLUMNS[key].meaning} must be above 0, found {value / factor:g}"
-            raise Misplaced(f"line {line} of {shown(tests.name)}: {found}", key)
-    return values
+def _stopped(table: SphereTestsTable, file: str, measured: Measured, findings: Findings) -> Flags | None:
+    """Which tests ended without a failure; None where the table does not say."""
+    if table.censored is None:
+        return measured.stopped if table.outcome is not None else None
+    if table.outcome is not None:
+        raise Misplaced("outcome is given too: leave one of them out", "censored")
+    tests = open_observations(file, findings.folder, largest=LARGEST_TESTS)
+    flags = dict(zip((line for line, _ in tests.lines), tests.flags(table.censored, "censored"), strict=True))
+    return np.array([flags[line] for line in measured.lines.tolist()])
 
 
 def read_platens(
@@ -218,12 +283,12 @@ def read_platens(
     return entry["E"].value, entry["nu"].value
 
 
-def _law(table: SphereTestsTable, state: State, flags: tuple[bool, ...] | None, demand: Demand) -> Law:
+def _law(table: SphereTestsTable, state: State, flags: Flags | None, demand: Demand) -> Law:
     """The law of the strengths of the tests at whose failure the state is; raises LawError, ValueError."""
 
     def fitted(parameters: Mapping[str, float]) -> Law:
         values = _strengths(state, demand, parameters)
-        stopped = np.zeros(values.shape, dtype=bool) if flags is None else np.array(flags)
+        stopped = np.zeros(values.shape, dtype=bool) if flags is None else flags
         rest = values[stopped].tolist()
         return fitted_law(values[~stopped].tolist(), table.fit, censored=rest, unbiased=table.unbiased)
 
@@ -244,17 +309,18 @@ def _law(table: SphereTestsTable, state: State, flags: tuple[bool, ...] | None, 
 
 
 def _at_failure(
-    columns: Mapping[str, tuple[float, ...]], sphere: Mapping[str, float], platens: tuple[float, float]
+    columns: Mapping[str, Array], sphere: Mapping[str, float], platens: tuple[float, float], measured: Array | None
 ) -> State:
-    """What the criteria read, (n,) each, at the force of every test."""
-    radius = 0.5 * np.array(columns["diameter"])
+    """What the criteria read, (n,) each, at the force of every test; `measured` are stiffnesses K_e of the contact."""
+    radius = 0.5 * columns["diameter"]
     modulus = contact.reduced_modulus(sphere["E"], sphere["nu"], platens[0], platens[1])
+    modulus = modulus if measured is None else measured
     # what was measured as an energy is put in its place afterwards
-    force = np.array(columns.get("force", np.ones(radius.size)))
+    force = columns.get("force", np.ones(radius.size))
     return at_force(force, {
         "modulus": modulus, "effective_radius": radius, "hertz_constant": contact.hertz_constant(modulus, radius),
         "mass": contact.sphere_mass(radius, sphere["density"]),
-        "loading_rate": np.array(columns.get("rate", (0.0,) * force.size)),
+        "loading_rate": columns.get("rate", np.zeros(force.size)),
         "sphere.radius": radius, "sphere.E": np.full(force.size, sphere["E"]),
         "sphere.nu": np.full(force.size, sphere["nu"]),
     })  # fmt: skip
@@ -271,9 +337,10 @@ def _strengths(state: State, of: Demand, parameters: Mapping[str, float]) -> Arr
 
 
 def _share(sphere: Mapping[str, float], partner: tuple[float, float]) -> float:
-    """chi = E* (1 - nu²)/E, the sphere's share of the energy of a contact, (R22)."""
-    modulus = contact.reduced_modulus(sphere["E"], sphere["nu"], partner[0], partner[1])
-    return float(modulus * (1.0 - sphere["nu"] ** 2) / sphere["E"])
+    """The sphere's share of the energy of a contact."""
+    from uqsphere.feed.laws import particle_share
+
+    return float(particle_share(sphere["E"], sphere["nu"], *partner))
 
 
 def _by_energy(

@@ -260,6 +260,7 @@ def law_json(law: Law, given: Mapping[str, float]) -> dict[str, Json]:
         "upper": _bound(law.upper),
         "data": list(law.data),
         **({"censored": list(law.censored)} if law.censored else {}),
+        **({"draws": [list(draw) for draw in law.draws]} if law.draws else {}),
     }
 
 

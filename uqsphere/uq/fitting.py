@@ -139,12 +139,12 @@ def kolmogorov_p_value(distance: float, observations: int) -> float:
 
 def is_fitted(law: object) -> bool:
     """Whether a strength or an input is a law that was made from observations."""
-    return isinstance(law, Law) and len(law.data) > 0
+    return isinstance(law, Law) and (len(law.data) > 0 or len(law.draws) > 0)
 
 
 def count_tests(law: Law) -> int:
     """How many tests a law was made from, those included that ended without a failure."""
-    return len(law.data) + len(law.censored)
+    return int(law.parameters["tests"]) if law.draws else len(law.data) + len(law.censored)
 
 
 def series_behind(law: Law) -> StrengthTests:
@@ -170,6 +170,9 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> list[
     >>> bool(np.std(means) > law.parameters["sd"] / 5**0.5)
     True
     """
+    if law.draws:
+        rows = generator.choice(len(law.draws), count, replace=count > len(law.draws))
+        return [replace(law, draws=(law.draws[row],)) for row in rows.tolist()]
     n, family = _told(law), law.family
     if family.observed:
         return [_redrawn(law, generator) for _ in range(count)]
@@ -195,9 +198,24 @@ def laws_of_more_tests(law: Law, tests: int, count: int, generator: np.random.Ge
     LawError
         For a family without exact intervals.
     """
+    if law.draws:
+        return _drawn_together(law, math.sqrt(count_tests(law) / max(tests, 1)), count, generator)
     if law.family.pivots is None:
         raise LawError(f"of a {law.family.name} law it is not known what more tests would tell", "fit")
     return _laws(law, law.family.pivots(law.parameters, tests, count, generator))
+
+
+def _drawn_together(law: Law, factor: float, count: int, generator: np.random.Generator) -> list[Law]:
+    """Laws of single draws, each moved towards the middle of its kind: what draws leave open falls as 1/sqrt(tests)."""
+    draws = np.array(law.draws)
+    positive = [2, 3]
+    for kind in np.unique(draws[:, 0]):
+        rows = draws[:, 0] == kind
+        logs = np.log(draws[np.ix_(rows, positive)])
+        middle = np.median(logs, axis=0)
+        draws[np.ix_(rows, positive)] = np.exp(middle + factor * (logs - middle))
+    narrower = replace(law, draws=tuple(map(tuple, draws.tolist())))
+    return possible_laws(narrower, count, generator)
 
 
 def _told(law: Law) -> int:
@@ -233,7 +251,7 @@ def possible_tails(law: Law, x: Array, count: int, generator: np.random.Generato
 
     Of kernel densities only the observations are drawn again, not the bandwidth: sums over kernels, not laws.
     """
-    if law.family.observed and not law.is_steps:
+    if law.family.observed and not law.is_steps and not law.draws:
         return _kernel_tails(law, x, *_multiplicities(law, count, generator))
     laws = possible_laws(law, count, generator)
     return np.array([one.cdf(x) for one in laws]), np.array([one.sf(x) for one in laws])
@@ -244,7 +262,7 @@ def possible_densities(law: Law, x: Array, count: int, generator: np.random.Gene
 
     Of a step function: the shares of the observations that equal x.
     """
-    if not law.family.observed:
+    if not law.family.observed or law.draws:
         return law.pdf(x), np.array([one.pdf(x) for one in possible_laws(law, count, generator)])
     observations, width = np.asarray(law.data), law.parameters["bandwidth"]
     kernels, times = _multiplicities(law, count, generator)

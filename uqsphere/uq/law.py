@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.families import FAMILIES, Family, LawError
+from uqsphere.uq.families import ALL, FAMILIES, Family, LawError
 from uqsphere.uq.families.empirical import steps_ppf, steps_share_below
 
 _LEAST_MASS = 1e-290  # a truncation that leaves less cannot be told from nothing in floating point
@@ -26,7 +26,8 @@ class Law:
 
     `parameters` are the canonical ones of the family.  `lower` and `upper` truncate, or are the bounds of a bounded
     family.  `data` are the sorted observations of an empirical law (kept when a family was fitted to them); `censored`
-    are those that are known only to be larger than this.  An empirical law has the parameter `bandwidth`: of the
+    are those that are known only to be larger than this.  `draws` are those of a posterior, `families.drawn`, with the
+    parameter `tests`: how many it rests on.  An empirical law has the parameter `bandwidth`: of the
     Gaussian kernel, 0 for the step function.
     Make one with `make_law` or `fitted_law`, which validate.
 
@@ -41,10 +42,12 @@ class Law:
     upper: float = math.inf
     data: tuple[float, ...] = ()
     censored: tuple[float, ...] = ()
+    draws: tuple[tuple[float, ...], ...] = ()
 
     def __reduce__(self) -> tuple[object, ...]:
         # a family is known by its name, and is not sent along
-        return _named, (self.family.name, dict(self.parameters), self.lower, self.upper, self.data, self.censored)
+        return _named, (self.family.name, dict(self.parameters), self.lower, self.upper, self.data, self.censored,
+                        self.draws)  # fmt: skip
 
     # --- what it is in standard form ------------------------------------------------------------------
 
@@ -52,12 +55,13 @@ class Law:
     def _form(self) -> tuple[float, float, tuple[float, ...]]:
         """Location, scale and shapes."""
         location, scale, shapes = self.family.resolve(self.parameters, self.lower, self.upper)
-        return location, scale, (*shapes, *self.data) if self.family.observed else shapes
+        own = (*self.data, *(number for draw in self.draws for number in draw))
+        return location, scale, (*shapes, *own) if self.family.observed else shapes
 
     @cached_property
     def _steps(self) -> Array | None:
         """Observations of a step law inside its truncation; None for the others."""
-        if not self.family.observed or self.parameters["bandwidth"] > 0.0:
+        if not self.family.observed or self.draws or self.parameters["bandwidth"] > 0.0:
             return None
         values = np.asarray(self.data)
         return values[(values >= self.lower) & (values <= self.upper)]
@@ -119,7 +123,7 @@ class Law:
     @property
     def fit(self) -> str:
         """How it was made from observations, in the words of a study: "kde", "steps" or the name of its family."""
-        if not self.family.observed:
+        if not self.family.observed or self.draws:
             return self.family.name
         return "steps" if self.is_steps else "kde"
 
@@ -364,8 +368,8 @@ class Law:
 
 
 def _named(name: str, *rest: object) -> Law:
-    keys = ("parameters", "lower", "upper", "data", "censored")
-    return Law(family=FAMILIES[name], **dict(zip(keys, rest, strict=True)))  # type: ignore[arg-type]
+    keys = ("parameters", "lower", "upper", "data", "censored", "draws")
+    return Law(family=ALL[name], **dict(zip(keys, rest, strict=True)))  # type: ignore[arg-type]
 
 
 def _rounded(value: float) -> float:

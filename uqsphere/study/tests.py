@@ -1,0 +1,585 @@
+"""Tables of tests of single particles: columns by the names that a study gives them, every faulty cell with its line.
+
+One reader for [tests], which `uqsphere fit` makes a law of fracture energy from, and for strengths of a limit that are
+read from tests (`uqsphere.study.sphere_tests`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.arrays import Array, Flags
+from uqsphere.feed.tests import (
+    RIGS,
+    THROWN,
+    RowFault,
+    Rows,
+    Specimens,
+    faults_of,
+    particle_energy,
+    specimens_of,
+    unbounded,
+)
+from uqsphere.files import Json
+from uqsphere.materials import library
+from uqsphere.mechanics import contact
+from uqsphere.study.columns import LARGEST_TESTS, Observations, open_observations, unit_factor
+from uqsphere.study.document import Document
+from uqsphere.study.faults import MOST_PROBLEMS, Findings, Misplaced, Place, Raw, one_of, shown, suggestion
+from uqsphere.study.numbers import plain_quantity, read_number
+from uqsphere.study.particle_tables import ENERGY_OF, TestColumns, TestsTable
+from uqsphere.units import Quantity, UnitError, parse_value
+from uqsphere.uq.law import Law
+
+if TYPE_CHECKING:
+    from uqsphere.feed.infer import Request
+    from uqsphere.feed.likelihood import Prior
+
+#: columns of which every row has one: dimension of each
+KINDS: Final = {"force": "force", "energy": "energy", "specific_energy": "specific_energy", "speed": "speed"}
+_BROKE: Final = {"broke": True, "broken": True, "1": True, "yes": True, "true": True, "survived": False, "0": False,
+                 "no": False, "false": False}  # fmt: skip
+_MOST: Final = 1_000_000_000
+
+
+class Material(Protocol):
+    """What particles are of: E [Pa], nu, density [kg/m³]."""
+
+    @property
+    def E(self) -> float: ...
+    @property
+    def nu(self) -> float: ...
+    @property
+    def density(self) -> float: ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Measured:
+    """A table of tests as it stands, in SI, (n,) each; `kind` names which column of `KINDS` a row has its value in."""
+
+    lines: npt.NDArray[np.int64]
+    rig: npt.NDArray[np.str_]
+    diameter: Array
+    kind: npt.NDArray[np.str_]
+    value: Array
+    broken: npt.NDArray[np.int64]
+    particles: npt.NDArray[np.int64]
+    blows: npt.NDArray[np.int64]
+    specimen: npt.NDArray[np.int64]
+    mass: Array | None = None
+    stiffness: Array | None = None
+    t10: Array | None = None
+    sieves: tuple[float, ...] = ()
+    passing: Array | None = None
+
+    @property
+    def stopped(self) -> Flags:
+        """Tests that ended without a failure."""
+        return np.asarray(self.broken == 0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SieveRows:
+    """Rows with a t10: energies [J/kg] offered and of the particle itself, sizes [m], shares finer; nan: not sieved."""
+
+    offered: Array
+    own: Array
+    diameter: Array
+    t10: Array
+    sieves: tuple[float, ...]
+    passing: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TestsPlan:
+    """What a study has of tests: the specimens, how they are fitted, the rows that were sieved, all in words."""
+
+    specimens: Specimens
+    request: Request
+    rows: int
+    of: Mapping[str, str]
+    meaning: Mapping[str, Json]
+    sieved: SieveRows | None = None
+    warnings: tuple[str, ...] = field(default=())
+
+
+# --- cells ------------------------------------------------------------------------------------------------
+
+
+@dataclass(kw_only=True)
+class _Cells:
+    """The rows of a CSV that count, and what is wrong with them."""
+
+    tests: Observations
+    rows: list[tuple[int, list[str]]]
+    faults: list[tuple[int, str, str]] = field(default_factory=list)
+
+    def texts(self, column: str, key: str) -> list[str]:
+        """Texts of a column; raises Misplaced where there is none."""
+        at = self.tests.place_of(column, key)
+        return [row[at] if at < len(row) else "" for _, row in self.rows]
+
+    def numbers(self, column: str, key: str, factor: float = 1.0, *, blank: bool = False) -> Array:
+        """Numbers of a column in SI; nan, with the fault noted, where a cell has none."""
+        texts = self.texts(column, key)
+        try:
+            found = np.array(texts, dtype=float) * factor
+        except ValueError:
+            found = np.array([_number(text) for text in texts]) * factor
+        for row in np.flatnonzero(~np.isfinite(found)).tolist():
+            if not (blank and not texts[row]):
+                self.note(row, key, f"found {shown(texts[row])}, where a finite number is due")
+        return found
+
+    def counts(self, column: str | None, key: str) -> npt.NDArray[np.int64]:
+        """Whole numbers of a column, 1 without one."""
+        if column is None:
+            return np.ones(len(self.rows), dtype=np.int64)
+        found = self.numbers(column, key)
+        for row in np.flatnonzero(np.isfinite(found) & ((found != np.floor(found)) | (np.abs(found) > _MOST))).tolist():
+            self.note(row, key, f"found {found[row]:g}, where a whole number is due")
+        return np.nan_to_num(np.clip(found, -_MOST, _MOST)).astype(np.int64)
+
+    def words(self, column: str, key: str, known: Mapping[str, bool], due: str) -> Flags:
+        """Flags of a column of words."""
+        found = []
+        for row, text in enumerate(self.texts(column, key)):
+            if text.lower() not in known:
+                self.note(row, key, f"found {shown(text)}, where {due} is due")
+            found.append(known.get(text.lower(), False))
+        return np.array(found, dtype=bool)
+
+    def note(self, row: int, key: str, message: str) -> None:
+        """A fault of one row, by its line."""
+        self.faults.append((self.rows[row][0], key, message))
+
+    def report(self, place: Place, findings: Findings) -> bool:
+        """Note every fault as file:line, as many as are listed at all; whether there were none."""
+        for line, key, message in sorted(self.faults)[: MOST_PROBLEMS + 1]:
+            findings.add((*place, key), f"{self.tests.name}:{line}: {message}")
+        return not self.faults
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+# --- the table --------------------------------------------------------------------------------------------
+
+
+def read_measured(
+    table: TestColumns, file: str, place: Place, findings: Findings, *, key: str = "file", rig: str | None = None
+) -> Measured | None:
+    """The columns of a table of tests; None, with every fault noted, where something is wrong.
+
+    `rig` stands for one that the table does not name, whose tests all ended with a failure unless they say otherwise.
+    """
+    if not _check_table(table, place, findings, rig):
+        return None
+    found = None
+    with findings.noting(place):
+        tests = open_observations(file, findings.folder, key, LARGEST_TESTS)
+        cells = _Cells(tests=tests, rows=tests.lines)
+        for column, text in table.where.items():
+            at = tests.place_of(column, "where")
+            cells.rows = [row for row in cells.rows if at < len(row[1]) and row[1][at] == text]
+        if not cells.rows:
+            said = f" with {', '.join(f'{k} = {shown(v)}' for k, v in table.where.items())}" if table.where else ""
+            raise Misplaced(f"{shown(tests.name)} has no row{said}", "where" if table.where else key)
+        found = _columns(table, cells, rig)
+        if not cells.report(place, findings):
+            return None
+    return found
+
+
+def _check_table(table: TestColumns, place: Place, findings: Findings, rig: str | None) -> bool:
+    """Whether the columns that must be named are, with their units; what is missing is noted."""
+    due: list[tuple[str, str]] = []
+    kinds = [kind for kind in KINDS if getattr(table, kind) is not None]
+    if table.diameter is None and (table.mesh_lower is None or table.mesh_upper is None):
+        due.append(("diameter", 'add diameter = "diameter_mm", or one length, or mesh_lower and mesh_upper'))
+    elif table.diameter is not None and table.mesh_lower is not None:
+        findings.add((*place, "mesh_lower"), "diameter is given too: leave one of them out")
+    if not kinds:
+        due.append(("energy", f"name the column of one of {one_of(KINDS)}"))
+    if rig is None and table.rig is None:
+        due.append(("rig", f"say what the tests were made in, {one_of(RIGS)}"))
+    if rig is None and table.outcome is None and table.broken is None:
+        due.append(("outcome", 'name a column of "broke" or "survived"'))
+    if {"energy", "specific_energy"} & set(kinds) and table.energy_is is None:
+        due.append(("energy_is", f"say what the energies are, {one_of(ENERGY_OF)}"))
+    elif table.energy_is is not None and not {"energy", "specific_energy"} & set(kinds):
+        findings.add((*place, "energy_is"), "energy_is belongs to a column of energies: leave it out")
+    for key, said in due:
+        if findings.clean((*place, key)):
+            findings.add((*place, key), f"{key} is missing: {said}")
+    for key in (*KINDS, "mass"):
+        _check_unit(table, key, place, findings)
+    return findings.clean(place)
+
+
+def _check_unit(table: TestColumns, key: str, place: Place, findings: Findings) -> None:
+    examples = {"force": "kN", "energy": "J", "specific_energy": "J/kg", "speed": "m/s", "mass": "g"}
+    unit = f"{key}_unit"
+    if getattr(table, key) is not None and getattr(table, unit) is None and findings.clean((*place, unit)):
+        findings.add((*place, unit), f'{unit} is missing: add {unit} = "{examples[key]}"')
+
+
+def _columns(table: TestColumns, cells: _Cells, rig: str | None) -> Measured:
+    """Every column of the rows that count; raises Misplaced where one is missing."""
+    n = len(cells.rows)
+    kind, value = _values(table, cells)
+    particles = cells.counts(table.particles, "particles")
+    if table.broken is not None:
+        broken = cells.counts(table.broken, "broken")
+    elif table.outcome is not None:
+        broke = cells.words(table.outcome, "outcome", _BROKE, '"broke" or "survived", or 1 and 0,')
+        broken = np.where(broke, particles, 0)
+    else:
+        broken = particles
+    specimen = np.arange(n)
+    if table.specimen is not None:
+        names = cells.texts(table.specimen, "specimen")
+        number: dict[str, int] = {}
+        # a row without a name is a particle of its own
+        specimen = np.array([number.setdefault(name or f"\0{row}", len(number)) for row, name in enumerate(names)])
+    t10, sieves, passing = _fineness(table, cells)
+    measured = Measured(
+        lines=np.array([line for line, _ in cells.rows]), rig=_rigs(table, cells, rig), kind=kind, value=value,
+        diameter=_diameters(table, cells), broken=broken, particles=particles, specimen=specimen,
+        blows=cells.counts(table.blows, "blows"), t10=t10, sieves=sieves, passing=passing,
+        mass=_positive(table, cells, "mass"), stiffness=_positive(table, cells, "stiffness"),
+    )  # fmt: skip
+    bad = {line for line, _, _ in cells.faults}
+    for fault in faults_of(_rows_of(measured, np.where(np.isfinite(value), value, 1.0))):
+        if cells.rows[fault.row][0] not in bad or fault.key == "specimen":
+            cells.note(fault.row, _key_of(fault, measured), fault.message)
+    return measured
+
+
+def _key_of(fault: RowFault, measured: Measured) -> str:
+    """The key whose column a fault of a row is in."""
+    return str(measured.kind[fault.row]) if fault.key == "energy" else fault.key
+
+
+def _rows_of(measured: Measured, energy: Array) -> Rows:
+    return Rows(rig=measured.rig, diameter=measured.diameter, energy=energy, particles=measured.particles,
+                broken=measured.broken, blows=measured.blows, specimen=measured.specimen)  # fmt: skip
+
+
+def _values(table: TestColumns, cells: _Cells) -> tuple[npt.NDArray[np.str_], Array]:
+    """Kind and value of every row, of which it has one."""
+    kinds = [kind for kind in KINDS if getattr(table, kind) is not None]
+    alone = len(kinds) == 1
+    found = np.stack([
+        cells.numbers(getattr(table, kind), kind, unit_factor(getattr(table, f"{kind}_unit"), _quantity(kind),
+                                                              f"{kind}_unit"), blank=not alone)
+        for kind in kinds
+    ])  # fmt: skip
+    there = np.isfinite(found)
+    if not alone:
+        for row in np.flatnonzero(there.sum(axis=0) != 1).tolist():
+            given = [kind for kind, is_there in zip(kinds, there[:, row], strict=True) if is_there]
+            said = f"{' and '.join(given)} stand in one row: one is due" if given else f"one of {one_of(kinds)} is due"
+            cells.note(row, kinds[-1], said)
+    at = there.argmax(axis=0)
+    value = found[at, np.arange(found.shape[1])]
+    kind = np.array(kinds)[at]
+    for row in np.flatnonzero(value <= 0.0).tolist():
+        factor = unit_factor(getattr(table, f"{kind[row]}_unit"), _quantity(str(kind[row])))
+        what = _quantity(str(kind[row])).meaning
+        cells.note(row, str(kind[row]), f"{what} must be above 0, found {value[row] / factor:g}")
+    return kind, value
+
+
+def _quantity(key: str) -> Quantity:
+    """What a column holds."""
+    meanings = {"force": "the force at failure", "energy": "the energy", "specific_energy": "the energy",
+                "speed": "the speed", "diameter": "the diameter", "mass": "the mass", "stiffness": "the stiffness",
+                "mesh_lower": "the sieve", "mesh_upper": "the sieve", "rate": "the loading rate"}  # fmt: skip
+    dimensions = {**KINDS, "mass": "mass", "stiffness": "pressure", "rate": "loading_rate"}
+    return Quantity(name=key, symbol=key, dimension=dimensions.get(key, "length"), meaning=meanings[key])
+
+
+def _positive(table: TestColumns, cells: _Cells, key: str, unit: str = "") -> Array | None:
+    """A column of numbers above zero; None where the table has none."""
+    column = getattr(table, key)
+    if column is None:
+        return None
+    unit = unit or f"{key}_unit"
+    factor = unit_factor(getattr(table, unit), _quantity(key), unit)
+    found = cells.numbers(column, key, factor)
+    for row in np.flatnonzero(found <= 0.0).tolist():
+        cells.note(row, key, f"{_quantity(key).meaning} must be above 0, found {found[row] / factor:g}")
+    return found
+
+
+def rates_of(column: str, unit: str | None, cells_of: Measured, tests: Observations) -> Array:
+    """A column of loading rates of the rows that count [N/s], from 0; raises Misplaced."""
+    factor = unit_factor(unit, _quantity("rate"), "rate_unit")
+    keep = set(cells_of.lines.tolist())
+    cells = _Cells(tests=tests, rows=[row for row in tests.lines if row[0] in keep])
+    found = cells.numbers(column, "rate", factor)
+    for row in np.flatnonzero(found < 0.0).tolist():
+        cells.note(row, "rate", f"the loading rate must be from 0, found {found[row] / factor:g}")
+    if cells.faults:
+        line, _, message = cells.faults[0]
+        raise Misplaced(f"{tests.name}:{line}: {message}", "rate")
+    return found
+
+
+def _diameters(table: TestColumns, cells: _Cells) -> Array:
+    """Sizes [m]: a column, one length, or the geometric mean of two sieves."""
+    if table.diameter is None:
+        lower, upper = (_positive(table, cells, key, "mesh_unit") for key in ("mesh_lower", "mesh_upper"))
+        assert lower is not None
+        assert upper is not None
+        for row in np.flatnonzero(lower >= upper).tolist():
+            cells.note(row, "mesh_lower", "the sieve that held a particle must be finer than that it passed")
+        return np.sqrt(np.abs(lower * upper))
+    try:
+        same = parse_value(table.diameter, "length")
+    except UnitError:
+        found = _positive(table, cells, "diameter")
+        assert found is not None
+        return found
+    if same <= 0.0:
+        raise Misplaced(f"found {shown(table.diameter)}: the diameter must be above 0", "diameter")
+    return np.full(len(cells.rows), same)
+
+
+def _rigs(table: TestColumns, cells: _Cells, rig: str | None) -> npt.NDArray[np.str_]:
+    """The rig of every row."""
+    if not isinstance(table.rig, Mapping):
+        return np.full(len(cells.rows), table.rig or rig)
+    found = cells.texts(table.rig["column"], "rig")
+    for row, name in enumerate(found):
+        if name not in RIGS:
+            cells.note(row, "rig", f"unknown rig {shown(name)}, known: {one_of(RIGS)}{suggestion(name, RIGS)}")
+    return np.array([name if name in RIGS else "platens" for name in found])
+
+
+def _fineness(table: TestColumns, cells: _Cells) -> tuple[Array | None, tuple[float, ...], Array | None]:
+    """t10, sieves from the coarsest and what passes them, as shares; nan where a cell is empty."""
+    factor = 0.01 if table.t10_unit == "%" else 1.0
+    top = "100 %" if factor < 1.0 else "1"
+    columns: list[tuple[float, str, str]] = []
+    for text, column in table.passing.items():
+        try:
+            columns.append((parse_value(text, "length"), column, "passing"))
+        except UnitError as error:
+            raise Misplaced(str(error), "passing", text) from None
+    columns.sort(reverse=True)
+    shares = {}
+    for key, column in [("t10", table.t10)] * (table.t10 is not None) + [(name, name) for _, name, _ in columns]:
+        where = "t10" if key == "t10" else "passing"
+        found = cells.numbers(str(column), where, factor, blank=True)
+        for row in np.flatnonzero((found < 0.0) | (found > 1.0 + 1e-12)).tolist():
+            what = "t10" if where == "t10" else f"the share in {shown(str(column))}"
+            cells.note(row, where, f"{what} must lie between 0 and {top}, found {found[row] / factor:g}")
+        shares[key] = found
+    if not columns:
+        return shares.get("t10"), (), None
+    passing = np.stack([shares[column] for _, column, _ in columns], axis=1)
+    for row in range(len(passing)):
+        known = passing[row][np.isfinite(passing[row])]
+        if (np.diff(known) > 1e-12).any():
+            cells.note(row, "passing", "more passes a finer sieve than a coarser one")
+    return shares.get("t10"), tuple(size for size, _, _ in columns), passing
+
+
+# --- [tests] ----------------------------------------------------------------------------------------------
+
+
+def read_tests(document: Document, particles: Material | None, findings: Findings) -> TestsPlan | None:
+    """The tests of a study; None, with every fault noted, where it has none that can be used."""
+    table, place = document.tests, ("tests",)
+    if table is None:
+        return None
+    request = _request(table, document, place, findings)
+    measured = read_measured(table, table.file, place, findings) if table.file else None
+    if measured is None or particles is None or request is None:
+        return None
+    before = len(findings.warnings)
+    share, stiffness = _shares(table, measured, particles, place, findings)
+    if not findings.clean(place):
+        return None
+    mass = measured.mass
+    if mass is None:
+        mass = np.asarray(contact.sphere_mass(0.5 * measured.diameter, particles.density))
+    own, offered = np.empty(len(mass)), np.empty(len(mass))
+    for kind in dict.fromkeys(measured.kind.tolist()):
+        rows = measured.kind == kind
+
+        def energy(meaning: str, share: Array, rows: Flags = rows, kind: str = kind) -> Array:
+            return particle_energy(kind, measured.value[rows], rig=measured.rig[rows].tolist(), meaning=meaning,
+                                   mass=mass[rows], diameter=measured.diameter[rows], share=share[rows],
+                                   stiffness=stiffness[rows])  # fmt: skip
+
+        own[rows] = energy(str(table.energy_is), share)
+        offered[rows] = energy("input" if kind == "speed" else "sphere", np.ones_like(share)) if kind != "force" else 0
+    specimens = specimens_of(_rows_of(measured, own))
+    if why := unbounded(specimens):
+        if not {"e_inf", "C"} & set(request.priors):
+            due = "give a prior of its level, prior = { e_inf = … } or { C = … }, which is then all that is known"
+            findings.add((*place, "outcome" if table.outcome else "broken"), f"{why}: {due}")
+            return None
+        findings.warn(place, f"{why}: the level of the law is the prior's")
+    if table.mesh_lower is not None:
+        findings.warn((*place, "mesh_lower"), "sizes scatter within their sieves: that scatter is part of sigma")
+    return TestsPlan(
+        specimens=specimens, request=request, rows=len(own), of=_words(table, measured),
+        meaning=_meaning(table, findings), sieved=_sieved(measured, own, offered, table),
+        warnings=tuple(findings.warnings[before:]),
+    )  # fmt: skip
+
+
+def _shares(
+    table: TestsTable, measured: Measured, particles: Material, place: Place, findings: Findings
+) -> tuple[Array, Array]:
+    """The particle's share of a contact's energy, and K_e, of every row; what is missing for them is noted."""
+    from uqsphere.feed.laws import particle_share
+
+    forces = measured.kind == "force"
+    thrown = np.isin(measured.rig, THROWN)
+    meant = np.where(forces, "contact", np.where(measured.kind == "speed", "input", str(table.energy_is)))
+    needs = (meant == "contact") | ((meant == "input") & (measured.rig != "drop_weight"))
+    alike = measured.rig == "sphere_on_sphere"
+    partner = _partner(table.platens)
+    if (needs & ~alike).any() and partner is None and findings.clean((*place, "platens")):
+        thing = "thrown at" if thrown.any() else "tested between"
+        said = f'platens is missing: say what the particles were {thing}, "steel", "rigid" or a table of E and nu'
+        findings.add((*place, "platens"), said)
+    if forces.any() and measured.stiffness is None:
+        if not table.assume_intact:
+            why = "rocks touch at asperities, where they are often several times softer than the intact rock"
+            said = f"stiffness is missing: {why}; name its column, or set assume_intact = true"
+            findings.add((*place, "stiffness"), said)
+        else:
+            said = "forces become energies with the stiffness of the intact rock: with half of it they are 1.6 times"
+            findings.warn((*place, "assume_intact"), f"{said} as large")
+    E, nu = partner or (math.inf, 0.3)
+    n, own = len(measured.value), particles.E / (1.0 - particles.nu**2)
+    other = np.where(alike, own, E / (1.0 - nu * nu))
+    stiffness = 1.0 / (1.0 / own + 1.0 / other)
+    share = np.where(alike, 0.5, float(particle_share(particles.E, particles.nu, E, nu)))
+    if measured.stiffness is not None:
+        # of the particle's own stiffness that was measured: k_p = K_e k_s/(k_s - K_e)
+        stiffness = measured.stiffness
+        share = 1.0 - stiffness / other
+        for row in np.flatnonzero(share <= 0.0)[:1].tolist():
+            found = f"line {measured.lines[row]}: K_e of {stiffness[row] / 1e9:.4g} GPa"
+            findings.add((*place, "stiffness"), f"{found} is above that of the platens alone")
+    return np.broadcast_to(share, n), np.broadcast_to(stiffness, n)
+
+
+def _partner(raw: Raw) -> tuple[float, float] | None:
+    """E and nu of what the particles were tested between; None where the table does not say."""
+    if raw is None or raw == "bars":
+        return None
+    if raw == "rigid":
+        return math.inf, 0.3
+    if isinstance(raw, Mapping):
+        try:
+            return parse_value(raw["E"], "pressure"), float(raw["nu"])
+        except (UnitError, TypeError, ValueError):
+            return None
+    entry = library()["bars"][raw].properties
+    return entry["E"].value, entry["nu"].value
+
+
+def _request(table: TestsTable, document: Document, place: Place, findings: Findings) -> Request | None:
+    """How the tests are fitted; None, with the faults noted, where that cannot be."""
+    from uqsphere.feed.infer import Request
+
+    if table.size == "weakest_link" and table.law != "weibull":
+        findings.add((*place, "size"), 'size = "weakest_link" belongs to law = "weibull": take "power"')
+    gamma, priors = None, {}
+    for name, raw in table.prior.items():
+        known = _PRIORS if table.size != "class" else {k: v for k, v in _PRIORS.items() if k not in ("e_inf", "C")}
+        if name not in known:
+            near = suggestion(name, known)
+            findings.add((*place, "prior", name), f"unknown parameter {shown(name)}, known: {one_of(known)}{near}")
+        elif (prior := _prior(raw, name, (*place, "prior", name), findings)) is not None:
+            priors[name] = prior
+    if table.gamma != "fit":
+        reading = read_number(table.gamma, (*place, "gamma"), plain_quantity("gamma"), findings)
+        if reading is not None and isinstance(reading.value, Law):
+            found = _prior(table.gamma, "gamma", (*place, "gamma"), findings)
+            priors |= {} if found is None else {"gamma": found}
+        elif reading is not None:
+            gamma = reading.nominal
+            if not 1.0 <= gamma <= 20.0:
+                findings.add((*place, "gamma"), f"found {gamma:g}: gamma lies from 1 to 20, mostly from 3 to 5.4")
+    if not findings.clean(place):
+        return None
+    ratio = math.inf if table.ratio == "inf" else float(table.ratio)
+    return Request(
+        law=table.law, size=table.size, ratio=ratio, gamma=gamma, priors=priors, seed=document.seed,
+        title=document.title, made_up=table.made_up,
+    )  # fmt: skip
+
+
+#: parameters whose prior a study can give, and their dimensions
+_PRIORS: Final = {
+    "e_inf": "specific_energy", "C": "number", "d0": "length", "phi": "number", "sigma": "number",
+    "modulus": "number", "gamma": "number", "f_mat": "number", "threshold": "number",
+}  # fmt: skip
+
+
+def _prior(raw: Raw, name: str, place: Place, findings: Findings) -> Prior | None:
+    """A lognormal law as centre and scatter of the logarithm."""
+    from uqsphere.feed.likelihood import Prior
+
+    quantity = Quantity(name=name, symbol=name, dimension=_PRIORS[name], meaning=f"the prior of {name}")
+    reading = read_number(raw, place, quantity, findings)
+    if reading is None:
+        return None
+    law = reading.value
+    if not isinstance(law, Law) or law.family.name != "lognormal" or math.isfinite(law.upper) or law.lower > 0.0:
+        said = "a prior is a lognormal law without bounds, such as"
+        findings.add(place, f'{said} {{ dist = "lognormal", log_mean = 0.0, log_sd = 0.45 }}')
+        return None
+    return Prior(centre=law.parameters["log_mean"], sd=law.parameters["log_sd"])
+
+
+def _words(table: TestsTable, measured: Measured) -> dict[str, str]:
+    """What the tests are, for people."""
+    kinds = ", ".join(dict.fromkeys(kind.replace("_", " ") for kind in measured.kind.tolist()))
+    rigs = ", ".join(dict.fromkeys(rig.replace("_", " ") for rig in measured.rig.tolist()))
+    chosen = {"rows": ", ".join(f"{column} = {text}" for column, text in table.where.items())} if table.where else {}
+    meant = {"energy": str(table.energy_is)} if table.energy_is else {}
+    return {"file": table.file, "rig": rigs, "measured": kinds, **meant, **chosen}
+
+
+def _meaning(table: TestsTable, findings: Findings) -> dict[str, Json]:
+    """The table and a digest of its file, for the hash of the study."""
+    rows = open_observations(table.file, findings.folder, "file", LARGEST_TESTS)
+    text = "\n".join(",".join(row) for row in [rows.header, *(row for _, row in rows.lines)])
+    plain = {key: dict(part) if isinstance(part, Mapping) else part for key, part in asdict(table).items()}
+    return {"table": plain, "rows": hashlib.sha256(text.encode()).hexdigest()}
+
+
+def _sieved(measured: Measured, own: Array, offered: Array, table: TestsTable) -> SieveRows | None:
+    """Rows with a t10 or with what passed sieves; of pressed and forced particles nothing was offered but their own."""
+    t10, passing = measured.t10, measured.passing
+    if t10 is None and passing is None:
+        return None
+    n = len(own)
+    t10 = np.full(n, np.nan) if t10 is None else t10
+    passing = np.full((n, 0), np.nan) if passing is None else passing
+    at_failure = np.array([RIGS[str(rig)] for rig in measured.rig])
+    given = np.where(at_failure | (measured.kind == "force") | (table.energy_is == "sphere"), own, offered)
+    keep = np.isfinite(t10) | np.isfinite(passing).any(axis=1)
+    return SieveRows(offered=given[keep], own=own[keep], diameter=measured.diameter[keep], t10=t10[keep],
+                     sieves=measured.sieves, passing=passing[keep])  # fmt: skip
