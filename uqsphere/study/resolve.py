@@ -104,11 +104,16 @@ def _resolve(data: dict[str, Raw], findings: Findings, path: Path, text: str) ->
         part.report(found, findings)
         if made is not None:
             services[part.name] = made
-    if {"feed", "material"} & set(data):
+    if {"feed", "material", "tests"} & set(data):
+        from uqsphere.study.tests import read_tests
+
         document = read_table(Document, own, Findings(folder=findings.folder))
         particles = read_particles(document, study, findings)
         plan = read_feed(document, particles, services, findings)
-        study = None if study is None else replace(study, particles=particles, feed=plan)
+        tests = read_tests(document, particles, findings)
+        if study is not None:
+            warnings = tuple(findings.warnings)
+            study = replace(study, particles=particles, feed=plan, tests=tests, warnings=warnings)
     if study is None or findings.faults:
         return None
     return replace(study, services=services) if services else study

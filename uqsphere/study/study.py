@@ -18,6 +18,7 @@ from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
     from uqsphere.study.feed import FeedPlan, Particles
+    from uqsphere.study.tests import TestsPlan
     from uqsphere.uq.joint import Dependence as Tie
     from uqsphere.uq.joint import Joint
 
@@ -116,6 +117,8 @@ class Study:
         What the particles of tests and of a feed are of, where the file has any.
     feed : FeedPlan or None
         What is asked of a feed, which `uqsphere feed` answers.
+    tests : TestsPlan or None
+        Tests of single particles, which `uqsphere fit` makes a law of.
     """
 
     title: str
@@ -144,6 +147,7 @@ class Study:
     services: Mapping[str, Study] = field(default_factory=dict)
     particles: Particles | None = None
     feed: FeedPlan | None = None
+    tests: TestsPlan | None = None
 
     @property
     def rig(self) -> str:
@@ -213,6 +217,7 @@ class Study:
             **({"services": {name: own.hash for name, own in self.services.items()}} if self.services else {}),
             **({"made_up": list(self.made_up)} if self.made_up else {}),
             **({"feed": dict(self.feed.meaning)} if self.feed else {}),
+            **({"tests": dict(self.tests.meaning)} if self.tests else {}),
         }
 
 

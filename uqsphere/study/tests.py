@@ -41,6 +41,7 @@ from uqsphere.uq.law import Law
 if TYPE_CHECKING:
     from uqsphere.feed.infer import Request
     from uqsphere.feed.likelihood import Prior
+    from uqsphere.feed.product import Fineness
 
 #: columns of which every row has one: dimension of each
 KINDS: Final = {"force": "force", "energy": "energy", "specific_energy": "specific_energy", "speed": "speed"}
@@ -86,18 +87,6 @@ class Measured:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SieveRows:
-    """Rows with a t10: energies [J/kg] offered and of the particle itself, sizes [m], shares finer; nan: not sieved."""
-
-    offered: Array
-    own: Array
-    diameter: Array
-    t10: Array
-    sieves: tuple[float, ...]
-    passing: Array
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class TestsPlan:
     """What a study has of tests: the specimens, how they are fitted, the rows that were sieved, all in words."""
 
@@ -106,8 +95,7 @@ class TestsPlan:
     rows: int
     of: Mapping[str, str]
     meaning: Mapping[str, Json]
-    sieved: SieveRows | None = None
-    warnings: tuple[str, ...] = field(default=())
+    fineness: Fineness | None = None
 
 
 # --- cells ------------------------------------------------------------------------------------------------
@@ -410,24 +398,10 @@ def read_tests(document: Document, particles: Material | None, findings: Finding
     measured = read_measured(table, table.file, place, findings) if table.file else None
     if measured is None or particles is None or request is None:
         return None
-    before = len(findings.warnings)
     share, stiffness = _shares(table, measured, particles, place, findings)
     if not findings.clean(place):
         return None
-    mass = measured.mass
-    if mass is None:
-        mass = np.asarray(contact.sphere_mass(0.5 * measured.diameter, particles.density))
-    own, offered = np.empty(len(mass)), np.empty(len(mass))
-    for kind in dict.fromkeys(measured.kind.tolist()):
-        rows = measured.kind == kind
-
-        def energy(meaning: str, share: Array, rows: Flags = rows, kind: str = kind) -> Array:
-            return particle_energy(kind, measured.value[rows], rig=measured.rig[rows].tolist(), meaning=meaning,
-                                   mass=mass[rows], diameter=measured.diameter[rows], share=share[rows],
-                                   stiffness=stiffness[rows])  # fmt: skip
-
-        own[rows] = energy(str(table.energy_is), share)
-        offered[rows] = energy("input" if kind == "speed" else "sphere", np.ones_like(share)) if kind != "force" else 0
+    own, offered = _energies(table, measured, particles.density, share, stiffness)
     specimens = specimens_of(_rows_of(measured, own))
     if why := unbounded(specimens):
         if not {"e_inf", "C"} & set(request.priors):
@@ -439,9 +413,26 @@ def read_tests(document: Document, particles: Material | None, findings: Finding
         findings.warn((*place, "mesh_lower"), "sizes scatter within their sieves: that scatter is part of sigma")
     return TestsPlan(
         specimens=specimens, request=request, rows=len(own), of=_words(table, measured),
-        meaning=_meaning(table, findings), sieved=_sieved(measured, own, offered, table),
-        warnings=tuple(findings.warnings[before:]),
+        meaning=_meaning(table, findings), fineness=_fineness_of(measured, own, offered, table),
     )  # fmt: skip
+
+
+def _energies(
+    table: TestsTable, measured: Measured, density: float, share: Array, stiffness: Array
+) -> tuple[Array, Array]:
+    """Energies [J/kg] of every row: what the particle took up, and what was offered or held by both bodies."""
+    mass = measured.mass
+    if mass is None:
+        mass = np.asarray(contact.sphere_mass(0.5 * measured.diameter, density))
+    own, offered = np.empty(len(mass)), np.empty(len(mass))
+    for kind in dict.fromkeys(measured.kind.tolist()):
+        rows = measured.kind == kind
+        for found, part in ((own, share), (offered, np.ones_like(share))):
+            found[rows] = particle_energy(
+                kind, measured.value[rows], rig=measured.rig[rows].tolist(), meaning=str(table.energy_is),
+                mass=mass[rows], diameter=measured.diameter[rows], share=part[rows], stiffness=stiffness[rows],
+            )  # fmt: skip
+    return own, offered
 
 
 def _shares(
@@ -570,16 +561,17 @@ def _meaning(table: TestsTable, findings: Findings) -> dict[str, Json]:
     return {"table": plain, "rows": hashlib.sha256(text.encode()).hexdigest()}
 
 
-def _sieved(measured: Measured, own: Array, offered: Array, table: TestsTable) -> SieveRows | None:
-    """Rows with a t10 or with what passed sieves; of pressed and forced particles nothing was offered but their own."""
-    t10, passing = measured.t10, measured.passing
-    if t10 is None and passing is None:
+def _fineness_of(measured: Measured, own: Array, offered: Array, table: TestsTable) -> Fineness | None:
+    """Rows that broke with a t10 or with what passed sieves; a particle that is pressed is offered what it takes."""
+    from uqsphere.feed.product import Fineness
+
+    if measured.t10 is None and measured.passing is None:
         return None
     n = len(own)
-    t10 = np.full(n, np.nan) if t10 is None else t10
-    passing = np.full((n, 0), np.nan) if passing is None else passing
+    t10 = np.full(n, np.nan) if measured.t10 is None else measured.t10
+    passing = np.full((n, 0), np.nan) if measured.passing is None else measured.passing
     at_failure = np.array([RIGS[str(rig)] for rig in measured.rig])
-    given = np.where(at_failure | (measured.kind == "force") | (table.energy_is == "sphere"), own, offered)
-    keep = np.isfinite(t10) | np.isfinite(passing).any(axis=1)
-    return SieveRows(offered=given[keep], own=own[keep], diameter=measured.diameter[keep], t10=t10[keep],
-                     sieves=measured.sieves, passing=passing[keep])  # fmt: skip
+    given = np.where(at_failure | (table.energy_is == "sphere"), own, offered)
+    keep = (measured.broken > 0) & (np.isfinite(t10) | np.isfinite(passing).any(axis=1))
+    return Fineness(diameter=measured.diameter[keep], offered=given[keep], t10=t10[keep],
+                    sieves=np.array(measured.sieves), passing=passing[keep])  # fmt: skip
