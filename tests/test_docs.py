@@ -113,9 +113,7 @@ def completed(snippet: str) -> str:
 def test_every_snippet_is_a_study(snippet: str, tmp_path: Path) -> None:
     tomllib.loads(snippet)
     strengths = 4.0 + 0.3 * np.sin(np.arange(40.0))
-    rows = [
-        f"{value:.6f},{2.0 * value:.6f},16,{k % 10 == 9:d},16,{value:.6f},1" for k, value in enumerate(strengths)
-    ]
+    rows = [f"{value:.6f},{2.0 * value:.6f},16,{k % 10 == 9:d},16,{value:.6f},1" for k, value in enumerate(strengths)]
     header = "strength,F,D,stopped,diameter_mm,energy_J_kg,outcome"
     (tmp_path / "tests.csv").write_text("\n".join([header, *rows]) + "\n")
     path = tmp_path / "study.toml"

@@ -147,6 +147,19 @@ def _add_data(command: Command) -> None:
 def _add_feed(command: Command) -> None:
     """Commands of single particles, feeds and DEM."""
     home = "uqsphere.cli.feed"
+    fit = command("fit", "the law of fracture energy that tests of single particles leave open", home)
+    fit.add_argument("study", metavar="FILE", type=Path, help="with a table [tests]")
+    _set(fit)
+    fit.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: the study's name + -fit)")
+    _json(fit)
+    tests = command("plan-tests", "how many more tests of single particles, and which tells most", home)
+    tests.add_argument("study", metavar="FILE", type=Path)
+    _set(tests)
+    wanted = "95 %% half-width that is wanted: of an energy relative, of a share as it is (default 0.2)"
+    tests.add_argument("--precision", type=float, default=0.2, metavar="X", help=wanted)
+    tests.add_argument("--at", metavar="SIZE", help='aim at the energy that breaks half at this size, such as "20 mm" '
+                       "(default: the share broken of [feed], else the largest tested size)")  # fmt: skip
+    _json(tests)
     feed = command("feed", "what becomes of a feed under its blows, from tests of its particles", home)
     feed.add_argument("study", metavar="FILE", type=Path)
     _set(feed)

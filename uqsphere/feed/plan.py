@@ -23,13 +23,15 @@ from uqsphere.feed import laws
 from uqsphere.feed.fit import Posterior
 
 #: quantiles of an energy at failure that stand for all
-_NODES: Final = 16
+_NODES: Final = 64
 #: half-width of a 95 % interval over its standard deviation, and relative steps of differences
 _NINETY_FIVE, _STEP = 1.959963984540054, 1e-3
 #: energies that are tried, over the median at the size, and blows; sizes between the smallest and the largest
 _LEVELS: Final = (0.25, 0.35, 0.5, 0.71, 1.0, 1.41, 2.0, 4.0)
 _BLOWS: Final = (1, 3, 10)
 _SIZES: Final = 6
+#: draws that are weighted for every test of the grid
+_WEIGHED: Final = 1000
 #: tests after which a precision is given up
 MOST_TESTS: Final = 1000
 #: the drop-weight practice: five sizes [m] at three energies [J/kg] with 20 particles each, and five energies at one
@@ -38,6 +40,13 @@ JK_SIZES: Final = (0.0145, 0.0206, 0.0289, 0.0411, 0.0578)
 JK_ENERGIES: Final = (360.0, 3600.0, 9000.0)
 SMC_ENERGIES: Final = (360.0, 900.0, 1800.0, 3600.0, 9000.0)
 PRACTICE: Final = 20
+#: levels of go/no-go tests, in units of sigma about the median; the second pair tells both numbers best
+DESIGNS: Final = {
+    "go/no-go, all at the median": (0.0,),
+    "two levels, 1.138 sigma on either side": (-1.138, 1.138),
+    "five levels, -1.5 to 1.5 sigma": (-1.5, -0.75, 0.0, 0.75, 1.5),
+    "five levels, one sigma off": (-0.5, 0.25, 1.0, 1.75, 2.5),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,6 +111,10 @@ def options(posterior: Posterior, target: Array, sizes: Sequence[float], *, rigs
             ) -> list[Option]:  # fmt: skip
     """Tests on a grid of sizes, energies and blows, those that leave least of the target (n,) first."""
     found = []
+    rows = np.linspace(0, len(posterior) - 1, min(len(posterior), _WEIGHED)).astype(int)
+    posterior, whole, target = posterior.at(rows), float(target.std()), target[rows]
+    # the few draws as wide as all of them
+    target = target * whole / max(float(target.std()), 1e-300)
     for size in sizes:
         middle = float(np.median(posterior.energy_at(0.5, size)))
         if "measured" in rigs:
@@ -145,19 +158,21 @@ def _densities(posterior: Posterior, energy: Array, size: float) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Normal:
-    """ln theta of the law that most draws have, as normal: mean and covariance, and how the target hangs on it."""
+    """ln theta of the law that most draws have, as normal: mean and covariance, and how the target hangs on it.
+
+    What differs between laws is taken to be told by further tests as the rest is.
+    """
 
     posterior: Posterior
     names: tuple[str, ...]
     mean: Array
     covariance: Array
     slope: Array
-    rest: float
 
     def sd(self, information: Array) -> float:
         """Standard deviation of the target after tests that add this information (d, d)."""
         left = np.linalg.inv(np.linalg.inv(self.covariance) + information)
-        return math.sqrt(max(float(self.slope @ left @ self.slope), 0.0) + self.rest)
+        return math.sqrt(max(float(self.slope @ left @ self.slope), 1e-300))
 
     def at(self, x: Array) -> Posterior:
         """The laws of logarithms x (n, d)."""
@@ -176,9 +191,7 @@ def normal(posterior: Posterior, target: Array) -> Normal:
     x = np.log(np.column_stack([some.draws[name] for name in free]))
     covariance = np.cov(x.T).reshape(len(free), -1) + 1e-12 * np.eye(len(free))
     slope = np.linalg.solve(covariance, (x - x.mean(axis=0)).T @ (of - of.mean()) / len(of))
-    # what differs between the laws is not told by their parameters
-    rest = max(float(target.var() - of.var()), 0.0)
-    return Normal(posterior=some, names=free, mean=x.mean(axis=0), covariance=covariance, slope=slope, rest=rest)
+    return Normal(posterior=some, names=free, mean=x.mean(axis=0), covariance=covariance, slope=slope)
 
 
 def information(about: Normal, test: Option) -> Array:
@@ -197,22 +210,18 @@ def information(about: Normal, test: Option) -> Array:
     return np.asarray(np.outer(score, score) / max(float(p[0] * (1.0 - p[0])), 1e-9))
 
 
-def course(
-    about: Normal, candidates: Sequence[Option], tests: int, aim: float = 0.0
-) -> tuple[list[float], list[Option]]:
+def course(about: Normal, candidates: Sequence[Option], tests: int, aim: float) -> tuple[list[float], list[Option]]:
     """Standard deviation of the target before and after each of so many tests, always the best; ends at the aim."""
-    each = [information(about, one) for one in candidates]
-    told = np.zeros_like(about.covariance)
-    course_of, taken = [about.sd(told)], list[Option]()
-    for _ in range(tests):
-        if course_of[-1] <= aim:
-            break
-        left = [about.sd(told + one) for one in each]
+    each = np.stack([information(about, one) for one in candidates])
+    told = np.linalg.inv(about.covariance)
+    found, taken = [about.sd(np.zeros_like(told))], list[Option]()
+    while len(taken) < tests and found[-1] > aim:
+        left = np.einsum("i,kij,j->k", about.slope, np.linalg.inv(told + each), about.slope)
         best = int(np.argmin(left))
         told = told + each[best]
-        course_of.append(left[best])
+        found.append(math.sqrt(max(float(left[best]), 0.0)))
         taken.append(candidates[best])
-    return course_of, taken
+    return found, taken
 
 
 # --- the answer -------------------------------------------------------------------------------------------
@@ -254,23 +263,26 @@ def plan_tests(
     about = normal(posterior, target)
     aim = (math.log1p(precision) if relative else precision) / _NINETY_FIVE
     best = [one for one in grid if one.measured] + [one for one in grid if not one.measured][:40]
-    path, taken = course(about, best, MOST_TESTS, aim)
-    long, _ = course(about, best, 30)
-    sds = {count: long[min(count, len(long) - 1)] for count in (1, 10, 30)}
+    # the normal law is a little narrower than the draws: what it forecasts is the share that is left
+    now = float(target.std())
+    scale = now / about.sd(np.zeros_like(about.covariance))
+    path, taken = course(about, best, MOST_TESTS, aim / scale)
+    long, _ = course(about, best, 30, 0.0)
+    sds = {1: min(go.sd, measured.sd), **{count: scale * long[count] for count in (10, 30)}}
     before = about.sd(np.zeros_like(about.covariance)) ** -2
     gains = [about.sd(information(about, one)) ** -2 - before for one in (measured, go)]
-    reached = path[-1] <= aim
+    reached = path[-1] <= aim / scale
     shares = {size: sum(one.size == size for one in taken) / len(taken) for size in sizes} if taken else {}
     return TestPlan(
         target=words, relative=relative, value=float(np.exp(np.median(target)) if relative else np.median(target)),
-        now=_NINETY_FIVE * float(target.std()), go=go, measured=measured,
+        now=_NINETY_FIVE * now, go=go, measured=measured,
         after={count: _NINETY_FIVE * sd for count, sd in sds.items()}, needed=len(taken) if reached else None,
         sizes={size: share for size, share in shares.items() if share > 0.0},
-        worth=gains[0] / gains[1] if gains[1] > 0.0 else math.inf, practice=_practice(about, sizes),
+        worth=gains[0] / gains[1] if gains[1] > 0.0 else math.inf, practice=_practice(about, sizes, scale),
     )  # fmt: skip
 
 
-def _practice(about: Normal, sizes: Sequence[float]) -> dict[str, float]:
+def _practice(about: Normal, sizes: Sequence[float], scale: float) -> dict[str, float]:
     """Half-widths after the programmes of drop-weight tests, if it is counted how many break."""
     middle = float(np.sqrt(sizes[0] * sizes[-1]))
     programmes = {
@@ -278,7 +290,7 @@ def _practice(about: Normal, sizes: Sequence[float]) -> dict[str, float]:
         "SMC": [Option(size=middle, energy=energy) for energy in SMC_ENERGIES],
     }
     return {
-        name: _NINETY_FIVE * about.sd(PRACTICE * np.sum([information(about, one) for one in tests], axis=0))
+        name: _NINETY_FIVE * scale * about.sd(PRACTICE * np.sum([information(about, one) for one in tests], axis=0))
         for name, tests in programmes.items()
     }
 
