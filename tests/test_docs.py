@@ -202,6 +202,10 @@ def test_validity_checks_have_the_thresholds_that_are_told() -> None:
 # --- commands -------------------------------------------------------------------------------------
 
 
+#: commands that take `--set`
+SETTABLE = ("check", "run", "history", "plan", "fit", "plan-tests", "feed", "records")
+
+
 def parsers() -> dict[str, argparse.ArgumentParser]:
     found = next(a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction))
     return dict(found.choices)
@@ -213,7 +217,7 @@ def test_commands_and_their_options_are_those_of_the_parser() -> None:
     assert told.keys() == parsers().keys()
     for name, parser in parsers().items():
         options = set(re.findall(r"(?<![\w-])--?[a-z]+(?:-[a-z]+)*", told[name]))
-        options |= {"--set"} if name in ("check", "run", "history", "plan", "feed", "records") else set()
+        options |= {"--set"} if name in SETTABLE else set()
         options |= {"--json"}
         known = [set(action.option_strings) for action in parser._actions if action.option_strings]
         assert options <= set().union(*known), name

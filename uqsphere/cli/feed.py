@@ -27,9 +27,9 @@ _FIRST_BATCH: Final = (
     "and twice the energy that is expected to break half"
 )
 _PRACTICE: Final = (
-    "JK: 10 to 30 particles at each of 15 sizes and energies; SMC (from memory, not checked at the source): 5 energies, "
-    "20 particles of one size. They serve the fineness; count how many break at energies where some do not, and they "
-    "tell E50 and sigma too. Energies up to 1 kWh/t alone tell A b, not A and b apart."
+    "JK: 10 to 30 particles at each of 15 sizes and energies; SMC (from memory, not checked at the source): 5 "
+    "energies, 20 particles of one size. They serve the fineness; count how many break at energies where some do not, "
+    "and they tell E50 and sigma too. Energies up to 1 kWh/t alone tell A b, not A and b apart."
 )
 
 
