@@ -143,6 +143,7 @@ def _peak(forces: Forces, faces: Faces, face: str, scales: tuple[float, float]) 
     bent = faces.spread[at] * scales[1]
     if face == "B" and bent > _DOUBT * value:
         doubts.append(f"the gauges of the receiving bar differ by {2.0 * bent / value:.0%} there")
+    if face == "B" and (bent > _DOUBT * value or faces.alone[1]):
         low, high = low - bent, high + bent
     return Peak(time=float(forces.time[at]), value=value, low=low, high=high, doubts=tuple(doubts))
 

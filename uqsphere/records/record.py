@@ -679,7 +679,12 @@ def _joined(record: Record, polarity: str) -> Record:
         spread = np.zeros(len(mean))
         if len(alive) > 1:
             rest = _rested(mean, record.step, name, record.time, None)
-            spread = 0.5 * np.ptp(gauges, axis=1) * known.all(axis=1)
+            both = np.asarray(known.all(axis=1))
+            spread = 0.5 * np.ptp(gauges, axis=1) * both
+            if not both[rest.wave.falling :].any():
+                # lost for good: what they differed by goes on, by nobody knows how much
+                alone[len(names)] = True
+                spread[~both] = spread.max()
             part = slice(rest.wave.foot, rest.wave.end + 1)
             bent = float(spread[part].max()) / rest.wave.peak
             changes.append(Change(step="gauges", signal=name, size=bent * rest.wave.peak,
@@ -737,14 +742,15 @@ def _alive(record: Record, bar: tuple[int, ...], polarity: str, changes: list[Ch
     if not found:
         raise RecordError(faults[0])
     found = _sound(record, found, faults, least)
-    largest = max(rest.wave.peak for _, rest in found)
-    for k, rest in found:
-        if rest.wave.peak < _DEAD * largest:
-            faults.append(f"{record.names[k]}: shows {rest.wave.peak / largest:.1%} of what its partner shows")
+    # the end of its range is not what a gauge shows
+    peaks = [min(rest.wave.peak, float(np.abs(rest.values[~record.held[:, k]]).max(initial=0.0))) for k, rest in found]
+    for (k, _), peak in zip(found, peaks, strict=True):
+        if peak < _DEAD * max(peaks):
+            faults.append(f"{record.names[k]}: shows {peak / max(peaks):.1%} of what its partner shows")
     for fault in faults:
         changes.append(Change(step="dead gauge", signal=fault.partition(":")[0],
                               text=f"{fault}: left out, the other gauges of the bar stand alone"))  # fmt: skip
-    return [(k, rest) for k, rest in found if rest.wave.peak >= _DEAD * largest]
+    return [one for one, peak in zip(found, peaks, strict=True) if peak >= _DEAD * max(peaks)]
 
 
 def _sound(record: Record, found: list[tuple[int, _Rested]], faults: list[str],
