@@ -16,6 +16,7 @@ import pytest
 
 import uqsphere
 from uqsphere.cli import main
+from uqsphere.study import shipped_studies
 
 STUDIES = Path(uqsphere.__file__).parent.parent / "studies"
 GRANITE = str(STUDIES / "granite.toml")
@@ -440,3 +441,12 @@ def test_nothing_is_written_beside_the_study(ask: Any, place: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in (place / "shipped").iterdir()}
     assert ask("check", "shipped/granite.toml").code == 0
     assert {path: path.stat().st_mtime_ns for path in (place / "shipped").iterdir()} == before
+
+
+def test_templates_are_listed_with_what_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "templates", "--json"]) == 0
+    found = {row["template"]: row["kind"] for row in json.loads(capsys.readouterr().out)}
+    assert set(found) == set(shipped_studies())
+    assert (found["blackbox"], found["limestone_chute_rotor"], found["granite"]) == (
+        "model of your own", "services", "impact",
+    )  # fmt: skip

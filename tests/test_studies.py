@@ -26,6 +26,7 @@ CASES: dict[str, tuple[tuple[str, ...], tuple[float, float]]] = {
     "granite_three_ways": (ROUGH, (2.74e9, 2.80e9)),
     "limestone_three_ways": (ROUGH, (0.9e9, 2.0e9)),
     "as_printed": (ROUGH, (3.2e9, 3.9e9)),
+    "blackbox": ((), (6.3e-3, 6.4e-3)),
     "ishigami": ((), (3.4, 3.6)),
     "gauge_records": (ROUGH, (2.2e9, 2.5e9)),
     "limestone_margin": (ROUGH, (1.3e7, 1.6e7)),
@@ -44,7 +45,7 @@ TWINS = ("granite", "limestone_three_ways")
 def small_run(name: str, folder: Path) -> dict[str, Any]:
     overrides, _ = CASES[name]
     study = uqsphere.load_study(STUDIES / f"{name}.toml", [*SMOKE, *overrides])
-    model = f"{STUDIES / 'ishigami.py'}:ishigami" if study.black_box else None
+    model = f"{STUDIES / name}.py:{'model' if name == 'blackbox' else name}" if study.black_box else None
     run = uqsphere.run(study, out=folder, model=model)
     if name not in TWINS:
         assert build_report(run.folder).stat().st_size < 3_000_000

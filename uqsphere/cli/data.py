@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import tomllib
 
 from uqsphere.console import print_document, screen_width, table
 from uqsphere.quantities import INPUTS, OUTPUTS, format_value
+from uqsphere.study import shipped_studies
 from uqsphere.units import UNITS
 
 #: what a list holds, an entry a line
@@ -109,6 +111,17 @@ def _criteria() -> tuple[Rows, str]:
     return content, table(("criterion", "demand", "unit", "takes", "range", "source"), rows, screen_width(), named=True)
 
 
+def _templates() -> tuple[Rows, str]:
+    """The studies that `uqsphere new` writes, each with its title."""
+    content: Rows = []
+    for name, path in shipped_studies().items():
+        given = tomllib.loads(path.read_text("utf-8"))
+        kind = "model of your own" if "inputs" in given else "services" if "service" in given else "impact"
+        content.append({"template": name, "kind": kind, "title": str(given.get("title", ""))})
+    rows = [(str(row["template"]), str(row["kind"]), str(row["title"])) for row in content]
+    return content, table(("template", "kind", "title"), rows, screen_width(), named=True)
+
+
 def command_list(chosen: argparse.Namespace) -> int:
     """What there is to choose from."""
     if chosen.what == "materials":
@@ -117,8 +130,10 @@ def command_list(chosen: argparse.Namespace) -> int:
         content, text = _models()
     elif chosen.what == "quantities":
         content, text = _quantity_rows(list(OUTPUTS))
-    else:
+    elif chosen.what == "criteria":
         content, text = _criteria()
+    else:
+        content, text = _templates()
     if chosen.json:
         print_document(content)
     else:

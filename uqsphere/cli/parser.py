@@ -59,7 +59,11 @@ def _add_studies(command: Command) -> None:
     """Commands that begin with a study."""
     new = command("new", "write a commented study to start from", "uqsphere.cli.studies")
     new.add_argument(
-        "template", nargs="?", default="granite", metavar="TEMPLATE", help="name of a shipped study (default: granite)"
+        "template",
+        nargs="?",
+        default="granite",
+        metavar="TEMPLATE",
+        help="a name of `uqsphere list templates` (default: granite)",
     )
     new.add_argument("-o", "--output", required=True, metavar="FILE", type=Path)
     _json(new)
@@ -254,7 +258,7 @@ def _add_fit(parser: argparse.ArgumentParser) -> None:
 def _add_others(command: Command) -> None:
     """What there is, and this installation."""
     listing = command("list", "what there is to choose from", "uqsphere.cli.data")
-    listing.add_argument("what", choices=("materials", "models", "quantities", "criteria"))
+    listing.add_argument("what", choices=("materials", "models", "quantities", "criteria", "templates"))
     _json(listing)
     bench = command("bench", "speed against error on this machine", "uqsphere.bench")
     bench.add_argument("--quick", action="store_true", help="fewer of everything: a minute instead of ten or more")

@@ -295,7 +295,15 @@ def _driver_tables(results: Results, length: int, decimals: int, width: int | No
             first = "-" if shared else _index(entry.first[name], decimals)
             rows.append((name, bar(order[name].number, length), total, first))
         if len(known) > _MOST:
-            rows.append((f"({len(known) - _MOST} more)", "", "", ""))
+            rest = len(known) - _MOST
+            rows.append(
+                (
+                    f"{rest} {'other' if rest == 1 else 'others'}",
+                    "",
+                    f"at most {_index(order[known[_MOST]], decimals)}",
+                    "",
+                )
+            )
     if not rows:
         return []
     if kinds == {"Shapley effect"}:
