@@ -179,10 +179,9 @@ def at_faces(record: Record, rig: Rig, *, begin: float | None = None, end: float
         Where waves overlap at a gauge, a part is missing, or fewer than 50 samples are left.
     """
     signals = record.strain.shape[1]
-    shared = signals == 2
     if signals not in (2, 3):
         raise RecordError(f"found {signals} signals; two (one gauge per bar) or three waves are due")
-    bar, step, length = rig.bar, record.step, len(record.strain)
+    bar, step, length, shared = rig.bar, record.step, len(record.strain), signals == 2
     delay = 2.0 * rig.incident_gauge / bar.wave_speed / step
     cut, tail = _incident(record, rig, delay if shared else math.inf, begin, end)
     # places of samples: the incident wave at its gauge, the reflected one there, the transmitted one at the other

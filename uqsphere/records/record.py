@@ -567,7 +567,7 @@ class _Rested:
     wave: Wave
 
 
-def _rested(values: Array, step: float, name: str, time: Array, changes: list[Change] | None) -> _Rested:
+def _rested(values: Array, step: float, name: str, time: Array, changes: list[Change]) -> _Rested:
     """A signal without its baseline and drift, told from the samples before its first wave.
 
     Raises
@@ -615,8 +615,7 @@ def _rested(values: Array, step: float, name: str, time: Array, changes: list[Ch
     offset, centre = float(quiet.mean()), float(place.mean())
     noise, memory, slope, slope_sd = _scatter(quiet, place)
     unsure = noise * math.sqrt(min(1.0, memory / len(quiet)))
-    line = np.full(len(values), offset)
-    reach = wave.end - centre
+    line, reach = np.full(len(values), offset), wave.end - centre
     if abs(offset) > 0.005 * wave.peak:
         told.append(Change(step="baseline", signal=name, size=offset,
                            text=f"{name}: a baseline of {offset * 1e6:.4g} microstrain is taken off"))  # fmt: skip
@@ -626,8 +625,7 @@ def _rested(values: Array, step: float, name: str, time: Array, changes: list[Ch
         told.append(Change(step="drift", signal=name, size=slope * reach,
                            text=f"{name}: a drift of {slope * reach * 1e6:.3g} microstrain up to the end of the wave "
                            "is taken off"))  # fmt: skip
-    if changes is not None:
-        changes += told
+    changes += told
     return _Rested(values=values - line, noise=noise, memory=memory, offset=unsure, wave=wave)
 
 
@@ -678,7 +676,7 @@ def _joined(record: Record, polarity: str) -> Record:
         rest = alive[0][1]
         spread = np.zeros(len(mean))
         if len(alive) > 1:
-            rest = _rested(mean, record.step, name, record.time, None)
+            rest = _rested(mean, record.step, name, record.time, [])
             both = np.asarray(known.all(axis=1))
             spread = 0.5 * np.ptp(gauges, axis=1) * both
             if not both[rest.wave.falling :].any():
