@@ -397,6 +397,7 @@ def test_a_folder_of_tests_in_one_call(clean: Made, tmp_path: Path, capsys: pyte
     with open(tmp_path / "out" / "tests.csv", encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["test"] for row in rows] == ["one.csv", "two.csv"]
+    assert {"diameter_mm", "force_kN", "modulus_GPa", "outcome"} < rows[0].keys()
     assert abs(float(rows[1]["force_kN"]) / float(rows[0]["force_kN"]) - 1.0) < 0.01
     assert "three.csv" in (tmp_path / "out" / "index.html").read_text("utf-8")
     page = (tmp_path / "out" / "two" / "sheet.html").read_text("utf-8")

@@ -434,8 +434,8 @@ def _folder(chosen: argparse.Namespace, study: Study | None, shot: Calibration |
         lines += [line] if line else []
     header = ("test", "largest force at B", "noted")
     if chosen.out is not None:
-        head = ["test", "diameter_mm", "force_kN", "force_low_kN", "force_high_kN", "stopped", "outcome", "absorbed_J",
-                "rate_kN_per_us", "doubted"]  # fmt: skip
+        head = ["test", "diameter_mm", "force_kN", "force_low_kN", "force_high_kN", "modulus_GPa", "stopped", "outcome",
+                "absorbed_J", "rate_kN_per_us", "doubted"]  # fmt: skip
         stems = [path.stem for path in paths]
         page = tests_page(chosen.record.name, header, rows, stems)
         written += _write(chosen.out, {"tests.csv": csv_text(head, lines), "index.html": page})
@@ -459,9 +459,11 @@ def _line(content: Mapping[str, object]) -> tuple[list[object], tuple[str, ...]]
     doubts = "; ".join(peak["doubts"])
     held = content["elastic_throughout"]
     outcome = "broke" if broke else "survived" if held else ""
+    modulus = content["reduced_modulus"]
     line = [content["file"], float(str(content["diameter"])) * 1e3, *(force[key] * 1e-3 for key in
-            ("value", "low", "high")), 1 if held else 0, outcome, energy["whole"]["absorbed"] if energy else "",
-            float(str(content["loading_rate"])) * 1e-9, doubts]  # fmt: skip
+            ("value", "low", "high")), modulus["value"] * 1e-9 if isinstance(modulus, dict) else "", 1 if held else 0,
+            outcome, energy["whole"]["absorbed"] if energy else "", float(str(content["loading_rate"])) * 1e-9,
+            doubts]  # fmt: skip
     changes = content["changes"]
     assert isinstance(changes, list)
     mended = sum(one["step"] not in ("read", "sign", "baseline", "gauges") for one in changes)
