@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 import uqsphere
+from uqsphere.black_box import model_digest
 from uqsphere.cli import main
 from uqsphere.errors import AccessError, FolderError, ModelError
 from uqsphere.store import open_store, read_json, write_atomically, write_json
@@ -262,11 +264,53 @@ def test_a_resumed_run_evaluates_nothing_again(tmp_path: Path, box_study: Study)
     box = Counted()
     first = uqsphere.run(box_study, out=tmp_path / "r", model=box)
     before = (tmp_path / "r" / "results.json").read_bytes()
-    box.refuses = True
+    once, box.rows = box.rows, 0
     again = uqsphere.run(box_study, out=tmp_path / "r", model=box)
     assert (tmp_path / "r" / "results.json").read_bytes() == before
     assert first.manifest.evaluations_reused == 0
-    assert again.manifest.evaluations_reused == box.rows == sum(first.results.model.evaluations.values())
+    # each time one row is evaluated once more, to see that it is the same
+    assert again.manifest.evaluations_reused == once - 1 == sum(first.results.model.evaluations.values())
+    assert box.rows == 1
+
+
+def test_a_model_that_is_not_deterministic_is_told_at_once(tmp_path: Path, box_study: Study) -> None:
+    generator = np.random.default_rng(1)
+    with pytest.raises(ModelError, match=r"not deterministic: the same row gives .* as 'y', at x1 = "):
+        uqsphere.run(box_study, out=tmp_path / "r", model=lambda x: {"y": generator.random(len(x["x1"]))})
+
+
+def test_what_a_model_reads_is_looked_at_when_a_run_goes_on(tmp_path: Path, box_study: Study) -> None:
+    """A table is no part of the digest: a stored row is evaluated again."""
+    table = {"slope": 2.0}
+
+    def model(x: dict[str, Any]) -> dict[str, Any]:
+        return {"y": table["slope"] * x["x1"] + x["x2"]}
+
+    uqsphere.run(box_study, out=tmp_path / "r", model=model)
+    table["slope"] = 2.1
+    with pytest.raises(FolderError, match="the stored answers are not those of the model as it is now: 'y' was"):
+        uqsphere.run(box_study, out=tmp_path / "r", model=model)
+    uqsphere.run(box_study, out=tmp_path / "r", model=model, fresh=True)
+
+
+@pytest.mark.parametrize("kind", ["closure", "default", "helper", "bound"])
+def test_numbers_from_outside_belong_to_a_model(kind: str) -> None:
+    class Bound:
+        def __call__(self, x: float) -> float:
+            return x
+
+    def made(slope: float) -> Any:
+        def helper(x: float) -> float:
+            return slope * x
+
+        return {
+            "closure": lambda x: slope * x,
+            "default": lambda x, slope=slope: slope * x,
+            "helper": lambda x: helper(x) + 1.0,
+            "bound": partial(Bound(), x=slope),
+        }[kind]
+
+    assert model_digest(made(1.0)) == model_digest(made(1.0)) != model_digest(made(2.0))
 
 
 def test_fresh_evaluates_everything_again(tmp_path: Path, box_study: Study) -> None:
@@ -288,7 +332,7 @@ def test_a_damaged_chunk_alone_is_evaluated_again(tmp_path: Path, box_study: Stu
     path.write_bytes(bytes(data))
     once, box.rows = box.rows, 0
     uqsphere.run(box_study, out=tmp_path / "r", model=box)
-    assert box.rows == rows < once
+    assert box.rows == rows + 1 < once
     assert (tmp_path / "r" / "results.json").read_bytes() == before
 
 

@@ -209,12 +209,13 @@ def where_raised(error: BaseException) -> str:
 
 
 def model_digest(model: str | BlackBox) -> str:
-    """What tells one black box from another: a digest of its file and function, or of the function's own source.
+    """What tells one black box from another: a digest of its file and function, or of the function's own source with
+    the values that it takes from outside: defaults, closures and globals, functions among them.
 
-    What the model reads or imports besides is not seen.
+    What the model reads or imports besides is not seen, nor lists, tables and objects, which may be counters or caches:
+    a run that is gone on with evaluates a stored row again for those.
     """
     import hashlib
-    import inspect
 
     if isinstance(model, str):
         path, name = checked_reference(model)
@@ -225,8 +226,47 @@ def model_digest(model: str | BlackBox) -> str:
         source = read_given(path, LARGEST_MODEL)
     else:
         name = f"{getattr(model, '__module__', '')}.{getattr(model, '__qualname__', type(model).__qualname__)}"
-        try:
-            source = inspect.getsource(model).encode()
-        except (OSError, TypeError):
-            source = b""
+        source = b"\0".join(_parts_of(model, set()))
     return hashlib.sha256(source + b"\0" + name.encode()).hexdigest()[:16]
+
+
+def _parts_of(value: object, seen: set[int]) -> Iterator[bytes]:
+    """What a model, or a value that one takes from outside, is made of: sources, and values that cannot change.
+
+    What can change (lists, tables, the attributes of an object, names that a function gives values to) may be a counter
+    or a cache, and is left out.
+    """
+    import dis
+    import functools
+    import inspect
+    from types import FunctionType, MethodType
+
+    if id(value) in seen:
+        return
+    seen.add(id(value))
+    if isinstance(value, (bool, int, float, complex, str, bytes, np.generic)):
+        yield repr(value).encode()
+    elif isinstance(value, np.ndarray):
+        yield f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes()
+    elif isinstance(value, tuple):
+        for part in value:
+            yield from _parts_of(part, seen)
+    elif isinstance(value, functools.partial):
+        yield from _parts_of((value.func, *value.args, *sorted(value.keywords.items())), seen)
+    elif isinstance(value, MethodType):
+        yield from _parts_of(value.__func__, seen)
+    elif isinstance(value, FunctionType):
+        with contextlib.suppress(OSError, TypeError):
+            yield inspect.getsource(value).encode()
+        outside = inspect.getclosurevars(value)
+        counters = {
+            step.argval for step in dis.get_instructions(value) if step.opname in ("STORE_DEREF", "STORE_GLOBAL")
+        }
+        for name, part in sorted({**outside.globals, **outside.nonlocals}.items()):
+            if name in counters:
+                continue
+            yield name.encode()
+            yield from _parts_of(part, seen)
+        yield from _parts_of((*(value.__defaults__ or ()), *(value.__kwdefaults__ or {}).items()), seen)
+    elif callable(value) and isinstance(getattr(type(value), "__call__", None), FunctionType):  # noqa: B004
+        yield from _parts_of(type(value).__call__, seen)

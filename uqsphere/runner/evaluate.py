@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.black_box import BlackBox
-from uqsphere.errors import TooManyFailures
+from uqsphere.errors import FolderError, ModelError, TooManyFailures
 from uqsphere.mechanics.fidelity import Fallback
 from uqsphere.model import (
     ROUTE_ASKED,
@@ -22,9 +22,10 @@ from uqsphere.model import (
     Answered,
     is_answered,
     status_text,
+    where_of,
 )
 from uqsphere.results import Results, SpeedRow
-from uqsphere.runner.chunks import chosen_columns, collect
+from uqsphere.runner.chunks import Gathered, chosen_columns, collect
 from uqsphere.runner.remote import Task
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.runner.workers import Engine
@@ -45,6 +46,10 @@ MANY, BY_CHANCE = 1000, 0.025
 NONE_ANSWERED = 1000
 
 
+#: relative difference at which half of the digits of a double agree: the root of its rounding
+_HALF_OF_THE_DIGITS = float(np.sqrt(np.finfo(float).eps))
+
+
 class OutOfBudget(Exception):
     """The next piece of work would pass the budget of evaluations or of time."""
 
@@ -55,7 +60,8 @@ class Ledger:
 
     `undecided` counts rows with two possible answers, `fallback` rows that a cheaper fidelity left to `full`;
     `note` is what the first failure said; `parts` has the evaluations of each part of the run, by fidelity; `rows` are
-    those of the speed-error table, `times` the seconds at which each was known.
+    those of the speed-error table, `times` the seconds at which each was known; `repeated`: one row of a black box was
+    evaluated twice.
     """
 
     evaluations: dict[str, int] = field(default_factory=dict)
@@ -71,6 +77,7 @@ class Ledger:
     note: str = ""
     rows: list[SpeedRow] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
+    repeated: bool = False
 
     @property
     def total(self) -> int:
@@ -213,6 +220,8 @@ def evaluate_points(
         By the study's failure policy.
     OutOfBudget
         When the time is over, or the run interrupted, before all is evaluated; what is done so far stays stored.
+    ModelError, FolderError
+        Where a black box answers one row in two ways, now or since it was stored.
     """
     fidelity = fidelity or work.fidelity
     task = task_of(work, names, fidelity)
@@ -247,9 +256,46 @@ def evaluate_points(
         raise OutOfBudget
     answered = found.answered
     if work.study.black_box:
+        if isinstance(work.store, Store) and not ledger.repeated:
+            _repeat_one(work, work.store, task, rows, found)
         answered = chosen_columns(answered, task.columns, work.quantities)
     _account(work, fidelity, answered)
     return answered
+
+
+def _repeat_one(work: Work, store: Store, task: Task, rows: Array, found: Gathered) -> None:
+    """Evaluate one answered row of a black box once more, which is not counted: a stored one where some are.
+
+    Half of the digits must agree: a model in vector arithmetic may round a row by itself otherwise than among others.
+    """
+    known = np.flatnonzero(is_answered(found.answered.status))
+    if known.size == 0:
+        return
+    work.ledger.repeated = True
+    row = rows[known[:1]]
+
+    def once() -> Array:
+        again = collect(task, row, "again", store=None, engine=work.engine, box=work.black_box, threads=1,
+                        go_on=lambda: True, tell=lambda done: None)  # fmt: skip
+        return np.asarray(again.answered.values[0])
+
+    def same(a: Array, b: Array) -> bool:
+        return bool(np.allclose(a, b, rtol=_HALF_OF_THE_DIGITS, atol=0.0, equal_nan=True))
+
+    first, now = found.answered.values[known[0]], once()
+    if same(first, now):
+        return
+    if found.reused == 0 or not same(now, once()):
+        raise ModelError(
+            f"the model is not deterministic: the same row gives {first[0]:.6g} and {now[0]:.6g} as "
+            f"{task.columns[0]!r}, {where_of(task.names, row[0])}; give it a generator with a seed of its own, made in "
+            "every call"
+        )
+    raise FolderError(
+        f"{store.folder}: the stored answers are not those of the model as it is now: {task.columns[0]!r} was "
+        f"{first[0]:.6g} and is {now[0]:.6g}, {where_of(task.names, row[0])}; what it reads or imports has changed, "
+        "and --fresh drops what is stored"
+    )
 
 
 def evaluate_whole(work: Work, key: str, rows: Array) -> Answered | str:
