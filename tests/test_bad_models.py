@@ -17,10 +17,7 @@ from uqsphere.cli import main
 from uqsphere.cli.watch import Progress, Silence
 from uqsphere.errors import ModelError, ModelRaised, UsageError
 from uqsphere.model import answer_black_box
-from uqsphere.report.chapters import measure_heading
-from uqsphere.report.claims import Claim, first_to_measure, measure_claim
-from uqsphere.report.terminal import summary_of
-from uqsphere.results import MeasureEntry, Results
+from uqsphere.results import MeasureEntry
 from uqsphere.runner.campaign import NO_NUMBER, Cost, cost_of, out_of_reach
 from uqsphere.runner.questions.indices import lost_designs
 from uqsphere.study import Study, load_study
@@ -100,11 +97,6 @@ def test_what_failed_evaluations_leave_open_is_not_promised(tmp_path: Path) -> N
     assert "would reach it" not in quantiles[0]
 
 
-def test_the_terminal_says_what_is_left_without_the_failed(tmp_path: Path) -> None:
-    text = " ".join(summary_of(Results.model_validate(run(failing(0.2), tmp_path / "r")), 80).split())
-    assert "20 % of all: mean, standard deviation and indices are those of the others" in text
-
-
 # --- scale ----------------------------------------------------------------------------------------------
 
 
@@ -147,28 +139,8 @@ def _row(name: str, value: float, error: float) -> dict[str, Any]:
     return {"input": name, "sway": sway, "share": 0.5, "tests": 2, "observations": None}
 
 
-def _claim(entry: MeasureEntry) -> Claim:
-    claim = measure_claim("limits.high", entry)
-    assert claim is not None
-    return claim
-
-
 def _measured(*rows: dict[str, Any]) -> MeasureEntry:
     return MeasureEntry.model_validate({"of": "probability", "wanted": 0.1, "rows": rows})
-
-
-def test_an_input_that_does_nothing_is_not_worth_measuring() -> None:
-    """Of inputs that do nothing one has the largest sway all the same."""
-    entry = _measured(_row("d", 0.02, 0.01), _row("a", -0.01, 0.01))
-    assert first_to_measure(entry) is None
-    assert "No input is worth measuring" in _claim(entry).text
-    assert measure_heading("“high”", measure_claim("high", entry)) == "What to measure first for “high”"
-    entry = _measured(_row("d", 0.05, 0.03), _row("a", 0.04, 0.001))
-    found = first_to_measure(entry)
-    assert found is not None
-    assert found.input == "a"
-    assert _claim(entry).text.startswith("Measure a first")
-    assert measure_heading("“high”", measure_claim("high", entry)).endswith(": a")
 
 
 # --- models that raise, end, or never come back ---------------------------------------------------------

@@ -18,9 +18,6 @@ import uqsphere
 from tests.campaigns.coverage import coverage_models, expensive_rows
 from uqsphere.cli import main
 from uqsphere.errors import StudyError, TooManyFailures, UsageError
-from uqsphere.report.phrases import without_failed
-from uqsphere.report.terminal import summary_of
-from uqsphere.results import Results
 from uqsphere.runner import evaluate as work
 from uqsphere.runner import remote
 from uqsphere.runner.campaign import Cost, cost_of, indices_missed
@@ -208,34 +205,6 @@ MIXED = (
 
 def both(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {"y": ishigami(x), "z": chequered(x)}
-
-
-def test_a_rough_output_leaves_the_others_their_surrogates(study_from: Callable[..., Study], tmp_path: Path) -> None:
-    found = uqsphere.run(study_from("analysis.budget.evaluations=600", text=MIXED), out=tmp_path / "r", model=both)
-    results = found.results.document()
-    assert results["plan"]["way"] == "surrogate"
-    assert results["plan"]["why"].startswith("the surrogate is too rough (z: refused")
-    assert "): the 592 runs are sampled; surrogates answer y" in results["plan"]["why"]
-    told = without_failed(found.results)
-    assert told.startswith("of y mean, standard deviation and indices are those of a surrogate")
-    assert "; of the rest mean, standard deviation and indices are those of the others" in told
-    y, z = results["quantities"]["y"]["mean"], results["quantities"]["z"]["mean"]
-    assert y["method"].startswith("surrogate")
-    assert y["evaluations"] < z["evaluations"]
-    assert holds(y, TRUTH.mean)
-    assert holds(z, 4.0)
-    assert results["sensitivity"]["y"]["total"]["x1"]["value"] == pytest.approx(TRUTH.total[0], abs=0.01)
-    assert results["sensitivity"]["z"]["total"]["x1"]["value"] is None
-    assert results["limits"]["high"]["miss"]["method"].startswith("surrogate")
-    assert results["limits"]["rough"]["miss"]["evaluations"] == z["evaluations"]
-    missed = results["accuracy"]["missed"]
-    assert missed
-    assert not [text for text in missed if text.startswith(("y:", "limit high:"))]
-    # each by its own half-width at the rate of independent runs, none by one forecast for all
-    means = [text for text in missed if text.startswith("z: mean")]
-    assert "evaluations would reach it" in means[0]
-    told = {row["quantity"] for row in results["speed_error"] if row["evaluations"] == z["evaluations"]}
-    assert {"z", "limits.rough"} <= told
 
 
 def test_several_outputs_that_are_too_rough_are_told_as_several(
@@ -502,9 +471,6 @@ def test_rows_without_an_answer_are_left_out_where_the_study_says_so(ask) -> Non
     assert results["model"]["failures"] > 0
     # that of the rows with an answer is 0.02 pi: the surrogate goes on where the others have none
     assert abs(results["quantities"]["y"]["mean"]["value"]) < 0.002 * np.pi
-    text = " ".join(summary_of(Results.model_validate(results), 80).split())
-    assert "indices are those of a surrogate fitted to the others, which goes on where the model has no answer" in text
-    assert "another matter than the whole model's" not in text
     overrides = ("analysis.on_failure='bound'", "analysis.budget.evaluations=100")
     assert ask(without(0.1), *overrides, out="b").results.plan.way == "sampling"
     # few rows hold more than 1 % by chance, and not so many

@@ -12,8 +12,8 @@ import pytest
 from scipy import stats
 
 import uqsphere
-from uqsphere.report.terminal import summary_of
-from uqsphere.results import Results
+from uqsphere.report.brief import make_brief
+from uqsphere.report.contents import read_contents
 from uqsphere.runner.api import run
 from uqsphere.study import load_study
 from uqsphere.study.study import Study
@@ -406,18 +406,18 @@ def ran(folder: Path, count: int) -> tuple[dict[str, Any], str]:
     results = dict(
         uqsphere.run(study, out=folder / "r", model=lambda rows: {"y": rows["a"] + rows["b"]}).results.document()
     )
-    return results, " ".join(summary_of(Results.model_validate(results), 80).split())
+    return results, " ".join(caution.text for caution in make_brief(read_contents(folder / "r")).cautions)
 
 
 def test_two_observations_leave_open_what_cannot_be_told(tmp_path: Path) -> None:
     results, text = ran(tmp_path, 2)
-    assert "y: what the tests leave open (a: 2) is not in its intervals: 2 observations do not tell" in text
+    assert "The answers on y rest on 2 tests of a: 2 observations do not tell" in text
     assert results["warnings"]
 
 
 def test_eight_observations_leave_open_what_student_says(tmp_path: Path) -> None:
     results, text = ran(tmp_path, 8)
-    assert "y: what the tests leave open (a: 8) puts its mean between" in text
+    assert "The answers on y rest on 8 tests of a: they leave its mean open from" in text
     values = np.arange(1.0, 9.0)
     half = float(stats.t(7).ppf(0.975)) * float(np.std(values, ddof=1)) / 8.0**0.5
     assert results["quantities"]["y"]["ignorance"]["mean"] == pytest.approx([4.5 - half, 4.5 + half], abs=0.2 * half)

@@ -12,8 +12,6 @@ from scipy.special import ndtr, ndtri
 
 import uqsphere
 from uqsphere.report import build_report
-from uqsphere.report.contents import read_contents
-from uqsphere.report.margins import margin_verdicts
 from uqsphere.study import ENERGY
 from uqsphere.uq.curve import fit_lognormal_curve, interpolate_rows
 from uqsphere.uq.whatif import root
@@ -168,32 +166,6 @@ def test_a_curve_that_is_not_monotone(tmp_path: Path) -> None:
     found = run_box(tmp_path, hump)
     assert all("not monotone" in e["reason"] for e in found["margins"]["a"]["values"].values())
     assert build_report(tmp_path / "r").stat().st_size > 10_000
-
-
-def test_tests_of_the_strength_open_the_answer(tmp_path: Path) -> None:
-    drawn = 1.5 * np.exp(0.2 * np.random.default_rng(4).standard_normal(12))
-    rows = "\n".join(f"{min(x, 1.8):.6f},{int(x > 1.8)}" for x in drawn)
-    (tmp_path / "t.csv").write_text(f"s,stop\n{rows}\n")
-    fitted = '{ dist = "empirical", file = "t.csv", column = "s", fit = "lognormal", censored = "stop" }'
-    entry = run_box(
-        tmp_path, changes=(('{ dist = "lognormal", log_mean = 0.4054651081081644, log_sd = 0.2 }', fitted),)
-    )["margins"]["a"]
-    opened, value = entry["ignorance"], entry["value"]["value"]
-    assert opened["tests"] == 12
-    assert opened["stopped"] == int((drawn > 1.8).sum()) > 0
-    assert opened["low"] < opened["sure"] < value < opened["high"]
-    assert entry["split"]["ignorance"] > 10.0 * entry["split"]["numerical"]
-    assert entry["more_tests"]["to_know_the_value"] > 0
-    build_report(tmp_path / "r")
-    (verdict,) = margin_verdicts(read_contents(tmp_path / "r"))
-    assert "at most" in verdict.lines[0]
-    assert "95 % sure" in verdict.lines[0]
-    assert "by the law fitted to the 12 tests" in verdict.lines[1]
-    assert "lost to" in " ".join(verdict.lines[2:])
-    assert (
-        "would settle" in verdict.lines[-1] or "settle with 95 %" in verdict.lines[-1] or "close" in verdict.lines[-1]
-    )
-    assert (tmp_path / "r" / "figures" / "strength-a.svg").is_file()
 
 
 def test_a_curve_costs_little_more_than_a_point() -> None:

@@ -10,23 +10,18 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from report_folders import estimate, limit, put, write_folder
-from test_page_agrees import headings, solved
+from report_folders import estimate, limit, put
+from test_page_agrees import solved
 
-from uqsphere.report.assumptions import check_name
 from uqsphere.report.blocks import Table
-from uqsphere.report.chapters import swings_heading
-from uqsphere.report.claims import measure_claim
 from uqsphere.report.contents import Contents, read_contents, subject_of
-from uqsphere.report.drivers import given_failure_table, measure_table
+from uqsphere.report.drivers import given_failure_table
 from uqsphere.report.figures.convergence import _legend_names, _ticks
 from uqsphere.report.figures.fragility import family_figure
-from uqsphere.report.margins import margin_verdicts, parts_table
-from uqsphere.report.page import build_report, new_environment, unbroken
-from uqsphere.report.phrases import law_name, mathematical, outward, probability_range
+from uqsphere.report.page import new_environment, unbroken
+from uqsphere.report.phrases import mathematical, outward, probability_range
 from uqsphere.report.tables import _part_row
-from uqsphere.report.verdict import cautions, glances, verdicts
-from uqsphere.results import MeasureEntry, PartEntry, read_results
+from uqsphere.results import PartEntry, read_results
 from uqsphere.runner.questions.curves import METHOD
 
 ROOT = Path(__file__).parents[1]
@@ -92,16 +87,6 @@ def test_a_narrow_axis_has_several_ticks_and_none_on_another() -> None:
         assert all(math.log10(b / a) > 0.04 * (high - low) for a, b in pairwise(ticks))
 
 
-def test_a_heading_has_one_colon(tmp_path: Path) -> None:
-    folder = solved(tmp_path, whole=limit(0.0075, 0.01, True))
-    assert all(heading.count(":") <= 1 for heading in headings(folder))
-    contents = read_contents(folder)
-    assert (
-        swings_heading(contents, "p_max", "sphere.E")
-        == "How far each input moves p_max: Young's modulus of the sphere furthest"
-    )
-
-
 @pytest.mark.parametrize(("low", "high"), [(3.14e-7, 0.0010382), (0.012, 0.0123), (0.99883, 0.9999997), (0.0, 1.0)])
 def test_a_range_is_never_printed_narrower_than_it_is(low: float, high: float) -> None:
     first, last = outward(low, high)
@@ -109,27 +94,6 @@ def test_a_range_is_never_printed_narrower_than_it_is(low: float, high: float) -
     assert last >= high * (1.0 - 1e-6)
     assert outward(first, last) == pytest.approx((first, last), rel=1e-9)
     assert probability_range(low, high) == probability_range(first, last)
-
-
-def test_how_far_below_the_target_follows_from_what_is_printed(tmp_path: Path) -> None:
-    told = {**limit(4.5e-5, 0.01, True), "ignorance": {
-        "miss": [3.14e-7, 0.0010382], "met": True, "alone": {},
-        "from": [{"input": "limits.x.strength", "tests": 20}]}}  # fmt: skip
-    contents = read_contents(write_folder(tmp_path, limits={"x": told}))
-    line = verdicts(contents)[0].lines[1]
-    assert "3.1 × 10⁻⁷ to 0.11 % (95 %), at least 9.0 times below the target" in line
-
-
-def test_the_two_medians_of_a_margin_are_told_apart(tmp_path: Path) -> None:
-    contents = _margined(tmp_path, medians=1.4643)
-    table = parts_table(contents, "whole")
-    assert table is not None
-    assert "is the middle of strength over demand taken case by case; 1.46 is the middle strength" in table.note
-    same = contents.results.limits["whole"].margin["median"].value
-    contents = put(contents, {"results/margins/whole/factors/medians": same})
-    table = parts_table(contents, "whole")
-    assert table is not None
-    assert "case by case" not in table.note
 
 
 def _margined(tmp_path: Path, medians: float) -> Contents:
@@ -143,47 +107,6 @@ def _broken(name: str, warning: float) -> dict[str, Any]:
             "worst": 2.0, "text": f"in {100 * warning:g} % of the scenes something"}  # fmt: skip
 
 
-def test_what_a_broken_check_does_is_said_once(tmp_path: Path) -> None:
-    contents = read_contents(solved(tmp_path, whole=limit(0.0075, 0.01, True)))
-    there = {"value": 1.0, "samples": 128, "checks": [_broken("bar_yield_contact", 0.5)]}
-    planned = [_broken("bar_yield_contact", 0.1)]
-    contents = put(contents, {"results/validity": planned, "results/margins/whole/validity": there})
-    page = " ".join(cautions(contents))
-    assert page.count("dent widens the contact") == 1
-    assert "as planned: the bars yield under the sphere (10 % of the samples), to the same effect" in page
-    valid = next(g.answer for g in glances(contents) if g.question == "Model valid?")
-    assert valid.startswith("With warnings: the bars yield under the sphere, as planned and at ")
-    # how often, and to what effect, stands in the cautions alone
-    assert "%" not in valid
-    assert "dent" not in valid
-
-
-def test_what_the_bars_stand_is_said_once(tmp_path: Path) -> None:
-    contents = read_contents(solved(tmp_path, whole=limit(0.0075, 0.01, True), second=limit(0.0075, 0.01, True)))
-    bars = {"yield_strength": 1.9e9, "contact_everywhere": "elastic", "pulse_value": 97.5,
-            "contact": None, "contact_probability": 0.01}  # fmt: skip
-    contents = put(contents, {f"results/margins/{name}/bars": bars for name in contents.results.margins})
-    lines = [line for verdict in margin_verdicts(contents) for line in verdict.lines]
-    assert sum("The bars (yield strength" in line for line in lines) == 1
-
-
-def test_tests_are_counted_in_all_everywhere() -> None:
-    row = {
-        "input": "limits.x.strength",
-        "tests": 1692,
-        "observations": 20,
-        "sway": estimate(1.8e-4, 1e-6),
-        "share": 0.98,
-    }
-    entry = MeasureEntry.model_validate({"of": "probability", "wanted": 0.1, "probability": 4.45e-5, "rows": [row]})
-    claim = measure_claim("limits.x", entry)
-    assert claim is not None
-    assert "after 1\u202f692 tests of it in all, 1\u202f672 more than there are, if only" in claim.text
-    table = measure_table(entry, "c")
-    assert table is not None
-    assert table.header[-1].startswith("tests in all until")
-
-
 def test_formulas_have_the_signs_of_print() -> None:
     from uqsphere.mechanics.criteria import CRITERIA
     from uqsphere.mechanics.validity import RULES
@@ -193,23 +116,6 @@ def test_formulas_have_the_signs_of_print() -> None:
     for text in texts:
         assert not re.search(r"sqrt|<=|>=|\^\d|\+-|\brho\b|\bnu\b", mathematical(text))
     assert mathematical("n = (sway/(0.1 p))^2, 2.6e-09 +- 1") == "n = (sway/(0.1 p))², 2.6 × 10⁻⁹ ± 1"
-
-
-def test_names_are_written_as_people_write_them() -> None:
-    assert (law_name("weibull"), law_name("student_t"), law_name("normal")) == ("Weibull", "Student’s t", "normal")
-    assert check_name("quasi_static_sphere") == "quasi-static sphere"
-    assert unbroken("the bars' ends, Young's \"steels, 1976\"") == "the bars’ ends, Young’s “steels, 1976”"
-
-
-def test_paper_names_the_figure_that_may_stand_on_the_next_page(tmp_path: Path) -> None:
-    page = build_report(solved(tmp_path, whole=limit(0.0075, 0.01, True))).read_text("utf-8")
-    captions = [int(number) for number in re.findall(r"<figcaption>Figure (\d+)\.", page)]
-    named = [int(number) for number in re.findall(r'<span class="paper"> \(Figure (\d+)\.\)</span>', page)]
-    assert captions == sorted(captions)
-    assert named
-    assert set(named) <= set(captions)
-    # no axis or legend of a figure has a typed apostrophe
-    assert "oung's" not in page.partition("<nav")[2]
 
 
 def test_marks_of_a_family_stand_at_the_probabilities_asked_for(tmp_path: Path) -> None:

@@ -58,12 +58,13 @@ def command_report(chosen: argparse.Namespace) -> int:
 
 def command_show(chosen: argparse.Namespace) -> int:
     """The answers of a run as a table."""
+    from uqsphere.report.contents import read_contents
     from uqsphere.report.terminal import summary_of
     from uqsphere.runner.finished import open_run
 
     with _believed(chosen.folder):
         found = open_run(chosen.folder)
-        text = summary_of(found.results)
+        text = "" if chosen.json else summary_of(read_contents(found.folder))
     if chosen.json:
         print_document(found.results.document())
     else:

@@ -38,7 +38,7 @@ def _seconds(text: str | None) -> float | None:
 def command_run(chosen: argparse.Namespace) -> int:
     """Run a study and write its report."""
     from uqsphere.report import build_report
-    from uqsphere.report.phrases import SUBJECTS, shortfalls
+    from uqsphere.report.contents import read_contents
     from uqsphere.report.terminal import summary_of
 
     study = load_study(chosen.study, chosen.overrides)
@@ -49,12 +49,12 @@ def command_run(chosen: argparse.Namespace) -> int:
     if sys.stderr.isatty():
         say("writing the report")
     page = build_report(found.folder)
-    for text in shortfalls(found.results.accuracy.missed, SUBJECTS):
-        say(f"accuracy not reached: {text}")
+    if missed := len(found.results.accuracy.missed):
+        say(f"accuracy not reached in {missed} {'place' if missed == 1 else 'places'}: the report has what was asked")
     if chosen.json:
         print_document(found.results.document())
     else:
-        print(summary_of(found.results))
+        print(summary_of(read_contents(found.folder)))
         print(f"\nreport: {page}")
     if interrupted:
         # what is there has been told; the command line says how to go on

@@ -65,60 +65,39 @@ def thousands(number: float) -> str:
     return f"{number:,.0f}".replace(",", "\u202f")
 
 
-# --- What a page is made of: chapters of blocks, each a heading with its finding, picture, table and remarks.
+# --- What a page is made of: chapters of blocks, each a heading with its picture, table and remarks.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
-    """A heading with its finding, picture, table and remarks; what is absent is left out.
+    """A heading with its picture, table and remarks; what is absent is left out.
 
-    `appendix` moves the table to the end of the page, with links there and back; `files` are the files of the
-    result folder that hold the numbers; `kind` is the style of the table: "notes" has a last column of text,
-    "checks notes" grades in the second, "brief" a short last column.
+    `files` are the files of the result folder that hold the numbers; `kind` is the style of the table: "notes" has a
+    last column of text, "checks notes" grades in the second, "brief" a short last column.
     """
 
     heading: str
-    finding: str = ""
     picture: Picture | None = None
     table: Table | None = None
     remarks: tuple[str, ...] = ()
-    appendix: bool = False
     files: tuple[str, ...] = ()
     kind: str = ""
 
     @property
     def empty(self) -> bool:
         """Whether there is nothing under the heading."""
-        return not (self.finding or self.picture or self.table or self.remarks)
+        return not (self.picture or (self.table and self.table.rows) or self.remarks)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Chapter:
-    """A part of the page: its anchor, its heading, its words in the list of contents, its blocks, a last remark.
+    """A part of the page: its anchor, its heading, its blocks, a last remark.
 
     An annex is closed on the screen until it is asked for, and printed in full reports alone.
     """
 
     anchor: str
     heading: str
-    short: str
     blocks: tuple[Block, ...]
     remark: str = ""
     annex: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class Verdict:
-    """One answer: `word` is that of a limit (`LimitEntry.word`), or answer; `lines` are its three lines."""
-
-    word: str
-    heading: str
-    lines: tuple[str, ...]
-    note: str = ""
-
-    @property
-    def mark(self) -> str:
-        """A sign beside the colour."""
-        return {"met": "✓", "not met": "✗", "undecided": "?", "not established": "?", "no target": "○"}.get(
-            self.word, ""
-        )

@@ -7,7 +7,7 @@ tell two ways of breaking apart.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
@@ -15,28 +15,32 @@ from typing import Final
 import numpy as np
 
 from uqsphere.quantities import OUTPUTS, display_unit, reading_units
+from uqsphere.report.cautions import Caution, cautions, deciding_limits
 from uqsphere.report.contents import Contents, law_of, units_of
 from uqsphere.report.figures.canvas import shorten
-from uqsphere.report.phrases import breaks, limit_name, plain_percent, short_input, unit_text
+from uqsphere.report.phrases import (
+    breaks,
+    capital,
+    limit_name,
+    listed,
+    plain_percent,
+    share,
+    short_input,
+    two,
+    unit_text,
+)
 from uqsphere.results import NO_RIG, LimitEntry, Results
 from uqsphere.results.margins import MarginEntry
-from uqsphere.results.verdicts import AssumedEntry, JudgedEntry
+from uqsphere.results.verdicts import JudgedEntry
 from uqsphere.study.axis import limit_of, strength_name
 
-#: words of the brief for where a sphere breaks, by `uqsphere.units.Quantity.place`, and how its curve is drawn
+#: the ways of breaking by the place where each begins, `uqsphere.quantities.Quantity.place`, as `study.ways` calls them
 PLACES: Final = {
     "contact": "Contact pressure",
-    "rim": "Edge crack",
-    "core": "Core splitting",
+    "rim": "Ring crack",
+    "core": "Core tension",
     "below": "Shear below contact",
-    "": "Energy",
-}
-#: where the ways of breaking that are judged by default break
-_PLACE_OF_WAY: Final = {
-    "contact pressure": "contact",
-    "ring crack": "rim",
-    "core tension": "core",
-    "fracture energy": "",
+    "": "Fracture energy",
 }
 #: numbers that are solved for, and drivers, in as few words as tell them
 _AXES: Final = {"striker.speed": "striker speed", "rig.speed": "speed", "rig.drop_height": "drop",
@@ -50,6 +54,10 @@ _RULED_OUT: Final = 0.05
 _FAIR: Final = 0.7
 #: fewest spheres that are asked for: of fewer, one odd sphere or one blow that went wrong would decide
 _FEWEST: Final = 5
+#: more tests than these nobody makes for the last digit of a number
+_MOST_TESTS: Final = 200
+#: spheres that are struck at most to tell ways of breaking apart
+_MOST_SPHERES: Final = 20
 #: most answers and cautions on a sheet
 _ANSWERS, _CAUTIONS = 3, 3
 
@@ -112,12 +120,19 @@ class Answer:
     tests: tuple[tuple[float, float], ...] = ()
     left_whole: int = 0
     made_up: bool = False
+    fracture: bool = True
     checks: tuple[str, ...] = ()
 
     @property
     def level(self) -> float | None:
         """The share broken at the target."""
         return None if self.target is None else self.target if self.aim == "survive" else 1.0 - self.target
+
+    @property
+    def group(self) -> str:
+        """What stands above its ways of breaking where there are several answers."""
+        name = self.service[:1].upper() + self.service[1:] or ("To survive" if self.aim == "survive" else "To break")
+        return name + (": share left whole" if self.aim == "break" else "")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,41 +144,59 @@ class Brief:
     drivers: tuple[tuple[str, float], ...]
     driven: str
     measure: tuple[str, str] | None
-    cautions: tuple[str, ...]
+    cautions: tuple[Caution, ...]
+    model: str
     footer: str
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """The ways of breaking of all answers."""
+        return tuple(mode for answer in self.answers for mode in answer.modes)
+
+    @property
+    def force_unit(self) -> tuple[str, float]:
+        """The unit in which the forces read well, and what a newton is in it."""
+        large = max((mode.force for mode in self.modes if mode.force is not None), default=0.0) >= 1000.0
+        return ("kN", 1e-3) if large else ("N", 1.0)
+
+    @property
+    def forces(self) -> bool:
+        """Whether force and energy of any way are known."""
+        return any(mode.force is not None for mode in self.modes)
+
+    @property
+    def asked(self) -> str:
+        """Where force and energy of the ways are taken: at the targets, or where a share breaks."""
+        shown = [(answer, mode) for answer in self.answers for mode in answer.modes if mode.force is not None]
+        if all(answer.target is not None for answer, _ in shown):
+            return "at the target"
+        shares = {mode.asked for _, mode in shown if mode.asked is not None}
+        return f"where {plain_percent(next(iter(shares)))} break" if len(shares) == 1 else "at the smallest share asked"
+
+    @property
+    def legend(self) -> tuple[str, ...]:
+        """What the signs of the ways mean, as far as they are used."""
+        used = (
+            (f"* {self.asked}", self.forces),
+            ("† strength assumed", any(mode.assumed for mode in self.modes)),
+        )
+        return tuple(text for text, seen in used if seen)
+
+    @property
+    def fracture(self) -> bool:
+        """Whether the limits mean fracture, which those of a black box do not."""
+        return all(answer.fracture for answer in self.answers)
+
+    @property
+    def first_cautions(self) -> tuple[str, ...]:
+        """As many as stand on the sheet, of those that move an answer; the page has all."""
+        # that tests are made up stands among the reasons already
+        told = any(answer.made_up and answer.reasons for answer in self.answers)
+        found = [caution.text for caution in self.cautions if caution.moves and not (told and caution.made_up)]
+        return tuple(found[: _CAUTIONS if len(self.answers) < 2 else _CAUTIONS - 1])
 
 
 # --- numbers --------------------------------------------------------------------------------------------------
-
-
-def two(value: float, digits: int = 2) -> str:
-    """Two digits, without powers of ten where people would not use them.
-
-    >>> two(0.6627), two(13.4), two(148.0), two(0.0998), two(1.996)
-    ('0.66', '13', '150', '0.10', '2.0')
-    """
-    if value == 0.0 or not math.isfinite(value):
-        return f"{value:g}"
-    places = digits - 1 - math.floor(math.log10(abs(value)))
-    shown = round(value, places)
-    places = digits - 1 - math.floor(math.log10(abs(shown)))
-    return f"{shown:.{max(places, 0)}f}" if abs(shown) < 1e6 else f"{shown:.1e}"
-
-
-def share(value: float, target: float | None = None) -> str:
-    r"""A share in per cent with two digits; three where two would equal the target though the number does not.
-
-    >>> [share(p, 0.01).replace("\u00a0", " ") for p in (0.0020161, 0.010494, 4e-5, 0.99996, 0.147)]
-    ['0.20 %', '1.05 %', 'under 0.1 %', 'over 99.9 %', '15 %']
-    """
-    if value < 1e-3:
-        return "under 0.1\u00a0%" if value > 0.0 else "0\u00a0%"
-    if value > 0.999:
-        return "over 99.9\u00a0%"
-    text = two(100.0 * value)
-    if target is not None and text == two(100.0 * target) and abs(value - target) > 1e-9 * target:
-        text = two(100.0 * value, 3)
-    return f"{text}\u00a0%"
 
 
 def span(values: Sequence[float], *, safe_is_low: bool = True) -> str:
@@ -201,32 +234,37 @@ def share_span(values: Sequence[float], target: float | None) -> tuple[str, str]
 def make_brief(contents: Contents) -> Brief:
     """The brief of a finished run."""
     results, parts = contents.results, _parts(contents)
-    answers = tuple(_all_answers(parts))[:_ANSWERS]
+    answers = _told_once(tuple(_all_answers(parts))[:_ANSWERS])
+    called = {(answer.service, mode.limit): mode.name for answer in answers for mode in answer.modes if mode.limit}
     drivers, driven = next((found for part in parts.values() if (found := _drivers(part.results))[0]), ((), ""))
     manifest = contents.manifest
     rows = sum(sum(part.results.model.evaluations.values()) for part in parts.values())
     chosen = ", ".join(dict.fromkeys(part.results.model.chosen for part in parts.values()))
-    footer = " · ".join(
-        text
-        for text in (
-            str(results.study.hash)[:8],
-            str(manifest.finished)[:10],
-            f"uqsphere {results.versions.get('uqsphere', '')}".strip(),
-            "user’s model" if contents.black_box else f"impact model ({chosen})",
-            f"{rows:,} rows".replace(",", "\u202f"),
-            "strength integrated" if any(part.results.limits for part in parts.values()) else "",
-        )
-        if text
-    )
+    kind = "user’s model" if contents.black_box else f"impact model ({chosen})"
+    model = [kind, f"{rows:,} rows".replace(",", "\u202f")]
+    version = f"uqsphere {results.versions.get('uqsphere', '')}".strip()
+    footer = [str(results.study.hash)[:8], str(manifest.finished)[:10], version, *model]
     return Brief(
         title=shorten(str(results.study.title), 200) or "Untitled study",
         answers=answers,
         drivers=drivers,
-        driven=shorten(driven, 40),
+        driven=shorten(next((name for (_, limit), name in called.items() if limit == driven), driven), 40).lower(),
         measure=_next_measurement(parts, answers),
-        cautions=tuple(shorten(text, 220) for text in _cautions(parts, answers))[:_CAUTIONS],
-        footer=footer,
+        cautions=tuple(cautions(parts, called)),
+        model=" · ".join(model),
+        footer=" · ".join(text for text in footer if text),
     )
+
+
+def _told_once(answers: tuple[Answer, ...]) -> tuple[Answer, ...]:
+    """The answers without reasons that one before them gives in the same words, as far as another one is left."""
+    said: set[str] = set()
+    found = []
+    for answer in answers:
+        fresh = tuple(reason for reason in answer.reasons if reason not in said)
+        said |= set(answer.reasons)
+        found.append(replace(answer, reasons=fresh or answer.reasons))
+    return tuple(found)
 
 
 def _parts(contents: Contents) -> dict[str, Contents]:
@@ -241,15 +279,9 @@ def _all_answers(parts: dict[str, Contents]) -> Iterator[Answer]:
             yield from _answers(part, name, several=len(parts) > 1)
 
 
-def _deciding(results: Results, names: Iterable[str]) -> list[str]:
-    """Those of some limits that mean fracture; all of them where none does, as in a black box."""
-    found = list(names)
-    return [name for name in found if breaks(results, name)] or found
-
-
 def _leading(results: Results) -> str | None:
     """The limit of the study itself that is most likely missed, of those that mean fracture."""
-    names = _deciding(results, results.limits)
+    names = deciding_limits(results)
     known = {n: v for n in names if (v := results.limits[n].miss.value) is not None}
     return max(known, key=lambda name: known[name]) if known else next(iter(names), None)
 
@@ -270,8 +302,16 @@ def _answers(contents: Contents, service: str, *, several: bool) -> Iterator[Ans
 def _quantity_answers(contents: Contents) -> Iterator[Answer]:
     for name, entry in contents.results.quantities.items():
         unit, factor = display_unit(name)
-        median = entry.quantiles.get("0.5")
-        if median is None or median.value is None:
+        mean, median = entry.mean, entry.quantiles.get("0.5", entry.mean)
+        median = median if median.value is not None else mean
+        words = OUTPUTS[name].meaning if name in OUTPUTS else shorten(name, 40)
+        question = f"{words[:1].upper()}{words[1:]}{', median' if contents.resolved.random else ''}"
+        if median.value is None:
+            why = shorten(str(median.reason or mean.reason or ""), 120)
+            yield Answer(
+                question=question, big="not known", unit="", note=f"{capital(why)}.", second=None, verdict="",
+                reasons=(), vetoed=False, target=None, aim="survive", modes=(), axis=None,
+            )  # fmt: skip
             continue
         ends = [entry.quantiles[p].value for p in ("0.05", "0.95") if p in entry.quantiles]
         told = [value * factor for value in ends if value is not None]
@@ -328,7 +368,7 @@ def _limit_answer(contents: Contents, group: dict[str, LimitEntry], service: str
     """The answer of limits with one aim: their ways of breaking are its rivals."""
     results = contents.results
     margins = results.margins
-    deciding = {name: group[name] for name in _deciding(results, group)}
+    deciding = {name: limit for name, limit in group.items() if name in deciding_limits(results)} or group
     # the target of one limit holds for all that stand beside it without one
     first = next((limit for limit in deciding.values() if limit.target is not None), next(iter(deciding.values())))
     level = None if first.target is None else first.target if first.aim == "survive" else 1.0 - first.target
@@ -336,10 +376,14 @@ def _limit_answer(contents: Contents, group: dict[str, LimitEntry], service: str
     modes = [mode if level is None else _at_level(mode, level) for mode in modes]
     carried = tuple(value for limit in deciding.values() for value in _carried(limit))
     judged = next((v for v in results.verdicts if (v.aim, v.target) == (first.aim, first.target)), None)
-    modes += [_assumed(way) for way in judged.judged if way.assumed] if judged is not None else []
+    modes += (
+        [_assumed(way, survive=first.aim == "survive") for way in judged.judged if way.assumed]
+        if judged is not None
+        else []
+    )
     if judged is not None:
         modes += [
-            Mode(limit=n, name=n, place="", miss=None, reason=f"not judged: {why}")
+            Mode(limit="", name=capital(n), place="", miss=None, reason=f"not judged: {why}")
             for n, why in judged.not_judged.items()
         ]
     modes.sort(key=lambda mode: -(mode.miss if mode.miss is not None else -1.0))
@@ -351,8 +395,8 @@ def _limit_answer(contents: Contents, group: dict[str, LimitEntry], service: str
         axis=_axis(contents, next((margins[n] for n in deciding if n in margins), None)),
         checks=tuple(_check(name, limit) for name, limit in group.items() if name not in deciding),
     )  # fmt: skip
-    fracture = any(breaks(results, name) for name in deciding)
-    return _with_tests(contents, _worded(answer, fracture=fracture, several=several))
+    answer = replace(answer, fracture=any(breaks(results, name) for name in deciding))
+    return _with_tests(contents, _worded(answer, several=several))
 
 
 def _at_level(mode: Mode, level: float) -> Mode:
@@ -378,7 +422,7 @@ def _check(name: str, limit: LimitEntry) -> str:
     return f"{limit_name(name, 30)} {'missed' if limit.aim == 'break' else 'exceeded'}: {often}{word}"
 
 
-def _worded(answer: Answer, *, fracture: bool, several: bool) -> Answer:
+def _worded(answer: Answer, *, several: bool) -> Answer:
     """The answer with its question, its large number and what stands beside it."""
     axis, target, survive, service = answer.axis, answer.target, answer.aim == "survive", answer.service
     solved = [v * axis.factor for v in solved_for(answer)] if axis else []
@@ -395,9 +439,9 @@ def _worded(answer: Answer, *, fracture: bool, several: bool) -> Answer:
             question=f"{'Highest' if survive else 'Least'} {axis.words}{of} ({must})",
             big=span(solved, safe_is_low=survive),
             unit=axis.unit,
-            note=planned + (f"Best estimate {two(best * axis.factor)} {axis.unit}." if best is not None else ""),
+            note=planned + (f"Best estimate {two(best * axis.factor)} {axis.unit}." if best and survive else ""),
         )
-    broken = ("Share broken" if survive else "Share left whole") if fracture else "Share beyond the limit"
+    broken = ("Share broken" if survive else "Share left whole") if answer.fracture else "Share beyond the limit"
     at = f" at the planned {given(axis)}" if axis and axis.planned else ""
     big, unit = share_span(misses, target) if misses else ("not known", "")
     second = None
@@ -406,22 +450,22 @@ def _worded(answer: Answer, *, fracture: bool, several: bool) -> Answer:
         where = "at the target" if target is not None else f"where {plain_percent(next(iter(asked)))} break"
         words = f"{axis.words[:1].upper()}{axis.words[1:]} {where}"
         value = f"{span(solved, safe_is_low=survive)}\u00a0{axis.unit}"
-        second = (words, value, "by way of breaking" if len(answer.modes) > 1 else "")
+        second = (words, value, _by(answer))
     return replace(answer, question=f"{broken}{at}{of}", big=big, unit=unit, note=allowed, second=second)
+
+
+def _by(answer: Answer) -> str:
+    """By which ways the number was solved for, where not all that are judged have one."""
+    known = [mode.name.lower() for mode in answer.modes if mode.at_target is not None]
+    lacking = any(m.at_target is None and m.miss is not None and m.miss > (answer.target or 0.0) for m in answer.modes)
+    if lacking:
+        return f"by {listed(known)} alone"
+    return "by way of breaking" if len(known) > 1 else ""
 
 
 def solved_for(answer: Answer) -> list[float]:
     """The numbers solved for, by every way of breaking, what is 95 % sure, and every carrier (SI)."""
     return [*(v for mode in answer.modes for v in (mode.at_target, mode.sure) if v is not None), *answer.carried]
-
-
-def asked_note(answers: Sequence[Answer]) -> str:
-    """Where force and energy of the ways of breaking are taken: at the targets, or where a share breaks."""
-    shown = [(answer, mode) for answer in answers for mode in answer.modes if mode.force is not None]
-    if all(answer.target is not None for answer, _ in shown):
-        return "at the target"
-    shares = {mode.asked for _, mode in shown if mode.asked is not None}
-    return f"where {plain_percent(next(iter(shares)))} break" if len(shares) == 1 else "at the smallest share asked"
 
 
 def _carried(limit: LimitEntry) -> list[float]:
@@ -431,12 +475,14 @@ def _carried(limit: LimitEntry) -> list[float]:
     return [float(e.value) for e in limit.carried.by_carrier().values() if e.value is not None]
 
 
-def _assumed(way: JudgedEntry) -> Mode:
+def _assumed(way: JudgedEntry, *, survive: bool) -> Mode:
     """A way of breaking whose strength is the library's."""
     low, high = way.range or (None, None)
+    miss = way.miss.value
+    broken = miss if miss is None or survive else 1.0 - miss
     return Mode(
-        limit="", name=f"{way.name[:1].upper()}{way.name[1:]}, assumed", place=_PLACE_OF_WAY.get(way.name, "rim"),
-        miss=way.miss.value, low=low, high=high, broken=way.miss.value, at_target=way.answer, assumed=True,
+        limit="", name=capital(way.name), place=next((p for p, n in PLACES.items() if n == capital(way.name)), "rim"),
+        miss=miss, low=low, high=high, broken=broken, at_target=way.answer, assumed=True,
         curve=tuple((float(x), float(p)) for x, p in way.curve),
     )  # fmt: skip
 
@@ -494,8 +540,14 @@ def _drivers(results: Results) -> tuple[tuple[tuple[str, float], ...], str]:
 
 def _largest(shares: dict[str, float]) -> tuple[tuple[str, float], ...]:
     order = sorted(shares, key=lambda n: -shares[n])[:2]
-    words = {n: "strength" if limit_of(n) else _DRIVERS.get(n) or shorten(short_input(n), 40) for n in order}
-    return tuple((words[n], float(shares[n])) for n in order if shares[n] > 0.005)
+    return tuple((_driver(n), float(shares[n])) for k, n in enumerate(order) if shares[n] > (0.02 if k else 0.005))
+
+
+def _driver(name: str) -> str:
+    """An input in a word or two: a strength, a model factor, or a number of the scene."""
+    if limit_of(name):
+        return name.rpartition(".")[2].replace("_", " ")
+    return _DRIVERS.get(name) or shorten(short_input(name), 40)
 
 
 def _next_measurement(parts: dict[str, Contents], answers: Sequence[Answer]) -> tuple[str, str] | None:
@@ -513,7 +565,7 @@ def _next_measurement(parts: dict[str, Contents], answers: Sequence[Answer]) -> 
 
 def _of_strength(results: Results) -> tuple[str, str] | None:
     """How many tests settle a target or give the value, or what to measure for a probability."""
-    deciding = _deciding(results, results.limits)
+    deciding = deciding_limits(results)
     for name in deciding:
         limit = results.limits[name]
         settle = limit.tests_to_settle
@@ -525,7 +577,7 @@ def _of_strength(results: Results) -> tuple[str, str] | None:
         if more and more.to_settle:
             said = f"They settle the target of {shorten(name, 30)}, if they fall as those before."
             return f"{int(more.to_settle)} more tests of strength", said
-        if more and more.to_know_the_value and more.known_to:
+        if more and more.to_know_the_value and more.known_to and more.to_know_the_value <= _MOST_TESTS:
             said = f"They give the value to {plain_percent(float(more.known_to))}."
             return f"{int(more.to_know_the_value)} tests of strength", said
     leading = _leading(results)
@@ -533,93 +585,52 @@ def _of_strength(results: Results) -> tuple[str, str] | None:
     if not entry or not entry.rows:
         return None
     row = entry.rows[0]
-    what = "strength" if limit_of(row.input) else _DRIVERS.get(row.input) or shorten(short_input(row.input), 40)
-    return f"{row.tests} tests of {what}", "What is assumed of it moves the share broken most."
+    if row.tests > _MOST_TESTS:
+        return None
+    return f"{row.tests} tests of {_driver(row.input)}", "What is assumed of it moves the answer most."
 
 
 def _between_rivals(answer: Answer) -> tuple[str, str] | None:
-    """How many spheres, struck where, rule out the harsher ways of breaking, while the milder leaves them whole."""
-    curves = {m.name: m for m in answer.modes if len(m.curve) > 3}
-    if answer.axis is None or len(curves) < 2:
-        return None
-    grid = np.unique(np.concatenate([[x for x, _ in m.curve] for m in curves.values()]))
-    table = {name: np.interp(grid, [x for x, _ in m.curve], [p for _, p in m.curve]) for name, m in curves.items()}
-    middle = {name: float(np.interp(0.5, p, grid)) for name, p in table.items() if p[0] < 0.5 < p[-1]}
-    if len(middle) < 2:
-        return None
-    mild = max(middle, key=lambda n: middle[n])
-    rivals = [n for n in middle if n != mild and middle[n] < middle[mild] / _SAME]
-    if not rivals:
-        return None
-    harsh = np.max([table[n] for n in rivals], axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        count = np.ceil(np.log(_RULED_OUT) / np.log1p(-np.clip(harsh, 1e-12, 1.0 - 1e-12)))
-    count = np.maximum(count, _FEWEST)
-    chance = (1.0 - table[mild]) ** count
-    if not (chance >= _FAIR).any():
-        return None
-    # the fewest spheres, and of as many where the milder way most likely leaves them whole
-    best = int(np.argmin(np.where(chance >= _FAIR, count - chance, np.inf)))
-    spheres, where = int(count[best]), f"{two(float(grid[best]) * answer.axis.factor)} {answer.axis.unit}"
-    out = [n for n in rivals if (1.0 - table[n][best]) ** spheres <= _RULED_OUT]
-    names = " and ".join(n.lower().removesuffix(", assumed") for n in out[:2])
-    said = f"None broken rules out {names} (95 % sure)."
-    return f"{spheres} spheres at {where}", said
+    """How many spheres, struck where, rule out the harsher ways of breaking, while the mildest leaves them whole.
 
-
-def _cautions(parts: dict[str, Contents], answers: Sequence[Answer]) -> Iterator[str]:
-    """What moves the answers most, the largest first: assumptions, then what few tests leave open, then checks."""
-    named = [(answer, mode) for answer in answers for mode in answer.modes if mode.limit]
-    found: list[tuple[float, str]] = []
-    for answer, mode in named:
-        own = " ".join(text for text in (answer.service, mode.name.lower() if answer.service else mode.name) if text)
-        limit = parts[answer.service].results.limits[mode.limit]
-        found += [(moved, f"{own}: {text}" if len(named) > 1 else text) for moved, text in _moved(limit)]
-    yield from dict.fromkeys(f"{text[:1].upper()}{text[1:]}" for _, text in sorted(found, key=lambda one: -one[0]))
-    for part in parts.values():
-        for check in part.results.validity:
-            if check.share_failure + check.share_warning > 0.01:
-                yield check.text[:1].upper() + check.text[1:].rstrip(".") + "."
-
-
-def _moved(limit: LimitEntry) -> Iterator[tuple[float, str]]:
-    """How far other assumptions, and few tests, move the probability of missing an aim, in log odds, and in words.
-
-    Of what is assumed in one way, such as several Weibull moduli, what moves it furthest is told.
+    The mildest is one whose strength the study has.  Ways without a curve count where the study stands.  Of all places
+    where at most `_MOST_SPHERES` do, that which rules out most ways; then the fewest spheres; then the surest of none.
     """
-    miss, target = limit.miss.value, limit.target
-    if miss is None:
-        return
-    furthest: dict[str, tuple[float, str]] = {}
-    for entry in limit.assumed:
-        other = entry.miss.value
-        if other is None or share(other) == share(miss):
-            continue
-        crosses = target is not None and (other > target) != (miss > target)
-        moved = abs(_log_odds(other) - _log_odds(miss)) + (1e3 if crosses else 0.0)
-        if moved > max(math.log(_SAME), furthest.get(entry.assumption, (0.0, ""))[0]):
-            over = ", over target" if crosses and other > miss else ""
-            furthest[entry.assumption] = moved, f"{share(other, target)} {_assumption(entry)}{over}."
-    yield from furthest.values()
-    if limit.ignorance.known and limit.ignorance.fitted:
-        high = float(limit.ignorance.miss[1])
-        if high > miss and share(high) != share(miss):
-            tests = sum(entry.tests for entry in limit.ignorance.fitted)
-            yield abs(_log_odds(high) - _log_odds(miss)), f"{tests} tests leave up to {share(high, target)} open."
+    axis, known = answer.axis, [mode for mode in answer.modes if mode.broken is not None]
+    own = [mode for mode in known if not mode.assumed]
+    if axis is None or answer.aim != "survive" or not own:
+        return None
+    mild = min(own, key=lambda mode: mode.broken or 0.0)
+    rivals = [mode for mode in known if mode is not mild]
+    places = sorted({x for mode in known for x, _ in mode.curve} | ({axis.planned} if axis.planned else set()))
+    best: tuple[tuple[float, float, float], float, list[Mode]] | None = None
+    for x in places:
+        base = _broken_at(mild, axis, x)
+        harsh = {m.name: p for m in rivals if (p := _broken_at(m, axis, x)) is not None and p > _SAME * (base or 0.0)}
+        for least in sorted(set(harsh.values())) if base is not None else ():
+            count = max(math.ceil(math.log(_RULED_OUT) / math.log1p(-min(least, 1.0 - 1e-12))), _FEWEST)
+            chance = (1.0 - (base or 0.0)) ** count
+            if count > _MOST_SPHERES or chance < _FAIR:
+                continue
+            out = [m for m in rivals if harsh.get(m.name, 0.0) >= least]
+            score = (float(len(out)), -float(count), chance)
+            if best is None or score > best[0]:
+                best = score, x, out
+    if best is None:
+        return None
+    (_, fewest, _), where, out = best
+    names = " and ".join(mode.name.lower() for mode in out[:3])
+    said = f"None broken rules out {names} (95 % sure)."
+    place = (
+        f"the planned {given(axis)}" if where == axis.planned else f"{two(where * axis.factor)} {axis.unit}".rstrip()
+    )
+    return f"{-fewest:.0f} spheres at {place}", said
 
 
-def _log_odds(p: float) -> float:
-    p = min(max(p, 1e-12), 1.0 - 1e-12)
-    return math.log(p / (1.0 - p))
-
-
-def _assumption(entry: AssumedEntry) -> str:
-    """What is put in place of what is assumed of a strength."""
-    taken, instead = entry.taken, entry.instead
-    if entry.assumption == "dependence":
-        return "if strength and stiffness are independent"
-    if isinstance(taken, str) or isinstance(instead, str) or taken is None or instead is None:
-        return f"with a {instead} strength, not {taken}"
-    if entry.assumption == "modulus":
-        return f"with Weibull modulus {instead:.2g}, not {taken:.2g}"
-    return f"with {100.0 * instead:.2g} % scatter of strength, not {100.0 * taken:.2g} %"
+def _broken_at(mode: Mode, axis: Axis, x: float) -> float | None:
+    """The share that a way breaks at a value of the free scalar; None where it is not known."""
+    if axis.planned is not None and x == axis.planned:
+        return mode.broken
+    if len(mode.curve) < 2 or not mode.curve[0][0] <= x <= mode.curve[-1][0]:
+        return None
+    return float(np.interp(x, [v for v, _ in mode.curve], [p for _, p in mode.curve]))

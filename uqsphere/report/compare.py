@@ -24,13 +24,12 @@ from pydantic import Field
 
 from uqsphere.console import plain, screen_width, table, wrap, writable
 from uqsphere.quantities import display_unit, lookup, reading_units, unit_that_reads
-from uqsphere.report.assumptions import instead_text
 from uqsphere.report.blocks import Block, Table
+from uqsphere.report.cautions import assumption
 from uqsphere.report.contents import read_contents
 from uqsphere.report.figures.canvas import Picture, inline, render, shorten
 from uqsphere.report.figures.compare import (
     Change,
-    density_finding,
     density_picture,
     fragility_picture,
     index_picture,
@@ -181,7 +180,7 @@ def _limit_answers(name: str, limit: LimitEntry) -> Iterator[_Answer]:
     missing = "probability of missing the aim"
     yield own(statistic=missing, chance=True, estimate=limit.miss)
     for row in limit.assumed:
-        yield own(statistic=f"{missing} {instead_text(row)}", chance=True, estimate=row.miss)
+        yield own(statistic=f"{missing} {assumption(row)}", chance=True, estimate=row.miss)
     if limit.aim == "break":  # else it is the same number
         yield own(statistic="probability of exceeding the strength", estimate=limit.exceedance)
     for key, estimate in limit.margin.items():
@@ -532,19 +531,19 @@ def write_page(before: Path, after: Path, found: Comparison, out: Path) -> Path:
     contents = read_contents(before), read_contents(after)
     shared = [name for name in contents[0].results.quantities if name in contents[1].results.quantities]
     laws = [
-        Block(heading=begin(name, call(name)), finding=density_finding(*contents, name),
-              picture=density_picture(*contents, name), table=_table(found, "quantities", name))
+        Block(heading=begin(name, call(name)), picture=density_picture(*contents, name),
+              table=_table(found, "quantities", name))
         for name in shared
     ]  # fmt: skip
     indices = [
-        Block(heading=symbol(name), finding=picture.finding if picture else "", picture=picture,
+        Block(heading=symbol(name), picture=picture,
               table=_table(found, "sensitivity", name))
         for name in shared
         if name in contents[0].results.sensitivity and name in contents[1].results.sensitivity
         for picture in (index_picture(*contents, name),)
     ]  # fmt: skip
     margins = [
-        Block(heading=f"Fragility of {limit_name(name)}", finding=picture.finding if picture else "", picture=picture,
+        Block(heading=f"Fragility of {limit_name(name)}", picture=picture,
               table=_table(found, "margins", f"limits.{name}"))
         for name in contents[0].results.margins
         if name in contents[1].results.margins
@@ -657,7 +656,7 @@ def _page(found: Comparison, parts: Mapping[str, list[Block]]) -> str:
             headline=headline(found),
             boxes=_limits(found),
             causes=causes,
-            moved=Block(heading="What moved", finding=moved.finding, picture=moved) if moved else None,
+            moved=Block(heading="What moved", picture=moved) if moved else None,
             limits=_table(found, "limits", ""),
             parts=parts,
             runs=runs,

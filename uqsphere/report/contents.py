@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +21,7 @@ from uqsphere.results.sliders import Sliders
 from uqsphere.runner.samples import read_points
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.store import read_json
-from uqsphere.study.axis import quantity_of
+from uqsphere.study.axis import quantity_of, strength_name
 from uqsphere.uq.families import ALL, Family, LawError
 from uqsphere.uq.law import Law, make_law
 
@@ -38,7 +40,8 @@ class Contents:
 
     `resolved` is study.resolved.json; `samples` are by quantity, `failed` the share of the sampled rows that
     have no answer; `points` are the inputs of the rows that have one (n,), in SI; `courses` is courses.json, where
-    forces were followed over time; `services` are the contents of the services' own folders.
+    forces were followed over time; `services` are the contents of the services' own folders; `tests` are the tests
+    behind strengths, by their names: how many, what they measured, in which file.
     """
 
     results: Results
@@ -52,6 +55,7 @@ class Contents:
     #: the randomisation that each row belongs to (n,), and what its page may move
     replicates: Array = field(default_factory=lambda: np.zeros(0))
     sliders: Sliders | None = None
+    tests: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def black_box(self) -> bool:
@@ -102,8 +106,34 @@ def stored_law(found: LawTable, name: str) -> Law:
         raise FolderError(f"study.resolved.json is damaged: {name}: {error}") from error
 
 
-def read_contents(folder: Path) -> Contents:
-    """Everything stored that the report shows.
+def _tests_of(folder: Path) -> dict[str, str]:
+    """The tests that the study file names for its strengths: how many, what they measured with its range and unit."""
+    found: dict[str, str] = {}
+    try:
+        limits = tomllib.loads((folder / "study.toml").read_text("utf-8")).get("limits", {})
+        for name, limit in limits.items():
+            table = limit.get("strength", {})
+            if not isinstance(table, dict) or "file" not in table:
+                continue
+            key = next((key for key in ("force", "energy", "column") if key in table), "")
+            with open(folder / table["file"], newline="", encoding="utf-8") as file:
+                values = [float(row[table[key]]) for row in csv.DictReader(file) if row.get(table.get(key, ""), "")]
+            unit = str(table.get(f"{key}_unit", table.get("unit", "")))
+            what = {"force": "failure force", "energy": "energy at failure"}.get(key, str(table.get(key)))
+            ends = f"{min(values):.3g} to {max(values):.3g} {unit}".rstrip()
+            found[strength_name(name)] = f"{len(values)} tests ({what} {ends}, {Path(table['file']).name})"
+        for name, limit in limits.items():
+            same = isinstance(limit.get("strength"), dict) and limit["strength"].get("same_as")
+            if same in found:
+                found[strength_name(name)] = found[same]
+    except (OSError, ValueError, KeyError, AttributeError, TypeError):
+        # a folder whose study is told without its file still has its answers
+        return found
+    return found
+
+
+def read_contents(folder: Path, tests: Mapping[str, str] | None = None) -> Contents:
+    """Everything stored that the report shows; a service has the tests of the study that it belongs to.
 
     Raises
     ------
@@ -116,11 +146,13 @@ def read_contents(folder: Path) -> Contents:
     strange += [name for name in results.inputs if name not in resolved.random]
     if strange:
         raise FolderError(f"{folder / 'results.json'} is not that of the study beside it: {strange[0]!r}")
-    services = {name: read_contents(folder / "services" / name) for name in results.services}
+    tests = _tests_of(folder) if tests is None else tests
+    services = {name: read_contents(folder / "services" / name, tests) for name in results.services}
     if results.rig == NO_RIG:
         return Contents(
-            results=results, manifest=manifest, resolved=resolved, samples={}, failed=0.0, services=services
-        )
+            results=results, manifest=manifest, resolved=resolved, samples={}, failed=0.0, services=services,
+            tests=tests,
+        )  # fmt: skip
     inputs, quantities, rows = read_points(folder)
     d, q = len(inputs), len(quantities)
     good = rows[:, -1] == 0.0
@@ -144,6 +176,7 @@ def read_contents(folder: Path) -> Contents:
         services=services,
         replicates=(np.arange(len(rows)) * min(REPLICATES, len(rows)) // max(len(rows), 1))[good],
         sliders=read_entry(folder / "sliders.json", Sliders) if (folder / "sliders.json").is_file() else None,
+        tests=tests,
     )
 
 

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from uqsphere.report.blocks import Table, cell, index_cell, thousands
-from uqsphere.report.claims import _side, specimens
 from uqsphere.report.contents import Contents
 from uqsphere.report.phrases import (
     ABSENT,
-    absent_reason,
-    capital,
     input_name,
     limit_name,
-    listed,
     number_text,
     powers,
     symbol,
     two_digits,
     value_text,
 )
-from uqsphere.results import IndexEntry, LimitEntry, MeasureEntry, SharesEntry
+from uqsphere.results import IndexEntry, MeasureEntry, MeasureRow, SharesEntry
 from uqsphere.results.entries import Est, Ests
 
 if TYPE_CHECKING:
@@ -35,6 +31,51 @@ def _by_value(table: Ests) -> list[str]:
 def _known(table: Ests | None) -> list[str]:
     """Names with a value, the largest first."""
     return [name for name in _by_value(table or {}) if (table or {})[name].value is not None]
+
+
+# --- the order of inputs, and how often to measure them ------------------------------------------------
+
+
+def ranked(entry: IndexEntry | None) -> list[str]:
+    """Inputs with an index, the most important first: by the total index where interactions are seen."""
+    if not entry:
+        return []
+    known = [n for n, e in entry.total.items() if e.value is not None and entry.first[n].value is not None]
+    order = entry.total if any(_interacts(entry, name) for name in known) else entry.first
+    return sorted(known, key=lambda name: -float(order[name].value or 0.0))
+
+
+def _interacts(entry: IndexEntry, name: str) -> bool:
+    """Whether the total index is larger than the first by more than the intervals and by what matters."""
+    first, total = entry.first[name], entry.total[name]
+    return _exceeds(entry, name) and total.number - first.number > 0.01
+
+
+def _exceeds(entry: IndexEntry, name: str) -> bool:
+    """Whether the total index is larger than the first by more than the intervals."""
+    first, total = entry.first[name], entry.total[name]
+    return first.high is not None and total.low is not None and bool(total.low > first.high)
+
+
+def specimens(entry: MeasureEntry, row: MeasureRow) -> int | None:
+    """Specimens after which the mean of an input leaves the smaller side of a probability known as wanted.
+
+    What is stored counts to a tenth, say, of the probability itself: of one near 1 any single specimen tells that,
+    and nothing is learnt about how near it is.
+
+    >>> row = MeasureRow(input="x", tests=1, share=1.0, sway=Est.of(1.83149e-4))
+    >>> specimens(MeasureEntry(of="probability", wanted=0.1, probability=1.0 - 4.45344e-5), row)
+    1692
+    """
+    p, sway = entry.probability, row.sway.value
+    if entry.of != "probability" or p is None or not 0.5 < p < 1.0 or sway is None:
+        return row.tests
+    return max(1, math.ceil((float(sway) / (float(entry.wanted) * (1.0 - float(p)))) ** 2))
+
+
+def _side(entry: MeasureEntry) -> str:
+    """Of which probability a tenth, say, is to be known."""
+    return "the probability to the contrary" if (entry.probability or 0.0) > 0.5 else "the probability"
 
 
 # --- quantities -----------------------------------------------------------------------------------------
@@ -84,16 +125,6 @@ def distances_table(contents: Contents, quantity: str) -> Table | None:
     )
 
 
-def distances_finding(contents: Contents, quantity: str) -> str:
-    """Which input moves the whole law of a quantity most; empty where that is not known."""
-    delta = contents.results.sensitivity.get(quantity, IndexEntry()).delta
-    names = _known(delta)
-    if not names:
-        return ""
-    words = capital(input_name(names[0])) if names[0] != input_name(names[0]) else names[0]
-    return f"{words} moves the whole law of {symbol(quantity)} most: Borgonovo’s δ is {index_cell(delta[names[0]])}."
-
-
 # --- failure --------------------------------------------------------------------------------------------
 
 
@@ -110,33 +141,6 @@ def failure_table(contents: Contents, name: str) -> Table | None:
         return None
     rows = tuple((input_name(n), index_cell(entry.first.get(n)), index_cell(entry.total[n])) for n in names)
     return Table(caption=caption, header=("input", "first (alone)", "total (with interactions)"), rows=rows)
-
-
-def told_from_none(estimate: Est) -> bool:
-    """Whether an index is above zero by more than its interval."""
-    return estimate.low is None or float(estimate.low) > 0.0
-
-
-def failure_finding(contents: Contents, name: str) -> str:
-    """Which input drives failure, or why that is not known."""
-    entry = contents.results.limits[name].drivers
-    table = entry.shapley or entry.total or {}
-    names = _known(table)
-    if not names:
-        reason = next((absent_reason(e) for e in table.values()), "nothing was computed")
-        return f"What drives missing the aim is not known: {reason}."
-    kind = "Shapley effect" if entry.shapley else "total index"
-    largest = f"{input_name(names[0])} ({kind} {index_cell(table[names[0]])})"
-    whole = entry.of == "missing the aim"
-    text = f"What drives it most: {largest}." if whole else f"Of the model’s inputs, what moves it most: {largest}."
-    if not told_from_none(table[names[0]]):
-        text = f"No input is told from one that does nothing; the largest index is that of {largest}."
-    explained = entry.explained.value
-    if explained is None or explained >= 0.9999:
-        return text
-    who = "The model’s inputs" if whole else "All of them"
-    share = two_digits(explained)
-    return f"{text} {who} together decide {share} of whether the aim is missed, the rest is left to the strength."
 
 
 def given_failure_table(contents: Contents, name: str) -> Table | None:
@@ -246,86 +250,18 @@ def design_table(contents: Contents, name: str) -> Table | None:
     )
 
 
-def mostly_missed(limit: LimitEntry) -> bool:
-    """Whether the aim of a limit is missed in more than half of the cases."""
-    return bool((limit.miss.value or 0.0) > 0.5)
-
-
-def design_finding(contents: Contents, name: str) -> str:
-    """What the search for the design point found, in sentences."""
-    limit = contents.results.limits[name]
-    reason = limit.design_point_reason
-    if not limit.design_point:
-        return f"No design point: {reason}." if reason else ""
-    # where most samples miss the aim the point lies on the way to those that keep it
-    which = "keep" if mostly_missed(limit) else "miss"
-    text = f"Of all combinations of inputs that {which} the aim this is the likeliest; factors are its squared "
-    text += "direction cosines in standard normal space."
-    if (limit.design_points or 0) > 1:
-        text += f" {limit.design_points} such points were found, of which this is the nearest."
-    return text
-
-
 # --- Which way an input works on the load and on breakage, said where the two differ.
 
-#: an interval of an index that is narrower shows as a line
-_VISIBLE: Final = 0.004
 
-
-def tied_inputs(contents: Contents, limit: str) -> list[tuple[str, float | None]]:
-    """Inputs that the strength of a limit depends on, with their rank correlation where it is one number."""
-    own = f"limits.{limit}.strength"
-    found = []
-    for group in contents.resolved.dependence:
-        if own in group.of:
-            rank = group.spearman if group.spearman is not None else group.kendall
-            found += [(name, rank) for name in group.of if name != own]
-    return found
-
-
-def measure_remarks(contents: Contents, name: str, kind: str) -> tuple[str, ...]:
-    """That a change of an input is told with the strength left where it was; none where they are independent."""
-    names = [n for n, _ in tied_inputs(contents, name)] if kind == "limits" else []
-    if not names:
-        return ()
-    return (
-        f"The change owed to {listed([input_name(n) for n in names])} is that of a mean known better, with the "
-        "strength of every specimen left where it was: it shows the way of the load. That the strength goes with it "
-        "from specimen to specimen, which decides at which end of it the spheres break, is not in that number.",
-    )
-
-
-def drivers_remark(contents: Contents) -> str:
-    """How to read the chapter of what drives it."""
-    violin = " A violin shows where an index is likely to lie, the whisker its 95 % interval."
-    return (
-        f"{_three_questions(contents)} The first index is the share of the variance that an input causes alone, the "
-        "total one includes its interactions." + (violin if _bulges(contents) else "")
-    ).strip()
-
-
-def _bulges(contents: Contents) -> bool:
-    """Whether a figure of indices has a violin that can be seen."""
-    return any(
-        not entry.shapley and any(_wide(e) for e in (*entry.first.values(), *entry.total.values()))
-        for entry in contents.results.sensitivity.values()
-    )
-
-
-def _wide(estimate: Est) -> bool:
-    low, high = estimate.low, estimate.high
-    return estimate.value is not None and low is not None and high is not None and high - low > _VISIBLE
-
-
-def _three_questions(contents: Contents) -> str:
-    """Which question the shares of an input answer, and where the strength stands in each; empty without limits."""
-    limits = contents.results.limits
-    if not limits or not any(f"limits.{name}.strength" in contents.resolved.random for name in limits):
-        return ""
-    names = listed([limit_name(name, 30) for name in limits])
-    return (
-        "Shares answer three different questions. Of the load (the quantity itself): the strength has no part in it. "
-        f"Of the probability as planned ({names}): the strength counts as an input, by importance factors at the "
-        "likeliest failure, or, with indices of the model’s inputs, is averaged over and has no share. Of the margin: "
-        "the same factors as of the probability, but at the value that the target allows and not as planned."
+def index_table(contents: Contents, quantity: str) -> Table | None:
+    """First and total indices with intervals."""
+    entry = contents.results.sensitivity.get(quantity)
+    names = ranked(entry)
+    if not names or entry is None:
+        return None
+    rows = [(input_name(n), index_cell(entry.first[n]), index_cell(entry.total[n])) for n in names]
+    return Table(
+        caption=f"Sobol’ indices of {symbol(quantity)} with 95 % intervals",
+        header=("input", "first (alone)", "total (with interactions)"),
+        rows=tuple(rows),
     )

@@ -16,16 +16,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.errors import UsageError
 from uqsphere.quantities import reading_units
-from uqsphere.report.blocks import Block, Chapter, Table
-from uqsphere.report.brief import asked_note, make_brief, share, two
+from uqsphere.report.blocks import Block, Chapter
+from uqsphere.report.brief import make_brief
 from uqsphere.report.chapters import build_chapters
 from uqsphere.report.contents import Contents, read_contents, units_of
 from uqsphere.report.figures.brief import curve_drawings, mode_dots
 from uqsphere.report.figures.canvas import APOSTROPHE, Picture, inline, render, shorten
-from uqsphere.report.margins import margin_verdicts
-from uqsphere.report.services import all_cautions, service_chapters, service_verdicts
+from uqsphere.report.phrases import short_share, two
+from uqsphere.report.services import service_chapters
 from uqsphere.report.tables import commands, repeat_rows
-from uqsphere.report.verdict import glances, verdicts
 from uqsphere.report.whatif import panels
 from uqsphere.results import NO_RIG
 from uqsphere.results.entries import Manifest
@@ -312,27 +311,14 @@ def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[s
         # the one text that is not escaped: made of escaped parts by the XML writer
         return Markup(element)
 
-    appendix: list[tuple[Table, str]] = []
-    numbers: dict[int, int] = {}
-    figure_numbers: dict[str, int] = {}
-    for k, block in enumerate(_blocks(chapters)):
-        if block.appendix and block.table is not None:
-            appendix.append((block.table, f"block-{k + 1}"))
-            numbers[k] = len(appendix)
-        if block.picture is not None:
-            figure_numbers[block.picture.name] = len(figure_numbers) + 1
+    pictures = [block.picture.name for block in _blocks(chapters) if block.picture is not None]
     title = shorten(str(contents.results.study.title), 300) or "Untitled study"
     shown = {
         "title": title,
         "margin_boxes": Markup(margin_boxes(title, contents.manifest)),
         "numbers_of": _numbers_of,
-        "verdicts": [*service_verdicts(contents), *margin_verdicts(contents), *verdicts(contents)],
-        "glances": glances(contents),
-        "cautions": all_cautions(contents),
         "chapters": chapters,
-        "appendix": appendix,
-        "numbers": numbers,
-        "figure_numbers": figure_numbers,
+        "figure_numbers": {name: k for k, name in enumerate(pictures, 1)},
         "repeat": repeat_rows(contents),
         "commands": [Markup(escape(shorten(line, LONGEST))) for line in commands(contents)],
         "version": contents.results.versions.get("uqsphere", ""),
@@ -342,15 +328,12 @@ def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[s
     }
 
     def set_page(draw: Callable[[Picture], Any], words: Sequence[tuple[str, str]]) -> str:
-        order = iter(range(sum(1 for _ in _blocks(chapters))))
         environment = new_environment()
         environment.filters["drawn"] = draw
-        template = environment.get_template("template.html")
-        return template.render(shown, words=words, next_block=lambda: next(order))
+        return environment.get_template("template.html").render(shown, words=words)
 
     # set first without figures, to see which words are used
-    plain = set_page(lambda picture: f"{picture.title} {picture.finding}", ())
-    return set_page(drawn, words_used(plain)) + "\n"
+    return set_page(drawn, words_used(set_page(lambda picture: picture.title, ()))) + "\n"
 
 
 # --- The brief: one sheet, on top of the page and a page of its own.
@@ -362,21 +345,25 @@ def _brief_parts(contents: Contents) -> dict[str, Any]:
 
     brief = make_brief(contents)
     modes = [
-        (mode, Markup(mode_dots(mode, answer)), "" if mode.miss is None else share(mode.miss, answer.target), answer)
+        (
+            answer,
+            [
+                (
+                    mode,
+                    Markup(mode_dots(mode, answer)),
+                    "" if mode.miss is None else short_share(mode.miss, answer.target),
+                )
+                for mode in answer.modes
+            ],
+        )
         for answer in brief.answers
-        for mode in answer.modes
+        if answer.modes
     ]
-    forces = [mode.force for mode, *_ in modes if mode.force is not None]
     return {
         "two": two,
         "brief": brief,
         "curves": [[Markup(drawing) for drawing in one] for one in curve_drawings(brief.answers)],
         "modes": modes,
-        "forces": bool(forces),
-        "force_unit": "kN" if max(forces, default=0.0) >= 1000.0 else "N",
-        "force_factor": 1e-3 if max(forces, default=0.0) >= 1000.0 else 1.0,
-        "asked": asked_note(brief.answers),
-        "targets": any(answer.target is not None for answer in brief.answers),
     }
 
 

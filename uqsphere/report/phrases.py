@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 from typing import Final
 
 from uqsphere.quantities import display_unit, format_estimate, format_value, lookup
@@ -21,15 +20,6 @@ MOST_DIGITS: Final = 5
 #: what is said of an answer in two runs: it moved, perhaps, not to be seen, the same in every bit, not known
 SURE, PERHAPS, NONE, SAME, UNKNOWN = "changed", "perhaps", "not seen", "the same", "not known"
 ABSENT: Final = "–"
-#: what an answer of a run in which evaluations failed is: without them, and by a surrogate
-_WITHOUT_FAILED: Final = (
-    "mean, standard deviation and indices are those of the others, and another matter than the whole model's wherever "
-    "failing has to do with the inputs"
-)
-_GOES_ON: Final = (
-    "mean, standard deviation and indices are those of a surrogate fitted to the others, which goes on where the model "
-    "has no answer"
-)
 #: a width of 0.1 is not to count as 0.0999999
 _ROUND: Final = 1e-9
 #: nor two hundredths of a per cent, computed as a difference to one, as three
@@ -107,12 +97,6 @@ def short_input(name: str) -> str:
     """The same, without what one knows anyway, for bars and lists."""
     words = input_name(name)
     return re.sub(r"^(.*) \(.*\)$", r"\1", words)
-
-
-def the_input(name: str) -> str:
-    """The same within a sentence; a name of the user's own has no article."""
-    words = input_name(name)
-    return words if words == shorten(name, 80) else f"the {words}"
 
 
 def powers(text: str) -> str:
@@ -295,6 +279,45 @@ def rounded(estimate: Est, name: str = "", digits: int = 4) -> str:
     return number_text(f"{text} {unit}".rstrip())
 
 
+def two(value: float, digits: int = 2) -> str:
+    """Two digits, without powers of ten where people would not use them.
+
+    >>> two(0.6627), two(13.4), two(148.0), two(0.0998), two(1.996)
+    ('0.66', '13', '150', '0.10', '2.0')
+    """
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g}"
+    places = digits - 1 - math.floor(math.log10(abs(value)))
+    shown = round(value, places)
+    places = digits - 1 - math.floor(math.log10(abs(shown)))
+    return f"{shown:.{max(places, 0)}f}" if abs(shown) < 1e6 else f"{shown:.1e}"
+
+
+def share(value: float, target: float | None = None) -> str:
+    r"""A share in per cent with two digits; three where two would equal the target though the number does not.
+
+    >>> [share(p, 0.01).replace("\u00a0", " ") for p in (0.0020161, 0.010494, 4e-5, 0.99996, 0.147)]
+    ['0.20 %', '1.05 %', 'under 0.1 %', 'over 99.9 %', '15 %']
+    """
+    if value < 1e-3:
+        return "under 0.1\u00a0%" if value > 0.0 else "0\u00a0%"
+    if value > 0.999:
+        return "over 99.9\u00a0%"
+    text = two(100.0 * value)
+    if target is not None and text == two(100.0 * target) and abs(value - target) > 1e-9 * target:
+        text = two(100.0 * value, 3)
+    return f"{text}\u00a0%"
+
+
+def short_share(value: float, target: float | None = None) -> str:
+    r"""The same for a table, where signs stand for words.
+
+    >>> short_share(4e-5).replace("\u00a0", " "), short_share(0.99996).replace("\u00a0", " ")
+    ('<0.1 %', '>99.9 %')
+    """
+    return share(value, target).replace("under ", "<").replace("over ", ">")
+
+
 def two_digits(value: float) -> str:
     """A share in per cent with two digits, and as many more as tell it from the whole.
 
@@ -328,26 +351,6 @@ def share_text(estimate: Est) -> str:
     if abs(value) < 0.005 * 10.0**-decimals:
         return "less than 0.1 %" if decimals else "less than 1 %"
     return number_text(f"{100.0 * value:.{decimals}f}") + " %"
-
-
-def failures_text(count: int) -> str:
-    """How many evaluations failed.
-
-    >>> failures_text(1), failures_text(1200)
-    ('1 evaluation failed', '1,200 evaluations failed')
-    """
-    return f"{count:,} evaluation{'' if count == 1 else 's'} failed"
-
-
-def without_failed(results: Results) -> str:
-    """What the answers of a run in which evaluations failed are."""
-    quantities = results.quantities
-    names = [name for name, entry in quantities.items() if entry.mean.method.startswith("surrogate")]
-    if not names:
-        return _WITHOUT_FAILED
-    if len(names) == len(quantities):
-        return _GOES_ON
-    return f"of {listed([symbol(name) for name in names])} {_GOES_ON}; of the rest {_WITHOUT_FAILED}"
 
 
 def loud(verdict: str) -> str:
@@ -388,29 +391,8 @@ def breaks(results: Results, name: str) -> bool:
     """
     found = results.fracture
     left_out = name in found.left_out and results.limits[name].aim == "break"
-    return name in found.limits or left_out
-
-
-def event(results: Results, name: str) -> str:
-    """Exceeding a limit as a clause."""
-    return "the sphere breaks" if breaks(results, name) else f"{limit_name(name)} is exceeded"
-
-
-def missing(results: Results, name: str) -> str:
-    """Missing the aim of a limit as a clause."""
-    if results.limits[name].aim == "survive":
-        return event(results, name)
-    return "the sphere is left whole" if breaks(results, name) else f"{limit_name(name)} is not exceeded"
-
-
-def of_limit(results: Results, name: str) -> str:
-    """The limit's name in brackets behind its event, where there are several limits."""
-    return f" (limit {limit_name(name)})" if breaks(results, name) and len(results.limits) > 1 else ""
-
-
-def solved_name(results: Results, solve: str) -> str:
-    """The free scalar in words, with a capital letter; of one that scatters it is the mean that is solved for."""
-    return f"Mean {input_name(solve)}" if solve in results.inputs else begin(solve, input_name(solve))
+    judged = any(one.name == name and not one.assumed for verdict in results.verdicts for one in verdict.judged)
+    return name in found.limits or left_out or judged
 
 
 def safe_side(estimate: Est, name: str, *, at_most: bool, digits: int = 4) -> str:
@@ -444,57 +426,3 @@ def safe_side(estimate: Est, name: str, *, at_most: bool, digits: int = 4) -> st
 
 
 # --- Accuracies that were not reached, as people are told them: those of one reason and one cost in one sentence.
-
-#: subjects that a sentence in the terminal names
-SUBJECTS: Final = 6
-
-#: a half-width with what was asked, and quantiles that too few samples lie beyond: what differs stands in the list
-_HALF: Final = re.compile(r"(.+): half-width (\S+)( of [^,]+)?, asked ([^\s:;]+)(.*)")
-_BAND: Final = ": the band of the curve"
-_BEYOND: Final = re.compile(r"(.+): too few samples beyond the \S+ quantile(.*)")
-_MOMENT: Final = re.compile(r"(.+?: (?:mean|quantile \S+)): (.*)")
-
-
-def shortfalls(texts: Sequence[str], most: int) -> list[str]:
-    """The sentences of `accuracy.missed` of results.json, those that differ in nothing but their subject as one.
-
-    One names at most so many subjects, and says how many more there are; a sentence that stands alone stays as it is.
-
-    >>> texts = [f"y: quantile {p}: half-width {w} of the standard deviation, asked 0.05 (given up)"
-    ...          for p, w in ((0.05, 0.16), (0.5, 0.11), (0.95, 0.12))]
-    >>> shortfalls(texts, 2)
-    ['y quantile 0.05 (0.16), y quantile 0.5 (0.11) and 1 more: half-width above the 0.05 of the standard deviation that was asked (given up)']
-    >>> shortfalls(["y: indices: none: a reason", "z: indices: none: a reason"], 2)
-    ['y, z: indices: none: a reason']
-    """  # noqa: E501
-    groups: dict[str, list[tuple[str, str]]] = {}
-    for text in texts:
-        reason, subject = _parted(text)
-        groups.setdefault(reason, []).append((subject, text))
-    return [_together(reason, group, most) for reason, group in groups.items()]
-
-
-def _parted(text: str) -> tuple[str, str]:
-    """Reason and cost of a sentence, and what it is said of."""
-    if found := _HALF.fullmatch(text):
-        head, width, scale, asked, rest = found.groups(default="")
-        name = head.removesuffix(_BAND)
-        what = _BAND.removeprefix(": ") + ": " if name != head else ""
-        return f"{what}half-width above the {asked}{scale} that was asked{rest}", f"{_subject(name)} ({width})"
-    if found := _BEYOND.fullmatch(text):
-        return f"too few samples beyond the quantile{found[2]}", _subject(found[1])
-    if found := _MOMENT.fullmatch(text):
-        return found[2], _subject(found[1])
-    head, _, rest = text.partition(": ")
-    return rest, head
-
-
-def _subject(head: str) -> str:
-    return head.replace(": ", " ")
-
-
-def _together(reason: str, group: Sequence[tuple[str, str]], most: int) -> str:
-    if len(group) == 1:
-        return group[0][1]
-    more = f" and {len(group) - most} more" if len(group) > most else ""
-    return f"{', '.join(subject for subject, _ in group[:most])}{more}: {reason}"

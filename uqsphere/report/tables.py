@@ -6,22 +6,20 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 
 from uqsphere.quantities import OUTPUTS, lookup
-from uqsphere.report.assumptions import answer_checks, at_fracture, cases_text, check_name, yields_at
-from uqsphere.report.blocks import Table, cell, index_cell, thousands
-from uqsphere.report.claims import ranked
+from uqsphere.report.blocks import Table, cell, thousands
+from uqsphere.report.cautions import assumption
 from uqsphere.report.contents import Contents, family_of
 from uqsphere.report.phrases import (
     ABSENT,
     answer_text,
     begin,
+    breaks,
     call,
-    event,
     input_name,
     limit_name,
     listed,
     mathematical,
     number_text,
-    of_limit,
     plain_percent,
     powers,
     probability_range,
@@ -53,54 +51,30 @@ def quantity_table(contents: Contents, quantity: str) -> Table:
     )
 
 
-def index_table(contents: Contents, quantity: str) -> Table | None:
-    """First and total indices with intervals."""
-    entry = contents.results.sensitivity.get(quantity)
-    names = ranked(entry)
-    if not names or entry is None:
-        return None
-    rows = [(input_name(n), index_cell(entry.first[n]), index_cell(entry.total[n])) for n in names]
-    return Table(
-        caption=f"Sobol’ indices of {symbol(quantity)} with 95 % intervals",
-        header=("input", "first (alone)", "total (with interactions)"),
-        rows=tuple(rows),
-    )
-
-
 def limits_table(contents: Contents) -> Table:
-    """Probabilities, reliability index and margin of every limit."""
+    """Probability of missing the aim, what the tests leave open of it, reliability index and margin of every limit."""
     rows: list[tuple[str, ...]] = []
-    for name, limit in contents.results.limits.items():
-        index = limit.reliability_index
+    limits = contents.results.limits
+    tested = any(limit.ignorance for limit in limits.values())
+    for name, limit in limits.items():
         low, high = limit.reliability_index_interval or (None, None)
-        beta = ABSENT if index is None else cell(Est.of(index, low, high))
-        rows += [
-            (limit_name(name), "probability of exceeding the strength", cell(limit.exceedance, probability=True)),
+        index = limit.reliability_index
+        opened = limit.ignorance
+        rows.append(
             (
                 limit_name(name),
-                f"probability of missing the aim ({limit.aim})",
+                limit.aim,
+                ABSENT if limit.target is None else plain_percent(limit.target),
                 cell(limit.miss, probability=True),
-            ),
-            (limit_name(name), "reliability index", beta),
-        ]
-        opened = limit.ignorance
-        if opened:
-            text = ABSENT if opened.reason is not None else probability_range(*opened.miss) + " (95 %)"
-            rows.append((limit_name(name), "probability of missing the aim that the tests leave open", text))
-        words = {"median": "margin, median", "0.05": "margin, 5 %", "0.95": "margin, 95 %"}
-        rows += [(limit_name(name), words.get(k, k), cell(e)) for k, e in limit.margin.items()]
-        rows += _design_rows(name, limit)
-    return Table(caption="Limits with 95 % intervals", header=("limit", "", "value (95 % interval)"), rows=tuple(rows))
-
-
-def _design_rows(name: str, limit: LimitEntry) -> list[tuple[str, ...]]:
-    """How many ways there are to miss the aim, and what the methods say; a design point has a table of its own."""
-    rows: list[tuple[str, ...]] = []
-    if not limit.design_point and limit.design_point_reason:
-        rows.append((limit_name(name), "design point", f"{ABSENT} ({limit.design_point_reason})"))
-    if limit.modes:
-        rows.append((limit_name(name), "separate ways to miss the aim", str(limit.modes)))
-    return rows + [(limit_name(name), "check", str(text)) for text in limit.checks or ()]
+                *((probability_range(*opened.miss) if opened.known else ABSENT,) if tested else ()),
+                ABSENT if index is None else cell(Est.of(index, low, high), digits=3),
+                cell(limit.margin["median"], digits=3),
+                f"{cell(limit.margin['0.05'], digits=3)} / {cell(limit.margin['0.95'], digits=3)}",
+            )
+        )
+    header = ("limit", "aim", "target", "probability of missing it", *(("left open by the tests",) if tested else ()),
+              "reliability index", "strength over demand, median", "5 % / 95 %")  # fmt: skip
+    return Table(caption="Limits with 95 % intervals", header=header, rows=tuple(rows))
 
 
 def margins_table(contents: Contents, name: str, *, only_own: bool = False) -> Table:
@@ -108,7 +82,7 @@ def margins_table(contents: Contents, name: str, *, only_own: bool = False) -> T
     entry = contents.results.margins[name]
     solve = entry.solve
     subject = contents.subject(solve)
-    what = event(contents.results, name) + of_limit(contents.results, name)
+    what = "the sphere breaks" if breaks(contents.results, name) else f"{limit_name(name)} is exceeded"
     header = ["probability", "value (95 % interval of the computation alone)"]
     opened, decisive = entry.ignorance, format(entry.probability or 0.0, ".15g")
     tested = opened.low is not None and opened.high is not None
@@ -124,8 +98,8 @@ def margins_table(contents: Contents, name: str, *, only_own: bool = False) -> T
             ends = f"{value_text(opened.low, subject, 3)} to {value_text(opened.high, subject, 3)}"
             row[1:1] = [ends if p == decisive else ABSENT]
         if yields:
-            share = yields_at(entry, p)
-            row.append(ABSENT if share is None else cases_text(share))
+            share = entry.bars.yields_at.get(p)
+            row.append(ABSENT if share is None else plain_percent(float(f"{share:.2g}")))
         rows.append(tuple(row))
     return Table(
         caption=f"{begin(solve, input_name(solve))} at which {what} with a given probability",
@@ -142,22 +116,18 @@ def answer_checks_table(contents: Contents, name: str) -> Table | None:
     entry = contents.results.margins.get(name)
     if entry is None or not entry.validity:
         return None
-    told = entry.validity
     at = answer_text(contents, name)
-    caption = f"The same at the answer for {limit_name(name)}, {at}, on {told.samples} scenes"
-    if entry.bars.yields_at:
-        caption += "; how often the bars yield, of all cases of the curve"
-    return _checks(answer_checks(entry), caption)
+    caption = f"At the answer for {limit_name(name)}, {at}, on {entry.validity.samples} rows"
+    return _checks(entry.validity.checks, caption)
 
 
-def checks_table(contents: Contents) -> Table:
-    """Validity checks, graded, with the share of the samples that break each."""
-    caption = "Assumptions of the model, checked on a pilot sample of the study as planned"
-    if any(map(at_fracture, contents.results.validity)):
-        caption += (
-            "; at fracture on specimens that break, drawn from the samples each with its own probability to break"
-        )
-    return _checks(contents.results.validity, caption)
+def checks_table(contents: Contents, *, broken: bool = False) -> Table | None:
+    """Validity checks, graded, with the share of the rows that break each; those alone that are `broken`."""
+    caption = "Assumptions of the model, checked on a pilot of the study as planned"
+    if contents.results.fracture.check:
+        caption += "; at fracture on spheres that break"
+    checks = [c for c in contents.results.validity if not broken or c.share_failure + c.share_warning > 0.0]
+    return _checks(checks, caption) if checks else None
 
 
 def _checks(checks: Sequence[CheckEntry], caption: str) -> Table:
@@ -172,12 +142,39 @@ def _checks(checks: Sequence[CheckEntry], caption: str) -> Table:
         grade = next((grade for grade, share in shares if share > 0.0), "ok")
         if check.worst is None and grade == "ok":
             grade = "not checked"
-        rows.append((check_name(check.check), grade, ", ".join(broken) or "none", mathematical(str(check.text))))
+        name = check.check.replace("_", " ")
+        rows.append((name, grade, ", ".join(broken) or "none", mathematical(str(check.text))))
     return Table(
         caption=caption,
         rows=tuple(rows),
         header=("assumption", "grade", "share", "finding"),
     )
+
+
+def granted_table(contents: Contents) -> Table | None:
+    """Every assumption about a strength, what is put instead, and the probability and verdict that follow."""
+    limits = contents.results.limits
+    several, rows = len(limits) > 1, []
+
+    def word(limit: LimitEntry, met: bool | None) -> str:
+        return "no target" if limit.target is None else {True: "met", False: "not met", None: "undecided"}[met]
+
+    for name, limit in limits.items():
+        own = (limit_name(name),) if several else ()
+        known = [row for row in limit.assumed if row.miss.value is not None]
+        opened = limit.ignorance
+        if not known and not opened.known:
+            continue
+        rows.append((*own, "as the study has it", cell(limit.miss, probability=True, digits=3), word(limit, limit.met)))
+        if opened.known:
+            tests = listed([f"{entry.tests} tests" for entry in opened.fitted])
+            text = probability_range(*opened.miss)
+            rows.append((*own, f"by all laws that the {tests} allow (95 %)", text, word(limit, opened.met)))
+        rows += [(*own, assumption(r), cell(r.miss, probability=True, digits=3), word(limit, r.met)) for r in known]
+    if not rows:
+        return None
+    header = (*(("limit",) if several else ()), "what is assumed", "probability of missing the aim", "target")
+    return Table(caption="The probability under other assumptions on the strength", header=header, rows=tuple(rows))
 
 
 def paper_table(contents: Contents) -> Table | None:
@@ -282,9 +279,7 @@ def _ladder_rows(model: ModelEntry) -> list[tuple[str, str]]:
             text += f"; correlation with it at least {min(ties):.4g}"
         rows.append((f"considered: {name}", text))
     # what was not tried for want of promise tells nobody anything
-    return rows + [
-        row for row in ModelEntry.model_validate(model).savings() if "considered and not tried" not in row[1]
-    ]
+    return rows + model.savings()
 
 
 def repeat_rows(contents: Contents) -> list[tuple[str, str]]:

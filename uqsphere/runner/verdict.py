@@ -215,7 +215,7 @@ def _verdict(case: _Case) -> tuple[str | None, list[ReasonEntry]]:
         return NOT_ESTABLISHED, reasons
     if case.met is not case.known.limits[case.limit.name].met:
         others = _listed([one.name for one in case.given[1:]])
-        text = f"together with {others} the probability of a miss is {_percent(case.miss)}"
+        text = f"together with {others}, {_percent(case.miss)} miss the aim"
         return WORDS[case.met], [ReasonEntry(code="together", text=text)]
     return WORDS[case.met], []
 
@@ -229,7 +229,7 @@ def _by_contact(case: _Case) -> str:
     if evidence is None or evidence.static is None or not means_fracture(case.limit):
         return ""
     found = _more(case.miss, evidence.chances(case.given, case.aim, evidence.static) - case.before)
-    return f"where contacts yield the probability of a miss is {_percent(found)}" if case.turns(found) else ""
+    return f"where contacts yield, {_percent(found)} miss the aim" if case.turns(found) else ""
 
 
 def _by_carriers(case: _Case) -> str:
@@ -241,7 +241,7 @@ def _by_carriers(case: _Case) -> str:
         found = {name: _shifted(case.miss, miss, own) for name, miss in carried.miss.items() if miss.value is not None}
         if any(case.turns(miss) for miss in found.values()):
             told = [f"{_percent(miss)} by {name}" for name, miss in found.items()]
-            return f"the strength of {one.name} carried from its test gives a probability of a miss of {_listed(told)}"
+            return f"with its strength carried from the test, {_listed(told)} miss the aim"
     return ""
 
 
@@ -267,9 +267,9 @@ def _by_assumed(case: _Case) -> str:
             turning.append(way.called)
         ends.append(max(chances, key=lambda chance: float(chance.mean())))
     if turning:
-        return f"it turns on {_listed(turning)}, with strengths assumed from the library"
+        return f"it turns on {_listed(turning)}, whose strengths are assumed"
     if ends and case.turns(together := case.with_ways(ends)):
-        return f"it turns on all ways with assumed strengths together: up to {_percent(together)}"
+        return f"it turns on all ways with assumed strengths together: up to {_percent(together)} miss the aim"
     return ""
 
 
@@ -310,7 +310,7 @@ def _by_made_up(case: _Case) -> str:
     """(f): whether tests behind it are made up."""
     own = {strength_name(one.name) for one in case.given}
     named = [name for name in case.study.made_up if name in own or not name.startswith("limits.")]
-    return f"the tests of {_listed(named)} are made up" if named else ""
+    return "the tests are made up" if named else ""
 
 
 #: the tests of a verdict by their code, each a text where it finds it not established
@@ -391,7 +391,10 @@ def _listed(words: Sequence[str]) -> str:
 
 
 def _share(p: float) -> str:
-    return f"{100.0 * p:.3g} %"
+    """A share in as many digits as the page has."""
+    if p < 1e-3 or p > 0.999:
+        return "under 0.1 %" if p < 0.5 else "over 99.9 %"
+    return f"{100.0 * p:.2g} %"
 
 
 def _percent(found: Estimate) -> str:

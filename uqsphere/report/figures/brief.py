@@ -14,8 +14,9 @@ from typing import Final
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from uqsphere.report.brief import Answer, Mode, crossing, share, solved_for, two
+from uqsphere.report.brief import Answer, Mode, crossing, solved_for
 from uqsphere.report.figures.canvas import clean, shorten
+from uqsphere.report.phrases import share, two
 
 #: probabilities that are marked on probability paper
 _TICKS: Final = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99)
@@ -123,7 +124,8 @@ class _Paper:
         self.top, self.bottom = 1.2 * sheet.type, sheet.height - 3.4 * sheet.type
         inside = [x for answer in answers for mode in answer.modes for x, p in mode.curve if _LEAST < p < _MOST]
         inside += [v for a in answers for v in ((a.axis.planned if a.axis else None), *solved_for(a)) if v]
-        self.low, self.high = min(inside) * 0.97, max(inside) * 1.03
+        wide = (max(inside) / min(inside)) ** 0.03 if min(inside) > 0.0 else 1.03
+        self.low, self.high = min(inside) / wide, max(inside) * wide
         self.log = self.low > 0.0
         #: where texts stand: left end, base line, length
         self.taken: list[tuple[float, float, float]] = []
@@ -192,7 +194,11 @@ def curve_drawings(answers: Sequence[Answer]) -> list[list[str]]:
     for answer in answers:
         if answer.axis is not None and any(len(mode.curve) > 1 for mode in answer.modes):
             groups.setdefault((answer.service, answer.axis.path), []).append(answer)
-    sheets = SHEETS if len(groups) == 1 else (replace(SHEETS[-1], name="every", type=12),)
+    # a sheet of paper with many ways has less room for curves
+    ways = sum(len(answer.modes) for answer in answers)
+    low = {"paper": 250.0 - 12.0 * max(ways - 4, 0), "every": 290.0 - 10.0 * max(ways - 4, 0)}
+    sheets: tuple[Sheet, ...] = SHEETS if len(groups) == 1 else (replace(SHEETS[-1], name="every", type=12),)
+    sheets = tuple(replace(sheet, height=max(low.get(sheet.name, sheet.height), 190.0)) for sheet in sheets)
     return [[_curve(group, sheet, k) for sheet in sheets] for k, group in enumerate(groups.values(), start=1)]
 
 
@@ -220,11 +226,13 @@ def _curve(answers: Sequence[Answer], sheet: Sheet, number: int) -> str:
         parts += _target(paper, answer)
     for mode in shown:
         parts.append(_path(lines[mode.name], f"curve {_kind(mode)}"))
-    for answer in answers:
-        parts += _tests(paper, answer)
+    for tests in {answer.tests: answer for answer in answers}.values():
+        parts += _tests(paper, tests, told=number == 1)
+    parts += _planned(paper, answers)
     for answer in answers:
         parts += _cross(paper, answer)
-    parts += _names(paper, shown)
+    if number == 1 or len(shown) > 1:
+        parts += _names(paper, shown)
     if answers[0].service:
         parts.append(_text(paper.left, paper.bottom + 2.9 * size, answers[0].service, kind="strong"))
     title = f"Share broken over {paper.axis.words}"
@@ -278,18 +286,20 @@ def _target(paper: _Paper, answer: Answer) -> list[str]:
     return parts
 
 
-def _tests(paper: _Paper, answer: Answer) -> list[str]:
+def _tests(paper: _Paper, answer: Answer, *, told: bool) -> list[str]:
     points = [(paper.x(v), paper.y(p)) for v, p in answer.tests if paper.inside(v)]
     parts = [_circle(x, y, 3.6, "test") for x, y in points]
-    if not points:
+    # no word stands on a test
+    paper.taken += [(x - 4.0, y + 0.4 * paper.sheet.type, 8.0) for x, y in points]
+    if not points or not told:
         return parts
     count = len(answer.tests) + answer.left_whole
     x, y = points[len(points) // 3]
     made = " made-up" if answer.made_up else ""
-    parts.append(_beside(paper, x - 3, y + 4, f"{count}{made} tests", left=True, kind="halo"))
+    parts.append(_beside(paper, x - 8, y + 4, f"{count}{made} tests", left=True, kind="halo"))
     if answer.left_whole:
         x, y = points[-1]
-        parts.append(_beside(paper, x - 3, y - 6, f"{answer.left_whole} left whole →", left=True, kind="halo"))
+        parts.append(_beside(paper, x - 8, y - 6, f"{answer.left_whole} left whole →", left=True, kind="halo"))
     return parts
 
 
@@ -310,7 +320,7 @@ def _names(paper: _Paper, modes: Sequence[Mode]) -> list[str]:
 
 
 def _cross(paper: _Paper, answer: Answer) -> list[str]:
-    """The two answers: a bar on the target and a bar on the plan, their ends with their numbers."""
+    """The answer on the target: a bar over all ways and carriers, its ends with their numbers."""
     axis, size, parts = paper.axis, paper.sheet.type, []
     solved = [v for v in solved_for(answer) if paper.inside(v)]
     if solved and answer.level is not None:
@@ -321,14 +331,22 @@ def _cross(paper: _Paper, answer: Answer) -> list[str]:
         ]
         if high > 1.02 * low:
             parts.append(_beside(paper, paper.x(high), y + 1.25 * size, f"{two(high * axis.factor)} {axis.unit}"))
-    broken = [m.broken for m in answer.modes if m.broken is not None and _LEAST < m.broken < _MOST]
-    planned = answer.axis.planned if answer.axis else None
-    if planned is not None and paper.inside(planned) and broken:
-        x, low, high = paper.x(planned), min(broken), max(broken)
-        parts.append(_line(x, paper.y(low) + 1.5, x, paper.y(high) - 1.5, "bar"))
-        if high > 1.2 * low:
-            parts.append(_beside(paper, x, paper.y(high) + 1, share(high), left=True))
-        parts.append(_beside(paper, x, paper.y(low) + size, share(low)))
+    return parts
+
+
+def _planned(paper: _Paper, answers: Sequence[Answer]) -> list[str]:
+    """The share broken as planned: a bar over all ways, its ends with their numbers where they lie on the paper."""
+    planned = answers[0].axis.planned if answers[0].axis else None
+    broken = [mode.broken for answer in answers for mode in answer.modes if mode.broken is not None]
+    if planned is None or not broken or not paper.inside(planned):
+        return []
+    x, low, high = paper.x(planned), min(broken), max(broken)
+    low_y, high_y = (min(max(paper.y(p), paper.top), paper.bottom) for p in (low, high))
+    parts = [_line(x, low_y + 1.5, x, high_y - 1.5, "bar")]
+    if high > 1.2 * low and high > _LEAST:
+        parts.append(_beside(paper, x + 2, high_y + (1 if high < _MOST else 2.4 * paper.sheet.type), share(high)))
+    if low > _LEAST:
+        parts.append(_beside(paper, x + 2, low_y + paper.sheet.type * (1 if low < _MOST else 2), share(low)))
     return parts
 
 

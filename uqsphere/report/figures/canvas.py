@@ -174,13 +174,13 @@ _MACHINE: Final = (
 class Picture:
     """A drawing with the words that stand for it.
 
-    `name` serves as file name and anchor; `title` says what is drawn, `finding` what it shows; `header` and `rows`
-    are the numbers that were drawn, in SI, where no table of the run holds them.
+    `name` serves as file name and anchor; `title` says what is drawn, `finding` what it shows, where no table
+    beside it does; `header` and `rows` are the numbers that were drawn, in SI, where no table of the run holds them.
     """
 
     name: str
     title: str
-    finding: str
+    finding: str = ""
     figure: Figure
     header: tuple[str, ...] = ()
     rows: tuple[tuple[Any, ...], ...] = ()

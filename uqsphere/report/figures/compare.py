@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -31,18 +31,14 @@ from uqsphere.report.figures.fragility import probability_axis, score
 from uqsphere.report.phrases import (
     PERHAPS,
     SURE,
-    call,
-    capital,
     input_name,
     limit_name,
     number_text,
-    rounded,
     short_input,
     symbol,
 )
 from uqsphere.results import IndexEntry
-from uqsphere.results.entries import Entry, Est, Ests
-from uqsphere.results.margins import MarginEntry
+from uqsphere.results.entries import Entry, Est
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -131,7 +127,7 @@ def moved_picture(changes: Iterable[Change]) -> Picture | None:
             marks.append(Line2D([], [], color=BLUE, marker="o", markerfacecolor=PAPER, linestyle="", label="perhaps"))
         marks.append(Line2D([], [], color=INK, marker="|", label="95 % interval"))
         legend_above(axes, 3, marks, 1.6)
-    return Picture(name="moved", title="What moved", finding=moved_finding(rows), figure=figure)
+    return Picture(name="moved", title="What moved", figure=figure)
 
 
 def _percent_ticks(axes: Axes) -> None:
@@ -153,13 +149,6 @@ def _percent_ticks(axes: Axes) -> None:
     axes.xaxis.set_major_locator(FixedLocator(kept))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: number_text(f"{value:g}")))
-
-
-def moved_finding(rows: Sequence[Change]) -> str:
-    """The largest move in a sentence."""
-    most = max(rows, key=lambda c: abs(c.relative or 0.0))
-    more = number_text(f"{100.0 * (most.relative or 0.0):+.3g}")
-    return f"Most of all moved {most.name}: {most.statistic}, by {more} %."
 
 
 def _scattered(contents: Contents, quantity: str) -> Array | None:
@@ -210,19 +199,7 @@ def density_picture(before: Contents, after: Contents, quantity: str) -> Picture
             1.6,
         )
     return Picture(name=slug("laws", quantity), title=f"Distribution of {symbol(quantity)}, before and after",
-                   finding=density_finding(before, after, quantity), figure=figure)  # fmt: skip
-
-
-def density_finding(before: Contents, after: Contents, quantity: str) -> str:
-    """Medians and scatters of both runs in a sentence."""
-    said = []
-    for contents in (before, after):
-        entry = contents.results.quantities[quantity]
-        middle = entry.quantiles.get("0.5", entry.mean)
-        said.append((rounded(middle, quantity), rounded(entry.sd, quantity, 3)))
-    word = "median" if "0.5" in before.results.quantities[quantity].quantiles else "mean"
-    return (f"{capital(call(quantity))}: {word} {said[0][0]} before and {said[1][0]} after, standard deviation "
-            f"{said[0][1]} and {said[1][1]}.")  # fmt: skip
+                   figure=figure)  # fmt: skip
 
 
 def fragility_picture(before: Contents, after: Contents, name: str) -> Picture | None:
@@ -256,16 +233,7 @@ def fragility_picture(before: Contents, after: Contents, name: str) -> Picture |
             1.6,
         )
     return Picture(name=slug("fragility", name), title=f"Fragility of {limit_name(name)}, before and after",
-                   finding=fragility_finding(first, second, name), figure=figure)  # fmt: skip
-
-
-def fragility_finding(first: MarginEntry, second: MarginEntry, name: str) -> str:
-    """Where half of the specimens break, before and after."""
-    ends = [entry.values.get("0.5", Est()) for entry in (first, second)]
-    if any(e.value is None for e in ends):
-        return f"Fragility of {limit_name(name)} over {input_name(first.solve)}."
-    a, b = (rounded(e, first.solve) for e in ends)
-    return f"{limit_name(name)} is exceeded with a probability of 50 % at {a} before and at {b} after."
+                   figure=figure)  # fmt: skip
 
 
 def index_picture(before: Contents, after: Contents, quantity: str) -> Picture | None:
@@ -296,14 +264,4 @@ def index_picture(before: Contents, after: Contents, quantity: str) -> Picture |
         marks.append(Line2D([], [], color=ORANGE, marker="o", markerfacecolor=PAPER, linestyle="", label="after"))
         legend_above(axes, 3, marks, 1.6)
     return Picture(name=slug("drivers", quantity), title=f"What drives {symbol(quantity)}, before and after",
-                   finding=index_finding(tables, names, kind, quantity), figure=figure)  # fmt: skip
-
-
-def index_finding(tables: Sequence[Ests], names: Sequence[str], kind: str, quantity: str) -> str:
-    """Whether the largest driver is the same."""
-    leads = [max(names, key=lambda n, t=table: t[n].number) for table in tables]  # type: ignore[misc]
-    a, b = (number_text(f"{100.0 * table[lead].number:.3g}") for table, lead in zip(tables, leads, strict=True))
-    if leads[0] == leads[1]:
-        return f"{capital(short_input(leads[0]))} drives {symbol(quantity)} most in both runs: {kind} {a} % and {b} %."
-    return (f"{capital(short_input(leads[0]))} drove {symbol(quantity)} most before ({kind} {a} %), "
-            f"{short_input(leads[1])} does now ({b} %).")  # fmt: skip
+                   figure=figure)  # fmt: skip

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -25,8 +24,6 @@ from uqsphere.report.figures.canvas import (
     wrap,
 )
 from uqsphere.report.phrases import limit_name, number_text, symbol
-from uqsphere.report.tables import question_name
-from uqsphere.results import QuestionRow
 from uqsphere.results.entries import AccuracyTable
 from uqsphere.runner.account import FURTHER
 from uqsphere.runner.questions.curves import METHOD
@@ -44,17 +41,6 @@ _WORDS: Final = dict(
     zip(FURTHER, ("value", "fracture", "share", "median", "delta", "PAWN", "index of a miss", "inputs of a miss"),
         strict=True)
 )  # fmt: skip
-#: accuracies that a sentence names one by one
-_LISTED: Final = 4
-#: the question that an error answers to
-_QUESTIONS: Final = {
-    "mean": "mean",
-    "quantile": "worst quantile",
-    "index": "worst index",
-    "unexplained": "worst index",
-    "probability": "probability of missing the aim",
-    "band": "band of the curve",
-}
 _FRACTURE: Final = {
     "union": "fracture probability",
     "first_loading": "fracture, first loading",
@@ -141,7 +127,7 @@ def _course(axes: Axes, series: Series, column: int, method: int, linestyle: Any
     )
 
 
-def _drawing(contents: Contents, column: int, name: str, title: str, label: str, finding: str) -> Picture | None:
+def _drawing(contents: Contents, column: int, name: str, title: str, label: str) -> Picture | None:
     series = [s for s in error_series(contents) if any(p[column] > 0.0 for p in s.points)]
     if not series:
         return None
@@ -165,7 +151,7 @@ def _drawing(contents: Contents, column: int, name: str, title: str, label: str,
         axes.set_ylabel("error over what was asked")
         axes.grid()
         _method_legend(axes, methods, bool(further), sum(s.points[-1][2] < _LEAST for s in series))
-    return Picture(name=name, title=title, finding=finding, figure=figure)
+    return Picture(name=name, title=title, figure=figure)
 
 
 def _labelled(pursued: list[Series]) -> list[Series]:
@@ -292,91 +278,15 @@ def _method_legend(axes: Axes, methods: list[str], further: bool, below: int) ->
     legend_above(axes, 2, handles)
 
 
-def _late_text(late: list[QuestionRow]) -> str:
-    """What is farthest from the accuracy asked, and what has no answer."""
-    known, text = [row for row in late if row.reached is not None], ""
-    if known:
-        worst = max(known, key=_excess)
-        text = f"; farthest from it, {question_name(worst)} has {_times(_excess(worst))} times the error that was asked"
-    if len(known) < len(late):
-        text += f"; no answer: {_named([row for row in late if row.reached is None])}"
-    return text
-
-
-def progress_finding(contents: Contents) -> str:
-    """How many of the accuracies asked for the answers have, in words; courses may be those of other answers."""
-    rows = [row for row in contents.results.accuracy.questions or () if row.met is not None]
-    if not rows:
-        return "No errors were recorded on the way."
-    late = [row for row in rows if not row.met]
-    curves = any("curve" in row.question for row in rows)
-    of = "quantities (their quantiles as one), indices" + (
-        ", probabilities and curves" if curves else " and probabilities"
-    )
-    text = f"{len(rows) - len(late)} of {len(rows)} accuracies of {of} were reached"
-    text += "; margins are not among them" if contents.results.margins and not curves else ""
-    text += _late_text(late)
-    further = [s for s in error_series(contents) if s.kind in FURTHER]
-    if further:
-        below = sum(s.points[-1][2] <= 1.0 for s in further)
-        text += f". Of what is read off the same rows, and not pursued, {below} of {len(further)} are as accurate"
-    return text + "."
-
-
-def _excess(row: QuestionRow) -> float:
-    return float((row.reached or 0.0) / row.asked)
-
-
-def _named(rows: Sequence[QuestionRow]) -> str:
-    """Accuracies by their names, the first few of many."""
-    more = f" and {len(rows) - _LISTED} more" if len(rows) > _LISTED else ""
-    return ", ".join(question_name(row) for row in rows[:_LISTED]) + more
-
-
 def _times(ratio: float) -> str:
     return f"{ratio:.2g}" if ratio < 10.0 else _thousands(round(ratio))
 
 
-def _unseen(contents: Contents) -> list[QuestionRow]:
-    """Accuracies that were not reached and of which no course ends above what was asked."""
-    above = {(s.quantity, _QUESTIONS.get(_short(s.kind), "")) for s in error_series(contents) if s.points[-1][2] > 1.0}
-    late = [row for row in contents.results.accuracy.questions or () if row.met is False]
-    return [row for row in late if (row.quantity, row.question.partition(", ")[0]) not in above]
-
-
-def course_finding(contents: Contents, column: int) -> str:
-    """From what to what the largest error fell, over evaluations (0) or seconds (1); where it has no course, empty."""
-    series = [s for s in error_series(contents) if len(s.points) > 1 and s.points[-1][column] > 0.0]
-    if not series:
-        return ""
-    worst = max(series, key=lambda s: s.points[-1][2])
-    single = any(s.points[-1][2] > worst.points[-1][2] for s in error_series(contents))
-    which = "The largest error that was followed" if single else "The largest error"
-    (*first, begin), (*last, end) = worst.points[0], worst.points[-1]
-    verb = "fell" if end < begin else "went"
-    text = f"{which}, {worst.label}, {verb} from {_times(begin)} to {_times(end)} times what was asked "
-    if column == 0:
-        text += f"between {_thousands(first[0])} and {_thousands(last[0])} evaluations."
-        unseen = _unseen(contents)
-        return text + (
-            f" Not reached, though no course here ends above what was asked: {_named(unseen)}; such an answer is "
-            "absent, or is not the one that was followed."
-            if unseen
-            else ""
-        )
-    seconds = max(p[1] for s in error_series(contents) for p in s.points if not math.isnan(p[1]))
-    return text + f"within {_times(last[1])} s; all methods, one after the other, took {_times(seconds)} s."
-
-
 def convergence_figure(contents: Contents) -> Picture | None:
     """Error over what was asked against the evaluations spent."""
-    return _drawing(
-        contents, 0, "convergence", "Error against evaluations", "model evaluations", progress_finding(contents)
-    )
+    return _drawing(contents, 0, "convergence", "Error against evaluations", "model evaluations")
 
 
 def speed_figure(contents: Contents) -> Picture | None:
     """Error over what was asked against the seconds of this machine."""
-    return _drawing(
-        contents, 1, "speed", "Error against time", "seconds since the start, this machine", progress_finding(contents)
-    )
+    return _drawing(contents, 1, "speed", "Error against time", "seconds since the start, this machine")

@@ -9,17 +9,14 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit
-from uqsphere.report.claims import distribution_claim
 from uqsphere.report.contents import Contents, Samples, law_of
 from uqsphere.report.figures.canvas import BLUE, INK, PAPER, RED, Picture, legend_above, new_figure, slug, style
 from uqsphere.report.phrases import (
     limit_name,
     listed,
     plain_percent,
-    short_input,
     symbol,
     unit_text,
-    value_text,
 )
 from uqsphere.results import QuantityEntry
 from uqsphere.results.entries import Est
@@ -119,7 +116,6 @@ def distribution_figure(contents: Contents, quantity: str) -> Picture | None:
     return Picture(
         name=slug("distribution", quantity),
         title=f"Distribution of {symbol(quantity)}",
-        finding=distribution_claim(contents.results, quantity).text,
         figure=figure,
         **_drawn_densities(samples, strengths, (low, high), logarithmic),
     )
@@ -204,22 +200,6 @@ def _strength_curve(
     return float(heights.max())
 
 
-def overlap_remarks(contents: Contents, quantity: str) -> tuple[str, ...]:
-    """That the curves of load and strength overlap more than both happen together, where they depend on each other."""
-    tied = []
-    for strength in _strengths(contents, quantity):
-        own = f"limits.{strength.name}.strength"
-        groups = [group.of for group in contents.resolved.dependence if own in group.of]
-        others = [short_input(name) for names in groups for name in names if name != own]
-        if strength.law is not None and others:
-            tied.append(
-                f"The strength of {limit_name(strength.name)} depends on {listed(others)}, and so does the load"
-            )
-    if not tied:
-        return ()
-    return tuple(f"{text}: how far the two curves overlap says little about the probability." for text in tied)
-
-
 def _marks(axes: Axes, entry: QuantityEntry, tallest: float, quantity: str) -> None:
     """Median and 5 to 95 % range above the density."""
     factor = display_unit(quantity)[1]
@@ -252,13 +232,3 @@ def _curve_legend(axes: Axes, samples: Samples, strengths: list[_Strength], quan
         names = listed(alike) if len(alike) == 1 or len(listed(alike)) <= 26 else f"{len(alike)} limits"
         handles.append(Line2D([], [], color=RED, linestyle="--", label=f"strength of {names}"))
     legend_above(axes, 1 if max(len(str(handle.get_label())) for handle in handles) > 34 else 2, handles, 1.8)
-
-
-def single_value(contents: Contents, quantity: str) -> str:
-    """The one value of a quantity without scatter, or an empty text; a lower bound is no value."""
-    samples = contents.samples.get(quantity)
-    if samples is None or len(samples.values) == 0 or samples.censored.any():
-        return ""
-    if float(np.ptp(samples.values)) > 1e-9 * float(np.abs(samples.values).max()):
-        return ""
-    return value_text(float(samples.values[0]), quantity, 6)

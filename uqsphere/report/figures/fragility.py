@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -10,9 +9,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit
-from uqsphere.report.assumptions import yields_at
 from uqsphere.report.blocks import Block, Table
-from uqsphere.report.claims import _known, demand_claim
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import (
     BLUE,
@@ -25,29 +22,23 @@ from uqsphere.report.figures.canvas import (
     RED,
     SKY,
     Picture,
-    name_rows,
     new_figure,
     shorten,
     slug,
     style,
-    wrap,
 )
 from uqsphere.report.figures.distributions import axis_label
 from uqsphere.report.phrases import (
     at_most,
     begin,
     estimate_text,
-    event,
     input_name,
     limit_name,
-    listed,
     number_text,
-    of_limit,
     plain_percent,
     rounded,
     safe_side,
     symbol,
-    value_text,
 )
 from uqsphere.report.tables import margins_table
 from uqsphere.results import LimitEntry
@@ -64,73 +55,6 @@ _LEAST, _LAST = 1e-6, 1e-15
 _WIDE, _MOST = 8.0, 600.0
 _TICKS: Final = (1e-6, 1e-5, 1e-4, 1e-3, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999, 0.99999, 0.999999)
 _PRIORITY: Final = {0.5: 0.0, 0.01: 0.1, 0.99: 0.1, 0.1: 0.2, 0.9: 0.2, 0.001: 0.3, 0.999: 0.3}
-
-
-def margin_figure(contents: Contents) -> Picture | None:
-    """Strength over demand of every limit: median and 90 % range; None where no limit has a margin."""
-    limits = {name: limit for name, limit in contents.results.limits.items() if _known(limit.margin)}
-    if not limits:
-        return None
-    with style():
-        figure, (axes,) = new_figure(1.5 + 0.55 * len(limits))
-        values = [e.number for limit in limits.values() for e in _known(limit.margin).values()]
-        low, high = min(1.0, *values), max(1.0, *values)
-        if 0.0 < low < high / _WIDE:
-            ends = np.log([low, high])
-            x_scale(axes, np.exp(np.clip(ends + 0.12 * np.ptp(ends) * np.array([-1.0, 1.0]), -_MOST, _MOST)))
-        else:
-            width = 0.12 * (high - low) or 0.1
-            axes.set_xlim(low - width, high + width)
-        axes.axvline(1.0, color=RED, linestyle="--", linewidth=1.2)
-        for row, limit in enumerate(limits.values()):
-            _margin_bar(axes, row, limit)
-        name_rows(axes, [wrap(name, 20) for name in limits], -0.7)
-        axes.set_xlabel("strength over demand\n(○ median, bar 5 to 95 %, shaded: aim missed)")
-        for text, side, shift in (("exceeded", "right", -4), ("withstood", "left", 4)):
-            axes.annotate(text, (1.0, 1.0), xycoords=("data", "axes fraction"), xytext=(shift, 2), ha=side,
-                          textcoords="offset points", fontsize=9.0)  # fmt: skip
-    finding = margin_findings(limits)
-    return Picture(name="margin", title="Strength over demand", finding=finding, figure=figure)
-
-
-def _margin_bar(axes: Axes, row: int, limit: LimitEntry) -> None:
-    """One limit: the side on which its aim is missed, its range (open where an end is unbounded), its median."""
-    left, right = axes.get_xlim()
-    missed = (left, 1.0) if limit.aim == "survive" else (1.0, right)
-    axes.fill_between(missed, row - (0.7 if row == 0 else 0.5), row + 0.5, facecolor=RED, alpha=0.10, linewidth=0.0)
-    known = _known(limit.margin)
-    low = known["0.05"].number if "0.05" in known else left
-    high = known["0.95"].number if "0.95" in known else right
-    axes.plot([low, high], [row, row], color=BLUE, linewidth=3.0, solid_capstyle="butt")
-    if "median" in known:
-        axes.plot(known["median"].number, row, marker="o", color=INK, markerfacecolor=PAPER, markersize=7)
-    # labels in one line where they stand apart, else around the bar; one label where all is one point
-    across = axes.transData + axes.transAxes.inverted()
-    places = {key: float(across.transform((e.number, row))[0]) for key, e in known.items()}
-    point = max(places.values()) - min(places.values()) < 0.01
-    near = "median" in places and any(
-        abs(places[key] - places["median"]) < 0.12 for key in ("0.05", "0.95") if key in places
-    )
-    for key, estimate in known.items():
-        if point and key != next(iter(known)):
-            continue
-        below = near and key == "median"
-        side = {"0.05": "right", "0.95": "left"}.get(key, "center") if near and not point else "center"
-        axes.annotate(
-            rounded(estimate, digits=3),
-            (estimate.number, row),
-            xytext=({"right": -2, "left": 2, "center": 0}[side], -9 if below else 8),
-            ha=side,
-            va="top" if below else "bottom",
-            textcoords="offset points",
-            fontsize=9.0,
-        )
-    axes.set_xlim(left, right)
-
-
-def margin_findings(limits: Mapping[str, LimitEntry]) -> str:
-    """The margins of all limits in sentences."""
-    return " ".join(demand_claim(name, limit).text for name, limit in limits.items())
 
 
 def score(p: Any, least: float = _LEAST) -> Array:
@@ -174,7 +98,6 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
     return Picture(
         name=slug("fragility", name),
         title=f"Fragility: {limit_name(name)}",
-        finding=fragility_finding(contents, name),
         figure=figure,
     )
 
@@ -384,98 +307,14 @@ def _tick(p: float) -> str:
     return f"{100.0 * p:.6f}".rstrip("0").rstrip(".") + " %"
 
 
-def fragility_finding(contents: Contents, name: str) -> str:
-    """At which values of the free scalar it breaks, in a sentence."""
-    entry = contents.results.margins[name]
-    known = {p: e for p, e in entry.values.items() if e.value is not None}
-    if not known:
-        reasons = "; ".join(sorted({str(e.reason) for e in entry.values.values()})) or "no curve"
-        return f"Limit {limit_name(name)}: no value of {input_name(entry.solve)} can be given ({reasons})."
-    subject = contents.subject(entry.solve)
-    own, most = entry.probability, at_most(entry, contents.results.limits[name].aim)
-    # the answer to the question is rounded to the safe side, here as everywhere
-    told = {
-        p: safe_side(e, subject, at_most=most) if float(p) == own else rounded(e, subject) for p, e in known.items()
-    }
-    parts = [f"{plain_percent(float(p))} at {text}" for p, text in told.items()]
-    here = contents.at_mean(entry.solve)
-    what = event(contents.results, name) + of_limit(contents.results, name)
-    text = f"Over {input_name(entry.solve)}, the probability that {what} is {', '.join(parts)}"
-    if here is not None:
-        text += f"; the study stands at {value_text(here, subject)}"
-    yielding = [p for p in known if (yields_at(entry, p) or 0.0) > 0.5]
-    if yielding:
-        at = [told[p] for p in yielding]
-        text += f"; at {listed(at)} the bars yield under the sphere in most cases, so that these hold for elastic bars"
-    return text + "."
-
-
 # --- Families of fragility curves over another number, and the lognormal curve in words.
 
 _COLOURS = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY, INK)
 
 
-def lognormal_remarks(contents: Contents, name: str) -> tuple[str, ...]:
-    """The lognormal curve and how near it comes, or why there is none."""
-    entry = contents.results.margins[name]
-    fitted = entry.lognormal
-    if not fitted:
-        return ()
-    if not fitted.median:
-        return (f"No lognormal curve: {fitted.reason}.",)
-    subject = contents.subject(entry.solve)
-    return (
-        f"Dashed: the lognormal curve nearest to it, with the median {estimate_text(fitted.median, subject)} and "
-        f"the dispersion {estimate_text(fitted.dispersion)}. It is off by at most "
-        f"{plain_percent(fitted.largest_gap)} of all specimens, at {value_text(fitted.largest_gap_at, subject)}."
-        f"{_not_small(entry, subject)}",
-    )
-
-
-def _not_small(entry: MarginEntry, subject: str) -> str:
-    """That the lognormal curve does not serve small probabilities, with the first probability it is far off."""
-    curve = np.array(entry.curve, dtype=float)
-    off = np.isnan(lognormal_scores(entry, curve[:, :2]))
-    far = off & (curve[:, 1] > 1e-6) & (curve[:, 1] < 0.5)
-    if not far.any():
-        return ""
-    k = int(np.flatnonzero(far)[np.argmax(curve[far, 1])])
-    return (
-        f" Small probabilities must not be read off it: from {plain_percent(float(f'{curve[k, 1]:.2g}'))} down, at "
-        f"{value_text(curve[k, 0], subject, 3)}, it is off by more than a factor of two and not drawn."
-    )
-
-
 def family_name(contents: Contents, name: str) -> str:
     """The number over which the curves form a family."""
     return input_name(contents.results.margins[name].family.path)
-
-
-def _below(one: Est, other: Est) -> bool:
-    """Whether the interval of one ends before that of the other begins."""
-    return one.high is not None and other.low is not None and one.high < other.low
-
-
-def family_finding(contents: Contents, name: str) -> str:
-    """How far the values at one half, or the nearest that is known of all, move over the family; else empty."""
-    entry = contents.results.margins[name]
-    family, subject = entry.family, contents.subject(entry.solve)
-    members = sorted(family.members, key=lambda member: float(member.value))
-    known = [p for p in members[0].values if all(m.values.get(p, Est()).value is not None for m in members)]
-    if len(members) < 2 or not known:
-        return ""
-    p = min(known, key=lambda p: abs(float(p) - 0.5))
-    first, last = members[0], members[-1]
-    one, other = first.values[p], last.values[p]
-    apart = _below(one, other) or _below(other, one)
-    change = 100.0 * (other.number / one.number - 1.0) if one.value else 0.0
-    verb = f"{'rises' if change > 0.0 else 'falls'} by {abs(change):.2g} %" if apart else "does not change visibly"
-    at_first, at_last = map(number_text, member_values(family.path, [first.value, last.value], 3))
-    return (
-        f"From {at_first} to {at_last} of the {family_name(contents, name)}, the {input_name(entry.solve)} at which "
-        f"{plain_percent(float(p))} exceed {limit_name(name)} {verb}: from {rounded(one, subject)} to "
-        f"{rounded(other, subject)}."
-    )
 
 
 def family_figure(contents: Contents, name: str) -> Picture | None:
@@ -517,7 +356,6 @@ def family_figure(contents: Contents, name: str) -> Picture | None:
     return Picture(
         name=slug("fragility-family", name),
         title=title,
-        finding=family_finding(contents, name),
         figure=figure,
         header=(family.path, entry.solve, "probability", "low", "high"),
         rows=tuple((float(m.value), *map(float, point)) for m in members for point in m.curve),
@@ -564,19 +402,16 @@ def energy_block(contents: Contents, name: str) -> list[Block]:
         return []
     heading = f"Fragility of {limit_name(name)} over the specific energy"
     if against.reason:
-        return [Block(heading=heading, finding=f"No curve can be given: {against.reason}.")]
+        return [Block(heading=heading, remarks=(f"No curve can be given: {against.reason}.",))]
     view = _seen_so(contents, name, against)
     picture = fragility_figure(view, name)
     return [
         Block(
             heading=heading,
-            finding=fragility_finding(view, name),
             picture=picture and replace(picture, name=slug("fragility-energy", name), title=heading),
             table=margins_table(view, name),
             remarks=(
-                *lognormal_remarks(view, name),
-                "Every specimen is struck with the speed that imposes just this energy on it, as in a drop-weight "
-                "test: what the energy scatters by at one speed has no part in the curve.",
+                "Every sphere is struck with the speed that imposes just this energy on it, as by a drop weight.",
             ),
             files=("tables/margins.csv", "tables/fragility_energy.csv"),
         )

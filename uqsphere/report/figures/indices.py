@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from uqsphere.report.blocks import Table, index_cell
-from uqsphere.report.claims import ranked, shares_claim
 from uqsphere.report.contents import Contents
+from uqsphere.report.drivers import ranked
 from uqsphere.report.figures.canvas import (
     BLUE,
     FAINT,
@@ -27,8 +27,6 @@ from uqsphere.report.figures.canvas import (
     wrap,
 )
 from uqsphere.report.phrases import (
-    absent_reason,
-    begin,
     capital,
     input_name,
     share_text,
@@ -117,8 +115,6 @@ def _legend(axes: Axes, words: tuple[str, str]) -> None:
 
 #: inputs of a heat map: with more no number can be read
 MOST: Final = 10
-#: a share below this is no finding, whatever its interval
-_LEAST: Final = 0.005
 
 
 def _pairs(contents: Contents, quantity: str) -> dict[tuple[str, str], Est]:
@@ -159,7 +155,6 @@ def pair_figure(contents: Contents, quantity: str) -> Picture | None:
     return Picture(
         name=slug("pairs", quantity),
         title=f"Which inputs act together on {symbol(quantity)}",
-        finding=pair_finding(contents, quantity),
         figure=figure,
     )
 
@@ -188,25 +183,6 @@ def _tile(axes: Axes, row: int, column: int, estimate: Est, *, single: bool, sma
         fontsize=7.0 if small else 9.0,
         color=PAPER if share > 0.35 else INK,
     )
-
-
-def pair_finding(contents: Contents, quantity: str) -> str:
-    """Which pair of inputs interacts most, and how much all pairs carry together."""
-    entry = contents.results.sensitivity.get(quantity, IndexEntry())
-    pairs = _pairs(contents, quantity)
-    if not pairs:
-        reason = next((absent_reason(e) for e in entry.second.values()), "")
-        return f"Which inputs act together on {symbol(quantity)} is not known: {reason}." if reason else ""
-    (a, b), largest = max(pairs.items(), key=lambda item: float(item[1].value or 0.0))
-    seen = {p: e for p, e in pairs.items() if (e.low or 0.0) > 0.0 and (e.value or 0.0) > _LEAST}
-    if (a, b) not in seen:
-        widest = max(float(e.high) for e in pairs.values() if e.high is not None)
-        return f"No pair of inputs matters: each carries at most {100.0 * max(widest, 0.0):.2g} %."
-    words = f"{begin(a, short_input(a))} and {short_input(b)} together carry {share_text(largest)} of the variance"
-    text = f"{words} of {symbol(quantity)} beyond what each does alone"
-    others = len(seen) - 1
-    more = {0: "no other pair is seen", 1: "one more is"}.get(others, f"{others} more pairs are seen")
-    return f"{text}; {more}."
 
 
 def pair_table(contents: Contents, quantity: str) -> Table | None:
@@ -245,21 +221,8 @@ def group_figure(contents: Contents, quantity: str) -> Picture | None:
     return Picture(
         name=slug("groups", quantity),
         title=f"What groups of inputs do to {symbol(quantity)}",
-        finding=group_finding(contents, quantity),
         figure=figure,
     )
-
-
-def group_finding(contents: Contents, quantity: str) -> str:
-    """Which group of inputs carries most."""
-    total = _groups(contents, quantity).total
-    known = {n: e for n, e in total.items() if e.value is not None}
-    if not known:
-        reason = next((absent_reason(e) for e in total.values()), "")
-        return f"What the groups do is not known: {reason}." if reason else ""
-    largest = max(known, key=lambda n: known[n].number)
-    share = share_text(known[largest])
-    return f"Taken together, {shorten(largest, 60)} carries {share} of the variance of {symbol(quantity)}."
 
 
 def group_table(contents: Contents, quantity: str) -> Table | None:
@@ -293,7 +256,6 @@ def sensitivity_figure(contents: Contents, quantity: str) -> Picture | None:
     return Picture(
         name=slug("sensitivity", quantity),
         title=f"What drives {symbol(quantity)}",
-        finding=shares_claim(contents.results, quantity).text,
         figure=figure,
     )
 

@@ -9,10 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags
-from uqsphere.quantities import display_unit, format_value
-from uqsphere.report.blocks import Table, cell, thousands
+from uqsphere.quantities import display_unit
+from uqsphere.report.blocks import Table, cell
 from uqsphere.report.contents import Contents, law_of
-from uqsphere.report.drivers import tied_inputs
 from uqsphere.report.figures.canvas import (
     BLUE,
     GREEN,
@@ -34,19 +33,12 @@ from uqsphere.report.figures.canvas import (
 from uqsphere.report.figures.distributions import axis_label
 from uqsphere.report.figures.fragility import probability_axis, score, x_scale
 from uqsphere.report.phrases import (
-    absent_reason,
-    breaks,
     capital,
     estimate_text,
     input_name,
     limit_name,
-    listed,
-    plain_percent,
-    probability_text,
-    rounded,
     short_input,
     symbol,
-    value_text,
 )
 from uqsphere.results import FractureEntry, IndexEntry
 from uqsphere.results.entries import Est
@@ -203,7 +195,6 @@ def surface_figure(contents: Contents, limit: str) -> Picture | None:
     return Picture(
         name=slug("surface", limit),
         title=f"Samples on both sides of {limit_name(limit)}",
-        finding=surface_finding(contents, limit),
         figure=figure,
         header=(sides.name, quantity, "strength", "missed"),
         rows=tuple((float(a), float(b), float(c), int(d)) for a, b, c, d in columns),
@@ -262,27 +253,6 @@ def _legend(axes: Axes, sides: Sides, quantity: str, whole: bool) -> None:
     legend_above(axes, 2, handles)
 
 
-def surface_finding(contents: Contents, limit: str) -> str:
-    """Where along the governing input the misses lie."""
-    sides = sides_of(contents, limit)
-    if sides is None:
-        return ""
-    n = int(sides.missed.sum())
-    words = short_input(sides.name)
-    if n == 0:
-        return f"None of {thousands(len(sides.x))} samples misses the aim."
-    if n == len(sides.x):
-        return f"All of {thousands(len(sides.x))} samples miss the aim."
-    where = float((sides.x[sides.missed] > np.median(sides.x)).mean())
-    half = "upper" if where >= 0.5 else "lower"
-    share = max(where, 1.0 - where)
-    text = f"Of the samples that miss the aim {100.0 * share:.0f} % lie in the {half} half of {words}"
-    if n < 30:
-        text = f"The {n} samples that miss the aim are too few to say where along {words} they lie"
-    text += f"; in this picture {plain_percent(n / len(sides.x))} of the samples miss it."
-    return text + (opposed(contents, limit, sides, where) if n >= 30 else "")
-
-
 # --- Fracture by any limit: the probabilities, which limit comes first, the state it comes in, and the interplay.
 
 #: what is shown of the state at fracture: words, and a quantity with the same unit
@@ -310,63 +280,6 @@ MOST_CURVES: Final = 8
 def _found(contents: Contents) -> FractureEntry:
     found: FractureEntry = contents.results.fracture
     return found
-
-
-def fracture_finding(contents: Contents) -> str:
-    """Whether it breaks, when, by what and in which state, in a few sentences."""
-    found = _found(contents)
-    union, first = found.union, found.first_loading
-    if not union or union.value is None:
-        return f"No answer: {found.reason or absent_reason(union)}."
-    text = f"The sphere breaks with a probability of {probability_text(union)} over the record"
-    if first and first.value is not None:
-        text += f", of {probability_text(first)} in the first loading, before the first reflected wave is back"
-    parts = [text + "."]
-    governed = {n: e for n, e in found.governed_by.items() if e.value}
-    if len(found.limits) > 1 and governed:
-        ranked = sorted(governed.items(), key=lambda item: -item[1].number)
-        named = [f"{limit_name(n)} in {plain_percent(e.number)}" for n, e in ranked]
-        parts.append(f"Of the spheres that break, the strength reached first is {listed(named)}.")
-    if found.time:
-        parts.append(_state_finding(found, union.number))
-    if found.t10:
-        ends = [rounded(found.t10.quantiles[p], "t10", 3) for p in ("0.05", "0.5", "0.95")]
-        parts.append(
-            f"Of their mass {ends[1]} is then finer than a tenth of the sphere in the median, {ends[0]} to "
-            f"{ends[2]} in nine of ten (t10)."
-        )
-    if not found.time and found.reason:
-        parts.append(f"When it breaks is not known: {found.reason}.")
-    return " ".join([*parts, *_left_out(contents, found)])
-
-
-def _state_finding(found: FractureEntry, whole: float) -> str:
-    """When the spheres that break do so, and in which state; `whole` is the share that breaks."""
-    states = found.states()
-    time, force, energy = (rounded(states[key].median, _STATE[key][1], 3) for key in ("time", "force", "energy"))
-    differ = found.imbalance.median.value
-    apart = "" if differ is None else f"; the two forces then differ by {plain_percent(float(f'{differ:.2g}'))}"
-    whom, weakest = "The spheres that break", ""
-    if 0.0 < whole < 0.5:
-        count = float(f"{1.0 / whole:.2g}")
-        whom = f"The spheres that break as planned, one in {thousands(round(count))} and the weakest of all,"
-        weakest = ", which is no property of all spheres"
-    return f"{whom} do so in the median at {time}, at {force} and {energy} in the contacts{weakest}{apart}."
-
-
-def _left_out(contents: Contents, found: FractureEntry) -> list[str]:
-    """Which limits are not counted, and why."""
-    again = [n for n in found.left_out if breaks(contents.results, n)]
-    other = [limit_name(n) for n in found.left_out if n not in again]
-    parts = []
-    if again:
-        parts.append(
-            f"The limit {listed([limit_name(n) for n in again])} means the same event with another aim, and is not "
-            "counted a second time."
-        )
-    if other:
-        parts.append(f"Limits that mean no fracture are left out: {listed(other)}.")
-    return parts
 
 
 def fracture_table(contents: Contents) -> Table | None:
@@ -421,22 +334,6 @@ def _beside(contents: Contents) -> dict[str, Array]:
 
 def _hardly_known(curve: Array) -> Flags:
     return np.asarray(curve[:, 3] > _KNOWN * curve[:, 2])
-
-
-def interplay_remarks(contents: Contents) -> tuple[str, ...]:
-    """Where the curve of a limit is left out of the figure for the few rows that it rests on."""
-    found = _found(contents)
-    if len(found.curve) < 2:
-        return ()
-    told = []
-    for name, curve in _beside(contents).items():
-        gone = curve[_hardly_known(curve) & (curve[:, 3] > _LEAST), 0]
-        if gone.size:
-            ends = [format_value(float(end), str(found.solve), 3) for end in dict.fromkeys((gone[0], gone[-1]))]
-            told.append(f"{limit_name(name)} ({' to '.join(ends)})")
-    if not told:
-        return ()
-    return (f"Not drawn where the few rows of its curve do not tell it to a factor of two: {listed(told)}.",)
 
 
 def interplay_figure(contents: Contents) -> Picture | None:
@@ -494,14 +391,7 @@ def interplay_figure(contents: Contents) -> Picture | None:
         word = "mean " if solve in contents.resolved.random else ""
         axes.set_xlabel(axis_label(solve, word + shorten(input_name(solve), 50)))
         axes.set_ylabel("probability of reaching the strength")
-    finding = f"Which criterion breaks the sphere, over {input_name(solve)}: {_half(found)}"
-    return Picture(name="interplay", title="Interplay of the limits", finding=finding, figure=figure)
-
-
-def _half(found: FractureEntry) -> str:
-    known = {p: e for p, e in found.values.items() if e.value is not None}
-    parts = [f"{plain_percent(float(p))} at {rounded(e, found.solve)}" for p, e in known.items()]
-    return f"by any of them {', '.join(parts)}." if parts else "no value has the probabilities asked for."
+    return Picture(name="interplay", title="Interplay of the limits", figure=figure)
 
 
 # --- Strength tests as a probability plot: on the paper of the fitted law its points lie on a straight line.
@@ -573,7 +463,7 @@ def probability_plot(known: FittedTests) -> Picture:
         axes.set_ylabel("share of the specimens\nthat has failed")
     return Picture(
         name=slug("strength", known.limit), title=f"Strength tests: {limit_name(known.limit)}",
-        finding=_finding(fitted, law, quantity), figure=figure,
+        figure=figure,
         header=("what", "strength", "share that has failed", "least (95 %)", "largest (95 %)"),
         rows=_drawn(known, heights, band),
     )  # fmt: skip
@@ -593,18 +483,6 @@ def _drawn(known: FittedTests, heights: Array, band: Array) -> tuple[tuple[Any, 
     strengths = known.law.ppf(share)
     rows += [("law", *map(float, row)) for row in zip(strengths, share, band[0], band[1], strict=True)]
     return tuple(rows)
-
-
-def _finding(fitted: StrengthFit, law: Law, quantity: str) -> str:
-    stopped = fitted.tests - fitted.failures
-    text = f"{fitted.tests} tests" + (f", {stopped} of them stopped before failure (arrows)" if stopped else "")
-    shape = law.parameters["modulus" if fitted.law.inverse else "log_sd"]
-    word, scale = fitted.law.shape_words, fitted.law.scale_words
-    text += (
-        f": {law.family.label} law with the {word} {shape:.3g} and the {scale} {value_text(fitted.scale, quantity)}. "
-    )
-    fits = "The points lie as they would if the law were right" if fitted.p_value > 0.05 else "The law fits badly"
-    return text + f"{fits} (p = {fitted.p_value:.2g}). Band: the laws that the tests allow (95 %)."
 
 
 def tests_table(known: FittedTests) -> Table:
@@ -628,21 +506,3 @@ def tests_table(known: FittedTests) -> Table:
     )
     caption = f"{capital(law.family.label)} law of the strength of {limit_name(known.limit)}, with 95 % intervals"
     return Table(caption=caption, header=("", "value"), rows=rows)
-
-
-def opposed(contents: Contents, limit: str, sides: Sides, where: float) -> str:
-    """Why the aim is missed at the end of an input where the load is smaller, if it is; `where` is the upper share."""
-    rank = next((r for name, r in tied_inputs(contents, limit) if name == sides.name), None)
-    entry = contents.results.limits[limit]
-    ranks = np.array([np.argsort(np.argsort(v)) for v in (sides.x, sides.demand)], dtype=float)
-    rises = float(np.corrcoef(ranks)[0, 1]) > 0.0
-    hard_above = rises == (entry.aim == "survive")
-    if rank is None or hard_above == (where >= 0.5):
-        return ""
-    words = short_input(sides.name)
-    way = "larger" if rises else "smaller"
-    follows = "rise" if rank > 0.0 else "fall"
-    return (
-        f" A larger {words} makes {symbol(entry.quantity)} {way}, yet the misses lie at the other end: the study "
-        f"takes the strength to {follows} with it (rank correlation {rank:g}), and that outweighs the load."
-    )

@@ -13,9 +13,8 @@ from uqsphere.mechanics.field import BARS, field_grid
 from uqsphere.mechanics.history import FieldView, extent
 from uqsphere.mechanics.stress.series import Load, series_stress, surface_stress
 from uqsphere.mechanics.stress.tables import core_ratio, outside
-from uqsphere.mechanics.yielding import metal_onset
 from uqsphere.quantities import display_unit, format_value, reading_units, unit_that_reads
-from uqsphere.report.blocks import Table, thousands
+from uqsphere.report.blocks import Table
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import (
     BLUE,
@@ -70,7 +69,6 @@ def force_band_figure(contents: Contents) -> Picture | None:
     return Picture(
         name="force-band",
         title="Contact force over time",
-        finding=force_band_finding(contents),
         figure=figure,
     )
 
@@ -85,61 +83,6 @@ def _legend(axes: Axes) -> None:
         Line2D([], [], color=RED, linestyle="--", linewidth=1.2, label="the hardest scene"),
     ]
     legend_above(axes, 3, handles)
-
-
-def force_band_finding(contents: Contents) -> str:
-    """How high the force rises, when, and by how much the hardest scene exceeds that."""
-    courses = contents.courses
-    if courses is None:
-        return ""
-    seconds = np.array(courses["time"], dtype=float)
-    medians = {face: np.array(courses[face]["0.5"]) for face, _, _ in _FACES}
-    face = max(medians, key=lambda f: float(medians[f].max()))
-    k = int(np.argmax(medians[face]))
-    low, high = (float(courses[face][level][k]) for level in ("0.05", "0.95"))
-    hardest = max(max(courses["hardest"][f]) for f, _, _ in _FACES)
-    letter = face[-1].upper()
-    return (
-        f"The median force is largest at face {letter}, {value_text(float(medians[face][k]), 'P_max', 4)} after "
-        f"{value_text(float(seconds[k]), 'contact_time', 4)}; nine in ten scenes lie between "
-        f"{value_text(low, 'P_max', 4)} and {value_text(high, 'P_max', 4)} at that instant. {hardest_words(contents)} "
-        f"reaches {value_text(hardest, 'P_max', 4)}.{beyond_yield(contents)}"
-    )
-
-
-def force_band_heading(contents: Contents) -> str:
-    """The heading over the forces, with the largest median."""
-    if contents.courses is None:
-        return "Force over time"
-    largest = max(float(np.max(contents.courses[face]["0.5"])) for face, _, _ in _FACES)
-    return f"Force over time: in the median up to {value_text(largest, 'P_max', 4)}"
-
-
-def hardest_words(contents: Contents) -> str:
-    """Which scene is called the hardest."""
-    courses = contents.courses
-    assert courses is not None
-    among, by = courses["hardest"].get("among"), courses["hardest"].get("by")
-    if not among or by == "the largest force":
-        return f"The hardest of the {courses['scenes']} scenes that were followed over time, not of all samples,"
-    return f"The hardest of all {thousands(among)} samples, by {by},"
-
-
-def beyond_yield(contents: Contents) -> str:
-    """That the bars yield under the sphere in the hardest scene, where they do."""
-    contact = (contents.courses or {}).get("hardest", {}).get("contact")
-    strength = contents.at_mean("bars.yield_strength")
-    nu = contents.at_mean("bars.nu")
-    if contact is None or strength is None or nu is None or "contact.law" in contents.resolved.options:
-        return ""
-    onset = float(metal_onset(strength, nu))
-    if contact["pressure"] <= onset:
-        return ""
-    return (
-        f" There the contact pressure of {value_text(contact['pressure'], 'p_max', 3)} is "
-        f"{contact['pressure'] / strength:.2f} times the yield strength of the bars, which yield from "
-        f"{onset / strength:.3g} times on: what is shown of this scene is that of bars that stay elastic."
-    )
 
 
 def hardest_table(contents: Contents) -> Table | None:

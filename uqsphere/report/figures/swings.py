@@ -14,10 +14,8 @@ from uqsphere.report.blocks import Table
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import (
     BLUE,
-    GREY,
     INK,
     ORANGE,
-    RED,
     Picture,
     legend_above,
     name_rows,
@@ -28,20 +26,15 @@ from uqsphere.report.figures.canvas import (
 )
 from uqsphere.report.figures.distributions import axis_label
 from uqsphere.report.phrases import (
-    begin,
     estimate_text,
     input_name,
-    limit_name,
-    number_text,
     rounded,
     short_input,
     symbol,
-    the_input,
     value_text,
 )
-from uqsphere.results import IndexEntry, LimitEntry
+from uqsphere.results import IndexEntry
 from uqsphere.results.entries import Est
-from uqsphere.uq.failure_indices import BY_INFORMATION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,7 +45,6 @@ TENTH: Final = 0.1
 _FEWEST: Final = 40
 #: bars of a tornado, steps of a waterfall
 _MOST: Final = 10
-_STEPS: Final = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +124,6 @@ def tornado_figure(contents: Contents, quantity: str) -> Picture | None:
     return Picture(
         name=slug("tornado", quantity),
         title=f"How far each input moves {symbol(quantity)}",
-        finding=tornado_finding(contents, quantity),
         figure=figure,
         header=(
             "input",
@@ -184,28 +175,6 @@ def _end_legend(axes: Axes) -> None:
     legend_above(axes, 2, handles, 1.4)
 
 
-def tornado_finding(contents: Contents, quantity: str) -> str:
-    """Which input moves the quantity furthest, from where to where."""
-    found = [s for s in swings(contents, quantity) if s.seen]
-    if not found:
-        return f"No input is seen to move the median of {symbol(quantity)}."
-    s = found[0]
-    text = (
-        f"{begin(s.name, short_input(s.name))} moves the median of {symbol(quantity)} furthest: from "
-        f"{value_text(s.at_low[0], quantity, 4)} in its lowest tenth to {value_text(s.at_high[0], quantity, 4)} in its "
-        "highest."
-    )
-    idle = len(swings(contents, quantity)) - len(found)
-    if idle:
-        text += f" {idle} input{'s are' if idle > 1 else ' is'} not seen to move it."
-    return text
-
-
-def furthest(contents: Contents, quantity: str) -> str:
-    """The input that moves the median of a quantity furthest; empty where none is seen to."""
-    return next((s.name for s in swings(contents, quantity) if s.seen), "")
-
-
 def tornado_table(contents: Contents, quantity: str) -> Table | None:
     """Medians at both ends of every input."""
     found = swings(contents, quantity)
@@ -230,128 +199,3 @@ def tornado_table(contents: Contents, quantity: str) -> Table | None:
 
 
 # --- waterfall ----------------------------------------------------------------------------------------
-
-
-def _steps(limit: LimitEntry) -> tuple[float, float, list[tuple[str, float]]]:
-    """Median margin, margin at the bad end, and the factors of the inputs between them; empty where not known.
-
-    The way in logarithms is shared out by importance factors, the squared direction cosines of the design point:
-    for margins that are products of lognormal variables that is exact, as the shares of Euler's allocation.
-    Failures in several directions have no such way.
-    """
-    margin, shares = limit.margin, limit.governing_inputs or {}
-    if limit.governing_inputs_method == BY_INFORMATION:
-        return 0.0, 0.0, []
-    bad = "0.05" if limit.aim == "survive" else "0.95"
-    ends = [e.number for key in ("median", bad) if (e := margin[key]).value is not None]
-    if len(ends) < 2 or min(ends) <= 0.0 or ends[0] == ends[1]:
-        return 0.0, 0.0, []
-    whole = sum(float(v) for v in shares.values())
-    if not whole > 0.0:
-        return 0.0, 0.0, []
-    way = math.log(ends[1] / ends[0])
-    order = sorted(shares, key=lambda name: -float(shares[name]))
-    steps = [(name, math.exp(way * float(shares[name]) / whole)) for name in order[:_STEPS]]
-    rest = sum(float(shares[name]) for name in order[_STEPS:])
-    if rest > 0.0:
-        steps.append(("", math.exp(way * rest / whole)))
-    return ends[0], ends[1], steps
-
-
-def _step_name(name: str) -> str:
-    return short_input(name) if name else "all others"
-
-
-def waterfall_figure(contents: Contents, name: str) -> Picture | None:
-    """From the median margin to the margin in the worst twentieth of cases, input by input; None where not known."""
-    limit = contents.results.limits[name]
-    begin_at, end_at, steps = _steps(limit)
-    if not steps:
-        return None
-    with style():
-        figure, (axes,) = new_figure(1.3 + 0.42 * (len(steps) + 2))
-        low, high = min(1.0, begin_at, end_at), max(1.0, begin_at, end_at)
-        width = 0.2 * (high - low) or 0.1
-        axes.set_xlim(low - width, high + width)
-        _whole_bar(axes, 0, begin_at)
-        here = begin_at
-        for row, (_, factor) in enumerate(steps, start=1):
-            there = here * factor
-            axes.barh(
-                row, there - here, 0.55, left=here, facecolor="none", edgecolor=ORANGE, hatch="///", linewidth=1.0
-            )
-            axes.plot([here, here], [row - 0.73, row + 0.28], color=GREY, linewidth=0.7)
-            _beside(axes, row, max(here, there), f"× {factor:.3f}")
-            here = there
-        axes.plot([here, here], [len(steps) + 0.27, len(steps) + 0.73], color=GREY, linewidth=0.7)
-        _whole_bar(axes, len(steps) + 1, end_at)
-        axes.axvline(1.0, color=RED, linestyle="--", linewidth=1.2)
-        worst = "5 % case" if limit.aim == "survive" else "95 % case"
-        words = ["median case", *(_step_name(n) for n, _ in steps), worst]
-        name_rows(axes, [wrap(w, 24) for w in words], -0.9, -0.4)
-        axes.spines["left"].set_visible(False)
-        axes.set_xlabel("strength over demand (dashed: they are equal)")
-    return Picture(
-        name=slug("waterfall", name),
-        title=f"Where the margin of {limit_name(name)} goes",
-        finding=waterfall_finding(contents, name),
-        figure=figure,
-        header=("step", "factor"),
-        rows=(("median", begin_at), *((n or "others", f) for n, f in steps), ("end", end_at)),
-    )
-
-
-def _whole_bar(axes: Axes, row: int, value: float) -> None:
-    left = axes.get_xlim()[0]
-    axes.barh(row, value - left, 0.55, left=left, facecolor=BLUE, alpha=0.75, edgecolor=BLUE)
-    _beside(axes, row, value, f"{value:.3g}")
-
-
-def _beside(axes: Axes, row: int, x: float, text: str) -> None:
-    axes.annotate(text, (x, row), xytext=(5, 0), textcoords="offset points", va="center", fontsize=8.5)
-
-
-def waterfall_finding(contents: Contents, name: str) -> str:
-    """Which input takes most of the margin."""
-    limit = contents.results.limits[name]
-    begin_at, end_at, steps = _steps(limit)
-    if not steps:
-        return ""
-    first, factor = steps[0]
-    share = 100.0 * math.log(factor) / math.log(end_at / begin_at)
-    text = (
-        f"On the way from the median margin of {begin_at:.3g} to {end_at:.3g} in the worst twentieth of cases, "
-        f"{_step_name(first)} takes {share:.0f} %."
-    )
-    missed = end_at < 1.0 if limit.aim == "survive" else end_at > 1.0
-    return text + (" There the aim is missed." if missed else "")
-
-
-def waterfall_heading(contents: Contents, name: str) -> str:
-    """The heading over the waterfall, with the input that takes most."""
-    subject = f"Where the margin of {limit_name(name)} goes"
-    begin_at, end_at, steps = _steps(contents.results.limits[name])
-    if not steps:
-        return subject
-    first, factor = steps[0]
-    share = 100.0 * math.log(factor) / math.log(end_at / begin_at)
-    return f"{subject}: {share:.0f} % to {the_input(first) if first else 'all others'}"
-
-
-def waterfall_table(contents: Contents, name: str) -> Table | None:
-    """Steps of the waterfall."""
-    begin_at, _, steps = _steps(contents.results.limits[name])
-    if not steps:
-        return None
-    here = begin_at
-    rows = [("median case", "", f"{begin_at:.3g}")]
-    for step, factor in steps:
-        here *= factor
-        label = input_name(step) if step else "all others"
-        rows.append((label, number_text(f"{100.0 * (factor - 1.0):+.2g}") + " %", f"{here:.3g}"))
-    return Table(
-        caption=f"From the median margin of {limit_name(name)} to its worst twentieth, by importance factors",
-        header=("step", "change", "margin after it"),
-        rows=tuple(rows),
-        note="No intervals: the way is shared out by the design point. Both ends have theirs in the table of limits.",
-    )
