@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING
 
 from uqsphere.errors import FolderError
 from uqsphere.files import refuse_links
+from uqsphere.quantities import format_estimate
 from uqsphere.results import Results, read_results
 from uqsphere.results.entries import Manifest, read_manifest
 from uqsphere.store import read_json
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from uqsphere.runner.plots import Plots
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,6 +26,43 @@ class Run:
     folder: Path
     results: Results
     manifest: Manifest
+
+    def __repr__(self) -> str:
+        limits = [f"{row[0]} {row[1]} {row[3]}".rstrip() for row in self._answers()]
+        return f"<Run in {str(self.folder)!r}: {'; '.join(limits) or 'no limits'}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: title, and every limit with its probability of a miss and its verdict."""
+        from html import escape
+
+        head = ("limit", "probability of a miss", "target", "verdict")
+        rows = "".join("<tr>" + "".join(f"<td>{escape(c)}</td>" for c in row) + "</tr>" for row in self._answers())
+        titles = "".join(f"<th>{name}</th>" for name in head)
+        return (
+            f"<table><caption>{escape(self.results.study.title)}</caption>"
+            f"<thead><tr>{titles}</tr></thead><tbody>{rows}</tbody></table>"
+        )
+
+    def _answers(self) -> list[tuple[str, str, str, str]]:
+        """Limit, probability of a miss with its interval, target and verdict, services by their names."""
+        rows = []
+        for service, part in self.results.parts.items():
+            for name, limit in part.limits.items():
+                miss = limit.miss
+                told = str(miss.reason or "not known")
+                if miss.value is not None and miss.low is not None and miss.high is not None:
+                    told = format_estimate(miss.value, miss.low, miss.high, most=5)
+                called = f"{service}: {name}" if service else name
+                target = "" if limit.target is None else f"{limit.target:g}"
+                rows.append((called, told, target, "" if limit.target is None else limit.word))
+        return rows
+
+    @property
+    def plot(self) -> Plots:
+        """Figures of the run, each drawn into axes of matplotlib: `run.plot.fragility()`."""
+        from uqsphere.runner.plots import Plots
+
+        return Plots(run=self)
 
     @property
     def met(self) -> bool:

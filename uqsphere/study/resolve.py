@@ -30,7 +30,7 @@ from uqsphere.study.scene import Scene, check_scene, read_damper, read_gauges, r
 from uqsphere.study.services import split
 from uqsphere.study.study import Margins, Study, tie_of
 from uqsphere.study.tables import read_table
-from uqsphere.study.text import apply_overrides, drop_unusable_numbers, locate, parse_text, read_text
+from uqsphere.study.text import apply_overrides, drop_unusable_numbers, locate, parse_text, read_text, toml_text
 from uqsphere.uq.families import LawError
 from uqsphere.uq.law import Law, make_law
 
@@ -45,15 +45,20 @@ RESERVED: Final = ("status", "censored")
 FINENESS: Final = "t10"
 
 
-def load_study(path: str | Path, overrides: Sequence[str] = ()) -> Study:
-    """The study of a TOML file, validated.
+def load_study(
+    path: str | Path | Mapping[str, object] = "study.toml", overrides: Sequence[str] = (), *, text: str | None = None
+) -> Study:
+    """The study of a TOML file, of such a text, or of the same tables as a dict, validated.
 
     Parameters
     ----------
-    path : str or Path
-        The file; nothing outside its folder is read.
+    path : str, Path or mapping
+        The file; nothing outside its folder is read.  Beside a `text` what it is called, and where its data lie.
+        A mapping holds the tables themselves: ``{"inputs": {"x": {"dist": "normal", "mean": 0, "sd": 1}}, ...}``.
     overrides : sequence of str
         ``PATH=VALUE`` each, such as ``striker.speed.mean=0.6 m/s``, put in place before anything is checked.
+    text : str, optional
+        The content of a study file, in place of reading one.
 
     Raises
     ------
@@ -62,10 +67,16 @@ def load_study(path: str | Path, overrides: Sequence[str] = ()) -> Study:
     AccessError
         Where the file is missing or cannot be read.
     UsageError
-        For an override that is none.
+        For an override that is none, and a value that no study file can hold.
+
+    >>> inputs = {"x": {"dist": "normal", "mean": 0.0, "sd": 1.0}}
+    >>> load_study({"title": "Two tables", "inputs": inputs, "outputs": {"names": ["y"]}})
+    <Study 'Two tables': 1 random input, black box>
     """
+    if isinstance(path, Mapping):
+        text, path = toml_text(path), "study.toml"
     path = Path(path)
-    text = read_text(path)
+    text = read_text(path) if text is None else text
     data = parse_text(text, path)
     findings = Findings(folder=path.parent)
     declared = data.get("limits", {})

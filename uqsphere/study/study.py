@@ -159,6 +159,12 @@ class Study:
         """Every study that is run: the rig's own by an empty name, where it has one, and the services."""
         return {**({} if self.rig == "none" else {"": self}), **self.services}
 
+    def __repr__(self) -> str:
+        parts = [f"{len(self.random)} random input{'' if len(self.random) == 1 else 's'}"]
+        parts += [f"limits {', '.join(limit.name for limit in self.limits)}"] if self.limits else []
+        parts += [f"services {', '.join(self.services)}"] if self.services else []
+        return f"<Study {self.title!r}: {', '.join([*parts, 'black box' if self.black_box else self.rig])}>"
+
     @property
     def hash(self) -> str:
         """SHA-256 of the meaning: the same where two files differ only in title, gauges, comments or layout."""

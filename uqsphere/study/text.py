@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import ast
 import codecs
+import json
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -413,3 +414,53 @@ def _value(text: str) -> Raw:
         except (ValueError, RecursionError, OverflowError):
             pass
     return text
+
+
+# --- tables as a text -------------------------------------------------------------------------------------------
+
+_BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def toml_text(tables: Mapping[str, object]) -> str:
+    """The text of a study file that holds some tables, of texts, numbers, truths, lists and tables.
+
+    Raises
+    ------
+    UsageError
+        For any other value, with its place.
+
+    >>> print(toml_text({"seed": 1, "inputs": {"x": {"dist": "normal", "mean": 0.0, "sd": 1.0}}}), end="")
+    seed = 1
+    [inputs]
+    x = { dist = "normal", mean = 0.0, sd = 1.0 }
+    """
+    plain = {key: value for key, value in tables.items() if not isinstance(value, Mapping)}
+    lines = [f"{_toml_key(key)} = {_toml_value(value, key)}" for key, value in plain.items()]
+    for key, table in tables.items():
+        if isinstance(table, Mapping):
+            lines.append(f"[{_toml_key(key)}]")
+            lines += [f"{_toml_key(k)} = {_toml_value(value, f'{key}.{k}')}" for k, value in table.items()]
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _toml_key(key: object) -> str:
+    text = str(key)
+    return text if _BARE_KEY.fullmatch(text) else _toml_value(text, text)
+
+
+def _toml_value(value: object, place: str) -> str:
+    if hasattr(value, "item") and getattr(value, "ndim", 1) == 0:
+        value = value.item()  # a number of numpy
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (int, float)):
+        return repr(value)
+    if isinstance(value, (str, Path)):
+        return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, Mapping):
+        inside = ", ".join(f"{_toml_key(k)} = {_toml_value(v, f'{place}.{k}')}" for k, v in value.items())
+        return f"{{ {inside} }}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(_toml_value(v, place) for v in value)}]"
+    kind = type(value).__name__
+    raise UsageError(f"{place}: found {kind}; a study has texts, numbers, true or false, lists and tables")
