@@ -4,8 +4,8 @@
 
 Three shipped strengths are carried from their tests to free impact on a thick plate of steel (210 GPa), square on, as a
 service of the study they come from: by the criterion itself (equal local stress), by energy and by centre tension.  The
-last columns are those of a drop weight on a rigid anvil that is far heavier than the sphere: at equal force it takes
-twice the energy of free impact, (R15).  The second table has what faces that yield do to the speed for a force, (R23).
+last columns are those of a drop weight on a rigid anvil that is far heavier than the sphere: the force between its two
+faces at which the mean sphere is strained alike, and the energy, twice that of free impact at equal force, (R15).  The second table has what faces that yield do to the speed for a force, (R23).
 """
 
 from __future__ import annotations
@@ -19,11 +19,14 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from scipy.optimize import brentq
 
 import uqsphere
 from uqsphere.arrays import Array
 from uqsphere.mechanics import contact
+from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.impact import light_sphere_constant
+from uqsphere.mechanics.outputs import at_force, columns_of
 from uqsphere.mechanics.rigs import GRAVITY
 from uqsphere.model import scene_of, solve_scene
 from uqsphere.results import Results
@@ -59,7 +62,7 @@ CASES: Final = (
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One probability of one case: speeds [m/s], the force at the closing speed [N], the energy of a weight [J, J/kg]."""
+    """One probability of one case: speeds [m/s], forces at the closing speed and of a weight [N], its energy [J, J/kg]."""
 
     case: Case
     probability: float
@@ -68,6 +71,7 @@ class Row:
     energy: float
     centre: float
     force: float
+    pressed: float
     weight: float
     specific: float
 
@@ -76,7 +80,8 @@ class Row:
         striker = "–" if self.striker is None else f"{self.striker:.3g}"
         drop = f"{self.local:.3g} ({self.local**2 / (2.0 * GRAVITY):.3g} m)"
         cells = (self.case.about, f"{100.0 * self.probability:g} %", striker, drop, f"{self.energy:.3g}",
-                 f"{self.centre:.3g}", f"{1e-3 * self.force:.3g} kN", f"{self.weight:.3g} J, {self.specific:.3g} J/kg")  # fmt: skip
+                 f"{self.centre:.3g}", f"{1e-3 * self.force:.3g} kN",
+                 f"{1e-3 * self.pressed:.3g} kN, {self.weight:.3g} J, {self.specific:.3g} J/kg")  # fmt: skip
         return f"| {' | '.join(cells)} |"
 
 
@@ -123,11 +128,11 @@ def rows_of(case: Case, evaluations: int = 400_000) -> list[Row]:
     for p in case.probabilities:
         key = f"{p:.15g}"
         local = service.margins["struck"].values[key].number
-        force, weight, specific = _at_means(plate, local)
+        force, pressed, weight, specific = _at_means(plate, local)
         rows.append(
             Row(case=case, probability=p, striker=_striker(results, case, key), local=local,
                 energy=carried["energy"][key].number, centre=carried["centre"][key].number,
-                force=force, weight=weight, specific=specific)  # fmt: skip
+                force=force, pressed=pressed, weight=weight, specific=specific)  # fmt: skip
         )
     return rows
 
@@ -136,15 +141,28 @@ def _striker(results: Results, case: Case, key: str) -> float | None:
     return results.margins[case.limit].values[key].number if case.striker else None
 
 
-def _at_means(study: Study, speed: float) -> tuple[float, float, float]:
-    """Peak force of the mean sphere at a closing speed, and the energy of a weight on a rigid anvil that has it."""
+def _at_means(study: Study, speed: float) -> tuple[float, float, float, float]:
+    """Peak force of the mean sphere at a closing speed; of a weight on a rigid anvil that strains it alike the force, the
+    energy and that per mass.
+
+    One force alone has another tension on the axis than two, (R20): the forces differ where that is the demand.
+    """
+    (limit,) = (one for one in study.limits if one.name == "struck")
     scene = scene_of(study, {"rig.speed": np.array([speed])})
-    answers = solve_scene(scene, "full", tolerance=1e-9, threads=1, quantities=("P_max",))
-    force, scales = float(answers.values["P_max"][0]), scene.scales
+    values = solve_scene(scene, "full", tolerance=1e-9, threads=1, quantities=("P_max", limit.quantity)).values
+    force, known = float(values["P_max"][0]), columns_of(scene)
+
+    def beyond(pressed: float) -> float:
+        squeezed = at_force(np.full(1, pressed), known)
+        if limit.quantity not in scene.demands:
+            return float(squeezed[limit.quantity][0] - values[limit.quantity][0])
+        key, parameters = scene.demands[limit.quantity]
+        return float(demand(CRITERIA[key], squeezed, parameters)[0] - values[limit.quantity][0])
+
+    pressed, scales = float(brentq(beyond, 0.2 * force, 5.0 * force, rtol=1e-12)), scene.scales
     beta = light_sphere_constant(scales.hertz_constant, scales.hertz_constant)
-    approach = contact.approach_at_force(force, beta)
-    energy = float(contact.contact_energy(approach, beta)[0])
-    return force, energy, energy / float(scales.mass[0])
+    energy = float(contact.contact_energy(contact.approach_at_force(pressed, beta), beta)[0])
+    return force, pressed, energy, energy / float(scales.mass[0])
 
 
 # --- faces that yield ---------------------------------------------------------------------------------------
