@@ -269,25 +269,6 @@ def test_channels_in_files_of_their_own_have_one_clock(clean: Made) -> None:
             beside(one, other)
 
 
-BAD = {
-    "a PDF": (b"%PDF-1.7\n1,2\n", "this is a PDF"),
-    "an archive": (b"PK\x03\x04nothing", "cannot be read"),
-    "one row": (b"time,U\n0.0,1.0\n", "1 rows"),
-    "an empty column": (b"time,U\n" + b"".join(b"%d,\n" % k for k in range(60)), "one column only"),
-    "words in numbers": (b"t,U\n" + b"".join(b"%de-6,%d\n" % (k, k) for k in range(60)) + b"61e-6,broken\n",
-                         "where a number is due"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_what_is_no_record_says_so(tmp_path: Path, name: str) -> None:
-    data, words = BAD[name]
-    path = tmp_path / "record.csv"
-    path.write_bytes(data)
-    with pytest.raises(RecordError, match=words):
-        make_record(read_table(path))
-
-
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a system without pipes")
 def test_a_pipe_or_a_device_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.csv")

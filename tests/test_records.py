@@ -87,6 +87,10 @@ def test_units_of_the_heading_and_of_the_study() -> None:
 REFUSED = {
     "empty": ("", "no table of numbers"),
     "a picture": ("\x89PNG\0\0", "NUL byte"),
+    "a PDF": ("%PDF-1.7\n1,2\n", "this is a PDF"),
+    "an archive": ("PK\x03\x04nothing", "cannot be read"),
+    "one row": ("time,U\n0.0,1.0\n", "1 rows"),
+    "an empty column": ("time,U\n" + "".join(f"{k},\n" for k in range(60)), "one column only"),
     "words": ("time,strain\nbegin,end\n", "no table of numbers"),
     "one column": ("strain\n" + "1.0\n" * 50, "one column only"),
     "three samples": ("0,0\n1e-6,0\n2e-6,1e-4\n", "a record has 20 at least"),
