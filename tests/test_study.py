@@ -98,9 +98,10 @@ def test_shipped_study(path: Path) -> None:
             "incident: a baseline of -7.037 microstrain is taken off",
             "13 cubics follow the record to 0.02 of its peak",
         ]
-    elif path.stem == "limestone_three_ways":
+    elif path.stem in ("limestone_three_ways", "granite_10mm_test"):
         # inserts, and onset and hardness that nobody has measured
-        assert [text.rpartition(" ")[2] for text in said] == ["bars", "it", "it"]
+        said = [text.rpartition(" ")[2] for text in said]
+        assert said == ["bars", "it", "it"][: 3 if path.stem == "limestone_three_ways" else 1]
     else:
         assert said == []
     resolved = json.loads(json.dumps(study.resolved(), allow_nan=False))
