@@ -12,7 +12,6 @@ from uqsphere.errors import StudyError, UsageError
 from uqsphere.mechanics.damper import Damper, _reflect, _weights, damper_from_impedance
 from uqsphere.mechanics.dispersion import correct, disperse, first_mode, phase_speed, surface_factors
 from uqsphere.mechanics.field import field_at
-from uqsphere.mechanics.gauges import wave_energies
 from uqsphere.mechanics.history import trace
 from uqsphere.mechanics.scene import Scene
 
@@ -81,8 +80,6 @@ def test_sphere_and_damper_are_coupled():
     np.testing.assert_allclose(
         impulse - DASHPOT * Z * given, TAU * Z * end.velocity, atol=2e-5 * TAU * Z * np.abs(end.velocity).max()
     )
-    # and energy is lost in the dashpot alone
-    assert wave_energies(found.motion, 1.1e-3).absorbed > -1e-9
     plain = trace(scene_with(), tolerance=1e-8)
     assert abs(found.first_peak.pressure / plain.first_peak.pressure - 1.0) > 1e-6
 

@@ -76,7 +76,6 @@ def test_a_free_blow_is_hertz():
     assert found.force == pytest.approx(1.25**0.6 * 2e10**0.4 * 0.02**0.6 * 5.0**1.2, rel=1e-11)
     assert found.duration == pytest.approx(3.2180655 * (0.02**2 / (2e10**2 * 5.0)) ** 0.2, rel=1e-8)
     assert found.restitution == pytest.approx(1.0, abs=1e-11)
-    assert impact.speed_for_force(found.force, 2e10, 0.02) == pytest.approx(5.0, rel=1e-11)
 
 
 def test_a_thick_plate_has_the_converged_answer():
@@ -140,7 +139,7 @@ def test_more_speed_is_due_where_steel_yields(force, more):
     face = steel_face(834e6, modulus)
     depth = face.depth_at(np.asarray(force))
     speed = np.sqrt(2.0 * face.work(depth) * face.onset_force * face.onset_approach / mass)
-    ratio = speed / impact.speed_for_force(force, beta, mass)
+    ratio = speed / (force ** (5.0 / 6.0) / np.sqrt(1.25 * mass) / beta ** (1.0 / 3.0))
     assert ratio == pytest.approx(1.0 + more, abs=0.03)
 
 

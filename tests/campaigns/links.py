@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.criteria import ring_crack_force
+from uqsphere.mechanics.criteria import AUERBACH
 from uqsphere.mechanics.stress.series import Load, series_stress, surface_stress
 
 Array = npt.NDArray[np.float64]
@@ -118,7 +118,7 @@ def main() -> None:
         at = compare_links(principal_field(ratio, case.nu), ratio, case.modulus)
         few = [compare_links(principal_field(r, case.nu), r, case.modulus).principal for r in _RATIOS]
         pressure = even_odds(case, np.array(_RATIOS), np.array(few), at.hoop)
-        ring = float(ring_crack_force(case.toughness, case.radius, case.E))
+        ring = AUERBACH * case.toughness**2 * case.radius / case.E
         forces = [force_at(p, case.radius, case.reduced) for p in (case.pressure, pressure)]
         print(f"{case.name}: a/r {ratio:.3f}, m {case.modulus:g}")
         print(f"  volume: hoop {at.hoop:.5f}, principal {at.principal:.5f}, beyond the zone {at.beyond:.5f} p_0")

@@ -293,15 +293,6 @@ def ring_crack_toughness(force: Values, radius: Values, E: Values) -> Array:
     return np.asarray(np.sqrt(np.asarray(force) * E / (AUERBACH * np.asarray(radius))))
 
 
-def ring_crack_force(toughness: Values, radius: Values, E: Values) -> Array:
-    """P_C = A K_Ic² r/E [N], A = 8600: the force at which a cone crack forms. The inverse of `ring_crack_toughness`.
-
-    >>> round(float(ring_crack_force(0.7e6, 0.005, 70e9)))
-    301
-    """
-    return np.asarray(AUERBACH * np.square(toughness) * radius / np.asarray(E, dtype=float))
-
-
 def hiramatsu_oka_tension(force: Values, radius: Values) -> Array:
     """0.9 P/D² [Pa], the tensile strength that irregular lumps are credited with in practice."""
     return np.asarray(0.9 * np.asarray(force) / np.square(2.0 * np.asarray(radius)))

@@ -1,4 +1,4 @@
-"""What strain gauges on the bars see, and what is read off the waves: forces at the faces, energies.
+"""What strain gauges on the bars see, and the forces at the faces that are read off the waves.
 
 The paper's (3.17) holds for gauges half-way along, bars of equal length and no reflection; here a gauge sits
 anywhere, and every reflection is in its signal.
@@ -12,15 +12,13 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, Values
-from uqsphere.mechanics.field import BARS, arriving, check_position, field_at, last_time, leaving
+from uqsphere.mechanics.field import BARS, check_position, field_at, last_time, leaving
 from uqsphere.mechanics.integrator.solve import Motion
 
 #: a wave is over once it stays below this share of its largest value
 _OVER: Final = 0.01
 #: instants of a round trip at which a wave is looked at to see when it is over
 _LOOKS: Final = 4000
-#: points of a step's Gauss quadrature, exact to degree 15
-_GAUSS: Final = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,21 +75,6 @@ class BarForces:
     two_wave: Array
     three_wave: Array
     end: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Energies:
-    """What the waves have carried past the faces up to some time, and what is left with the sphere [J]."""
-
-    incident: float
-    reflected: float
-    transmitted: float
-    returned: float
-
-    @property
-    def absorbed(self) -> float:
-        """Energy that came and did not go: both contacts and the sphere's motion hold it."""
-        return self.incident + self.returned - self.reflected - self.transmitted
 
 
 # --- signals ------------------------------------------------------------------------------------------
@@ -289,45 +272,3 @@ def force_imbalance(force_a: Values, force_b: Values) -> Array:
     force_a, force_b = np.asarray(force_a, dtype=float), np.asarray(force_b, dtype=float)
     total = force_a + force_b
     return np.asarray(2.0 * np.abs(force_a - force_b) / np.where(total > 0.0, total, 1.0))
-
-
-# --- energies -----------------------------------------------------------------------------------------
-
-
-def wave_energies(motion: Motion, time: float) -> Energies:
-    """What the waves carried past the faces from first touch to `time`: Z ∫ v² dt of each, theory (6).
-
-    Parameters
-    ----------
-    time : float
-        Instant [s] between 0 and the horizon.
-
-    Raises
-    ------
-    ValueError
-        For a time outside the history.
-    """
-    if not 0.0 <= time <= motion.horizon * (1.0 + 1e-9):
-        raise ValueError(f"the history lasts from 0 to {motion.horizon:.6g} s, found {time!r}")
-    starts = motion.start * motion.unit
-    cuts = [starts, np.array([0.0, time])]
-    for number in (0, 1):
-        cuts.append(_jumps(motion, 0))
-        if motion.echoes(number):
-            trips = np.arange(1, 2 + int(min(time / motion.round_trip(number), 64.0)))
-            # the waves have the kinks of the forces of earlier round trips besides those of the present
-            cuts.append((starts[:, None] + trips * motion.round_trip(number)).ravel())
-    nodes = np.unique(np.concatenate(cuts))
-    nodes = nodes[(nodes >= 0.0) & (nodes <= time)]
-    points, weights = np.polynomial.legendre.leggauss(_GAUSS)
-    half = 0.5 * np.diff(nodes)
-    times = ((nodes[:-1] + half)[:, None] + half[:, None] * points).ravel()
-    share = (half[:, None] * weights).ravel() * motion.impedance
-
-    def energy(wave: Array) -> float:
-        return float(np.square(wave) @ share)
-
-    return Energies(
-        incident=energy(arriving(motion, 0, times)), reflected=energy(leaving(motion, 0, times)),
-        transmitted=energy(leaving(motion, 1, times)), returned=energy(arriving(motion, 1, times)),
-    )  # fmt: skip

@@ -98,11 +98,6 @@ def blow(hertz_constant: Any, mass: Any, speed: Any, impedance: Any = math.inf) 
     )
 
 
-def speed_for_force(force: Any, hertz_constant: Any, mass: Any) -> Array:
-    """Closing speed [m/s] at which a blow on a partner that does not give way has the peak force P [N], (R10)."""
-    return np.asarray(force ** (5.0 / 6.0) / np.sqrt(1.25 * mass) / np.asarray(hertz_constant) ** (1.0 / 3.0))
-
-
 def yielding_depth(face: Face | Softening, mass: Any, speed: Any) -> Array:
     """z = alpha/alpha_y to which a blow presses a face that yields: M* v²/2 = W(z) P_y alpha_y, (R23).
 
