@@ -49,7 +49,7 @@ from uqsphere.feed.likelihood import (
 )
 from uqsphere.feed.tests import Specimens
 from uqsphere.uq.points import random_generator
-from uqsphere.uq.weibull import STRENGTHS, fit_strength, make_tests, pivots
+from uqsphere.uq.weibull import STRENGTHS, fitted_parameters, make_tests, pivots
 
 #: priors of logarithms: phi in 0.41 to 2.4 and gamma in 2.0 to 7.9 by 95 %, the published ranges; sigma 0.23 to 1.6;
 #: d0 0.7 to 36 mm; the modulus is that of a Weibull law whose lognormal fit has such a sigma, 2.1375/sigma
@@ -287,13 +287,15 @@ def _by_pivots(tests: Specimens, model: Model, request: Request, draws: int) -> 
     """Exact draws at one size; what a size law has beside E50 comes from its priors."""
     strength = STRENGTHS[model.law]
     series = make_tests(*_series(tests))
-    found = fit_strength(series, strength, draws=200)
+    best = fitted_parameters(series, strength)
     rng = random_generator(seed=request.seed, task=f"fit {model.law}")
     centre, inverse = pivots(strength, series.failed, draws, rng)
-    spread = 1.0 / found.shape if strength.inverse else found.shape
-    scatter, place = spread * inverse, math.log(found.scale) - spread * centre
-    own = {"sigma": np.log(scatter)} if model.law == "lognormal" else {"modulus": -np.log(0.6 * scatter)}
-    median = place if model.law == "lognormal" else place + scatter * math.log(math.log(2.0))
+    normal = model.law == "lognormal"
+    location = best["log_mean"] if normal else math.log(best["scale"])
+    spread = best["log_sd"] if normal else 1.0 / best["modulus"]
+    scatter, place = spread * inverse, location - spread * centre
+    own = {"sigma": np.log(scatter)} if normal else {"modulus": -np.log(0.6 * scatter)}
+    median = place if normal else place + scatter * math.log(math.log(2.0))
     columns: dict[str, Array] = {}
     for name, prior in model.priors.items():
         if name in own:

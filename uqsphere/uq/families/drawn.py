@@ -16,13 +16,15 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.uq.families.empirical import Table, density_at, from_score, score_at
 from uqsphere.uq.families.family import Family, LawError
 
 #: numbers of a draw, and the kinds
 WIDTH: Final = 5
 LOGNORMAL, WEIBULL = 0.0, 1.0
-#: nodes of the table that quantiles begin at, in normal score from -37 to 37, and Newton's steps from there
-_NODES, _STEPS, _FURTHEST = 1501, 3, 37.0
+#: nodes of the table of normal scores from -6 to 6 and on either side up to 37, and the lowest ln x that is looked up:
+#: shares are then known to 1e-8
+_NODES, _MIDDLE, _TAIL, _FURTHEST, _LEAST = 4001, 6.0, 400, 37.0, 700.0
 
 
 def _scores(y: Array, shapes: tuple[float, ...]) -> tuple[Array, Array, Array]:
@@ -45,55 +47,71 @@ def _scores(y: Array, shapes: tuple[float, ...]) -> tuple[Array, Array, Array]:
     return below, above, np.where(x > np.where(normal, 0.0, least), np.nan_to_num(density), 0.0)
 
 
-def _cdf(y: Array, shapes: tuple[float, ...]) -> Array:
-    return np.asarray(np.exp(_scores(y, shapes)[0]).mean(axis=-1))
+def _ends(shapes: tuple[float, ...], reach: float) -> tuple[float, float]:
+    """Between which ln x every draw has its normal scores from -reach to reach."""
+    from scipy.special import log_ndtr
 
-
-def _sf(y: Array, shapes: tuple[float, ...]) -> Array:
-    return np.asarray(np.exp(_scores(y, shapes)[1]).mean(axis=-1))
-
-
-def _both(y: Array, shapes: tuple[float, ...]) -> tuple[Array, Array]:
-    below, above, _ = _scores(y, shapes)
-    return np.asarray(np.exp(below).mean(axis=-1)), np.asarray(np.exp(above).mean(axis=-1))
-
-
-def _pdf(y: Array, shapes: tuple[float, ...]) -> Array:
-    return np.asarray(_scores(y, shapes)[2].mean(axis=-1))
+    kind, least, scale, shape, bound = np.array(shapes).reshape(-1, WIDTH).T
+    scores = np.array([-reach, reach])[:, None]
+    # a hazard of -ln(1 - Phi(z))
+    hazard = np.maximum(-log_ndtr(-scores), 1e-300)
+    with np.errstate(over="ignore"):
+        stretched = scale * np.exp(shape * scores)
+        found = np.where(kind == LOGNORMAL, stretched / (1.0 + bound * stretched / scale),
+                         least + scale * hazard ** (1.0 / shape))  # fmt: skip
+    return math.log(max(found[0].min(), 1e-300)), math.log(found[1].max())
 
 
 @lru_cache(maxsize=64)
-def _table(shapes: tuple[float, ...]) -> tuple[Array, Array]:
-    """Rising logarithms of x and the normal scores there, as far as these are finite."""
+def _table(shapes: tuple[float, ...]) -> Table:
+    """Nodes of ln x with the normal scores of the mean of all draws and their slopes, as far as these are finite."""
     from scipy.special import ndtri
 
-    kind, least, scale, shape, bound = np.array(shapes).reshape(-1, WIDTH).T
-    reach = np.array([-_FURTHEST, _FURTHEST])[:, None]
-    with np.errstate(over="ignore"):
-        stretched = scale * np.exp(shape * reach)
-        ends = np.where(kind == LOGNORMAL, stretched / (1.0 + bound * stretched / scale),
-                        least + scale * np.array([[1e-300], [690.0]]) ** (1.0 / shape))  # fmt: skip
-    logs = np.linspace(math.log(max(ends[0].min(), 1e-300)), math.log(ends[1].max()), _NODES)
-    below, above = _both(np.exp(logs), shapes)
-    score = np.where(below < 0.5, ndtri(below), -ndtri(above))
-    known = np.isfinite(score) & (np.diff(score, prepend=-math.inf) > 0.0)
-    return logs[known], score[known]
+    (start, end), (low, high) = (_ends(shapes, reach) for reach in (_FURTHEST, _MIDDLE))
+    tails = np.linspace(start, low, _TAIL)[:-1], np.linspace(high, end, _TAIL)[1:]
+    nodes = np.concatenate([tails[0], np.linspace(low, high, _NODES), tails[1]])
+    logs = _scores(np.exp(nodes), shapes)
+    below, above, density = (np.exp(logs[0]).mean(axis=-1), np.exp(logs[1]).mean(axis=-1), logs[2].mean(axis=-1))
+    with np.errstate(over="ignore", invalid="ignore"):
+        score = np.where(below < 0.5, ndtri(below), -ndtri(above))
+        slope = density * np.exp(nodes) * math.sqrt(2.0 * math.pi) * np.exp(0.5 * score * score)
+    known = np.isfinite(score) & np.isfinite(slope) & (np.diff(score, prepend=-math.inf) > 0.0)
+    return nodes[known], score[known], slope[known]
+
+
+def _logs(y: Array) -> Array:
+    with np.errstate(divide="ignore"):
+        return np.maximum(np.log(np.maximum(y, 0.0)), -_LEAST)
+
+
+def _both(y: Array, shapes: tuple[float, ...]) -> tuple[Array, Array]:
+    """(P, 1 - P): of one draw as they are, of more by the table."""
+    if len(shapes) == WIDTH:
+        below, above, _ = _scores(y, shapes)
+        return np.asarray(np.exp(below[..., 0])), np.asarray(np.exp(above[..., 0]))
+    from scipy.special import ndtr
+
+    score = score_at(_table(shapes), _logs(y))
+    return np.asarray(ndtr(score)), np.asarray(ndtr(-score))
+
+
+def _cdf(y: Array, shapes: tuple[float, ...]) -> Array:
+    return _both(y, shapes)[0]
+
+
+def _sf(y: Array, shapes: tuple[float, ...]) -> Array:
+    return _both(y, shapes)[1]
+
+
+def _pdf(y: Array, shapes: tuple[float, ...]) -> Array:
+    if len(shapes) == WIDTH:
+        return np.asarray(_scores(y, shapes)[2][..., 0])
+    return np.where(y > 0.0, density_at(_table(shapes), _logs(y)) / np.where(y > 0.0, y, 1.0), 0.0)
 
 
 def _from_score(score: Array, shapes: tuple[float, ...]) -> Array:
-    """x of a normal score: the table, then Newton's steps on the score."""
-    from scipy.special import ndtri
-
-    logs, scores = _table(shapes)
-    x = np.exp(np.interp(score, scores, logs))
-    for _ in range(_STEPS):
-        below, above = _both(x, shapes)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            found = np.where(below < 0.5, ndtri(below), -ndtri(above))
-            slope = _pdf(x, shapes) * math.sqrt(2.0 * math.pi) * np.exp(0.5 * found * found)
-            step = np.clip((score - found) / (slope * x), -0.05, 0.05)
-        x = x * np.exp(np.where(np.isfinite(step), step, 0.0))
-    return x
+    """x of a normal score."""
+    return np.asarray(np.exp(from_score(_table(shapes), score)))
 
 
 def _ppf(p: Array, shapes: tuple[float, ...]) -> Array:

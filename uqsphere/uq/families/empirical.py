@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from uqsphere.uq.families.family import Family
 
 #: Beyond this many observations a kernel density has nothing to add to the step function.
 MOST_KERNELS = 5000
+#: nodes, normal scores there, and their slopes
+Table: TypeAlias = tuple[Array, Array, Array]
 _REACH = 37.5  # normal scores beyond this are below the smallest floating-point probability
 
 
@@ -30,7 +32,7 @@ def bandwidth(data: Array) -> float:
 
 
 @lru_cache(maxsize=64)
-def _table(data: tuple[float, ...], width: float) -> tuple[Array, Array, Array]:
+def _table(data: tuple[float, ...], width: float) -> Table:
     """Nodes x, scores z and slopes dz/dx of the kernel distribution function."""
     from scipy.special import ndtr, ndtri
 
@@ -61,7 +63,7 @@ def _cell(nodes: Array, x: Array) -> Places:
     return np.clip(np.searchsorted(nodes, x) - 1, 0, nodes.size - 2).astype(np.int64)
 
 
-def _cubic(table: tuple[Array, Array, Array], cell: Places, t: Array) -> tuple[Array, Array]:
+def _cubic(table: Table, cell: Places, t: Array) -> tuple[Array, Array]:
     """Value and t-derivative of the Hermite cubic of z in the cell, t in [0, 1]."""
     x, z, slope = table
     step = x[cell + 1] - x[cell]
@@ -71,9 +73,8 @@ def _cubic(table: tuple[Array, Array, Array], cell: Places, t: Array) -> tuple[A
     return z[cell] + t * (left + t * (c2 + t * c3)), left + t * (2.0 * c2 + 3.0 * t * c3)
 
 
-def kernel_score(data: tuple[float, ...], width: float, x: Array) -> Array:
-    """Normal score ndtri(F(x)) of the kernel distribution; linear beyond the table (|z| > 37)."""
-    table = _table(data, width)
+def score_at(table: Table, x: Array) -> Array:
+    """Normal score ndtri(F(x)) of a tabulated distribution; linear beyond the table (|z| > 37)."""
     nodes, z, slope = table
     cell = _cell(nodes, x)
     t = np.clip((x - nodes[cell]) / (nodes[cell + 1] - nodes[cell]), 0.0, 1.0)
@@ -82,9 +83,8 @@ def kernel_score(data: tuple[float, ...], width: float, x: Array) -> Array:
     return np.where(x > nodes[-1], z[-1] + slope[-1] * (x - nodes[-1]), inside)
 
 
-def kernel_from_score(data: tuple[float, ...], width: float, score: Array) -> Array:
-    """Inverse of `kernel_score`: Newton steps, bisection as the fallback, inside one cell of the table."""
-    table = _table(data, width)
+def from_score(table: Table, score: Array) -> Array:
+    """Inverse of `score_at`: Newton steps, bisection as the fallback, inside one cell of the table."""
     nodes, z, slope = table
     cell = _cell(z, score)
     rise = z[cell + 1] - z[cell]
@@ -95,7 +95,7 @@ def kernel_from_score(data: tuple[float, ...], width: float, score: Array) -> Ar
     return np.where(score > z[-1], nodes[-1] + (score - z[-1]) / slope[-1], inside)
 
 
-def _solve_cells(table: tuple[Array, Array, Array], cell: Places, score: Array, start: Array) -> Array:
+def _solve_cells(table: Table, cell: Places, score: Array, start: Array) -> Array:
     """Place t in [0, 1] of each score within its cell; entries leave the iteration as they converge."""
     t = start.ravel()
     low, high = np.zeros_like(t), np.ones_like(t)
@@ -118,9 +118,8 @@ def _solve_cells(table: tuple[Array, Array, Array], cell: Places, score: Array, 
     return t.reshape(start.shape)
 
 
-def kernel_density(data: tuple[float, ...], width: float, x: Array) -> Array:
-    """Density of the kernel distribution, dz/dx φ(z)."""
-    table = _table(data, width)
+def density_at(table: Table, x: Array) -> Array:
+    """Density of a tabulated distribution, dz/dx φ(z)."""
     nodes = table[0]
     cell = _cell(nodes, x)
     step = nodes[cell + 1] - nodes[cell]
@@ -147,20 +146,20 @@ def steps_ppf(data: Array, p: Array) -> Array:
 def _both(y: Array, shapes: tuple[float, ...]) -> tuple[Array, Array]:
     from scipy.special import ndtr
 
-    score = kernel_score(shapes[1:], shapes[0], y)
+    score = score_at(_table(shapes[1:], shapes[0]), y)
     return np.asarray(ndtr(score)), np.asarray(ndtr(-score))
 
 
 def _ppf(p: Array, shapes: tuple[float, ...]) -> Array:
     from scipy.special import ndtri
 
-    return kernel_from_score(shapes[1:], shapes[0], np.asarray(ndtri(p)))
+    return from_score(_table(shapes[1:], shapes[0]), np.asarray(ndtri(p)))
 
 
 def _isf(q: Array, shapes: tuple[float, ...]) -> Array:
     from scipy.special import ndtri
 
-    return kernel_from_score(shapes[1:], shapes[0], -np.asarray(ndtri(q)))
+    return from_score(_table(shapes[1:], shapes[0]), -np.asarray(ndtri(q)))
 
 
 def _not_fitted(*given: object) -> dict[str, float]:
@@ -180,7 +179,7 @@ EMPIRICAL = Family(
     both=_both,
     ppf=_ppf,
     isf=_isf,
-    pdf=lambda y, shapes: kernel_density(shapes[1:], shapes[0], y),
+    pdf=lambda y, shapes: density_at(_table(shapes[1:], shapes[0]), y),
     mean=lambda shapes: math.fsum(shapes[1:]) / (len(shapes) - 1),
     sd=lambda shapes: math.nan,
     fit=_not_fitted,
