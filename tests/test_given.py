@@ -622,3 +622,32 @@ def test_the_analysis_says_so() -> None:
     assert not chaos["usable"]
     assert chaos["reason"] == found["combinations"][0]
     assert "s = a + b" in " ".join(analysis_text(found, 80).split())
+
+
+def test_the_page_of_an_analysis_has_its_numbers_and_no_text_of_the_table_as_markup(tmp_path: Path) -> None:
+    from html.parser import HTMLParser
+
+    from uqsphere.given.page import analysis_page
+
+    rng = np.random.default_rng(4)
+    x = rng.normal(size=(200, 2))
+    name = "<b>load</b>"
+    data = Data(inputs=(name, "x2"), outputs=("y",), x=x, y=(3.0 * x[:, 0] + x[:, 1])[:, None])
+    found = analyse_data(data)
+    files = analysis_page(found, data)
+    assert set(files) == {
+        "report.html",
+        *(f"figures/{n}-1-y.{kind}" for n in ("drivers", "output") for kind in ("svg", "csv")),
+    }
+    page = files["report.html"]
+    assert "<b>" not in page
+    assert "&lt;b&gt;load" in page
+    HTMLParser().feed(page)
+    # variances 9 and 1
+    row = files["figures/drivers-1-y.csv"].splitlines()[1].split(",")
+    assert row[0] == name
+    assert float(row[1]) == pytest.approx(0.9, abs=0.06)
+    counts = [float(line.split(",")[2]) for line in files["figures/output-1-y.csv"].splitlines()[1:]]
+    assert sum(counts) == 200
+    known = found["outputs"]["y"]["mean"]
+    assert f"{known['value']:.2f}".replace("-", "−") in page

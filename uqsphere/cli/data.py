@@ -26,16 +26,18 @@ def command_analyse(chosen: argparse.Namespace) -> int:
     known = None if chosen.laws is None else known_laws(chosen.laws, data.inputs)
     found = analyse_data(data, known=known)
     if chosen.out is not None:
+        from uqsphere.given.page import analysis_page
         from uqsphere.store import write_outputs
 
         text = json.dumps(found, indent=1, allow_nan=False) + "\n"
-        write_outputs(chosen.out, {"analysis.json": text, "inputs.toml": study_text(found)})
+        files = {"analysis.json": text, "inputs.toml": study_text(found), **analysis_page(found, data)}
+        write_outputs(chosen.out, files)
     if chosen.json:
         print_document(found)
     else:
         print(analysis_text(found))
         if chosen.out is not None:
-            print(f"\nwritten to {chosen.out}: analysis.json, and inputs.toml to begin a study with")
+            print(f"\nwritten to {chosen.out}: report.html, analysis.json, and inputs.toml to begin a study with")
     return 0
 
 

@@ -48,7 +48,7 @@ def analysis_text(found: Document, width: int | None = None) -> str:
         f"{found['rows']:,} rows",
         "",
         *_inputs(found, columns),
-        *_dependence(found),
+        *dependence_lines(found),
         "",
         _outputs(found, columns),
         "",
@@ -57,7 +57,9 @@ def analysis_text(found: Document, width: int | None = None) -> str:
     for name, entry in found["sensitivity"].items():
         chaos = entry["chaos"]
         parts += (
-            ["", f"{name}: {_said(found, name)}"] if chaos["usable"] else ["", f"{name}: expansion: {chaos['reason']}"]
+            ["", f"{name}: {expansion_line(found, name)}"]
+            if chaos["usable"]
+            else ["", f"{name}: expansion: {chaos['reason']}"]
         )
         parts += [f"{name}: {note}" for note in [*found["outputs"][name]["notes"], *chaos.get("notes", ())]]
         if entry["disagree"]:
@@ -97,7 +99,7 @@ def _inputs(found: Document, width: int) -> list[str]:
     return parts + [f"{name}: {entry['reason']}" for name, entry in found["inputs"].items() if entry["reason"]]
 
 
-def _dependence(found: Document) -> list[str]:
+def dependence_lines(found: Document) -> list[str]:
     """Which inputs depend on each other, or are given by others."""
     parts, tied = [], [pair for pair in found["dependence"] if pair["dependent"]]
     for pair in tied[:_MANY]:
@@ -157,7 +159,7 @@ def _drivers(found: Document, width: int) -> str:
     return "\n\n".join(text if "\n" in text else wrap(text, width) for text in texts)
 
 
-def _said(found: Document, name: str) -> str:
+def expansion_line(found: Document, name: str) -> str:
     """What the intervals of an expansion hold."""
     chaos = found["sensitivity"][name]["chaos"]
     entries = [e for order in _ORDERS for e in chaos.get(order, {}).values() if e["surrogate"]["value"] is not None]

@@ -231,7 +231,7 @@ def _feed_parts(entry: FeedEntry) -> list[Part]:
     ]  # fmt: skip
 
 
-def _page(title: str, kind: str, brief: dict[str, Any], parts: Sequence[Part]) -> dict[str, str]:
+def page_files(title: str, kind: str, brief: dict[str, Any], parts: Sequence[Part]) -> dict[str, str]:
     """The page and the files of its figures, by their names."""
     from markupsafe import Markup
 
@@ -256,10 +256,12 @@ def _page(title: str, kind: str, brief: dict[str, Any], parts: Sequence[Part]) -
 
 def fit_page(entry: FitEntry, posterior: Posterior, tests: Specimens) -> dict[str, str]:
     """report.html of a fit with the files of its figures: name -> text."""
-    return _page(entry.title, "fit of single particles", _fit_brief(entry), _fit_parts(entry, posterior, tests, None))
+    return page_files(
+        entry.title, "fit of single particles", _fit_brief(entry), _fit_parts(entry, posterior, tests, None)
+    )
 
 
 def feed_page(entry: FeedEntry, fitted: FitEntry, posterior: Posterior, tests: Specimens | None) -> dict[str, str]:
     """report.html of a feed with the files of its figures: name -> text; without tests their figures are left out."""
     parts = [*_feed_parts(entry), *_fit_parts(fitted, posterior, tests, entry)]
-    return _page(entry.title, "feed", _feed_brief(entry), parts)
+    return page_files(entry.title, "feed", _feed_brief(entry), parts)
