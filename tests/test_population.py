@@ -15,16 +15,15 @@ from hypothesis import strategies as st
 from uqsphere.feed import laws
 from uqsphere.feed.fit import Posterior
 from uqsphere.feed.population import (
-    PASSING,
     Blows,
     Classes,
     Feed,
+    Sizes,
     breaking,
     draws_for,
     make_classes,
     populate,
     size_at,
-    table_passing,
 )
 from uqsphere.feed.product import KNOTS, Curve, Product, drawn_curve, fit_alpha, fit_t10, milin_parameters
 from uqsphere.uq.law import make_law
@@ -49,7 +48,7 @@ def scattered(draws, seed=1):
 
 
 def rosin_rammler(d63=0.03, n=1.2, top=0.0715, count=14, ratio=2**0.5) -> Classes:
-    return make_classes(lambda x: PASSING["rosin_rammler"](x, {"d63": d63, "n": n}), top=top, ratio=ratio, count=count)
+    return make_classes(Sizes(law="rosin_rammler", parameters={"d63": d63, "n": n}, top=top), ratio=ratio, count=count)
 
 
 def fed(count=3, energy=100.0, kind="specific", classes=None, **more) -> Feed:
@@ -75,8 +74,9 @@ def test_classes_of_a_feed_break_as_the_cases_say(blows):
 @pytest.mark.parametrize(("blows", "key"), [(1, "closed"), (5, "n5_gamma4")])
 def test_a_lognormal_feed_of_a_power_law_has_a_closed_form(blows, key):
     case = CASES["F1"]
-    classes = make_classes(lambda x: PASSING["lognormal"](x, {"d50": case["d50"], "log_sd": case["sd"]}),
-                           top=case["d50"] * math.exp(7.0 * case["sd"]), ratio=1.005, count=2000)  # fmt: skip
+    law = {"d50": case["d50"], "log_sd": case["sd"]}
+    sizes = Sizes(law="lognormal", parameters=law, top=case["d50"] * math.exp(7.0 * case["sd"]))
+    classes = make_classes(sizes, ratio=1.005, count=2000)
     ore = known(size="power", ratio=math.inf, C=case["C"], phi=case["phi"], sigma=case["sigma"], gamma=4.0)
     found = breaking(ore, FINE, fed(blows, case["energy"], classes=classes))
     assert found.share.sum(axis=(1, 2)) @ classes.mass == pytest.approx(case[key], rel=1e-6)
@@ -226,7 +226,9 @@ def test_classes_cut_in_two_move_p80_by_less_than_a_hundredth(progeny, octaves):
 
 def test_a_lot_scatters_as_its_particles_and_ignorance_as_the_draws():
     """(F10) for 50 particles of one size, against lots that are drawn."""
-    classes = make_classes(lambda x: np.minimum(x / 0.02, 1.0) ** 400, top=0.0202, ratio=1.02, count=1)
+    classes = make_classes(
+        Sizes(law="gaudin_schuhmann", parameters={"top": 0.02, "n": 400.0}, top=0.02), ratio=1.02, count=1
+    )
     particle = math.pi / 6.0 * 2700.0 * classes.sizes[0] ** 3
     feed = fed(3, 40.0, classes=classes, lot=50.0 * particle / classes.mass[0])
     broken = breaking(scattered(4_000), FINE, feed)
@@ -322,7 +324,7 @@ def test_a_discrepancy_scatters_t_n_by_five_hundredths_and_keeps_its_ends():
 
 
 def test_sieves_of_a_table_are_joined_in_the_logarithm():
-    passing = table_passing(np.array([0.004, 0.016, 0.063]), np.array([0.2, 0.6, 1.0]))
-    assert passing(np.array([0.008, 0.002])) == pytest.approx([0.4, 0.1])
-    classes = make_classes(passing, top=0.063, ratio=2.0, count=4)
+    sizes = Sizes(sieves=(0.004, 0.016, 0.063), finer=(0.2, 0.6, 1.0), top=0.063)
+    assert sizes.passing(np.array([0.008, 0.002])) == pytest.approx([0.4, 0.1])
+    classes = make_classes(sizes, ratio=2.0, count=4)
     assert classes.mass.sum() == pytest.approx(1.0, rel=EXACT)

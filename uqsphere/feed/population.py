@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -47,46 +47,59 @@ PASSING: Final[Mapping[str, Callable[[Array, Mapping[str, float]], Array]]] = {
 }
 
 
-def table_passing(sieves: Array, passing: Array) -> Callable[[Array], Array]:
-    """Share finer than x between the sieves of a table (ascending, m), linear in ln x; as x below the first."""
-
-    def at(x: Array) -> Array:
-        inside = np.interp(np.log(x), np.log(sieves), passing)
-        return np.where(x < sieves[0], passing[0] * x / sieves[0], inside)
-
-    return at
-
-
 @dataclass(frozen=True, kw_only=True)
-class Classes:
-    """Sieves (K + 1,) [m] from the top down, mass shares and particle sizes (K + 1,) of the classes and the rest.
+class Sizes:
+    """A size distribution by mass: of a law of `PASSING`, or of a table of sieves (ascending, m) with shares finer,
+    which is linear in ln x between them and as x below the first.  Cut at `top` [m].
 
-    passing : share of the feed finer than x [m]
+    >>> Sizes(sieves=(0.01, 0.1), finer=(0.5, 1.0), top=0.1).passing(np.array([0.005, 0.1])).tolist()
+    [0.25, 1.0]
     """
+
+    law: str = "table"
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    sieves: tuple[float, ...] = ()
+    finer: tuple[float, ...] = ()
+    top: float
+
+    def passing(self, x: Array) -> Array:
+        """Share finer than x [m]."""
+        whole = float(self._whole(np.array([self.top]))[0])
+        return np.minimum(self._whole(np.minimum(x, self.top)) / whole, 1.0)
+
+    def _whole(self, x: Array) -> Array:
+        if self.law != "table":
+            return PASSING[self.law](x, self.parameters)
+        inside = np.interp(np.log(x), np.log(self.sieves), self.finer)
+        return np.where(x < self.sieves[0], self.finer[0] * x / self.sieves[0], inside)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Classes:
+    """Sieves (K + 1,) [m] from the top down, mass shares and particle sizes (K + 1,) of the classes and the rest."""
 
     edges: Array
     mass: Array
     sizes: Array
-    passing: Callable[[Array], Array]
+    of: Sizes
+
+    def passing(self, x: Array) -> Array:
+        """Share of the feed finer than x [m]."""
+        return self.of.passing(x)
 
 
-def make_classes(passing: Callable[[Array], Array], *, top: float, ratio: float, count: int) -> Classes:
-    """Classes of a size distribution that is cut at `top` [m]: `count` of them, each `ratio` below the last.
+def make_classes(sizes: Sizes, *, ratio: float, count: int) -> Classes:
+    """Classes of a size distribution: `count` of them from its top, each `ratio` below the last.
 
-    >>> made = make_classes(lambda x: x / 0.1, top=0.1, ratio=2.0, count=3)
-    >>> made.mass.tolist(), (1e3 * made.edges).tolist()
-    ([0.5, 0.25, 0.125, 0.125], [100.0, 50.0, 25.0, 12.5])
+    >>> made = make_classes(Sizes(sieves=(1e-6, 0.1), finer=(1e-5, 1.0), top=0.1), ratio=2.0, count=3)
+    >>> (1e3 * made.edges).tolist()
+    [100.0, 50.0, 25.0, 12.5]
     """
-    edges = top * ratio ** -np.arange(count + 1.0)
-    whole = float(passing(edges[:1])[0])
-
-    def cut(x: Array) -> Array:
-        return np.minimum(passing(np.minimum(x, top)) / whole, 1.0)
-
-    finer = cut(edges)
+    edges = sizes.top * ratio ** -np.arange(count + 1.0)
+    finer = sizes.passing(edges)
     mass = np.append(finer[:-1] - finer[1:], finer[-1])
-    sizes = np.append(edges[1:] * math.sqrt(ratio), edges[-1] / ratio)
-    return Classes(edges=edges, mass=mass, sizes=sizes, passing=cut)
+    middle = np.append(edges[1:] * math.sqrt(ratio), edges[-1] / ratio)
+    return Classes(edges=edges, mass=mass, sizes=middle, of=sizes)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,6 +17,8 @@ from uqsphere.store import csv_text
 
 #: most cautions of a brief
 _CAUTIONS: Final = 3
+#: rows of the table of tested sizes
+_MOST_SIZES: Final = 12
 _SURE: Final = "from memory, not checked at the source"
 #: what is on the pages from memory: found on the page, and said there
 _MARKED: Final = (
@@ -151,10 +153,11 @@ def _fit_parts(entry: FitEntry, posterior: Posterior, tests: Specimens | None, f
     sizes = tuple(
         (_n(one.diameter, 1e3), str(one.tests), str(one.broke), _interval(one.E50), _interval(one.half),
          _interval(one.slope), "; ".join(f"{law} {_interval(low)}" for law, low in one.low_tail.items()))
-        for one in entry.sizes
+        for one in entry.sizes[:: max(1, -(-len(entry.sizes) // _MOST_SIZES))]
     )  # fmt: skip
     head = ("mm", "tests", "broke", "E50 [J/kg]", "breaks half [J/kg]", "-d ln E50/d ln d", "breaks 1 % [J/kg]")
     note = "E50 is the median of e* = e/(1 - e/E_max): with a bound E_max half of the particles break below it."
+    note += f" {len(sizes)} of {len(entry.sizes)} sizes." if len(sizes) < len(entry.sizes) else ""
     parameters = tuple(
         (f"{law}: {name}", one.unit, _interval(one.posterior), f"{one.sd:.2g}",
          "flat" if one.prior is None else f"{one.prior[1]:.2g}", "yes" if one.told else "no: as wide as the prior")

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from uqsphere.arrays import Array
 from uqsphere.feed.product import ProductPlan
 from uqsphere.files import Json
 from uqsphere.materials import library
@@ -31,7 +30,7 @@ from uqsphere.units import UNITS, Quantity
 from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
-    from uqsphere.feed.population import Feed
+    from uqsphere.feed.population import Feed, Sizes
     from uqsphere.study.study import Study
 
 #: what a blow offers: dimension, kind of `uqsphere.feed.population.Blows`
@@ -172,21 +171,21 @@ def read_feed(
         return None
     product_table = document.product
     product = read_product(product_table, findings)
-    passing, top = _read_sizes(table, findings)
+    sizes = _read_sizes(table, findings)
     energy = _read_energy(table, services, findings)
     share = _read_share(table, particles, services, findings)
-    if passing is None or energy is None or particles is None or share is None or not findings.clean(("feed",)):
+    if sizes is None or energy is None or particles is None or share is None or not findings.clean(("feed",)):
         return None
     assert table.sizes is not None
     kind, value, words = energy
-    classes = make_classes(passing, top=top, ratio=table.sizes.ratio, count=table.sizes.classes)
+    classes = make_classes(sizes, ratio=table.sizes.ratio, count=table.sizes.classes)
     feed = Feed(
         classes=classes, blows=Blows(count=table.blows, kind=kind, energy=value, share=share[0]),
         density=particles.density, progeny=table.progeny, rest_breaks=table.rest == "breaks",
         lot=math.inf if table.lot is None else table.lot, fines=table.fines, seed=document.seed,
     )  # fmt: skip
     goal = None if table.goal is None else (table.goal.broken, table.goal.at_least)
-    of = {"sizes": _size_words(table.sizes, top), "energy": words, "partner": share[1]}
+    of = {"sizes": _size_words(table.sizes, sizes.top), "energy": words, "partner": share[1]}
     meaning: dict[str, Json] = {"table": asdict(table), "particles": asdict(particles)}
     meaning |= {} if product_table is None else {"product": asdict(product_table)}
     meaning["sizes"] = {"edges": classes.edges.tolist(), "mass": classes.mass.tolist()}
@@ -194,13 +193,13 @@ def read_feed(
     return FeedPlan(feed=feed, product=product, goal=goal, of=of, particles=own, meaning=meaning)
 
 
-def _read_sizes(table: FeedTable, findings: Findings) -> tuple[Callable[[Array], Array] | None, float]:
-    """Share finer than a size, and the largest size."""
-    from uqsphere.feed.population import PASSING
+def _read_sizes(table: FeedTable, findings: Findings) -> Sizes | None:
+    """The size distribution."""
+    from uqsphere.feed.population import Sizes
 
     sizes, place = table.sizes, ("feed", "sizes")
     if sizes is None or not sizes.law:
-        return None, 0.0
+        return None
     needed = (*_NEEDS[sizes.law], *(() if sizes.law == "table" else ("top",)))
     for key in needed:
         if getattr(sizes, key) is None and findings.clean((*place, key)):
@@ -209,7 +208,7 @@ def _read_sizes(table: FeedTable, findings: Findings) -> tuple[Callable[[Array],
         if getattr(sizes, key) is not None and key not in _NEEDS[sizes.law]:
             findings.add((*place, key), f"{key} does not belong to {sizes.law}, which takes {one_of(needed)}")
     if not findings.clean(place):
-        return None, 0.0
+        return None
     if sizes.law == "table":
         return _read_table(sizes, place, findings)
     assert sizes.top is not None
@@ -217,15 +216,14 @@ def _read_sizes(table: FeedTable, findings: Findings) -> tuple[Callable[[Array],
     for key in ("d63", "d50", "top"):
         if given.get(key) is not None and given[key] <= 0.0:
             findings.add((*place, key), f"{key} must be above 0")
-    law = PASSING[sizes.law]
-    return (lambda x: law(x, given)), sizes.top
+    return Sizes(law=sizes.law, parameters=given, top=sizes.top)
 
 
-def _read_table(sizes: SizesTable, place: Place, findings: Findings) -> tuple[Callable[[Array], Array] | None, float]:
+def _read_table(sizes: SizesTable, place: Place, findings: Findings) -> Sizes | None:
     """The size distribution of a table of sieves."""
     import numpy as np
 
-    from uqsphere.feed.population import table_passing
+    from uqsphere.feed.population import Sizes
 
     with findings.noting(place):
         assert sizes.file is not None
@@ -246,8 +244,9 @@ def _read_table(sizes: SizesTable, place: Place, findings: Findings) -> tuple[Ca
             raise Misplaced(f"{where[3:]} has a passing outside 0 to 100 %", "passing")
         if finer[-1] <= 0.0:
             raise Misplaced(f"nothing passes the largest sieve {where}", "passing")
-        return table_passing(sieves, finer), min(sizes.top or math.inf, float(sieves[-1]))
-    return None, 0.0
+        top = min(sizes.top or math.inf, float(sieves[-1]))
+        return Sizes(sieves=tuple(sieves.tolist()), finer=tuple(finer.tolist()), top=top)
+    return None
 
 
 def _size_words(sizes: SizesTable, top: float) -> str:
