@@ -230,7 +230,6 @@ def test_a_record_that_one_model_outlasts_alone_is_an_error(study_from: Build) -
     full = answer_scene(study, names, rows, ("contact_time",), tolerance=1e-6, threads=1)
     let_go = ~full.censored[:, 0]
     assert let_go.any()
-    assert massless.unlike
     error = massless.error["contact_time"]
     assert error is None or error >= np.sqrt(let_go.mean())
 

@@ -1,11 +1,9 @@
 """What `auto` chose for each study, what it measured, and what it cost beside the full model alone.
 
     python -m tests.campaigns.auto studies/*.toml
-    python -m tests.campaigns.auto --gains studies/granite.toml
 
 Each study is run twice, as it is and with `fidelity = "full"`, in one process and one after the other, so that the
-seconds can be compared.  Seconds are processor time; everything else is the same on every machine.  `--gains` shows
-instead by how much `massless` would narrow the intervals as a control variate, whether a run would use it or not.
+seconds can be compared.  Seconds are processor time; everything else is the same on every machine.
 """
 
 from __future__ import annotations
@@ -17,8 +15,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
 
 from uqsphere.console import table
 from uqsphere.results import ModelEntry, Results
@@ -87,47 +83,6 @@ def compare(path: str | Path, overrides: Sequence[str] = ()) -> Comparison:
                       seconds=(seconds[0], seconds[1]), farthest=_farthest(runs[0], runs[1]))  # fmt: skip
 
 
-def gains(path: str | Path, *, points: int = 256, index_points: int = 128) -> dict[str, dict[str, float]]:
-    """By how much a control by `massless` narrows the widest interval of quantiles and of indices, by quantity.
-
-    Half-width without over half-width with it, from `points` points of the full model in each of 16 scramblings and
-    8 times as many of `massless`; indices from `index_points` base points and 4 times as many.
-    """
-    from dataclasses import replace
-
-    import uqsphere
-    from uqsphere.runner.evaluate import Ledger, Work, draw, evaluate_sample
-    from uqsphere.runner.index_control import width
-    from uqsphere.runner.questions.indices import pick_and_freeze
-    from uqsphere.uq.control import controlled_indices, describe_controlled
-    from uqsphere.uq.describe import describe
-    from uqsphere.uq.indices import Blocks, index_estimates
-
-    study = uqsphere.load_study(path)
-    full = Work(study=study, store=None, ledger=Ledger(), fidelity="full", threads=1)
-    cheap = replace(full, fidelity="massless", spare=True)
-    rows = [draw(full.drawn, seed=study.seed, task="sampling", start=0, count=points * k) for k in (1, 8)]
-    expensive, many = (
-        evaluate_sample(work, "gains", each).answers for work, each in zip((full, cheap), rows, strict=True)
-    )
-    designs = [pick_and_freeze(work, "gains", 0, n)[0] for work, n in ((full, index_points), (cheap, 4 * index_points))]
-    blocks, found = Blocks(inputs_count=len(full.scene_names)), {}
-    for k, name in enumerate(full.quantities):
-        asked = study.analysis.quantiles
-        line = float(np.polyfit(many[:, :points, k].ravel(), expensive[..., k].ravel(), 1)[0])
-        scaled = line * many[..., k] + float(expensive[..., k].mean() - line * many[:, :points, k].mean())
-        plain = describe(expensive[..., k], quantiles=asked).quantiles
-        sharp = describe_controlled(expensive[..., k], scaled[:, :points], scaled, quantiles=asked, method="").quantiles
-        told = [p for p in asked if plain[p].value is not None and sharp[p].value is not None]
-        at = designs[1][..., k]
-        with_it = controlled_indices(designs[0][..., k], at[:, :index_points], at, method="")
-        found[name] = {
-            "quantiles": max(plain[p].half_width for p in told) / max(sharp[p].half_width for p in told),
-            "indices": width(index_estimates(designs[0][..., k], blocks, "saltelli")) / width(with_it),
-        }
-    return found
-
-
 def _warm(path: Path) -> None:
     """Have the kernel compiled, or loaded, and the heavy packages imported before anything is timed."""
     small = ("analysis.budget.evaluations=9000", "analysis.accuracy.sobol=0.5", "analysis.accuracy.quantile=0.5")
@@ -159,13 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.campaigns.auto", description=__doc__.split("\n")[0])
     parser.add_argument("studies", nargs="+", type=Path)
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="PATH=VALUE")
-    parser.add_argument("--gains", action="store_true", help="what a control variate would gain")
     given = parser.parse_args(arguments)
-    if given.gains:
-        rows = [(path.stem, name, f"{gain['quantiles']:.2g}", f"{gain['indices']:.2g}")
-                for path in given.studies for name, gain in gains(path).items()]  # fmt: skip
-        print(table(("study", "quantity", "quantiles", "indices"), rows))
-        return 0
     _warm(given.studies[0])
     rows: list[tuple[str, ...]] = []
     notes: list[str] = []

@@ -205,11 +205,15 @@ def _roots(name: str, demands: Demands) -> set[str]:
     return set().union(*(_roots(need, demands) for need in needs))
 
 
+def roots_of(quantities: Iterable[str], demands: Demands) -> set[str]:
+    """What the integrator has to know for quantities and demands: names of `SCALED`, and inputs that may be absent."""
+    return set().union(*(_roots(name, demands) for name in quantities))
+
+
 def wishes(quantities: Collection[str] | None, demands: Demands = MappingProxyType({})) -> int:
     """What an integrator has to follow for these quantities and demands, or for all: sum of tracked.WANT_*."""
-    names = OUTPUTS if quantities is None else quantities
     wanted = 0
-    for name in set().union(*(_roots(name, demands) for name in names)) & SCALED.keys():
+    for name in roots_of(OUTPUTS if quantities is None else quantities, demands) & SCALED.keys():
         wanted |= SCALED[name][1]
     return wanted
 

@@ -16,7 +16,7 @@ from uqsphere.results.entries import Curve, Est
 from uqsphere.results.margins import MarginEntry, MemberEntry
 from uqsphere.runner.campaign import INDEX_KIND, MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, Missed, rounded
 from uqsphere.runner.evaluate import Work
-from uqsphere.runner.forecast import CHEAPER, forecast
+from uqsphere.runner.forecast import forecast
 from uqsphere.uq.estimate import Estimate
 
 if TYPE_CHECKING:
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 #: factor between planned and taken from which on a reason is given
 FACTOR: Final = 2.0
-#: parts beside which a cheaper model may be evaluated, and what that is called
-_CHEAPER: Final = dict(zip(("sampling", "sensitivity"), CHEAPER, strict=True))
 #: what sampling answers, by how the names of its errors begin
 _ANSWERS: Final = {QUANTILE_KIND: "The worst quantile", MEAN_KIND: "The mean", MISS_KIND: "The probability"}
 
@@ -82,14 +80,6 @@ def account(work: Work, found: Findings, *, planned: bool, surrogate: bool, affo
     """
     parts = {part.name: part for part in forecast(work.study, affordable, planned)}
     taken = {name: sum(spent.values()) for name, spent in work.ledger.parts.items()}
-    # models beside the one that was chosen are no samples of their own
-    answering = (found.pilot.chosen,) if found.pilot.fallback is None else (found.pilot.chosen, "full")
-    for name, called in _CHEAPER.items():
-        by = work.ledger.parts.get(name, {})
-        beside = sum(n for fidelity, n in by.items() if fidelity not in answering)
-        if beside:
-            taken[name] -= beside
-            taken[called] = beside
     rows = []
     for name in [*parts, *(name for name in taken if name not in parts and taken[name])]:
         likely, most = (parts[name].likely, parts[name].most) if name in parts else (0, 0)
@@ -150,14 +140,6 @@ def _of_margins(part: _Part) -> str:
     return "The first rows were enough." if part.taken else "No curve was computed."
 
 
-def _of_cheaper(part: _Part) -> str:
-    found = part.found
-    text = found.sampled.control.text if part.name == CHEAPER[0] else found.index_control.text
-    if not part.taken:
-        return "None was worth a trial."
-    return f"{text}." if text else "A control variate was tried."
-
-
 _WHY: Final[dict[str, Callable[[_Part], str]]] = {
     "pilot": lambda part: "The first runs of the model were timed." if part.more else _FEWER_MODELS,
     "sampling": _of_stages,
@@ -168,7 +150,6 @@ _WHY: Final[dict[str, Callable[[_Part], str]]] = {
     "fracture": lambda _: (
         "The moment of fracture takes rows of the full model, at the value planned or along the load."
     ),
-    **dict.fromkeys(CHEAPER, _of_cheaper),
 }
 _FEWER_MODELS: Final = "Fewer models were compared than there are."
 

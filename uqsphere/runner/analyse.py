@@ -14,7 +14,6 @@ from uqsphere.runner.fidelity import Pilot, first_look
 from uqsphere.runner.finish import finish, finish_bare
 from uqsphere.runner.finished import Run
 from uqsphere.runner.forecast import more_to_come
-from uqsphere.runner.multifidelity import propose
 from uqsphere.runner.questions.carried import find_carried
 from uqsphere.runner.questions.distributions import Sampled, sample_distributions
 from uqsphere.runner.questions.fracture import find_fracture
@@ -71,8 +70,8 @@ def _by_surrogate(work: Work, pilot: Pilot, one: Expensive) -> Findings | None:
 
 def _by_sampling(work: Work, pilot: Pilot, one: Expensive | None, notice: Callable[[str], None] | None) -> Findings:
     """Everything by sampling the model; surrogates that did not answer all still answer what they know better."""
-    ledger, proposed = work.ledger, propose(pilot)
-    sampled = sample_distributions(work, more_to_come=more_to_come(work.study), control=proposed)
+    ledger = work.ledger
+    sampled = sample_distributions(work, more_to_come=more_to_come(work.study))
     ledger.close("sampling")
     sampled = refine_limits(work, sampled)
     if one is not None:
@@ -91,7 +90,7 @@ def _by_sampling(work: Work, pilot: Pilot, one: Expensive | None, notice: Callab
     ledger.close("carriers")
     fracture = find_fracture(work, sampled, margins)
     ledger.close("fracture")
-    shared = share_variance(work, sampled, proposed.plan)
+    shared = share_variance(work, sampled)
     if one is not None:
         shared = replace(shared, sensitivity=keep_indices(shared.sensitivity, one))
     ledger.close("sensitivity")
@@ -102,7 +101,7 @@ def _by_sampling(work: Work, pilot: Pilot, one: Expensive | None, notice: Callab
         sampled=sampled,
         sensitivity=shared.sensitivity,
         drivers=drivers,
-        index_control=shared.control,
+        tabled=shared.tabled,
         margins=margins,
         fracture=fracture,
         carried=carried,

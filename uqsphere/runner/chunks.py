@@ -365,6 +365,19 @@ def remembered(store: Store | None, key: str, scene: Scene, about: object, solve
     return found
 
 
+def remembered_rows(store: Store | None, key: str, scene: Scene, about: object, solve: Callable[[], Array]) -> Array:
+    """The same of plain numbers (n, c)."""
+    if store is None or sum(map(len, scene.demands)) > LONGEST_NAMES:
+        return solve()
+    name = _name(key, scene, about)
+    stored = store.load(name)
+    if stored is not None and stored.dtype == np.dtype("<f8") and len(stored) == len(scene):
+        return stored
+    found = solve()
+    store.save(name, found)
+    return found
+
+
 def remembered_fractures(
     store: Store | None, key: str, scene: Scene, about: object, given: Sequence[Table], solve: Callable[[], Fractures]
 ) -> Fractures:

@@ -50,26 +50,22 @@ class Candidate:
     ----------
     error, worst : root-mean-square and largest difference from `full` over the quantity's standard deviation
     correlation : with `full`, by quantity
-    calibration : (a, b) by quantity, so that a + b times its answer is the best straight guess at the full one
     cost : of a row, over that of a row of `full`
     fits : whether it passes the rule in every row by itself
     mixed_error : error of the mixture with `full` on rows that the error law has not seen; empty if not tried
     fallback_share : share of those rows that the mixture leaves to `full`
     fallback : the error law; None where it cannot be fitted
-    unlike : whether it fails, or outlasts the record, in rows in which `full` does not
     """
 
     fidelity: str
     error: dict[str, float | None]
     worst: dict[str, float | None]
     correlation: dict[str, float | None]
-    calibration: dict[str, tuple[float, float]]
     cost: float
     fits: bool
     mixed_error: dict[str, float | None] = field(default_factory=dict)
     fallback_share: float = 0.0
     fallback: Fallback | None = None
-    unlike: bool = False
 
     @property
     def mixed_cost(self) -> float:
@@ -147,14 +143,10 @@ def row_cost(answers: Answers) -> float:
     return START_STEPS + steps if steps > 0.0 else CLOSED_STEPS
 
 
-def _straight(cheap: Array, full: Array) -> tuple[float | None, tuple[float, float]]:
-    """Correlation, and (a, b) of the line a + b cheap through the answers of `full`."""
+def _correlation(cheap: Array, full: Array) -> float | None:
     x, y = cheap - cheap.mean(), full - full.mean()
     xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
-    if not (xx > 0.0 and yy > 0.0):
-        return None, (float(full.mean()), 0.0)
-    slope = xy / xx
-    return xy / float(np.sqrt(xx * yy)), (float(full.mean() - slope * cheap.mean()), slope)
+    return xy / float(np.sqrt(xx * yy)) if xx > 0.0 and yy > 0.0 else None
 
 
 def _candidate(
@@ -164,20 +156,14 @@ def _candidate(
     quantities, bound = work.quantities, allowed_error(work.study)
     gaps = differences(cheap, full, quantities, scatter)
     known: Flags = np.asarray(~np.isnan(gaps).any(axis=1))
-    lines = {name: _straight(cheap.values[name][known], full.values[name][known]) for name in quantities}
-    outlasts = [
-        bool((cheap.censored[name] | full.censored[name]).any()) for name in quantities if name in full.censored
-    ]
     error = _summary(gaps, quantities)
     alone = Candidate(
         fidelity=fidelity,
         error=error,
         worst=_summary(gaps, quantities, "largest"),
-        correlation={name: line[0] for name, line in lines.items()},
-        calibration={name: line[1] for name, line in lines.items()},
+        correlation={name: _correlation(cheap.values[name][known], full.values[name][known]) for name in quantities},
         cost=cost,
         fits=_passes(error, bound),
-        unlike=any(outlasts) or not bool(known.all()),
     )
     fallback = _error_law(alone, gaps, scene, bound)
     if fallback is None:

@@ -26,13 +26,13 @@ from uqsphere.runner.schedule import (
     FRACTURE,
     FRACTURE_CURVE,
     INDICES,
-    MOST_CHEAPER,
     PILOT,
     RARE,
     REPLICATES,
     SAMPLING,
     SPECIMENS,
     SURROGATE,
+    TABLE,
     WAYS,
     WAYS_CURVE,
     pilot_points,
@@ -46,8 +46,6 @@ from uqsphere.uq.law import Law
 if TYPE_CHECKING:
     from uqsphere.mechanics.scene import Scene
 
-#: parts that evaluate a cheaper model, by the part that it may help
-CHEAPER: Final = ("cheaper model beside sampling", "cheaper model beside the indices")
 #: Student's t of sixteen replicates
 _T: Final = 2.13
 #: factor that the first sample's quasi-random points save of quantiles: of the impact model, and of a black box, of
@@ -165,9 +163,10 @@ def _sensitivity(study: Study) -> tuple[float, float]:
         return 0.0, 0.0
     finer = _finer(analysis.accuracy.sobol)
     most = max(first, _ROUGHEST * finer**2)
-    rough = max((lookup(name).rough for name in rough_quantities(study)), default=0)
-    if rough:
-        return blocks * max(float(first), rough * finer**2), blocks * most
+    if rough := max((lookup(name).rough for name in rough_quantities(study)), default=0):
+        # a table of the scaled numbers takes the place of so many pairs, where the inputs act through few
+        likely = min(blocks * rough * finer**2, blocks * first + 2 * TABLE.most)
+        return max(float(blocks * first), likely), blocks * most
     helped = {"auto", "pce"} & set(analysis.methods)
     # the first stage has been enough for half a per cent
     base = first * max(1.0, 0.5 * finer) ** 1.2 if helped else 4 * first * finer**1.2
@@ -298,14 +297,11 @@ def _planned(study: Study, budget: int | None, surrogate: bool) -> Iterator[tupl
     end, analysis = math.inf if budget is None else float(budget), study.analysis
     first = (_timed(study), _timed(study)) if study.black_box else _pilot(study, end)
     yield "pilot", *first
-    # a cheaper model may be tried beside the full one
-    cheaper = MOST_CHEAPER if not study.black_box and study.model.fidelity in ("auto", "full") else 0
     if surrogate:
         yield "surrogate", *_surrogate(study, first[0])
     else:
         likely, most = _sampling(study, budget)
         yield "sampling", likely, most
-        yield CHEAPER[0], 0, cheaper * most
         yield "rare events", *_rare(study, end)
     if analysis.tolerance_intervals:
         yield "tolerance intervals", analysis.tolerance_intervals.runs, analysis.tolerance_intervals.runs
@@ -319,7 +315,6 @@ def _planned(study: Study, budget: int | None, surrogate: bool) -> Iterator[tupl
         yield "fracture", *_fracture(study, end)
         likely, most = _sensitivity(study) if study.random else (0.0, 0.0)
         yield "sensitivity", likely, most
-        yield CHEAPER[1], 0, cheaper * most
         yield JUDGED, *_ways(study)
 
 
@@ -490,9 +485,7 @@ def plan_run(study: Study) -> dict[str, Any]:
         "processors": processors,
         "seconds": None,
         "scene": None,
-        # a row of a cheaper model costs a fraction of one of the chosen model: it is no part of the sum
-        "most": min(sum(part.most for part in parts if part.name not in CHEAPER), way.affordable),
-        "cheaper": min(sum(part.most for part in parts if part.name in CHEAPER), way.affordable),
+        "most": min(sum(part.most for part in parts), way.affordable),
         "parts": [{"part": part.name, "likely": part.likely, "most": part.most} for part in parts],
         "way": ("surrogate" if way.surrogate else "sampling") if known else None,
         "why": way.why if known else "the first runs of the model are timed, and that decides",
@@ -558,14 +551,9 @@ def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
         f"{part['part']} {_three(part['likely']):,}"
         + (f" to {_three(part['most']):,}" if part["most"] > part["likely"] else "")
         for part in plan["parts"]
-        if part["part"] not in CHEAPER
     ]
     if len(told) > 1:
         lines.append(f"of which: {'; '.join(told)}")
-    if plan["cheaper"]:
-        lines.append(
-            f"besides: up to {_three(plan['cheaper']):,} of a cheaper model, if the pilot finds that it saves time"
-        )
     lines.append(f"time: {_time_text(study, plan)}")
     longest = sorted((p for p in plan["parts"] if p.get("seconds")), key=lambda p: -p["seconds"])[:_TOLD]
     if longest:

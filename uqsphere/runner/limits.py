@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from uqsphere.runner.campaign import Missed
 from uqsphere.runner.evaluate import Work
 from uqsphere.study import Limit
 from uqsphere.units import told_apart
+from uqsphere.uq.control import probability
 from uqsphere.uq.estimate import Estimate, absent, exact
 from uqsphere.uq.failure_indices import BY_DIRECTION, failure_shares
 from uqsphere.uq.law import Law
@@ -21,6 +22,7 @@ from uqsphere.uq.limit_state import (
     exceedance,
     margin_quantiles,
     miss,
+    pick_replicates,
     reliability_index,
     score_given_inputs,
     tails,
@@ -28,6 +30,7 @@ from uqsphere.uq.limit_state import (
 )
 from uqsphere.uq.sample import Sample
 
+TABLED = "randomised quasi-Monte Carlo, controlled by a table, strength integrated"
 #: a probability below this is not chased for its relative accuracy by plain sampling
 NEGLIGIBLE = 1e-12
 #: a probability below this is left to the methods for rare events where sampling is not accurate
@@ -212,6 +215,39 @@ def judge_limits(work: Work, sample: Sample, quantities: Container[str] | None =
 
 
 # --- few runs ---------------------------------------------------------------------------------------------
+
+
+def controlled_limits(
+    work: Work, plain: Mapping[str, LimitAnswer], sample: Sample, many: Sample
+) -> dict[str, LimitAnswer]:
+    """The limits of a sample with probabilities corrected by a table at `many` points, the first of which are its own;
+    margins and directions stay those of the sample."""
+    answers, few = {}, many.head(sample.count)
+    for limit in work.study.limits:
+        given, states = plain[limit.name], [state_of(work, limit, part) for part in (sample, few, many)]
+        counted = not isinstance(limit.strength, Law)
+        exceeded = _controlled(states, exceedance, counted) or given.exceedance
+        missed = exceeded
+        if limit.aim == "break":
+            missed = _controlled(states, lambda state: miss(state, "break"), counted) or given.miss
+        answers[limit.name] = given.with_probabilities(exceeded, missed)
+    return answers
+
+
+def _controlled(
+    states: Sequence[LimitState], answer: Callable[[LimitState], Estimate], counted: bool
+) -> Estimate | None:
+    """A probability of the first state, corrected by those of the other two; None where a replicate has none."""
+    rows = []
+    for state in states:
+        # two copies of one row: the value is that row's own
+        alone = [replace(pick_replicates(state, [r, r]), censored=None, failed=None) for r in range(len(state.demands))]
+        values = [answer(row).value for row in alone]
+        if any(value is None for value in values):
+            return None
+        rows.append(np.array(values, dtype=float))
+    sizes = states[0].demands.shape[1], states[2].demands.shape[1]
+    return probability(rows[0], rows[1], rows[2], sizes=sizes, counted=counted, method=TABLED)
 
 
 def carriers(state: LimitState, aim: str, runs: int) -> dict[str, float]:

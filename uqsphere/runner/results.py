@@ -31,13 +31,13 @@ from uqsphere.runner.drivers import Drivers
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.evidence import Evidence
 from uqsphere.runner.fidelity import Pilot
-from uqsphere.runner.index_control import IndexControl, report_of
 from uqsphere.runner.limits import LimitAnswer
 from uqsphere.runner.questions.carried import carried_far
 from uqsphere.runner.questions.curves import lognormal_table
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Sensitivity
 from uqsphere.runner.questions.margins import MarginAnswer
+from uqsphere.runner.similarity import Tabled, table_entry, table_saved
 from uqsphere.runner.sums import write_sums
 from uqsphere.runner.verdict import Known, judge
 from uqsphere.runner.whatif import find_assumed, find_ignorance
@@ -58,7 +58,7 @@ class Findings:
     sampled: Sampled
     sensitivity: dict[str, Sensitivity]
     drivers: Drivers = field(default_factory=lambda: Drivers(quantities={}, limits={}))
-    index_control: IndexControl = field(default_factory=IndexControl)
+    tabled: Tabled = field(default_factory=Tabled)
     margins: dict[str, MarginAnswer] = field(default_factory=dict)
     tolerance: dict[str, ToleranceEntry] = field(default_factory=dict)
     analyses: dict[str, AnalysisEntry] = field(default_factory=dict)
@@ -233,7 +233,7 @@ def build_results(work: Work, found: Findings) -> Results:
             "failures": sum(ledger.failures.values()),
             "failure_reasons": {str(code): number for code, number in sorted(ledger.failures.items())},
             "numbers": found.pilot.numbers,
-            **report_of(work, found.pilot, found.sampled.control, found.index_control),
+            **_spared(work, found.pilot, (found.sampled.tabled, found.tabled)),
         },
         "validity": [*(_judged(check, found.fracture) for check in found.pilot.validity), *carried_far(study)],
         "plan": found.plan,
@@ -250,6 +250,32 @@ def build_results(work: Work, found: Findings) -> Results:
         **_nested(work.services),
     }
     return Results.model_validate(content)
+
+
+def _spared(work: Work, pilot: Pilot, tables: tuple[Tabled, Tabled]) -> dict[str, Any]:
+    """The cheaper models that were considered, which share fell back, and what they, or a table, saved."""
+    names = ("error", "worst", "correlation", "cost", "fits", "mixed_error", "fallback_share")
+    fallback, saved = _saved_by_fallback(work, pilot) if pilot.fallback is not None else (None, table_saved(*tables))
+    return {
+        "considered": {c.fidelity: {name: getattr(c, name) for name in names} for c in pilot.candidates},
+        "fallback_share": fallback,
+        "control": table_entry(*tables),
+        "saved": saved,
+        "undecided": work.ledger.undecided,
+    }
+
+
+def _saved_by_fallback(work: Work, pilot: Pilot) -> tuple[float | None, dict[str, Any]]:
+    """The share of the rows after the pilot that was left to `full`, and what the others saved."""
+    spared = work.ledger.evaluations.get(pilot.chosen, 0) - pilot.evaluations.get(pilot.chosen, 0)
+    by_full = work.ledger.fallback
+    rows = spared + by_full
+    if rows == 0:
+        return None, {"full_evaluations": 0, "cost_share": 0.0, "text": "nothing was evaluated after the pilot"}
+    cost = {c.fidelity: c.cost for c in pilot.candidates}[pilot.chosen]
+    share = 1.0 - (by_full + spared * cost) / rows
+    text = f"{spared:,} evaluations of full are spared, {100.0 * share:.0f} % of the cost after the pilot"
+    return by_full / rows, {"full_evaluations": spared, "cost_share": share, "text": text}
 
 
 def _nested(services: Mapping[str, Results]) -> dict[str, Any]:

@@ -43,8 +43,9 @@ FIRST_SAMPLE: Final = REPLICATES * SAMPLING.first
 #: base points of Sobol' indices, and of Shapley effects
 INDICES: Final = Schedule(first=64, least=32, judged=128)
 SHAPLEY: Final = Schedule(first=64, least=16, judged=128)
-#: evaluations of a cheaper model for each of the full one, as a control variate, at the most
-MOST_CHEAPER: Final = 16
+#: scenes of a table of scaled numbers (`most`), and points that it is asked for to each of the model, at first and at
+#: the most (`judged`)
+TABLE: Final = Schedule(first=32, judged=1024, most=8192)
 #: evaluations of a limit that sampling leaves open, and the share of what is left that all limits may take
 RARE: Final = Schedule(least=3000, most=100_000, share=0.5)
 #: evaluations for the design points of a limit whose probability is known

@@ -8,7 +8,8 @@ replicate's sequence, or exactly.  Any answer T of the replicates, a mean, a sha
 the estimate of `uqsphere.uq.response` with rows of its own for the correction: the cheap model has seen none of them.
 Its replicates scatter independently, and Student's interval rests on that (on quasi-random points it does not follow
 from the correlation of the rows: F. J. Hickernell, C. Lemieux, A. B. Owen, Statistical Science 20, 2005, 1).  The
-slope is one: a fitted one is wild when a single row lies on the other side of a threshold.
+slope is one: a fitted one is wild when a single row lies on the other side of a threshold.  Indices are corrected the
+same way (`uqsphere.uq.indices.sampled_indices`); those of an expansion are known exactly.
 """
 
 from __future__ import annotations
@@ -25,30 +26,6 @@ from uqsphere.uq.describe import Description
 from uqsphere.uq.estimate import Estimate, absent, corrected, share, student
 from uqsphere.uq.expansion import Chaos, germ_points, predict
 from uqsphere.uq.indices import Blocks, Surrogate
-
-
-def predicted_cost(correlation: float, cost: float) -> float:
-    """Cost of a control variate over that of plain sampling at equal error, with random points and the best sizes.
-
-    (sqrt(1 - rho²) + sqrt(w rho²))², rho the correlation of the models and w the cost of the cheap one over that
-    of the expensive one; 1 where it does not pay (A. Gruber, M. Gunzburger and others call the sizes those of
-    multifidelity Monte Carlo: B. Peherstorfer, K. Willcox, M. Gunzburger, SIAM J. Sci. Comput. 38, 2016, A3163).
-
-    >>> round(predicted_cost(0.99, 0.01), 3), predicted_cost(0.5, 0.5)
-    (0.058, 1.0)
-    """
-    square = min(correlation * correlation, 1.0)
-    return min(1.0, (math.sqrt(1.0 - square) + math.sqrt(cost * square)) ** 2)
-
-
-def best_ratio(correlation: float, cost: float) -> float:
-    """Evaluations of the cheap model for each of the expensive one at which `predicted_cost` is reached.
-
-    >>> round(best_ratio(0.99, 0.01), 1)
-    70.2
-    """
-    square = min(correlation * correlation, 1.0 - 1e-12)
-    return math.sqrt(square / (cost * (1.0 - square)))
 
 
 def _estimate(value: float, error: float, replicates: int, method: str, evaluations: int,
@@ -161,44 +138,6 @@ def _quantile(p: float, rows: tuple[Array, Array, Array], pools: list[Array], me
         method=method,
         evaluations=expensive.size,
     )
-
-
-def _indices(outputs: Array) -> Array:
-    """First and total indices of every replicate, (2, R, d), from outputs (R, N, d + 2) in the blocks A, AB_j, B."""
-    a, mixed, b = outputs[:, :, :1], outputs[:, :, 1:-1], outputs[:, :, -1:]
-    base = np.concatenate([a, b], axis=1)
-    mean, variance = base.mean(axis=1, keepdims=True), base.var(axis=1)
-    first = ((b - mean) * (mixed - a)).mean(axis=1) / variance
-    total = 0.5 * ((a - mixed) ** 2).mean(axis=1) / variance
-    return np.stack([first, total])
-
-
-def controlled_indices(expensive: Array, cheap: Array, cheap_many: Array, *, method: str) -> dict[str, list[Estimate]]:
-    """First and total Sobol' indices {"first": [...], "total": [...]} by pick and freeze, controlled by a cheap model.
-
-    First indices after Saltelli et al. (Comput. Phys. Commun. 181, 2010, 259, table 2 (b)), total ones after
-    Jansen (table 2 (f) there).  A model that does not vary in a replicate is answered by absent estimates.
-
-    Parameters
-    ----------
-    expensive, cheap : (R, N, d + 2) arrays
-        Outputs of both models at the same base points, in the blocks of `uqsphere.uq.indices.Blocks`.
-    cheap_many : (R, M, d + 2) array
-        The cheap model at the base points continued.
-    """
-    replicates, d = len(expensive), expensive.shape[2] - 2
-    with np.errstate(all="ignore"):
-        one, two, three = (_indices(outputs) for outputs in (expensive, cheap, cheap_many))
-    if not (np.isfinite(one).all() and np.isfinite(two).all() and np.isfinite(three).all()):
-        nothing = [absent("the output does not vary", method, expensive.size)] * d
-        return {"first": nothing, "total": list(nothing)}
-    return {
-        order: [
-            _estimate(*corrected(one[k, :, j], two[k, :, j] - three[k, :, j]), replicates, method, expensive.size)
-            for j in range(d)
-        ]
-        for k, order in enumerate(("first", "total"))
-    }
 
 
 # --- an expansion as the cheap model, whose indices are known exactly ------------------------------

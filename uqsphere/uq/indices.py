@@ -209,6 +209,7 @@ _FEW, _ROOM, _ROOM_TOTAL = 64, 1.08, 1.12
 #: What is left of a difference of two sums that cancel, over V.
 _ROUNDING: Final = 1e-15
 _CONTROLLED: Final = " A surrogate, whose indices are known exactly, is the control variate of each."
+_TABULATED: Final = " A table of the model at many more points is the control variate of each."
 #: answers (R, m) of the replicates with the method of each, and the numbers of the inputs and groups read off pairs
 _Answer: TypeAlias = tuple[Array, list[str]]
 _Chosen: TypeAlias = tuple[tuple[int, ...], tuple[int, ...]]
@@ -298,12 +299,14 @@ WORTHLESS: Final = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Surrogate:
-    """A cheap model whose indices are known: its outputs (R, N, blocks.count) on the model's own blocks, and the
-    indices of `expansion_indices` by "first", "total", "second", "group_first" and "group_total".
+    """A cheap model: its outputs (R, N, blocks.count) on the model's own blocks, and its `indices`, as those of
+    `expansion_indices` by "first", "total", "second", "group_first" and "group_total", or its outputs (R, M,
+    blocks.count) on `many` points of the same replicates, which tell them.
     """
 
     outputs: Array
-    indices: Mapping[str, Array]
+    indices: Mapping[str, Array] = field(default_factory=dict)
+    many: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -358,7 +361,7 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
     if surrogate is None or known is None or not known.varies:
         found = {order: _estimates(rows, methods, y.evaluations) for order, (rows, methods) in answers.items()}
     else:
-        found = _controlled(y, known, surrogate.indices, answers, chosen)
+        found = _controlled(y, known, _truths(surrogate, blocks, chosen), answers, chosen)
     if y.a.shape[1] < _FEW:
         found = {
             order: [_with_room(estimate, _ROOM_TOTAL if "total" in order else _ROOM) for estimate in row]
@@ -371,8 +374,12 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
         group_first=found["group_first"],
         group_total=found["group_total"],
         large=large,
-        text=choice_text(blocks, len(large)) + ("" if surrogate is None else _CONTROLLED),
+        text=choice_text(blocks, len(large)) + _told(surrogate),
     )
+
+
+def _told(surrogate: Surrogate | None) -> str:
+    return "" if surrogate is None else _CONTROLLED if surrogate.many is None else _TABULATED
 
 
 def _with_room(estimate: Estimate, room: float) -> Estimate:
@@ -383,39 +390,53 @@ def _with_room(estimate: Estimate, room: float) -> Estimate:
     return replace(estimate, low=estimate.value - half, high=estimate.value + half, std_error=error)
 
 
+def _truths(surrogate: Surrogate, blocks: Blocks, chosen: _Chosen) -> Mapping[str, Array]:
+    """The surrogate's indices by order: (m,), or (R, m) as many points of the replicates tell them."""
+    if surrogate.many is None:
+        return surrogate.indices
+    return {order: rows for order, (rows, _) in _answers(blocks.split(surrogate.many), *chosen).items()}
+
+
 def _controlled(
     y: Outputs, known: Outputs, truths: Mapping[str, Array], answers: Mapping[str, _Answer], chosen: _Chosen
 ) -> dict[str, list[Estimate]]:
-    """Estimates by order with the surrogate's answers, and what they should have been (m,), as control variate."""
+    """Estimates by order with the surrogate's answers, and what they should have been, as control variate."""
     others = _answers(known, *chosen)
     carriers = _carriers(y, known, chosen)
     return {
         order: [
-            _estimate(*corrected(rows[:, j], others[order][0][:, j] - truths[order][j]), rows[:, j], method,
-                      float(carriers[order][j]), y.evaluations)
+            _estimate(rows[:, j], others[order][0][:, j], truths[order][..., j], method, float(carriers[order][j]),
+                      y.evaluations)
             for j, method in enumerate(methods)
         ]
         for order, (rows, methods) in answers.items()
     }  # fmt: skip
 
 
-def _estimate(value: float, error: float, rows: Array, method: str, carriers: float, evaluations: int) -> Estimate:
-    """A corrected answer; where few points carry what it may be off by, its standard error is that much less known.
+def _estimate(rows: Array, others: Array, truth: Array, method: str, carriers: float, evaluations: int) -> Estimate:
+    """A corrected answer, from those of the model and of the surrogate (R,), and the truth of the latter: a number, or
+    (R,) from many points.
 
-    Degrees of freedom are the R - 1 of the replicates and half the number of those points, together as resistances in
-    parallel, at least one: with skewed outputs the few that were met speak for those that were not.  Where the rows
-    alone know it better than that, they answer.
+    Where few points carry what it may be off by, its standard error is that much less known: degrees of freedom are the
+    R - 1 of the replicates and half the number of those points, together as resistances in parallel, at least one: with
+    skewed outputs the few that were met speak for those that were not.  Where the rows alone know it better than that,
+    they answer; not beside many points, which are there since the rows alone may have met none of what matters.
     """
     plain = _estimates(rows[:, None], [method], evaluations)[0]
-    if not math.isfinite(error):
+    replicates = len(rows)
+    value, error = corrected(rows, others - np.mean(truth))
+    spread = float(np.std(truth, ddof=1)) / math.sqrt(replicates) if np.ndim(truth) else 0.0
+    if not (math.isfinite(error) and math.isfinite(spread)):
         return plain
-    freedom = max(1.0 / (1.0 / (len(rows) - 1) + 2.0 / carriers), 1.0)
+    freedom = max(1.0 / (1.0 / (replicates - 1) + 2.0 / carriers), 1.0)
     # A surrogate that is the model itself leaves rounding, of its coefficients as of the sums.
     error = max(error, 1e-13) if np.any(rows) else 0.0
-    half = student(1.0 + freedom) * error
-    if half > plain.half_width:
+    half = math.hypot(student(1.0 + freedom) * error, student(replicates) * spread)
+    if np.ndim(truth):  # stages end where an interval happens to be narrow: 50 designs scatter by that much more
+        half *= _ROOM_TOTAL
+    if half > plain.half_width and not np.ndim(truth):
         return plain
-    return Estimate(value=value, low=value - half, high=value + half, std_error=error,
+    return Estimate(value=value, low=value - half, high=value + half, std_error=math.hypot(error, spread),
                     method=f"{method}, controlled by a surrogate", evaluations=evaluations)  # fmt: skip
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import partial
+
+import numpy as np
 
 from uqsphere.errors import UsageError
+from uqsphere.model import Answered
 from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import (
     MEAN_KIND,
@@ -19,30 +21,37 @@ from uqsphere.runner.campaign import (
     campaign,
     speed_rows_of,
 )
-from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_sample
-from uqsphere.runner.limits import LimitAnswer, judge_limits, limits_missed, takes_over
-from uqsphere.runner.multifidelity import Control, affordable_rows, follow
-from uqsphere.runner.schedule import REPLICATES, SAMPLING
+from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_sample, with_answered
+from uqsphere.runner.limits import LimitAnswer, controlled_limits, judge_limits, limits_missed, takes_over
+from uqsphere.runner.schedule import REPLICATES, SAMPLING, TABLE
+from uqsphere.runner.similarity import CUT_SHORT, Tabled, begin_table
+from uqsphere.uq.control import describe_controlled
 from uqsphere.uq.describe import Description, describe, lacking
 from uqsphere.uq.estimate import absent, exact
 from uqsphere.uq.heavy_tails import describe_heavy
 from uqsphere.uq.sample import Sample
 
 METHOD = "randomised quasi-Monte Carlo"
+TABLE_METHOD = f"{METHOD}, controlled by a table"
+#: points of each replicate at which a table is made: the second stage, where quantiles have some samples beyond
+TABLED = 256
+#: evaluations that sampling takes go with this power of the half-widths: those of quantiles and probabilities fall with
+#: the power 0.6 to 0.8 of the points in the shipped studies
+FALL = 1.0 / 0.75
 #: what is said of an accuracy that failed rows prevent
 FOR_FAILED = Cost(" (the failed evaluations leave that open, and no further ones would narrow it)")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sampled:
-    """What sampling found: the rows with their answers, their description, the limits, and the way there."""
+    """What sampling found: the rows with their answers, their description, the limits, the table beside them."""
 
     sample: Sample
     descriptions: dict[str, Description]
     limits: dict[str, LimitAnswer]
     missed: list[Missed]
     stopped: str
-    control: Control = field(default_factory=lambda: Control(plan=None, text="", used=False))
+    tabled: Tabled = field(default_factory=Tabled)
 
 
 def _describe_one(work: Work, sample: Sample, quantity: str) -> Description:
@@ -145,15 +154,6 @@ def shortfalls(
     return {question: ratio for question, ratio in found.items() if ratio > 1.0}
 
 
-def excess_of(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]) -> dict[str, float]:
-    """Half-width over what is asked, the worst of every quantity and probability that is not there yet."""
-    found: dict[str, float] = {}
-    for (subject, kind, _), ratio in shortfalls(work, descriptions, limits).items():
-        name = subject if kind in ("mean", "quantile") else f"{subject}.{kind}"
-        found[name] = max(found.get(name, 0.0), ratio)
-    return found
-
-
 def _left_open(work: Work, sample: Sample, descriptions: dict[str, Description]) -> set[tuple[str, float | None]]:
     """Quantiles (quantity, probability) that the failed rows alone leave open: no number of evaluations helps."""
     analysis = work.study.analysis
@@ -181,34 +181,73 @@ def _left_open(work: Work, sample: Sample, descriptions: dict[str, Description])
 class Distributions:
     """Mean, quantiles and probabilities, from the rows that were drawn so far (a `Question`).
 
-    Stages double the points of every replicate.  A control variate that is proposed is tried at the second stage, and
-    kept to the end if it pays.
+    Stages double the points of every replicate.  Where more of them would take more evaluations than a table of the
+    scaled answers, that is made at the second stage, and asked at many more points.
     """
 
     work: Work
-    control: Control
     share: float
     sample: Sample | None = None
+    tabled: Tabled = field(default_factory=Tabled)
+    many: Sample | None = None
     descriptions: dict[str, Description] = field(default_factory=dict)
     limits: dict[str, LimitAnswer] = field(default_factory=dict)
     judged: int = SAMPLING.judged * REPLICATES
 
     @property
     def size(self) -> int:
-        """Rows so far."""
-        return 0 if self.sample is None else self.sample.size
+        """Evaluations so far."""
+        return 0 if self.sample is None else self.sample.size + self.tabled.taken
 
     def advance(self, room: float) -> bool:
         """Twice the points; False where they would pass the budget."""
         work, start = self.work, 0 if self.sample is None else self.sample.count
+        worst = self._worst()
+        if count := self.tabled.grown(worst, start, room):
+            self.tabled = replace(self.tabled, worst=worst)
+            self._ask_table(count)
+            return True
+        self.tabled = replace(self.tabled, worst=math.inf)
         count = start or self._first()
-        if start and affordable_rows(self.control, count) > room:
+        if start and REPLICATES * count > room:
             return False
         points = draw(work.drawn, seed=work.study.seed, task="sampling", start=start, count=count)
         fresh = evaluate_sample(work, f"sampling.{start}", points)
         self.sample = fresh if self.sample is None else self.sample.join(fresh)
         self._describe(self.sample)
+        if self.sample.count == TABLED:
+            self._begin_table(self.sample, room - fresh.size)
         return True
+
+    def _worst(self) -> float:
+        """The largest half-width over what is asked; 1 where all is accurate."""
+        return max(shortfalls(self.work, self.descriptions, self.limits).values(), default=1.0)
+
+    def _begin_table(self, sample: Sample, room: float) -> None:
+        """A table, where sampling alone would take more."""
+        if any(part.any() for part in (sample.failed, sample.censored)):
+            return
+        forecast = sample.size * min(self._worst(), 1e3) ** FALL
+        self.tabled = begin_table(self.work, self.tabled, sample.size, forecast, room)
+        if self.tabled.begun:
+            self._ask_table(TABLE.first * sample.count)
+
+    def _ask_table(self, count: int) -> None:
+        """The table at so many points of every replicate, and the answers with its help."""
+        work, have = self.work, self.tabled.count
+        points = draw(work.drawn, seed=work.study.seed, task="sampling", start=have, count=count - have)
+        d = len(work.scene_names)
+        try:
+            self.tabled, values = self.tabled.asked(work, "sampling", points.inputs[:, :, :d].reshape(-1, d), count)
+        except OutOfBudget:
+            self.tabled, self.many = Tabled(text=CUT_SHORT), None
+            return
+        done = Answered(values=values, censored=np.zeros(values.shape, dtype=bool),
+                        status=np.zeros(len(values), dtype=np.int64))  # fmt: skip
+        fresh = with_answered(work, points, done)
+        self.many = fresh if self.many is None else self.many.join(fresh)
+        assert self.sample is not None
+        self._describe(self.sample)
 
     def _first(self) -> int:
         """Points of the first stage in each replicate: fewer where the budget has no room for all of them.
@@ -226,14 +265,16 @@ class Distributions:
         return int(2 ** ((room // REPLICATES).bit_length() - 1))
 
     def _describe(self, sample: Sample) -> None:
-        work, budget = self.work, self.work.study.analysis.budget.evaluations * self.share
-        plain = _describe(work, sample), judge_limits(work, sample)
-        try:
-            self.control = follow(work, self.control, sample, plain, partial(excess_of, work), budget)
-        except OutOfBudget:
-            self.control = Control(plan=None, text="the control variate was cut short by the time budget", used=False)
-        used = self.control.used
-        described, self.limits = (self.control.descriptions, self.control.limits) if used else plain
+        work, many = self.work, self.many
+        self.limits = judge_limits(work, sample)
+        described = _describe(work, sample)
+        if many is not None and not sample.failed.any() and not sample.censored.any():
+            described = {
+                name: describe_controlled(sample.answer(name), many.answer(name)[:, : sample.count], many.answer(name),
+                                          quantiles=work.study.analysis.quantiles, method=TABLE_METHOD)
+                for name in work.quantities
+            }  # fmt: skip
+            self.limits = controlled_limits(work, self.limits, sample, many)
         laws = {name: work.study.random[name] for name in work.scene_names}
         self.descriptions = describe_heavy(laws, sample, described)
 
@@ -245,8 +286,7 @@ class Distributions:
 
     def errors(self) -> list[SpeedRow]:
         """The errors of this stage."""
-        plan = self.control.plan if self.control.used else None
-        method = METHOD if plan is None else f"{METHOD}, controlled by {plan.candidate.fidelity}"
+        method = METHOD if self.many is None else TABLE_METHOD
         return speed_rows(self.descriptions, self.limits, self.size, method)
 
     def answer(self, course: Course) -> Sampled:
@@ -263,12 +303,11 @@ class Distributions:
                 for one in find_missed(self.work, self.descriptions, self.limits)
             ],
             stopped=course.stopped,
-            control=self.control,
+            tabled=self.tabled,
         )
 
 
-def sample_distributions(work: Work, *, more_to_come: bool, control: Control | None = None) -> Sampled:
+def sample_distributions(work: Work, *, more_to_come: bool) -> Sampled:
     """Sample until the accuracy is reached, or the budget ends it; a study without scatter is evaluated once."""
-    control = control or Control(plan=None, text="", used=False)
-    question = Distributions(work=work, control=control, share=SAMPLING.share if more_to_come else 1.0)
+    question = Distributions(work=work, share=SAMPLING.share if more_to_come else 1.0)
     return question.answer(campaign(work, question, question.share))

@@ -25,9 +25,9 @@ from uqsphere.runner.campaign import (
     speed_rows_of,
 )
 from uqsphere.runner.evaluate import MOST_DROPPED, OutOfBudget, Work, evaluate_points
-from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.runner.schedule import INDICES, REPLICATES
+from uqsphere.runner.schedule import INDICES, REPLICATES, TABLE
+from uqsphere.runner.similarity import CUT_SHORT, Tabled, begin_table
 from uqsphere.units import told_apart
 from uqsphere.uq.estimate import Estimate, Why, absent
 from uqsphere.uq.heavy_tails import (
@@ -45,6 +45,7 @@ from uqsphere.uq.indices import (
     WORTHLESS,
     Blocks,
     SampledIndices,
+    Surrogate,
     cross_check,
     ordered,
     sampled_indices,
@@ -132,7 +133,6 @@ def _each(indices: Sensitivity, change: Callable[[Estimate], Estimate], every: b
 
 if TYPE_CHECKING:
     from uqsphere.uq.expansion import Chaos
-    from uqsphere.uq.indices import Surrogate
     from uqsphere.uq.shapley import SubsetDesign
 
 # --- The design of pick and freeze for a study: which blocks, their outputs, and what failures leave of them.
@@ -156,18 +156,22 @@ def pick_and_freeze(work: Work, key: str, start: int, count: int, blocks: Blocks
 
     Without `blocks` those of first and total indices alone, d + 2.
     """
-
-    inputs = work.all_inputs.only(work.scene_names)
-    blocks = blocks or Blocks(inputs_count=len(inputs.names))
-    # the inputs are independent here, so the halves are mapped once and mixed afterwards
-    rows = [
-        blocks.mix(*(inputs.physical(half) for half in halves)) for halves in _normal_halves(work, start, count, blocks)
-    ]
-    answered = evaluate_points(work, key, work.scene_names, np.stack(rows).reshape(-1, blocks.inputs_count))
+    blocks = blocks or Blocks(inputs_count=len(work.scene_names))
+    answered = evaluate_points(work, key, work.scene_names, design_rows(work, start, count, blocks))
     shape = (REPLICATES, count, blocks.count)
     values = answered.values.reshape(*shape, len(work.quantities))
     failed = ~is_answered(answered.status).reshape(shape)
     return values, np.asarray(failed.any(axis=2))
+
+
+def design_rows(work: Work, start: int, count: int, blocks: Blocks) -> Array:
+    """The rows (R count blocks, d) of base points of the design."""
+    inputs = work.all_inputs.only(work.scene_names)
+    # the inputs are independent here, so the halves are mapped once and mixed afterwards
+    rows = [
+        blocks.mix(*(inputs.physical(half) for half in halves)) for halves in _normal_halves(work, start, count, blocks)
+    ]
+    return np.stack(rows).reshape(-1, blocks.inputs_count)
 
 
 def _normal_halves(work: Work, start: int, count: int, blocks: Blocks) -> Iterator[list[Array]]:
@@ -272,18 +276,22 @@ class Pairs:
         return without(self.values, self.failed)
 
 
+#: evaluations that sampling takes go with this power of the half-widths, where outputs jump
+FALL = 1.8
+
+
 @dataclass(frozen=True, kw_only=True)
 class Shared:
     """How the variance of every quantity is shared out, why its stages ended, and the runs that it rests on.
 
-    `subsets` is the design of these runs where inputs depend on each other, `control` the cheaper model beside them.
+    `subsets` is the design of these runs where inputs depend on each other, `tabled` the table beside them.
     """
 
     sensitivity: dict[str, Sensitivity]
     stopped: str
     pairs: Pairs | None = None
     subsets: SubsetDesign | None = None
-    control: IndexControl = field(default_factory=lambda: IndexControl(used=False))
+    tabled: Tabled = field(default_factory=lambda: Tabled())
 
 
 def dependent_names(work: Work) -> list[str]:
@@ -407,14 +415,16 @@ def _believable(estimates: list[Estimate]) -> list[Estimate]:
 class Indices:
     """Sobol' indices of every quantity, from the base points that were drawn so far (a `Question`).
 
-    A control variate that is proposed is tried where the first stage is not accurate enough.
+    Where more of them would take more evaluations than a table of the scaled answers, that is made, and asked at many
+    more points; the model's own then tell by how much it is off.
     """
 
     work: Work
-    control: IndexControl
     expansions: dict[str, Expansion]
     blocks: Blocks
     judged: int = 0
+    tabled: Tabled = field(default_factory=Tabled)
+    answers_of_table: Array | None = None
     pairs: Pairs | None = None
     others: Array | None = None
     drawn: dict[str, SampledIndices] = field(default_factory=dict)
@@ -427,7 +437,7 @@ class Indices:
     @property
     def size(self) -> int:
         """Evaluations that the indices rest on."""
-        return 0 if self.pairs is None else int(self.pairs.whole()[..., 0].size)
+        return 0 if self.pairs is None else int(self.pairs.whole()[..., 0].size) + self.tabled.taken
 
     @property
     def asked(self) -> float:
@@ -436,8 +446,15 @@ class Indices:
 
     def advance(self, room: float) -> bool:
         """More base points, as many as the widest interval calls for; False where they have no room."""
+        worst = max(self.lacking().values(), default=0.0)
+        if self.pairs is not None and (count := self.tabled.grown(worst, self.pairs.failed.shape[1], room)):
+            self.tabled = replace(self.tabled, worst=worst)
+            self._ask_table(count)
+            return True
         start = 0 if self.pairs is None else self.pairs.failed.shape[1]
         count = _more(start, [ratio * self.asked for ratio in self.lacking().values()], self.asked)
+        if self.tabled.count:  # of what a table leaves, twice the pairs know all that they can in one step
+            count, self.tabled = start, replace(self.tabled, worst=math.inf)
         if not start and self._cost(count) > room:
             count = INDICES.least
         if self._cost(count) > room:
@@ -445,40 +462,72 @@ class Indices:
         values, failed = pick_and_freeze(self.work, f"sensitivity.{start}", start, count, self.blocks)
         more = Pairs(values=values, failed=failed)
         self.pairs = more if self.pairs is None else self.pairs.join(more)
-        helpers = self._helpers(start, count, self.pairs)
-        whole = self.pairs.whole()
-        self.drawn = {
-            q: sampled_indices(whole[..., k], self.blocks, helpers.get(q)) for k, q in enumerate(self.work.quantities)
-        }
-        self.found = {
-            q: {"first": _no_finer(self.work, e.first), "total": _no_finer(self.work, e.total)}
-            for q, e in self.drawn.items()
-        }
-        self._sharpen(self.pairs)
+        self._expand(start, count)
+        self._estimate()
+        if not start and not failed.any():
+            self._begin_table(room - self._cost(count))
         return True
 
     def _cost(self, count: int) -> int:
-        return self.control.rows(REPLICATES * count * self.blocks.count)
+        return REPLICATES * count * self.blocks.count
 
-    def _helpers(self, start: int, count: int, pairs: Pairs) -> dict[str, Surrogate]:
-        """The expansions as control variates at all points so far."""
-        chaoses = {q: one.chaos for q, one in self.expansions.items() if one.chaos is not None}
-        if not chaoses:
-            return {}
-        more = surrogate_outputs(self.work, start, count, self.blocks, list(chaoses.values()))
-        self.others = more if self.others is None else np.concatenate([self.others, more], axis=1)
-        return helpers_of(chaoses, self.blocks, without(self.others, pairs.failed))
+    def _estimate(self) -> None:
+        """The indices off all pairs, with what helps each quantity."""
+        assert self.pairs is not None
+        whole, helpers = self.pairs.whole(), self._helpers(self.pairs)
+        for k, quantity in enumerate(self.work.quantities):
+            drawn = sampled_indices(whole[..., k], self.blocks, helpers.get(quantity))
+            self.drawn[quantity] = drawn
+            self.found[quantity] = {
+                "first": _no_finer(self.work, drawn.first), "total": _no_finer(self.work, drawn.total)
+            }  # fmt: skip
 
-    def _sharpen(self, pairs: Pairs) -> None:
-        """The same with the help of a cheaper model, where there is one that pays."""
-        plain = pairs.values[:, :, : self.blocks.inputs_count + 2]
-        lacking = [q for q in self.work.quantities if not _widest(self.found[q]) <= self.asked]
+    # --- a table beside the pairs
+
+    def _begin_table(self, room: float) -> None:
+        """A table, where sampling alone would take more; for what is not accurate enough, or has no expansion."""
+        late = self.lacking()
+        forecast = self.size * min(max(late.values(), default=0.0), 1e3) ** FALL
+        self.tabled = begin_table(self.work, self.tabled, self.size, forecast, room)
+        if self.tabled.begun:
+            helped = {accuracy.subject for accuracy in late} | (set(self.work.quantities) - set(self._chaoses()))
+            self.tabled = replace(self.tabled, quantities=tuple(q for q in self.work.quantities if q in helped))
+            self._ask_table(TABLE.first * INDICES.first)
+
+    def _ask_table(self, count: int) -> None:
+        """The table at so many base points, and the indices of what is not accurate enough with its help."""
+        have, before = self.tabled.count, self.answers_of_table
         try:
-            self.control, self.found = sharpen(
-                self.work, self.control, pick_and_freeze, plain, pairs.failed, self.found, lacking
+            self.tabled, values = self.tabled.asked(
+                self.work, "indices", design_rows(self.work, have, count - have, self.blocks), count
             )
         except OutOfBudget:
-            self.control = IndexControl(used=False, text="the control variate was cut short by the time budget")
+            self.tabled = Tabled(text=CUT_SHORT)
+            self.answers_of_table = None
+            return
+        values = values.reshape(REPLICATES, count - have, self.blocks.count, -1)
+        self.answers_of_table = values if before is None else np.concatenate([before, values], axis=1)
+        self._estimate()
+
+    def _expand(self, start: int, count: int) -> None:
+        """What the expansions say at further points."""
+        if chaoses := self._chaoses():
+            more = surrogate_outputs(self.work, start, count, self.blocks, list(chaoses.values()))
+            self.others = more if self.others is None else np.concatenate([self.others, more], axis=1)
+
+    def _chaoses(self) -> dict[str, Chaos]:
+        return {q: one.chaos for q, one in self.expansions.items() if one.chaos is not None}
+
+    def _helpers(self, pairs: Pairs) -> dict[str, Surrogate]:
+        """What stands beside the pairs: the expansions, or the table."""
+        others = None if self.others is None else without(self.others, pairs.failed)
+        found = helpers_of(self._chaoses(), self.blocks, others)
+        if (values := self.answers_of_table) is not None:
+            n = pairs.failed.shape[1]
+            for quantity in self.tabled.quantities:
+                outputs = values[..., self.work.quantities.index(quantity)]
+                found[quantity] = Surrogate(outputs=outputs[:, :n], many=outputs)
+        return found
 
     def _widths(self) -> dict[str, float]:
         """The largest half-width of every quantity that has an index."""
@@ -509,7 +558,9 @@ class Indices:
         if self.pairs is not None:
             values = self.pairs.values[:, :, : self.blocks.inputs_count + 2]
             plain = Pairs(values=values, failed=self.pairs.failed)
-        return Shared(sensitivity=answers, stopped=course.stopped, pairs=plain, control=self.control)
+        paired = self.size - self.tabled.taken
+        return Shared(sensitivity=answers, stopped=course.stopped, pairs=plain,
+                      tabled=replace(self.tabled, paired=paired))  # fmt: skip
 
 
 def _why_none(work: Work, sampled: Sampled) -> tuple[str, str]:
@@ -528,7 +579,7 @@ def _why_none(work: Work, sampled: Sampled) -> tuple[str, str]:
     return "", ""
 
 
-def find_sensitivity(work: Work, sampled: Sampled, control: IndexControl | None = None) -> Shared:
+def find_sensitivity(work: Work, sampled: Sampled) -> Shared:
     """Indices of every quantity, or why there are none."""
     reason, stopped = _why_none(work, sampled)
     if reason:
@@ -546,9 +597,7 @@ def find_sensitivity(work: Work, sampled: Sampled, control: IndexControl | None 
             found = expansions[quantity] = _expand(work, sampled, quantity)
             runs, error = found.about["evaluations"], found.about["error"]
             work.tell(speed_rows_of(CHAOS, quantity, runs, error, HELD_OUT))
-    question = Indices(
-        work=work, control=control or IndexControl(used=False), expansions=expansions, blocks=blocks_of(work)
-    )
+    question = Indices(work=work, expansions=expansions, blocks=blocks_of(work), tabled=sampled.tabled.again())
     return question.answer(campaign(work, question) if work.study.analysis.samples_indices else Course())
 
 

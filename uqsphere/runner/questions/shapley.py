@@ -11,8 +11,6 @@ from uqsphere.model import is_answered
 from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import INDEX_KIND, Accuracy, Cost, campaign, indices_missed, speed_rows_of
 from uqsphere.runner.evaluate import Work, evaluate_points
-from uqsphere.runner.index_control import IndexControl
-from uqsphere.runner.multifidelity import Plan
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Pairs, Sensitivity, Shared, dependent_names, find_sensitivity, share_heavy
 from uqsphere.runner.schedule import REPLICATES, SHAPLEY
@@ -122,12 +120,9 @@ class ShapleyEffects:
         ]
 
 
-def share_variance(work: Work, sampled: Sampled, plan: Plan | None = None) -> Shared:
-    """How the variance is shared out: Sobol' indices, or Shapley effects where inputs depend on each other.
-
-    `plan` proposes a cheaper model as control variate.
-    """
-    shared = find_sensitivity(work, sampled, IndexControl(plan=plan))
+def share_variance(work: Work, sampled: Sampled) -> Shared:
+    """How the variance is shared out: Sobol' indices, or Shapley effects where inputs depend on each other."""
+    shared = find_sensitivity(work, sampled)
     if dependent_names(work) and shared.stopped != "failures" and work.study.analysis.pursues("indices"):
         shared = _share_dependent(work, shared.sensitivity)
     own = shared.pairs if shared.subsets is None else None
