@@ -16,7 +16,7 @@ from test_population import FINE, TRUTH, fed, known, scattered
 
 from uqsphere.cli import main
 from uqsphere.feed import laws
-from uqsphere.feed.answers import answer_feed
+from uqsphere.feed.answers import FeedPlan, answer_feed
 from uqsphere.feed.dem import NotThere, choose, draws_csv, export, spread_draws
 from uqsphere.feed.fit import FitEntry, Posterior
 from uqsphere.feed.product import ProductPlan
@@ -34,8 +34,9 @@ PARTICLES = {"E": 60e9, "nu": 0.25, "density": 2700.0}
 
 def answered(posterior, form="tavares", made_up=False, **more):
     fitted = FitEntry(law=posterior.law, size=posterior.size, ratio=4.0, tested=(0.002, 0.08), made_up=made_up)
-    plan = ProductPlan(form=form, A=0.55, b=0.03 if form != "jk" else 0.8 / 3600.0)
-    found = answer_feed(posterior, fitted, fed(3, **more), plan, particles=PARTICLES)
+    product = ProductPlan(form=form, A=0.55, b=0.03 if form != "jk" else 0.8 / 3600.0)
+    plan = FeedPlan(feed=fed(3, **more), product=product, particles=PARTICLES)
+    found = answer_feed(posterior, fitted, plan)
     header, rows = found.table()
     return found.entry, dict(zip(header, np.array(rows).T, strict=True))
 

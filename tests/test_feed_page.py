@@ -11,7 +11,7 @@ import pytest
 from test_population import fed, scattered
 
 from uqsphere.feed import laws
-from uqsphere.feed.answers import answer_feed
+from uqsphere.feed.answers import FeedPlan, answer_feed
 from uqsphere.feed.fit import FitEntry
 from uqsphere.feed.product import Fineness, ProductPlan
 from uqsphere.feed.tests import make_specimens
@@ -32,10 +32,11 @@ def made():
     tests = make_specimens(d, energy, broke=broke, exact=broke)
     posterior = scattered(400)
     fitted = FitEntry(law="lognormal", size="tavares", ratio=4.0, tested=(0.008, 0.056), made_up=True, title="Rock")
-    found = answer_feed(
-        posterior, fitted, fed(3, 100.0, lot=50.0, fines=0.004), ProductPlan(A=0.55, b=0.8 / 3600.0), goal=(0.5, 0.95),
-        of={"sizes": "Rosin-Rammler", "energy": "blows of 100 J/kg"}, title="A quarry <b>",
+    plan = FeedPlan(
+        feed=fed(3, 100.0, lot=50.0, fines=0.004), product=ProductPlan(A=0.55, b=0.8 / 3600.0), goal=(0.5, 0.95),
+        of={"sizes": "Rosin-Rammler", "energy": "blows of 100 J/kg"},
     )  # fmt: skip
+    found = answer_feed(posterior, fitted, plan, title="A quarry <b>")
     return found.entry, fitted, posterior, tests
 
 
@@ -117,16 +118,17 @@ def test_a_and_b_and_alpha_come_from_the_tests_where_the_study_has_none(made):
     passing = -np.expm1((9.0 / (n - 1.0)) ** 0.45 * np.log1p(-fine[:, None]))
     told = Fineness(diameter=np.full(12, 0.04), offered=offered, t10=fine, sieves=sieves, passing=passing)
     _, fitted, posterior, _ = made
-    entry = answer_feed(posterior, fitted, fed(1, 1000.0), ProductPlan(), tests=told).entry
+    plan = FeedPlan(feed=fed(1, 1000.0), product=ProductPlan())
+    entry = answer_feed(posterior, fitted, plan, told).entry
     assert entry.product["A b"].low < 0.5 / 3600.0 < entry.product["A b"].high
     assert entry.product["alpha"].value == pytest.approx(0.45, rel=0.1)
     assert "12 sieve curves" in entry.sources["alpha"]
-    nothing = answer_feed(posterior, fitted, fed(1, 1000.0), ProductPlan()).entry
+    nothing = answer_feed(posterior, fitted, plan).entry
     assert nothing.p80.value is None
     assert "no [product]" in nothing.p80.reason
     assert nothing.broken.value == pytest.approx(entry.broken.value)
     with pytest.raises(ValueError, match="fragments"):
-        answer_feed(posterior, fitted, fed(1, 1000.0, progeny="again"), ProductPlan())
+        answer_feed(posterior, fitted, replace(plan, feed=fed(1, 1000.0, progeny="again")))
 
 
 @pytest.mark.parametrize(
@@ -141,6 +143,7 @@ def test_a_and_b_and_alpha_come_from_the_tests_where_the_study_has_none(made):
 def test_a_target_is_judged_by_draws_sizes_and_the_fit(least, sure, tested, converged, verdict):
     posterior = replace(scattered(400), tested=tested)
     fitted = FitEntry(law="lognormal", size="tavares", ratio=4.0, tested=tested, converged=converged)
-    goal = answer_feed(posterior, fitted, fed(3), ProductPlan(A=0.5, b=1e-4), goal=(least, sure)).entry.goal
+    plan = FeedPlan(feed=fed(3), product=ProductPlan(A=0.5, b=1e-4), goal=(least, sure))
+    goal = answer_feed(posterior, fitted, plan).entry.goal
     assert goal.verdict == verdict
     assert (verdict == "met") == (not goal.reasons) or verdict == "not met"

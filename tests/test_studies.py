@@ -40,6 +40,7 @@ CASES: dict[str, tuple[tuple[str, ...], tuple[float, float]]] = {
     "limestone_margin": (ROUGH, (1.3e7, 1.6e7)),
     "granite_10mm_test": (ROUGH, (1.0e4, 1.3e4)),
     "limestone_chute_rotor": ((), (2.1e7, 2.2e7)),
+    "limestone_feed": (ROUGH, (6.2e9, 7.0e9)),
     "limestone_drop_weight": (ROUGH, (2.2e9, 2.6e9)),
     "quartz_load_cell": (ROUGH, (118.0, 130.0)),
 }

@@ -35,6 +35,7 @@ def test_a_tutorial_is_what_the_commands_print(page: Path, tmp_path: Path) -> No
 def test_there_is_one_for_everybody() -> None:
     assert [page.stem for page in PAGES] == [
         "tutorial-black-box", "tutorial-engineer", "tutorial-experimentalist", "tutorial-machines",
+        "tutorial-quarry",
     ]  # fmt: skip
 
 

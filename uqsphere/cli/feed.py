@@ -98,7 +98,7 @@ def _next_tests(study: Study, chosen: argparse.Namespace) -> TestPlan:
     if chosen.at is None and study.feed is not None:
         from uqsphere.feed.answers import answer_feed
 
-        found = answer_feed(posterior, about, study.feed.feed, study.feed.product)
+        found = answer_feed(posterior, about, study.feed)
         sizes = posterior.classes or grid_of_sizes(low, high)
         words = "share broken of the feed"
         return plan_tests(posterior.at(found.rows), found.broken, words, chosen.precision, sizes, relative=False)
@@ -131,9 +131,8 @@ def command_feed(chosen: argparse.Namespace) -> int:
     posterior, about = fitted(study) if chosen.fit is None else (Posterior.load(chosen.fit), read_fit(chosen.fit))
     tests = study.tests if chosen.fit is None else None
     try:
-        found = answer_feed(posterior, about, plan.feed, plan.product, goal=plan.goal, of=dict(plan.of),
-                            tests=None if tests is None else tests.fineness, particles=plan.particles,
-                            title=study.title)  # fmt: skip
+        fineness = None if tests is None else tests.fineness
+        found = answer_feed(posterior, about, plan, fineness, study.title)
     except ValueError as error:
         raise UsageError(str(error)) from None
     entry = found.entry.model_copy(update={"hash": study.hash})

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -14,10 +15,11 @@ from pydantic import Field, ValidationError
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.errors import FolderError
+from uqsphere.feed import laws
 from uqsphere.feed.fit import Entry, FitEntry, Interval, Posterior
-from uqsphere.feed.population import Breaking, Feed, Outcome, breaking, draws_for, populate
+from uqsphere.feed.population import Feed, Outcome, breaking, draws_for, populate
 from uqsphere.feed.product import Fineness, Product, ProductPlan, draw_product
-from uqsphere.files import load_document, read_whole
+from uqsphere.files import Json, load_document, read_whole
 from uqsphere.mechanics.criteria import DIAMETERS, ENERGIES
 from uqsphere.uq.points import random_generator
 
@@ -121,6 +123,22 @@ class FeedEntry(Entry):
     warnings: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, kw_only=True)
+class FeedPlan:
+    """What is asked of a feed.
+
+    goal : least share that must break, least probability of that;  of : sizes, blows and partner in words
+    particles : E [Pa], nu, density [kg/m³];  meaning : the tables of a study as plain values, for its hash
+    """
+
+    feed: Feed
+    product: ProductPlan
+    goal: tuple[float, float] | None = None
+    of: Mapping[str, str] = field(default_factory=dict)
+    particles: Mapping[str, float] = field(default_factory=dict)
+    meaning: Mapping[str, Json] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Answered:
     """The answers with what they were computed from, draw by draw: which draws of the posterior, and the product."""
@@ -144,10 +162,8 @@ class Answered:
 
 
 def answer_feed(
-    posterior: Posterior, fitted: FitEntry, feed: Feed, plan: ProductPlan, *, tests: Fineness | None = None,
-    goal: tuple[float, float] | None = None, of: dict[str, str] | None = None,
-    particles: dict[str, float] | None = None, title: str = "",
-) -> Answered:  # fmt: skip
+    posterior: Posterior, fitted: FitEntry, plan: FeedPlan, tests: Fineness | None = None, title: str = ""
+) -> Answered:
     """The answers of a feed to what a posterior leaves open.
 
     Raises
@@ -155,36 +171,34 @@ def answer_feed(
     ValueError
         Where fragments are to be hit again and nothing tells their sizes, or the tests tell nothing of a class.
     """
+    feed = plan.feed
     rng = random_generator(seed=feed.seed, task="feed.product")
-    drawn, missing = draw_product(plan, tests, len(posterior), rng)
+    drawn, missing = draw_product(plan.product, tests, len(posterior), rng)
     if drawn is None and feed.progeny == "again":
         raise ValueError(f'progeny = "again" hits the fragments, and {missing}')
     rows = _thinned(len(posterior), draws_for(drawn or _NO_PRODUCT, feed, len(posterior)))
-    some = posterior.at(rows)
-    product = _NO_PRODUCT if drawn is None else drawn.drawn(rows)
-    _refuse_between_classes(some, feed)
-    if feed.blows.count > 1 and "gamma" not in some.draws and any(name != "vogel_peukert" for name in some.which):
-        raise ValueError('repeated blows need gamma: add gamma to [tests], a number, a law or "fit"')
+    some, product = posterior.at(rows), (drawn or _NO_PRODUCT).drawn(rows)
+    _refuse_what_is_not_told(some, feed)
     broken = breaking(some, product, feed)
-    mean = populate(broken, product, feed)
-    lots = None
+    mean, lots = populate(broken, product, feed), None
     if math.isfinite(feed.lot):
         lots = populate(broken, product, feed, random_generator(seed=feed.seed, task="feed.lots"))
-    target = None if goal is None else _judge(goal, mean, lots, broken, feed, posterior, fitted)
     finds = _finding(mean, lots, feed, missing)
     entry = FeedEntry(
         title=title, seed=feed.seed, made_up=fitted.made_up, draws=len(rows), blows=feed.blows.count,
-        progeny=feed.progeny, of=of or {}, particles=particles or {}, share=feed.blows.share,
- lot=feed.lot if math.isfinite(feed.lot) else None,
-        spectrum_error=broken.error, tested=posterior.tested, classes=_classes(some, mean, lots, feed), goal=target,
-        reference_size=_middle(feed), form=product.form, curve_law=product.curve.law,
-        fines_sieve=feed.fines, curve=() if drawn is None else _curve(mean, lots, feed),
-        product={} if drawn is None else _numbers(product), sources={} if drawn is None else dict(drawn.sources),
-        warnings=tuple(_warnings(fitted, mean, feed, posterior, drawn is not None)),
+        progeny=feed.progeny, of=dict(plan.of), particles=dict(plan.particles), share=feed.blows.share,
+        lot=feed.lot if math.isfinite(feed.lot) else None, spectrum_error=broken.error, tested=posterior.tested,
+        classes=_classes(some, mean, lots, feed), reference_size=_middle(feed), form=product.form,
+        curve_law=product.curve.law, fines_sieve=feed.fines,
+        goal=None if plan.goal is None else _judge(plan.goal, mean, lots, feed, fitted),
+        warnings=tuple(_warnings(fitted, mean, feed, product=drawn is not None)),
         broken=finds["broken"], never=finds["never"], expected_blows=finds["expected_blows"], energy=finds["energy"],
         t10=finds["t10"], p80=finds["p80"], p50=finds["p50"], reduction=finds["reduction"], fines=finds["fines"],
     )  # fmt: skip
-    return Answered(entry=entry, rows=rows, broken=mean.broken, product=None if drawn is None else product)
+    if drawn is None:
+        return Answered(entry=entry, rows=rows, broken=mean.broken, product=None)
+    told = {"curve": _curve(mean, lots, feed), "product": _numbers(product), "sources": dict(product.sources)}
+    return Answered(entry=entry.model_copy(update=told), rows=rows, broken=mean.broken, product=product)
 
 
 def _middle(feed: Feed) -> float:
@@ -197,11 +211,13 @@ def _thinned(count: int, wanted: int) -> Places:
     return np.unique(np.linspace(0, count - 1, wanted).astype(np.int64))
 
 
-def _refuse_between_classes(posterior: Posterior, feed: Feed) -> None:
-    if posterior.size != "class":
-        return
+def _refuse_what_is_not_told(posterior: Posterior, feed: Feed) -> None:
+    """Refuse blows without the damage that they do, and classes of which no law of size speaks."""
+    damaged = any(laws.LAWS[str(name)].sized for name in posterior.which)
+    if feed.blows.count > 1 and damaged and "gamma" not in posterior.draws:
+        raise ValueError('repeated blows need gamma: add gamma to [tests], a number, a law or "fit"')
     sizes = feed.classes.sizes if feed.rest_breaks else feed.classes.sizes[:-1]
-    unknown = sizes[~np.isfinite(posterior.at(np.array([0])).median(sizes)[0])]
+    unknown = sizes[~np.isfinite(posterior.median(sizes)[0])] if posterior.size == "class" else np.empty(0)
     if unknown.size:
         raise ValueError(
             f'size = "class" says nothing of {len(unknown)} classes of the feed, {1e3 * unknown[0]:.3g} mm among them: '
@@ -250,14 +266,14 @@ def _finding(mean: Outcome, lots: Outcome | None, feed: Feed, missing: str) -> d
     }  # fmt: skip
 
 
-def _beyond(feed: Feed, posterior: Posterior) -> Flags:
+def _beyond(feed: Feed, tested: tuple[float, float]) -> Flags:
     """Classes beyond the tested sizes."""
-    sizes, (low, high) = feed.classes.sizes, posterior.tested
+    sizes, (low, high) = feed.classes.sizes, tested
     return np.asarray((sizes * _NEAR < low) | (sizes > high * _NEAR))
 
 
 def _classes(posterior: Posterior, mean: Outcome, lots: Outcome | None, feed: Feed) -> tuple[ClassEntry, ...]:
-    classes, beyond = feed.classes, _beyond(feed, posterior)
+    classes, beyond = feed.classes, _beyond(feed, posterior.tested)
     particle = math.pi / 6.0 * feed.density * classes.sizes**3
     median, slope = posterior.median(classes.sizes), posterior.slope(classes.sizes)
     lower = np.append(classes.edges[1:], 0.0)
@@ -305,10 +321,7 @@ def _numbers(product: Product) -> dict[str, Interval]:
 # --- the target, and what to be careful about -------------------------------------------------------------------
 
 
-def _judge(
-    goal: tuple[float, float], mean: Outcome, lots: Outcome | None, broken: Breaking, feed: Feed,
-    posterior: Posterior, fitted: FitEntry,
-) -> GoalEntry:  # fmt: skip
+def _judge(goal: tuple[float, float], mean: Outcome, lots: Outcome | None, feed: Feed, fitted: FitEntry) -> GoalEntry:
     """Whether so much breaks so surely; in lots of the feed where there are any."""
     least, sure = goal
     outcome = mean if lots is None else lots
@@ -322,7 +335,7 @@ def _judge(
     lost = probability + _ERRORS * error < sure
     verdict = "met" if kept else "not met" if lost else "undecided"
     reasons = [] if verdict != "undecided" else [f"{len(mean.broken)} draws give the probability to ± {error:.2g}"]
-    beyond = _beyond(feed, posterior)
+    beyond = _beyond(feed, fitted.tested)
     mass = feed.classes.mass
     known, untested = (outcome.by_class * mass)[:, ~beyond].sum(axis=1), 100.0 * float(mass[beyond].sum())
     if verdict == "met" and share(known) < sure:
@@ -339,12 +352,12 @@ def _judge(
                      reasons=tuple(reasons))  # fmt: skip
 
 
-def _warnings(fitted: FitEntry, mean: Outcome, feed: Feed, posterior: Posterior, product: bool) -> list[str]:
+def _warnings(fitted: FitEntry, mean: Outcome, feed: Feed, *, product: bool) -> list[str]:
     found = ["the tests are made up: no number of this page is of a rock"] if fitted.made_up else []
     found.append("energies are those given to the particles: the machine takes more")
-    beyond = _beyond(feed, posterior)
+    beyond = _beyond(feed, fitted.tested)
     if beyond.any():
-        low, high = (1e3 * v for v in posterior.tested)
+        low, high = (1e3 * v for v in fitted.tested)
         share = 100.0 * float(feed.classes.mass[beyond].sum())
         found.append(f"{share:.0f} % of the feed lies beyond the tested {low:.3g} to {high:.3g} mm: extrapolated")
     if product:

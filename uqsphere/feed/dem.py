@@ -27,13 +27,14 @@ TARGETS: Final = ("rocky", "liggghts", "edem", "csv")
 _MATCHED: Final = (0.1587, 0.8413)
 #: n of the fragments that LIGGGHTS makes; the smallest of them is the smallest radius
 _FRAGMENTS: Final = (2, 5, 10, 20)
-#: setter of Rocky -> column of the draws, unit of the setter, factor from SI
-_TAVARES: Final = (
+#: setter of Rocky, column of the draws, unit of the setter, factor from SI
+Setter = tuple[str, str, str, float]
+_TAVARES: Final[tuple[Setter, ...]] = (
     ("SetTavaresEInf", "e_inf", "J/kg", 1.0), ("SetTavaresD0", "d0", "m", 1.0), ("SetTavaresPhi", "phi", "", 1.0),
     ("SetTavaresSigmaSquared", "sigma_squared", "", 1.0), ("SetTavaresRatioEmax", "ratio", "", 1.0),
     ("SetTavaresGamma", "gamma", "", 1.0), ("SetTavaresA", "A", "%", 100.0), ("SetTavaresB", "b", "", 1.0),
 )  # fmt: skip
-_ABT10: Final = (
+_ABT10: Final[tuple[Setter, ...]] = (
     ("SetAbt10SelectFunctionCoefficient", "S", "kg/J", 1.0),
     ("SetAbt10ReferenceMinimumSpecificEnergy", "e_min_ref", "J/kg", 1.0),
     ("SetAbt10ReferenceSize", "L_ref", "m", 1.0), ("SetAbt10MaximumT10Value", "A", "%", 100.0),
@@ -149,15 +150,12 @@ def rocky(draws: Draws, entry: FeedEntry, size: str) -> str:
     NotThere
         For a law or a size law that Rocky's models do not have.
     """
-    rows, setters, model = _only(draws, "lognormal"), list(_TAVARES), "professor_tavares"
-    columns = dict(draws.columns)
-    if "e_inf_rig" in columns:
-        columns["e_inf"] = columns["e_inf_rig"]
-    notes = list(draws.notes)
-    if rows and size != "tavares":
-        raise NotThere(f'Rocky\'s size law is "tavares", the fit has "{size}": fit again with size = "tavares"')
-    if not rows:
-        rows, setters, model = _only(draws, "vogel_peukert"), list(_ABT10), "ab_t10"
+    columns, notes = dict(draws.columns), list(draws.notes)
+    rows, model = _only(draws, "lognormal"), "professor_tavares"
+    if rows:
+        setters = _tavares_setters(columns, entry, size, notes)
+    else:
+        rows, model, setters = _only(draws, "vogel_peukert"), "ab_t10", _ABT10
         if not rows:
             raise NotThere('Rocky has no Weibull law: fit with law = "lognormal" or "vogel_peukert"')
         reference = entry.reference_size
@@ -166,14 +164,6 @@ def rocky(draws: Draws, entry: FeedEntry, size: str) -> str:
         notes.append("P = 1 - exp(-S (L/L_ref) e_cum) of ab_t10: from memory, not checked at the source")
     if len(rows) < len(draws.laws):
         notes.append(f"{len(draws.laws) - len(rows)} draws of another law are left out: Rocky has no place for them")
-    if model == "professor_tavares" and not entry.form.startswith("tavares"):
-        setters = [one for one in setters if one[1] not in ("A", "b")]
-        notes.append(
-            f"A and b of the form {entry.form} are not Tavares' A and b': left at Rocky's own, enter yours by hand"
-        )
-    if not math.isfinite(float(columns.get("ratio", np.zeros(1))[0])):
-        raise NotThere("Rocky's law has an upper bound E_max: fit with a ratio, 4 say")
-    setters = [one for one in setters if one[1] in columns]
     if entry.curve_law == "beta":
         notes.append("alpha_n and beta_n have no setter in PyRocky: enter them by hand")
     elif entry.curve:
@@ -182,12 +172,28 @@ def rocky(draws: Draws, entry: FeedEntry, size: str) -> str:
         "Rocky breaks convex polyhedra only, with the hysteretic linear spring as normal force",
         "SetTavaresMinimumEnergy and SetMinimumSizeRatio are left at the project's own",
     ]
+    setters = tuple(one for one in setters if one[1] in columns)
     table = [[float(columns[name][row] * factor) for _, name, _, factor in setters] for row in rows]
     return _rocky_text(model, setters, table, notes, entry)
 
 
+def _tavares_setters(columns: dict[str, Array], entry: FeedEntry, size: str, notes: list[str]) -> tuple[Setter, ...]:
+    """Setters of the Tavares model that the draws have values for; E_inf by the rig factor where one is asked for."""
+    if size != "tavares":
+        raise NotThere(f'Rocky\'s size law is "tavares", the fit has "{size}": fit again with size = "tavares"')
+    if not math.isfinite(float(columns["ratio"][0])):
+        raise NotThere("Rocky's law has an upper bound E_max: fit with a ratio, 4 say")
+    columns["e_inf"] = columns.get("e_inf_rig", columns["e_inf"])
+    if entry.form.startswith("tavares"):
+        return _TAVARES
+    notes.append(
+        f"A and b of the form {entry.form} are not Tavares' A and b': left at Rocky's own, enter yours by hand"
+    )
+    return tuple(one for one in _TAVARES if one[1] not in ("A", "b"))
+
+
 def _rocky_text(
-    model: str, setters: Sequence[tuple[str, str, str, float]], table: Sequence[Sequence[float]],
+    model: str, setters: Sequence[Setter], table: Sequence[Sequence[float]],
     notes: Sequence[str], entry: FeedEntry,
 ) -> str:  # fmt: skip
     lines = ['"""Breakage parameters for Rocky, through PyRocky: apply(project, "name of the particle", draw=1).', ""]

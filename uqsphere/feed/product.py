@@ -180,31 +180,40 @@ class Fineness:
     sieves: Array = field(default_factory=lambda: np.empty(0))
     passing: Array = field(default_factory=lambda: np.empty((0, 0)))
 
+    @property
+    def sieved(self) -> Fineness | None:
+        """The tests with a t10; None where there is none."""
+        known = np.isfinite(self.t10)
+        if not known.any():
+            return None
+        passing = self.passing[known] if self.passing.size else self.passing
+        return Fineness(diameter=self.diameter[known], offered=self.offered[known], t10=self.t10[known],
+                        sieves=self.sieves, passing=passing)  # fmt: skip
+
 
 def draw_product(
     plan: ProductPlan, tests: Fineness | None, draws: int, rng: np.random.Generator
 ) -> tuple[Product | None, str]:
     """The product in so many draws, laws and fits with all that they leave open; None, with the reason, without one."""
-    sources, known = {"A": "given", "b": "given"}, None if tests is None else np.isfinite(tests.t10)
+    sources, told = {"A": "given", "b": "given", "alpha": "given"}, None if tests is None else tests.sieved
     A, b = (_drawn(value, draws, rng) for value in (plan.A, plan.b))
     if A is None or b is None:
-        if tests is None or known is None or known.sum() < 3 or plan.form != "jk":
+        if told is None or len(told.t10) < 3 or plan.form != "jk":
             return None, "the study has no [product] with A and b, and its tests no three t10: neither has a curve"
-        best, A, b = fit_t10(tests.offered[known], tests.t10[known], draws, rng)
-        sources = dict.fromkeys(sources, f"{int(known.sum())} tests, least squares of ln t10: sd {best['sd']:.2g}")
-    alpha, misfit = _drawn(plan.alpha, draws, rng), None
-    if plan.curve == "trr" and alpha is None:
-        sources["alpha"] = "lognormal about 0.6: no sieve curve tells it"
+        best, A, b = fit_t10(told.offered, told.t10, draws, rng)
+        sources |= dict.fromkeys(("A", "b"), f"{len(told.t10)} tests, least squares of ln t10: sd {best['sd']:.2g}")
+    alpha, sd = _drawn(plan.alpha, draws, rng), DISCREPANCY
+    if plan.curve == "trr" and alpha is None and told is not None and told.passing.size:
+        n = told.diameter[:, None] / told.sieves
+        best_alpha, sd, alpha = fit_alpha(n, told.t10, told.passing, draws, rng)
+        sources["alpha"] = f"{len(told.t10)} sieve curves: {best_alpha:.3g}, t_n off by {sd:.2g}"
+    elif plan.curve == "trr" and alpha is None:
         alpha = np.exp(ALPHA[0] + ALPHA[1] * rng.standard_normal(draws))
-        if tests is not None and known is not None and tests.passing.size and known.any():
-            n = tests.diameter[known, None] / tests.sieves
-            best_alpha, misfit, alpha = fit_alpha(n, tests.t10[known], tests.passing[known], draws, rng)
-            sources["alpha"] = f"{int(known.sum())} sieve curves: {best_alpha:.3g}, t_n off by {misfit:.2g}"
-    sd = plan.discrepancy if plan.discrepancy is not None else DISCREPANCY if misfit is None else misfit
+        sources["alpha"] = "lognormal about 0.6: no sieve curve tells it"
+    sd = sd if plan.discrepancy is None else plan.discrepancy
     sources["t_n"] = f"sd {sd:.2g} about the family at t_n = 0.5"
-    curve = Curve(law=plan.curve, alpha=0.0 if alpha is None else alpha, knots=plan.knots)
-    return Product(form=plan.form, A=A, b=b, threshold=plan.threshold, sources=sources,
-                   curve=drawn_curve(curve, draws, rng, sd)), ""  # fmt: skip
+    curve = drawn_curve(Curve(law=plan.curve, alpha=0.0 if alpha is None else alpha, knots=plan.knots), draws, rng, sd)
+    return Product(form=plan.form, A=A, b=b, threshold=plan.threshold, curve=curve, sources=sources), ""
 
 
 def _drawn(value: Law | float | None, draws: int, rng: np.random.Generator) -> Values:

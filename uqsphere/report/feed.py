@@ -70,10 +70,12 @@ def _interval(one: Interval, factor: float = 1.0) -> str:
 def _headline(question: str, answer: Answer, factor: float, unit: str) -> Headline:
     if answer.value is None:
         return Headline(question=question, big="–", unit="", note=answer.reason)
-    own = _ends(answer.low, answer.high, factor)
+    own, big = _ends(answer.low, answer.high, factor), _n(answer.value, factor)
     lots = own if answer.lot_low is None else _ends(answer.lot_low, answer.lot_high, factor)
+    if own == f"{big} to {big}":
+        return Headline(question=question, big=big, unit=unit, note="The same in every draw.")
     note = f"95 %: {own}{'' if lots == own else f', {lots} in a lot'}."
-    return Headline(question=question, big=_n(answer.value, factor), unit=unit, note=note)
+    return Headline(question=question, big=big, unit=unit, note=note)
 
 
 def _feed_brief(entry: FeedEntry) -> dict[str, Any]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final
 
+from uqsphere.feed.answers import FeedPlan
 from uqsphere.feed.product import ProductPlan
 from uqsphere.files import Json
 from uqsphere.materials import library
@@ -30,7 +31,7 @@ from uqsphere.units import UNITS, Quantity
 from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
-    from uqsphere.feed.population import Feed, Sizes
+    from uqsphere.feed.population import Sizes
     from uqsphere.study.study import Study
 
 #: what a blow offers: dimension, kind of `uqsphere.feed.population.Blows`
@@ -55,22 +56,6 @@ class Particles:
     nu: float
     density: float
     name: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FeedPlan:
-    """What a study asks of a feed.
-
-    goal : least share that must break, least probability of that;  of : sizes, blows and partner in words
-    meaning : the tables as plain values, for the study's hash
-    """
-
-    feed: Feed
-    product: ProductPlan
-    goal: tuple[float, float] | None = None
-    of: Mapping[str, str] = field(default_factory=dict)
-    particles: dict[str, float] = field(default_factory=dict)
-    meaning: Mapping[str, Json] = field(default_factory=dict)
 
 
 def without_scene(data: Mapping[str, Raw]) -> bool:
@@ -201,22 +186,24 @@ def _read_sizes(table: FeedTable, findings: Findings) -> Sizes | None:
     if sizes is None or not sizes.law:
         return None
     needed = (*_NEEDS[sizes.law], *(() if sizes.law == "table" else ("top",)))
-    for key in needed:
-        if getattr(sizes, key) is None and findings.clean((*place, key)):
-            findings.add((*place, key), f"{key} is missing: {sizes.law} needs it, such as {key} = {_EXAMPLES[key]}")
-    for key in ("d63", "n", "d50", "log_sd", "file"):
-        if getattr(sizes, key) is not None and key not in _NEEDS[sizes.law]:
-            findings.add((*place, key), f"{key} does not belong to {sizes.law}, which takes {one_of(needed)}")
+    _check_keys(sizes, needed, place, findings)
     if not findings.clean(place):
         return None
     if sizes.law == "table":
         return _read_table(sizes, place, findings)
     assert sizes.top is not None
     given = {key: getattr(sizes, key) for key in needed}
-    for key in ("d63", "d50", "top"):
-        if given.get(key) is not None and given[key] <= 0.0:
-            findings.add((*place, key), f"{key} must be above 0")
     return Sizes(law=sizes.law, parameters=given, top=sizes.top)
+
+
+def _check_keys(sizes: SizesTable, needed: tuple[str, ...], place: Place, findings: Findings) -> None:
+    """Every law has keys of its own."""
+    for key in needed:
+        if getattr(sizes, key) is None and findings.clean((*place, key)):
+            findings.add((*place, key), f"{key} is missing: {sizes.law} needs it, such as {key} = {_EXAMPLES[key]}")
+    for key in ("d63", "n", "d50", "log_sd", "file"):
+        if getattr(sizes, key) is not None and key not in _NEEDS[sizes.law]:
+            findings.add((*place, key), f"{key} does not belong to {sizes.law}, which takes {one_of(needed)}")
 
 
 def _read_table(sizes: SizesTable, place: Place, findings: Findings) -> Sizes | None:

@@ -17,7 +17,8 @@ from uqsphere.study.document import Accuracy, Analysis, Dependence, Gauge, Model
 from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
-    from uqsphere.study.feed import FeedPlan, Particles
+    from uqsphere.feed.answers import FeedPlan
+    from uqsphere.study.feed import Particles
     from uqsphere.study.tests import TestsPlan
     from uqsphere.uq.joint import Dependence as Tie
     from uqsphere.uq.joint import Joint
