@@ -9,11 +9,11 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.given.table import Data, Document
 from uqsphere.given.text import dependence_lines, expansion_line
-from uqsphere.report.blocks import Block, Chapter, Table, cell, index_cell
-from uqsphere.report.brief import two
-from uqsphere.report.feed import page_files
+from uqsphere.report.blocks import Block, Table, cell, index_cell
+from uqsphere.report.feed import Part, page_files
 from uqsphere.report.figures.canvas import BLUE, GREY, INK, Picture, new_figure, shorten, slug, style
 from uqsphere.report.figures.indices import draw_indices
+from uqsphere.report.phrases import two
 from uqsphere.results.entries import Est
 
 #: outputs whose mean is set large, inputs of a figure, bars of a histogram, cautions
@@ -25,10 +25,10 @@ def analysis_page(found: Document, data: Data) -> dict[str, str]:
     """report.html of an analysis with the files of its figures: name -> text."""
     outputs = tuple(_output(found, data, k, name) for k, name in enumerate(data.outputs))
     parts = [
-        Chapter(anchor="drivers", heading="What drives the outputs",
+        Part(anchor="drivers", heading="What drives the outputs",
                 blocks=tuple(_drivers(found, k, name) for k, name in enumerate(data.outputs))),
-        Chapter(anchor="outputs", heading="The outputs", blocks=outputs),
-        Chapter(anchor="inputs", heading="The inputs", blocks=(_inputs(found),)),
+        Part(anchor="outputs", heading="The outputs", blocks=outputs),
+        Part(anchor="inputs", heading="The inputs", blocks=(_inputs(found),)),
     ]  # fmt: skip
     title = f"{found['rows']:,} runs of {', '.join(data.outputs)}"
     return page_files(title, "analysis of given data", _brief(found, data), parts)
