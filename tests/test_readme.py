@@ -40,7 +40,7 @@ def run(command: str, folder: Path) -> str:
     done = subprocess.run(
         ["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
-    assert done.returncode in (0, 2, 3, 4), done.stderr
+    assert done.returncode in (0, 2, 3, 4), (command, done.stderr)
     progress = re.compile(r"[\w-]+: [\d,]+ of [\d,]+ evaluations")
     messages = [line for line in done.stderr.splitlines() if not progress.match(line)]
     return "\n".join([*messages, done.stdout])

@@ -80,7 +80,7 @@ def parts_table(contents: Contents, name: str) -> Table | None:
     rows += _partial_rows(entry, limit)
     split = entry.split
     for spread, words in (
-        (split.scatter, "scatter from specimen to specimen, in the probability already"),
+        (split.scatter, "scatter from sphere to sphere, in the probability already"),
         (split.ignorance, "uncertainty of the answer from few tests"),
         (split.numerical, "uncertainty of the answer from computing"),
     ):

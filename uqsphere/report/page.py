@@ -97,9 +97,8 @@ def _quoted(text: str) -> str:
 GLOSSARY: Final[tuple[tuple[str, str, str], ...]] = (
     ("Borgonovo’s δ", r"Borgonovo",
      "How far a quantity’s distribution moves, on average, once an input is known: 0 not at all, 1 wholly."),
-    ("case", r"\bcases?\b",
-     "One combination of all the random numbers of the study, as one test in the laboratory would be; also called a "
-     "sample where it was computed, and a scene where its motion was followed."),
+    ("row", r"\brows?\b",
+     "One combination of all the random numbers of the study, computed: as one test in the laboratory would be."),
     ("censored", r"censored|outlast",
      "Known as a lower bound only, because the record ended first."),
     ("characteristic value", r"characteristic",
@@ -148,7 +147,7 @@ GLOSSARY: Final[tuple[tuple[str, str, str], ...]] = (
     ("profile likelihood", r"profile likelihood",
      "An interval of a fitted parameter that holds every value under which the tests are not too unlikely."),
     ("quantile", r"\bquantiles?\b",
-     "The value that a given share of the cases stays below."),
+     "The value that a given share of the rows stays below."),
     ("rank correlation (Spearman)", r"[Ss]pearman",
      "How far two numbers rise together, from −1 to 1, judged by their order alone."),
     ("reliability index β", r"[Rr]eliability index",

@@ -194,7 +194,7 @@ def paper_table(contents: Contents) -> Table | None:
         caption="At the means of the inputs",
         rows=tuple(rows),
         header=("quantity", "as printed", "corrected", "full model", "printed against full", "note"),
-        note="No intervals: one scene, computed to the tolerance of the study.",
+        note="No intervals: one row, computed to the tolerance of the study.",
     )
 
 
@@ -262,7 +262,7 @@ def model_table(contents: Contents) -> Table:
     ):
         if key in model.numbers:
             rows.append((label, value_text(model.numbers[key], like)))
-    note = "Errors are the largest on the pilot sample, numbers of the scene its medians: neither has an interval."
+    note = "Errors are the largest on the pilot sample, other numbers its medians: neither has an interval."
     return Table(caption="How the answers were computed", header=("", ""), rows=tuple(rows), note=note)
 
 

@@ -103,12 +103,14 @@ BLUE: Final = "#0072b2"
 ORANGE: Final = "#e69f00"
 GREEN: Final = "#009e73"
 RED: Final = "#d55e00"
+#: the same dark enough for letters: 6.6 to 1 on paper
+WARM: Final = "#a33b00"
 PURPLE: Final = "#cc79a7"
 SKY: Final = "#56b4e9"
 MARKS: Final = "osD^vP"
 
 #: colours that the page replaces by its own, so that figures follow a dark theme
-_THEME: Final = {INK: "ink", GREY: "soft", FAINT: "line", PAPER: "paper", BLUE: "blue"}
+_THEME: Final = {INK: "ink", GREY: "soft", FAINT: "line", PAPER: "paper", BLUE: "blue", WARM: "bad"}
 _WIDTH: Final = 6.4
 _BIDI: Final = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 _SVG: Final = "{http://www.w3.org/2000/svg}"

@@ -21,6 +21,7 @@ from uqsphere.report.figures.canvas import (
     PURPLE,
     RED,
     SKY,
+    WARM,
     Picture,
     new_figure,
     shorten,
@@ -186,7 +187,7 @@ def _yielding_bars(axes: Axes, entry: MarginEntry, factor: float, x: Array) -> N
         axes.axvline(begin, color=INK, linewidth=0.9, linestyle="-.")
     share = plain_percent(bars.contact_probability)
     axes.annotate(
-        f"hatched: bars yield in more than {share} of the cases",
+        f"hatched: bars yield in more than {share} of the rows",
         (1.0, 1.0),
         xycoords="axes fraction",
         xytext=(0, 3),
@@ -255,7 +256,7 @@ def _target_line(axes: Axes, limit: LimitEntry, rising: bool, crossing: float) -
         textcoords="offset points",
         ha="left" if left else "right",
         va="bottom",
-        color=RED,
+        color=WARM,
         fontsize=9.0,
     )
 

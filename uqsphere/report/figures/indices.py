@@ -180,7 +180,7 @@ def _tile(axes: Axes, row: int, column: int, estimate: Est, *, single: bool, sma
         (column, row),
         ha="center",
         va="center",
-        fontsize=7.0 if small else 9.0,
+        fontsize=8.0 if small else 9.0,
         color=PAPER if share > 0.35 else INK,
     )
 

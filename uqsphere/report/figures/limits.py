@@ -194,7 +194,7 @@ def surface_figure(contents: Contents, limit: str) -> Picture | None:
     columns = np.stack([sides.x[drawn], sides.demand[drawn], sides.strength[drawn], sides.missed[drawn]], axis=1)
     return Picture(
         name=slug("surface", limit),
-        title=f"Samples on both sides of {limit_name(limit)}",
+        title=f"Rows on both sides of {limit_name(limit)}",
         figure=figure,
         header=(sides.name, quantity, "strength", "missed"),
         rows=tuple((float(a), float(b), float(c), int(d)) for a, b, c, d in columns),
@@ -236,9 +236,9 @@ def _legend(axes: Axes, sides: Sides, quantity: str, whole: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    label = f"all {int(sides.missed.sum())} that miss it" if whole else "sample that misses it"
+    label = f"all {int(sides.missed.sum())} that miss it" if whole else "row that misses it"
     thinned = -(-len(sides.x) // _DRAWN)
-    met = f"one in {thinned} of those that meet the aim" if whole and thinned > 1 else "sample that meets the aim"
+    met = f"one in {thinned} of those that meet the aim" if whole and thinned > 1 else "row that meets the aim"
     handles: list[Any] = [
         Line2D([], [], color=BLUE, marker=".", linestyle="", label=met),
         Line2D([], [], color=RED, marker="s", markersize=4, linestyle="", label=label),
@@ -460,7 +460,7 @@ def probability_plot(known: FittedTests) -> Picture:
         axes.set_ylim(low, high)
         axes.grid()
         axes.set_xlabel(axis_label(quantity, f"strength against {shorten(symbol(quantity), 40)}"))
-        axes.set_ylabel("share of the specimens\nthat has failed")
+        axes.set_ylabel("share of the tests\nthat has broken")
     return Picture(
         name=slug("strength", known.limit), title=f"Strength tests: {limit_name(known.limit)}",
         figure=figure,

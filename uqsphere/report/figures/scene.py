@@ -80,7 +80,7 @@ def _legend(axes: Axes) -> None:
     handles = [
         Line2D([], [], color=BLUE, label="median"),
         Patch(facecolor=BLUE, alpha=0.30, label="5 to 95 %"),
-        Line2D([], [], color=RED, linestyle="--", linewidth=1.2, label="the hardest scene"),
+        Line2D([], [], color=RED, linestyle="--", linewidth=1.2, label="the hardest row"),
     ]
     legend_above(axes, 3, handles)
 
@@ -94,10 +94,10 @@ def hardest_table(contents: Contents) -> Table | None:
         mean = contents.results.inputs[name].mean if name in contents.results.inputs else None
         rows.append((input_name(name), value_text(float(value), name, 4), value_text(mean, name, 4)))
     return Table(
-        caption="Inputs of the hardest scene",
-        header=("input", "in the hardest scene", "mean"),
+        caption="Inputs of the row that is loaded hardest",
+        header=("input", "in this row", "mean"),
         rows=tuple(rows),
-        note="Exact: one scene, and the means of the laws.",
+        note="Exact: one row, and the means of the laws.",
     )
 
 
@@ -195,8 +195,8 @@ def stress_picture(contact_ratio: float, nu: float, pressure: float) -> Picture:
         axes.text(-1.05, 1.02, "largest shear", color=INK)
         axes.text(1.05, 1.02, "largest principal stress", color=INK, ha="right")
         for drawn, place, words in (
-            (right, "right", "over the core tension (white: compressed)"),
-            (left, "left", "over p_0"),
+            (right, "right", "largest principal stress over the core tension (white: compressed)"),
+            (left, "left", "largest shear over the contact pressure p_0"),
         ):
             bar = figure.colorbar(drawn, ax=axes, location=place, shrink=0.7, pad=0.01, format="%g")
             bar.set_label(words)

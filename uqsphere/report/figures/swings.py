@@ -14,6 +14,7 @@ from uqsphere.report.blocks import Table
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import (
     BLUE,
+    GREY,
     INK,
     ORANGE,
     Picture,
@@ -142,13 +143,11 @@ def tornado_figure(contents: Contents, quantity: str) -> Picture | None:
 
 def _swing_bar(axes: Axes, row: int, swing: Swing, middle: float, quantity: str) -> None:
     factor = display_unit(quantity)[1]
-    for (value, low, high), colour, hatch in ((swing.at_low, BLUE, ""), (swing.at_high, ORANGE, "///")):
+    for (value, low, high), colour, mark in ((swing.at_low, BLUE, "o"), (swing.at_high, ORANGE, "D")):
         x = value * factor
-        axes.barh(
-            row, x - middle, 0.55, left=middle, facecolor="none" if hatch else colour, edgecolor=colour, hatch=hatch,
-            linewidth=1.0, alpha=1.0 if hatch else 0.75,
-        )  # fmt: skip
+        axes.plot([middle, x], [row, row], color=GREY, linewidth=1.2, zorder=1)
         axes.plot([low * factor, high * factor], [row, row], color=INK, linewidth=1.1, marker="|", markersize=5)
+        axes.plot(x, row, marker=mark, markersize=7, color=colour, markeredgecolor=INK, linestyle="none")
     ends = sorted((swing.at_low, swing.at_high))
     # with both ends on one side of the middle the nearer one's number stands on the other bar
     over = (ends[0][0] * factor - middle) * (ends[1][0] * factor - middle) > 0.0
@@ -166,11 +165,11 @@ def _swing_bar(axes: Axes, row: int, swing: Swing, middle: float, quantity: str)
 
 
 def _end_legend(axes: Axes) -> None:
-    from matplotlib.patches import Patch
+    from matplotlib.lines import Line2D
 
     handles = [
-        Patch(facecolor=BLUE, alpha=0.75, edgecolor=BLUE, label="input in its lowest tenth"),
-        Patch(facecolor="none", edgecolor=ORANGE, hatch="///", label="in its highest tenth"),
+        Line2D([], [], color=BLUE, marker="o", markeredgecolor=INK, linestyle="", label="input in its lowest tenth"),
+        Line2D([], [], color=ORANGE, marker="D", markeredgecolor=INK, linestyle="", label="in its highest tenth"),
     ]
     legend_above(axes, 2, handles, 1.4)
 
