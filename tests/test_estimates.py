@@ -161,5 +161,5 @@ def test_too_few_samples_are_said() -> None:
 @pytest.mark.parametrize("p", [0.001, 0.1, 0.37, 0.5, 0.9, 0.999])
 def test_a_quantile_of_samples_is_hazens(total: int, p: float) -> None:
     ordered = np.sort(np.random.default_rng(total).standard_normal(total))
-    found = hazen(lambda rank: float(ordered[rank]), total, p)
+    found = hazen(ordered, p)
     assert found == pytest.approx(float(np.quantile(ordered, p, method="hazen")), abs=1e-12)

@@ -280,9 +280,8 @@ def test_a_small_probability_of_a_surrogate_is_kept_only_where_it_is_better_know
     def limit(value: float, half: float) -> LimitAnswer:
         p = Estimate(value=value, low=value - half, high=value + half, std_error=0.5 * half, method="", evaluations=1)
         return LimitAnswer(
-            quantity="y", aim="survive", target=0.5, exceedance=p, miss=p, reliability_index=None,
-            reliability_interval=(None, None), margin={}, governing=None, met=None, design={"x1": 0.0},
-        )  # fmt: skip
+            quantity="y", aim="survive", target=0.5, exceedance=p, miss=p, margin={}, governing=None, design={"x1": 0.0}
+        )
 
     def kept(one: LimitAnswer, other: LimitAnswer) -> Sampled:
         nothing = np.zeros((2, 1, 1))

@@ -604,8 +604,7 @@ def test_what_sampling_said_of_its_own_estimate_is_not_said_of_another_that_read
     def answer(half: float, evaluations: int) -> LimitAnswer:
         e = Estimate(value=0.01, low=0.01 - half, high=0.01 + half, std_error=0.5 * half, method="m",
                      evaluations=evaluations)  # fmt: skip
-        return LimitAnswer(quantity="y", aim="survive", target=None, exceedance=e, miss=e, reliability_index=None,
-                           reliability_interval=(None, None), margin={}, governing=None, met=None)  # fmt: skip
+        return LimitAnswer(quantity="y", aim="survive", target=None, exceedance=e, miss=e, margin={}, governing=None)
 
     asked = SimpleNamespace(analysis=SimpleNamespace(accuracy=SimpleNamespace(probability=0.05)))
     work: Any = SimpleNamespace(study=asked)

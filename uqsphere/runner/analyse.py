@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 from uqsphere.quantities import format_estimate
@@ -128,14 +128,4 @@ def compare_with_paper(study: Study) -> list[dict[str, Any]]:
     from uqsphere.mechanics.as_printed import compare
     from uqsphere.model import scene_of
 
-    return [
-        {
-            "quantity": row.quantity,
-            "unit": row.unit,
-            "as_printed": row.as_printed,
-            "corrected": row.corrected,
-            "full": row.full,
-            "note": row.note,
-        }
-        for row in compare(scene_of(study, {}), tolerance=study.model.tolerance)
-    ]
+    return [asdict(row) for row in compare(scene_of(study, {}), tolerance=study.model.tolerance)]

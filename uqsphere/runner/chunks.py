@@ -14,7 +14,7 @@ import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -341,6 +341,7 @@ def _save_parts(store: Store, chunks: list[_Chunk], sheet: _Sheet, *, durable: b
 # --- Answers of the pilot, and what breaks first along a loading, stored like all others.
 
 Table: TypeAlias = npt.NDArray[Any]
+Found = TypeVar("Found")
 
 #: characters of all the names of criteria: numpy reads no array whose columns take more than 10,000 to tell, and each
 #: name stands there up to three times
@@ -352,17 +353,7 @@ def remembered(store: Store | None, key: str, scene: Scene, about: object, solve
 
     about : plain values that the answers depend on beside the scene's columns.
     """
-    if store is None or sum(map(len, scene.demands)) > LONGEST_NAMES:
-        return solve()
-    name = _name(key, scene, about)
-    stored = store.load(name)
-    if stored is not None and stored.dtype.names is not None and len(stored) == len(scene):
-        found = _unpacked(stored)
-        if found is not None:
-            return found
-    found = solve()
-    store.save(name, _packed(found))
-    return found
+    return _remembered(store, key, scene, about, solve, _columns, lambda table: _unpacked(table, len(scene)))
 
 
 def remembered_rows(store: Store | None, key: str, scene: Scene, about: object, solve: Callable[[], Array]) -> Array:
@@ -387,18 +378,43 @@ def remembered_fractures(
     """
     from uqsphere.mechanics.fracture import Fractures
 
+    names = [part.name for part in fields(Fractures)]
+
+    def unpack(table: Table) -> Fractures | None:
+        if list(table.dtype.names or ()) != names:
+            return None
+        return Fractures(**{name: np.ascontiguousarray(table[name]) for name in names})
+
+    digest = hashlib.blake2b(b"".join(np.ascontiguousarray(array).tobytes() for array in given), digest_size=8)
+    return _remembered(
+        store, key, scene, [about, digest.hexdigest()], solve,
+        lambda found: {name: np.asarray(getattr(found, name)) for name in names}, unpack,
+    )  # fmt: skip
+
+
+def _remembered(
+    store: Store | None,
+    key: str,
+    scene: Scene,
+    about: object,
+    solve: Callable[[], Found],
+    columns: Callable[[Found], dict[str, Table]],
+    unpack: Callable[[Table], Found | None],
+) -> Found:
+    """What `solve` finds of a scene, kept as a table with a name for each of its columns."""
     if store is None or sum(map(len, scene.demands)) > LONGEST_NAMES:
         return solve()
-    digest = hashlib.blake2b(b"".join(np.ascontiguousarray(array).tobytes() for array in given), digest_size=8)
-    name = _name(key, scene, [about, digest.hexdigest()])
-    stored, names = store.load(name), [part.name for part in fields(Fractures)]
-    if stored is not None and list(stored.dtype.names or ()) == names:
-        return Fractures(**{name: np.ascontiguousarray(stored[name]) for name in names})
+    name = _name(key, scene, about)
+    stored = store.load(name)
+    found = None if stored is None else unpack(stored)
+    if found is not None:
+        return found
     found = solve()
-    columns = {name: np.asarray(getattr(found, name)) for name in names}
-    table = np.empty(len(found.first), dtype=[(name, part.dtype, part.shape[1:]) for name, part in columns.items()])
-    for column, part in columns.items():
-        table[column] = part
+    parts = columns(found)
+    length = len(next(iter(parts.values())))
+    table = np.empty(length, dtype=[(part, column.dtype, column.shape[1:]) for part, column in parts.items()])
+    for part, column in parts.items():
+        table[part] = column
     store.save(name, table)
     return found
 
@@ -419,19 +435,11 @@ def _columns(answers: Answers) -> dict[str, Table]:
     return {**columns, "status": answers.status, "record": answers.record, "steps": answers.steps}
 
 
-def _packed(answers: Answers) -> Table:
-    columns = _columns(answers)
-    table = np.empty(len(answers.status), dtype=[(name, column.dtype) for name, column in columns.items()])
-    for name, column in columns.items():
-        table[name] = column
-    return table
-
-
-def _unpacked(table: Table) -> Answers | None:
+def _unpacked(table: Table, rows: int) -> Answers | None:
     from uqsphere.mechanics.outputs import Answers
 
     names = table.dtype.names or ()
-    if not {"status", "record", "steps"} <= set(names):
+    if len(table.shape) == 0 or len(table) != rows or not {"status", "record", "steps"} <= set(names):
         return None
     parts = {kind: {name[2:]: table[name].copy() for name in names if name.startswith(f"{kind}:")} for kind in "vco"}
     return Answers(

@@ -17,9 +17,9 @@ from uqsphere.runner.questions.indices import Sensitivity, Shared
 from uqsphere.runner.questions.shapley import TASK, orders_at
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study import Limit
-from uqsphere.study.axis import limit_of
+from uqsphere.study.axis import limit_of, strength_name
 from uqsphere.uq.beyond_variance import delta_estimates, pawn_estimates
-from uqsphere.uq.estimate import Estimate, absent, from_replicates
+from uqsphere.uq.estimate import Estimate, absent, finite, from_replicates
 from uqsphere.uq.failure_indices import (
     explained_share,
     given_failure,
@@ -153,10 +153,6 @@ def _of_limit(work: Work, limit: Limit, sample: Sample, shared: Shared) -> Table
     return {"drivers": driving, "measure_first": _measure_probability(work, limit, sample, state, chance)}
 
 
-def _strength_name(limit: Limit) -> str:
-    return f"limits.{limit.name}.strength"
-
-
 def _depends(work: Work, name: str) -> bool:
     return name in work.all_inputs.tied()
 
@@ -189,7 +185,7 @@ def _indices(work: Work, limit: Limit, shared: Shared) -> Table:
         return _no_indices(names, "no pairs of runs were evaluated, which these indices rest on", method)
     values, failed = runs.values[:, :PAIRS, :, k], runs.failed[:, :PAIRS]
     count = failed.shape[1]
-    tied = isinstance(limit.strength, Law) and _depends(work, _strength_name(limit))
+    tied = isinstance(limit.strength, Law) and _depends(work, strength_name(limit.name))
     scores = without(_scores(work, design, count), failed) if tied else None
     chance = _chances(work, limit, without(values, failed), scores)
     about = "the probability of missing the aim given the inputs"
@@ -219,7 +215,7 @@ def _indices(work: Work, limit: Limit, shared: Shared) -> Table:
         plain = sampled_indices(chance, Blocks(inputs_count=len(names)))
         return {"of": about, "first": _json(names, plain.first), "total": _json(names, plain.total)}
     found = indicator_indices(chance)
-    every = (*names, _strength_name(limit)) if isinstance(limit.strength, Law) else names
+    every = (*names, strength_name(limit.name)) if isinstance(limit.strength, Law) else names
     return {"of": "missing the aim", **{o: _json(every, found[o][: len(every)]) for o in ("first", "total")}}
 
 
@@ -255,8 +251,8 @@ def _given_failure(work: Work, limit: Limit, sample: Sample, state: LimitState, 
     laws = dict(zip(work.drawn.names, work.drawn.laws, strict=True))
     columns = {name: sample.inputs[:, :, k] for k, name in enumerate(work.drawn.names)}
     if isinstance(limit.strength, Law):
-        laws[_strength_name(limit)] = limit.strength
-        columns[_strength_name(limit)] = _strengths(work, limit, limit.strength, state, chance)
+        laws[strength_name(limit.name)] = limit.strength
+        columns[strength_name(limit.name)] = _strengths(work, limit, limit.strength, state, chance)
     table: Table = {}
     for name, values in columns.items():
         if limit_of(name) not in (None, limit.name):
@@ -269,16 +265,12 @@ def _given_failure(work: Work, limit: Limit, sample: Sample, state: LimitState, 
             "sd": found.sd,
             "quantiles": found.quantiles,
             "law": {
-                "mean": _finite(law.mean()),
-                "sd": _finite(law.sd()),
+                "mean": finite(law.mean()),
+                "sd": finite(law.sd()),
                 "quantiles": dict(zip(found.quantiles, quantiles.tolist(), strict=True)),
             },
         }
     return table
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _strengths(work: Work, limit: Limit, law: Law, state: LimitState, chance: Array) -> Array:
@@ -318,8 +310,8 @@ def _measure_probability(work: Work, limit: Limit, sample: Sample, state: LimitS
     if isinstance(limit.strength, Law) and not limit.strength.is_steps:
         moved = (_at_score(limit, state, -_H) - _at_score(limit, state, _H)) / (2.0 * _H)
         rows = moved.mean(axis=1)
-        sways[_strength_name(limit)] = from_replicates(rows, "difference of the strength's law", chance.size)
-        laws[_strength_name(limit)] = limit.strength
+        sways[strength_name(limit.name)] = from_replicates(rows, "difference of the strength's law", chance.size)
+        laws[strength_name(limit.name)] = limit.strength
     sways = {n: e for n, e in sways.items() if limit_of(n) in (None, limit.name)}
     total = sum((e.value or 0.0) ** 2 for e in sways.values())
     rows_found = [

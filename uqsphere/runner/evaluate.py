@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.black_box import BlackBox
@@ -35,8 +34,6 @@ from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import germs_of
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.sample import Sample
-
-Flags = npt.NDArray[np.bool_]
 
 #: share of failed rows above which `on_failure = "drop"` gives up
 MOST_DROPPED = 0.01

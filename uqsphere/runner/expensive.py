@@ -478,7 +478,7 @@ def _sharpened(answer: LimitAnswer, before: LimitAnswer, more: LimitAnswer) -> L
     if answer.miss is not before.miss:
         return replace(answer, margin=more.margin)
     if answer.design is not None:
-        return replace(answer.with_probabilities(more.exceedance, more.miss), margin=more.margin)
+        return replace(answer, exceedance=more.exceedance, miss=more.miss, margin=more.margin)
     return replace(more, checks=answer.checks, design_reason=answer.design_reason)
 
 
@@ -504,7 +504,9 @@ def keep_answers(work: Work, sampled: Sampled, one: Expensive) -> Sampled:
         lacks = _lack(work, {}, {name: limits[name]})
         if limit.quantity in usable and 1.0 < lacks > _lack(work, {}, {name: limit}):
             limits[name] = replace(
-                limits[name].with_probabilities(limit.exceedance, limit.miss),
+                limits[name],
+                exceedance=limit.exceedance,
+                miss=limit.miss,
                 margin=limit.margin,
                 checks=(*limits[name].checks, "the probability is that of the surrogate"),
             )
@@ -542,9 +544,8 @@ def keep_indices(found: Mapping[str, Sensitivity], one: Expensive) -> dict[str, 
 
 
 def _width(given: Sensitivity) -> float:
-    rows = {"first": list(given.first.values()), "total": list(given.total.values())}
-    gone = any(e.value is None for row in rows.values() for e in row)
-    return math.inf if gone else widest(rows) or 0.0
+    every = (*given.first.values(), *given.total.values())
+    return max((math.inf if e.value is None else e.half_width for e in every), default=0.0)
 
 
 def _lack(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]) -> float:

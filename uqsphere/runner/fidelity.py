@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.mechanics.fidelity import Fallback, fit_error_law
 from uqsphere.mechanics.yielding import Face
 from uqsphere.model import cheaper_fidelities, is_answered, scene_of, solve_scene
@@ -18,14 +17,13 @@ from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import Work, draw
 from uqsphere.runner.schedule import PILOT, pilot_points
 from uqsphere.study import Limit, Study
+from uqsphere.uq.estimate import finite
 from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
     from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
     from uqsphere.mechanics.validity import Check
-
-Flags = npt.NDArray[np.bool_]
 
 #: a cheaper fidelity is taken if its error is below this share of the tightest accuracy asked for
 SHARE = 0.2
@@ -115,17 +113,13 @@ def differences(other: Answers, full: Answers, quantities: tuple[str, ...], scat
     return np.stack(columns, axis=1)
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def _summary(gaps: Array, quantities: tuple[str, ...], how: str = "rms") -> dict[str, float | None]:
     """Root mean square, or largest, of the differences (n, q) by quantity; None where there is none."""
     known = gaps[~np.isnan(gaps).any(axis=1)]
     if len(known) == 0:
         return dict.fromkeys(quantities)
     found = np.sqrt(np.mean(known**2, axis=0)) if how == "rms" else np.abs(known).max(axis=0)
-    return {name: _finite(value) for name, value in zip(quantities, found, strict=True)}
+    return {name: finite(value) for name, value in zip(quantities, found, strict=True)}
 
 
 def _passes(errors: Mapping[str, float | None], bound: float) -> bool:
@@ -388,12 +382,4 @@ def out_of_reach(study: Study, scene: Scene) -> list[CheckEntry]:
 
 def check_entry(row: Check) -> CheckEntry:
     """A validity check as results.json has it."""
-    return CheckEntry(
-        check=row.check,
-        share=row.share_warning + row.share_failure,
-        share_information=row.share_information,
-        share_warning=row.share_warning,
-        share_failure=row.share_failure,
-        worst=row.worst,
-        text=row.text,
-    )
+    return CheckEntry(share=row.share_warning + row.share_failure, **asdict(row))

@@ -12,6 +12,7 @@ from uqsphere.arrays import Array
 from uqsphere.runner.campaign import Missed
 from uqsphere.runner.evaluate import Work
 from uqsphere.study import Limit
+from uqsphere.study.axis import strength_name
 from uqsphere.units import told_apart
 from uqsphere.uq.control import probability
 from uqsphere.uq.estimate import Estimate, absent, exact
@@ -47,18 +48,15 @@ CARRYING = 20.0
 
 @dataclass(frozen=True, kw_only=True)
 class LimitAnswer:
-    """What is known of one limit; `met` None: undecided, or no target; `counted`: by rows that lie on a side of it."""
+    """What is known of one limit; `counted`: by rows that lie on a side of it."""
 
     quantity: str
     aim: str
     target: float | None
     exceedance: Estimate
     miss: Estimate
-    reliability_index: float | None
-    reliability_interval: tuple[float | None, float | None]
     margin: dict[str, Estimate]
     governing: dict[str, float] | None
-    met: bool | None
     governing_method: str = BY_DIRECTION
     design: dict[str, float] | None = None
     design_points: int = 0
@@ -83,16 +81,20 @@ class LimitAnswer:
         relative = estimate.half_width / estimate.value
         return f"{which}: half-width {told_apart(relative, asked)} of the probability, asked {asked:g}"
 
-    def with_probabilities(self, exceedance: Estimate, miss: Estimate) -> LimitAnswer:
-        """The same limit by other probabilities, with the reliability index and the verdict that follow."""
-        return replace(
-            self,
-            exceedance=exceedance,
-            miss=miss,
-            reliability_index=reliability_index(miss.value),
-            reliability_interval=(reliability_index(miss.high), reliability_index(miss.low)),
-            met=None if self.target is None else target_met(miss, self.target),
-        )
+    @property
+    def reliability_index(self) -> float | None:
+        """That of missing the aim."""
+        return reliability_index(self.miss.value)
+
+    @property
+    def reliability_interval(self) -> tuple[float | None, float | None]:
+        """Its 95 % interval."""
+        return reliability_index(self.miss.high), reliability_index(self.miss.low)
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the target is met; None: undecided, or no target."""
+        return None if self.target is None else target_met(self.miss, self.target)
 
     def with_check(self, text: str) -> LimitAnswer:
         """The same with one remark more."""
@@ -157,7 +159,7 @@ def tie_strength(work: Work, limit: Limit, state: LimitState, names: Sequence[st
     """The state with what the dependent scores (R, n, d) of `names` tell of the strength."""
     if not isinstance(limit.strength, Law):
         return state
-    strength = f"limits.{limit.name}.strength"
+    strength = strength_name(limit.name)
     weights, remaining = work.all_inputs.regression(strength, names)
     shift = scores @ weights if np.any(weights) else None
     tie = work.all_inputs.tie(strength, names, scores)
@@ -175,7 +177,7 @@ def _governing(work: Work, limit: Limit, sample: Sample, state: LimitState) -> t
             score = np.asarray(ndtri(limit.strength.cdf(np.where(keep, state.demands, 0.0))))
         score = np.clip(score_given_inputs(state, score), -37.0, 37.0)[keep]
         weight = np.asarray(ndtr(score))
-        names.append(f"limits.{limit.name}.strength")
+        names.append(strength_name(limit.name))
     else:
         weight = (state.demands > limit.strength)[keep].astype(float)
     regression = work.all_inputs.regression(names[-1], work.drawn.names) if score is not None else None
@@ -203,12 +205,9 @@ def judge_limits(work: Work, sample: Sample, quantities: Container[str] | None =
             target=limit.target,
             exceedance=exceeded,
             miss=missed,
-            reliability_index=reliability_index(missed.value),
-            reliability_interval=(reliability_index(missed.high), reliability_index(missed.low)),
             margin=margin_quantiles(state),
             governing=shares,
             governing_method=method,
-            met=None if limit.target is None else target_met(missed, limit.target),
             counted=not isinstance(limit.strength, Law),
         )
     return answers
@@ -230,7 +229,7 @@ def controlled_limits(
         missed = exceeded
         if limit.aim == "break":
             missed = _controlled(states, lambda state: miss(state, "break"), counted) or given.miss
-        answers[limit.name] = given.with_probabilities(exceeded, missed)
+        answers[limit.name] = replace(given, exceedance=exceeded, miss=missed)
     return answers
 
 

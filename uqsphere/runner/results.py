@@ -42,9 +42,9 @@ from uqsphere.runner.sums import write_sums
 from uqsphere.runner.verdict import Known, judge
 from uqsphere.runner.whatif import find_assumed, find_ignorance
 from uqsphere.store import Store, write_atomically, write_json
-from uqsphere.study import Margins, Study
+from uqsphere.study import Study
 from uqsphere.study.axis import limit_of, quantity_of
-from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.estimate import Estimate, finite
 
 SCHEMA_VERSION: Final = 1
 _DEPENDENCIES = ("numpy", "scipy", "numba", "chaospy", "pandas", "matplotlib")
@@ -71,10 +71,6 @@ class Findings:
     plan: PlanEntry = field(default_factory=PlanEntry)
 
 
-def _number(value: float) -> float | None:
-    return float(value) if value == value and abs(value) != float("inf") else None
-
-
 def _inputs(work: Work) -> dict[str, Any]:
     table = {}
     for name, law in work.study.laws().items():
@@ -84,8 +80,8 @@ def _inputs(work: Work) -> dict[str, Any]:
             entry = lookup(limit.quantity if name.endswith(".strength") else name)
         table[name] = {
             "dist": law.family.name,
-            "mean": _number(law.mean()),
-            "sd": _number(law.sd()),
+            "mean": finite(law.mean()),
+            "sd": finite(law.sd()),
             "unit": entry.unit,
         }
     return table
@@ -132,7 +128,9 @@ def _limit(limit: LimitAnswer) -> dict[str, Any]:
     told = vars(limit)
     return {
         **{key: told[key] for key in LimitEntry.model_fields if key in told},
+        "reliability_index": limit.reliability_index,
         "reliability_index_interval": limit.reliability_interval,
+        "met": limit.met,
         "design_point": limit.design,
         "design_point_reason": None if limit.design else limit.design_reason,
         "governing_inputs": limit.governing,
@@ -140,10 +138,11 @@ def _limit(limit: LimitAnswer) -> dict[str, Any]:
     }
 
 
-def _margins(margins: dict[str, MarginAnswer], asked: Margins | None, quantities: Mapping[str, str]) -> dict[str, Any]:
-    if asked is None:
+def _margins(margins: dict[str, MarginAnswer], study: Study) -> dict[str, Any]:
+    if study.margins is None:
         return {}
-    path, family = asked.axis.path, asked.family
+    path, family = study.margins.axis.path, study.margins.family
+    quantities = {limit.name: limit.quantity for limit in study.limits}
     return {
         name: {
             "solve": path,
@@ -182,9 +181,24 @@ def _installed(name: str) -> str:
         return "missing"
 
 
+def _model(work: Work, found: Findings) -> dict[str, Any]:
+    """Which model answered, and what it took."""
+    pilot, ledger = found.pilot, work.ledger
+    return {
+        "chosen": pilot.chosen,
+        "why": pilot.why,
+        "measured_error": pilot.measured_error,
+        "evaluations": dict(ledger.evaluations),
+        "failures": sum(ledger.failures.values()),
+        "failure_reasons": {str(code): number for code, number in sorted(ledger.failures.items())},
+        "numbers": pilot.numbers,
+        **_spared(work, pilot, (found.sampled.tabled, found.tabled)),
+    }
+
+
 def build_results(work: Work, found: Findings) -> Results:
     """The content of results.json."""
-    study, ledger = work.study, work.ledger
+    study = work.study
     limits_open, quantities_open = find_ignorance(work, found.sampled)
     assumed = find_assumed(work, found.sampled)
     known = Known(limits=found.sampled.limits, left_open=limits_open, margins=found.margins, carried=found.carried)
@@ -217,24 +231,11 @@ def build_results(work: Work, found: Findings) -> Results:
             }
             for name, limit in found.sampled.limits.items()
         },
-        "margins": _margins(
-            found.margins,
-            study.margins,
-            {limit.name: limit.quantity for limit in study.limits},
-        ),
+        "margins": _margins(found.margins, study),
         **({} if found.fracture is None else {"fracture": found.fracture}),
         **({"analyses": found.analyses} if found.analyses else {}),
         **({"verdicts": verdicts} if verdicts else {}),
-        "model": {
-            "chosen": found.pilot.chosen,
-            "why": found.pilot.why,
-            "measured_error": found.pilot.measured_error,
-            "evaluations": dict(ledger.evaluations),
-            "failures": sum(ledger.failures.values()),
-            "failure_reasons": {str(code): number for code, number in sorted(ledger.failures.items())},
-            "numbers": found.pilot.numbers,
-            **_spared(work, found.pilot, (found.sampled.tabled, found.tabled)),
-        },
+        "model": _model(work, found),
         "validity": [*(_judged(check, found.fracture) for check in found.pilot.validity), *carried_far(study)],
         "plan": found.plan,
         "speed_error": found.history,

@@ -146,7 +146,9 @@ def _limit(answers: Sequence[LimitAnswer], runs: int, carried: Mapping[str, floa
         return extended(joined(plain, down.margin[key], up.margin[key], runs), plain, within.margin[key])
 
     return replace(
-        middle.with_probabilities(probability("exceedance"), probability("miss")),
+        middle,
+        exceedance=probability("exceedance"),
+        miss=probability("miss"),
         margin={key: of_margin(key) for key in middle.margin},
         counted=False,
         design_reason="no search for a design point was made: the model is expensive",
@@ -184,8 +186,11 @@ def answers_of_runs(work: Work, sample: Sample, quantities: Collection[str]) -> 
     limits = judge_limits(work, sample, quantities)
     for limit in _limits(work, quantities):
         state, one = state_of(work, limit, sample), limits[limit.name]
-        told = [told_by_runs(getattr(one, which), state, which, limit.aim) for which in ("exceedance", "miss")]
-        limits[limit.name] = one.with_probabilities(*told)
+        limits[limit.name] = replace(
+            one,
+            exceedance=told_by_runs(one.exceedance, state, "exceedance", limit.aim),
+            miss=told_by_runs(one.miss, state, "miss", limit.aim),
+        )
     return Answers(descriptions=descriptions, limits=limits, lacking=shortfalls(work, descriptions, limits))
 
 

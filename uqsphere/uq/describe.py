@@ -3,15 +3,14 @@
 Samples come as (R, n): R independent randomisations of n points each.  The spread over the R rows is the
 only thing that an interval rests on, so that it is right for quasi-random points as for random ones.
 
-Moments are made in two passes, the same to the last bit however the rows come: sums are taken over pieces of `PIECE`
-points of every replicate and added in their order.  The second pass works about the mean of all samples: no
-cancellation, whatever the offset of the quantity.
+Moments are made in two passes, the second about the mean of all samples: no cancellation, whatever the offset of the
+quantity.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Final
@@ -24,28 +23,8 @@ from uqsphere.uq.estimate import NEVER, Absent, Estimate, Why, absent, from_repl
 
 # --- moments --------------------------------------------------------------------------------------
 
-#: points of every replicate that are summed together
+#: points of every replicate that are summed together: a mean has the same last bits whatever the memory
 PIECE: Final = 65_536
-
-
-@dataclass(frozen=True, kw_only=True)
-class FirstSums:
-    """Of every replicate, (R,): how many samples and their sum; of all together the least and the largest."""
-
-    counts: Array
-    sums: Array
-    low: float
-    high: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class SecondSums:
-    """Sums (R, 3) of q, q², q³ with q = (x - centre)² / scale, scale a power of two, and the largest q."""
-
-    centre: float
-    scale: float
-    powers: Array
-    largest: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,97 +42,45 @@ class Moments:
     skewness: float
 
 
-def pieces(blocks: Iterable[Array]) -> Iterator[Array]:
-    """The same points of blocks (R, any) in pieces (R, PIECE), the last one shorter."""
-    held: list[Array] = []
-    size = 0
-    for block in blocks:
-        at = 0
-        while at < block.shape[1]:
-            part = block[:, at : at + PIECE - size]
-            held.append(part)
-            at, size = at + part.shape[1], size + part.shape[1]
-            if size == PIECE:
-                yield held[0] if len(held) == 1 else np.concatenate(held, axis=1)
-                held, size = [], 0
-    if held:
-        yield held[0] if len(held) == 1 else np.concatenate(held, axis=1)
-
-
-def _kept(piece: Array) -> tuple[Array, bool]:
-    """Which samples count, those that are not nan, and whether all do."""
-    kept = ~np.isnan(piece)
-    return kept, bool(kept.all())
-
-
-def first_sums(piece: Array) -> FirstSums:
-    """Of a piece (R, n); nan marks a sample that is left out."""
-    kept, whole = _kept(piece)
-    values = piece if whole else np.where(kept, piece, 0.0)
-    inside = piece if whole else piece[kept]
-    with np.errstate(over="ignore", invalid="ignore"):
-        sums = np.ascontiguousarray(values).sum(axis=1)
-    return FirstSums(
-        counts=kept.sum(axis=1).astype(float),
-        sums=sums,
-        low=float(inside.min(initial=math.inf)),
-        high=float(inside.max(initial=-math.inf)),
-    )
-
-
-def merge_first(one: FirstSums, other: FirstSums) -> FirstSums:
-    """Both together; the order decides the last bit."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        sums = one.sums + other.sums
-    return FirstSums(
-        counts=one.counts + other.counts, sums=sums, low=min(one.low, other.low), high=max(one.high, other.high)
-    )
-
-
-def second_sums(piece: Array, first: FirstSums) -> SecondSums:
-    """Of a piece (R, n), about the mean of all samples."""
-    centre = float(first.sums.sum() / first.counts.sum())
-    reach = max(first.high - centre, centre - first.low)
-    # A power of two: dividing by it rounds nothing, and keeps the squares of 1e300 inside floating point.
-    root = 2.0 ** -np.frexp(reach)[1] if 0.0 < reach < math.inf else 1.0
-    kept, whole = _kept(piece)
-    with np.errstate(over="ignore", invalid="ignore"):
-        squares = ((piece - centre) * root) ** 2
-    squares = np.ascontiguousarray(squares if whole else np.where(kept, squares, 0.0))
-    powers = np.stack([squares.sum(axis=1), (squares**2).sum(axis=1), (squares**3).sum(axis=1)], axis=1)
-    return SecondSums(centre=centre, scale=root, powers=powers, largest=float(squares.max(initial=0.0)))
-
-
-def merge_second(one: SecondSums, other: SecondSums) -> SecondSums:
-    """Both together, of one centre and scale."""
-    return SecondSums(
-        centre=one.centre,
-        scale=one.scale,
-        powers=one.powers + other.powers,
-        largest=max(one.largest, other.largest),
-    )
-
-
-def finish(first: FirstSums, second: SecondSums) -> Moments:
-    """The moments that the sums of both passes give."""
-    counts, total = first.counts, float(first.counts.sum())
+def moments(values: Array) -> Moments:
+    """The moments of samples (R, n); nan marks a sample that is left out."""
+    parts = [values[:, k : k + PIECE] for k in range(0, values.shape[1], PIECE)]
+    kept = [~np.isnan(part) for part in parts]
+    counts = reduce(np.add, [inside.sum(axis=1).astype(float) for inside in kept])
+    total = float(counts.sum())
+    low = min(float(part.min(where=inside, initial=math.inf)) for part, inside in zip(parts, kept, strict=True))
+    high = max(float(part.max(where=inside, initial=-math.inf)) for part, inside in zip(parts, kept, strict=True))
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        means = first.sums / counts
+        sums = reduce(np.add, [_whole(part, inside).sum(axis=1) for part, inside in zip(parts, kept, strict=True)])
+        means, centre = sums / counts, float(sums.sum() / total)
+        reach = max(high - centre, centre - low)
+        # A power of two: dividing by it rounds nothing, and keeps the squares of 1e300 inside floating point.
+        root = 2.0 ** -np.frexp(reach)[1] if 0.0 < reach < math.inf else 1.0
+        powers, largest = np.zeros((len(values), 3)), 0.0
+        for part, inside in zip(parts, kept, strict=True):
+            squares = _whole(((part - centre) * root) ** 2, inside)
+            powers += np.stack([squares.sum(axis=1), (squares**2).sum(axis=1), (squares**3).sum(axis=1)], axis=1)
+            largest = max(largest, float(squares.max(initial=0.0)))
         # Each replicate about its own mean: a common offset of the replicates is not scatter of the quantity.
-        offsets = ((means - second.centre) * second.scale) ** 2
-        deviations = np.sqrt(np.maximum(second.powers[:, 0] / counts - offsets, 0.0)) / second.scale
-        one, two, three = (float(x) for x in second.powers.sum(axis=0) / total)
-        deviation = math.sqrt(one) / second.scale if one >= 0.0 else math.nan
+        offsets = ((means - centre) * root) ** 2
+        deviations = np.sqrt(np.maximum(powers[:, 0] / counts - offsets, 0.0)) / root
+        one, two, three = (float(x) for x in powers.sum(axis=0) / total)
+        deviation = math.sqrt(one) / root if one >= 0.0 else math.nan
     spread = two - one * one
     bent = (three - 3.0 * one * two + 2.0 * one**3) / spread**1.5 if spread > 1e-12 * two else 0.0
     return Moments(
         means=means,
-        mean=second.centre,
+        mean=centre,
         deviations=deviations,
         deviation=deviation,
-        largest_share=second.largest / (one * total) if one > 0.0 else 0.0,
+        largest_share=largest / (one * total) if one > 0.0 else 0.0,
         skewness=bent,
     )
+
+
+def _whole(part: Array, inside: Flags) -> Array:
+    """A part with 0 where a sample is left out, in rows that lie together."""
+    return np.ascontiguousarray(np.where(inside, part, 0.0))
 
 
 def skewness(values: Array) -> float:
@@ -245,38 +172,19 @@ def describe(
 
 def _moments(samples: Array, kept: Flags, counts: Array, method: str) -> tuple[Estimate, Estimate, float]:
     """Mean and standard deviation of the kept samples, and the scale for relative accuracies."""
-    values = samples if kept.all() else np.where(kept, samples, math.nan)
-    first = reduce(merge_first, map(first_sums, pieces([values])))
-    second = reduce(merge_second, (second_sums(piece, first) for piece in pieces([values])))
-
-    def inner() -> tuple[float, float]:
-        ordered = np.sort(samples[kept])
-        return _at(ordered, 0.16), _at(ordered, 0.84)
-
-    total = int(counts.sum())
-    mean, sd, scale = describe_moments(finish(first, second), total, total / len(counts), method, inner)
-    # the evaluations include those that failed
-    return replace(mean, evaluations=samples.size), replace(sd, evaluations=samples.size), scale
-
-
-def describe_moments(
-    found: Moments, total: int, count: float, method: str, inner: Callable[[], tuple[float, float]]
-) -> tuple[Estimate, Estimate, float]:
-    """Mean, standard deviation, and the scale for relative accuracies, of replicates of `count` samples.
-
-    `inner` gives the 16 and 84 % quantiles, asked where the standard deviation does not converge.
-    """
-    mean = from_replicates(found.means, method, total, found.mean)
-    sd = from_replicates(found.deviations, method, total, found.deviation)
+    total, evaluations = int(counts.sum()), samples.size  # the evaluations include those that failed
+    found = moments(samples if kept.all() else np.where(kept, samples, math.nan))
+    mean = from_replicates(found.means, method, evaluations, found.mean)
+    sd = from_replicates(found.deviations, method, evaluations, found.deviation)
     if sd.low is not None and sd.high is not None and sd.std_error is not None:
-        reach = _skew_reach(found, count)
+        reach = _skew_reach(found, total / len(counts))
         sd = replace(sd, low=max(0.0, sd.low), high=sd.high + reach * sd.std_error)
     if found.largest_share > 0.4 and total >= 1000:
         reason = Absent.because(
             Why.NO_CONVERGENCE, f"one sample of {total} makes {100.0 * found.largest_share:.0f} % of the variance"
         )
-        low, high = inner()
-        return mean, absent(reason, method, total), 0.5 * (high - low)
+        ordered = np.sort(samples[kept])
+        return mean, absent(reason, method, evaluations), 0.5 * (hazen(ordered, 0.84) - hazen(ordered, 0.16))
     return mean, sd, found.deviation
 
 
@@ -294,24 +202,15 @@ def _skew_reach(found: Moments, count: float) -> float:
     return g * (1.0 + 2.0 * student(size) ** 2) / (6.0 * math.sqrt(size))
 
 
-def hazen_ranks(p: float, total: int) -> tuple[int, int]:
-    """The two ranks, from 0, between which the quantile at p lies by Hazen's rule: the i-th stands at (i - 1/2)/N."""
+def hazen(ordered: Array, p: float) -> float:
+    """Quantile at p of samples in rising order by Hazen's rule: the i-th stands at (i - 1/2)/N."""
+    total = ordered.size
     lower = min(max(math.floor(p * total - 0.5), 0), total - 1)
-    return lower, min(lower + 1, total - 1)
-
-
-def hazen(ordered: Callable[[int], float], total: int, p: float) -> float:
-    """Quantile at p of `total` samples, by the one of each rank."""
-    lower, upper = hazen_ranks(p, total)
     fraction = min(max(p * total - 0.5 - lower, 0.0), 1.0)
-    left, right = ordered(lower), ordered(upper)
+    left, right = float(ordered[lower]), float(ordered[min(lower + 1, total - 1)])
     if fraction == 0.0 or left == right:
         return left
     return left + fraction * (right - left)
-
-
-def _at(ordered: Array, p: float) -> float:
-    return hazen(lambda rank: float(ordered[rank]), ordered.size, p)
 
 
 def woodruff_reach(shares: Array, n: float) -> float:
@@ -353,14 +252,14 @@ def quantile_estimates(
     answers: dict[float, Estimate] = {}
     exempt: list[float] = []
     for p in quantiles:
-        value, highest = _at(ordered, p), _at(upper, p)
+        value, highest = hazen(ordered, p), hazen(upper, p)
         if min(p, 1.0 - p) * ordered.size < LEAST_BEYOND:
             answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total, Why.TOO_FEW)
             continue
         at = value if math.isfinite(value) else highest
         below = ((least <= at) & kept).sum(axis=1) / counts
         reach = woodruff_reach(below, n)
-        low, high = _at(ordered, max(p - reach, 0.0)), _at(upper, min(p + reach, 1.0))
+        low, high = hazen(ordered, max(p - reach, 0.0)), hazen(upper, min(p + reach, 1.0))
         if not (math.isfinite(low) and math.isfinite(high) and math.isfinite(value)):
             answers[p] = absent(_why(censored, failed & kept, total), method, total, Why.CENSORED)
             exempt += [p] if censored.any() else []

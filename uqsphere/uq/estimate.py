@@ -101,6 +101,11 @@ class Estimate:
         return table if self.reason is None else {**table, "reason": self.reason}
 
 
+def finite(value: float) -> float | None:
+    """A number as JSON can hold it."""
+    return float(value) if math.isfinite(value) else None
+
+
 def exact(value: float, method: str = "one evaluation, nothing random") -> Estimate:
     """A number without uncertainty: the answer of a scene in which nothing is random."""
     return Estimate(value=value, low=value, high=value, std_error=0.0, method=method, evaluations=1)

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array
-
-Flags = npt.NDArray[np.bool_]
+from uqsphere.arrays import Array, Flags
 
 
 @dataclass(frozen=True, kw_only=True)

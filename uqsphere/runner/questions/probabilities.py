@@ -30,6 +30,7 @@ from uqsphere.runner.limits import LimitAnswer, limits_missed, takes_over
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.schedule import DESIGN_POINT, RARE
 from uqsphere.study import Limit
+from uqsphere.study.axis import strength_name
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.failure_indices import linear_shares
 from uqsphere.uq.law import Law
@@ -73,9 +74,13 @@ class LimitSpace:
 
     limit: Limit
     function: LimitFunction
-    flipped: bool
     weights: Array
     remaining: float
+
+    @property
+    def own(self) -> float:
+        """What the strength's own score adds to that of its law, with its sign: the hard limit of `break` is turned."""
+        return -self.remaining if self.limit.aim == "break" else self.remaining
 
 
 @dataclass(kw_only=True)
@@ -170,7 +175,7 @@ def tied_strength(work: Work, limit: Limit) -> bool:
     """Whether a strength depends on drawn inputs otherwise than by the Gaussian copula."""
     names = work.drawn.names
     nowhere = np.zeros((1, len(names)))
-    strength = f"limits.{limit.name}.strength"
+    strength = strength_name(limit.name)
     return isinstance(limit.strength, Law) and work.all_inputs.tie(strength, names, nowhere) is not None
 
 
@@ -219,7 +224,7 @@ def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Arr
     k, d = work.quantities.index(limit.quantity), len(work.scene_names)
     weights, remaining = np.zeros(len(names)), 1.0
     if isinstance(limit.strength, Law):
-        weights, remaining = work.all_inputs.regression(f"limits.{limit.name}.strength", names)
+        weights, remaining = work.all_inputs.regression(strength_name(limit.name), names)
     factor = names.index(f"limits.{limit.name}.model_factor") if isinstance(limit.model_factor, Law) else None
     fixed = 1.0 if isinstance(limit.model_factor, Law) else limit.model_factor
     calls = iter(range(10**9))
@@ -256,9 +261,7 @@ def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Arr
     function = LimitFunction(
         function=g, dimension=len(names), integrated=isinstance(limit.strength, Law), on_failure="bound"
     )
-    return LimitSpace(
-        limit=limit, function=function, flipped=limit.aim == "break", weights=weights, remaining=remaining
-    )
+    return LimitSpace(limit=limit, function=function, weights=weights, remaining=remaining)
 
 
 def _evaluate_without_scatter(work: Work, key: str, names: tuple[str, ...], rows: Array) -> Any:
@@ -286,7 +289,7 @@ def _joined(work: Work, limit: Limit, answer: LimitAnswer, rare: RareAnswer, spa
     exceeded = answer.exceedance
     if kept is own:
         exceeded = own if limit.aim == "survive" else complement(own)
-    updated = replace(answer.with_probabilities(exceeded, kept), modes=rare.modes or None, checks=tuple(checks))
+    updated = replace(answer, exceedance=exceeded, miss=kept, modes=rare.modes or None, checks=tuple(checks))
     return with_design(work, updated, rare.design, space)
 
 
@@ -344,11 +347,9 @@ def _nearest(work: Work, design: FormAnswer, space: LimitSpace) -> DesignFound |
         return design.text or "no design point was found"
     names = list(work.drawn.names)
     if space.function.integrated:
-        names.append(f"limits.{space.limit.name}.strength")
+        names.append(strength_name(space.limit.name))
     inputs = point.point[: len(work.drawn.names)]
-    shares = linear_shares(
-        work.drawn, point.direction, inputs, space.weights, -space.remaining if space.flipped else space.remaining
-    )
+    shares = linear_shares(work.drawn, point.direction, inputs, space.weights, space.own)
     named = dict(zip(names, shares.tolist(), strict=True))
     return DesignFound(values=_physical(work, point, space), shares=named)
 
@@ -360,9 +361,8 @@ def _physical(work: Work, point: DesignPoint, space: LimitSpace) -> dict[str, fl
     values = work.drawn.physical(normals)[0]
     found = {name: float(value) for name, value in zip(work.drawn.names, values, strict=True)}
     if isinstance(space.limit.strength, Law):
-        own = -float(point.point[d]) if space.flipped else float(point.point[d])
-        score = float((work.drawn.scores(normals) @ space.weights)[0]) + space.remaining * own
-        found[f"limits.{space.limit.name}.strength"] = float(space.limit.strength.from_normal(np.array([score]))[0])
+        score = float((work.drawn.scores(normals) @ space.weights)[0]) + space.own * float(point.point[d])
+        found[strength_name(space.limit.name)] = float(space.limit.strength.from_normal(np.array([score]))[0])
     return {name: value for name, value in found.items() if np.isfinite(value)}
 
 
@@ -462,7 +462,7 @@ def _with_learned(limit: Limit, answer: LimitAnswer, learned: ActiveAnswer) -> L
         return replace(answer, checks=(*checks, "what was known before is known better, and kept"))
     own = replace(own, low=low, high=high, std_error=(high - low) / 3.92)
     exceeded = own if limit.aim == "survive" else complement(own)
-    return replace(answer.with_probabilities(exceeded, own), modes=learned.modes or None, checks=tuple(checks))
+    return replace(answer, exceedance=exceeded, miss=own, modes=learned.modes or None, checks=tuple(checks))
 
 
 def with_surrogate_design(

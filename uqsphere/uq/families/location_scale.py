@@ -287,25 +287,8 @@ def _weibull_keys(given: dict[str, float], lower: float, upper: float) -> dict[s
     return {"modulus": modulus, "scale": scale, "threshold": threshold}
 
 
-def scaled_fit(name: str, data: Array, *, located: bool) -> tuple[tuple[float, ...], float]:
-    """Parameters of a law of scipy.stats at the largest likelihood, in units of the observations' size, and that size.
-
-    Pascals and micrometres meet the same optimiser.  `located`: the location is fitted, else it is 0.
-    """
-    from scipy import stats
-
-    size = float(np.mean(np.abs(data)))
-    found = getattr(stats, name).fit(data / size, **({} if located else {"floc": 0.0}))
-    return tuple(float(value) for value in found), size
-
-
 def _weibull_fit(data: Array, lower: float, upper: float) -> dict[str, float]:
-    (modulus, _, scale), size = scaled_fit("weibull_min", data, located=False)
-    return {"modulus": modulus, "scale": scale * size, "threshold": 0.0}
-
-
-def _weibull_likeliest(values: Array) -> dict[str, float]:
-    modulus, scale = weibull_estimates(np.log(values)[None, :])
+    modulus, scale = weibull_estimates(np.log(data)[None, :])
     return {"modulus": float(modulus[0]), "scale": float(scale[0]), "threshold": 0.0}
 
 
@@ -362,7 +345,7 @@ WEIBULL: Final = Family(
         shape_words="modulus",
         scale_words="scale (63.2 %)",
     ),
-    tried=Distances(fit=_weibull_likeliest, below=_extreme_below),
+    tried=Distances(below=_extreme_below),
     kin="lognormal",
 )
 
@@ -443,12 +426,9 @@ def _frechet_sd(shapes: tuple[float, ...]) -> float:
 
 
 def _frechet_fit(data: Array, lower: float, upper: float) -> dict[str, float]:
-    # 1/X of a Fréchet variable is Weibull with the same shape: the better behaved likelihood.
-    from scipy import stats
-
-    size = float(np.mean(np.abs(data)))
-    shape, _, inverse_scale = stats.weibull_min.fit(1.0 / (data / size), floc=0.0)
-    return {"shape": float(shape), "scale": size / float(inverse_scale), "location": 0.0}
+    # 1/x is Weibull with the same shape
+    shape, scale = weibull_estimates(-np.log(data)[None, :])
+    return {"shape": float(shape[0]), "scale": 1.0 / float(scale[0]), "location": 0.0}
 
 
 def _frechet_pivots(own: Mapping[str, float], n: int, count: int, generator: np.random.Generator) -> dict[str, Array]:
@@ -488,14 +468,9 @@ def _gumbel_keys(given: dict[str, float], lower: float, upper: float) -> dict[st
 
 
 def _gumbel_fit(data: Array, lower: float, upper: float) -> dict[str, float]:
-    (location, scale), size = scaled_fit("gumbel_r", data, located=True)
-    return {"location": location * size, "scale": scale * size}
-
-
-def _gumbel_likeliest(values: Array) -> dict[str, float]:
     # the negative of a largest value is the logarithm of a Weibull variable
-    unit, centre = float(values.std()), float(values.mean())
-    modulus, scale = weibull_estimates((centre - values[None, :]) / unit)
+    unit, centre = float(data.std()), float(data.mean())
+    modulus, scale = weibull_estimates((centre - data[None, :]) / unit)
     return {"location": centre - unit * math.log(float(scale[0])), "scale": unit / float(modulus[0])}
 
 
@@ -521,7 +496,7 @@ GUMBEL: Final = Family(
     sd=lambda shapes: math.pi / math.sqrt(6.0),
     fit=_gumbel_fit,
     pivots=_gumbel_pivots,
-    tried=Distances(fit=_gumbel_likeliest, below=_extreme_below),
+    tried=Distances(below=_extreme_below),
     kin="lognormal",
 )
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.uq.families.family import Distances, Family, Posterior, positive_mean
-from uqsphere.uq.families.location_scale import MOMENTS, scaled_fit
+from uqsphere.uq.families.location_scale import MOMENTS
 
 #: steps of the logarithm of a shape between which the distribution of a distance is the same for all purposes
 _STEPS: Final = 20.0
@@ -70,13 +70,8 @@ def gamma_shapes(gap: Array) -> Array:
 
 
 def _gamma_fit(data: Array, lower: float, upper: float) -> dict[str, float]:
-    (shape, _, scale), size = scaled_fit("gamma", data, located=False)
-    return {"shape": shape, "scale": scale * size}
-
-
-def _gamma_likeliest(values: Array) -> dict[str, float]:
-    shape = float(gamma_shapes(np.log(values.mean(keepdims=True)) - np.log(values).mean(keepdims=True))[0])
-    return {"shape": shape, "scale": float(values.mean()) / shape}
+    shape = float(gamma_shapes(np.log(data.mean(keepdims=True)) - np.log(data).mean(keepdims=True))[0])
+    return {"shape": shape, "scale": float(data.mean()) / shape}
 
 
 def _gamma_below(samples: int, n: int, shape: float, generator: np.random.Generator) -> Array:
@@ -122,7 +117,6 @@ GAMMA: Final = Family(
         ranges=lambda lower, upper: (np.full(2, -math.inf), np.full(2, math.inf)),
     ),
     tried=Distances(
-        fit=_gamma_likeliest,
         below=_gamma_below,
         shape=lambda own: math.exp(round(_STEPS * math.log(own["shape"])) / _STEPS),
         drawn=_gamma_drawn,
@@ -160,7 +154,11 @@ def _student_sd(shapes: tuple[float, ...]) -> float:
 
 
 def _student_fit(data: Array, lower: float, upper: float) -> dict[str, float]:
-    (dof, location, scale), size = scaled_fit("t", data, located=True)
+    from scipy import stats
+
+    # Pascals and micrometres meet the same optimiser
+    size = float(np.mean(np.abs(data)))
+    dof, location, scale = (float(value) for value in stats.t.fit(data / size))
     return {"dof": dof, "location": location * size, "scale": scale * size}
 
 

@@ -156,6 +156,14 @@ class _Drawn:
     lost: Array
     points: Array
 
+    def join(self, fresh: _Drawn) -> _Drawn:
+        """These and the points that continue them."""
+        return _Drawn(
+            weights=np.concatenate([self.weights, fresh.weights], axis=1),
+            lost=np.concatenate([self.lost, fresh.lost], axis=1),
+            points=np.concatenate([self.points, fresh.points], axis=1),
+        )
+
 
 def importance_sampling(
     evaluator: Evaluator,
@@ -208,11 +216,7 @@ def importance_sampling(
         except Spent:
             goal = 0
         for fresh in stage:
-            table = fresh if table is None else _Drawn(
-                weights=np.concatenate([table.weights, fresh.weights], axis=1),
-                lost=np.concatenate([table.lost, fresh.lost], axis=1),
-                points=np.concatenate([table.points, fresh.points], axis=1),
-            )  # fmt: skip
+            table = fresh if table is None else table.join(fresh)
         if table is None:
             return _nothing(evaluator, mixture, evaluator.count - begun)
         estimate = _estimate(table, evaluator.count - begun, evaluator.limit.integrated)
