@@ -146,13 +146,12 @@ def index_text(out: Path) -> str:
 
 def _answer(results: Mapping[str, Any]) -> str:
     """Every limit with its probability."""
-    words = {True: "met", False: "not met", None: "undecided"}
     from uqsphere.quantities import format_estimate
 
     parts = []
     for name, limit in results["limits"].items():
         miss = limit["miss"]
-        verdict = "no target" if limit["target"] is None else f"target {limit['target']:g}: {words[limit['met']]}"
+        verdict = "no target" if limit["target"] is None else f"target {limit['target']:g}: {limit['verdict']}"
         value = "–" if miss["value"] is None else format_estimate(miss["value"], miss["low"], miss["high"])
         parts.append(f"{name}: probability of missing its aim {value}, {verdict}")
     return "; ".join(parts) or "no limit is asked for"
