@@ -381,10 +381,12 @@ def march(
                 for face in range(2):
                     for k in range(TERMS):
                         piece[face, k] = x[k, face * LANES + j]
-                        pushes[face, k] = force[k, face * LANES + j]
                     for i in range(tracked.POINTS + 1):
                         grid[face, 0, i] = at[i, face * LANES + j]
                         grid[face, 1, i] = rate[i, face * LANES + j]
+                    if own[j]:
+                        for k in range(TERMS):
+                            pushes[face, k] = force[k, face * LANES + j]
                 quiet = share if low[j] > 0.0 else 0.0
                 if own[j] and low[j] > 0.0:
                     quiet = low[j] / max(
