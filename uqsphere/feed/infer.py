@@ -400,27 +400,37 @@ def _counts(tests: Specimens, cell: float) -> CountsEntry:
 
 def _warnings(entry: FitEntry, tests: Specimens) -> list[str]:
     """What a reader must know, one sentence each."""
-    found = []
-    for law, parameters in entry.parameters.items():
-        found += [f"{name} ({law}): {one.posterior.reason}" for name, one in parameters.items() if one.posterior.reason]
-        untold = " and ".join(name for name, one in parameters.items() if not one.told)
-        if untold:
-            found.append(f"these tests do not tell {untold} ({law}): the posterior is about as wide as the prior")
-        if any(one.likelihood is None for one in parameters.values()):
-            found.append(f"the largest likelihood of the {law} law runs away: without priors the tests do not bound it")
-    number = tests.particles
-    if number < FEW:
-        ends = [size.half for size in entry.sizes if size.half.low and size.half.high]
-        factors = sorted(math.sqrt((end.high or 1.0) / (end.low or 1.0)) for end in ends)
-        if factors:
-            said = f"{number} test{'' if number == 1 else 's'}: the energy that breaks half is known to a factor"
-            found.append(f"{said} {factors[0]:.2f}" + (f" to {factors[-1]:.2f}" if len(factors) > 1 else ""))
-        found.append("the energy that breaks 1 % depends on the law: both are given" if entry.law == "average" else
-                     f"fewer than {FEW} tests choose no law: low tails of the {entry.law} law alone are not to be "
-                     'relied on; law = "average" carries both')  # fmt: skip
+    found = [said for law, parameters in entry.parameters.items() for said in _untold(law, parameters)]
+    if tests.particles < FEW:
+        found += _few(entry, tests.particles)
     if entry.tests is not None and entry.tests.cell:
         found.append(f"{len(tests):,} specimens were gathered in cells of {entry.tests.cell:.1%} of size and energy")
     return found
+
+
+def _untold(law: str, parameters: Mapping[str, ParameterEntry]) -> list[str]:
+    """What the tests do not tell of one law."""
+    found = [f"{name} ({law}): {one.posterior.reason}" for name, one in parameters.items() if one.posterior.reason]
+    untold = " and ".join(name for name, one in parameters.items() if not one.told)
+    if untold:
+        found.append(f"these tests do not tell {untold} ({law}): the posterior is about as wide as the prior")
+    if any(one.likelihood is None for one in parameters.values()):
+        found.append(f"the largest likelihood of the {law} law runs away: without priors the tests do not bound it")
+    return found
+
+
+def _few(entry: FitEntry, number: int) -> list[str]:
+    """What fewer tests than `FEW` are worth."""
+    ends = [(size.half.low, size.half.high) for size in entry.sizes]
+    factors = sorted(math.sqrt(high / low) for low, high in ends if low and high)
+    found = []
+    if factors:
+        said = f"{number} test{'' if number == 1 else 's'}: the energy that breaks half is known to a factor"
+        found.append(f"{said} {factors[0]:.2f}" + (f" to {factors[-1]:.2f}" if len(factors) > 1 else ""))
+    if entry.law == "average":
+        return [*found, "the energy that breaks 1 % depends on the law: both are given"]
+    alone = f"low tails of the {entry.law} law alone are not to be relied on"
+    return [*found, f'fewer than {FEW} tests choose no law: {alone}; law = "average" carries both']
 
 
 # --- how laws compare -------------------------------------------------------------------------------------

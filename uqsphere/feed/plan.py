@@ -269,17 +269,23 @@ def plan_tests(
     path, taken = course(about, best, MOST_TESTS, aim / scale)
     long, _ = course(about, best, 30, 0.0)
     sds = {1: min(go.sd, measured.sd), **{count: scale * long[count] for count in (10, 30)}}
+    shares = {size: sum(one.size == size for one in taken) / max(len(taken), 1) for size in sizes}
+    middle = float(np.median(target))
+    return TestPlan(
+        target=words, relative=relative, value=math.exp(middle) if relative else middle,
+        now=_NINETY_FIVE * now, go=go, measured=measured,
+        after={count: _NINETY_FIVE * sd for count, sd in sds.items()},
+        needed=len(taken) if path[-1] <= aim / scale else None,
+        sizes={size: share for size, share in shares.items() if share > 0.0},
+        worth=_worth(about, measured, go), practice=_practice(about, sizes, scale),
+    )  # fmt: skip
+
+
+def _worth(about: Normal, measured: Option, go: Option) -> float:
+    """How many tests of one kind one of the other is worth: by what each adds to the precision of the target."""
     before = about.sd(np.zeros_like(about.covariance)) ** -2
     gains = [about.sd(information(about, one)) ** -2 - before for one in (measured, go)]
-    reached = path[-1] <= aim / scale
-    shares = {size: sum(one.size == size for one in taken) / len(taken) for size in sizes} if taken else {}
-    return TestPlan(
-        target=words, relative=relative, value=float(np.exp(np.median(target)) if relative else np.median(target)),
-        now=_NINETY_FIVE * now, go=go, measured=measured,
-        after={count: _NINETY_FIVE * sd for count, sd in sds.items()}, needed=len(taken) if reached else None,
-        sizes={size: share for size, share in shares.items() if share > 0.0},
-        worth=gains[0] / gains[1] if gains[1] > 0.0 else math.inf, practice=_practice(about, sizes, scale),
-    )  # fmt: skip
+    return gains[0] / gains[1] if gains[1] > 0.0 else math.inf
 
 
 def _practice(about: Normal, sizes: Sequence[float], scale: float) -> dict[str, float]:

@@ -14,14 +14,13 @@ from uqsphere.quantities import OUTPUTS, lookup
 from uqsphere.study.contact import compared_pressure
 from uqsphere.study.document import LimitTable
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
+from uqsphere.study.fit_strength import is_fit, read_fit_strength
 from uqsphere.study.numbers import Reading, read_number
 from uqsphere.study.particle_tables import ENERGY_OF
 from uqsphere.study.scene import Scene, worded
 from uqsphere.study.sphere_tests import (
     Demand,
-    is_fit,
     is_sphere_tests,
-    read_fit_strength,
     read_platens,
     read_sphere_tests,
 )
@@ -154,7 +153,7 @@ def _read_strength(
     if not black_box and is_sphere_tests(table.strength):
         return read_sphere_tests(table.strength, place, demand, scene, findings)
     if not black_box and is_fit(table.strength):
-        return read_fit_strength(table.strength, place, demand, scene, findings)
+        return read_fit_strength(table.strength, place, demand.quantity, scene, findings)
     entry = lookup(demand.quantity)
     plausible = _STRONG if entry.dimension == "pressure" else (0.0, math.inf)
     due = replace(entry, meaning=f"the strength against {demand.quantity}", plausible=plausible, closed=False)

@@ -15,21 +15,20 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
-from uqsphere.errors import AccessError, FolderError
 from uqsphere.materials import library
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.criteria import demand as demand_of
 from uqsphere.mechanics.outputs import Columns, at_force, follows_force
 from uqsphere.quantities import INPUTS
-from uqsphere.study.columns import LARGEST_TESTS, inside_folder, open_observations
+from uqsphere.study.columns import LARGEST_TESTS, open_observations
 from uqsphere.study.document import RIG_TABLES
 from uqsphere.study.faults import Findings, Misplaced, Place, Raw
 from uqsphere.study.numbers import Reading, read_fixed
-from uqsphere.study.particle_tables import ENERGY_OF, FitStrengthTable, SphereTestsTable
+from uqsphere.study.particle_tables import ENERGY_OF, SphereTestsTable
 from uqsphere.study.scene import Scene
 from uqsphere.study.tables import read_table
-from uqsphere.uq.families import ALL, LawError
+from uqsphere.uq.families import LawError
 from uqsphere.uq.fitting import fitted_law
 from uqsphere.uq.law import Law
 
@@ -42,9 +41,6 @@ State = Mapping[str, Any]
 _TO_FIT: Final = '`uqsphere fit` makes a law of such tests, strength = { fit = "DIR" } takes it'
 #: ratio of the mean diameters of tests and sphere that is told, and that only a modulus can carry
 _TOLD, _REFUSED = 1.1, 1.5
-#: draws of a fit that a study carries: the Monte Carlo error of a mean of 200 laws is 7 % of what tests leave open;
-#: a diameter counts as tested within this factor
-_DRAWS, _BESIDE = 200, 1.01
 #: rock, rate_0 [1/s] and mean of the dynamic over the slow strength [-]: slow uniaxial strengths (36 cylinders) against
 #: those between titanium bars at 36 to 346 1/s (86), Rae and others, 2020 and 2021; rate_0 by least squares of
 #: logarithms in 1 + (rate/rate_0)^(2/3), which leaves 10 to 27 % (docs/validation.md)
@@ -73,49 +69,6 @@ def is_sphere_tests(raw: object) -> bool:
     if not isinstance(raw, Mapping):
         return False
     return "tests" in raw or (raw.get("dist") == "empirical" and ("force" in raw or "energy" in raw))
-
-
-def is_fit(raw: object) -> bool:
-    """Whether a strength is what `uqsphere fit` has found, by its folder."""
-    return isinstance(raw, Mapping) and "fit" in raw and not {"dist", "tests", "file"} & set(raw)
-
-
-def read_fit_strength(
-    raw: Mapping[str, Raw], place: Place, demand: Demand, scene: Scene, findings: Findings
-) -> Reading | None:
-    """The fracture energy of the sphere by the draws of a fit, at its mean diameter; None, with the faults noted.
-
-    Each draw is one of the laws that the tests allow, and the law in force their mean.
-    """
-    table = read_table(FitStrengthTable, raw, findings, place)
-    if demand.quantity != ENERGY_OF["sphere"]:
-        said = 'a fit is of the energy that the particle itself takes up: criterion = "specific_energy"'
-        findings.add((*place, "fit"), f'{said} with energy_is = "sphere" goes with it')
-    radius = scene.mean("sphere.radius")
-    if not table.fit or radius is None or not findings.clean(place):
-        return None
-    from uqsphere.feed.fit import Posterior, read_fit
-
-    with findings.noting(place):
-        folder = inside_folder(table.fit, findings.folder, "fit")
-        try:
-            posterior, about = Posterior.load(folder), read_fit(folder)
-        except (FolderError, AccessError) as error:
-            raise Misplaced(str(error), "fit") from None
-        diameter = 2.0 * radius
-        low, high = about.tested
-        if not low / _BESIDE <= diameter <= high * _BESIDE:
-            found = (
-                f"the sphere of {1e3 * diameter:.4g} mm lies beyond the tests, {1e3 * low:.4g} to {1e3 * high:.4g} mm"
-            )
-            findings.warn((*place, "fit"), f"{found}: its strength is extrapolated")
-        draws = posterior.as_laws(diameter, _DRAWS)
-        if not draws:
-            raise Misplaced(f"no size class of the fit is near {1e3 * diameter:.4g} mm", "fit")
-        tests = 0.0 if about.tests is None else float(about.tests.particles)
-        law = Law(family=ALL["drawn"], parameters={"tests": tests}, draws=draws)
-        return Reading(value=law, made_up=about.made_up)
-    return None
 
 
 def read_sphere_tests(
