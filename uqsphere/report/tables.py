@@ -334,7 +334,7 @@ _MEANING = (
     ("Saltelli", "Saltelli’s estimator"),
     ("Azzini", "the estimator of Azzini and Rosati, accurate for large shares"),
     ("controlled by a surrogate", "the polynomial chaos as control variate: it narrows intervals and cannot bias them"),
-    ("times as many", "a cheaper model as control variate: it narrows intervals and cannot bias them"),
+    ("controlled by a table", "a table of scaled numbers beside the model: it narrows intervals and cannot bias them"),
     ("strength integrated", "the strength’s law integrated exactly, not sampled"),
     ("one-sided", "a bound where no failure was seen"),
 )

@@ -82,7 +82,7 @@ def find_drivers(work: Work, sampled: Sampled, shared: Shared) -> Drivers:
     names = work.scene_names
     if not names:
         return Drivers(quantities={}, limits={})
-    sample = sampled.sample.head(POINTS).whole()
+    sample = sampled.rows.head(POINTS).whole()
     quantities = {
         quantity: {
             **_distances(work, sample, quantity),

@@ -33,6 +33,8 @@ from uqsphere.uq.sample import Sample
 
 METHOD = "randomised quasi-Monte Carlo"
 TABLE_METHOD = f"{METHOD}, controlled by a table"
+#: points of each replicate that what follows a sample takes of a table
+ROWS_AT_MOST = 4096
 #: points of each replicate at which a table is made: the second stage, where quantiles have some samples beyond
 TABLED = 256
 #: evaluations that sampling takes go with this power of the half-widths: those of quantiles and probabilities fall with
@@ -52,6 +54,12 @@ class Sampled:
     missed: list[Missed]
     stopped: str
     tabled: Tabled = field(default_factory=Tabled)
+    many: Sample | None = None
+
+    @property
+    def rows(self) -> Sample:
+        """The rows for what rests on few of them: the sample, or those of the table where it was asked for more."""
+        return self.sample if self.many is None else self.many.head(min(self.many.count, ROWS_AT_MOST))
 
 
 def _describe_one(work: Work, sample: Sample, quantity: str) -> Description:
@@ -304,6 +312,7 @@ class Distributions:
             ],
             stopped=course.stopped,
             tabled=self.tabled,
+            many=self.many,
         )
 
 
