@@ -202,13 +202,19 @@ class Brief:
 def span(values: Sequence[float], *, safe_is_low: bool = True) -> str:
     """A range of numbers with two digits each, or its safe end where they are within a fifth.
 
-    >>> span([0.38, 0.66]), span([12.9, 13.1]), span([12.9, 13.9], safe_is_low=False)
-    ('0.38–0.66', '13', '14')
+    The safe end has a third digit where two would leave the safe side by more than half a per cent.
+
+    >>> span([0.38, 0.66]), span([12.9, 13.1]), span([12.9, 13.9], safe_is_low=False), span([0.595, 0.793])
+    ('0.38–0.66', '12.9', '14', '0.595–0.79')
     """
     low, high = min(values), max(values)
+    safe, sign = (low, 1.0) if safe_is_low else (high, -1.0)
+    told = two(safe)
+    if sign * (float(told) - safe) > 5e-3 * abs(safe):
+        told = two(safe, 3)
     if low > 0.0 and high <= _SAME * low:
-        return two(low if safe_is_low else high)
-    return f"{two(low)}–{two(high)}"
+        return told
+    return f"{told}–{two(high)}" if safe_is_low else f"{two(low)}–{told}"
 
 
 def given(axis: Axis) -> str:

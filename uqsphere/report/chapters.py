@@ -80,8 +80,15 @@ def evidence_chapter(contents: Contents) -> Chapter:
     blocks = [
         *_curves(contents),
         *_tests(contents),
-        *(Block(heading=f"What drives {symbol(n)}", picture=sensitivity_figure(contents, n)) for n in asked[:2]),
-        Block(heading="Force over time", picture=force_band_figure(contents)),
+        *(
+            Block(
+                heading=f"What drives {symbol(name)}",
+                picture=sensitivity_figure(contents, name),
+                files=("tables/sensitivity.csv",),
+            )
+            for name in asked[:2]
+        ),
+        Block(heading="Force over time", picture=force_band_figure(contents), files=("tables/courses.csv",)),
         Block(heading="What is assumed of the strength", table=granted_table(contents)),
         carried_block(contents),
     ]

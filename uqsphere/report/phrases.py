@@ -304,6 +304,9 @@ def share(value: float, target: float | None = None) -> str:
     if value > 0.999:
         return "over 99.9\u00a0%"
     text = two(100.0 * value)
+    if text == "100":
+        # nearly all is not all
+        text = f"{math.floor(1000.0 * value) / 10.0:.1f}"
     if target is not None and text == two(100.0 * target) and abs(value - target) > 1e-9 * target:
         text = two(100.0 * value, 3)
     return f"{text}\u00a0%"
