@@ -170,7 +170,7 @@ FLOORS = {
     "uqsphere.results": 8,
     "uqsphere.runner": 9,
     "uqsphere.report": 10,
-    "uqsphere.given": 10,
+    "uqsphere.given": 11,
     "uqsphere.bench": 11,
     "uqsphere.planning": 11,
     "uqsphere.cli": 12,

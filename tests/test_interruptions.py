@@ -143,7 +143,8 @@ def test_a_fault_at_every_call_loses_no_evaluation(
     def small_run(folder: Path, box: Box) -> bytes:
         store = open_store(folder, study.resolved(), study.text, study.hash)
         try:
-            work = Work(study=study, store=store, ledger=Ledger(), fidelity="", black_box=box)
+            # without the row that is evaluated twice
+            work = Work(study=study, store=store, ledger=Ledger(repeated=True), fidelity="", black_box=box)
             values = evaluate_points(work, "sampling.0", work.scene_names, rows).values
             store.take_over()
             write_json(folder / "results.json", {"sum": float(values.sum())})
@@ -203,10 +204,11 @@ def test_what_was_evaluated_before_an_interruption_is_not_asked_for_again(
         with pytest.raises(KeyboardInterrupt):
             uqsphere.run(study, out=folder, model=box, progress=stop)
         assert len(box.rows) == stored_rows(folder) == 512 * calls
-        box.refused = set(box.rows)
+        box.refused = set(box.rows) - {box.rows[0]}
         again = uqsphere.run(study, out=folder, model=box)
         assert again.manifest.evaluations_reused == 512 * calls
-        assert len(box.rows) == len(set(box.rows))
+        # the first stored row, to see that it is the same
+        assert len(box.rows) == len(set(box.rows)) + 1
 
 
 def test_a_resumed_scene_integrates_nothing_again(
@@ -313,7 +315,7 @@ def test_a_finished_run_is_extended(study: Study, tmp_path: Path, more: tuple[st
     uqsphere.run(study, out=tmp_path / "r", model=box)
     with pytest.raises(FolderError, match="--extend"):
         uqsphere.run(wider, out=tmp_path / "r", model=box)
-    box.refused = set(box.rows)
+    box.refused = set(box.rows) - {box.rows[0]}  # which is evaluated again, to see that it is the same
     extended = uqsphere.run(wider, out=tmp_path / "r", model=box, extend=True)
     assert extended.manifest.evaluations_reused == 2048
     assert answers_of(extended.folder) == answers_of(fresh.folder)
@@ -337,7 +339,7 @@ def test_another_output_of_a_black_box_is_there_already(tmp_path: Path, box_text
     before = calls
     found = uqsphere.run(both, out=tmp_path / "r", model=box, extend=True)
     fresh = uqsphere.run(both, out=tmp_path / "fresh", model=box)
-    assert found.manifest.evaluations_reused >= before
+    assert found.manifest.evaluations_reused >= before - 1  # one row was evaluated twice
     assert answers_of(found.folder) == answers_of(fresh.folder)
 
 
