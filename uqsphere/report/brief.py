@@ -131,6 +131,8 @@ class Answer:
     @property
     def group(self) -> str:
         """What stands above its ways of breaking where there are several answers."""
+        if not self.fracture:
+            return "To stay below" if self.aim == "survive" else "To exceed: share short of it"
         name = self.service[:1].upper() + self.service[1:] or ("To survive" if self.aim == "survive" else "To break")
         return name + (": share left whole" if self.aim == "break" else "")
 
@@ -447,7 +449,11 @@ def _worded(answer: Answer, *, several: bool) -> Answer:
             unit=axis.unit,
             note=planned + (f"Best estimate {two(best * axis.factor)} {axis.unit}." if best and survive else ""),
         )
-    broken = ("Share broken" if survive else "Share left whole") if answer.fracture else "Share beyond the limit"
+    broken = (
+        ("Share broken" if survive else "Share left whole")
+        if answer.fracture
+        else f"Share {_beyond(answer.aim)} the limit"
+    )
     at = f" at the planned {given(axis)}" if axis and axis.planned else ""
     big, unit = share_span(misses, target) if misses else ("not known", "")
     second = None
@@ -458,6 +464,10 @@ def _worded(answer: Answer, *, several: bool) -> Answer:
         value = f"{span(solved, safe_is_low=survive)}\u00a0{axis.unit}"
         second = (words, value, _by(answer))
     return replace(answer, question=f"{broken}{at}{of}", big=big, unit=unit, note=allowed, second=second)
+
+
+def _beyond(aim: str) -> str:
+    return "beyond" if aim == "survive" else "short of"
 
 
 def _by(answer: Answer) -> str:
