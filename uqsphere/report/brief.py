@@ -206,8 +206,8 @@ def span(values: Sequence[float], *, safe_is_low: bool = True) -> str:
 
     The safe end has a third digit where two would leave the safe side by more than half a per cent.
 
-    >>> span([0.38, 0.66]), span([12.9, 13.1]), span([12.9, 13.9], safe_is_low=False), span([0.595, 0.793])
-    ('0.38–0.66', '12.9', '14', '0.595–0.79')
+    >>> span([0.38, 0.66]), span([12.9, 13.1]), span([12.9, 13.9], safe_is_low=False), span([0.597, 0.793])
+    ('0.38–0.66', '12.9', '14', '0.597–0.79')
     """
     low, high = min(values), max(values)
     safe, sign = (low, 1.0) if safe_is_low else (high, -1.0)
