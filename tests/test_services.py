@@ -135,7 +135,8 @@ def test_a_rig_has_its_numbers_and_no_bars(text: str, tmp_path: Path) -> None:
     study = loaded(text + LIMIT, tmp_path)
     assert study.rig == study.options["rig.kind"]
     assert not any(name.startswith(("bars.", "striker.", "pulse.")) for name in study.at_means())
-    assert study.model.fidelity == "full"
+    # a weight on elastic faces may be answered by its light sphere
+    assert study.model.fidelity == ("auto" if study.rig == "drop_weight" else "full")
     assert study.resolved()["options"]["rig.kind"] == study.rig
 
 
