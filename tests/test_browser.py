@@ -82,7 +82,7 @@ function probe(frame) {
     if (s.getAttribute('aria-hidden') === 'true') continue;
     const ids = (s.getAttribute('aria-labelledby') || '').split(' ');
     const words = ids.map(id => page.getElementById(id)?.textContent || '');
-    if (s.getAttribute('role') !== 'img' || words.length < 2 || words.some(w => w.length < 4)) out.mute.push(s.id);
+    if (s.getAttribute('role') !== 'img' || words.length < 1 || words.some(w => w.length < 4)) out.mute.push(s.id);
   }
   for (const e of page.querySelectorAll('[tabindex], nav, section, [role=region], [role=group]'))
     if (!e.getAttribute('aria-label') && !e.getAttribute('aria-labelledby') && !e.querySelector('h2'))
@@ -235,7 +235,7 @@ def test_the_probe_sees_what_is_wrong(plain: Path, tmp_path: Path) -> None:
     flaws = (
         '<p style="white-space:nowrap">' + "W" * 300 + '</p><p style="color:#bbb">pale</p><a href="#nowhere">x</a>'
         '<svg role="img"><text x="5" y="9">one</text><text x="6" y="9">two</text></svg>'
-        '<table><tr><th>t</th></tr></table><p id="verdict"></p><script>1</script></main>'
+        '<table><tr><th>t</th></tr></table><p id="same"></p><p id="same"></p><script>1</script></main>'
     )
     page = tmp_path / "flawed.html"
     page.write_text(plain.read_text(encoding="utf-8").replace("</main>", flaws, 1), encoding="utf-8")

@@ -222,8 +222,13 @@ def test_a_file_that_ends_the_process_on_loading(place: Path) -> None:
 def test_verify_tells_a_model_that_is_not_deterministic_from_damage(
     place: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    body = "return {'y': rows['a'] + np.random.default_rng().normal(size=len(rows['a']))}"
-    reference = write(place, body)
+    # at once where the row that is evaluated twice shows it
+    reference = write(place, "return {'y': rows['a'] + np.random.default_rng().normal(size=len(rows['a']))}")
+    assert main(["run", "s.toml", "--model", reference, "--out", "once"]) == 4
+    assert "the model is not deterministic: the same row gives" in capfd.readouterr().err
+    # and where it does not, by verify
+    noise = "np.random.default_rng().normal(size=len(rows['a']))"
+    reference = write(place, f"return {{'y': rows['a'] + {noise} * (np.arange(len(rows['a'])) > 0)}}")
     assert main(["run", "s.toml", "--model", reference, "--out", "r"]) == 0
     capfd.readouterr()
     assert main(["verify", "r", "--model", reference, "--chunks", "2"]) == 4

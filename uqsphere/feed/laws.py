@@ -234,7 +234,7 @@ def before_blow(left: Values, gamma: Values) -> Array:
         height = whole - slope * (t + whole) - np.log((total - 5.0 * damage) / (2.0 * g)) - target
         steep = -damage - slope * (1.0 - damage) + 5.0 * damage * (1.0 - damage) / (total - 5.0 * damage)
         t = t - height / steep
-    return np.asarray(1.0 / energy_share(1.0 / (1.0 + np.exp(-t)), g))
+    return np.maximum(1.0 / energy_share(1.0 / (1.0 + np.exp(-t)), g), 1.0)
 
 
 def thresholds(gamma: Values, blows: int) -> Array:

@@ -371,17 +371,21 @@ def render(picture: Picture) -> str:
 
 def _describe(root: ElementTree.Element, picture: Picture) -> None:
     """Words for who does not see the picture, and the paper it stands on."""
+    words = {"title": picture.title, "desc": picture.finding}
+    parts = []
+    for kind, text in words.items():
+        if text:
+            part = ElementTree.Element(f"{_SVG}{kind}", {"id": kind})
+            part.text = APOSTROPHE.sub("’", clean(text))
+            parts.append(part)
     root.attrib |= {
         "role": "img",
         "id": "root",
-        "aria-labelledby": "title description",
+        "aria-labelledby": " ".join(str(part.get("id")) for part in parts),
         "style": "stroke-linejoin: round; stroke-linecap: butt",
     }
-    title = ElementTree.Element(f"{_SVG}title", {"id": "title"})
-    description = ElementTree.Element(f"{_SVG}desc", {"id": "description"})
-    title.text, description.text = (APOSTROPHE.sub("’", clean(text)) for text in (picture.title, picture.finding))
     paper = ElementTree.Element(f"{_SVG}rect", {"id": "paper", "width": "100%", "height": "100%", "fill": PAPER})
-    for place, element in enumerate((title, description, paper)):
+    for place, element in enumerate((*parts, paper)):
         root.insert(place, element)
 
 
