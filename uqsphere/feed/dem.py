@@ -70,7 +70,7 @@ def spread_draws(broken: Array, count: int) -> Places:
     """Places of `count` draws at even shares of the sorted share broken, (D,).
 
     >>> spread_draws(np.array([0.3, 0.1, 0.2, 0.4]), 2).tolist()
-    [2, 0]
+    [1, 0]
     """
     if not 1 <= count <= len(broken):
         raise NotThere(f"found {count} draws: from 1 to {len(broken)} are there")
