@@ -237,6 +237,14 @@ def test_one_row_is_worth_little_and_says_so() -> None:
     assert entry.goodness.reason
 
 
+def test_energies_equal_to_half_of_their_digits_have_no_pivots() -> None:
+    tests = make_specimens([0.02] * 3, [100.0, 100.0 + 1e-7, 100.1], broke=[True, True, False])
+    posterior, entry = fit(tests, Request(law="weibull"))
+    assert entry.method != "exact pivots"
+    low, high = interval_of(posterior.energy_at(0.5, 0.02))
+    assert low < 100.1 < high
+
+
 def test_a_hundred_thousand_rows() -> None:
     rng = RNG(8)
     d = rng.uniform(0.002, 0.02, 100_000)

@@ -49,7 +49,7 @@ from uqsphere.feed.likelihood import (
 )
 from uqsphere.feed.tests import Specimens
 from uqsphere.uq.points import random_generator
-from uqsphere.uq.weibull import STRENGTHS, fitted_parameters, make_tests, pivots
+from uqsphere.uq.weibull import SAME, STRENGTHS, fitted_parameters, make_tests, pivots
 
 #: priors of logarithms: phi in 0.41 to 2.4 and gamma in 2.0 to 7.9 by 95 %, the published ranges; sigma 0.23 to 1.6;
 #: d0 0.7 to 36 mm; the modulus is that of a Weibull law whose lognormal fit has such a sigma, 2.1375/sigma
@@ -270,11 +270,10 @@ def _is_exact(tests: Specimens, model: Model, request: Request) -> bool:
     own = {"sigma", "modulus", "C", "e_inf"} & set(request.priors)
     alone = len(tests.sizes) == 1 and not tests.repeated.any() and model.size != "weakest_link"
     failures = int(tests.weight[tests.broke].sum())
-    distinct = len(np.unique(tests.last[tests.broke])) > 1
+    broken = tests.last[tests.broke]
+    distinct = failures > 1 and bool(np.ptp(broken) > SAME * broken.max())
     few = tests.particles <= 1000
-    return (
-        plain and not own and alone and few and bool((tests.exact | ~tests.broke).all()) and failures > 1 and distinct
-    )
+    return plain and not own and alone and few and bool((tests.exact | ~tests.broke).all()) and distinct
 
 
 def _series(tests: Specimens) -> tuple[list[float], list[bool]]:

@@ -34,6 +34,9 @@ STRENGTHS: Final = {name: family.strength for name, family in FAMILIES.items() i
 _WEIBULL: Final = STRENGTHS["weibull"]
 #: fewer failures than this say nothing of scatter
 LEAST_FAILURES: Final = 2
+#: relative difference of strengths that are taken for equal: half of the digits of a double, so that a scatter is known
+#: to the other half
+SAME: Final = 1.5e-8
 #: half of the 95 % quantile of chi-squared with one degree of freedom
 _DROP: Final = 1.920729410347062
 #: simulated test series behind bias and intervals
@@ -77,7 +80,7 @@ def make_tests(values: object, stopped: object = None) -> StrengthTests:
     failures = found[~flags]
     if failures.size == 0:
         raise ValueError(f"all {found.size} tests were stopped before a failure: they tell no strength")
-    if failures.size < LEAST_FAILURES or failures.min() == failures.max():
+    if failures.size < LEAST_FAILURES or failures.max() - failures.min() <= SAME * failures.max():
         what = "only one failure" if failures.size < LEAST_FAILURES else f"all {failures.size} failures are equal"
         raise ValueError(f"{what}: the scatter is not known, at least two different failures are needed")
     # of equal values the failure comes first: the stopped specimen outlived it
