@@ -36,7 +36,7 @@ from uqsphere.report.figures.limits import (
 from uqsphere.report.figures.scene import bars_figure, force_band_figure, hardest_table, stress_inside_figure
 from uqsphere.report.figures.swings import tornado_figure, tornado_table
 from uqsphere.report.margins import parts_table
-from uqsphere.report.phrases import begin, call, input_name, limit_name, symbol
+from uqsphere.report.phrases import begin, breaks, call, input_name, limit_name, symbol
 from uqsphere.report.services import carried_block
 from uqsphere.report.tables import (
     accuracy_table,
@@ -99,14 +99,18 @@ def evidence_chapter(contents: Contents) -> Chapter:
     return Chapter(anchor="evidence", heading="Evidence", blocks=tuple(blocks))
 
 
-def _curves(contents: Contents) -> list[Block]:
-    """Share broken over the free scalar with the values asked for; without one, load against strength."""
-    blocks = []
-    for name in contents.results.margins:
+def _curves(contents: Contents, *, fracture: bool = True) -> list[Block]:
+    """Share broken over the free scalar with the values asked for; without one, load against strength.
+
+    With `fracture` off those of limits that break nothing, such as yield of the bars.
+    """
+    results, blocks = contents.results, list[Block]()
+    shown = [name for name in results.margins if (not results.fracture or breaks(results, name)) is fracture]
+    for name in shown:
         twin = _twin(contents, name)
         blocks.append(
             Block(
-                heading=f"Share broken by {limit_name(name)}",
+                heading=f"Share {'broken by' if fracture else 'over'} {limit_name(name)}",
                 picture=fragility_figure(contents, name),
                 table=margins_table(contents, name, only_own=bool(twin)),
                 files=("tables/margins.csv", "tables/fragility.csv"),
@@ -115,10 +119,10 @@ def _curves(contents: Contents) -> list[Block]:
         if contents.results.margins[name].family and not twin:
             heading = f"{limit_name(name)} over {input_name(contents.results.margins[name].family.path)}"
             blocks.append(Block(heading=heading, picture=family_figure(contents, name)))
-    if contents.results.margins:
+    if results.margins or not fracture:
         return blocks
-    shown = of_limits(contents) or list(contents.results.quantities)
-    return [Block(heading=begin(name, call(name)), picture=distribution_figure(contents, name)) for name in shown[:3]]
+    quantities = (of_limits(contents) or list(results.quantities))[:3]
+    return [Block(heading=begin(name, call(name)), picture=distribution_figure(contents, name)) for name in quantities]
 
 
 def _tests(contents: Contents) -> list[Block]:
@@ -151,6 +155,7 @@ def fracture_chapter(contents: Contents) -> Chapter:
             table=fracture_table(contents) if results.fracture else None,
             files=("tables/fracture.csv",),
         ),
+        *_curves(contents, fracture=False),
         *(block for name in results.margins for block in energy_block(contents, name)),
     ]
     for name in results.margins:
