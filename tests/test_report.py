@@ -165,7 +165,9 @@ def test_every_figure_has_words(page: str) -> None:
     assert len(drawings) == 6
     assert all(a["role"] == "img" and a["aria-labelledby"] for a in drawings)
     named = [a for tag, a in reader.tags if tag == "svg" and a.get("aria-labelledby")]
-    assert [tag for tag, _ in reader.tags].count("desc") == len(named) > 6
+    # a finding where there is one, a title always
+    assert 3 <= [tag for tag, _ in reader.tags].count("desc") <= len(named)
+    assert len(named) > 6
 
 
 def test_same_folder_gives_the_same_bytes(standard: Path, tmp_path: Path) -> None:
