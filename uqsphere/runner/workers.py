@@ -145,8 +145,10 @@ class LocalWorkers:
                 if not job.future.set_running_or_notify_cancel():
                     continue
                 try:
-                    if process is None or process.poll() is not None:
-                        process = self._spawn()
+                    if process is not None and process.poll() is not None:
+                        self._bury(process)  # it died between two jobs: its pipes are closed with it
+                        process = None
+                    process = process or self._spawn()
                     result = self._ask(process, job)
                 except (WorkerDied, TimeOver) as error:
                     self._bury(process)
