@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from uqsphere.mechanics.integrator import tracked as layout
 from uqsphere.mechanics.scene import Scene
 
 
-def describe_machine() -> dict[str, Any]:
+def describe_machine() -> dict[str, object]:
     """Processor, processors this process may use, Python and packages; nothing that names a machine or a user."""
     from uqsphere.mechanics.integrator.solve import thread_count
 
@@ -133,7 +133,7 @@ def _part(scene: Scene, rows: int) -> Scene:
     return Scene(columns=columns, shape=scene.shape, infinite=scene.infinite)
 
 
-def _best_time(run: Callable[[], Any], rounds: int) -> float:
+def _best_time(run: Callable[[], object], rounds: int) -> float:
     best = np.inf
     for _ in range(rounds):
         begin = time.process_time()
@@ -180,7 +180,7 @@ def measure_scene(chosen: BenchScene, *, tolerances: list[float], rounds: int, s
 
     ours("full", 1e-6)
 
-    def turn(fidelity: str, tolerance: float) -> tuple[str, float | None, Callable[[], Any]]:
+    def turn(fidelity: str, tolerance: float) -> tuple[str, float | None, Callable[[], Array]]:
         return fidelity, tolerance, lambda: _scaled(chosen, ours(fidelity, tolerance))
 
     turns = [turn("full", tolerance) for tolerance in tolerances]

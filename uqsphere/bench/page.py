@@ -24,6 +24,8 @@ from uqsphere.errors import FolderError
 from uqsphere.store import write_outputs
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from uqsphere.report.figures.canvas import Picture
 
 SCHEMA_VERSION: Final = 1
@@ -87,7 +89,7 @@ COMPARED: Final = (
 )
 
 
-def ratios(entries: Sequence[Entry]) -> list[dict[str, Any]]:
+def ratios(entries: Sequence[Entry]) -> list[dict[str, object]]:
     """How many times as fast `full` is at equal median error, with the aims."""
     found = []
     for scene, quantity, rival, error, aim in COMPARED:
@@ -149,7 +151,7 @@ def bench_text(content: dict[str, Any], entries: Sequence[Entry]) -> str:
     return "\n".join(lines)
 
 
-def _plain_ticks(panel: Any) -> None:
+def _plain_ticks(panel: Axes) -> None:
     """Powers of ten as they are written in the tables; the style knows no mathematical notation."""
     for axis in (panel.xaxis, panel.yaxis):
         axis.set_major_formatter(lambda value, _: f"{value:g}")

@@ -7,7 +7,7 @@ the earlier pieces (the method of steps for delay equations).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from typing import Any, Final
 
@@ -23,7 +23,7 @@ METHODS: Final = ("DOP853", "LSODA", "Radau")
 AFTER: Final = 0.6
 
 
-def _pulse(arguments: dict[str, Any], row: int, time: float) -> float:
+def _pulse(arguments: Mapping[str, Array], row: int, time: float) -> float:
     breaks, coefficients = arguments["breaks"][row], arguments["coefficients"][row]
     piece = int(np.searchsorted(breaks, time, side="right")) - 1
     if not 0 <= piece < len(coefficients):
@@ -33,7 +33,7 @@ def _pulse(arguments: dict[str, Any], row: int, time: float) -> float:
     return float(c[0] + z * (c[1] + z * (c[2] + z * c[3])))
 
 
-def _stops(arguments: dict[str, Any], row: int, horizon: float) -> list[float]:
+def _stops(arguments: Mapping[str, Array], row: int, horizon: float) -> list[float]:
     """Times at which a solution has to be taken up anew: jumps of the pulse and of what comes back, round trips."""
     breaks = [float(b) for b in arguments["breaks"][row] if 0.0 < b < horizon]
     times = set(breaks)
@@ -44,10 +44,10 @@ def _stops(arguments: dict[str, Any], row: int, horizon: float) -> list[float]:
     return [0.0, *sorted(t for t in times if t < horizon), horizon]
 
 
-def _leaves(face: int) -> Callable[[float, Any], float]:
+def _leaves(face: int) -> Callable[[float, Array], float]:
     """The event that a face loses contact."""
 
-    def leaves(t: float, y: Any) -> float:
+    def leaves(t: float, y: Array) -> float:
         return float(y[face])
 
     leaves.terminal = True  # type: ignore[attr-defined]
@@ -56,7 +56,7 @@ def _leaves(face: int) -> Callable[[float, Any], float]:
 
 
 def _solve_row(
-    arguments: dict[str, Any], row: int, method: str, tolerance: float, contact: bool
+    arguments: Mapping[str, Array], row: int, method: str, tolerance: float, contact: bool
 ) -> tuple[float, float]:
     """Largest approach and time of the first loss of contact (or end of the record) of one row, scaled."""
     from scipy.integrate import solve_ivp
@@ -67,7 +67,7 @@ def _solve_row(
     horizon = float(arguments["horizon"][row])
     if not np.isfinite(horizon):
         horizon = float(arguments["pulse_end"][row]) + AFTER
-    pieces: list[tuple[float, Any]] = []
+    pieces: list[tuple[float, Callable[[float], Array]]] = []
 
     def force(face: int, time: float) -> float:
         """Force at an earlier time, from the dense output of the piece that holds it."""
@@ -91,14 +91,14 @@ def _solve_row(
             continue
         inside = (begin + 1e-13 * (1 + end), end - 1e-13 * (1 + end))
 
-        def slope(t: float, y: Any, inside: tuple[float, float] = inside) -> list[float]:
+        def slope(t: float, y: Array, inside: tuple[float, float] = inside) -> list[float]:
             p1, p2 = max(y[0], 0.0) ** 1.5, max(y[1], 0.0) ** 1.5
             return [2.0 * f(t, inside) - p1 - y[2], y[2] - p2 - 2.0 * h(t), (p1 - p2) / mu]
 
         events = [_leaves(face) for face in range(2)] if contact and begin > 0.0 else None
-        options: dict[str, Any] = {"rtol": tolerance, "atol": 0.01 * tolerance, "dense_output": True}
         solve: Any = solve_ivp
-        found = solve(slope, (begin, end), state, method=method, events=events, **options)
+        found = solve(slope, (begin, end), state, method=method, events=events, dense_output=True,
+                          rtol=tolerance, atol=0.01 * tolerance)  # fmt: skip
         pieces.append((begin, found.sol))
         for face in range(2):
             rates = np.array([slope(t, y)[face] for t, y in zip(found.t, found.y.T, strict=True)])

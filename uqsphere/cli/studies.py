@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from uqsphere.console import plain, print_document, say, screen_width, table, wrap
 from uqsphere.errors import AccessError, UsageError
 from uqsphere.quantities import OUTPUTS, format_value, lookup, reading_units
 from uqsphere.study import Study, json_schema, load_study, shipped_studies
+
+if TYPE_CHECKING:
+    from uqsphere.runner.forecast import Plan
 
 
 def warn(study: Study) -> None:
@@ -92,7 +95,7 @@ def command_check(chosen: argparse.Namespace) -> int:
     return 0
 
 
-def _show_part(study: Study, plan: Mapping[str, Any]) -> None:
+def _show_part(study: Study, plan: Plan) -> None:
     """The numbers of one rig, and its plan."""
     from uqsphere.runner.forecast import plan_text
 
@@ -105,7 +108,7 @@ def _show_part(study: Study, plan: Mapping[str, Any]) -> None:
         rows.append((name, text, law.family.name if law else "fixed", _short(source.text) if source else "study"))
     print("\n" + table(("number", "mean", "law", "source"), rows, width))
     print()
-    if not study.black_box:
+    if plan["scene"] is not None:
         print("\n".join(wrap(line, width) for line in _scene_lines(study, plan["scene"])))
     print("\n".join(wrap(line, width) for line in plan_text(study, plan).split("\n")))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -30,6 +30,9 @@ from pydantic import (
 from uqsphere.errors import FolderError
 from uqsphere.store import read_json
 from uqsphere.uq.estimate import Estimate
+
+#: an entry while it is made, before its fields are checked
+Fields: TypeAlias = dict[str, object]
 
 # --- what the entries are made of -----------------------------------------------------------------------
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
 from uqsphere.errors import UsageError
 from uqsphere.model import scene_of
 from uqsphere.quantities import format_value
+from uqsphere.results.entries import Fields
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
@@ -83,7 +84,21 @@ def _yield_lines(found: History, pressure: float) -> list[tuple[str, str]]:
     return [("NOTE", f"{said}: an elastic contact overstates pressure and force from there on")]
 
 
-def history_summary(found: History) -> dict[str, Any]:
+class Summary(TypedDict, total=False):
+    """The findings of a history, as `history --json` prints them; `lines` are (what, value)."""
+
+    mu: float
+    theta: float | None
+    record_end: float
+    later_peak_is_larger: bool
+    equilibrium: Fields
+    first_tension: Fields
+    gauges: list[Fields]
+    lines: list[list[str]]
+    written: list[str]
+
+
+def history_summary(found: History) -> Summary:
     """The findings of a history as (what, value) lines, for the terminal and for JSON."""
     rig = found.motion.scene.rig
     lines = [("mu (mass of the sphere)", f"{found.mass_number:.4g}")]
@@ -106,8 +121,10 @@ def history_summary(found: History) -> dict[str, Any]:
         lines.append(
             ("NOTE", "the later peak is the larger one: quantities of interest end at the first loss of contact")
         )
-    bars = _bars(found) if rig == "bars" else {}
-    lines += bars.pop("lines", [])
+    bars: Summary = {}
+    if rig == "bars":
+        told, bars = _bars(found)
+        lines += told
     lines += _balance_lines(found)
     lines.append(("end of the record of the quantities", f"{found.record_end * 1e6:.6g} us"))
     lines.append(("end of this history", f"{found.horizon * 1e6:.6g} us"))
@@ -141,7 +158,7 @@ def _balance_lines(found: History) -> list[tuple[str, str]]:
     return lines
 
 
-def _bars(found: History) -> dict[str, Any]:
+def _bars(found: History) -> tuple[list[tuple[str, str]], Summary]:
     """What the bars see: equilibrium of the forces, first tension, and waves that overlap at a gauge."""
     from uqsphere.mechanics.field import BARS, first_tension, tension_level
     from uqsphere.mechanics.history import equilibrium
@@ -152,7 +169,7 @@ def _bars(found: History) -> dict[str, Any]:
         (f"forces first within {level} of their mean", _when(balance.first)),
         ("  for good, up to the first loading's largest", _when(balance.lasting)),
     ]
-    tensions = {}
+    tensions: Fields = {}
     for bar in BARS:
         tension = first_tension(found.motion, bar)
         tensions[bar] = None if tension is None else {"time": tension.time, "position": tension.position}
@@ -161,7 +178,7 @@ def _bars(found: History) -> dict[str, Any]:
     if found.motion.scene.record is not None:
         share = f"above {100.0 * tension_level(found.motion):.1f} % of the pulse: less is the noise of its record"
         lines.append(("  counted as tension", share))
-    gauges = []
+    gauges: list[Fields] = []
     for record in found.gauges:
         overlaps = [
             {"first": one.first, "second": one.second, "begin": one.begin, "end": one.end} for one in record.overlaps
@@ -170,8 +187,13 @@ def _bars(found: History) -> dict[str, Any]:
         for one in record.overlaps:
             text = f"{one.first} wave and {one.second}, {one.begin * 1e6:.4g} to {one.end * 1e6:.4g} us"
             lines.append((f"overlap at the gauge {record.name}", text))
-    equilibria = {"level": balance.level, "first": balance.first, "lasting": balance.lasting, "until": balance.until}
-    return {"lines": lines, "equilibrium": equilibria, "first_tension": tensions, "gauges": gauges}
+    equilibria: Fields = {
+        "level": balance.level,
+        "first": balance.first,
+        "lasting": balance.lasting,
+        "until": balance.until,
+    }
+    return lines, {"equilibrium": equilibria, "first_tension": tensions, "gauges": gauges}
 
 
 def _when(time: float | None) -> str:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.results.entries import Fields
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.limits import state_of, tie_strength
 from uqsphere.runner.questions.distributions import Sampled
@@ -62,16 +63,12 @@ _PROBABILITY = (
 )
 
 
-#: a table of results.json
-Table: TypeAlias = dict[str, object]
-
-
 @dataclass(frozen=True, kw_only=True)
 class Drivers:
     """Tables by quantity and by limit, as results.json has them."""
 
-    quantities: dict[str, Table]
-    limits: dict[str, Table]
+    quantities: dict[str, Fields]
+    limits: dict[str, Fields]
 
 
 def find_drivers(work: Work, sampled: Sampled, shared: Shared) -> Drivers:
@@ -98,11 +95,11 @@ def find_drivers(work: Work, sampled: Sampled, shared: Shared) -> Drivers:
     return Drivers(quantities=quantities, limits=limits)
 
 
-def _json(names: Sequence[str], estimates: Sequence[Estimate]) -> Table:
+def _json(names: Sequence[str], estimates: Sequence[Estimate]) -> Fields:
     return dict(zip(names, estimates, strict=True))
 
 
-def _distances(work: Work, sample: Sample, quantity: str) -> Table:
+def _distances(work: Work, sample: Sample, quantity: str) -> Fields:
     """Delta and PAWN of every input for a quantity; censored values count as the end of the record."""
     names = work.scene_names
     x, y = sample.inputs[:, :, : len(names)], sample.answer(quantity)
@@ -117,7 +114,7 @@ def _observed(law: Law | float) -> int | None:
     return count_tests(law) if isinstance(law, Law) and (law.data or law.draws) else None
 
 
-def _measure_variance(work: Work, found: Sensitivity) -> Table:
+def _measure_variance(work: Work, found: Sensitivity) -> Fields:
     """Inputs by what the variance would fall if they were known, with the tests that make their share small."""
     first = found.kucherenko.get("first") or found.first
     known = {name: e for name, e in first.items() if e.value is not None}
@@ -143,11 +140,11 @@ def _missing(limit: Limit, state: LimitState) -> Array:
     return above if limit.aim == "break" else below
 
 
-def _of_limit(work: Work, limit: Limit, sample: Sample, shared: Shared) -> Table:
+def _of_limit(work: Work, limit: Limit, sample: Sample, shared: Shared) -> Fields:
     state = state_of(work, limit, sample)
     chance = _missing(limit, state)
     p = float(chance.mean())
-    driving: Table = {"probability": p, **_indices(work, limit, shared)}
+    driving: Fields = {"probability": p, **_indices(work, limit, shared)}
     driving["explained"] = explained_share(chance)
     driving["given_failure"] = _given_failure(work, limit, sample, state, chance)
     return {"drivers": driving, "measure_first": _measure_probability(work, limit, sample, state, chance)}
@@ -173,7 +170,7 @@ def _chances(work: Work, limit: Limit, values: Array, scores: Array | None) -> A
     return np.clip(found.reshape(values.shape), 0.0, 1.0)
 
 
-def _indices(work: Work, limit: Limit, shared: Shared) -> Table:
+def _indices(work: Work, limit: Limit, shared: Shared) -> Fields:
     """First and total indices of missing the aim, or Shapley effects and Kucherenko's where inputs are tied."""
     names, k = work.scene_names, work.quantities.index(limit.quantity)
     method = "pairs of runs, strength integrated"
@@ -219,7 +216,7 @@ def _indices(work: Work, limit: Limit, shared: Shared) -> Table:
     return {"of": "missing the aim", **{o: _json(every, found[o][: len(every)]) for o in ("first", "total")}}
 
 
-def _no_indices(names: Sequence[str], reason: str, method: str) -> Table:
+def _no_indices(names: Sequence[str], reason: str, method: str) -> Fields:
     nothing = _json(names, [absent(reason, method, 0)] * len(names))
     return {"of": "missing the aim", "first": nothing, "total": dict(nothing)}
 
@@ -246,14 +243,14 @@ def _scores(work: Work, subsets: SubsetDesign | None, count: int) -> Array:
 # --- what the inputs look like where the aim is missed ----------------------------------------------------
 
 
-def _given_failure(work: Work, limit: Limit, sample: Sample, state: LimitState, chance: Array) -> Table:
+def _given_failure(work: Work, limit: Limit, sample: Sample, state: LimitState, chance: Array) -> Fields:
     """Mean, sd and 5, 50, 95 % quantiles of every input given that the aim is missed, beside those of its law."""
     laws = dict(zip(work.drawn.names, work.drawn.laws, strict=True))
     columns = {name: sample.inputs[:, :, k] for k, name in enumerate(work.drawn.names)}
     if isinstance(limit.strength, Law):
         laws[strength_name(limit.name)] = limit.strength
         columns[strength_name(limit.name)] = _strengths(work, limit, limit.strength, state, chance)
-    table: Table = {}
+    table: Fields = {}
     for name, values in columns.items():
         if limit_of(name) not in (None, limit.name):
             continue
@@ -296,10 +293,10 @@ def _strengths(work: Work, limit: Limit, law: Law, state: LimitState, chance: Ar
 # --- what to measure first ------------------------------------------------------------------------------
 
 
-def _measure_probability(work: Work, limit: Limit, sample: Sample, state: LimitState, chance: Array) -> Table:
+def _measure_probability(work: Work, limit: Limit, sample: Sample, state: LimitState, chance: Array) -> Fields:
     """Variables by what their means' uncertainty does to the probability, with the tests that make it small."""
     p = float(chance.mean())
-    about: Table = {"of": "probability", "wanted": WANTED, "method": _PROBABILITY, "rows": [], "reason": ""}
+    about: Fields = {"of": "probability", "wanted": WANTED, "method": _PROBABILITY, "rows": [], "reason": ""}
     if not 0.0 < p < 1.0:
         return {**about, "reason": "no sample decides: all miss the aim, or none"}
     names = work.drawn.names

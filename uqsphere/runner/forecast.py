@@ -11,7 +11,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final, TypedDict
 
 from uqsphere.errors import UsageError
 from uqsphere.mechanics.carried import CARRIERS
@@ -468,7 +468,32 @@ def _blow_numbers(study: Study, scene: Scene) -> dict[str, float | None]:
     return {"mu": mu, "theta": None, "steps": steps, "speed": float(scene.closing_speed[0]) if rig.blow else None}
 
 
-def plan_run(study: Study) -> dict[str, Any]:
+class PlannedPart(TypedDict, total=False):
+    """A part of a run in its plan; `seconds` where they are known."""
+
+    part: str
+    likely: int
+    most: int
+    seconds: float
+
+
+class Plan(TypedDict, total=False):
+    """What `uqsphere check --json` says of a run to come; `scene` has the scaled numbers at the means."""
+
+    evaluations: int
+    processors: int
+    seconds: float | None
+    scene: dict[str, float | None] | None
+    most: int
+    parts: list[PlannedPart]
+    way: str | None
+    why: str
+    services: dict[str, Plan]
+    crossover_seconds_per_evaluation: float
+    balance_seconds_per_evaluation: float
+
+
+def plan_run(study: Study) -> Plan:
     """Evaluations and seconds that a run will take, roughly, and by which way.
 
     Seconds are None for a black box whose cost is not given, and so is its way where the cost decides.
@@ -480,7 +505,7 @@ def plan_run(study: Study) -> dict[str, Any]:
     parts = forecast(study, way.affordable, way.surrogate)
     told = study.analysis.cost is not None or "auto" not in study.analysis.methods
     known = not study.black_box or told or way.surrogate
-    plan: dict[str, Any] = {
+    plan: Plan = {
         "evaluations": int(min(sum(part.likely for part in parts), way.affordable)),
         "processors": processors,
         "seconds": None,
@@ -502,7 +527,7 @@ def plan_run(study: Study) -> dict[str, Any]:
     return plan
 
 
-def _time_black_box(study: Study, plan: dict[str, Any], way: Way) -> None:
+def _time_black_box(study: Study, plan: Plan, way: Way) -> None:
     """Give the plan of a black box where the choice turns, and its seconds where the cost of an evaluation is given."""
     plan["crossover_seconds_per_evaluation"] = float(f"{way.crossover:.2g}")
     plan["balance_seconds_per_evaluation"] = float(f"{way.balance:.2g}")
@@ -520,7 +545,7 @@ def _beside(study: Study) -> dict[str, float]:
     return {"rare events": _LIMIT * limits, "margins": _CURVE_PLAN * limits * curves}
 
 
-def _time_parts(plan: dict[str, Any], each: float, beside: Mapping[str, float]) -> None:
+def _time_parts(plan: Plan, each: float, beside: Mapping[str, float]) -> None:
     """Give every part its seconds, at so many for an evaluation."""
     for part in plan["parts"]:
         part["seconds"] = round(part["likely"] * each + beside.get(part["part"], 0.0), 1)
@@ -540,7 +565,7 @@ def _two(seconds: float) -> str:
     return f"{seconds:.2g}" if seconds < 100.0 else f"{float(f'{seconds:.2g}'):,.0f}"
 
 
-def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
+def plan_text(study: Study, plan: Plan) -> str:
     """The plan for the terminal."""
     likely, most = _three(plan["evaluations"]), _three(plan["most"])
     lines = [f"evaluations: about {likely:,}, at most {most:,}"]
@@ -562,7 +587,7 @@ def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
     return "\n".join([*lines, *_crossover_text(study, plan)])
 
 
-def _time_text(study: Study, plan: Mapping[str, Any]) -> str:
+def _time_text(study: Study, plan: Plan) -> str:
     if plan["seconds"] is None:
         return "depends on the model that is given with --model"
     if study.black_box:
@@ -570,7 +595,7 @@ def _time_text(study: Study, plan: Mapping[str, Any]) -> str:
     return f"about {plan['seconds']:.0f} s on {plan['processors']} processors (20 s more to compile at first)"
 
 
-def _crossover_text(study: Study, plan: Mapping[str, Any]) -> list[str]:
+def _crossover_text(study: Study, plan: Plan) -> list[str]:
     if not study.black_box:
         return []
     crossover, balance = plan["crossover_seconds_per_evaluation"], plan["balance_seconds_per_evaluation"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
-from typing import Any, Final
+from typing import Final
 
 import uqsphere
 from uqsphere.files import read_whole
@@ -23,7 +23,7 @@ from uqsphere.results import (
     SpeedRow,
     ToleranceEntry,
 )
-from uqsphere.results.entries import CarriedEntry, CheckEntry, Manifest, PricesEntry
+from uqsphere.results.entries import CarriedEntry, CheckEntry, Fields, Manifest, PricesEntry
 from uqsphere.results.tables import tables
 from uqsphere.runner.account import questions
 from uqsphere.runner.datafiles import named_files
@@ -64,15 +64,15 @@ class Findings:
     analyses: dict[str, AnalysisEntry] = field(default_factory=dict)
     history: Sequence[SpeedRow] = ()
     stops: dict[str, str] = field(default_factory=dict)
-    paper: list[dict[str, Any]] = field(default_factory=list)
+    paper: list[Fields] = field(default_factory=list)
     evidence: Evidence | None = None
     fracture: FractureEntry | None = None
     carried: Mapping[str, CarriedEntry] = field(default_factory=dict)
     plan: PlanEntry = field(default_factory=PlanEntry)
 
 
-def _inputs(work: Work) -> dict[str, Any]:
-    table = {}
+def _inputs(work: Work) -> Fields:
+    table: Fields = {}
     for name, law in work.study.laws().items():
         entry = lookup(name)
         if name.startswith("limits."):
@@ -87,7 +87,7 @@ def _inputs(work: Work) -> dict[str, Any]:
     return table
 
 
-def _quantities(sampled: Sampled, tolerance: Mapping[str, ToleranceEntry]) -> dict[str, Any]:
+def _quantities(sampled: Sampled, tolerance: Mapping[str, ToleranceEntry]) -> dict[str, Fields]:
     return {
         name: {
             "unit": lookup(name).unit,
@@ -101,7 +101,7 @@ def _quantities(sampled: Sampled, tolerance: Mapping[str, ToleranceEntry]) -> di
     }
 
 
-def _sensitivity(names: Sequence[str], indices: Sensitivity) -> dict[str, Any]:
+def _sensitivity(names: Sequence[str], indices: Sensitivity) -> Fields:
     """Indices of one quantity; of pairs, "a|b", and of groups by their name, where the study asks for them."""
 
     def named(rows: Mapping[str, Sequence[Estimate]]) -> dict[str, dict[str, Estimate]]:
@@ -124,7 +124,7 @@ def _sensitivity(names: Sequence[str], indices: Sensitivity) -> dict[str, Any]:
     }
 
 
-def _limit(limit: LimitAnswer) -> dict[str, Any]:
+def _limit(limit: LimitAnswer) -> Fields:
     told = vars(limit)
     return {
         **{key: told[key] for key in LimitEntry.model_fields if key in told},
@@ -138,7 +138,7 @@ def _limit(limit: LimitAnswer) -> dict[str, Any]:
     }
 
 
-def _margins(margins: dict[str, MarginAnswer], study: Study) -> dict[str, Any]:
+def _margins(margins: dict[str, MarginAnswer], study: Study) -> Fields:
     if study.margins is None:
         return {}
     path, family = study.margins.axis.path, study.margins.family
@@ -181,7 +181,7 @@ def _installed(name: str) -> str:
         return "missing"
 
 
-def _model(work: Work, found: Findings) -> dict[str, Any]:
+def _model(work: Work, found: Findings) -> Fields:
     """Which model answered, and what it took."""
     pilot, ledger = found.pilot, work.ledger
     return {
@@ -253,7 +253,7 @@ def build_results(work: Work, found: Findings) -> Results:
     return Results.model_validate(content)
 
 
-def _spared(work: Work, pilot: Pilot, tables: tuple[Tabled, Tabled]) -> dict[str, Any]:
+def _spared(work: Work, pilot: Pilot, tables: tuple[Tabled, Tabled]) -> Fields:
     """The cheaper models that were considered, which share fell back, and what they, or a table, saved."""
     names = ("error", "worst", "correlation", "cost", "fits", "mixed_error", "fallback_share")
     fallback, saved = _saved_by_fallback(work, pilot) if pilot.fallback is not None else (None, table_saved(*tables))
@@ -266,7 +266,7 @@ def _spared(work: Work, pilot: Pilot, tables: tuple[Tabled, Tabled]) -> dict[str
     }
 
 
-def _saved_by_fallback(work: Work, pilot: Pilot) -> tuple[float | None, dict[str, Any]]:
+def _saved_by_fallback(work: Work, pilot: Pilot) -> tuple[float | None, Fields]:
     """The share of the rows after the pilot that was left to `full`, and what the others saved."""
     spared = work.ledger.evaluations.get(pilot.chosen, 0) - pilot.evaluations.get(pilot.chosen, 0)
     by_full = work.ledger.fallback
@@ -279,7 +279,7 @@ def _saved_by_fallback(work: Work, pilot: Pilot) -> tuple[float | None, dict[str
     return by_full / rows, {"full_evaluations": spared, "cost_share": share, "text": text}
 
 
-def _nested(services: Mapping[str, Results]) -> dict[str, Any]:
+def _nested(services: Mapping[str, Results]) -> Fields:
     return {"services": {name: results.document() for name, results in services.items()}} if services else {}
 
 

@@ -15,12 +15,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.results.entries import CarriedEntry, Est
+from uqsphere.results import LimitOpenEntry
+from uqsphere.results.entries import CarriedEntry, Est, Fields
 from uqsphere.results.verdicts import JudgedEntry, ReasonEntry, VerdictEntry
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.evidence import Evidence
@@ -101,7 +102,7 @@ class Known:
     results.json has it), answers over the free scalar, and what carriers of their strengths would answer."""
 
     limits: Mapping[str, LimitAnswer]
-    left_open: Mapping[str, Mapping[str, Any]]
+    left_open: Mapping[str, LimitOpenEntry]
     margins: Mapping[str, MarginAnswer]
     carried: Mapping[str, CarriedEntry]
 
@@ -177,7 +178,7 @@ class _Case:
         return _more(self.miss, together - self.before)
 
 
-def judge(work: Work, known: Known, evidence: Evidence | None) -> tuple[dict[str, dict[str, Any]], list[VerdictEntry]]:
+def judge(work: Work, known: Known, evidence: Evidence | None) -> tuple[dict[str, Fields], list[VerdictEntry]]:
     """The verdict on every limit with a target, and what stands behind those on fracture.
 
     Returns
@@ -185,7 +186,7 @@ def judge(work: Work, known: Known, evidence: Evidence | None) -> tuple[dict[str
     dict of str to dict, list of VerdictEntry
         `verdict` and `reasons` by limit; the entries of `verdicts`, one for every aim and target.
     """
-    told: dict[str, dict[str, Any]] = {}
+    told: dict[str, Fields] = {}
     entries: dict[tuple[str, float | None], VerdictEntry] = {}
     for limit in work.study.limits:
         if limit.name not in known.limits:
@@ -276,15 +277,15 @@ def _by_assumed(case: _Case) -> str:
 def _by_tests(case: _Case) -> str:
     """(d): whether the ends of what the tests leave open of a limit's probability lie on both sides of the target."""
     for one in case.given:
-        left = case.known.left_open.get(one.name) or {}
-        if "reason" in left or "exceedance" not in left:
+        left = case.known.left_open.get(one.name)
+        if left is None or left.exceedance is None:
             continue
         own = case.own(one).value or 0.0
-        ends = left["exceedance"] if case.aim == "survive" else [1.0 - p for p in reversed(left["exceedance"])]
+        ends = left.exceedance if case.aim == "survive" else [1.0 - p for p in reversed(left.exceedance)]
         base = 0.0 if case.miss.value is None else case.miss.value - own
         low, high = (min(max(base + end, 0.0), 1.0) for end in ends)
         if {low < (case.limit.target or 0.0), high < (case.limit.target or 0.0)} != {case.met}:
-            tests = max(entry["tests"] for entry in left["from"])
+            tests = max(entry.tests for entry in left.fitted)
             return f"the {tests} tests of {one.name} leave the verdict open"
     return ""
 

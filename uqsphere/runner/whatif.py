@@ -10,11 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.results import LimitOpenEntry
+from uqsphere.results.entries import Fields
+from uqsphere.results.margins import MarginOpenEntry
 from uqsphere.runner.axis_rows import AxisRows
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.limits import LimitAnswer, state_of, told_by_runs
@@ -94,7 +97,7 @@ def _missing(exceeded: Array, limit: Limit) -> Array:
 # --- other laws that the tests allow -----------------------------------------------------------------------
 
 
-def find_ignorance(work: Work, sampled: Sampled) -> tuple[dict[str, Any], dict[str, Any]]:
+def find_ignorance(work: Work, sampled: Sampled) -> tuple[dict[str, LimitOpenEntry], dict[str, Fields]]:
     """What the tests leave open: (by limit, by quantity), of those that hang on a law fitted to tests.
 
     Each is a table ready for results.json: 95 % ranges over the laws that the tests allow, or a reason.
@@ -105,7 +108,8 @@ def find_ignorance(work: Work, sampled: Sampled) -> tuple[dict[str, Any], dict[s
         own = (*work.scene_names, f"limits.{limit.name}.model_factor", strength_name(limit.name))
         fitted = _fitted(work, own)
         if fitted and sampled.limits[limit.name].exceedance.value is not None:
-            limits[limit.name] = _limit_left_open(work, limit, sampled.limits[limit.name], sample, fitted)
+            opened = _limit_left_open(work, limit, sampled.limits[limit.name], sample, fitted)
+            limits[limit.name] = LimitOpenEntry.model_validate(opened)
     fitted = _fitted(work, work.scene_names)
     if not fitted:
         return limits, {}
@@ -114,7 +118,7 @@ def find_ignorance(work: Work, sampled: Sampled) -> tuple[dict[str, Any], dict[s
     except LawError as error:
         return limits, {q: {"from": _about(fitted), "reason": str(error)} for q in work.quantities}
     together = np.prod(list(weights.values()), axis=0).reshape(LAWS, -1)
-    quantities = {}
+    quantities: dict[str, Fields] = {}
     for quantity in work.quantities:
         values = sample.answer(quantity)
         known = (np.isfinite(values) & ~sample.late(quantity)).ravel()
@@ -130,7 +134,7 @@ def _fitted(work: Work, names: Iterable[str]) -> dict[str, Law]:
     return {name: laws[name] for name in names if is_fitted(laws.get(name))}
 
 
-def _about(fitted: dict[str, Law]) -> list[dict[str, Any]]:
+def _about(fitted: dict[str, Law]) -> list[Fields]:
     return [{"input": name, "fit": law.fit, "tests": count_tests(law)} for name, law in fitted.items()]
 
 
@@ -154,7 +158,7 @@ def _spread(values: Array) -> list[float]:
     return [float(low), float(high)]
 
 
-def _quantity_left_open(work: Work, weight: Array, values: Array) -> dict[str, Any]:
+def _quantity_left_open(work: Work, weight: Array, values: Array) -> Fields:
     """Where mean and quantiles of one quantity may lie, by the weights (laws, rows) of its values (rows,)."""
     order = np.argsort(values, kind="stable")
     ordered = values[order]
@@ -225,9 +229,7 @@ def _others(work: Work, limit: Limit, answer: LimitAnswer, sample: Sample, fitte
     return _Others(state=state, weights=weights, shifts=shifts, tails=tails, offset=offset)
 
 
-def _limit_left_open(
-    work: Work, limit: Limit, answer: LimitAnswer, sample: Sample, fitted: dict[str, Law]
-) -> dict[str, Any]:
+def _limit_left_open(work: Work, limit: Limit, answer: LimitAnswer, sample: Sample, fitted: dict[str, Law]) -> Fields:
     """Where the probability of one limit may lie, all fitted laws together and each alone."""
     key, about = strength_name(limit.name), _about(fitted)
     try:
@@ -257,13 +259,13 @@ def _limit_left_open(
 # --- other laws of a strength that is given -----------------------------------------------------------------
 
 
-def find_assumed(work: Work, sampled: Sampled) -> dict[str, dict[str, Any]]:
+def find_assumed(work: Work, sampled: Sampled) -> dict[str, Fields]:
     """For every limit with a random strength: `assumed` rows and `tests_to_settle`, as plain JSON.
 
     A row names what is assumed (`dependence`, `modulus`, `cov`, `law`), what is `taken` and what is put `instead`,
     and has the probability of missing the aim that follows (`miss`, an EST) and whether the target is then `met`.
     """
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, Fields] = {}
     for limit in work.study.limits:
         answer = sampled.limits.get(limit.name)
         if not isinstance(limit.strength, Law) or answer is None or answer.miss.value is None:
@@ -277,9 +279,9 @@ def find_assumed(work: Work, sampled: Sampled) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _assumptions(work: Work, limit: Limit, state: LimitState) -> list[tuple[WhatIf, dict[str, Any]]]:
+def _assumptions(work: Work, limit: Limit, state: LimitState) -> list[tuple[WhatIf, Fields]]:
     """What may be taken otherwise: no tie, another scatter about the same mean, another family with both the same."""
-    found: list[tuple[WhatIf, dict[str, Any]]] = []
+    found: list[tuple[WhatIf, Fields]] = []
     law = limit.strength
     assert isinstance(law, Law)
     if state.tie is not None or state.shift is not None:
@@ -295,12 +297,12 @@ def _assumptions(work: Work, limit: Limit, state: LimitState) -> list[tuple[What
             found.append((WhatIf(strength=changed), {"assumption": what, "taken": taken, "instead": instead}))
     another = law.kin()
     if another is not None:
-        about = {"assumption": "law", "taken": law.family.name, "instead": another.family.name}
+        about: Fields = {"assumption": "law", "taken": law.family.name, "instead": another.family.name}
         found.append((WhatIf(strength=another), about))
     return found
 
 
-def _row(limit: Limit, answer: LimitAnswer, state: LimitState, whatif: WhatIf, about: dict[str, Any]) -> dict[str, Any]:
+def _row(limit: Limit, answer: LimitAnswer, state: LimitState, whatif: WhatIf, about: Fields) -> Fields:
     other = whatif.of(state)
     told = told_by_runs(miss(other, limit.aim), other, "miss", limit.aim)
     found = _against(answer.miss, miss(state, limit.aim), told)
@@ -339,7 +341,7 @@ def _logit_of(p: float) -> float:
 # --- how many tests would settle the target -----------------------------------------------------------------
 
 
-def _tests_to_settle(work: Work, limit: Limit, law: Law, sample: Sample) -> dict[str, Any] | None:
+def _tests_to_settle(work: Work, limit: Limit, law: Law, sample: Sample) -> Fields | None:
     """How many tests of a strength that is given as a law would put the target outside of what they leave open.
 
     The tests are taken to come out as the law says, with it at their largest likelihood; None where that is not known.
@@ -374,13 +376,13 @@ def _simulated(work: Work, limit: Limit, law: Law, sample: Sample, task: str) ->
     return simulated
 
 
-def more_tests(work: Work, sampled: Sampled, limit: Limit, strength: Law, spread: float | None) -> dict[str, Any]:
+def more_tests(work: Work, sampled: Sampled, limit: Limit, strength: Law, spread: float | None) -> Fields:
     """How many more tests decide the target as planned, and how many give a value with this spread to within `KNOWN`.
 
     Both take it that further tests come out as those so far: the answer is the size of the effort, no promise.
     """
     tests = count_tests(strength)
-    found: dict[str, Any] = {"tests": tests, "known_to": KNOWN}
+    found: Fields = {"tests": tests, "known_to": KNOWN}
     if spread is not None:
         # the range shrinks with the root of the number of tests
         found["to_know_the_value"] = max(0, math.ceil(tests * (1.96 * spread / KNOWN) ** 2) - tests)
@@ -406,7 +408,7 @@ def margin_left_open(
     *,
     probability: float,
     rising: bool,
-) -> dict[str, Any]:
+) -> Fields:
     """What the tests of a strength leave open of the value at a probability, and how many more would tell.
 
     Empty where the strength was not fitted to tests; `rows` are those of the curve, if there are any.
@@ -416,10 +418,10 @@ def margin_left_open(
         return {}
     try:
         if value.value is None:
-            left: dict[str, Any] = {"reason": value.reason}
+            left = MarginOpenEntry(reason=value.reason)
         elif rows is None:
             reason = "the demands are not known in full, so that no rows serve all values"
-            left = {"tests": count_tests(strength), "reason": reason}
+            left = MarginOpenEntry(tests=count_tests(strength), reason=reason)
         else:
             known = rows
             left = value_range(
@@ -428,9 +430,9 @@ def margin_left_open(
                 (rows.grid[0], rows.grid[-1]), probability=probability, value=value.value, rising=rising,
                 survive=limit.aim == "survive",
             )  # fmt: skip
-        return {"ignorance": left, "more_tests": more_tests(work, sampled, limit, strength, left.get("sd_log"))}
+        return {"ignorance": left, "more_tests": more_tests(work, sampled, limit, strength, left.sd_log)}
     except LawError as error:
-        return {"ignorance": {"reason": str(error)}}
+        return {"ignorance": MarginOpenEntry(reason=str(error))}
 
 
 def value_range(
@@ -443,7 +445,7 @@ def value_range(
     value: float | None,
     rising: bool,
     survive: bool,
-) -> dict[str, Any]:
+) -> MarginOpenEntry:
     """Where the value at a probability may lie over laws that the tests allow, the value that is sure, the mean law's.
 
     `states_at` gives the states at some values between the ends, on so many rows of each replicate.
@@ -470,15 +472,15 @@ def value_range(
             return None
         return math.exp(place) if logarithmic else float(place)
 
-    return {
-        "tests": count_tests(strength),
-        "stopped": len(strength.censored),
-        "laws": len(laws),
-        "low": told(low),
-        "high": told(high),
-        "sure": told(sure),
-        "confidence": SURE,
-        "mean_law": told(mean_law),
-        "sd_log": float(np.std(known, ddof=1)) if logarithmic and known.size > 0.9 * len(laws) else None,
-        "beyond": float(1.0 - known.size / len(laws)),
-    }
+    return MarginOpenEntry(
+        tests=count_tests(strength),
+        stopped=len(strength.censored),
+        laws=len(laws),
+        low=told(low),
+        high=told(high),
+        sure=told(sure),
+        confidence=SURE,
+        mean_law=told(mean_law),
+        sd_log=float(np.std(known, ddof=1)) if logarithmic and known.size > 0.9 * len(laws) else None,
+        beyond=float(1.0 - known.size / len(laws)),
+    )

@@ -6,7 +6,7 @@ All of it concerns one limit at one probability: that of its target, or the smal
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from uqsphere.arrays import Array
 from uqsphere.mechanics.bars import pulse_stress
 from uqsphere.mechanics.yielding import metal_onset
 from uqsphere.model import scene_of
+from uqsphere.results.entries import Fields
+from uqsphere.results.margins import MarginOpenEntry
 from uqsphere.runner.axis_rows import axis_of
 from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.limits import state_of
@@ -44,11 +46,11 @@ class Where:
     found: CurveFound
 
 
-def describe_margin(work: Work, sampled: Sampled, where: Where) -> dict[str, Any]:
+def describe_margin(work: Work, sampled: Sampled, where: Where) -> Fields:
     """A table for results.json; parts that are not known hold a reason."""
     value = where.found.value_at(where.probability)
     known = value.value is not None
-    about: dict[str, Any] = {
+    about: Fields = {
         "probability": where.probability,
         "value": value,
         "factors": safety_factors(work, sampled, where.limit),
@@ -59,10 +61,8 @@ def describe_margin(work: Work, sampled: Sampled, where: Where) -> dict[str, Any
         about["lost_to"] = {"reason": "the time was over, or the run was stopped"}
     found = where.found
     rising = bool(found.table[-1].mean() >= found.table[0].mean())
-    about |= margin_left_open(
-        work, sampled, where.limit, found.rows, value, probability=where.probability, rising=rising
-    )
-    about["split"] = _split(where, about.get("ignorance"))
+    left = margin_left_open(work, sampled, where.limit, found.rows, value, probability=where.probability, rising=rising)
+    about |= {**left, "split": _split(where, left.get("ignorance"))}
     if known and (also := _also(work, value)):
         about["also"] = also
     asked = work.study.margins is not None and work.study.margins.bars_elastic
@@ -71,7 +71,7 @@ def describe_margin(work: Work, sampled: Sampled, where: Where) -> dict[str, Any
     return about
 
 
-def _also(work: Work, value: Estimate) -> dict[str, Any]:
+def _also(work: Work, value: Estimate) -> Fields:
     """A speed or a height of a fall as the other, and as the energy that the blow offers per mass; at the means."""
     path, study = axis_of(work).path, work.study
     table, _, key = path.partition(".")
@@ -84,7 +84,7 @@ def _also(work: Work, value: Estimate) -> dict[str, Any]:
     found = {"specific_impact_energy": 0.5 * scene.scales.force * scene.scales.approach / scene.scales.mass}
     if key == "drop_height":
         found[f"{table}.speed"] = scene.closing_speed / square
-    answers = {}
+    answers: Fields = {}
     for name, column in found.items():
         read = iter(column.tolist())
         numbers = [None if end is None else next(read) for end in ends]
@@ -97,7 +97,7 @@ def _also(work: Work, value: Estimate) -> dict[str, Any]:
 # --- factors -------------------------------------------------------------------------------------------
 
 
-def safety_factors(work: Work, sampled: Sampled, limit: Limit) -> dict[str, Any]:
+def safety_factors(work: Work, sampled: Sampled, limit: Limit) -> Fields:
     """Strength over demand as planned: of their medians, and of the two fractiles that lie against the aim.
 
     To survive: 5 % of the strength over 95 % of the demand, above 1 where it is safe; to break: 95 % over 5 %, below 1.
@@ -128,7 +128,7 @@ def study_at(work: Work, limit: Limit, value: float) -> tuple[Work, Limit] | str
     return found if isinstance(found, str) else (replace(work, study=found[0]), found[1])
 
 
-def _lost_to(work: Work, where: Where) -> dict[str, Any]:
+def _lost_to(work: Work, where: Where) -> Fields:
     """Importance factors of the design point at the value, and the partial factors there."""
     value = where.found.value_at(where.probability).value
     assert value is not None
@@ -159,7 +159,7 @@ def _lost_to(work: Work, where: Where) -> dict[str, Any]:
 # --- scatter, ignorance, numerical error ---------------------------------------------------------------
 
 
-def _split(where: Where, ignorance: dict[str, Any] | None) -> dict[str, float | None]:
+def _split(where: Where, ignorance: object) -> dict[str, float | None]:
     """Standard deviations of the logarithm of the value: from specimen to specimen, from few tests, of computing."""
     found, logarithmic = where.found, where.found.grid[0] > 0.0
     fitted = fit_lognormal_curve(found.grid, found.table, evaluations=0) if logarithmic else "no logarithm"
@@ -169,7 +169,7 @@ def _split(where: Where, ignorance: dict[str, Any] | None) -> dict[str, float | 
         numerical = value.std_error / value.value
     return {
         "scatter": None if isinstance(fitted, str) else fitted.dispersion.value,
-        "ignorance": None if ignorance is None else ignorance.get("sd_log"),
+        "ignorance": ignorance.sd_log if isinstance(ignorance, MarginOpenEntry) else None,
         "numerical": numerical,
     }
 
@@ -192,7 +192,7 @@ def _tells_of_bars(work: Work, where: Where) -> bool:
     )
 
 
-def _bars(work: Work, where: Where) -> dict[str, Any]:
+def _bars(work: Work, where: Where) -> Fields:
     """The values at which the bars yield, in the pulse and in some cases under the contact, and how often they do.
 
     `yields_at` has the share of the cases in which they yield under the contact, by value of the free scalar asked for.
@@ -203,7 +203,7 @@ def _bars(work: Work, where: Where) -> dict[str, Any]:
     means = study.at_means()
     strength = means["bars.yield_strength"]
     stress = float(pulse_stress(means[SPEED], means["bars.E"], means["bars.density"]))
-    found: dict[str, Any] = {
+    found: Fields = {
         "yield_strength": strength,
         "pulse_stress": stress,
         "pulse_elastic": stress < strength,

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from uqsphere.errors import UqsphereError
 from uqsphere.model import scene_of, solve_scene
+from uqsphere.results.entries import Fields
 from uqsphere.results.margins import ValidityAtEntry
 from uqsphere.runner.axis_rows import axis_of
 from uqsphere.runner.chunks import remembered
@@ -61,8 +62,8 @@ class MarginAnswer:
     curve: list[list[float]]
     missed: list[str] = field(default_factory=list)
     lognormal: LognormalCurve | str = "no curve could be computed"
-    family: list[dict[str, Any]] = field(default_factory=list)
-    about: dict[str, Any] = field(default_factory=dict)
+    family: list[Fields] = field(default_factory=list)
+    about: Fields = field(default_factory=dict)
     against: EnergyCurve | None = None
     band: Band | None = None
     coarse: Coarse | None = None
@@ -72,7 +73,8 @@ class MarginAnswer:
     @property
     def value(self) -> float | None:
         """The free scalar at the probability that the margin is told for."""
-        return self.about["value"].value if "value" in self.about else None
+        value = self.about.get("value")
+        return value.value if isinstance(value, Estimate) else None
 
 
 def unmoved_margins(work: Work) -> dict[str, MarginAnswer]:
@@ -137,7 +139,7 @@ def _margin(
     )
 
 
-def _member(value: float, found: CurveFound | str) -> dict[str, Any]:
+def _member(value: float, found: CurveFound | str) -> Fields:
     """The curve at one value of the family, or why there is none."""
     if isinstance(found, str):
         return {"value": value, "values": {}, "curve": [], "lognormal": None, "reason": found}
