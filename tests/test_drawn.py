@@ -16,8 +16,7 @@ from uqsphere.feed.infer import Request, fit
 from uqsphere.feed.tests import make_specimens
 from uqsphere.runner.api import run
 from uqsphere.study import load_study
-from uqsphere.uq.families import ALL
-from uqsphere.uq.families.drawn import LOGNORMAL, WEIBULL
+from uqsphere.uq.families.drawn import DRAWN, LOGNORMAL, WEIBULL
 from uqsphere.uq.fitting import count_tests, is_fitted, laws_of_more_tests, possible_laws
 from uqsphere.uq.law import Law, make_law
 
@@ -49,7 +48,7 @@ budget = { evaluations = 4096 }
 
 
 def of(*draws: tuple[float, ...]) -> Law:
-    return Law(family=ALL["drawn"], parameters={"tests": 40.0}, draws=draws)
+    return Law(family=DRAWN, parameters={"tests": 40.0}, draws=draws)
 
 
 def test_one_draw_is_the_law_that_it_stands_for() -> None:

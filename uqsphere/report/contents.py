@@ -22,7 +22,7 @@ from uqsphere.runner.samples import read_points
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.store import read_json
 from uqsphere.study.axis import quantity_of, strength_name
-from uqsphere.uq.families import ALL, Family, LawError
+from uqsphere.uq.families import Family, LawError, family_stored
 from uqsphere.uq.law import Law, make_law
 
 
@@ -75,9 +75,10 @@ class Contents:
 
 def family_of(table: LawTable) -> Family:
     """The family of a law of the study."""
-    if table.dist not in ALL:
+    family = family_stored(table.dist)
+    if family is None:
         raise FolderError(f"study.resolved.json is damaged: there is no distribution {table.dist[:60]!r}")
-    return ALL[table.dist]
+    return family
 
 
 def law_of(resolved: Resolved, name: str) -> Law | None:

@@ -12,7 +12,7 @@ from uqsphere.report.figures.canvas import clean, shorten
 from uqsphere.results import Results
 from uqsphere.results.entries import Est
 from uqsphere.results.margins import MarginEntry
-from uqsphere.uq.families import ALL
+from uqsphere.uq.families import family_stored
 
 #: digits of a number on the page that has an interval: more are known of some, and read by nobody
 MOST_DIGITS: Final = 5
@@ -57,7 +57,8 @@ def capital(text: str) -> str:
 
 def law_name(kind: str) -> str:
     """A family of laws as it is written."""
-    return ALL[kind].label
+    family = family_stored(kind)
+    return kind if family is None else family.label
 
 
 def begin(name: str, words: str) -> str:

@@ -12,7 +12,7 @@ from uqsphere.study.numbers import Reading
 from uqsphere.study.particle_tables import ENERGY_OF, FitStrengthTable
 from uqsphere.study.scene import Scene
 from uqsphere.study.tables import read_table
-from uqsphere.uq.families import ALL
+from uqsphere.uq.families.drawn import DRAWN
 from uqsphere.uq.law import Law
 
 #: draws of a fit that a study carries: the Monte Carlo error of a mean of 200 laws is 7 % of what tests leave open;
@@ -59,6 +59,6 @@ def read_fit_strength(
         if not draws:
             raise Misplaced(f"no size class of the fit is near {1e3 * diameter:.4g} mm", "fit")
         tests = 0.0 if about.tests is None else float(about.tests.particles)
-        law = Law(family=ALL["drawn"], parameters={"tests": tests}, draws=draws)
+        law = Law(family=DRAWN, parameters={"tests": tests}, draws=draws)
         return Reading(value=law, made_up=about.made_up)
     return None

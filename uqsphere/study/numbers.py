@@ -14,7 +14,7 @@ from uqsphere.study.document import EmpiricalTable
 from uqsphere.study.faults import Findings, Misplaced, Place, Raw, one_of, shown, suggestion
 from uqsphere.study.tables import bounds_in_words, declared, fixed_value, likely_unit, number_value, read_table
 from uqsphere.units import UNITS, Quantity, UnitError
-from uqsphere.uq.families import FAMILIES, Family, LawError
+from uqsphere.uq.families import FAMILIES, Family, LawError, family_named
 from uqsphere.uq.fitting import LEAST_TESTS, count_tests, fitted_law
 from uqsphere.uq.law import Law, make_law
 
@@ -108,8 +108,9 @@ def _read_law(raw: Mapping[str, Raw], place: Place, quantity: Quantity, findings
 def _family(raw: Mapping[str, Raw], place: Place, findings: Findings) -> Family | None:
     """The distribution that a table names."""
     kind = raw.get("dist")
-    if isinstance(kind, str) and kind in FAMILIES:
-        return FAMILIES[kind]
+    family = family_named(kind) if isinstance(kind, str) else None
+    if family is not None:
+        return family
     if "dist" in raw:
         near = suggestion(kind, FAMILIES) if isinstance(kind, str) else ""
         findings.add((*place, "dist"), f"found {shown(kind)}, known distributions: {one_of(FAMILIES)}{near}")

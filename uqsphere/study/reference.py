@@ -118,7 +118,10 @@ def build_schema() -> Node:
         "$defs": {
             **tables,
             **{name: _dimension(name) for name in dimensions},
-            **{f"{name}_law": {"anyOf": [_law(family, name) for family in FAMILIES.values()]} for name in dimensions},
+            **{
+                f"{name}_law": {"anyOf": [*(_law(family, name) for family in FAMILIES.values()), _of_scipy(name)]}
+                for name in dimensions
+            },
         },
     }
 
@@ -230,6 +233,15 @@ def _law(family: Family, dimension: str) -> Node:
     node = {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
     alternatives = [{"required": list(keys)} for keys in family.alternatives if keys]
     return node | ({"anyOf": alternatives} if alternatives else {})
+
+
+def _of_scipy(dimension: str) -> Node:
+    """The table of a law by its name in SciPy: its shapes are plain numbers, known to SciPy alone."""
+    value = {"$ref": f"#/$defs/{dimension}"}
+    properties: Node = {"dist": {"type": "string", "pattern": r"^scipy\.\w+$"}}
+    properties |= dict.fromkeys(("loc", "scale", "lower", "upper"), value)
+    return {"type": "object", "properties": properties, "required": ["dist"],
+            "additionalProperties": {"type": "number"}}  # fmt: skip
 
 
 def _observed(value: Node, dimension: str) -> Node:

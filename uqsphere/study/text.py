@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Final
 from uqsphere.errors import Problem, StudyError, UsageError
 from uqsphere.files import TooLarge, read_given
 from uqsphere.study.faults import Findings, Place, Raw, render_place, shown, suggestion
+from uqsphere.uq.families import LawError
+from uqsphere.uq.foreign import law_table
 
 if TYPE_CHECKING:
     from tree_sitter import Node
@@ -422,7 +424,9 @@ _BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def toml_text(tables: Mapping[str, object]) -> str:
-    """The text of a study file that holds some tables, of texts, numbers, truths, lists and tables.
+    """The text of a study file that holds some tables, of texts, numbers, truths, lists, tables and laws.
+
+    A law is one of `uqsphere.uq.law`, or a frozen distribution of scipy.stats or chaospy: it stands there as its table.
 
     Raises
     ------
@@ -462,5 +466,9 @@ def _toml_value(value: object, place: str) -> str:
         return f"{{ {inside} }}"
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(_toml_value(v, place) for v in value)}]"
-    kind = type(value).__name__
-    raise UsageError(f"{place}: found {kind}; a study has texts, numbers, true or false, lists and tables")
+    try:
+        return _toml_value(law_table(value), place)
+    except LawError as error:
+        raise UsageError(
+            f"{place}: {error}; a study has texts, numbers, true or false, lists, tables and laws"
+        ) from None

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.families import ALL, FAMILIES, Family, LawError
+from uqsphere.uq.families import FAMILIES, Family, LawError, family_named, family_stored
 from uqsphere.uq.families.empirical import steps_ppf, steps_share_below
 
 _LEAST_MASS = 1e-290  # a truncation that leaves less cannot be told from nothing in floating point
@@ -369,7 +369,7 @@ class Law:
 
 def _named(name: str, *rest: object) -> Law:
     keys = ("parameters", "lower", "upper", "data", "censored", "draws")
-    return Law(family=ALL[name], **dict(zip(keys, rest, strict=True)))  # type: ignore[arg-type]
+    return Law(family=family_stored(name), **dict(zip(keys, rest, strict=True)))  # type: ignore[arg-type]
 
 
 def _rounded(value: float) -> float:
@@ -389,7 +389,7 @@ def make_law(name: str, given: Mapping[str, float], lower: float | None = None, 
     >>> round(law.nominal_mean() / 1e9, 12)
     52.0
     """
-    family = FAMILIES.get(name)
+    family = family_named(name)
     if family is None:
         raise LawError(f"unknown distribution {name!r}; known: {', '.join(FAMILIES)}", "dist")
     if family.observed:

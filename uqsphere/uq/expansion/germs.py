@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -44,6 +44,16 @@ class Germ:
 
 
 GermLike: TypeAlias = str | Germ
+
+
+def load_chaospy() -> Any:
+    """The package chaospy, imported without a trace; raises UsageError where it is not installed."""
+    with _quiet_chaospy():
+        try:
+            import chaospy
+        except ImportError as error:
+            raise UsageError("a germ of one's own needs chaospy: uqsphere doctor says how to install it") from error
+    return chaospy
 
 
 @contextmanager
@@ -103,12 +113,8 @@ def law_germ(
     mass = float(np.sum(weights * density(centre + half * nodes))) * half
     if not abs(mass - 1.0) < 1e-4:
         raise ValueError(f"the density of {name!r} integrates to {mass:.6g} over its bounds, not to 1")
+    chaospy = load_chaospy()
     with _quiet_chaospy():
-        try:
-            import chaospy
-        except ImportError as error:
-            raise UsageError("a germ of one's own needs chaospy: uqsphere doctor says how to install it") from error
-
         # On [-1, 1]: the powers of values far from zero would lose all figures.
         law = chaospy.UserDistribution(
             cdf=lambda t: 0.5 * (np.asarray(t) + 1.0),
