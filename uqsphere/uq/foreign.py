@@ -33,8 +33,9 @@ def _plain(name: str, *keys: str) -> Callable[..., Table | None]:
 
     def table(*given: float) -> Table | None:
         *shapes, loc, scale = given
-        numbers: Table = dict(zip(keys, (*shapes, scale), strict=True))
-        return None if loc else {"dist": name, **numbers}
+        found: Table = {"dist": name}
+        found.update(zip(keys, (*shapes, scale), strict=True))
+        return None if loc else found
 
     return table
 
@@ -44,8 +45,9 @@ def _bounded(name: str, *keys: str) -> Callable[..., Table | None]:
 
     def table(*given: float) -> Table | None:
         *shapes, loc, scale = given
-        numbers: Table = dict(zip(keys, shapes, strict=True))
-        return {"dist": name, **numbers, "lower": loc, "upper": loc + scale}
+        found: Table = {"dist": name, "lower": loc, "upper": loc + scale}
+        found.update(zip(keys, shapes, strict=True))
+        return found
 
     return table
 
