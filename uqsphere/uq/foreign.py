@@ -58,7 +58,7 @@ def _lognormal(s: float, loc: float, scale: float) -> Table | None:
 
 def _truncnorm(a: float, b: float, loc: float, scale: float) -> Table | None:
     bounds = {key: loc + scale * end for key, end in (("lower", a), ("upper", b)) if math.isfinite(end)}
-    return {"dist": "normal", "mean": loc, "sd": scale} | bounds
+    return {"dist": "normal", "mean": loc, "sd": scale, **bounds}
 
 
 #: families of this package by SciPy's names, from shapes, loc and scale; None where loc has no place there
