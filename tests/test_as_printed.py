@@ -22,7 +22,6 @@ from uqsphere.mechanics.scene import Scene
 from uqsphere.report import build_report
 from uqsphere.report.chapters import build_chapters
 from uqsphere.report.contents import read_contents
-from uqsphere.report.figures.limits import surface_figure
 from uqsphere.report.page import GLOSSARY, _distinct, _numbers_of, margin_boxes, unbroken, words_used
 from uqsphere.results.entries import Manifest
 
@@ -150,7 +149,7 @@ def test_every_figure_has_its_numbers_in_a_file(tmp_path: Path, study: str) -> N
     contents = read_contents(folder)
     blocks = [b for c in _distinct(build_chapters(contents)) for b in c.blocks if b.picture is not None]
     names = [b.picture.name for b in blocks if b.picture is not None]
-    kinds = {"fragility", "distribution", "sensitivity", "tornado", "force-band",
+    kinds = {"fragility", "distribution", "sensitivity", "force-band",
              "bars-hardest", "stress-hardest", "convergence", "speed"}  # fmt: skip
     assert kinds <= {next((kind for kind in kinds if name.startswith(kind)), name) for name in names}
     for block in blocks:
@@ -230,9 +229,3 @@ def test_no_heading_is_said_twice(tmp_path: Path) -> None:
     assert len(parts) > 5
     for heading, rest in parts:
         assert f"<caption>{heading}</caption>" not in rest
-
-
-def test_a_picture_of_the_samples_needs_misses(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path, limits={"x": limit(0.0075, 0.01, True)})
-    assert surface_figure(read_contents(folder), "x") is None
-    assert "Rows on both sides of" not in page_of(folder)

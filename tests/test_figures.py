@@ -28,16 +28,13 @@ from uqsphere.mechanics.gauges import gauge_strain
 from uqsphere.mechanics.history import view_field
 from uqsphere.report import history_figure, xt_figure
 from uqsphere.report.contents import read_contents
-from uqsphere.report.figures import limits
 from uqsphere.report.figures.canvas import Picture, inline, render, spread, style
 from uqsphere.report.figures.convergence import Series, _labelled, convergence_figure, speed_figure
 from uqsphere.report.figures.distributions import distribution_figure
 from uqsphere.report.figures.fragility import fragility_figure
 from uqsphere.report.figures.history import draw_forces, draw_gauges, force_rows, wave_forces
-from uqsphere.report.figures.indices import group_figure, pair_figure, sensitivity_figure
-from uqsphere.report.figures.limits import _to_the_ends, surface_figure
+from uqsphere.report.figures.indices import group_figure, sensitivity_figure
 from uqsphere.report.figures.scene import draw_field, force_band_figure
-from uqsphere.report.figures.swings import tornado_figure
 from uqsphere.runner.deterministic import history_summary
 
 LONG = "Schwingungsdämpferhalterungsverschraubungsvorspannkraft"
@@ -46,23 +43,13 @@ SMALL_FIGURE = 300_000
 SLACK = 1.0
 
 
-def few_misses(contents: Any, name: str) -> Picture | None:
-    """The samples of a limit with so few misses that a page leaves the picture out."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(limits, "_TELLING", 0)
-        return surface_figure(contents, name)
-
-
 DRAWINGS: dict[str, Callable[[Any], Picture | None]] = {
     "distribution": lambda c: distribution_figure(c, next(iter(c.results.quantities))),
     "sensitivity": lambda c: sensitivity_figure(c, next(iter(c.results.quantities))),
     "fragility": lambda c: fragility_figure(c, next(iter(c.results.limits))),
     "convergence": convergence_figure,
     "speed": speed_figure,
-    "pairs": lambda c: pair_figure(c, next(iter(c.results.quantities))),
     "groups": lambda c: group_figure(c, next(iter(c.results.quantities))),
-    "tornado": lambda c: tornado_figure(c, next(iter(c.results.quantities))),
-    "surface": lambda c: few_misses(c, next(iter(c.results.limits))),
     "force band": force_band_figure,
 }
 
@@ -126,8 +113,7 @@ def test_labels_stand_apart_and_inside_at_any_length(
     inputs = ("striker.speed", *(f"{word} {k}" for k in range(19)))
     names = (f"{word}q", f"{word}r", f"{word}s")
     limits = {f"{word}{k}": limit(0.0075, 0.01, True, quantity=names[0]) for k in range(3)}
-    censored = 0.0 if kind in ("tornado", "surface") else 0.2
-    folder = write_folder(tmp_path, quantities=names, inputs=inputs, limits=limits, censored=censored)
+    folder = write_folder(tmp_path, quantities=names, inputs=inputs, limits=limits, censored=0.2)
     contents = read_contents(with_pairs(folder))
     picture = DRAWINGS[kind](contents)
     assert picture is not None
@@ -185,15 +171,6 @@ def test_errors_far_below_what_was_asked_leave_the_others_their_room(tmp_path: P
     axes = picture.figure.axes[0]
     assert axes.get_ylim()[0] == pytest.approx(1e-3)
     assert "not shown: 1 below 0.001" in [text.get_text() for text in axes.get_legend().get_texts()]
-
-
-def test_a_band_that_is_drawn_on_keeps_its_width() -> None:
-    middles = np.array([40.0, 50.0, 60.0])
-    band = np.array([[1.9, 2.0, 2.2], [2.45, 2.5, 2.55], [2.8, 3.0, 3.4]])
-    places, found = _to_the_ends(middles, band, np.array([30.0, 90.0]))
-    assert places.tolist() == [30.0, 40.0, 50.0, 60.0, 90.0]
-    assert found[0] == pytest.approx([1.4, 1.5, 1.7])
-    assert found[-1] == pytest.approx([4.3, 4.5, 4.9])
 
 
 def test_dollars_and_markup_are_drawn_as_they_stand(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 import re
 from itertools import pairwise
@@ -10,12 +11,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from report_folders import estimate, limit, put
+from report_folders import estimate, limit, put, write_folder
 from test_page_agrees import solved
 
+from uqsphere.report import build_report
 from uqsphere.report.blocks import Table
 from uqsphere.report.contents import Contents, read_contents, subject_of
-from uqsphere.report.drivers import given_failure_table
+from uqsphere.report.drivers import design_table, given_failure_table
 from uqsphere.report.figures.convergence import _legend_names, _ticks
 from uqsphere.report.figures.fragility import family_figure
 from uqsphere.report.page import new_environment, unbroken
@@ -146,3 +148,31 @@ def test_seconds_of_a_part_are_whole_where_they_are_many() -> None:
     assert _part_row(part, 132.4)[1].endswith("; took 1\u202f280 in 132 s")
     assert _part_row(part, 5234.2)[1].endswith(" in 5\u202f234 s")
     assert _part_row(part, 3.14159)[1].endswith(" in 3.1 s")
+
+
+def with_limit(folder: Path, **more: Any) -> Contents:
+    """The contents of a folder with one limit that has these entries too."""
+    return read_contents(write_folder(folder, limits={"x": {**limit(0.0075, 0.01, True), **more}}))
+
+
+@pytest.mark.parametrize(("share", "text"), [(0.9979, "99.8 %"), (0.99993, "99.99 %"), (0.98, "98 %"), (1.0, "100 %")])
+def test_an_importance_factor_is_no_power_of_ten(tmp_path: Path, share: float, text: str) -> None:
+    contents = with_limit(
+        tmp_path,
+        design_point={"sphere.E": 5e10},
+        governing_inputs={"sphere.E": share, "limits.x.strength": 1.0 - share},
+    )
+    table = design_table(contents, "x")
+    assert table is not None
+    assert table.rows[0][3] == text
+
+
+def test_numbers_of_a_figure_are_a_file_beside_it(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path, limits={"x": limit(0.0075, 0.01, True)})
+    page = build_report(folder).read_text(encoding="utf-8")
+    for path in (folder / "figures").glob("*.csv"):
+        rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+        assert len(rows) > 1
+        assert len({len(row) for row in rows}) == 1
+        assert path.with_suffix(".svg").is_file()
+        assert f"figures/{path.name}" in page

@@ -237,6 +237,8 @@ def plan_text(
 def _plan_blocks(plan: TestPlan, width: int) -> list[str]:
     """The next tests, for the terminal."""
 
+    from uqsphere.report.phrases import counted
+
     def half(value: float) -> str:
         return f"{100 * math.expm1(value):.0f} %" if plan.relative else f"{100 * value:.1f} points"
 
@@ -247,9 +249,11 @@ def _plan_blocks(plan: TestPlan, width: int) -> list[str]:
     best = f"best next test: the energy at failure measured at {1e3 * plan.measured.size:.3g} mm; of go/no-go "
     best += f"{1e3 * plan.go.size:.3g} mm at {plan.go.energy or 0.0:.3g} J/kg{blows}. "
     best += f"One of the first is worth {plan.worth:.2g} of the second"
-    needed = "more than a thousand tests" if plan.needed is None else f"{plan.needed} more tests"
+    needed = "more than a thousand tests" if plan.needed is None else counted(plan.needed, "more test")
     where = ", ".join(f"{100 * share:.0f} % at {1e3 * size:.3g} mm" for size, share in plan.sizes.items())
     reach = f"the precision asked for takes {needed}" + (f": {where}" if where and plan.needed else "")
+    if plan.needed == 0:
+        reach = "the tests made so far reach the precision asked for"
     return [wrap(f"{plan.target}: {value}", width), table(("tests", "95 % half-width"), rows, width),
             wrap(best, width), wrap(reach, width)]  # fmt: skip
 

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.given.table import Data, Document
 from uqsphere.given.text import dependence_lines, expansion_line
-from uqsphere.report.blocks import Block, Table, cell, index_cell
-from uqsphere.report.feed import Part, page_files
+from uqsphere.report.blocks import Block, Chapter, Table, cell, index_cell
+from uqsphere.report.brief import Answer, Brief
+from uqsphere.report.feed import page_files, told_cautions
 from uqsphere.report.figures.canvas import BLUE, GREY, INK, Picture, new_figure, shorten, slug, style
 from uqsphere.report.figures.indices import draw_indices
 from uqsphere.report.phrases import two
 from uqsphere.results.entries import Est
 
-#: outputs whose mean is set large, inputs of a figure, bars of a histogram, cautions
-_LARGE, _ROWS, _BINS, _CAUTIONS = 3, 24, 40, 3
+#: outputs whose mean is set large, inputs of a figure, bars of a histogram
+_LARGE, _ROWS, _BINS = 3, 24, 40
 _CALLED: Final = {"mean": "mean", "sd": "standard deviation"}
 
 
@@ -25,13 +26,12 @@ def analysis_page(found: Document, data: Data) -> dict[str, str]:
     """report.html of an analysis with the files of its figures: name -> text."""
     outputs = tuple(_output(found, data, k, name) for k, name in enumerate(data.outputs))
     parts = [
-        Part(anchor="drivers", heading="What drives the outputs",
+        Chapter(anchor="drivers", heading="What drives the outputs",
                 blocks=tuple(_drivers(found, k, name) for k, name in enumerate(data.outputs))),
-        Part(anchor="outputs", heading="The outputs", blocks=outputs),
-        Part(anchor="inputs", heading="The inputs", blocks=(_inputs(found),)),
+        Chapter(anchor="outputs", heading="The outputs", blocks=outputs),
+        Chapter(anchor="inputs", heading="The inputs", blocks=(_inputs(found),)),
     ]  # fmt: skip
-    title = f"{found['rows']:,} runs of {', '.join(data.outputs)}"
-    return page_files(title, "analysis of given data", _brief(found, data), parts)
+    return page_files("analysis of given data", _brief(found, data), parts)
 
 
 def _est(entry: Document) -> Est:
@@ -49,7 +49,7 @@ def _shares(found: Document, name: str) -> tuple[dict[str, Est], dict[str, Est],
     return one, other, ("alone (first)", "Shapley effect" if "shapley" in kinds else "with interactions (total)")
 
 
-def _brief(found: Document, data: Data) -> dict[str, Any]:
+def _brief(found: Document, data: Data) -> Brief:
     answers = []
     for name in data.outputs[:_LARGE]:
         entry = found["outputs"][name]
@@ -57,10 +57,10 @@ def _brief(found: Document, data: Data) -> dict[str, Any]:
         ends = [entry["quantiles"][p]["value"] for p in ("0.05", "0.95") if p in entry["quantiles"]]
         note = f"Nine of ten runs: {two(ends[0])} to {two(ends[1])}." if len(ends) == 2 and None not in ends else ""
         big = "not known" if best["value"] is None else two(best["value"], 3)
-        answers.append({"question": f"{shorten(name, 40)}, mean", "big": big, "unit": "", "note": note, "verdict": ""})
+        answers.append(Answer(question=f"{shorten(name, 40)}, mean", big=big, unit="", note=note))
     known = _shares(found, data.outputs[0])[1]
     shares = sorted(((e.number, source) for source, e in known.items() if e.value is not None), reverse=True)
-    drivers = [(shorten(source, 30), min(max(value, 0.0), 1.0)) for value, source in shares[:2] if value > 0.0]
+    drivers = tuple((shorten(source, 30), min(max(value, 0.0), 1.0)) for value, source in shares[:2] if value > 0.0)
     told = [f"{shorten(n, 30)}: {text}" for n, one in found["sensitivity"].items() for text in one["disagree"]]
     told += [text for entry in found["outputs"].values() for text in entry["notes"]]
     told += [f"{shorten(n, 30)}: {one['chaos']['reason']}" for n, one in found["sensitivity"].items()
@@ -71,14 +71,15 @@ def _brief(found: Document, data: Data) -> dict[str, Any]:
         if found["laws"] == "known"
         else ("Laws of the inputs", "Where they are known, give them: --laws STUDY.toml.")
     )
-    return {
-        "answers": answers,
-        "made_up": False,
-        "drivers": drivers if sum(value for _, value in drivers) <= 1.0 else drivers[:1],
-        "measure": measure,
-        "cautions": [shorten(text, 200) for text in told[:_CAUTIONS]] or ["None found."],
-        "footer": f"{found['rows']:,} runs · {len(data.inputs)} inputs · {laws}".replace(",", "\u202f"),
-    }
+    return Brief(
+        title=f"{found['rows']:,} runs of {', '.join(data.outputs)}",
+        answers=tuple(answers),
+        drivers=drivers if sum(value for _, value in drivers) <= 1.0 else drivers[:1],
+        driven=shorten(data.outputs[0], 40),
+        measure=measure,
+        cautions=told_cautions(told),
+        footer=f"{found['rows']:,} runs · {len(data.inputs)} inputs · {laws}".replace(",", "\u202f"),
+    )
 
 
 def _drivers(found: Document, number: int, name: str) -> Block:

@@ -21,6 +21,7 @@ from uqsphere.report.figures.canvas import shorten
 from uqsphere.report.phrases import (
     breaks,
     capital,
+    counted,
     limit_name,
     listed,
     plain_percent,
@@ -107,14 +108,14 @@ class Answer:
     big: str
     unit: str
     note: str
-    second: tuple[str, str, str] | None
-    verdict: str
-    reasons: tuple[str, ...]
-    vetoed: bool
-    target: float | None
-    aim: str
-    modes: tuple[Mode, ...]
-    axis: Axis | None
+    second: tuple[str, str, str] | None = None
+    verdict: str = ""
+    reasons: tuple[str, ...] = ()
+    vetoed: bool = False
+    target: float | None = None
+    aim: str = "survive"
+    modes: tuple[Mode, ...] = ()
+    axis: Axis | None = None
     service: str = ""
     carried: tuple[float, ...] = ()
     tests: tuple[tuple[float, float], ...] = ()
@@ -143,12 +144,12 @@ class Brief:
 
     title: str
     answers: tuple[Answer, ...]
-    drivers: tuple[tuple[str, float], ...]
-    driven: str
-    measure: tuple[str, str] | None
-    cautions: tuple[Caution, ...]
-    model: str
-    footer: str
+    drivers: tuple[tuple[str, float], ...] = ()
+    driven: str = ""
+    measure: tuple[str, str] | None = None
+    cautions: tuple[Caution, ...] = ()
+    model: str = ""
+    footer: str = ""
 
     @property
     def modes(self) -> tuple[Mode, ...]:
@@ -316,20 +317,12 @@ def _quantity_answers(contents: Contents) -> Iterator[Answer]:
         question = f"{words[:1].upper()}{words[1:]}{', median' if contents.resolved.random else ''}"
         if median.value is None:
             why = shorten(str(median.reason or mean.reason or ""), 120)
-            yield Answer(
-                question=question, big="not known", unit="", note=f"{capital(why)}.", second=None, verdict="",
-                reasons=(), vetoed=False, target=None, aim="survive", modes=(), axis=None,
-            )  # fmt: skip
+            yield Answer(question=question, big="not known", unit="", note=f"{capital(why)}.")
             continue
         ends = [entry.quantiles[p].value for p in ("0.05", "0.95") if p in entry.quantiles]
         told = [value * factor for value in ends if value is not None]
         note = f"{two(min(told))} to {two(max(told))} in nine cases of ten." if len(told) == 2 else ""
-        words = OUTPUTS[name].meaning if name in OUTPUTS else shorten(name, 40)
-        yield Answer(
-            question=f"{words[:1].upper()}{words[1:]}, median", big=two(median.value * factor), unit=unit_text(unit),
-            note=note, second=None, verdict="", reasons=(), vetoed=False, target=None, aim="survive", modes=(),
-            axis=None,
-        )  # fmt: skip
+        yield Answer(question=question, big=two(median.value * factor), unit=unit_text(unit), note=note)
 
 
 def _axis(contents: Contents, entry: MarginEntry | None) -> Axis | None:
@@ -587,15 +580,15 @@ def _of_strength(results: Results) -> tuple[str, str] | None:
         settle = limit.tests_to_settle
         if settle and settle.tests and limit.met is not False:
             said = f"They settle the target of {shorten(name, 30)} ({plain_percent(float(settle.confidence))} sure)."
-            return f"{settle.tests} tests of strength", said
+            return f"{counted(settle.tests, 'test')} of strength", said
     for name in [name for name in deciding if name in results.margins]:
         more = results.margins[name].more_tests
         if more and more.to_settle:
             said = f"They settle the target of {shorten(name, 30)}, if they fall as those before."
-            return f"{int(more.to_settle)} more tests of strength", said
+            return f"{counted(int(more.to_settle), 'more test')} of strength", said
         if more and more.to_know_the_value and more.known_to and more.to_know_the_value <= _MOST_TESTS:
             said = f"They give the value to {plain_percent(float(more.known_to))}."
-            return f"{int(more.to_know_the_value)} tests of strength", said
+            return f"{counted(int(more.to_know_the_value), 'test')} of strength", said
     leading = _leading(results)
     entry = None if leading is None else results.limits[leading].measure_first
     if not entry or not entry.rows:
@@ -603,7 +596,7 @@ def _of_strength(results: Results) -> tuple[str, str] | None:
     row = entry.rows[0]
     if row.tests > _MOST_TESTS:
         return None
-    return f"{row.tests} tests of {_driver(row.input)}", "What is assumed of it moves the answer most."
+    return f"{counted(row.tests, 'test')} of {_driver(row.input)}", "What is assumed of it moves the answer most."
 
 
 def _between_rivals(answer: Answer) -> tuple[str, str] | None:

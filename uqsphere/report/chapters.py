@@ -24,17 +24,15 @@ from uqsphere.report.figures.convergence import convergence_figure, speed_figure
 from uqsphere.report.figures.distributions import distribution_figure
 from uqsphere.report.figures.fragility import energy_block, family_figure, family_table, fragility_figure
 from uqsphere.report.figures.history import loop_figure
-from uqsphere.report.figures.indices import group_figure, group_table, pair_figure, pair_table, sensitivity_figure
+from uqsphere.report.figures.indices import group_figure, group_table, pair_table, sensitivity_figure
 from uqsphere.report.figures.limits import (
     fitted_tests,
     fracture_table,
     interplay_figure,
     probability_plot,
-    surface_figure,
     tests_table,
 )
 from uqsphere.report.figures.scene import bars_figure, force_band_figure, hardest_table, stress_inside_figure
-from uqsphere.report.figures.swings import tornado_figure, tornado_table
 from uqsphere.report.margins import parts_table
 from uqsphere.report.phrases import begin, breaks, call, input_name, limit_name, symbol
 from uqsphere.report.services import carried_block
@@ -164,9 +162,6 @@ def fracture_chapter(contents: Contents) -> Chapter:
         heading = f"What the margin of {limit_name(name)} is made of"
         blocks.append(Block(heading=heading, table=parts_table(contents, name)))
     for name in results.limits:
-        blocks.append(
-            Block(heading=f"Rows on both sides of {limit_name(name)}", picture=surface_figure(contents, name))
-        )
         blocks.append(Block(heading=f"Likeliest miss of {limit_name(name)}", table=design_table(contents, name)))
         heading = f"Inputs where {limit_name(name)} is missed"
         table = given_failure_table(contents, name)
@@ -209,7 +204,6 @@ def drivers_chapter(contents: Contents) -> Chapter:
             ),
             Block(
                 heading=f"{symbol(name)}: pairs of inputs",
-                picture=pair_figure(contents, name),
                 table=pair_table(contents, name),
                 files=("tables/sensitivity.csv",),
             ),
@@ -218,11 +212,6 @@ def drivers_chapter(contents: Contents) -> Chapter:
                 picture=group_figure(contents, name),
                 table=group_table(contents, name),
                 files=("tables/sensitivity.csv",),
-            ),
-            Block(
-                heading=f"How far each input moves {symbol(name)}",
-                picture=tornado_figure(contents, name),
-                table=tornado_table(contents, name),
             ),
             Block(
                 heading=f"{symbol(name)} beyond its variance",

@@ -30,9 +30,7 @@ from uqsphere.report.contents import read_contents
 from uqsphere.report.figures.canvas import Picture, inline, render, shorten
 from uqsphere.report.figures.compare import (
     Change,
-    density_picture,
     fragility_picture,
-    index_picture,
     moved_picture,
 )
 from uqsphere.report.page import margin_boxes, new_environment
@@ -530,18 +528,12 @@ def write_page(before: Path, after: Path, found: Comparison, out: Path) -> Path:
         write_page(before / "services" / name, after / "services" / name, own, beside)
     contents = read_contents(before), read_contents(after)
     shared = [name for name in contents[0].results.quantities if name in contents[1].results.quantities]
-    laws = [
-        Block(heading=begin(name, call(name)), picture=density_picture(*contents, name),
-              table=_table(found, "quantities", name))
-        for name in shared
-    ]  # fmt: skip
+    laws = [Block(heading=begin(name, call(name)), table=_table(found, "quantities", name)) for name in shared]
     indices = [
-        Block(heading=symbol(name), picture=picture,
-              table=_table(found, "sensitivity", name))
+        Block(heading=symbol(name), table=_table(found, "sensitivity", name))
         for name in shared
         if name in contents[0].results.sensitivity and name in contents[1].results.sensitivity
-        for picture in (index_picture(*contents, name),)
-    ]  # fmt: skip
+    ]
     margins = [
         Block(heading=f"Fragility of {limit_name(name)}", picture=picture,
               table=_table(found, "margins", f"limits.{name}"))

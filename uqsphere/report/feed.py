@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 from typing import Any, Final
 
-from uqsphere.feed.answers import Answer, FeedEntry
+from uqsphere.feed.answers import Answer as Told
+from uqsphere.feed.answers import FeedEntry
 from uqsphere.feed.fit import FitEntry, Interval, Posterior
 from uqsphere.feed.tests import Specimens
-from uqsphere.report.blocks import Block, Table
+from uqsphere.report.blocks import Block, Chapter, Table
+from uqsphere.report.brief import Answer, Brief
+from uqsphere.report.cautions import Caution
 from uqsphere.report.figures.canvas import Picture, inline, render, shorten
 from uqsphere.report.figures.feed import classes_plot, parameters_plot, probability_plot, product_plot, size_plot
-from uqsphere.report.page import new_environment
+from uqsphere.report.page import set_page
+from uqsphere.report.phrases import capital
 from uqsphere.store import csv_text
 
-#: most cautions of a brief
-_CAUTIONS: Final = 3
 #: rows of the table of tested sizes
 _MOST_SIZES: Final = 12
 _SURE: Final = "from memory, not checked at the source"
@@ -25,27 +27,6 @@ _MARKED: Final = (
     ("ratio", f"E_max/E50 = 4 is called Rocky's default {_SURE}."),
     ("jk", f"The range of the drop-weight test, 0.1 to 2.5 kWh/t and 13 to 63 mm, is {_SURE}."),
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Headline:
-    """One answer of the brief: a question, a number with its unit, a note, and the verdict of a target."""
-
-    question: str
-    big: str
-    unit: str
-    note: str
-    verdict: str = ""
-    reason: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Part:
-    """A part of the evidence."""
-
-    anchor: str
-    heading: str
-    blocks: tuple[Block, ...] = field(default_factory=tuple)
 
 
 def _n(value: float | None, factor: float = 1.0) -> str:
@@ -67,86 +48,89 @@ def _interval(one: Interval, factor: float = 1.0) -> str:
 # --- the brief ------------------------------------------------------------------------------------------------
 
 
-def _headline(question: str, answer: Answer, factor: float, unit: str) -> Headline:
+def _answer(question: str, answer: Told, factor: float, unit: str) -> Answer:
     if answer.value is None:
-        return Headline(question=question, big="–", unit="", note=answer.reason)
+        return Answer(question=question, big="–", unit="", note=answer.reason)
     own, big = _ends(answer.low, answer.high, factor), _n(answer.value, factor)
     lots = own if answer.lot_low is None else _ends(answer.lot_low, answer.lot_high, factor)
-    if own == f"{big} to {big}":
-        return Headline(question=question, big=big, unit=unit, note="The same in every draw.")
     note = f"95 %: {own}{'' if lots == own else f', {lots} in a lot'}."
-    return Headline(question=question, big=big, unit=unit, note=note)
+    return Answer(
+        question=question, big=big, unit=unit, note="The same in every draw." if own == f"{big} to {big}" else note
+    )
 
 
-def _feed_brief(entry: FeedEntry) -> dict[str, Any]:
-    goal, broken = entry.goal, _headline("Share of the feed broken", entry.broken, 100.0, "%")
+def _feed_brief(entry: FeedEntry) -> Brief:
+    goal, broken = entry.goal, _answer("Share of the feed broken", entry.broken, 100.0, "%")
     if goal is not None:
-        why = "; ".join(goal.reasons)
-        reason = f"At least {100 * goal.broken:.3g} %, {100 * goal.at_least:.3g} % sure. {_begun(why)}"
-        broken = Headline(**{**vars(broken), "verdict": goal.verdict, "reason": reason.strip()})
-    answers = [
-        broken,
-        _headline("P80 of the product", entry.p80, 1e3, "mm"),
-        _headline("Given to the particles", entry.energy, 1.0 / 3600.0, "kWh/t"),
-    ]
+        asked = f"At least {100 * goal.broken:.3g} %, {100 * goal.at_least:.3g} % sure."
+        reasons = tuple(f"{capital(why)}." for why in goal.reasons)
+        broken = replace(broken, verdict=goal.verdict, reasons=(asked, *reasons))
+    p80, energy = entry.p80, entry.energy
+    answers = (
+        broken, _answer("P80 of the product", p80, 1e3, "mm"),
+        _answer("Given to the particles", energy, 1.0 / 3600.0, "kWh/t"),
+    )  # fmt: skip
     beyond = [one for one in entry.classes if one.extrapolated and one.mass > 0.0]
     heaviest = max(beyond or entry.classes, key=lambda one: one.mass * (one.broken.ignorance or 0.0))
     reason = "Beyond the tested sizes" if beyond else "Where the feed weighs most on what is not known"
-    measure = (f"Tests at {_n(heaviest.size, 1e3)} mm", f"{reason}.")
-    return {
-        "answers": answers, "measure": measure, "drivers": _drivers(entry.broken), "cautions": _first(entry.warnings),
-        "made_up": entry.made_up,
-        "footer": " · ".join([*entry.of.values(), _blows(entry.blows), f"{entry.draws} draws", entry.hash[:8]]),
-    }  # fmt: skip
+    return Brief(
+        title=_title(entry.title), answers=answers, drivers=_drivers(entry.broken), driven="share of the feed broken",
+        measure=(f"Tests at {_n(heaviest.size, 1e3)} mm", f"{reason}."),
+        cautions=told_cautions(entry.warnings, made_up=entry.made_up),
+        footer=" · ".join([*entry.of.values(), _blows(entry.blows), f"{entry.draws} draws", entry.hash[:8]]),
+    )  # fmt: skip
+
+
+def _title(text: str) -> str:
+    return shorten(text, 200) or "Untitled study"
 
 
 def _blows(count: int) -> str:
     return "one blow" if count == 1 else f"{count} blows"
 
 
-def _drivers(answer: Answer) -> list[tuple[str, float]]:
+def _drivers(answer: Told) -> tuple[tuple[str, float], ...]:
     """Shares of the variance of the share broken."""
-    if answer.scatter is None or answer.ignorance is None:
-        return []
-    parts = {"Ignorance": answer.ignorance**2, "Scatter": answer.scatter**2}
+    parts = {"ignorance": (answer.ignorance or 0.0) ** 2, "scatter": (answer.scatter or 0.0) ** 2}
     total = sum(parts.values())
-    return sorted(((name, part / total) for name, part in parts.items()), key=lambda p: -p[1]) if total > 0.0 else []
+    ranked = sorted(parts.items(), key=lambda part: -part[1])
+    return tuple((name, part / total) for name, part in ranked) if total > 0.0 else ()
 
 
-def _first(texts: Iterable[str]) -> list[str]:
-    return [f"{_begun(shorten(text, 180)).rstrip('.')}." for text in texts if "made up" not in text][:_CAUTIONS]
+def told_cautions(texts: Iterable[str], *, made_up: bool = False) -> tuple[Caution, ...]:
+    """Warnings as a brief has them, in their order; that tests are made up comes first, once."""
+    first = (Caution(rank=0, text="The tests are made up: no number of this page is of a rock."),) if made_up else ()
+    rest = (f"{capital(shorten(text, 180)).rstrip('.')}." for text in texts if "made up" not in text)
+    return (*first, *(Caution(rank=1, text=text) for text in rest))
 
 
-def _begun(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
-def _fit_brief(entry: FitEntry) -> dict[str, Any]:
+def _fit_brief(entry: FitEntry) -> Brief:
     sizes = [entry.sizes[k] for k in sorted({0, len(entry.sizes) // 2, len(entry.sizes) - 1})] if entry.sizes else []
-    answers = [
-        Headline(
+    answers = tuple(
+        Answer(
             question=f"Breaks half at {_n(one.diameter, 1e3)} mm ({one.tests} tests)",
             big=_n(one.half.value), unit="J/kg",
             note=f"95 %: {_ends(one.half.low, one.half.high, 1.0)}." if one.half.value is not None else one.half.reason,
         )
         for one in sizes
-    ]  # fmt: skip
+    )  # fmt: skip
     untold = [name for part in entry.parameters.values() for name, one in part.items() if not one.told]
     names = ", ".join(dict.fromkeys(untold))
     measure = ("More of the same", "Every parameter is told.")
     if untold:
         measure = (f"Tests that tell {names}", "As wide as its prior so far.")
     tests = "" if entry.tests is None else f"{entry.tests.particles} particles, {entry.tests.broke} broke · "
-    return {
-        "answers": answers, "measure": measure, "drivers": [], "cautions": _first(entry.warnings),
-        "made_up": entry.made_up, "footer": f"{tests}law {entry.law}, size {entry.size}, {entry.method}",
-    }  # fmt: skip
+    return Brief(
+        title=_title(entry.title), answers=answers, measure=measure,
+        cautions=told_cautions(entry.warnings, made_up=entry.made_up),
+        footer=f"{tests}law {entry.law}, size {entry.size}, {entry.method}",
+    )  # fmt: skip
 
 
 # --- the evidence ---------------------------------------------------------------------------------------------
 
 
-def _fit_parts(entry: FitEntry, posterior: Posterior, tests: Specimens | None, feed: FeedEntry | None) -> list[Part]:
+def _fit_parts(entry: FitEntry, posterior: Posterior, tests: Specimens | None, feed: FeedEntry | None) -> list[Chapter]:
     pictures = [] if tests is None else [
         ("Tests and law", probability_plot(tests, posterior)), ("Size", size_plot(tests, posterior, feed)),
         *((("Parameters", parameters_plot(posterior, entry)),) if entry.parameters else ()),
@@ -180,10 +164,10 @@ def _fit_parts(entry: FitEntry, posterior: Posterior, tests: Specimens | None, f
         good.reason
         or f"distance {_n(good.distance)}, of {good.series} made-up series {_n(good.p_value, 100.0)} % lie farther"
     )
-    remarks = (*(f"{text[:1].upper()}{text[1:]}." for text in entry.warnings), f"Goodness of fit: {fits}.")
+    remarks = (*(f"{capital(text)}." for text in entry.warnings), f"Goodness of fit: {fits}.")
     remarks += (_MARKED[0][1],) if entry.ratio == 4.0 else ()
     return [
-        Part(anchor="tests", heading="What the tests tell", blocks=(
+        Chapter(anchor="tests", heading="What the tests tell", blocks=(
             *blocks,
             Block(heading="By size", table=Table(caption="Energies by size", header=head, rows=sizes, note=note)),
             Block(heading="Parameters, posterior and prior", table=Table(
@@ -195,7 +179,7 @@ def _fit_parts(entry: FitEntry, posterior: Posterior, tests: Specimens | None, f
     ]  # fmt: skip
 
 
-def _feed_parts(entry: FeedEntry) -> list[Part]:
+def _feed_parts(entry: FeedEntry) -> list[Chapter]:
     pictures = [("Share broken by class", classes_plot(entry))]
     pictures += [("Product", product_plot(entry))] if entry.curve else []
     blocks = [Block(heading=heading, picture=picture) for heading, picture in pictures]
@@ -219,13 +203,13 @@ def _feed_parts(entry: FeedEntry) -> list[Part]:
     )  # fmt: skip
     class_head = ("class [mm]", "mass [%]", "particles", "E50 [J/kg]", "broken [%]", "ignorance", "a lot", "blows")
     numbers = tuple((name, _interval(one), entry.sources.get(name, "")) for name, one in entry.product.items())
-    remarks = tuple(f"{_begun(text)}." for text in entry.warnings)
+    remarks = tuple(f"{capital(text)}." for text in entry.warnings)
     remarks += (f"The curve: {entry.curve_law}, {entry.sources.get('t_n', '')}.",) if entry.curve else ()
     remarks += (_MARKED[1][1],) if entry.form == "jk" and entry.curve else ()
     if entry.spectrum_error:
         remarks += (f"The spectrum is sampled: ± {entry.spectrum_error:.1g} of the share broken.",)
     return [
-        Part(anchor="feed", heading="The feed", blocks=(
+        Chapter(anchor="feed", heading="The feed", blocks=(
             *blocks,
             Block(heading="Answers", table=Table(caption="Scatter and ignorance apart", header=head, rows=rows)),
             Block(heading="By class", remarks=remarks, table=Table(
@@ -236,7 +220,7 @@ def _feed_parts(entry: FeedEntry) -> list[Part]:
     ]  # fmt: skip
 
 
-def page_files(title: str, kind: str, brief: dict[str, Any], parts: Sequence[Part]) -> dict[str, str]:
+def page_files(kind: str, brief: Brief, chapters: Sequence[Chapter]) -> dict[str, str]:
     """The page and the files of its figures, by their names."""
     from markupsafe import Markup
 
@@ -252,21 +236,15 @@ def page_files(title: str, kind: str, brief: dict[str, Any], parts: Sequence[Par
         # the one text that is not escaped: made of escaped parts by the XML writer
         return Markup(inline(svg, picture.name))
 
-    environment = new_environment()
-    environment.filters["drawn"] = drawn
-    shown = {**brief, "title": shorten(title, 200) or "Untitled study", "kind": kind, "chapters": parts, "version": "",
-             "margin_boxes": ""}  # fmt: skip
-    return {"report.html": environment.get_template("feed.html").render(shown) + "\n", **files}
+    return {"report.html": set_page({"brief": brief, "kind": kind}, chapters, drawn), **files}
 
 
 def fit_page(entry: FitEntry, posterior: Posterior, tests: Specimens) -> dict[str, str]:
     """report.html of a fit with the files of its figures: name -> text."""
-    return page_files(
-        entry.title, "fit of single particles", _fit_brief(entry), _fit_parts(entry, posterior, tests, None)
-    )
+    return page_files("fit of single particles", _fit_brief(entry), _fit_parts(entry, posterior, tests, None))
 
 
 def feed_page(entry: FeedEntry, fitted: FitEntry, posterior: Posterior, tests: Specimens | None) -> dict[str, str]:
     """report.html of a feed with the files of its figures: name -> text; without tests their figures are left out."""
     parts = [*_feed_parts(entry), *_fit_parts(fitted, posterior, tests, entry)]
-    return page_files(entry.title, "feed", _feed_brief(entry), parts)
+    return page_files("feed", _feed_brief(entry), parts)

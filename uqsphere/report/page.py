@@ -8,7 +8,7 @@ import html
 import io
 import logging
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -310,14 +310,8 @@ def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[s
         # the one text that is not escaped: made of escaped parts by the XML writer
         return Markup(element)
 
-    pictures = [block.picture.name for block in _blocks(chapters) if block.picture is not None]
-    title = shorten(str(contents.results.study.title), 300) or "Untitled study"
     shown = {
-        "title": title,
-        "margin_boxes": Markup(margin_boxes(title, contents.manifest)),
-        "numbers_of": _numbers_of,
-        "chapters": chapters,
-        "figure_numbers": {name: k for k, name in enumerate(pictures, 1)},
+        "margin_boxes": Markup(margin_boxes(str(contents.results.study.title), contents.manifest)),
         "repeat": repeat_rows(contents),
         "commands": [Markup(escape(shorten(line, LONGEST))) for line in commands(contents)],
         "version": contents.results.versions.get("uqsphere", ""),
@@ -325,14 +319,27 @@ def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[s
         **_brief_parts(contents),
         **_panel_parts(contents),
     }
-
-    def set_page(draw: Callable[[Picture], Any], words: Sequence[tuple[str, str]]) -> str:
-        environment = new_environment()
-        environment.filters["drawn"] = draw
-        return environment.get_template("template.html").render(shown, words=words)
-
     # set first without figures, to see which words are used
-    return set_page(drawn, words_used(set_page(lambda picture: picture.title, ()))) + "\n"
+    plain = set_page(shown, chapters, lambda picture: picture.title)
+    return set_page({**shown, "words": words_used(plain)}, chapters, drawn)
+
+
+#: what a page has that no run stands behind
+_NO_RUN: Final[dict[str, Any]] = {
+    "kind": "report", "version": "", "margin_boxes": "", "curves": (), "modes": (), "panels": (), "script": "",
+    "policy": "", "repeat": (), "commands": (), "words": (), "black_box": False, "two": two,
+}  # fmt: skip
+
+
+def set_page(shown: Mapping[str, Any], chapters: Sequence[Chapter], draw: Callable[[Picture], Any]) -> str:
+    """The text of a page: its brief and the evidence behind it, whatever it is of; `draw` sets its pictures."""
+    environment = new_environment()
+    environment.filters["drawn"] = draw
+    pictures = [block.picture.name for block in _blocks(chapters) if block.picture is not None]
+    more = {"chapters": chapters, "numbers_of": _numbers_of, "linked": True, "title": shown["brief"].title}
+    numbers = {name: k for k, name in enumerate(pictures, 1)}
+    template = environment.get_template("template.html")
+    return template.render({**_NO_RUN, **more, **shown}, figure_numbers=numbers) + "\n"
 
 
 # --- The brief: one sheet, on top of the page and a page of its own.
@@ -395,7 +402,7 @@ def build_brief(folder: Path, *, pdf: bool = False) -> Path:
     contents = read_contents(folder)
     with reading_units(units_of(contents.results)):
         shown = _brief_parts(contents)
-    text = new_environment().get_template("brief.html").render(shown)
+    text = new_environment().get_template("brief.html").render(shown, linked=False)
     path = folder / "brief.html"
     if not pdf:
         write_atomically(path, text + "\n")

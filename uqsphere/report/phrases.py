@@ -366,6 +366,15 @@ def loud(verdict: str) -> str:
     return verdict.upper() if verdict.startswith("not ") else verdict
 
 
+def counted(count: int, word: str) -> str:
+    """A count with its word.
+
+    >>> counted(1, "more test"), counted(20, "sphere")
+    ('1 more test', '20 spheres')
+    """
+    return f"{count} {word}{'' if count == 1 else 's'}"
+
+
 def listed(words: list[str]) -> str:
     """a, b and c."""
     return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1] if words else ""

@@ -15,6 +15,7 @@ from uqsphere.report.phrases import (
     begin,
     breaks,
     call,
+    counted,
     input_name,
     limit_name,
     listed,
@@ -167,7 +168,7 @@ def granted_table(contents: Contents) -> Table | None:
             continue
         rows.append((*own, "as the study has it", cell(limit.miss, probability=True, digits=3), word(limit, limit.met)))
         if opened.known:
-            tests = listed([f"{entry.tests} tests" for entry in opened.fitted])
+            tests = listed([counted(entry.tests, "test") for entry in opened.fitted])
             text = probability_range(*opened.miss)
             rows.append((*own, f"by all laws that the {tests} allow (95 %)", text, word(limit, opened.met)))
         rows += [(*own, assumption(r), cell(r.miss, probability=True, digits=3), word(limit, r.met)) for r in known]

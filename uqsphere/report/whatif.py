@@ -35,8 +35,6 @@ from uqsphere.uq.whatif import logit
 _ROOM, _ASKED, _MOVED = 300_000, 16_384, 4096
 #: share of rows whose demand may be a lower bound, and by how much the rows may be off the run in logits
 _LATE, _OFF = 1e-3, 0.25
-#: ln H of a Weibull law at which normal scores are told, H = ((s - threshold)/scale)^modulus, and their number
-_LEAST, _LARGEST, _SCORES = -80.0, 4.5, 1691
 #: places at which another law is told, and how far beyond the demands, in ln
 _PLACES, _BEYOND = 600, 0.8
 #: normal score of what never happens
@@ -115,7 +113,6 @@ def _data(contents: Contents, service: str, room: int) -> dict[str, object]:
         "sliders": [_slider(contents, one, service) for one in sliders.sliders] if sliders.surfaces else [],
         "surfaces": {name: _surface(one) for name, one in sliders.surfaces.items()},
         "absent": sliders.reason or "; ".join(dict.fromkeys(sliders.rough.values())),
-        "weibull": _weibull_scores(),
     }
 
 
@@ -296,15 +293,6 @@ def _law(law: Law, logs: Array) -> dict[str, object]:
     places = np.linspace(logs.min() - _BEYOND, logs.max() + _BEYOND, _PLACES)
     scores = _scores(law, np.exp(places)).round(4).tolist()
     return {"kind": "table", "from": places[0], "step": places[1] - places[0], "scores": scores}
-
-
-def _weibull_scores() -> list[object]:
-    """Normal scores of a Weibull law over ln H: its least place, its step, and the scores."""
-    places = np.linspace(_LEAST, _LARGEST, _SCORES)
-    hazard = np.exp(places)
-    below, above = -np.expm1(-hazard), np.exp(-hazard)
-    scores = np.where(below <= 0.5, ndtri(below), -ndtri(above))
-    return [places[0], places[1] - places[0], scores.round(5).tolist()]
 
 
 # --- verdicts -------------------------------------------------------------------------------------------------

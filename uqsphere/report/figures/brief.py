@@ -16,7 +16,7 @@ from scipy.special import ndtr, ndtri
 
 from uqsphere.report.brief import Answer, Mode, crossing, solved_for
 from uqsphere.report.figures.canvas import clean, shorten
-from uqsphere.report.phrases import share, two
+from uqsphere.report.phrases import counted, share, two
 
 #: probabilities that are marked on probability paper
 _TICKS: Final = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99)
@@ -60,6 +60,7 @@ _DRAWN: Final = {
     "over": 'fill="#14181d"',
     "soft": 'fill="#55606b"',
     "strong": 'font-weight="700"',
+    "halo": 'paint-order="stroke"',
     "contact": 'fill="#0a5a9c"',
     "core": 'fill="#96357a"',
 }
@@ -295,8 +296,8 @@ def _tests(paper: _Paper, answer: Answer, *, told: bool) -> list[str]:
         return parts
     count = len(answer.tests) + answer.left_whole
     x, y = points[len(points) // 3]
-    made = " made-up" if answer.made_up else ""
-    parts.append(_beside(paper, x - 8, y + 4, f"{count}{made} tests", left=True, kind="halo"))
+    made = "made-up " if answer.made_up else ""
+    parts.append(_beside(paper, x - 8, y + 4, counted(count, f"{made}test"), left=True, kind="halo"))
     if answer.left_whole:
         x, y = points[-1]
         parts.append(_beside(paper, x - 8, y - 6, f"{answer.left_whole} left whole →", left=True, kind="halo"))
@@ -311,7 +312,7 @@ def _names(paper: _Paper, modes: Sequence[Mode]) -> list[str]:
             value = paper.at(mode, p)
             if value is None:
                 continue
-            y, name = paper.y(p) + 0.35 * paper.sheet.type, shorten(mode.name.lower(), 30)
+            y, name = paper.y(p) + 0.9 * paper.sheet.type, shorten(mode.name.lower(), 30)
             placed = _beside(paper, paper.x(value) + 4, y, name, kind=f"strong halo {_kind(mode)}")
             if placed:
                 parts.append(placed)

@@ -112,6 +112,7 @@ MARKS: Final = "osD^vP"
 #: colours that the page replaces by its own, so that figures follow a dark theme
 _THEME: Final = {INK: "ink", GREY: "soft", FAINT: "line", PAPER: "paper", BLUE: "blue", WARM: "bad"}
 _WIDTH: Final = 6.4
+_FACE: Final = "'DejaVu Sans', Verdana, sans-serif"
 _BIDI: Final = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 _SVG: Final = "{http://www.w3.org/2000/svg}"
 _XLINK: Final = "{http://www.w3.org/1999/xlink}"
@@ -283,36 +284,6 @@ def name_rows(axes: Axes, names: Sequence[str], top: float = -0.5, bottom: float
     axes.tick_params(axis="y", length=0)
 
 
-def dots(axes: Axes, x: Array, y: Array, *, colour: str, size: float, square: bool = False, alpha: float = 1.0) -> None:
-    """Many points as one path of strokes without length: an element of the page in place of one for each.
-
-    Parameters
-    ----------
-    x, y : (n,) in the units of the axes
-    size : diameter, or side of a square [pt]
-    """
-    import numpy as np
-    from matplotlib.patches import PathPatch
-    from matplotlib.path import Path
-
-    places = np.repeat(np.stack([np.asarray(x, dtype=float), np.asarray(y, dtype=float)], axis=1), 2, axis=0)
-    if not len(places):
-        return
-    if square:
-        # a square without length has no direction, and PDF leaves it out
-        places[1::2, 0] += 1e-4 * float(np.ptp(places[:, 0]) or 1.0)
-    path = Path(places, np.tile([Path.MOVETO, Path.LINETO], len(places) // 2))
-    # what has no length would be left out
-    path.should_simplify = False
-    axes.add_patch(
-        PathPatch(
-            path, fill=False, edgecolor=colour, linewidth=size, alpha=alpha,
-            capstyle="projecting" if square else "round",
-        )
-    )  # fmt: skip
-    axes.autoscale_view()
-
-
 def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float]:
     """Positions as near as possible to those wanted, at least `gap` apart, between low and high if there is room.
 
@@ -349,24 +320,48 @@ def render(picture: Picture) -> str:
             picture.figure.set_layout_engine("none")
         picture.figure.savefig(buffer, format="svg", metadata=nothing)
     root = ElementTree.fromstring(_NO_XML.sub(b"", buffer.getvalue()))
-    for parent in list(root.iter()):
-        for child in list(parent):
-            # metadata says nothing; the style sheet would reach beyond the figure once it stands in a page
-            if child.tag in (f"{_SVG}metadata", f"{_SVG}style"):
-                parent.remove(child)
-    for element in root.iter():
-        # the reader's machine may lack the font that was measured with; it is wide, so others fit
-        found = element.get("style", "")
-        if "font:" in found:
-            element.set("style", found.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif"))
-        if element.tag == f"{_SVG}text" and element.text:
-            element.text = APOSTROPHE.sub("’", element.text)
-        if "d" in element.attrib:
-            element.set("d", slim(element.attrib["d"]))
+    _plain(root, set(re.findall(r"(?:url\(#|href=\"#)([\w-]+)", buffer.getvalue().decode("utf-8"))))
     _describe(root, picture)
     ElementTree.register_namespace("", _SVG[1:-1])
     ElementTree.register_namespace("xlink", _XLINK[1:-1])
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _plain(element: ElementTree.Element, asked: set[str]) -> None:
+    """What is drawn alone: no groups without a say, no names that nothing in `asked` calls, no blanks between tags."""
+    element.tail = None
+    if element.get("id") not in asked:
+        element.attrib.pop("id", None)
+    found = element.get("style", "")
+    if "font" in found:
+        # the reader's machine may lack the font that was measured with; it is wide, so others fit
+        found = found.replace("font-family: 'DejaVu Sans'; ", "").replace("'DejaVu Sans'", _FACE)
+    if found:
+        element.set("style", found)
+    if element.get("transform", "").startswith("rotate(-0 "):
+        del element.attrib["transform"]
+    for key in ("x", "y", "transform"):
+        if key in element.attrib:
+            element.set(key, _NUMBER.sub(lambda number: _short(float(number[0])), element.attrib[key]))
+    if "d" in element.attrib:
+        element.set("d", slim(element.attrib["d"]))
+    if element.tag in (f"{_SVG}text", f"{_SVG}tspan"):
+        element.text = APOSTROPHE.sub("’", element.text or "")
+    elif not (element.text or "").strip():
+        element.text = None
+    kept: list[ElementTree.Element] = []
+    for child in element:
+        _plain(child, asked)
+        bare = child.tag == f"{_SVG}g" and not child.attrib
+        kept += list(child) if bare else [] if _idle(child) else [child]
+    element[:] = kept
+
+
+def _idle(element: ElementTree.Element) -> bool:
+    """Whether an element draws nothing: metadata, a style sheet that would reach beyond the figure, empty parts."""
+    empty = element.tag == f"{_SVG}defs" and not len(element)
+    empty |= element.tag == f"{_SVG}path" and element.get("style") == "fill: none" and "id" not in element.attrib
+    return empty or element.tag in (f"{_SVG}metadata", f"{_SVG}style")
 
 
 def _describe(root: ElementTree.Element, picture: Picture) -> None:
@@ -382,7 +377,7 @@ def _describe(root: ElementTree.Element, picture: Picture) -> None:
         "role": "img",
         "id": "root",
         "aria-labelledby": " ".join(str(part.get("id")) for part in parts),
-        "style": "stroke-linejoin: round; stroke-linecap: butt",
+        "style": f"stroke-linejoin: round; stroke-linecap: butt; font-family: {_FACE}",
     }
     paper = ElementTree.Element(f"{_SVG}rect", {"id": "paper", "width": "100%", "height": "100%", "fill": PAPER})
     for place, element in enumerate((*parts, paper)):

@@ -1,4 +1,4 @@
-"""Two runs in figures: what moved, how the laws of the quantities moved, fragility, and what drives them."""
+"""Two runs in figures: what moved, and fragility before and after."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from pydantic import Field
 
-from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import (
@@ -34,10 +33,7 @@ from uqsphere.report.phrases import (
     input_name,
     limit_name,
     number_text,
-    short_input,
-    symbol,
 )
-from uqsphere.results import IndexEntry
 from uqsphere.results.entries import Entry, Est
 
 if TYPE_CHECKING:
@@ -151,57 +147,6 @@ def _percent_ticks(axes: Axes) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: number_text(f"{value:g}")))
 
 
-def _scattered(contents: Contents, quantity: str) -> Array | None:
-    """The values of a quantity that are known; None where they are few, or do not scatter."""
-    samples = contents.samples.get(quantity)
-    if samples is None or not np.ptp(samples.values) > 0.0:
-        return None
-    known = np.asarray(samples.values[~samples.censored])
-    return known if len(known) >= 20 else None
-
-
-def density_picture(before: Contents, after: Contents, quantity: str) -> Picture | None:
-    """Both laws of a quantity on one axis; None where there is nothing to draw."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    values = [values for contents in (before, after) if (values := _scattered(contents, quantity)) is not None]
-    if len(values) < 2:
-        return None
-    joined = np.concatenate(values)
-    low, high = np.quantile(joined, [0.0005, 0.9995])
-    logarithmic = bool(low > 0.0 and high > 40.0 * low)
-    if not high > low:
-        return None
-    factor = display_unit(quantity)[1]
-    bins = np.geomspace(low, high, 46) if logarithmic else np.linspace(low, high, 46)
-    scale = np.log(bins) if logarithmic else bins
-    with style():
-        figure, (axes,) = new_figure(3.0)
-        if logarithmic:
-            axes.set_xscale("log")
-        for v, colour, filled in zip(values, (BLUE, ORANGE), (True, False), strict=True):
-            heights = np.histogram(v, bins=bins)[0] / len(v) / np.diff(scale)
-            if filled:
-                axes.stairs(heights, bins * factor, fill=True, color=colour, alpha=0.35, linewidth=0.0)
-            axes.stairs(heights, bins * factor, color=colour, linewidth=1.6, linestyle="-" if filled else "--")
-        axes.set_ylim(bottom=0.0)
-        axes.set_yticks([])
-        axes.spines["left"].set_visible(False)
-        axes.set_xlabel(axis_label(quantity))
-        legend_above(
-            axes,
-            3,
-            [
-                Patch(facecolor=BLUE, alpha=0.35, label="before"),
-                Line2D([], [], color=ORANGE, linestyle="--", label="after"),
-            ],
-            1.6,
-        )
-    return Picture(name=slug("laws", quantity), title=f"Distribution of {symbol(quantity)}, before and after",
-                   figure=figure)  # fmt: skip
-
-
 def fragility_picture(before: Contents, after: Contents, name: str) -> Picture | None:
     """Both fragility curves of a limit with their bands."""
     from matplotlib.lines import Line2D
@@ -233,35 +178,4 @@ def fragility_picture(before: Contents, after: Contents, name: str) -> Picture |
             1.6,
         )
     return Picture(name=slug("fragility", name), title=f"Fragility of {limit_name(name)}, before and after",
-                   figure=figure)  # fmt: skip
-
-
-def index_picture(before: Contents, after: Contents, quantity: str) -> Picture | None:
-    """Total indices (Shapley effects where inputs depend) of both runs, joined by a line."""
-    from matplotlib.lines import Line2D
-
-    entries = [contents.results.sensitivity.get(quantity, IndexEntry()) for contents in (before, after)]
-    tables, kinds = [entry.shapley or entry.total for entry in entries], {bool(entry.shapley) for entry in entries}
-    names = [n for n, e in tables[0].items() if e.value is not None and tables[1].get(n, Est()).value is not None]
-    if not names or len(kinds) > 1:
-        return None
-    kind = "Shapley effect" if kinds == {True} else "total index"
-    names = sorted(names, key=lambda n: -max(tables[0][n].number, tables[1][n].number))[:_MOST_INPUTS]
-    with style():
-        figure, (axes,) = new_figure(1.1 + 0.45 * len(names))
-        axes.axvline(0.0, color=GREY, linewidth=0.8)
-        for k, name in enumerate(names):
-            for table, colour, shift, face in ((tables[0], BLUE, -0.13, BLUE), (tables[1], ORANGE, 0.13, PAPER)):
-                index = table[name]
-                ends = [index.number if end is None else end for end in (index.low, index.high)]
-                axes.plot(ends, [k + shift] * 2, color=colour, linewidth=1.4, marker="|", markersize=6)
-                axes.plot(index.number, k + shift, marker="o", color=colour, markerfacecolor=face, markersize=6)
-        name_rows(axes, [wrap(short_input(n), 26) for n in names])
-        axes.spines["left"].set_visible(False)
-        axes.grid(axis="x")
-        axes.set_xlabel(f"{kind} on {symbol(quantity, 24)}, with 95 % interval")
-        marks = [Line2D([], [], color=BLUE, marker="o", linestyle="", label="before")]
-        marks.append(Line2D([], [], color=ORANGE, marker="o", markerfacecolor=PAPER, linestyle="", label="after"))
-        legend_above(axes, 3, marks, 1.6)
-    return Picture(name=slug("drivers", quantity), title=f"What drives {symbol(quantity)}, before and after",
                    figure=figure)  # fmt: skip

@@ -12,7 +12,6 @@ from uqsphere.report.contents import Contents
 from uqsphere.report.drivers import ranked
 from uqsphere.report.figures.canvas import (
     BLUE,
-    FAINT,
     GREY,
     INK,
     ORANGE,
@@ -111,10 +110,7 @@ def _legend(axes: Axes, words: tuple[str, str]) -> None:
     legend_above(axes, 3, handles, 1.8)
 
 
-# --- Indices of pairs of inputs as a heat map, and of groups of inputs: who acts together with whom.
-
-#: inputs of a heat map: with more no number can be read
-MOST: Final = 10
+# --- Indices of pairs of inputs and of groups of inputs: who acts together with whom.
 
 
 def _pairs(contents: Contents, quantity: str) -> dict[tuple[str, str], Est]:
@@ -126,63 +122,6 @@ def _pairs(contents: Contents, quantity: str) -> dict[tuple[str, str], Est]:
         if estimate.value is not None:
             found[a, b] = estimate
     return found
-
-
-def pair_figure(contents: Contents, quantity: str) -> Picture | None:
-    """Shares of the variance of pairs below the diagonal, of single inputs on it; None where none is known."""
-    pairs = _pairs(contents, quantity)
-    entry = contents.results.sensitivity.get(quantity)
-    if not pairs or entry is None:
-        return None
-    taking_part = {name for pair in pairs for name in pair}
-    names = [name for name in ranked(entry) if name in taking_part][:MOST]
-    if len(names) < 2:
-        return None
-    with style():
-        figure, (axes,) = new_figure(1.5 + 0.5 * len(names))
-        for row, a in enumerate(names):
-            for column, b in enumerate(names[: row + 1]):
-                estimate = entry.first[a] if a == b else pairs.get((a, b)) or pairs.get((b, a))
-                if estimate is not None and estimate.value is not None:
-                    _tile(axes, row, column, estimate, single=a == b, small=len(names) > 6)
-        axes.set_xlim(-0.5, len(names) - 0.5)
-        axes.set_ylim(len(names) - 0.5, -0.5)
-        axes.set_yticks(range(len(names)), [wrap(f"{k + 1}  {short_input(n)}", 26) for k, n in enumerate(names)])
-        axes.set_xticks(range(len(names)), [str(k + 1) for k in range(len(names))])
-        axes.tick_params(length=0)
-        axes.spines[["left", "bottom"]].set_visible(False)
-        axes.set_xlabel(f"share of the variance of {symbol(quantity, 24)}\n(framed: the input alone; others: the pair)")
-    return Picture(
-        name=slug("pairs", quantity),
-        title=f"Which inputs act together on {symbol(quantity)}",
-        figure=figure,
-    )
-
-
-def _tile(axes: Axes, row: int, column: int, estimate: Est, *, single: bool, small: bool) -> None:
-    """One square: the deeper the larger the share; its number in the colour that can be read on it."""
-    from matplotlib.patches import Rectangle
-
-    share = float(np.clip(estimate.number, 0.0, 1.0))
-    # from the page's own background to blue, so that a dark page has dark small shares
-    axes.add_patch(
-        Rectangle((column - 0.48, row - 0.46), 0.96, 0.92, facecolor=BLUE, alpha=0.85 * share**0.5, linewidth=0)
-    )
-    axes.add_patch(
-        Rectangle(
-            (column - 0.48, row - 0.46), 0.96, 0.92, fill=False, edgecolor=INK if single else FAINT, linewidth=1.0
-        )
-    )
-    seen = estimate.low is not None and estimate.low > 0.0
-    text = share_text(estimate).replace("less than ", "<").removesuffix(" %").replace("nearly all", "all")
-    axes.annotate(
-        text if seen or single else "0",
-        (column, row),
-        ha="center",
-        va="center",
-        fontsize=8.0 if small else 9.0,
-        color=PAPER if share > 0.35 else INK,
-    )
 
 
 def pair_table(contents: Contents, quantity: str) -> Table | None:
