@@ -301,6 +301,7 @@ class AnalysisTable(Entry):
     accuracy: AccuracyTable
     budget: BudgetTable
     rows_per_call: Count | None = None
+    at_once: Count = 1
     time_limit: Number | None = None
 
 

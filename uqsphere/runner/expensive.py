@@ -333,7 +333,7 @@ class _End:
         before = self.question.found.limits | alone.limits
         limits, learned = before, Learned(limits={})
         if self.course.stopped != "time":
-            learned = learn_limits(work, limits)
+            learned = learn_limits(work, limits, self.design)
             limits = with_surrogate_design(work, learned.limits, self.question.demands(), affordable)
         margins = surrogate_margins(work, self.question.usable, affordable)
         if self.question.rough and self.course.stopped != "time":

@@ -598,6 +598,11 @@ class Analysis:
     rows_per_call: Annotated[Whole, within(1, _MOST_ROWS, closed=True)] | None = key(
         "rows in one call of a black box: [cluster.md](cluster.md)", default_is="by their number"
     )
+    at_once: Annotated[Whole, within(1, 64, closed=True)] = key(
+        "runs of an expensive black box that are chosen together where it learns, for machines that make as many side "
+        "by side: 8 take about a fifth more of them in all",
+        1,
+    )
     time_limit: Seconds | None = key("longest time of one evaluation of a black box; one that takes longer has failed")
 
     def pursues(self, kind: str) -> bool:

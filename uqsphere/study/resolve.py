@@ -280,8 +280,8 @@ def _read_analysis(
     """What is asked of every quantity; those that a limit or a product needs are among them."""
     given = document.analysis
     black_box = outputs is not None
-    for key in ("cost", "rows_per_call", "time_limit"):
-        if getattr(given, key) is not None and not black_box:
+    for key in ("cost", "rows_per_call", "at_once", "time_limit"):
+        if getattr(given, key) != getattr(Analysis, key) and not black_box:
             findings.add(("analysis", key), f"{key} is for a black box ([inputs], [outputs]): leave it out")
     for index, name in enumerate(given.quantities):
         known_quantity(name, ("analysis", "quantities", index), outputs, findings)

@@ -16,11 +16,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.model import is_answered
 from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import MISS_KIND, Accuracy, Cost, Missed, campaign, cost_of, speed_rows_of
@@ -35,11 +35,13 @@ from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.failure_indices import linear_shares
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import score_of, shifted_score, strength_tails
-from uqsphere.uq.rare.active import METHOD as ACTIVE
-from uqsphere.uq.rare.active import ActiveAnswer, learn_probability
 from uqsphere.uq.rare.auto import RareAnswer, find_probability
 from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction
+from uqsphere.uq.sample import Sample
+
+if TYPE_CHECKING:
+    from uqsphere.uq.rare.active import ActiveAnswer
 
 METHOD: Final = "importance sampling"
 #: calls of the model that one limit may take, and the least that are worth a beginning
@@ -70,10 +72,14 @@ Demand = Callable[[Array], Array]
 
 @dataclass(frozen=True, kw_only=True)
 class LimitSpace:
-    """A limit in standard normal space: its function, and what it takes to come back."""
+    """A limit in standard normal space: its function, and what it takes to come back.
+
+    `value` makes that of points (n, d), the quantity there and whether it is only known to be larger.
+    """
 
     limit: Limit
     function: LimitFunction
+    value: Callable[[Array, Array, Flags], Array]
     weights: Array
     remaining: float
 
@@ -230,20 +236,10 @@ def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Arr
     calls = iter(range(10**9))
     evaluate = _evaluate_without_scatter if d == 0 else evaluate_points
 
-    def g(normals: Array) -> Array:
+    def value_of(normals: Array, quantity: Array, censored: Flags) -> Array:
         from scipy.special import ndtr
 
-        if work.out_of_time:
-            raise OutOfBudget
-        physical = work.drawn.physical(normals)
-        scale = fixed if factor is None else physical[:, factor]
-        censored = np.zeros(len(normals), dtype=bool)
-        if demand is not None:
-            demands = demand(normals[:, :d]) * scale
-        else:
-            answered = evaluate(work, f"rare-events.{at}.{next(calls)}", work.scene_names, physical[:, :d])
-            demands = np.where(is_answered(answered.status), answered.values[:, k] * scale, np.nan)
-            censored = answered.censored[:, k]
+        demands = quantity * (fixed if factor is None else work.drawn.physical(normals)[:, factor])
         if isinstance(limit.strength, Law):
             shift = work.drawn.scores(normals) @ weights if np.any(weights) else None
             score = score_of(*strength_tails(limit.strength, np.nan_to_num(demands)))
@@ -258,10 +254,20 @@ def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Arr
         value = np.where(np.isnan(demands) | open_ended, np.nan, value)
         return np.asarray(-value if limit.aim == "break" else value)
 
+    def g(normals: Array) -> Array:
+        if work.out_of_time:
+            raise OutOfBudget
+        if demand is not None:
+            return value_of(normals, demand(normals[:, :d]), np.zeros(len(normals), dtype=bool))
+        rows = work.drawn.physical(normals)[:, :d]
+        answered = evaluate(work, f"rare-events.{at}.{next(calls)}", work.scene_names, rows)
+        quantity = np.where(is_answered(answered.status), answered.values[:, k], np.nan)
+        return value_of(normals, quantity, answered.censored[:, k])
+
     function = LimitFunction(
         function=g, dimension=len(names), integrated=isinstance(limit.strength, Law), on_failure="bound"
     )
-    return LimitSpace(limit=limit, function=function, weights=weights, remaining=remaining)
+    return LimitSpace(limit=limit, function=function, value=value_of, weights=weights, remaining=remaining)
 
 
 def _evaluate_without_scatter(work: Work, key: str, names: tuple[str, ...], rows: Array) -> Any:
@@ -394,8 +400,7 @@ def learnable(work: Work, limit: Limit, answer: LimitAnswer) -> bool:
     if not takes_over(work, answer) or answer.beneath("miss") or tied_strength(work, limit):
         return False
     open_ = answer.accuracy_missed("miss", work.study.analysis.accuracy.probability)
-    # the space in which the limit is hard
-    return bool(open_) and len(work.drawn.names) + isinstance(limit.strength, Law) <= MOST_VARIABLES
+    return bool(open_) and len(work.drawn.names) <= MOST_VARIABLES
 
 
 def reserve(work: Work, limits: Mapping[str, LimitAnswer], affordable: int) -> int:
@@ -405,12 +410,12 @@ def reserve(work: Work, limits: Mapping[str, LimitAnswer], affordable: int) -> i
     return min(MOST_CALLS * wanted, affordable // 2)
 
 
-def learn_limits(work: Work, limits: Mapping[str, LimitAnswer]) -> Learned:
-    """The limits, with active learning where one design was not enough and the budget has room."""
+def learn_limits(work: Work, limits: Mapping[str, LimitAnswer], design: Sample) -> Learned:
+    """The limits, with active learning where one design was not enough and the budget has room; its runs are known."""
     calls: dict[str, int] = {}
     todo = [(at, limit) for at, limit in enumerate(work.study.limits) if learnable(work, limit, limits[limit.name])]
     question = SmallProbabilities(
-        work=work, limits=dict(limits), todo=todo, go_on=partial(_learn, replace(work, spare=True), calls)
+        work=work, limits=dict(limits), todo=todo, go_on=partial(_learn, replace(work, spare=True), design, calls)
     )
     if campaign(work, question).stopped == "time" and question.todo:
         name = question.todo[0][1].name
@@ -420,16 +425,25 @@ def learn_limits(work: Work, limits: Mapping[str, LimitAnswer]) -> Learned:
 
 
 def _learn(
-    work: Work, counted: dict[str, int], at: int, limit: Limit, answer: LimitAnswer, room: float
+    work: Work, design: Sample, counted: dict[str, int], at: int, limit: Limit, answer: LimitAnswer, room: float
 ) -> tuple[LimitAnswer, list[SpeedRow]]:
     """A limit followed by a Gaussian process where it is; `counted` takes the calls down."""
+    from uqsphere.uq.rare.active import METHOD as ACTIVE
+    from uqsphere.uq.rare.active import learn_probability
+
     calls = int(min(MOST_CALLS, room))
     if calls < LEAST_CALLS:
         text = f"active learning was not begun: it takes {LEAST_CALLS} evaluations at least, {MOST_CALLS} at most"
         return answer.with_check(text), []
     space, asked = limit_space(work, limit, at), work.study.analysis.accuracy.probability
     learned = learn_probability(
-        space.function, seed=work.study.seed, budget=calls, accuracy=min(asked, 0.05), task=f"active.{limit.name}"
+        space.function,
+        seed=work.study.seed,
+        budget=calls,
+        accuracy=min(asked, 0.05),
+        task=f"active.{limit.name}",
+        at_once=work.study.analysis.at_once,
+        known=known_points(work, space, design),
     )
     updated = _with_learned(limit, answer, learned)
     if learned.design is not None:
@@ -440,6 +454,13 @@ def _learn(
         return updated, []
     error = learned.estimate.half_width / learned.estimate.value
     return updated, speed_rows_of(ACTIVE, f"limits.{limit.name}", learned.calls, error, MISS_KIND)
+
+
+def known_points(work: Work, space: LimitSpace, design: Sample) -> tuple[Array, Array]:
+    """Normal scores (N, d) of runs that are made, and the limit's function (N,) there."""
+    scores, k = design.scores[0], work.quantities.index(space.limit.quantity)
+    quantity = np.where(design.failed[0], np.nan, design.answers[0][:, k])
+    return scores, space.value(scores, quantity, design.censored[0][:, k])
 
 
 def _with_learned(limit: Limit, answer: LimitAnswer, learned: ActiveAnswer) -> LimitAnswer:

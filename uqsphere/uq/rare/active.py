@@ -1,152 +1,76 @@
 """Few calls of an expensive model: a Gaussian process that learns where the failure domain ends.
 
-The next point is where the process may err and where that matters: the probability of a wrong sign, weighted by the
-density of the variables.  The candidates cover the wide surroundings in all directions, far beyond what a population
-from the law itself would hold, so that a part of the failure domain nobody has seen yet counts as long as the process
-cannot exclude it there: that is the check of the untouched space (compare Echard, Gayton and Lemaire 2011, doi
+Given the process, with mean m(u) and standard deviation s(u), the probability of failure is itself uncertain.  With
+t = m/s its mean and variance are (Stein's lemma; the tetrachoric series of a pair of normal variables)
+
+    E P = E[Phi(-t(u))],    V P = E[ sum_k  rho(u, u')^k / k!  phi(t) He_(k-1)(t) phi(t') He_(k-1)(t') ],
+
+with rho the correlation that the values leave between u and u', and the covariance of P with the value at x
+
+    C(x) = -E[ phi(t(u))/s(u) k(u, x) ].
+
+The next call is where C(x)²/k(x, x) is largest: it takes the most of V P (as stepwise uncertainty reduction does, Bect
+et al. 2012, doi 10.1007/s11222-011-9241-4, here to first order and without sampling).  Calls that are made at once
+follow from each other, since covariances do not depend on values.  The search ends when 1.96 sqrt(V P)/P, scaled up by
+how far off the process was at the points it chose, is below the accuracy.  Where the strength is integrated, s² has one
+more for it, so that one formula serves both.
+
+The candidates u cover the wide surroundings in all directions, and some calls are spent where no point is near: what
+nobody has seen yet counts as long as the process cannot exclude it there (compare Echard, Gayton and Lemaire 2011, doi
 10.1016/j.strusafe.2011.01.002, whose population of the law misses far modes).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from uqsphere.arrays import Array
 from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.points import sobol_points
-from uqsphere.uq.rare.auto import RareAnswer, find_probability
+from uqsphere.uq.rare.auto import find_probability
 from uqsphere.uq.rare.form import FormAnswer
 from uqsphere.uq.rare.importance import wide_mixture
+from uqsphere.uq.rare.kriging import (
+    Kriging,
+    fit_kriging,
+    grown,
+    left_between,
+    left_out,
+    mean_of,
+    predict,
+    predict_reduced,
+    reduced,
+)
 from uqsphere.uq.rare.mixture import Component, Mixture, allocate, draw_mixture, joined, log_density
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction, Spent, log_normal_density
 
-# --- a small Gaussian process: constant mean, Matérn 5/2, a length for every variable, by likelihood --
-
-_NUGGET = 1e-8
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Kriging:
-    """Points (n, d) with their lengths (d,), and what prediction needs."""
-
-    points: Array
-    lengths: Array
-    mean: float
-    variance: float
-    factor: Array
-    loads: Array
-
-
-def _correlation(first: Array, second: Array, lengths: Array) -> Array:
-    """Matérn 5/2 correlation (n, m)."""
-    a, b = first / lengths, second / lengths
-    squares = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1)[None, :] - 2.0 * a @ b.T
-    r = math.sqrt(5.0) * np.sqrt(np.maximum(squares, 0.0))
-    return np.asarray((1.0 + r + r**2 / 3.0) * np.exp(-r))
-
-
-def _solved(points: Array, values: Array, lengths: Array) -> tuple[float, Kriging]:
-    """Negative concentrated log-likelihood, and the process."""
-    n = len(points)
-    factor = np.linalg.cholesky(_correlation(points, points, lengths) + _NUGGET * np.eye(n))
-    ones = np.linalg.solve(factor, np.ones(n))
-    scores = np.linalg.solve(factor, values)
-    mean = float(ones @ scores) / float(ones @ ones)
-    rest = scores - mean * ones
-    variance = max(float(rest @ rest) / n, 1e-300)
-    loads = np.linalg.solve(factor.T, rest)
-    cost = 0.5 * n * math.log(variance) + float(np.log(np.diag(factor)).sum())
-    found = Kriging(points=points, lengths=lengths, mean=mean, variance=variance,
-                    factor=np.asarray(factor, dtype=np.float64), loads=np.asarray(loads, dtype=np.float64))  # fmt: skip
-    return cost, found
-
-
-def through(points: Array, values: Array, lengths: Array) -> Kriging:
-    """The process through points (n, d) and values (n,) with given lengths (d,)."""
-    return _solved(points, values, lengths)[1]
-
-
-def fit_kriging(points: Array, values: Array, start: Array | None = None) -> Kriging:
-    """The process through points (n, d) and values (n,) with the most likely lengths.
-
-    >>> x = np.linspace(-2.0, 2.0, 12)[:, None]
-    >>> model = fit_kriging(x, np.sin(x[:, 0]))
-    >>> bool(abs(predict(model, np.array([[0.3]]))[0][0] - np.sin(0.3)) < 1e-3)
-    True
-    """
-    from scipy.optimize import minimize
-
-    d = points.shape[1]
-    bounds = [(math.log(0.2), math.log(60.0))] * d
-    begin = np.log(np.full(d, 3.0) if start is None else start)
-
-    def cost(logs: Array) -> float:
-        # few points say little about lengths: a wide normal law about 4 keeps them from running away
-        try:
-            return _solved(points, values, np.exp(logs))[0] + 0.05 * float(((logs - math.log(4.0)) ** 2).sum())
-        except np.linalg.LinAlgError:
-            return 1e10
-
-    best = minimize(cost, begin, method="L-BFGS-B", bounds=bounds, options={"maxiter": 25 if start is None else 10})
-    return _solved(points, values, np.exp(best.x))[1]
-
-
-def predict(model: Kriging, points: Array) -> tuple[Array, Array]:
-    """Mean and standard deviation (n,) at points (n, d)."""
-    from scipy.linalg import solve_triangular
-
-    means, deviations = [], []
-    for block in np.array_split(points, max(1, len(points) // 4096)):
-        across = _correlation(model.points, block, model.lengths)
-        means.append(model.mean + across.T @ model.loads)
-        part = solve_triangular(model.factor, across, lower=True, check_finite=False)
-        deviations.append(np.sqrt(model.variance * np.maximum(1.0 - (part**2).sum(axis=0), 0.0)))
-    return np.concatenate(means), np.concatenate(deviations)
-
-
-def reduced(model: Kriging, points: Array, before: Array | None = None) -> Array:
-    """What prediction at points (m, d) needs of a process through n values, (n, m).
-
-    `before` is that of the same lengths and fewer values, the first of these: only the rest is computed.
-    """
-    from scipy.linalg import solve_triangular
-
-    if before is None:
-        across = _correlation(model.points, points, model.lengths)
-        return np.asarray(solve_triangular(model.factor, across, lower=True, check_finite=False))
-    rows = before
-    for k in range(len(before), len(model.points)):
-        across = _correlation(model.points[k : k + 1], points, model.lengths)
-        rows = np.concatenate([rows, (across - model.factor[k : k + 1, :k] @ rows) / model.factor[k, k]])
-    return rows
-
-
-def predict_reduced(model: Kriging, rows: Array) -> tuple[Array, Array]:
-    """Mean and standard deviation (m,) from `reduced` rows (n, m).
-
-    >>> x = np.linspace(-2.0, 2.0, 9)[:, None]
-    >>> model, place = fit_kriging(x, np.sin(x[:, 0])), np.array([[0.3]])
-    >>> few = through(x[:7], np.sin(x[:7, 0]), model.lengths)
-    >>> rows = reduced(model, place, reduced(few, place))
-    >>> np.allclose(predict_reduced(model, rows), predict(model, place), atol=1e-9)
-    True
-    """
-    mean = model.mean + rows.T @ (model.factor.T @ model.loads)
-    return np.asarray(mean), np.sqrt(model.variance * np.maximum(1.0 - np.einsum("nm,nm->m", rows, rows), 0.0))
-
-
-# --- active learning ------------------------------------------------------------------------------
-
-#: calls between two looks at the lengths of the process, and candidates of every look
-EVERY, CANDIDATES = 5, 6000
+#: the process is fitted again once its points have grown by so much; candidates, and those that the variance is of
+GROWTH, CANDIDATES, NEAREST = 1.12, 6000, 600
+#: terms of the tetrachoric series: the fourth is below a tenth of the first
+TERMS = 4
+#: first points at least, three for each variable; of points that are known already, the most that are used
+FIRST, MOST_KNOWN = 10, 128
+#: values over their median where great ones begin to be pulled in; the likelihood says whether they are
+SQUEEZE = 0.5
 #: turns in a row that have to be sure enough
-CALM = 3
-#: looks at untouched space for every variable, before the process is believed
-LOOKS = 6
+CALM = 2
+#: looks at untouched space for every variable, before the process is believed, and calls between two of them
+LOOKS, BETWEEN = 3, 4
+#: chosen points that tell how far off the process is, and how many right ones it is taken to have had before
+RECENT, TRUSTED = 16, 4
+#: factor on the process's standard deviations, which take its lengths for known: with it 95 % of the intervals hold on
+#: public problems (docs/validation.md, "Few calls")
+SAFE = 2.0
+#: values of a free scalar where a probability that is asked for is looked for, and its range in the process
+STEPS, REACH = 17, 3.0
+#: candidates nearer to a point without an answer are not asked for again
+LOST = 0.3
 #: doubt that is said to be more than the answer can bear
 DOUBT = 0.2
 METHOD = "active learning, Gaussian process"
@@ -156,9 +80,9 @@ METHOD = "active learning, Gaussian process"
 class ActiveAnswer:
     """The estimate after `calls` of the model, and what speaks for and against it.
 
-    `doubt`: share of the probability that the process could still have wrong, anywhere within the reach of the
-    candidates; `modes` and `design` as `find_probability` has them, of the process.  `looked` of `looks` points were
-    spent in untouched space after the process had settled; `failed` points have no answer.
+    `doubt`: standard deviation of the probability that the process leaves, over itself; `modes` and `design` as
+    `find_probability` has them, of the process.  `looked` of `looks` points were spent in untouched space; `failed`
+    points have no answer.
     """
 
     estimate: Estimate
@@ -186,164 +110,310 @@ class ActiveAnswer:
         return "; ".join(texts)
 
 
+@dataclass(kw_only=True, eq=False)
+class Search:
+    """Points and values of the limit, the process through them, and candidates with their weights in the law.
+
+    Of four processes, with values pulled in or not and of either correlation, that is taken which says best what the
+    half of the points nearest to the limit have, each left out (`misfit`: its mean square error over what it expects;
+    `off`: that of chosen points, before they were known).  With a `level` the last variable is no random one but a
+    free scalar in [-REACH, REACH], and the probability that is learned is that at the scalar `where` it is `level`.
+    """
+
+    evaluator: Evaluator
+    seed: int
+    task: str
+    points: Array
+    values: Array
+    level: float | None = None
+    where: float = 0.0
+    candidates: Array = field(default_factory=lambda: np.empty((0, 0)))
+    weights: Array = field(default_factory=lambda: np.empty(0))
+    processes: dict[tuple[float, bool], Kriging] = field(default_factory=dict)
+    scale: float = math.inf
+    fitted: int = 0
+    misfit: float = 1.0
+    off: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.rows = np.empty((0, 0))
+        self.fit()
+
+    @property
+    def own(self) -> float:
+        """Variance that an integrated strength adds to that of the process."""
+        return float(self.evaluator.limit.integrated)
+
+    @property
+    def size(self) -> int:
+        """Random variables."""
+        return self.evaluator.dimension - (self.level is not None)
+
+    def squeezed(self, values: Array) -> Array:
+        """Values with their sign, great ones pulled in: what matters is where they change it."""
+        return np.asarray(self.scale * np.arcsinh(values / self.scale)) if np.isfinite(self.scale) else values
+
+    def placed(self, points: Array, where: float | None = None) -> Array:
+        """Points (n, size) of the law as points of the process."""
+        if self.level is None:
+            return points
+        return np.column_stack([points, np.full(len(points), self.where if where is None else where)])
+
+    def fit(self) -> None:
+        """The process with new lengths, and new candidates."""
+        known = np.isfinite(self.values)
+        values = self.values[known]
+        unit = float(np.median(np.abs(values))) or 1.0
+        near, told = np.abs(values) <= unit, []
+        for share, rough in product((math.inf,) if self.own else (SQUEEZE, math.inf), (False, True)):
+            self.scale = share * unit
+            found = fit_kriging(
+                self.points[known], self.squeezed(values), self.processes.get((share, rough)), rough=rough
+            )
+            self.processes[share, rough] = found
+            off, deviation = (each[near] for each in left_out(found))
+            # densities of the values themselves, each without itself: those of the squeezed ones times their slope
+            told.append((-float((np.log(deviation) + 0.5 * (off / deviation) ** 2
+                                 + 0.5 * np.log1p((values[near] / self.scale) ** 2)).sum()),
+                         float(np.mean((off / deviation) ** 2)), (share, rough)))  # fmt: skip
+        _, self.misfit, best = max(told)
+        self.scale, self.model = best[0] * unit, self.processes[best]
+        self.candidates, self.weights = _candidates(self)
+        if self.level is not None:
+            self.where = self._crossing(self.level)
+        self.rows = reduced(self.model, self.placed(self.candidates))
+        self.fitted = len(self.points)
+
+    def _crossing(self, level: float) -> float:
+        """Where along the scalar the probability by the process is `level`, or nearest to it."""
+        grid = np.linspace(-REACH, REACH, STEPS)
+        means = [mean_of(self.model, self.placed(self.candidates, x)) for x in grid]
+        failing = np.array([self.weights @ (ndtr(-m) if self.own else m < 0.0) for m in means])
+        off = np.log(np.maximum(failing, 1e-12) / level)
+        crossed = np.flatnonzero(off[1:] * off[:-1] <= 0.0)
+        if not len(crossed):
+            return float(grid[int(np.argmin(np.abs(off)))])
+        k = int(crossed[0])
+        return float(grid[k] + (grid[k + 1] - grid[k]) * off[k] / (off[k] - off[k + 1]) if off[k] else grid[k])
+
+    def add(self, chosen: Array) -> Array:
+        """Calls at points (b, d); gives their values."""
+        mean, deviation = predict(self.model, chosen)
+        values = self.evaluator.values(chosen)
+        known = np.isfinite(values)
+        self.off += list(((self.squeezed(values) - mean) / deviation)[known])
+        self.points, self.values = np.concatenate([self.points, chosen]), np.concatenate([self.values, values])
+        if len(self.points) >= GROWTH * self.fitted:
+            self.fit()
+        elif known.any():
+            self.model = grown(self.model, chosen[known], self.squeezed(values[known]))
+            self.rows = reduced(self.model, self.placed(self.candidates), self.rows)
+        return values
+
+    @property
+    def widening(self) -> float:
+        """By how much standard deviations of the process are too small, by its surprises."""
+        late = np.array(self.off[-RECENT:])
+        return SAFE * math.sqrt(max(1.0, self.misfit, float((late**2).sum() + TRUSTED) / (len(late) + TRUSTED)))
+
+    def look(self) -> Seen:
+        """What the process says of the probability."""
+        placed = self.placed(self.candidates)
+        mean, deviation = predict_reduced(self.model, placed, self.rows)
+        return Seen.of(self, mean, np.sqrt(self.own + deviation**2))
+
+    def learn(self, accuracy: float, looks: int, at_once: int = 1) -> tuple[Seen, int]:
+        """Calls until half the interval is below `accuracy` and so many looks are made, or the calls are spent.
+
+        Gives what is seen then, and the looks that were made.
+        """
+        calm, looked, begun = 0, 0, len(self.points)
+        while True:
+            seen = self.look()
+            calm = calm + 1 if 1.96 * seen.doubt < accuracy else 0
+            left = int(max(self.evaluator.left, 0))
+            if not left or (calm >= CALM and looked >= looks):
+                return seen, looked
+            count, learnt = min(at_once, left), len(self.points) - begun - looked
+            far = looked < looks and (calm >= CALM or learnt >= (looked + 1) * BETWEEN or left <= looks - looked)
+            if far:
+                chosen = self.untouched(seen.probability, min(count, looks - looked))
+            else:
+                chosen = seen.chosen(count, self.points[np.isnan(self.values)])
+            excluded = predict(self.model, chosen)[0] > 0.0
+            values = self.add(chosen)
+            if far:
+                looked += len(chosen)
+                # what was excluded there and yet fails: there may be more of it
+                if bool((excluded & (values < 0.0)).any()):
+                    looked = min(looked, looks - self.size)
+
+    def untouched(self, probability: float, count: int) -> Array:
+        """Candidates farthest from every point, no farther out than failures of that probability would be."""
+        reach = 1.0 - float(ndtri(min(max(probability / CANDIDATES, 1e-15), 0.4)))
+        near = self.candidates[np.linalg.norm(self.candidates, axis=1) <= max(reach, 2.0)]
+        near = self.placed(near if len(near) else self.candidates)
+        known = self.points
+        for _ in range(count):
+            squares = (near**2).sum(axis=1)[:, None] + (known**2).sum(axis=1)[None, :] - 2.0 * near @ known.T
+            known = np.concatenate([known, near[[int(np.argmax(squares.min(axis=1)))]]])
+        return known[len(self.points) :]
+
+    def bounds(self, points: Array, where: float) -> Array:
+        """Probabilities (3, n) of failure at points (n, size) of the law: the mean's, and both ends of the interval."""
+        placed = self.placed(points, where)
+        mean, deviation = predict(self.model, placed)
+        whole = np.sqrt(self.own + deviation**2)
+        slope = np.exp(-0.5 * (mean / whole) ** 2) / whole
+        here = replace_where(self, where).look()
+        # pointwise shifts that move the mean of all as far as the interval goes
+        moved = float((slope * deviation).mean()) / math.sqrt(2.0 * math.pi)
+        middle = float(ndtr(-mean / whole).mean())
+        reach = deviation * min(1.96 * here.doubt * middle / max(moved, 1e-300), 1.96 * self.widening)
+        found = [mean, mean + reach, mean - reach]
+        return np.array([ndtr(-m) if self.own else (m < 0.0).astype(float) for m in found])
+
+
+@dataclass(kw_only=True, eq=False)
+class Seen:
+    """The probability by the process, its relative standard deviation, and candidates that matter to it.
+
+    `slopes` (k,) is how P moves with the value at candidates `near` (k, d), `left` (k, k) the covariances there.
+    """
+
+    probability: float
+    doubt: float
+    near: Array
+    slopes: Array
+    left: Array
+
+    @classmethod
+    def of(cls, search: Search, mean: Array, deviation: Array) -> Seen:
+        """From means and deviations (n,) at the candidates, with the strength's own in these."""
+        t = mean / deviation
+        density = search.weights * np.exp(-0.5 * t**2) / math.sqrt(2.0 * math.pi)
+        total = float(search.weights @ ndtr(-t))
+        plain = total if search.own else float(search.weights[mean < 0.0].sum())
+        most = np.argpartition(-density, NEAREST)[:NEAREST]
+        near, t, density, deviation = search.placed(search.candidates[most]), t[most], density[most], deviation[most]
+        left = left_between(search.model, near, search.rows[:, most])
+        rho = left / deviation[:, None] / deviation[None, :]
+        variance, power, hermite, before = 0.0, np.ones_like(rho), np.ones_like(t), np.zeros_like(t)
+        for k in range(1, TERMS + 1):
+            power = power * rho
+            side = density * hermite
+            variance += float(side @ power @ side) / math.factorial(k)
+            hermite, before = t * hermite - (k - 1) * before, hermite
+        doubt = search.widening * math.sqrt(max(variance, 0.0) + (plain - total) ** 2) / max(total, 1e-300)
+        return cls(probability=total, doubt=doubt, near=near, slopes=density / deviation, left=left)
+
+    def chosen(self, count: int, lost: Array) -> Array:
+        """Candidates (count, d) that take the most of the variance, one given those before it; none near `lost`."""
+        left, found = self.left.copy(), []
+        floor = 1e-8 * float(np.diag(left).max()) + 1e-300
+        apart = np.linalg.norm(self.near[:, None, :] - lost[None, :, :], axis=2).min(axis=1, initial=math.inf)
+        for _ in range(count):
+            own = np.diag(left)
+            gain = np.where(own > floor, (left @ self.slopes) ** 2 / np.maximum(own, floor), 0.0)
+            at = int(np.argmax(np.where(apart > LOST, gain, -1.0)))
+            found.append(at)
+            left = left - np.outer(left[:, at], left[at]) / max(float(left[at, at]), floor)
+        return self.near[found]
+
+
+def replace_where(search: Search, where: float) -> Search:
+    """The search with its scalar elsewhere, to look from there."""
+    found = copy(search)
+    if search.level is not None:
+        found.where = where
+        found.rows = reduced(found.model, found.placed(found.candidates))
+    return found
+
+
 def learn_probability(
-    limit: LimitFunction, *, seed: int, budget: int = 200, accuracy: float = 0.05, task: str = "active"
+    limit: LimitFunction,
+    *,
+    seed: int,
+    budget: int = 200,
+    accuracy: float = 0.05,
+    task: str = "active",
+    at_once: int = 1,
+    known: tuple[Array, Array] | None = None,
 ) -> ActiveAnswer:
     """Probability of failure from at most `budget` calls, ended earlier when half the interval is below `accuracy`.
 
-    The interval holds what importance sampling gives on the process's mean, and on its mean plus and minus
-    1.96 standard deviations.  For at most ten or so variables, and limits that a Gaussian process can follow.
+    `at_once` calls are chosen together, for models that run side by side; `known` points (n, d) and values (n,) are
+    not called again.  For at most ten or so variables, and limits that a Gaussian process can follow.
     """
     evaluator = Evaluator(limit=limit, budget=budget)
-    size = evaluator.size
-    looks = LOOKS * size
-    points = _first_points(size, seed, task, min(max(12, 4 * size), budget))
+    looks = LOOKS * evaluator.dimension
+    search = begin(evaluator, seed=seed, task=task, known=known)
+    if isinstance(search, str):
+        return ActiveAnswer(estimate=absent(search, METHOD, evaluator.count), calls=evaluator.count, doubt=1.0,
+                            modes=0, looks=looks, failed=evaluator.failed)  # fmt: skip
+    seen, looked = search.learn(accuracy, looks, at_once)
+    return replace(_answer(search, seen), looked=looked, looks=looks)
+
+
+def begin(
+    evaluator: Evaluator, *, seed: int, task: str, known: tuple[Array, Array] | None = None, level: float | None = None
+) -> Search | str:
+    """A search from first points, beside those that are `known`; or why there is none."""
+    size = evaluator.dimension
+    points, values = np.empty((0, size)), np.empty(0)
+    if known is not None:
+        # those nearest to the limit, if a process through all would be slow
+        nearest = np.argsort(np.abs(known[1]), kind="stable")[:MOST_KNOWN]
+        points, values = known[0][nearest], known[1][nearest]
+    first = _first_points(size, seed, task, size + 2 if len(points) else min(max(FIRST, 3 * size), evaluator.budget))
     try:
-        values = evaluator.hard(points)
-        doubt, calm, looked, pause = 1.0, 0, 0, 0
-        known = np.isfinite(values)
-        if known.sum() < 3:
-            nothing = absent("fewer than three of the first points have an answer", METHOD, evaluator.count)
-            return _nothing(nothing, evaluator, size)
-        scale = _scale(values[known])
-        model = fit_kriging(points[known], _squeezed(values[known], scale))
-        candidates, weights, rows = _sight(model, seed, task, evaluator.count)
-        while evaluator.left >= 1 and (calm < CALM or looked < looks):
-            mean, deviation = predict_reduced(model, rows)
-            wrong, failing = _signs(mean, deviation)
-            total = float((weights * failing).sum())
-            doubt = float((weights * wrong).sum()) / max(total, 1e-300)
-            # the looks at untouched space come after some calm turns, and are not ended by a little more doubt
-            calm = calm + 1 if _band(weights, mean, deviation) < (1.0 if calm < CALM else 2.0) * accuracy else 0
-            # a search that does not settle leaves a quarter of its calls for what the looks may find
-            late = pause == 0 and evaluator.left <= looks - looked + 0.25 * budget
-            far = looked < looks and (calm >= CALM or late)
-            chosen = (
-                _untouched(candidates, points, total)
-                if far
-                else candidates[int(np.argmax(weights * wrong * deviation / deviation.max()))]
-            )
-            values = np.append(values, evaluator.hard(chosen[None, :]))
-            pause = max(pause - 1, 0)
-            if far:
-                # what was excluded there and yet fails sends the process back to learning
-                surprised = bool(values[-1] < 0.0) and float(predict(model, chosen[None, :])[0][0]) > 0.0
-                calm, looked, pause = (0, 0, 4 * size) if surprised else (calm, looked + 1, pause)
-            points = np.concatenate([points, chosen[None, :]])
-            known = np.isfinite(values)
-            if len(points) % EVERY == 0:
-                scale = _scale(values[known])
-                model = fit_kriging(points[known], _squeezed(values[known], scale), model.lengths)
-                candidates, weights, rows = _sight(model, seed, task, evaluator.count)
-            elif known[-1]:
-                model = through(points[known], _squeezed(values[known], scale), model.lengths)
-                rows = reduced(model, candidates, rows)
+        found = evaluator.values(first)
     except Spent:
-        return _nothing(
-            absent("the budget does not suffice for a first design", METHOD, evaluator.count), evaluator, size
-        )
-    found = _answer(model, size, seed, evaluator.count, doubt)
-    return replace(found, looked=looked, looks=looks, failed=evaluator.failed)
+        return "the budget does not suffice for a first design"
+    points, values = np.concatenate([points, first]), np.concatenate([values, found])
+    if np.isfinite(values).sum() < 3:
+        return "fewer than three of the first points have an answer"
+    return Search(evaluator=evaluator, seed=seed, task=task, points=points, values=values, level=level)
 
 
-def _nothing(estimate: Estimate, evaluator: Evaluator, size: int) -> ActiveAnswer:
-    return ActiveAnswer(estimate=estimate, calls=evaluator.count, doubt=1.0, modes=0, looks=LOOKS * size,
-                        failed=evaluator.failed)  # fmt: skip
-
-
-def _first_points(size: int, seed: int, task: str, count: int) -> Array:
+def _first_points(size: int, seed: int, task: str, count: float) -> Array:
     """The origin, and directions all around at rising distances."""
-    from scipy.special import ndtri
-
-    uniforms = sobol_points(dimension=size + 1, count=count - 1, seed=seed, task=task, replicate=0)
+    uniforms = sobol_points(dimension=size + 1, count=int(count) - 1, seed=seed, task=task, replicate=0)
     normals = np.asarray(ndtri(uniforms[:, 1:]))
     rays = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     reach = np.sqrt(size) + 4.0
     return np.concatenate([np.zeros((1, size)), rays * (1.0 + (reach - 1.0) * uniforms[:, :1])])
 
 
-def _scale(values: Array) -> float:
-    return float(np.median(np.abs(values))) or 1.0
-
-
-def _squeezed(values: Array, scale: float) -> Array:
-    """Values with their sign, great ones pulled in: what matters is where they change it."""
-    return np.asarray(np.arcsinh(2.0 * values / scale))
-
-
-def _untouched(candidates: Array, points: Array, probability: float) -> Array:
-    """The candidate that is farthest from every point, no farther out than failures of that probability would be."""
-    from scipy.special import ndtri
-
-    reach = 1.0 - float(ndtri(min(max(probability / len(candidates), 1e-15), 0.4)))
-    near = candidates[np.linalg.norm(candidates, axis=1) <= max(reach, 2.0)]
-    if not len(near):
-        return np.asarray(candidates[0])
-    distances = (near**2).sum(axis=1)[:, None] + (points**2).sum(axis=1)[None, :] - 2.0 * near @ points.T
-    return np.asarray(near[int(np.argmax(distances.min(axis=1)))])
-
-
-def _signs(mean: Array, deviation: Array) -> tuple[Array, Array]:
-    """Probabilities that the sign of the mean is wrong, and that the value is negative."""
-    from scipy.special import ndtr
-
-    scores = mean / np.maximum(deviation, 1e-12)
-    return np.asarray(ndtr(-np.abs(scores))), np.asarray(ndtr(-scores))
-
-
-def _band(weights: Array, mean: Array, deviation: Array) -> float:
-    """Half of what lies between the process plus and minus 1.96 standard deviations, over the probability."""
-    least, middle, most = (float(weights[mean + side * deviation < 0.0].sum()) for side in (1.96, 0.0, -1.96))
-    return 0.5 * (most - least) / max(middle, 1e-300)
-
-
-def _candidates(model: Kriging, seed: int, task: str, turn: int) -> tuple[Array, Array]:
+def _candidates(search: Search) -> tuple[Array, Array]:
     """Points in the wide surroundings and about the failures that are known, and their weights in the law."""
-    size = model.points.shape[1]
-    parts: list[tuple[float, Mixture]] = [(0.6, wide_mixture(size, reach=5.0))]
-    near = model.points[np.argsort((model.points**2).sum(axis=1) + 1e3 * (model_sign(model) > 0.0))][:6]
-    local = tuple(Component(mean=point, factor=0.7 * np.eye(size)) for point in near)
-    parts.append((0.4, Mixture(shares=np.full(len(local), 1.0 / len(local)), components=local)))
-    mixture = joined(parts)
+    size, points = search.size, search.model.points[:, : search.size]
+    near = points[np.argsort((points**2).sum(axis=1) + 1e3 * (search.model.values > 0.0))][:6]
+    if len(search.candidates):
+        mean, deviation = predict(search.model, search.placed(search.candidates))
+        failing = np.cumsum(search.weights * ndtr(-mean / np.sqrt(search.own + deviation**2)))
+        where = np.searchsorted(failing, (np.arange(12) + 0.5) / 12 * failing[-1])
+        near = np.concatenate([near[:4], search.candidates[np.minimum(where, len(failing) - 1)]])
+    local = tuple(Component(mean=point, factor=0.8 * np.eye(size)) for point in near)
+    wide = wide_mixture(size, reach=5.0)
+    mixture = joined([(0.5, wide), (0.5, Mixture(shares=np.full(len(local), 1.0 / len(local)), components=local))])
     counts = allocate(mixture.shares, CANDIDATES)
     drawn = Mixture(shares=np.array(counts) / CANDIDATES, components=mixture.components)
-    found = draw_mixture(drawn, counts, seed=seed, task=f"{task} candidates", replicate=turn)
-    return found, np.exp(log_normal_density(found) - log_density(drawn, found))
+    found = draw_mixture(drawn, counts, seed=search.seed, task=f"{search.task} candidates",
+                         replicate=search.evaluator.count)  # fmt: skip
+    return found, np.exp(log_normal_density(found) - log_density(drawn, found)) / CANDIDATES
 
 
-def _sight(model: Kriging, seed: int, task: str, turn: int) -> tuple[Array, Array, Array]:
-    """Candidates, their weights, and what the process needs to be predicted there."""
-    candidates, weights = _candidates(model, seed, task, turn)
-    return candidates, weights, reduced(model, candidates)
-
-
-def model_sign(model: Kriging) -> Array:
-    """Sign of the process at its own points: those of the values."""
-    return np.asarray(np.sign(predict(model, model.points)[0]))
-
-
-def _surrogate(model: Kriging, shift: float) -> Callable[[Array], Array]:
-    def function(points: Array) -> Array:
-        mean, deviation = predict(model, points)
-        return np.asarray(mean + shift * deviation)
-
-    return function
-
-
-def _answer(model: Kriging, size: int, seed: int, calls: int, doubt: float) -> ActiveAnswer:
-    """Importance sampling on the process, and on its two edges for the interval."""
-    found: list[RareAnswer] = [
-        find_probability(LimitFunction(function=_surrogate(model, shift), dimension=size), seed=seed, budget=16_000,
-                         accuracy=0.015)
-        for shift in (0.0, -1.96, 1.96)
-    ]  # fmt: skip
-    middle, most, least = (answer.estimate for answer in found)
-    if middle.value is None or middle.low is None or middle.high is None:
-        return ActiveAnswer(
-            estimate=replace(middle, method=METHOD, evaluations=calls), calls=calls, doubt=doubt, modes=0
-        )
-    low = min(middle.low, least.low if least.low is not None else 0.0)
-    high = max(middle.high, most.high if most.high is not None else middle.high)
-    estimate = Estimate(value=middle.value, low=low, high=high, std_error=(high - low) / 3.92, method=METHOD,
-                        evaluations=calls)  # fmt: skip
-    return ActiveAnswer(estimate=estimate, calls=calls, doubt=doubt, modes=found[0].modes, design=found[0].design)
+def _answer(search: Search, seen: Seen) -> ActiveAnswer:
+    """Importance sampling on the process, with what the process leaves open in the interval."""
+    evaluator = search.evaluator
+    limit = replace(evaluator.limit, function=lambda u: mean_of(search.model, u))
+    found = find_probability(limit, seed=search.seed, budget=20_000, accuracy=0.01)
+    value, calls = found.estimate.value, evaluator.count
+    estimate = replace(found.estimate, method=METHOD, evaluations=calls)
+    if value:
+        spread = math.hypot(1.96 * seen.doubt, found.estimate.half_width / value)
+        low, high = value * math.exp(-spread), min(value * math.exp(spread), 1.0)
+        estimate = replace(estimate, low=low, high=high, std_error=(high - low) / 3.92)
+    return ActiveAnswer(estimate=estimate, calls=calls, doubt=seen.doubt, modes=found.modes, design=found.design,
+                        failed=evaluator.failed)  # fmt: skip
