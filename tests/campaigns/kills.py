@@ -2,8 +2,7 @@
 
 ``python -m tests.campaigns.kills local --times 200 --out FOLDER`` kills the run itself with SIGKILL, at random moments,
 until it has finished, again and again; ``dask`` kills workers of a cluster of this machine while a run goes on.
-A model that writes down every call is what shows what was evaluated.  With ``--warm`` every run is a fork of a process
-that has its modules loaded already, so that its life is the run and not the start of an interpreter; it draws no page.
+A model that writes down every call is what shows what was evaluated.
 ``scale --sleep 0.005`` runs a black box whose rows take a while and no processor with one, two, four and eight workers:
 whether the answers are the same bytes, and how much sooner they are there.
 """
@@ -123,52 +122,6 @@ def _command(case: Path, *more: str) -> list[str]:
     return [sys.executable, "-m", "uqsphere", *run]
 
 
-class _Fork:
-    """A run in a fork of this process, without its page, with what of `subprocess.Popen` is needed here."""
-
-    def __init__(self, case: Path) -> None:
-        self.code: int | None = None
-        self.process = os.fork()
-        if self.process == 0:
-            code = 1
-            try:
-                silence = os.open(os.devnull, os.O_WRONLY)
-                os.dup2(silence, 1)
-                os.dup2(silence, 2)
-                _run_here(case)
-                code = 0
-            finally:
-                os._exit(code)
-
-    def wait(self, timeout: float | None = None) -> int:
-        until = None if timeout is None else time.monotonic() + timeout
-        while self.code is None:
-            found, status = os.waitpid(self.process, 0 if until is None else os.WNOHANG)
-            if found:
-                self.code = os.waitstatus_to_exitcode(status)
-            elif until is not None and time.monotonic() >= until:
-                raise subprocess.TimeoutExpired("run", timeout or 0.0)
-            else:
-                time.sleep(0.0005)
-        return self.code
-
-    def send_signal(self, number: int) -> None:
-        os.kill(self.process, number)
-
-
-def _run_here(case: Path) -> None:
-    import uqsphere
-
-    study = uqsphere.load_study(case / "killed.toml")
-    uqsphere.run(study, out=case / "results", model=f"{case / 'killed.py'}:f")
-
-
-def _start(case: Path, warm: bool, *more: str) -> _Fork | subprocess.Popen[bytes]:
-    if warm:
-        return _Fork(case)
-    return subprocess.Popen(_command(case, *more), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-
-
 def _clear(case: Path) -> None:
     shutil.rmtree(case / "results", ignore_errors=True)
     (case / "calls.log").unlink(missing_ok=True)
@@ -192,26 +145,19 @@ def _stored(case: Path) -> int:
     return sum(len(np.load(files[key])) for key, base in bases.items() if base == key or base not in files)
 
 
-def kill_runs(
-    case: Path, times: int, *, seed: int = 1, jobs: str = "2", warm: bool = False, limit: float = float("inf")
-) -> Campaign:
-    """Kill a run at random moments until it finishes, begin a new one, and so on, `times` kills or `limit` seconds.
+def kill_runs(case: Path, times: int, *, seed: int = 1, jobs: str = "2") -> Campaign:
+    """Kill a run at random moments until it finishes, begin a new one, and so on, for a number of kills.
 
-    Answers are held against those of a process of its own that nobody disturbs, `warm` or not.  After each kill the
-    rows that are stored are counted: with the calls that had ended by then this says what had been evaluated and not
-    stored.
+    Answers are held against those of a run that nobody disturbs.  After each kill the rows that are stored are counted:
+    with the calls that had ended by then this says what had been evaluated and not stored.
     """
     rng, found = random.Random(seed), Campaign()
     whole, seconds, evaluations = _whole(case, "-j", jobs)
-    if warm:
-        _clear(case)
-        _run_here(case)  # loads all that a run needs
     _clear(case)
-    lost, until = 0, time.monotonic() + limit
+    lost = 0
     while True:
-        times = times if time.monotonic() < until else 0
         began, fresh = time.monotonic(), not (case / "calls.log").exists()
-        process = _start(case, warm, "-j", jobs)
+        process = subprocess.Popen(_command(case, "-j", jobs), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             code = process.wait(timeout=rng.uniform(0.0, seconds) if found.kills < times else None)
         except subprocess.TimeoutExpired:
@@ -356,8 +302,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--sleep", type=float, default=0.0005, help="seconds that a row takes")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", default="2", help="processes of a local run, or workers of the cluster")
-    parser.add_argument("--seconds", type=float, default=float("inf"), help="no more kills after that (local)")
-    parser.add_argument("--warm", action="store_true", help="local runs are forks of a process that is ready")
     parser.add_argument("--processes", action="store_true", help="local runs evaluate in processes of their own")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2, 4, 8], help="how many each (scale)")
     parser.add_argument("--dask", action="store_true", help="workers of a Dask cluster on this machine (scale)")
@@ -369,9 +313,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(len({row["answers"] for row in rows}) > 1)
     case = write_case(chosen.out.resolve(), chosen.sleep, processes=chosen.processes)
     if chosen.which == "local":
-        found = kill_runs(
-            case, chosen.times, seed=chosen.seed, jobs=chosen.jobs, warm=chosen.warm, limit=chosen.seconds
-        )
+        found = kill_runs(case, chosen.times, seed=chosen.seed, jobs=chosen.jobs)
     else:
         found = kill_workers(case, chosen.times, workers=int(chosen.jobs), seed=chosen.seed)
     print(json.dumps(asdict(found)))

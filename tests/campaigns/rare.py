@@ -131,6 +131,27 @@ def _rp53(a: Array, b: Array) -> Array:
     return np.asarray(np.sin(2.5 * a) + 2.0 - (a**2 + 4.0) * (b - 1.0) / 20.0)
 
 
+def _rp55(a: Array, b: Array) -> Array:
+    far, bent = np.abs(a - b), 0.2 + 0.6 * (a - b) ** 4
+    return np.asarray(np.minimum(bent - far / math.sqrt(2.0), 5.0 / math.sqrt(2.0) - 2.2 - far))
+
+
+def _rp91(a: Array, b: Array, c: Array, d: Array, e: Array) -> Array:
+    first = 0.847 + 0.96 * b + 0.986 * c - 0.216 * d + 0.077 * b**2 + 0.11 * c**2 + 7.0 / 378.0 * d**2
+    first = first - c * b - 0.106 * b * d - 0.11 * c * d
+    second = 84_000.0 * a / np.sqrt(c**2 + d**2 - c * d + 3.0 * e**2) - 1.0
+    return np.asarray(np.min([first, second, 84_000.0 * a / np.abs(d) - 1.0], axis=0))
+
+
+def _oscillator(m: Array, c1: Array, c2: Array, r: Array, f: Array, t: Array) -> Array:
+    """A mass between two springs under a pulse, beyond three times the yield of one; Bucher and Bourgund 1990."""
+    w = np.sqrt((c1 + c2) / m)
+    return np.asarray(3.0 * r - np.abs(2.0 * f / (m * w**2) * np.sin(0.5 * w * t)))
+
+
+_RP91 = tuple(_normal(*p) for p in ((0.07433, 0.005), (0.1, 0.01), (13.0, 60.0), (4751.0, 48.0), (-684.0, 11.0)))
+_OSCILLATOR = tuple(_normal(*p) for p in ((1.0, 0.05), (1.0, 0.1), (0.1, 0.01), (0.5, 0.05), (1.0, 0.2), (1.0, 0.2)))
+
 PROBLEMS: Final = (
     Problem(name="plane", text="plane at 3.5, two inputs", dimension=2, function=_plane(3.5),
             reference=2.3262907903552504e-4, how="closed form"),
@@ -202,6 +223,26 @@ PROBLEMS: Final = (
     Problem(name="RP63", text="bowl in a hundred inputs", dimension=100,
             function=lambda u: np.asarray(0.1 * (u[:, 1:] ** 2).sum(axis=1) - u[:, 0] - 4.5), reference=3.769436118e-4,
             how="quadrature", published=3.79e-4),
+    Problem(name="RP54", text="sum of twenty exponentials", dimension=20,
+            function=_mapped((make_law("exponential", {"rate": 1.0}),) * 20, lambda *x: sum(x) - 8.951),
+            reference=9.906030725e-4, how="closed form", published=9.98e-4),
+    Problem(name="RP55", text="four branches in two uniforms", dimension=2,
+            function=_mapped((make_law("uniform", {}, -1.0, 1.0),) * 2, _rp55),
+            reference=0.5600144282863704, how="closed form", published=0.5600144282863704, modes=None),
+    Problem(name="RP89", text="union of a parabola and a plane", dimension=2,
+            function=lambda u: np.asarray(np.minimum(8.0 - u[:, 0] ** 2 - u[:, 1], 6.0 - u[:, 0] / 5.0 - u[:, 1])),
+            reference=5.471280529e-3, how="quadrature", published=5.43e-3, modes=2),
+    Problem(name="RP91", text="union of three, five inputs", dimension=5, function=_mapped(_RP91, _rp91),
+            reference=7.00255e-4, how="long run", error=2e-6, published=6.97e-4, modes=None),
+    Problem(name="R - S", text="resistance and stress (Waarts 2000)", dimension=2,
+            function=_mapped((_normal(7.0, 1.0), _normal(2.0, 1.0)), lambda r, s: r - s),
+            reference=2.0347600872247943e-4, how="closed form"),
+    Problem(name="stressed beam", text="bar in tension", dimension=2,
+            function=_mapped((_lognormal(300.0, 30.0), _normal(75e3, 5e3)), lambda r, f: r - f / (100.0 * math.pi)),
+            reference=2.9198194625e-2, how="quadrature"),
+    Problem(name="oscillator", text="spring and mass under a pulse, six inputs", dimension=6,
+            function=_mapped(_OSCILLATOR, _oscillator), reference=2.85952e-2, how="long run", error=4e-5,
+            published=2.834e-2),
 )  # fmt: skip
 
 

@@ -193,7 +193,7 @@ def compared_pressure(quantity: str, table: LimitTable, name: str, scene: Scene,
             findings.add(
                 place,
                 'strength_is is missing: "hertz" if the strength was computed from a failure force by Hertz, as nearly '
-                'all tabulated contact strengths are;\n"pressure" if it is a true pressure, which never exceeds the '
+                'all tabulated contact strengths are; "pressure" if it is a true pressure, which never exceeds the '
                 "hardness: the probabilities can differ by decades",
             )
         return quantity

@@ -309,8 +309,8 @@ def _as_asked(analysis: Analysis, data: Mapping[str, Raw]) -> Analysis:
     given = data.get("analysis")
     named = given.get("accuracy") if isinstance(given, Mapping) else None
     every = ("mean", "quantile", "sobol", "probability")
-    if not isinstance(named, Mapping) or not any(key in named for key in every):
-        return analysis
+    if not isinstance(named, Mapping) or not any(key in named for key in every) or not analysis.quantities:
+        return analysis  # without a quantity there is a fault already
     open_ = dict.fromkeys((key for key in every if key not in named), math.inf)
     return replace(analysis, accuracy=replace(analysis.accuracy, **open_))
 

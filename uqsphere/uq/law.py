@@ -410,6 +410,7 @@ def bounds_of(lower: float | None, upper: float | None) -> tuple[float, float]:
     return a, b
 
 
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what is beyond floating point is refused
 def checked(law: Law) -> Law:
     """The law, once it is known to have mass, a finite centre, and scatter that floating point can hold.
 
@@ -426,13 +427,12 @@ def checked(law: Law) -> Law:
         raise beyond
     if law.family.sound(law.parameters, law.lower, law.upper, centre):
         return law
-    with np.errstate(over="ignore"):
-        if not law.mass > _LEAST_MASS:
-            bounds = f"[{law.lower:g}, {law.upper:g}]"
-            key = "lower" if math.isfinite(law.lower) else "upper"
-            raise LawError(f"the truncation {bounds} leaves no mass of the {name} law", key)
-        steps = law._steps
-        ends = law.ppf(np.array([0.25, 0.75])) if steps is None else steps[[0, -1]]
+    if not law.mass > _LEAST_MASS:
+        bounds = f"[{law.lower:g}, {law.upper:g}]"
+        key = "lower" if math.isfinite(law.lower) else "upper"
+        raise LawError(f"the truncation {bounds} leaves no mass of the {name} law", key)
+    steps = law._steps
+    ends = law.ppf(np.array([0.25, 0.75])) if steps is None else steps[[0, -1]]
     low, high = float(ends[0]), float(ends[1])
     if not (math.isfinite(low) and math.isfinite(high)):
         raise beyond
