@@ -266,6 +266,7 @@ def test_a_run_with_a_table_repeats_whatever_its_threads(tmp_path: Path) -> None
     again = uqsphere.run(study, out=tmp_path / "run", threads=1)
     assert (again.folder / "results.json").read_bytes() == known
     assert again.manifest.evaluations_reused > 0
+    assert not again.manifest.damaged_chunks
 
 
 def test_the_table_of_choices(study_from: Build, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

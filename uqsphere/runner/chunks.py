@@ -364,7 +364,7 @@ def remembered_rows(store: Store | None, key: str, scene: Scene, about: object, 
     stored = store.load(name)
     if stored is not None and stored.dtype == np.dtype("<f8") and len(stored) == len(scene):
         return stored
-    found = solve()
+    found = np.ascontiguousarray(solve())  # by rows: as columns a chunk is not read again
     store.save(name, found)
     return found
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,10 +20,10 @@ from uqsphere.uq.failure_indices import BY_DIRECTION, failure_shares
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import (
     LimitState,
+    by_replicate,
     exceedance,
     margin_quantiles,
     miss,
-    pick_replicates,
     reliability_index,
     score_given_inputs,
     tails,
@@ -225,26 +225,20 @@ def controlled_limits(
     for limit in work.study.limits:
         given, states = plain[limit.name], [state_of(work, limit, part) for part in (sample, few, many)]
         counted = not isinstance(limit.strength, Law)
-        exceeded = _controlled(states, exceedance, counted) or given.exceedance
+        exceeded = _controlled(states, "survive", counted) or given.exceedance
         missed = exceeded
         if limit.aim == "break":
-            missed = _controlled(states, lambda state: miss(state, "break"), counted) or given.miss
+            missed = _controlled(states, "break", counted) or given.miss
         answers[limit.name] = replace(given, exceedance=exceeded, miss=missed)
     return answers
 
 
-def _controlled(
-    states: Sequence[LimitState], answer: Callable[[LimitState], Estimate], counted: bool
-) -> Estimate | None:
-    """A probability of the first state, corrected by those of the other two; None where a replicate has none."""
-    rows = []
-    for state in states:
-        # two copies of one row: the value is that row's own
-        alone = [replace(pick_replicates(state, [r, r]), censored=None, failed=None) for r in range(len(state.demands))]
-        values = [answer(row).value for row in alone]
-        if any(value is None for value in values):
-            return None
-        rows.append(np.array(values, dtype=float))
+def _controlled(states: Sequence[LimitState], aim: str, counted: bool) -> Estimate | None:
+    """A probability of missing an aim of the first state, corrected by those of the other two; None where a replicate
+    has none."""
+    rows = [by_replicate(state, aim) for state in states]
+    if rows[0] is None or rows[1] is None or rows[2] is None:
+        return None
     sizes = states[0].demands.shape[1], states[2].demands.shape[1]
     return probability(rows[0], rows[1], rows[2], sizes=sizes, counted=counted, method=TABLED)
 

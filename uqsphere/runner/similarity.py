@@ -97,12 +97,12 @@ def _scene(work: Work, rows: Array) -> tuple[Scene, str]:
     return as_integrated(scene_of(work.study, values, len(rows)), work.fidelity)
 
 
-def _scaled(work: Work, rows: Array) -> tuple[Array, list[str]]:
-    """The integrator's arguments (n, K) of rows (n, d), side by side, and which is which."""
+def _scaled(scene: Scene, fidelity: str) -> tuple[Array, list[str]]:
+    """The integrator's arguments (n, K) of scenes, side by side, and which is which."""
     from uqsphere.mechanics.integrator.solve import scaled_arguments
 
-    scene, fidelity = _scene(work, rows)
-    given = scaled_arguments(scene, np.arange(len(rows)))
+    rows = np.arange(len(scene))
+    given = scaled_arguments(scene, rows)
     kept = [name for name in NUMBERS if not (name == "mass" and fidelity == "massless")]
     parts = {name: given[name].reshape(len(rows), -1) for name in kept}
     names = [name for name, part in parts.items() for _ in range(part.shape[1])]
@@ -122,13 +122,12 @@ def _tracked(work: Work, scene: Scene) -> dict[str, int]:
     return {name: SCALED[name][0] for name in sorted(names)}
 
 
-def _quantities(work: Work, rows: Array, scaled: Array) -> Array:
-    """Quantities (n, q) of rows (n, d) from their scaled answers, as `_tracked`; NaN where these are not known."""
+def _quantities(work: Work, scene: Scene, fidelity: str, scaled: Array) -> Array:
+    """Quantities (n, q) of scenes from their scaled answers, as `_tracked`; NaN where these are not known."""
     from uqsphere.mechanics.outputs import answers_from
 
-    scene, fidelity = _scene(work, rows)
     tracked = dict(zip(_tracked(work, scene), scaled.T, strict=True))
-    said = answers_from(scene, tracked, scene.status, np.zeros(len(rows), dtype=np.int64),
+    said = answers_from(scene, tracked, scene.status, np.zeros(len(scene), dtype=np.int64),
                         linear=fidelity == "linear", quantities=work.quantities)  # fmt: skip
     return np.stack([said.values[name] for name in work.quantities], axis=1)
 
@@ -152,13 +151,13 @@ def find_numbers(work: Work, rows: Array) -> Numbers | int:
     """The numbers through which the inputs act, from rows (n, d) of these; how many where a table takes no so many."""
     from scipy.linalg import qr
 
-    scaled, names = _scaled(work, rows)
+    scaled, names = _scaled(*_scene(work, rows))
     finite = np.isfinite(scaled).all(axis=0)
     logs: Flags = np.asarray(finite & ((scaled > 0.0).all(axis=0) | (scaled < 0.0).all(axis=0)))
     probes, sd = rows[:: max(1, len(rows) // PROBES)][:PROBES], rows.std(axis=0)
     d = rows.shape[1]
     moved = probes[:, None, :] + STEP * sd * np.concatenate([np.zeros((1, d)), np.eye(d)])
-    around = _scaled(work, moved.reshape(-1, d))[0].reshape(len(probes), d + 1, -1)
+    around = _scaled(*_scene(work, moved.reshape(-1, d)))[0].reshape(len(probes), d + 1, -1)
     with np.errstate(all="ignore"):
         around = np.where(logs, np.log(np.abs(around)), around)
         slopes = (around[:, 1:] - around[:, :1]).transpose(0, 2, 1) / STEP  # (probes, K, d)
@@ -193,9 +192,9 @@ def _ranks(slopes: Array) -> Array:
 
 def _determined(work: Work, numbers: Numbers, probes: Array, varying: Places, logs: Flags) -> bool:
     """Whether scenes that share the coordinates share all that the integrator is given."""
-    given = _scaled(work, probes)[0]
+    given = _scaled(*_scene(work, probes))[0]
     found = scenes_at(work, numbers, numbers.of(given))
-    other = _scaled(work, found)[0]
+    other = _scaled(*_scene(work, found))[0]
     with np.errstate(all="ignore"):
         gap = np.where(logs, np.log(np.abs(other / given)), other - given)[:, varying]
     return bool(np.isfinite(found).all() and np.abs(gap).max() < 1e-6)
@@ -213,7 +212,7 @@ def scenes_at(work: Work, numbers: Numbers, points: Array) -> Array:
             moved = np.repeat(rows[:, None, :], k + 1, axis=1)
             for j, handle in enumerate(handles):
                 moved[:, j + 1, handle] += 1e-6 * (rows[:, handle] if positive[j] else unit[j])
-            raw = numbers.raw(_scaled(work, moved.reshape(n * (k + 1), -1))[0]).reshape(n, k + 1, k)
+            raw = numbers.raw(_scaled(*_scene(work, moved.reshape(n * (k + 1), -1)))[0]).reshape(n, k + 1, k)
             off = aim - raw[:, 0]
             if not (np.abs(off) > MET).any():
                 break
@@ -239,7 +238,8 @@ class Similarity:
         from uqsphere.mechanics.integrator.solve import thread_count
 
         def answer(some: Array) -> Array:
-            return _quantities(work, some, self.table.at(self.numbers.of(_scaled(work, some)[0]))[0])
+            scene = _scene(work, some)
+            return _quantities(work, *scene, self.table.at(self.numbers.of(_scaled(*scene)[0]))[0])
 
         with ThreadPoolExecutor(thread_count(work.threads)) as pool:
             parts = pool.map(answer, (rows[begin : begin + ROWS] for begin in range(0, len(rows), ROWS)))
@@ -281,7 +281,7 @@ def make_similarity(work: Work) -> Similarity | str:
         values[there] = got
         return values
 
-    coordinates = numbers.of(_scaled(work, rows)[0])
+    coordinates = numbers.of(_scaled(*_scene(work, rows))[0])
     follow = _followed(work, numbers, rows[:WEIGHED], coordinates[:WEIGHED], evaluate(coordinates[:WEIGHED]))
     table = make_table(coordinates, lambda points: follow.beside(work, points, evaluate(points)),
                        len(work.quantities), TABLE.most)  # fmt: skip
@@ -305,7 +305,7 @@ class _Followed:
 
     def bent(self, work: Work, scaled: Array) -> Array:
         """The quantities (m, q), or their logarithms."""
-        found = _quantities(work, np.tile(self.middle, (len(scaled), 1)), scaled)
+        found = _quantities(work, *_scene(work, np.tile(self.middle, (len(scaled), 1))), scaled)
         with np.errstate(all="ignore"):
             return np.where(self.logs, np.log(np.abs(found)), found)
 
@@ -317,7 +317,7 @@ class _Followed:
 
 def _followed(work: Work, numbers: Numbers, rows: Array, points: Array, scaled: Array) -> _Followed:
     """What is followed, from some rows (n, d), their coordinates (n, k) and scaled answers (n, c)."""
-    values = _quantities(work, rows, scaled)
+    values = _quantities(work, *_scene(work, rows), scaled)
     known = np.isfinite(values).all(axis=1)
     values, points, scaled = values[known], points[known], scaled[known]
     logs: Flags = np.asarray((values > 0.0).all(axis=0))

@@ -196,6 +196,21 @@ def _estimate(state: LimitState, breaking: bool) -> Estimate:
                     method=method, evaluations=total)  # fmt: skip
 
 
+def by_replicate(state: LimitState, aim: str) -> Array | None:
+    """Probability (R,) that the aim is missed, of each replicate by itself; None where one has no two rows.
+
+    Rows without a demand are left out, and demands that are lower bounds count as they are.
+    """
+    state = replace(state, censored=None, failed=None)
+    below, above = tails(state)
+    event, other = (above, below) if aim == "break" else (below, above)
+    counts = (~state.broken).sum(axis=1).astype(float)
+    if counts.min() < 2:
+        return None
+    # two copies of one replicate: the value is its own
+    return np.array([_interval(event[[r, r]], other[[r, r]], counts[[r, r]], 0.0)[0] for r in range(len(counts))])
+
+
 def exceedance(state: LimitState) -> Estimate:
     """Probability that the demand exceeds the strength.
 

@@ -42,7 +42,7 @@ class Table:
     Attributes
     ----------
     low, width : (k,) the corner of the first cells and their sides.
-    leaves : the cells of every level by their sorted codes, where the codes of their corners are nodes.
+    leaves : the cells of every level by their sorted codes; `corners`: (cells, 2^k) which nodes their corners are.
     codes, values : (N,) sorted codes of the nodes, (N, c) the functions there.
     sure : for every level, which of its leaves interpolate.
     """
@@ -52,6 +52,7 @@ class Table:
     codes: Whole
     values: Array
     leaves: list[Whole] = field(default_factory=list)
+    corners: list[Whole] = field(default_factory=list)
     sure: list[Flags] = field(default_factory=list)
 
     @property
@@ -69,18 +70,19 @@ class Table:
         n, k = points.shape
         found, known = np.full((n, self.values.shape[1]), np.nan), np.zeros(n, dtype=bool)
         left = np.arange(n)
-        for level, (leaves, sure) in enumerate(zip(self.leaves, self.sure, strict=True)):
+        for level, (leaves, corners, sure) in enumerate(zip(self.leaves, self.corners, self.sure, strict=True)):
             scaled = (points[left] - self.low) / self.width * 2.0**level
-            inside = _code(np.floor(scaled).astype(np.int64))
+            cells = np.floor(scaled)
+            inside = _code(cells.astype(np.int64))
             place = np.minimum(np.searchsorted(leaves, inside), max(len(leaves) - 1, 0))
             here = leaves[place] == inside if len(leaves) else np.zeros(len(left), dtype=bool)
             taken = here & sure[place] if len(leaves) else here
-            rows, cells = left[taken], np.floor(scaled[taken])
-            share, corners = scaled[taken] - cells, _corners(cells.astype(np.int64), level)
+            rows, nodes = left[taken], corners[place[taken]]
+            share = scaled[taken] - cells[taken]
             total = np.zeros((len(rows), self.values.shape[1]))
-            for corner, codes in zip(product((0, 1), repeat=k), corners.T, strict=True):
+            for corner, node in zip(product((0, 1), repeat=k), nodes.T, strict=True):
                 weight = np.prod(np.where(np.array(corner) == 1, share, 1.0 - share), axis=1)
-                total += weight[:, None] * self.values[np.searchsorted(self.codes, codes)]
+                total += weight[:, None] * self.values[node]
             found[rows], known[rows] = total, True
             left = left[~here]
         return found, known
@@ -220,6 +222,9 @@ class _Splits:
         for level in range(int(self.levels.max(initial=0)) + 1):
             here = self.levels == level
             order = np.argsort(self.cells[here])
-            self.table.leaves.append(self.cells[here][order])
+            cells = self.cells[here][order]
+            corners = _corners(_places(cells, len(self.table.low)), level)
+            self.table.leaves.append(cells)
+            self.table.corners.append(np.searchsorted(self.table.codes, corners))
             self.table.sure.append(self.ranges[here][order] < JUMP)
         self.table.values = np.ascontiguousarray(self.table.values[:, : -self.followed])

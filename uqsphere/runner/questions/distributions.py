@@ -275,8 +275,9 @@ class Distributions:
     def _describe(self, sample: Sample) -> None:
         work, many = self.work, self.many
         self.limits = judge_limits(work, sample)
-        described = _describe(work, sample)
-        if many is not None and not sample.failed.any() and not sample.censored.any():
+        if many is None or sample.failed.any() or sample.censored.any():
+            described = _describe(work, sample)
+        else:
             described = {
                 name: describe_controlled(sample.answer(name), many.answer(name)[:, : sample.count], many.answer(name),
                                           quantiles=work.study.analysis.quantiles, method=TABLE_METHOD)
