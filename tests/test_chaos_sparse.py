@@ -30,9 +30,20 @@ from uqsphere.uq.expansion import (
 )
 from uqsphere.uq.expansion.choice import deal
 from uqsphere.uq.expansion.expansion import possible_transforms
-from uqsphere.uq.expansion.germs import grown, hyperbolic_indices, nested, products, skipping
+from uqsphere.uq.expansion.germs import (
+    germs_of,
+    grown,
+    hyperbolic_indices,
+    jacobi,
+    nested,
+    orthonormal_slopes,
+    products,
+    skipping,
+    stieltjes,
+)
 from uqsphere.uq.expansion.solvers import SOLVERS, Task, least_angles, solve_rows
 from uqsphere.uq.expansion.splits import _Data, _left_by_cuts
+from uqsphere.uq.law import make_law
 from uqsphere.uq.points import sobol_points
 
 
@@ -255,45 +266,74 @@ def test_indices_of_a_transformed_expansion_are_those_of_the_output() -> None:
 # --- laws of one's own ------------------------------------------------------------------------------------
 
 
-def ramp() -> Germ:
-    return law_germ("ramp", quantile=lambda u: 2.0 + 3.0 * np.sqrt(u), density=lambda x: 2.0 * (x - 2.0) / 9.0,
-                    lower=2.0, upper=5.0)  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "given", "lower", "upper"),
+    [
+        ("beta", {"alpha": 2.5, "beta": 4.0}, 310.0, 450.0),
+        ("triangular", {"mode": 50.3}, 49.0, 51.0),
+        ("gumbel", {"location": 1013.0, "scale": 558.0}, 500.0, 3000.0),
+        ("gumbel", {"mean": 6e5, "sd": 9e4}, None, None),
+        ("normal", {"mean": 30.0, "sd": 8.0}, 15.0, None),
+    ],
+)
+def test_the_polynomials_of_a_law_of_ones_own_are_orthonormal(
+    name: str, given: dict[str, float], lower: float | None, upper: float | None
+) -> None:
+    (germ,) = germs_of([make_law(name, given, lower, upper)])
+    assert isinstance(germ, Germ)
+    z, w = np.polynomial.legendre.leggauss(2000)
+    scores, weights = 12.0 * z, 12.0 * w * np.exp(-72.0 * z * z) / math.sqrt(2.0 * math.pi)
+    p = germ_points(scores[:, None], (germ,))[:, 0]
+    values = orthonormal_values(germ, p, 10)
+    np.testing.assert_allclose((values * weights) @ values.T, np.eye(11), atol=3e-6)
+    at, step = np.array([-0.4, 0.3]), 1e-6
+    slopes = (orthonormal_values(germ, at + step, 5) - orthonormal_values(germ, at - step, 5)) / (2.0 * step)
+    np.testing.assert_allclose(orthonormal_slopes(germ, at, 5)[1], slopes, atol=1e-7)
 
 
-def test_the_polynomials_of_a_law_of_ones_own_are_orthonormal() -> None:
-    x, w = np.polynomial.legendre.leggauss(60)
-    nodes = 3.5 + 1.5 * x
-    weights = w * 1.5 * 2.0 * (nodes - 2.0) / 9.0
-    values = orthonormal_values(ramp(), nodes, 12)
-    np.testing.assert_allclose((values * weights) @ values.T, np.eye(13), atol=1e-8)
+def test_the_recurrence_of_a_beta_law_is_that_of_chaospy() -> None:
+    chaospy = pytest.importorskip("chaospy")
+    (a, b), _, _ = chaospy.stieltjes(6, chaospy.Beta(2.5, 4.0, -1.0, 1.0))
+    np.testing.assert_allclose(jacobi(2.5, 4.0, 6), [a[0], b[0]], atol=1e-12)
 
 
-def test_a_uniform_density_gives_legendre_polynomials() -> None:
-    germ = law_germ("flat", quantile=lambda u: 2.0 * u - 1.0, density=lambda x: np.full_like(x, 0.5), lower=-1.0,
-                    upper=1.0, degree=8)  # fmt: skip
-    x = np.linspace(-1.0, 1.0, 11)
-    np.testing.assert_allclose(orthonormal_values(germ, x, 8), orthonormal_values("uniform", x, 8), atol=1e-8)
+def test_laws_whose_polynomials_are_not_complete_have_none_of_their_own() -> None:
+    laws = [
+        make_law("lognormal", {"mean": 1.0, "sd": 0.5}), make_law("frechet", {"shape": 5.0, "scale": 1.0}),
+        make_law("normal", {"mean": 10.0, "sd": 0.15}, 9.0), make_law("uniform", {}, 0.0, 1.0),
+    ]  # fmt: skip
+    assert germs_of(laws) == ("normal", "normal", "normal", "uniform")
 
 
-def test_an_expansion_in_a_law_of_ones_own() -> None:
-    germs = (ramp(), "normal")
-    p, q = points(64, germs), points(500, germs, 1)
-    assert p[:, 0].mean() == pytest.approx(4.0, abs=0.02)
-    chaos = fit_chaos(p, p[:, 0] ** 2 * p[:, 1] + p[:, 0], germs)
-    assert validation_error(chaos, q, q[:, 0] ** 2 * q[:, 1] + q[:, 0]) < 1e-20
-    # moments of the ramp on (2, 5): E x = 4, E x^4 = the integral of 2 (x - 2) x^4/9
-    fourth = 2.0 / 9.0 * ((5**6 - 2**6) / 6.0 - 2.0 * (5**5 - 2**5) / 5.0)
-    assert chaos_moments(chaos) == pytest.approx((4.0, math.sqrt(0.5 + fourth)), rel=1e-8)
+def test_polynomials_of_the_law_win_where_the_model_is_one() -> None:
+    laws = [make_law("beta", {"alpha": 0.9, "beta": 2.2}, 2.0, 5.0), make_law("normal", {"mean": 0.0, "sd": 1.0})]
+    germs = germs_of(laws)
+    scores, other = points(64, ("normal",) * 2), points(500, ("normal",) * 2, 1)
+
+    def model(z: np.ndarray) -> np.ndarray:
+        return laws[0].from_normal(z[:, 0]) ** 2 * z[:, 1] + laws[0].from_normal(z[:, 0])
+
+    chaos = fit_chaos(germ_points(scores, germs), model(scores), germs)
+    assert chaos.germs == germs
+    assert validation_error(chaos, germ_points(other, germs), model(other)) < 1e-18
+    mean, second = laws[0].mean(), laws[0].mean() ** 2 + laws[0].sd() ** 2
+    nodes = np.linspace(0.0, 1.0, 200_001)[1:-1]
+    fourth = float(np.mean(laws[0].ppf(nodes) ** 4))
+    variance = fourth + second - mean**2
+    assert chaos_moments(chaos) == pytest.approx((mean, math.sqrt(variance)), rel=1e-4)
+    # a polynomial of the uniform number keeps the germ known by name
+    uniform = germ_points(scores, germs)
+    assert fit_chaos(uniform, uniform[:, 0] ** 2 * uniform[:, 1], germs).germs == ("uniform", "normal")
 
 
 def test_laws_without_polynomials_are_refused() -> None:
     with pytest.raises(ValueError, match="finite bounds"):
-        law_germ("tail", quantile=lambda u: u, density=np.exp, lower=0.0, upper=math.inf)
+        stieltjes("tail", np.exp, 0.0, math.inf, 3)
     with pytest.raises(ValueError, match="integrates to"):
-        law_germ("twice", quantile=lambda u: u, density=lambda x: np.full_like(x, 2.0), lower=0.0, upper=1.0)
+        stieltjes("twice", lambda x: np.full_like(x, 2.0), 0.0, 1.0, 3)
+    short = law_germ("short", base="uniform", from_normal=np.tanh, density=np.ones_like, lower=0.0, upper=1.0, degree=3)
     with pytest.raises(ValueError, match="up to degree 3"):
-        orthonormal_values(law_germ("short", quantile=lambda u: u, density=np.ones_like, lower=0.0, upper=1.0,
-                                    degree=3), np.zeros(2), 4)  # fmt: skip
+        orthonormal_values(short, np.zeros(2), 4)
 
 
 # --- more points ------------------------------------------------------------------------------------------

@@ -125,9 +125,9 @@ from uqsphere.errors import UsageError
 study = uqsphere.load_study({str(STUDIES / "ishigami.toml")!r}, ("analysis.budget.evaluations=9000",))
 box = lambda rows: {{"y": np.sin(rows["x1"]) + rows["x2"] * rows["x3"]}}
 assert uqsphere.run(study, out={str(tmp_path / "r")!r}, model=box).results.sensitivity
-from uqsphere.uq.expansion import law_germ
+from uqsphere.uq.expansion.germs import stieltjes
 try:
-    law_germ("x", quantile=np.sqrt, density=lambda x: 2.0 * x, lower=0.0, upper=1.0)
+    stieltjes("x", lambda x: 2.0 * x, 0.0, 1.0, 3)
 except UsageError as error:
     print(error)
 """

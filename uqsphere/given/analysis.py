@@ -16,9 +16,10 @@ from uqsphere.given.answers import given_answers, law_scores, least_runs, odd_pa
 from uqsphere.given.table import Data, Document, combinations
 from uqsphere.given.ties import TiedPair, left_open, rank_correlations, tied, ties_of, with_ties
 from uqsphere.uq.estimate import Estimate, absent
+from uqsphere.uq.expansion.germs import germs_of
 from uqsphere.uq.families import LawError
 from uqsphere.uq.joint import Joint
-from uqsphere.uq.law import Law, germs_of
+from uqsphere.uq.law import Law
 
 SCHEMA_VERSION: Final = 2
 #: rows that an expansion is fitted to: beyond, it gains nothing

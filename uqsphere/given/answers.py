@@ -21,6 +21,7 @@ from uqsphere.uq.archimedean import Archimedean
 from uqsphere.uq.elliptical import Elliptical
 from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.expansion import germ_points
+from uqsphere.uq.expansion.germs import GermLike
 from uqsphere.uq.indices import Blocks
 from uqsphere.uq.joint import Joint, independent_scores
 from uqsphere.uq.law import Law
@@ -190,7 +191,7 @@ def score_table(law: Law, others: Sequence[Law]) -> Array:
     return np.array([_scores(other.cdf(x), other.sf(x)) for other in others])
 
 
-def response_from(scores: Array, outputs: Array, germs: Sequence[str]) -> Response:
+def response_from(scores: Array, outputs: Array, germs: Sequence[GermLike]) -> Response:
     """A surrogate of outputs (n,) at independent rows of normal scores (n, d), in any order that tells nothing.
 
     Raises ValueError where none can be fitted.

@@ -30,8 +30,8 @@ from uqsphere.runner.schedule import REPLICATES
 from uqsphere.runner.workers import Engine
 from uqsphere.store import Store
 from uqsphere.study import Study
+from uqsphere.uq.expansion.germs import GermLike, germs_of
 from uqsphere.uq.joint import Joint
-from uqsphere.uq.law import germs_of
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.sample import Sample
 
@@ -153,7 +153,7 @@ class Work:
         return tuple(self.study.random)
 
     @property
-    def germs(self) -> tuple[str, ...]:
+    def germs(self) -> tuple[GermLike, ...]:
         """What expansions of the model are in, for each of its random inputs."""
         return germs_of(self.study.random.values())
 

@@ -7,7 +7,7 @@ standard deviations out keeps all its digits.  Nothing imports scipy.stats.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -449,8 +449,3 @@ def weibull_modulus(cov: float) -> float:
         return math.lgamma(1.0 + 2.0 / m) - 2.0 * math.lgamma(1.0 + 1.0 / m) - math.log1p(cov**2)
 
     return float(brentq(gap, 0.9, 2.0 / cov + 2.0))
-
-
-def germs_of(laws: Iterable[Law]) -> tuple[str, ...]:
-    """What an expansion is in: "uniform" (Legendre polynomials) for laws between bounds, else "normal" (Hermite)."""
-    return tuple(law.family.germ for law in laws)

@@ -340,7 +340,12 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
         column = outputs[replicate, :used][keep]
         # as an answer of its own, the interval has to hold the choice of terms too
         again = fits and not alone
-        fits.append(fit_again(fits[0], points, column) if again else fit_chaos(points, column, work.germs, plain=True))
+        if again:
+            fits.append(fit_again(fits[0], points, column))
+        else:
+            # the mean of the fits takes one set of germs
+            germs = fits[0].germs if fits else work.germs
+            fits.append(fit_chaos(points, column, germs, plain=True, settled=bool(fits)))
         # held out: another randomisation altogether
         other = FITS + replicate
         points = germ_points(sample.scores[other, :, :d][whole[other]], work.germs)

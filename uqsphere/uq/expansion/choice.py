@@ -20,6 +20,7 @@ from uqsphere.uq.expansion.expansion import Transform, identity, possible_transf
 from uqsphere.uq.expansion.germs import (
     GermLike,
     Indices,
+    base_of,
     grown,
     most_degree,
     nested,
@@ -32,7 +33,7 @@ from uqsphere.uq.expansion.solvers import SOLVERS, Task, neglected, solve_rows, 
 #: hyperbolic norms of the bases that are tried
 NORMS: Final = (1.0, 0.75, 0.5)
 _ENOUGH: Final = 1e-18  # of the variance: a larger basis would only cost time
-_HELPS: Final = 0.7  # a transform is kept where it brings the error below this share of the error without
+_HELPS: Final = 0.8  # a transform is kept where it brings the error below this share of the error without
 _CLEAR: Final = 4.0  # times less error: the search need not go on without the transform
 _CLOSE: Final = 2.0  # times the least error of the search: a transform still in the running
 _STRIDE: Final = 1.4  # sets that are hardly larger than the one before are passed over
@@ -52,12 +53,13 @@ Basis: TypeAlias = tuple[Indices, Array, tuple[int, ...]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Contest:
-    """What all outputs at the same points share: the values of each input's polynomials, and the bases tried.
+    """What all outputs at the same points share: the germs, the values of each input's polynomials, the bases tried.
 
     `bases` holds one for each norm.  The search for a basis takes no more than `quick_terms`, and where there are
     many samples it is held among the first of them alone, in a contest of their own (`search`).
     """
 
+    germs: tuple[GermLike, ...]
     values: list[Array]
     highest: int
     bases: tuple[Basis, ...]
@@ -79,6 +81,7 @@ class Found:
     fold, empty where the folds choose nothing of their own.  `ended`: more terms allowed would have changed nothing.
     """
 
+    contest: Contest
     transform: Transform
     solver: str
     indices: Indices
@@ -104,6 +107,7 @@ def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
             indices, sizes = found
             bases.append((indices, products(values, indices), sizes))
     return Contest(
+        germs=tuple(germs),
         values=values,
         highest=highest,
         bases=tuple(bases),
@@ -141,6 +145,7 @@ def _run(contest: Contest, solver: str, transform: Transform, outputs: Array, ba
     off = transform.back(path.held_out) - outputs
     reported, mean = least + spread_of(off) / variance, float(np.mean(off**2))
     return Found(
+        contest=contest,
         transform=transform,
         solver=solver,
         indices=indices[active],
@@ -153,12 +158,12 @@ def _run(contest: Contest, solver: str, transform: Transform, outputs: Array, ba
     )
 
 
-def lowered(contest: Contest, found: Found, outputs: Array) -> Iterator[Found]:
+def lowered(found: Found, outputs: Array) -> Iterator[Found]:
     """The same contender without its terms above a total degree, the highest degree first, by least squares.
 
     What the folds chose is cut likewise, so that the K-fold error is still that of the whole choice of terms.
     """
-    values, variance = found.transform.forward(outputs), float(np.var(outputs)) * outputs.size
+    contest, values, variance = found.contest, found.transform.forward(outputs), float(np.var(outputs)) * outputs.size
     degrees = found.indices.sum(axis=1)
     for degree in sorted(set(degrees.tolist()) - {0}, reverse=True)[1:]:
         kept = degrees <= degree
@@ -182,13 +187,44 @@ def spread_of(off: Array) -> float:
     return float(np.std(off**2)) * math.sqrt(off.size)
 
 
-def compete(contest: Contest, outputs: Array, *, plain: bool = False) -> list[Found]:
+def rivals(points: Array, germs: Sequence[GermLike]) -> list[Contest]:
+    """The contests at germ points (n, d): in the germs known by name, and in those of laws of their own."""
+    named = tuple(base_of(germ) for germ in germs)
+    return [prepare(points, one) for one in dict.fromkeys((named, tuple(germs)))]
+
+
+def compete(contests: Sequence[Contest], outputs: Array, *, plain: bool = False) -> list[Found]:
     """The leading contenders for outputs (n,) that vary, best first by their K-fold error in output units.
 
-    `plain`: no transform of the output takes part.
+    `plain`: no transform of the output takes part.  A contest whose bases leave far more at a first look than those of
+    another is not held.
     """
-    if not contest.bases:
-        return []
+    held = [contest for contest in contests if contest.bases]
+    if len(held) > 1:
+        looks = [_look(contest, outputs) for contest in held]
+        held = [contest for contest, error in zip(held, looks, strict=True) if error <= _CLEAR * min(looks)]
+    found = [one for contest in held for one in _held(contest, outputs, plain)]
+    return sorted(found, key=_handicapped)
+
+
+def _look(contest: Contest, outputs: Array) -> float:
+    """What forward selection leaves of the output itself on a basis of no more terms than samples."""
+    return _screen(contest, [identity(outputs)], outputs)[0]
+
+
+def _screen(contest: Contest, transforms: Sequence[Transform], outputs: Array) -> list[float]:
+    """What one solver on one basis leaves, of no more terms than samples."""
+    indices, rows, sizes = contest.bases[min(1, len(contest.bases) - 1)]
+    size = max([s for s in sizes if s <= outputs.size] or [sizes[0]])
+    basis = indices[:size], rows[:size], sizes
+    return [
+        _run(contest, "forward selection", transform, outputs, basis, contest.quick_terms).error
+        for transform in transforms
+    ]
+
+
+def _held(contest: Contest, outputs: Array, plain: bool) -> list[Found]:
+    """The leading contenders in one contest, the best first."""
     found = _searched(contest, outputs, plain)
     least = min(_handicapped(one) for one, _ in found)
     answer = []
@@ -213,7 +249,7 @@ def _searched(contest: Contest, outputs: Array, plain: bool) -> list[tuple[Found
         if transform.kind in whole:
             found, (indices, _, sizes) = _search(inner, transform, some)
             basis = indices, products(contest.values, indices), sizes
-            answer.append((replace(found, transform=whole[transform.kind]), basis))
+            answer.append((replace(found, contest=contest, transform=whole[transform.kind]), basis))
     return answer or [_search(contest, whole["identity"], outputs)]
 
 
@@ -227,14 +263,8 @@ def _screened(contest: Contest, outputs: Array) -> list[Transform]:
 
     One solver on one basis tells.
     """
-    indices, rows, sizes = contest.bases[min(1, len(contest.bases) - 1)]
-    size = max([s for s in sizes if s <= outputs.size] or [sizes[0]])
-    basis = indices[:size], rows[:size], sizes
     transforms = possible_transforms(outputs)
-    errors = [
-        _run(contest, "forward selection", transform, outputs, basis, contest.quick_terms).error
-        for transform in transforms
-    ]
+    errors = _screen(contest, transforms, outputs)
     if errors[0] < _ENOUGH or len(transforms) == 1:
         return transforms[:1]
     best = 1 + int(np.argmin(errors[1:]))
@@ -250,8 +280,10 @@ def _leaders(contest: Contest, found: Found, basis: Basis, outputs: Array) -> li
     # the search had forward selection there, perhaps with fewer terms allowed or on fewer samples
     again = contest.search is not None or not (found.ended or contest.quick_terms == contest.most_terms)
     trials = [(solver, basis) for solver in contest.solvers if again or solver != found.solver]
-    trials += [("least squares", whole) for whole in contest.bases]
     fresh = [_run(contest, solver, found.transform, outputs, where, contest.most_terms) for solver, where in trials]
+    # a whole set is no choice that few samples could mislead
+    whole = max(contest.most_terms, min(2 * outputs.size // 3, _MOST_TERMS))
+    fresh += [_run(contest, "least squares", found.transform, outputs, where, whole) for where in contest.bases]
     return fresh if again else [found, *fresh]
 
 

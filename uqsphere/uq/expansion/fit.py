@@ -11,14 +11,14 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.expansion.choice import Contest, Found, compete, lowered, prepare
+from uqsphere.uq.expansion.choice import Contest, Found, compete, lowered, prepare, rivals
 from uqsphere.uq.expansion.expansion import Chaos, Piece, predict
 from uqsphere.uq.expansion.germs import GermLike, grown, orthonormal_values, products, skipping
 from uqsphere.uq.expansion.shares import law_points
 from uqsphere.uq.expansion.solvers import blended, leaned, neglected, refits, solve_rows, steadied
 from uqsphere.uq.expansion.splits import Split, find_split
 
-#: an error above this is not told from 1 by the best of a few dozen trials
+#: a K-fold error above this is not told from 1 by the best of a few dozen trials
 _NOTHING: Final = 0.9
 #: an output that leaves more than this is taken for a rough one
 _ROUGH: Final = 2e-3
@@ -45,12 +45,14 @@ class Verdict:
 
 
 def fit_chaos(
-    points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False, most: float = 1.0
-) -> Chaos:
+    points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False, most: float = 1.0,
+    settled: bool = False,
+) -> Chaos:  # fmt: skip
     """Sparse expansion of outputs (n,) at germ points (n, d).
 
     Solvers, degrees, norms and output transforms compete by K-fold error in the units of the output; an output that
-    stays rough is tried in two pieces.  Never more terms than half the points.  A fit whose error reaches the
+    stays rough is tried in two pieces.  Never more terms than half the points, or than two thirds where a whole set of
+    degrees is fitted.  A fit whose error reaches the
     variance is given up for the constant.  `plain`: the output itself is expanded, in one piece, so that its indices
     are those of the coefficients.  `most` is the largest error that may be used: a winner that leaves no more than
     that by K-fold and reports more, since it is wild beyond the samples, gives way to a contender, or to itself without
@@ -64,7 +66,8 @@ def fit_chaos(
     1.125
     """
     outputs = np.asarray(outputs, dtype=float)
-    return fit_outputs(points, outputs[:, None] if outputs.ndim == 1 else outputs, germs, plain=plain, most=most)[0]
+    columns = outputs[:, None] if outputs.ndim == 1 else outputs
+    return fit_outputs(points, columns, germs, plain=plain, most=most, settled=settled)[0]
 
 
 def fit_again(chaos: Chaos, points: Array, outputs: Array) -> Chaos:
@@ -86,18 +89,26 @@ def fit_again(chaos: Chaos, points: Array, outputs: Array) -> Chaos:
 
 
 def fit_outputs(
-    points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False, most: float = 1.0
-) -> list[Chaos]:
-    """Expansions of each column of outputs (n, m) at the same germ points (n, d), which share their bases."""
+    points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False, most: float = 1.0,
+    settled: bool = False,
+) -> list[Chaos]:  # fmt: skip
+    """Expansions of each column of outputs (n, m) at the same germ points (n, d), which share their bases.
+
+    A germ that is a law of its own competes with the one known by name that its points are in, for all such inputs
+    together, unless the germs are `settled`.
+    """
     points, outputs = np.asarray(points, dtype=float), np.asarray(outputs, dtype=float)
     n = outputs.shape[0]
     if points.ndim != 2 or outputs.ndim != 2 or points.shape != (n, len(germs)) or n < 4:
         raise ValueError(f"need points (n, {len(germs)}) and outputs (n,), n >= 4; found {points.shape}, {n}")
     if not (np.isfinite(outputs).all() and np.isfinite(points).all()):
         raise ValueError("a polynomial chaos cannot be fitted to values that are not finite")
-    contest = prepare(points, germs) if germs else None
+    if not germs:
+        contests = []
+    else:
+        contests = [prepare(points, germs)] if settled else rivals(points, germs)
     law = law_points(germs, 0)[0][:_LOOKED_AT] if germs else points
-    return [_fitted(contest, points, column, tuple(germs), plain, law, most) for column in outputs.T]
+    return [_fitted(contests, points, column, tuple(germs), plain, law, most) for column in outputs.T]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -117,23 +128,25 @@ def _unit(largest: float) -> float:
 
 
 def _fitted(
-    contest: Contest | None, points: Array, outputs: Array, germs: tuple[GermLike, ...], plain: bool, law: Array,
+    contests: Sequence[Contest], points: Array, outputs: Array, germs: tuple[GermLike, ...], plain: bool, law: Array,
     most: float,
 ) -> Chaos:  # fmt: skip
     largest = float(np.abs(outputs).max())
     unit = _unit(largest)
     scaled = outputs / unit
     centre, scale = float(scaled.mean()), float(scaled.std())
-    if contest is None or scale <= 1e-14 * abs(centre):
-        error = 1.0 if contest is None else 0.0
+    if not contests or scale <= 1e-14 * abs(centre):
+        error = 0.0 if contests else 1.0
         return _constant(centre * unit, germs, error, outputs.size)
-    leaders = compete(contest, scaled, plain=plain)
+    leaders = compete(contests, scaled, plain=plain)
     error = leaders[0].error if leaders else 1.0
     split = None
     if not plain and error > _ROUGH and outputs.size >= max(48, 6 * (len(germs) + 1)):
-        split = find_split(contest, points, scaled, below=_SPLIT_HELPS * min(error, 1.0))
-    best, least = _constant(centre * unit, germs, 1.0, outputs.size), _NOTHING
-    candidates, tried = _candidates(contest, leaders, split, points, scaled, unit, germs, law), []
+        split = find_split(
+            leaders[0].contest if leaders else contests[0], points, scaled, below=_SPLIT_HELPS * min(error, 1.0)
+        )
+    best, least = _constant(centre * unit, germs, 1.0, outputs.size), 1.0
+    candidates, tried = _candidates(leaders, split, points, scaled, unit, law), []
     for one in candidates:
         tried.append(one)
         believed = max(one.folded, _excess(one, scaled))
@@ -142,7 +155,7 @@ def _fitted(
             if believed == one.folded:
                 break
     if leaders and error <= most < best.cross_validation_error:
-        lower = (_whole(found, contest, scaled, unit, germs, law) for found in lowered(contest, leaders[0], scaled))
+        lower = (_whole(found, scaled, unit, law) for found in lowered(leaders[0], scaled))
         return _calmest(chain(tried, candidates, lower), most) or best
     return best
 
@@ -160,16 +173,15 @@ def _calmest(candidates: Iterable[_Candidate], most: float) -> Chaos | None:
 
 
 def _candidates(
-    contest: Contest, leaders: Sequence[Found], split: Split | None, points: Array, scaled: Array, unit: float,
-    germs: tuple[GermLike, ...], law: Array,
-) -> Iterator[_Candidate]:  # fmt: skip
+    leaders: Sequence[Found], split: Split | None, points: Array, scaled: Array, unit: float, law: Array
+) -> Iterator[_Candidate]:
     """The split, if there is one, then the leaders in their order."""
     if split is not None:
-        yield _in_two(split, contest, points, scaled, unit, germs, law)
+        yield _in_two(split, points, scaled, unit, law)
     for found in leaders[: _TRIED - (split is not None)]:
         if not found.error < _NOTHING:
             break
-        yield _whole(found, contest, scaled, unit, germs, law)
+        yield _whole(found, scaled, unit, law)
 
 
 def _excess(one: _Candidate, scaled: Array) -> float:
@@ -193,11 +205,10 @@ def _constant(value: float, germs: tuple[GermLike, ...], error: float, samples: 
                  solver="constant")  # fmt: skip
 
 
-def _whole(
-    found: Found, contest: Contest, scaled: Array, unit: float, germs: tuple[GermLike, ...], law: Array
-) -> _Candidate:
+def _whole(found: Found, scaled: Array, unit: float, law: Array) -> _Candidate:
     """One expansion, of all samples in the terms that were found."""
-    transform = found.transform
+    contest, transform = found.contest, found.transform
+    germs = contest.germs
     order = np.argsort(found.indices.sum(axis=1) > 0, kind="stable")  # the constant first
     indices, rows = found.indices[order], found.rows[order]
     fits = refits(rows, transform.forward(scaled), contest.folds)
@@ -210,7 +221,7 @@ def _whole(
     left_out = steadied((transform.back(fits.left_out) - scaled) ** 2) / variance
     chosen = np.mean(moved**2, axis=1) / variance
     if found.without:
-        chosen = _chosen_without(found, contest, scaled, germs, law, values)
+        chosen = _chosen_without(found, scaled, law, values)
     near = grown(indices, np.abs(fits.coefficients), contest.highest, len(indices) + _BESIDE)[len(indices) :]
     near = np.unique(np.concatenate([near, skipping(indices, contest.highest)]), axis=0)
     coming = neglected(rows, transform.forward(scaled), products(contest.values, near))
@@ -231,10 +242,9 @@ def _whole(
     return replace(one, reported=max(one.reported, _excess(one, scaled)))
 
 
-def _chosen_without(
-    found: Found, contest: Contest, scaled: Array, germs: tuple[GermLike, ...], law: Array, values: Array
-) -> Array:
+def _chosen_without(found: Found, scaled: Array, law: Array, values: Array) -> Array:
     """Mean squares (K,) between the values under the law and expansions whose terms were chosen without each fold."""
+    contest, germs = found.contest, found.contest.germs
     every, places = np.unique(np.concatenate(found.without), axis=0, return_inverse=True)
     law, values = law[:_FEWER_LOOKED_AT], values[:_FEWER_LOOKED_AT]
     highest = every.max(axis=0)
@@ -251,29 +261,26 @@ def _chosen_without(
     return np.array(answer)
 
 
-def _in_two(
-    split: Split, contest: Contest, points: Array, scaled: Array, unit: float, germs: tuple[GermLike, ...], law: Array
-) -> _Candidate:
+def _in_two(split: Split, points: Array, scaled: Array, unit: float, law: Array) -> _Candidate:
     """Two expansions and their border, which the K-fold error finds anew."""
     pieces = tuple(
         Piece(coefficients=coefficients * unit, multi_indices=indices, transform=None)
         for indices, coefficients in split.pieces
     )
-    chaos = Chaos(pieces=pieces, border=split.border, germs=germs, cross_validation_error=split.error,
+    chaos = Chaos(pieces=pieces, border=split.border, germs=split.contest.germs, cross_validation_error=split.error,
                   samples=scaled.size, solver=f"two pieces: {split.proposal}")  # fmt: skip
-    loose = steadied(_shifts(split, contest, points, scaled, germs, law))
+    loose = steadied(_shifts(split, points, scaled, law))
     one = _Candidate(chaos=chaos, folded=split.error, loose=1.0, values=predict(chaos, law) / unit,
                      reported=blended(split.steady, split.left_out, loose, share=_FEWER))  # fmt: skip
     return replace(one, reported=max(one.reported, _excess(one, scaled)))
 
 
-def _shifts(
-    split: Split, contest: Contest, points: Array, scaled: Array, germs: tuple[GermLike, ...], law: Array
-) -> Array:
+def _shifts(split: Split, points: Array, scaled: Array, law: Array) -> Array:
     """What each fold (K,) moves the two pieces by under the law of the inputs, their terms as they are.
 
     A piece goes on beyond its own samples, and where it wins there the folds show how much is made up.
     """
+    contest, germs = split.contest, split.contest.germs
     highest = max(int(indices.max()) for indices, _ in split.pieces)
     here, there = (
         [orthonormal_values(germ, where[:, j], highest) for j, germ in enumerate(germs)] for where in (points, law)

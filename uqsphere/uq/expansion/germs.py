@@ -1,25 +1,32 @@
 """Germs, their orthonormal polynomials, and products of these: the file that loads chaospy, for laws of one's own.
 
 A germ is the standardised random number that an input is expanded in: Hermite polynomials of a standard normal
-score, Legendre polynomials of 2Φ(z) - 1 for laws with bounded support, or the polynomials of any law of one's own,
-whose recurrence is computed by Stieltjes' procedure (Gautschi 2004).  A lognormal input is thereby expanded in its
-logarithm: the polynomials of a lognormal law are not complete (Ernst et al. 2012).
+score, Legendre polynomials of 2Φ(z) - 1 for laws with bounded support, or the polynomials of the input's own law:
+Jacobi's for a beta law, else those whose recurrence is computed by Stieltjes' procedure (Gautschi 2004).  A lognormal
+input is thereby expanded in its logarithm: the polynomials of a lognormal law are not complete (Ernst et al. 2012).
+Points are given in the germ that an input has by name (`base_of`), so that both bases of an input are compared on the
+same points.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
+from uqsphere.uq.families import FAMILIES, Family
+from uqsphere.uq.law import Law
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 #: germs known by name: a standard normal, and a uniform number from -1 to 1
 GERMS = ("normal", "uniform")
@@ -27,12 +34,24 @@ GERMS = ("normal", "uniform")
 HIGHEST_DEGREE = 15
 
 
+#: normal scores between which the values of a law are tabled: 2e-33 lies beyond either end
+_REACH = 12.0
+_KNOTS = 2401  # a cubic between scores 0.01 apart is off by 1e-11 of the standard deviation
+#: of the coefficients of a recurrence, those of two quadratures apart; the most nodes of one
+_AGREE, _NODES = 1e-9, 800
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Germ:
-    """A germ with a law of its own: quantile (probabilities -> values) and monic recurrence a, b (degree + 1,)."""
+    """A germ with a law of its own, at points of the germ `base`: "normal" or "uniform".
+
+    `table` is the value of the law over the normal score, standardised; `recurrence` the monic coefficients a, b
+    (2, degree + 1) of its polynomials.
+    """
 
     name: str
-    quantile: Callable[[Array], Array]
+    base: str
+    table: CubicSpline
     recurrence: Array
 
     def __post_init__(self) -> None:
@@ -42,8 +61,29 @@ class Germ:
             raise ValueError(f"the law {self.name!r} has no orthogonal polynomials of this degree: too few points, "
                              "or moments that do not exist")  # fmt: skip
 
+    def values(self, points: Array) -> Array:
+        """Standardised values (n,) of the law at points (n,) of the base."""
+        return np.asarray(self.table(self._scores(points)))
+
+    def rates(self, points: Array) -> Array:
+        """Derivatives (n,) of the same."""
+        scores = self._scores(points)
+        density = np.exp(-0.5 * scores**2) / math.sqrt(2.0 * math.pi) if self.base == "uniform" else 0.5
+        return np.asarray(self.table(scores, 1) / (2.0 * density))
+
+    def _scores(self, points: Array) -> Array:
+        from scipy.special import ndtri
+
+        scores = ndtri(0.5 * (points + 1.0)) if self.base == "uniform" else points
+        return np.clip(scores, -_REACH, _REACH)
+
 
 GermLike: TypeAlias = str | Germ
+
+
+def base_of(germ: GermLike) -> str:
+    """The germ known by name that points are given in."""
+    return germ.base if isinstance(germ, Germ) else germ
 
 
 def load_chaospy() -> Any:
@@ -86,25 +126,28 @@ def _recurrence(germ: str, degree: int) -> Array:
     return np.array([np.zeros_like(k), k if germ == "normal" else k * k / (4.0 * k * k - 1.0)])
 
 
-def law_germ(
-    name: str,
-    *,
-    quantile: Callable[[Array], Array],
-    density: Callable[[Array], Array],
-    lower: float,
-    upper: float,
-    degree: int = HIGHEST_DEGREE,
-) -> Germ:
-    """The germ of a law with a density on [lower, upper], both finite, by Stieltjes' procedure of chaospy.
+def jacobi(alpha: float, beta: float, degree: int = HIGHEST_DEGREE) -> Array:
+    """Recurrence (2, degree + 1) of the beta law with these parameters on [-1, 1] (Gautschi 2004, table 1.1).
 
-    `quantile` and `density` take and give arrays (n,); a law without bounds is cut where nothing is left of it.
+    >>> [round(float(b), 9) for b in jacobi(1.0, 1.0, 2)[1]]
+    [1.0, 0.333333333, 0.266666667]
+    """
+    k, p, q = np.arange(degree + 1.0), beta - 1.0, alpha - 1.0
+    whole = 2.0 * k + p + q
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a = (q * q - p * p) / (whole * (whole + 2.0))
+        b = 4.0 * k * (k + p) * (k + q) * (k + p + q) / (whole**2 * (whole + 1.0) * (whole - 1.0))
+    a[0], b[0] = (q - p) / (p + q + 2.0), 1.0
+    if degree:
+        b[1] = 4.0 * (1.0 + p) * (1.0 + q) / ((2.0 + p + q) ** 2 * (3.0 + p + q))
+    return np.array([a, b])
+
+
+def stieltjes(name: str, density: Callable[[Array], Array], lower: float, upper: float, degree: int) -> Array:
+    """Recurrence (2, degree + 1), on [-1, 1], of a density on [lower, upper], by Stieltjes' procedure of chaospy.
+
     Raises ValueError for bounds that are not finite and ordered, and for a density whose integral over them is
     not 1 within 1e-4, and UsageError where chaospy is not installed.
-
-    >>> import numpy as np
-    >>> ramp = law_germ("ramp", quantile=np.sqrt, density=lambda x: 2.0 * x, lower=0.0, upper=1.0, degree=3)
-    >>> float(ramp.recurrence[0, 0].round(6))
-    0.666667
     """
     if not (math.isfinite(lower) and math.isfinite(upper) and lower < upper):
         raise ValueError(f"a germ needs finite bounds, the lower one first; found {lower} and {upper}")
@@ -122,10 +165,93 @@ def law_germ(
             lower=lambda: -1.0,
             upper=lambda: 1.0,
         )
-        coefficients, _, _ = chaospy.discretized_stieltjes(degree, law, rule="legendre", tolerance=1e-12)
-    a, b = np.asarray(coefficients, dtype=np.float64).reshape(2, degree + 1)
-    b[0] = 1.0
-    return Germ(name=name, quantile=quantile, recurrence=np.array([centre + half * a, b * half**2]))
+        coefficients, _, _ = chaospy.discretized_stieltjes(degree, law, rule="legendre", tolerance=_AGREE, n_max=_NODES)
+    found = np.asarray(coefficients, dtype=np.float64).reshape(2, degree + 1)
+    found[1, 0] = 1.0
+    return found
+
+
+def law_germ(
+    name: str,
+    *,
+    base: str,
+    from_normal: Callable[[Array], Array],
+    density: Callable[[Array], Array],
+    lower: float = -math.inf,
+    upper: float = math.inf,
+    recurrence: Array | None = None,
+    degree: int = HIGHEST_DEGREE,
+) -> Germ:
+    """The germ of a law with a density, at points of the germ `base`; arrays (n,) go in and come out.
+
+    `from_normal` gives its values at normal scores.  Where it has no bounds, lower or upper, it is cut where 2e-33 is
+    left of it.  `recurrence` is that of its polynomials on [-1, 1] between the bounds, where it is known; else
+    `stieltjes` finds it, whose errors are raised.
+
+    >>> import numpy as np
+    >>> from scipy.special import ndtr
+    >>> ramp = law_germ("ramp", base="uniform", from_normal=lambda z: np.sqrt(ndtr(z)), density=lambda x: 2.0 * x,
+    ...                 lower=0.0, upper=1.0, degree=3)
+    >>> float((0.5 + 0.5 * ramp.recurrence[0, 0]).round(6))
+    0.666667
+    """
+    from scipy.interpolate import CubicSpline
+
+    scores = np.linspace(-_REACH, _REACH, _KNOTS)
+    values = from_normal(scores)
+    low, high = (float(end if math.isfinite(end) else values[k]) for k, end in ((0, lower), (-1, upper)))
+    found = stieltjes(name, density, low, high, degree) if recurrence is None else recurrence
+    table = CubicSpline(scores, (values - 0.5 * (low + high)) / (0.5 * (high - low)))
+    return Germ(name=name, base=base, table=table, recurrence=found)
+
+
+#: share of a normal law that bounds cut off and its polynomials do not tell
+_HARDLY = 1e-9
+
+
+def germs_of(laws: Iterable[Law]) -> tuple[GermLike, ...]:
+    """What an expansion is in: the polynomials of each law itself where it has them, else Legendre's or Hermite's."""
+    return tuple(
+        _own_germ(law.family, tuple(law.parameters.items()), law.lower, law.upper) if _own_polynomials(law)
+        else law.family.germ
+        for law in laws
+    )  # fmt: skip
+
+
+def _own_polynomials(law: Law) -> bool:
+    """Whether the polynomials of a law are complete, and others than those of its germ.
+
+    They are where its support is bounded or its tails fall off exponentially (Ernst et al. 2012), of which a wrapped
+    law tells nothing.
+    """
+    family = law.family
+    if (
+        family.name not in FAMILIES
+        or family.observed
+        or law.draws
+        or law.data
+        or family.name == "uniform"
+        or min(law.tail_orders()) < math.inf
+    ):
+        return False
+    if family.logarithmic and math.isinf(law.upper):
+        return False
+    return not (family.gaussian and law.mass > 1.0 - _HARDLY)
+
+
+@lru_cache(maxsize=256)
+def _own_germ(family: Family, parameters: tuple[tuple[str, float], ...], lower: float, upper: float) -> GermLike:
+    """The germ of a law of its own; that of its family where chaospy is not installed or finds no polynomials."""
+    law = Law(family=family, parameters=dict(parameters), lower=lower, upper=upper)
+    own = law.parameters
+    # a weibull, gamma or lognormal law begins where nothing lies below
+    least = float(law.ppf(np.array([0.0]))[0])
+    known = jacobi(own["alpha"], own["beta"]) if family.name == "beta" else None
+    try:
+        return law_germ(family.name, base=family.germ, from_normal=law.from_normal, density=law.pdf, lower=least,
+                        upper=upper, recurrence=known)  # fmt: skip
+    except (UsageError, ValueError):
+        return family.germ
 
 
 def _coefficients(germ: GermLike, degree: int) -> Array:
@@ -147,6 +273,7 @@ def orthonormal_values(germ: GermLike, points: Array, degree: int) -> Array:
     sqrt(b_(k+1)) p_(k+1) = (x - a_k) p_k - sqrt(b_k) p_(k-1), with the monic coefficients a, b.
     """
     a, b = _coefficients(germ, degree)
+    points = germ.values(points) if isinstance(germ, Germ) else points
     values = np.empty((degree + 1, points.size))
     values[0] = 1.0
     for k in range(degree):
@@ -159,15 +286,16 @@ def orthonormal_slopes(germ: GermLike, points: Array, degree: int) -> tuple[Arra
     """Values and derivatives, (degree + 1, n) each, of the orthonormal polynomials: the recurrence, differentiated."""
     a, b = _coefficients(germ, degree)
     values = orthonormal_values(germ, points, degree)
+    at, rates = (germ.values(points), germ.rates(points)) if isinstance(germ, Germ) else (points, 1.0)
     slopes = np.zeros_like(values)
     for k in range(degree):
         before = math.sqrt(b[k]) * slopes[k - 1] if k else 0.0
-        slopes[k + 1] = ((points - a[k]) * slopes[k] + values[k] - before) / math.sqrt(b[k + 1])
-    return values, slopes
+        slopes[k + 1] = ((at - a[k]) * slopes[k] + values[k] - before) / math.sqrt(b[k + 1])
+    return values, slopes * rates
 
 
 def germ_points(normals: Array, germs: Sequence[GermLike]) -> Array:
-    """Independent standard normals (n, d) -> germs (n, d): as they are, 2Φ(z) - 1, or the quantile at Φ(z).
+    """Independent standard normals (n, d) -> points (n, d) of the germs' bases: as they are, or 2Φ(z) - 1.
 
     Raises ValueError for a germ that is neither one of `GERMS` nor a `Germ`.
     """
@@ -178,9 +306,7 @@ def germ_points(normals: Array, germs: Sequence[GermLike]) -> Array:
         raise ValueError(f"unknown germ {unknown[0]!r}; allowed: {', '.join(GERMS)}, or a law of your own")
     points = np.array(normals, dtype=float)
     for column, germ in enumerate(germs):
-        if isinstance(germ, Germ):
-            points[:, column] = germ.quantile(ndtr(points[:, column]))
-        elif germ == "uniform":
+        if base_of(germ) == "uniform":
             points[:, column] = 2.0 * ndtr(points[:, column]) - 1.0
     return points
 

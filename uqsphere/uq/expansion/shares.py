@@ -20,7 +20,15 @@ import numpy as np
 from uqsphere.arrays import Array, Flags
 from uqsphere.uq.estimate import Estimate, absent, from_replicates, student
 from uqsphere.uq.expansion.expansion import Chaos, predict
-from uqsphere.uq.expansion.germs import Combination, GermLike, germ_points, nested, orthonormal_values, products
+from uqsphere.uq.expansion.germs import (
+    Combination,
+    GermLike,
+    base_of,
+    germ_points,
+    nested,
+    orthonormal_values,
+    products,
+)
 from uqsphere.uq.points import sobol_points
 
 _POINTS: Final = 8192
@@ -263,7 +271,7 @@ def chaos_indices(
     if error is None:
         unexplained = min(_WITHIN * unexplained, 1.0)
     # tails that the points of one fit leave out, those of the others leave out too
-    bounded = all(germ == "uniform" for germ in fits[0].germs)
+    bounded = all(base_of(germ) == "uniform" for germ in fits[0].germs)
     noise = 2.0 * math.sqrt(unexplained / (sum(fit.samples for fit in fits) if bounded else fits[0].samples))
     # Every fit is sampled by a design of its own, so that the spread holds the error of the sampling too.
     shares = np.array([_shares(fit, replicate) for replicate, fit in enumerate(fits)])  # (R, 2, d)

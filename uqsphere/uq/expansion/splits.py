@@ -36,6 +36,7 @@ class Split:
     alone, of the piece that holds them.
     """
 
+    contest: Contest
     pieces: tuple[tuple[Indices, Array], tuple[Indices, Array]]
     border: Border
     error: float
@@ -380,7 +381,7 @@ def find_split(contest: Contest, points: Array, outputs: Array, *, below: float)
             total = variance * outputs.size
             one_by_one = _one_left_out(data, whole[0], side) + doubt
             best = Split(
-                pieces=whole[0], border=whole[1], error=left / total, left_out=one_by_one / total, proposal=name,
-                steady=(5.0 * steadied(np.array(lost)) + doubt) / total,
+                contest=contest, pieces=whole[0], border=whole[1], error=left / total, left_out=one_by_one / total,
+                proposal=name, steady=(5.0 * steadied(np.array(lost)) + doubt) / total,
             )  # fmt: skip
     return best
