@@ -89,6 +89,7 @@ def test_a_second_integrator_of_another_method_agrees(row: Row) -> None:
         if pole.law is not None:
             assert answers[tracked.ANSWER_CARRIED + k] * pole.gives == pytest.approx(other.carried[k], rel=1e-7)
     assert answers[tracked.ANSWER_MEAN] == pytest.approx(other.mean, rel=1e-7)
+    assert answers[tracked.ANSWER_IMPULSE] == pytest.approx(other.impulse.mean() / other.mean, rel=1e-7)
     assert answers[tracked.ANSWER_DIFFERENCE] == pytest.approx(other.difference, rel=1e-7)
     assert answers[tracked.ANSWER_CONTACT] == pytest.approx(other.first_loss, rel=1e-7)
     assert answers[tracked.ANSWER_PARTING] == pytest.approx(other.parting, rel=2e-7)
@@ -286,7 +287,8 @@ def test_blows_that_yield_agree_with_their_closed_form() -> None:
         "target.yield_strength": 10.0 ** draw.uniform(8.0, 9.7, 300), "rig.speed": 10.0 ** draw.uniform(-2.0, 2.0, 300),
     }  # fmt: skip
     scene = Scene(columns=columns, rig="impact", contact_law="plastic")
-    asked = ("P_max", "p_max", "contact_time", "pulse_width", "rise_time", "energy", "restitution", "a_max")
+    asked = ("P_max", "p_max", "contact_time", "pulse_width", "rise_time", "energy", "restitution", "a_max",
+             "impulse_time", "time_above")  # fmt: skip
     closed, found = solve_closed(scene, asked), solve(scene, tolerance=1e-6, quantities=asked)
     assert (closed.status == 0).all()
     assert (found.status == 0).all()
@@ -305,7 +307,8 @@ def test_width_and_rise_of_faces_that_yield_are_those_of_their_forces(speed: flo
     }  # fmt: skip
     columns = {name: np.array([value]) for name, value in numbers.items()}
     scene = Scene(columns=columns, shape="trapezoid", contact_law="plastic", contact_dynamics="path")
-    found = solve(scene, quantities=("P_max", "pulse_width", "rise_time"))
+    asked = ("P_max", "pulse_width", "rise_time", "contact_time", "first_gap", "impulse_time", "time_above")
+    found = solve(scene, quantities=asked)
     whole = motion(scene, 0, tolerance=1e-9)
     times = np.linspace(0.0, min(whole.horizon, float(found.record[0])), 40_001)
     share = whole.forces_at(times).max(axis=1) / found.values["P_max"][0]
@@ -313,3 +316,16 @@ def test_width_and_rise_of_faces_that_yield_are_those_of_their_forces(speed: flo
     assert found.values["pulse_width"][0] == pytest.approx(times[above[-1]] - times[above[0]], rel=2e-4)
     rise = times[np.argmax(share >= 0.9)] - times[np.argmax(share >= 0.1)]
     assert found.values["rise_time"][0] == pytest.approx(rise, rel=1e-3)
+    # the times that gaps do not cut, and the first gap, over the motion to the horizon
+    times = np.linspace(0.0, whole.horizon, 200_001)
+    mean = whole.forces_at(times).mean(axis=1)
+    peak = mean.max()
+    assert found.values["impulse_time"][0] == pytest.approx(np.trapezoid(mean, times) / peak, rel=1e-5)
+    assert found.values["time_above"][0] == pytest.approx(np.mean(mean > 0.1 * peak) * whole.horizon, rel=1e-4)
+    lost = found.values["contact_time"][0]
+    ways = whole.states_at(np.concatenate([[lost], times[times > lost]]))[:, :2]
+    ways = ways - ways[0]
+    opened = ways[:, np.argmin(ways[1])]
+    found_again = np.flatnonzero(opened[1:] > 0.0)
+    opened = opened[: found_again[0] + 1] if len(found_again) else opened
+    assert found.values["first_gap"][0] == pytest.approx(-opened.min(), rel=1e-4)

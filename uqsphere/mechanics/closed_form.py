@@ -15,6 +15,8 @@ import numpy as np
 
 from uqsphere.arrays import Array, Values
 from uqsphere.mechanics.integrator.tracked import (
+    ABOVE_SHARE,
+    ANSWER_ABOVE,
     ANSWER_CONTACT,
     ANSWER_CONTACT_CENSORED,
     ANSWER_DIFFERENCE,
@@ -22,6 +24,8 @@ from uqsphere.mechanics.integrator.tracked import (
     ANSWER_ENERGY,
     ANSWER_FACES,
     ANSWER_FIRSTS,
+    ANSWER_GAP,
+    ANSWER_IMPULSE,
     ANSWER_MEAN,
     ANSWER_PARTING,
     ANSWER_RISE,
@@ -265,6 +269,10 @@ def _scaled_answers(theta: Array, horizon: Array) -> Array:
     half_again = theta + relaxing_time(peak, peak * half)
     still_above = half_again >= ended
     width = np.minimum(half_again, ended) - loading_time(peak * half)
+    tenth = peak * ABOVE_SHARE ** (2.0 / 3.0)
+    above = np.minimum(theta + relaxing_time(peak, tenth), ended) - loading_time(tenth)
+    # x' = f - q: the impulse is that of the pulse less what is left of the approach
+    left = np.where(ended > theta, relaxing_approach(peak, np.maximum(ended - theta, 0.0)), peak)
     rise = loading_time(peak * 0.9 ** (2.0 / 3.0)) - loading_time(peak * 0.1 ** (2.0 / 3.0))
     answers = empty_answers(len(peak))
     answers[:, (ANSWER_X_MAX, ANSWER_X_FIRST, *_BOTH_FACES)] = peak[:, None]
@@ -272,4 +280,6 @@ def _scaled_answers(theta: Array, horizon: Array) -> Array:
     answers[:, ANSWER_ENERGY], answers[:, ANSWER_MEAN] = 2.0 * 0.4 * peak**2.5, peak**1.5
     answers[:, (ANSWER_CONTACT, ANSWER_END, ANSWER_PARTING)] = ended[:, None]
     answers[:, ANSWER_WIDTH], answers[:, ANSWER_WIDTH_CENSORED], answers[:, ANSWER_RISE] = width, still_above, rise
+    answers[:, ANSWER_IMPULSE], answers[:, ANSWER_ABOVE] = (loaded - left) / peak**1.5, above
+    answers[:, ANSWER_GAP] = 0.0
     return answers

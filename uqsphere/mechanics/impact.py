@@ -43,8 +43,9 @@ def reduced_mass(mass: Any, partner: Any = math.inf) -> Array:
     return np.asarray(mass / (1.0 + mass / np.asarray(partner, dtype=float)))
 
 
-#: columns of the table: restitution, peak force, duration, width at half the peak and rise from 10 % to 90 % of it
-_COLUMNS: Final = ("restitution", "force", "duration", "width", "rise")
+#: columns of the table: restitution, peak force, duration, width at half the peak, rise from 10 % to 90 % of it, time
+#: above 10 %
+_COLUMNS: Final = ("restitution", "force", "duration", "width", "rise", "above")
 
 
 @cache
@@ -203,7 +204,8 @@ def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answ
         share = behind.mass / (behind.mass + ahead.mass)
         tracked = {
             "x_max": x_a, "x_a": x_a, "x_b": x_b, "force_b_at_a": q, "force_a_at_b": q, "mean_force": q,
-            "difference": np.zeros(1), "stored": 0.4 * q * (slow_a + slow_b),
+            "difference": np.zeros(1), "impulse": (1.0 + at["restitution"]) / at["force"] * time,
+            "stored": 0.4 * q * (slow_a + slow_b),
             "stored_sphere": 0.4 * q * (behind.share * slow_a + ahead.share * slow_b),
             **{name: at[of] * time for name, of in _DURATIONS.items()},
             "end_speed": np.full(1, np.nan), "end_speed_a": share - (1.0 - share) * at["restitution"],
@@ -219,6 +221,7 @@ def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answ
 #: times of a blow -> which of `_COLUMNS` they are
 _DURATIONS: Final = {
     "contact": "duration", "parting": "duration", "ended": "duration", "width": "width", "rise": "rise",
+    "above": "above",
 }  # fmt: skip
 
 
@@ -235,8 +238,9 @@ def _blown(scene: Scene, ahead: Partner) -> dict[str, Array]:
     x = np.cbrt(np.square(at["force"]))
     found = {
         "x_max": x, "x_b": x, "stored": 0.4 * at["force"] * x, "contact": at["duration"], "parting": at["duration"],
-        "width": at["width"], "rise": at["rise"], "ended": at["duration"], **_speeds(scene, ahead, at["restitution"]),
-        **_CENSORED,
+        "width": at["width"], "rise": at["rise"], "ended": at["duration"], "above": at["above"],
+        # momentum: the sphere, or of two bodies each in their common frame, leaves with e times its speed
+        "impulse": (1.0 + at["restitution"]) / at["force"], **_speeds(scene, ahead, at["restitution"]), **_CENSORED,
     }  # fmt: skip
     if waves:
         # what is lost is what the impedance takes: (1 - e²)/2 = lam times the integral of q²
@@ -272,12 +276,13 @@ def _yielded(scene: Scene, face: Face | Softening, ahead: Partner) -> dict[str, 
     return {
         "x_max": x, "x_b": x, "stored": state.stored / (scales.force * scales.approach), "contact": whole,
         "parting": whole, "width": down[1] * to_scaled + up * _UNLOADING[1], "ended": whole,
+        "above": down[0] * to_scaled + up * _UNLOADING[2], "impulse": (1.0 + restitution) * scales.force / state.force,
         "rise": (down[0] - down[2]) * to_scaled, **_speeds(scene, ahead, restitution), **_CENSORED,
     }  # fmt: skip
 
 
-#: integral of dx/sqrt(1 - x^2.5) from 0, and from 0.5^(2/3), to 1: unloading times over alpha_e/v, (R11)
-_UNLOADING: Final = (1.4716375921624, 0.8084992204472)
+#: integral of dx/sqrt(1 - x^2.5) from 0, from 0.5^(2/3) and from 0.1^(2/3), to 1: unloading times over alpha_e/v, (R11)
+_UNLOADING: Final = (1.4716375921624, 0.8084992204472, 1.2555247086606)
 #: Gauss points of a quarter of a blow below and above onset: analytic in the angle, 1e-12 at all depths
 _POINTS: Final = 24
 

@@ -82,6 +82,15 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
     Quantity(name="loaded_time", symbol="t_loaded", dimension="time", display="us",
              meaning="time from first touch until the bodies part for good", needs=("time", "parting"),
              formula=lambda c: c["time"] * c["parting"]),
+    Quantity(name="impulse_time", symbol="t_impulse", dimension="time", display="us",
+             meaning="impulse of the mean force at the two poles over its peak, gaps included, to the horizon",
+             needs=("time", "impulse"), formula=lambda c: c["time"] * c["impulse"]),
+    Quantity(name="time_above", symbol="t_above", dimension="time", display="us",
+             meaning="total time for which the mean force at the two poles is above 10 % of its peak",
+             needs=("time", "above"), formula=lambda c: c["time"] * c["above"]),
+    Quantity(name="first_gap", symbol="gap", dimension="length", display="um", closed=True,
+             meaning="depth of the first gap between sphere and partner until it closes or the record ends",
+             needs=("approach", "gap"), formula=lambda c: c["approach"] * c["gap"]),
     Quantity(name="pulse_width", symbol="t_width", dimension="time", display="us", rough=16_000,
              meaning="time between the first and the last crossing of half the largest force", needs=("time", "width"),
              censored="width_censored",
@@ -402,6 +411,8 @@ def _lacking(scene: Scene) -> dict[str, str]:
     if rig.name == "bars":
         found |= dict.fromkeys(("parting", "touches"), "the record of bars ends at the first loss of contact")
         found["carried_off"] = "bars carry waves both ways: history shows them"
+    else:
+        found["gap"] = "the record ends where the bodies part: retouches counts the gaps before the largest force"
     if not rig.blow:
         why = "no body meets the sphere with a speed: a wave, or a slow press, loads it"
         found |= dict.fromkeys(("offered", "leaving", "parting_speed"), why)
@@ -409,7 +420,8 @@ def _lacking(scene: Scene) -> dict[str, str]:
         found["carried_off"] = "what stands at the poles carries nothing off here (a thick target: give its density)"
     if rig.name == "platens":
         found |= dict.fromkeys(
-            ("parting", "touches", "contact", "width", "carried_off"), "platens press slowly and stay"
+            ("parting", "touches", "contact", "width", "carried_off", "impulse", "above"),
+            "platens press slowly and stay",
         )
         if not {"platens.speed", "platens.loading_rate"} & scene.columns.keys():
             found["rise"] = 'how fast the platens press is not given: add speed = "1 mm/min" or loading_rate'

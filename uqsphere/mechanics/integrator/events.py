@@ -44,6 +44,7 @@ def begin(track, lane):
     track[tracked.LOST, lane] = math.nan
     track[tracked.ENDED, lane] = math.nan
     track[tracked.PARTED, lane] = math.nan
+    track[tracked.LOST_FACE, lane] = -1.0
     track[tracked.DEPTH, lane] = math.inf
     track[tracked.NEAREST, lane] = math.inf
 
@@ -144,7 +145,7 @@ def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
             if math.isnan(track[tracked.LOST, lane]):
                 track[tracked.DEPTH, lane] = depth
     if lost >= 0 and math.isnan(track[tracked.LOST, lane]):
-        track[tracked.LOST, lane] = before + ends * h
+        track[tracked.LOST, lane], track[tracked.LOST_FACE, lane] = before + ends * h, lost
         _, rate = searches.both(piece, lost, ends)
         track[tracked.LOSS_RATE, lane] = abs(rate) / h
     return ends, why, lost
@@ -332,6 +333,8 @@ _crown = elementwise(LANES, 2, _crowned)
 _sign = elementwise(LANES, 2, _signs)
 #: functions of both faces whose largest values are searched for
 _SEARCHED = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SHARE | tracked.WANT_MEAN
+#: what the end of the record decides
+_TO_THE_END = tracked.WANT_CONTACT | tracked.WANT_WHOLE
 
 
 @compiled(**INNER)
@@ -461,7 +464,7 @@ def decided(mode, wanted, track, lane, a, b, w, mu, level, tolerance):
     above the one at rest can be exceeded whose phi is not below V.
     """
     apart()
-    if wanted & tracked.WANT_CONTACT or (level > 0.0 and wanted & (_SEARCHED | tracked.WANT_WIDTH)):
+    if wanted & _TO_THE_END or (level > 0.0 and wanted & (_SEARCHED | tracked.WANT_WIDTH)):
         return False
     a, b = max(a, 0.0), max(b, 0.0)
     known = track[tracked.FACE_A, lane]
@@ -495,7 +498,7 @@ def decided(mode, wanted, track, lane, a, b, w, mu, level, tolerance):
 def decided_own(wanted, track, lane, x, w, mu, level, tolerance, law):
     """The same of faces with laws of their own, all springs now: what yields takes energy and brings none back."""
     apart()
-    if wanted & tracked.WANT_CONTACT or (level > 0.0 and wanted & (_SEARCHED | tracked.WANT_WIDTH)):
+    if wanted & _TO_THE_END or (level > 0.0 and wanted & (_SEARCHED | tracked.WANT_WIDTH)):
         return False
     slack = 1.0 + 0.1 * tolerance
     stored, energy, least, stiffest = 0.5 * mu * (w - level) ** 2, 0.5 * mu * w * w, math.inf, 0.0
@@ -695,3 +698,61 @@ def next_touch(lane, x, u, free, rig):
         if rate > 0.0:
             closing = min(closing, -x[0, m] / rate)
     return closing
+
+
+# --- The motion to the horizon, gaps included.
+
+
+@compiled(**INNER)
+def note_whole(track, lane, x, force, rate, piece, before, length, theta, ends, path):
+    """Impulse of the mean force in a step, and the depth of the first gap.
+
+    rate (POINTS + 1, PAIR): slopes of the approaches over [0, theta]; the step ends at `ends`.  path (3, TERMS)
+    receives the mean force.
+    """
+    apart()
+    total, power = 0.0, ends * length
+    for k in range(tracked.TERMS):
+        path[2, k] = 0.5 * (force[k, lane] + force[k, LANES + lane])
+        total += path[2, k] * power / (k + 1.0)
+        power *= ends
+    track[tracked.IMPULSE, lane] += total
+    lost, width = track[tracked.LOST, lane], theta / tracked.POINTS
+    if math.isnan(lost) or lost > before:
+        return
+    for face in range(2):
+        m = face * LANES + lane
+        if track[tracked.LOST_FACE, lane] != face:
+            continue
+        last = value_of(x, m, ends)
+        deepest = -last
+        for i in range(tracked.POINTS):
+            left, right = rate[i, m], rate[i + 1, m]
+            if left < 0.0 < right and (i + left / (left - right)) * width <= ends:
+                for k in range(tracked.TERMS):
+                    piece[face, k] = x[k, m]
+                found = searches.bend(piece, face, i * width, (i + 1) * width, left, right, searches.BROAD)
+                deepest = max(deepest, -searches.value(piece, face, found))
+        track[tracked.GAP, lane] = max(track[tracked.GAP, lane], deepest)
+        if last >= -1e-14 * track[tracked.GAP, lane]:  # found again
+            track[tracked.LOST_FACE, lane] = -1.0
+
+
+@compiled(**INNER)
+def finish_whole(track, lane, path, scale, length, count, out):
+    """Answers of the motion to the horizon; path, scale, length of its lane."""
+    apart()
+    peak, above = track[tracked.MEAN, lane], 0.0
+    level = tracked.ABOVE_SHARE * peak
+    for n in range(count):
+        at, end = 0.0, length[n] / scale[n]
+        inside = path[n, 2, 0] >= level
+        for _ in range(8 * tracked.POINTS):
+            found = searches.passage(path[n], 2, level, -1.0 if inside else 1.0, at, end)
+            stop = end if math.isnan(found) else found
+            above += (stop - at) * scale[n] if inside else 0.0
+            if stop == end:
+                break
+            at, inside = min(stop + 1e-12 * end, end), not inside
+    out[tracked.ANSWER_IMPULSE], out[tracked.ANSWER_ABOVE] = track[tracked.IMPULSE, lane] / peak, above
+    out[tracked.ANSWER_GAP] = track[tracked.GAP, lane]

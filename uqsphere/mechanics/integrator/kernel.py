@@ -163,11 +163,14 @@ def march(
     # (t - start)/scale and holds over `length`
     kept_steps = (
         np.empty((lanes, capacity)), np.empty((lanes, capacity)), np.empty((lanes, capacity)),
-        np.empty((lanes, capacity)), np.empty((lanes, capacity, 2, TERMS)), np.empty((2 * lanes * capacity, TERMS)),
+        np.empty((lanes, capacity)), np.empty((lanes, capacity, 3, TERMS)), np.empty((2 * lanes * capacity, TERMS)),
     )  # fmt: skip
     start, length, scale, crests = bare(kept_steps[0]), bare(kept_steps[1]), bare(kept_steps[2]), bare(kept_steps[3])
     path, wave = bare(kept_steps[4]), bare(kept_steps[5])
-    store = wanted & (tracked.WANT_RISE | tracked.WANT_WIDTH) != 0
+    store = wanted & (tracked.WANT_RISE | tracked.WANT_WIDTH | tracked.WANT_WHOLE) != 0
+    whole = wanted & tracked.WANT_WHOLE != 0
+    # whether a lane goes on after its first loss, with which its other answers are known
+    beyond = np.zeros(lanes, dtype=np.bool_)
     share = tracked.TAIL_SHARE if mode == 1 else tracked.TAIL_SHARE ** (2.0 / 3.0)
     taken, live = 0, 0
     while True:
@@ -194,7 +197,7 @@ def march(
             incoming.reflect_break(0.0, trips, queue, head, tail, j, end[j])
             stop[j] = incoming.next_break(breaks, r, 0.0, queue, head, tail, j, end[j])
             proposed[j] = 1e30
-            on_slow[j], calm[j] = False, decay_time(mass[r], local)
+            on_slow[j], calm[j], beyond[j] = False, decay_time(mass[r], local), False
             if yielding:
                 new_faces(law, j, laws[r])
                 own[j] = of_its_own(law, j)
@@ -395,7 +398,7 @@ def march(
                 ending, why = events.after_step(
                     mode, flags[j], track, j, piece, pushes, grid, places, theta[j], before, h[j],
                     min(trips[0, j], trips[1, j]), quiet, local * size[0, j], near[j], asked * size[0, j], graze[r],
-                    stop_at_loss and not rigged, yielding, law,
+                    stop_at_loss and not rigged and not beyond[j], yielding, law,
                 )  # fmt: skip
             # a step that is cut where a face begins to yield has not reached what `look` saw
             if flags[j] & (1 << tracked.FACE_A) == 0 and why < 4:
@@ -414,6 +417,8 @@ def march(
             if wanted & tracked.WANT_CARRIED:
                 events.note_carried(track, j, force, h[j], ending, pushes)
             n = count[j] % capacity
+            if whole:
+                events.note_whole(track, j, x, force, rate, piece, before, h[j], theta[j], ending, path[j, n])
             count[j] += 1
             start[j, n], scale[j, n], length[j, n], crests[j, n] = before, h[j], ending * h[j], crest[j]
             if yielding and store:
@@ -447,6 +452,17 @@ def march(
                     kept[n, 0, 0] += law[tracked.DENT, j]
                     kept[n, 1, 0] += law[tracked.DENT, LANES + j]
             touching[j] = 0
+            if (
+                why == 1
+                and whole
+                and not rigged
+                and graze[r] == 0.0
+                and track[tracked.LOST, j] == track[tracked.ENDED, j]
+            ):
+                events.finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
+                              local, out[r], yielding, law)  # fmt: skip
+                out[r, tracked.ANSWER_SPEED] = events.value_of(u, j, ending)
+                beyond[j], why = True, 2 + int(track[tracked.LOST_FACE, j])
             if why >= 2 or (why == 1 and own[j]):
                 a, b, w = 0.0, 0.0, 0.0
                 for k in range(ORDER, -1, -1):
@@ -527,10 +543,13 @@ def march(
                     done = events.decided(
                         mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], local
                     )
+            if done and whole:
+                events.finish_whole(track, j, path[j], scale[j], length[j], count[j], out[r])
             if done:
-                events.finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
-                              local, out[r], yielding, law)  # fmt: skip
-                out[r, tracked.ANSWER_SPEED] = u[0, j]
+                if not beyond[j]:
+                    events.finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
+                                  local, out[r], yielding, law)  # fmt: skip
+                    out[r, tracked.ANSWER_SPEED] = u[0, j]
                 out[r, tracked.ANSWER_SPEEDS], out[r, tracked.ANSWER_SPEEDS + 1] = free[0, j], -free[0, LANES + j]
                 status[r] = tracked.OK
                 steps[r] = count[j]

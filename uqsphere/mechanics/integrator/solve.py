@@ -26,6 +26,8 @@ from uqsphere.mechanics.integrator.tracked import (
     ANSWER_CONTACT,
     ANSWER_DEPTH,
     ANSWER_END,
+    ANSWER_GAP,
+    ANSWER_IMPULSE,
     ANSWER_LOSS_RATE,
     ANSWER_NEAREST,
     ANSWER_RISE,
@@ -613,6 +615,8 @@ def _answer_otherwise(march: March, found: Scaled, rows: Places, closer: float, 
     if len(rows) == 0:
         return
     other = march(rows, closer, graze[chosen])
+    # what the motion to the horizon tells is the same
+    other.answers[:, ANSWER_IMPULSE : ANSWER_GAP + 1] = found.answers[rows, ANSWER_IMPULSE : ANSWER_GAP + 1]
     kept = (status[rows] == 0) | _farther(found.answers[rows], found.others[rows], other.answers)
     found.others[rows[kept]] = other.answers[kept]
     status[rows] = np.where(other.status == 0, UNDECIDED, other.status)
