@@ -178,10 +178,11 @@ def fits_of_the_same_runs() -> Iterator[None]:
 
     known: dict[tuple[object, ...], object] = {}
 
-    def remembered(points: np.ndarray, outputs: np.ndarray, germs: Sequence[object], *, most: float) -> object:
-        key = (points.shape, points.tobytes(), outputs.shape, outputs.tobytes(), repr(tuple(germs)), most)
+    def remembered(points: np.ndarray, outputs: np.ndarray, germs: Sequence[object], **how: object) -> object:
+        asked = (repr(tuple(germs)), repr(sorted(how.items())))
+        key = (points.shape, points.tobytes(), outputs.shape, outputs.tobytes(), *asked)
         if key not in known:
-            known[key] = fit_outputs(points, outputs, germs, most=most)
+            known[key] = fit_outputs(points, outputs, germs, **how)
         return known[key]
 
     with pytest.MonkeyPatch.context() as patch:

@@ -17,7 +17,7 @@ from tests.campaigns.coverage import CoverageModel, coverage_models
 from uqsphere.arrays import Array
 from uqsphere.cli.watch import Progress
 from uqsphere.console import bar
-from uqsphere.given.answers import given_answers, response_from
+from uqsphere.given.answers import given_answers
 from uqsphere.mechanics.history import FieldView
 from uqsphere.report import build_report
 from uqsphere.report.contents import read_contents
@@ -41,6 +41,7 @@ from uqsphere.uq.response import (
     with_residuals,
     within_rows,
 )
+from uqsphere.uq.surrogate import response_from
 
 MODELS = {model.name: model for model in coverage_models()}
 NORMAL = ("normal", "normal")

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.black_box import BlackBox, call_black_box
+from uqsphere.black_box import BlackBox, call_black_box, load_black_box
 from uqsphere.errors import ModelError, UsageError, told
 from uqsphere.materials import library
 from uqsphere.quantities import INPUTS, OUTPUTS
@@ -358,8 +358,9 @@ def evaluate(
     fidelity: str = "full",
     tolerance: float = 1e-8,
     threads: int | None = None,
+    model: str | BlackBox | None = None,
 ) -> pd.DataFrame:
-    """Quantities of interest of n scenes.
+    """Quantities of interest of n scenes, or outputs of a model of one's own at n rows.
 
     Parameters
     ----------
@@ -370,6 +371,8 @@ def evaluate(
     fidelity : full, massless, linear, or elastic: yield from the largest force alone
     tolerance : relative error of every quantity
     threads : all processors if None; the answers do not depend on it
+    model : "FILE.py:FUNCTION" or function
+        The black box of a black-box study, which answers its outputs (or those of `quantities`) here, in one call.
 
     Returns
     -------
@@ -381,13 +384,17 @@ def evaluate(
     Raises
     ------
     UsageError
-        For an unknown quantity, fidelity or number of the scene, or a black-box study.
+        For an unknown quantity, fidelity or number of the scene, and a black-box study without its model.
+    ModelError
+        When the model raises or returns something of the wrong form.
     """
     import pandas as pd
 
     quantities = (quantities,) if isinstance(quantities, str) else quantities
     if study.black_box:
-        raise UsageError("evaluate() serves the impact model; a black box is called directly")
+        return _evaluate_box(study, values, quantities, model)
+    if model is not None:
+        raise UsageError("a model of one's own answers black-box studies; this one describes an impact scene")
     if not quantities:
         raise UsageError(f"no quantity is asked for (allowed: {', '.join(OUTPUTS)})")
     for name in quantities:
@@ -407,6 +414,27 @@ def evaluate(
         for k, name in enumerate(quantities):
             frame[f"{name}_other"] = found.others[:, k]
     return frame
+
+
+def _evaluate_box(
+    study: Study, values: Mapping[str, npt.ArrayLike], quantities: Sequence[str], model: str | BlackBox | None
+) -> pd.DataFrame:
+    """Outputs of a black box at rows whose other inputs stand at their means."""
+    import pandas as pd
+
+    means = study.at_means()
+    for name in values:
+        if name not in means:
+            raise UsageError(f"unknown input {name!r} (allowed: {', '.join(means)})")
+    outputs = study.outputs if tuple(quantities) == ("p_max",) and "p_max" not in study.outputs else tuple(quantities)
+    for name in outputs:
+        if name not in study.outputs:
+            raise UsageError(f"unknown output {name!r} (allowed: {', '.join(study.outputs)})")
+    names, rows = _rows_of({name: values.get(name, mean) for name, mean in means.items()})
+    box = load_black_box(model) if isinstance(model, str) else model
+    found = answer_black_box(study, names, rows, outputs, box)
+    frame = pd.DataFrame(found.values, columns=list(outputs))
+    return frame.assign(status=found.status, censored=False)
 
 
 def _rows_of(values: Mapping[str, npt.ArrayLike]) -> tuple[list[str], Array]:

@@ -7,6 +7,7 @@ import contextlib
 import math
 import sys
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uqsphere.cli.studies import warn
@@ -84,7 +85,7 @@ def _watched_run(study: Study, chosen: argparse.Namespace, seconds: float | None
         patience = around.enter_context(Patience(STOPPING, progress.say))
         found = run(
             study,
-            out=chosen.out,
+            out=chosen.out or Path(f"{study.path.stem}-results"),
             executor=executor,
             model=chosen.model,
             threads=chosen.jobs,

@@ -12,7 +12,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
-from uqsphere.given.answers import given_answers, law_scores, least_runs, odd_pairs, response_from
+from uqsphere.given.answers import given_answers, odd_pairs
 from uqsphere.given.table import Data, Document, combinations
 from uqsphere.given.ties import TiedPair, left_open, rank_correlations, tied, ties_of, with_ties
 from uqsphere.uq.estimate import Estimate, absent
@@ -20,6 +20,7 @@ from uqsphere.uq.expansion.germs import germs_of
 from uqsphere.uq.families import LawError
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import Law
+from uqsphere.uq.surrogate import law_scores, least_rows, response_from
 
 SCHEMA_VERSION: Final = 2
 #: rows that an expansion is fitted to: beyond, it gains nothing
@@ -392,7 +393,7 @@ def _hopeless(y: Array, laws: _Laws, rows: int) -> str:
     kernels = [n for n, law in zip(laws.inputs.names, laws.inputs.laws, strict=True) if law.family.observed]
     if laws.others and kernels:
         return f"no family fits {kernels[0]}: what its kernel density leaves open is not known well enough"
-    needed = least_runs(len(laws.columns))
+    needed = least_rows(len(laws.columns))
     if rows < needed:
         return f"{rows} runs are too few for {len(laws.columns)} inputs: {needed} are needed"
     return ""

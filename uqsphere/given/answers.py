@@ -26,8 +26,9 @@ from uqsphere.uq.indices import Blocks
 from uqsphere.uq.joint import Joint, independent_scores
 from uqsphere.uq.law import Law
 from uqsphere.uq.points import random_generator, sobol_points
-from uqsphere.uq.response import METHOD, Response, answered, cross_fit, index_shares, share_of_noise
+from uqsphere.uq.response import METHOD, Response, answered, index_shares, share_of_noise
 from uqsphere.uq.shapley import BLOCK, MOST_EXACT, orders_of, shapley_estimates, subset_design, subset_scores
+from uqsphere.uq.surrogate import FARTHEST, scores_of
 
 # --- How far an answer reaches under other laws than the fitted ones, from the steps that it takes to each of them.
 
@@ -123,12 +124,10 @@ _LARGE: Final = 2048
 #: rows of each replicate where inputs depend on each other, and base points at least and at most
 _SHARED_ROWS: Final = 4096
 _SHARED: Final = (64, 512)
-#: no law is asked beyond these normal scores
-_FURTHEST: Final = 8.0
 #: a share of the variance that is not told from none: fitted bounds leave such of what cancels under the law itself
 _NOTHING: Final = 1e-6
 #: scores at which a law is compared with another
-_GRID: Final = np.linspace(-_FURTHEST, _FURTHEST, 321)
+_GRID: Final = np.linspace(-FARTHEST, FARTHEST, 321)
 
 Answers = dict[str, dict[str, "Answer"]]
 
@@ -160,23 +159,6 @@ class LeftOpen:
     high: Array
 
 
-def least_runs(inputs: int) -> int:
-    """Runs below which no surrogate is fitted."""
-    return max(16, 4 * (inputs + 1))
-
-
-def _scores(below: Array, above: Array) -> Array:
-    from scipy.special import ndtri
-
-    with np.errstate(divide="ignore"):
-        return np.clip(np.where(below < 0.5, ndtri(below), -ndtri(above)), -_FURTHEST, _FURTHEST)
-
-
-def law_scores(laws: Sequence[Law], x: Array) -> Array:
-    """Normal scores (n, d) of values (n, d) under their laws, within 8 of the median."""
-    return np.column_stack([_scores(law.cdf(x[:, k]), law.sf(x[:, k])) for k, law in enumerate(laws)])
-
-
 def score_table(law: Law, others: Sequence[Law]) -> Array:
     """Scores (laws, grid) under other laws of the values that have the scores of a grid under `law`.
 
@@ -187,16 +169,8 @@ def score_table(law: Law, others: Sequence[Law]) -> Array:
     x = law.from_normal(_GRID)
     if law.family.observed:
         generator = random_generator(seed=0, task=f"given: observations {len(law.data)} {law.data[0]!r}")
-        return _scores(*possible_tails(law, x, len(others), generator))
-    return np.array([_scores(other.cdf(x), other.sf(x)) for other in others])
-
-
-def response_from(scores: Array, outputs: Array, germs: Sequence[GermLike]) -> Response:
-    """A surrogate of outputs (n,) at independent rows of normal scores (n, d), in any order that tells nothing.
-
-    Raises ValueError where none can be fitted.
-    """
-    return cross_fit(germ_points(scores, germs), outputs, germs)[0]
+        return scores_of(*possible_tails(law, x, len(others), generator))
+    return np.array([scores_of(other.cdf(x), other.sf(x)) for other in others])
 
 
 def odd_pairs(inputs: Joint, scores: Array) -> list[tuple[str, str, str]]:
@@ -251,8 +225,9 @@ def given_answers(
         rows = ("shapley", "first", "total") if dependent else ("first", "total")
         none = Answer(surrogate=nothing, left_open=0.0, whole=nothing)
         return answers | {row: dict.fromkeys(inputs.names, none) for row in rows}
-    shares = _shared(response, inputs, left_open, seed, task) if dependent else _indices(response, inputs, moved)
-    return answers | shares
+    if dependent:
+        return answers | variance_shares(response, inputs, left_open, seed, task)
+    return answers | _indices(response, inputs, moved)
 
 
 def _moved(response: Response, inputs: Joint, left_open: LeftOpen | None, seed: int) -> list[Array]:
@@ -280,7 +255,7 @@ def _surrogate(response: Response, left_open: LeftOpen | None) -> Callable[[Arra
     """The surrogate of dependent normal scores (n, d): of the fitted laws, or between the runs (-1), or of others."""
 
     def values(scores: Array, which: int | None) -> Array:
-        points = np.clip(scores, -_FURTHEST, _FURTHEST)
+        points = np.clip(scores, -FARTHEST, FARTHEST)
         if which is None or left_open is None:
             return response.at(germ_points(points, response.germs))
         if which >= 0:
@@ -365,7 +340,7 @@ def _statistics(
 ) -> dict[str, Answer]:
     d = len(inputs.names)
     large = np.concatenate([_drawn(d, _LARGE, replicate, "large", seed) for replicate in range(_REPLICATES)])
-    scores = np.clip(inputs.scores(large), -_FURTHEST, _FURTHEST)
+    scores = np.clip(inputs.scores(large), -FARTHEST, FARTHEST)
     generator = random_generator(seed=seed, task=f"given: residuals {task}")
     points, shape = germ_points(scores, response.germs), (_REPLICATES, _LARGE)
     middle = answered(response, points, shape, generator, quantiles).description
@@ -414,7 +389,7 @@ def _pick_freeze(outputs: Array, d: int) -> Array:
     return np.array([np.mean(b * (mixed - a), axis=0), 0.5 * np.mean((a - mixed) ** 2, axis=0)]) / variance
 
 
-def _shared(response: Response, inputs: Joint, left_open: LeftOpen | None, seed: int, task: str) -> Answers:
+def variance_shares(response: Response, inputs: Joint, left_open: LeftOpen | None, seed: int, task: str) -> Answers:
     """Shapley effects, and Kucherenko's first and total indices, of inputs that depend on each other."""
     d = len(inputs.names)
     values = _surrogate(response, left_open)

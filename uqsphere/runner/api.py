@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
 def run(
     study: Study,
+    model: str | BlackBox | None = None,
     *,
     out: str | Path | None = None,
     executor: Executor | None = None,
-    model: str | BlackBox | None = None,
     threads: int | None = None,
     fresh: bool = False,
     extend: bool = False,
@@ -37,21 +37,21 @@ def run(
     stop: Callable[[], bool] | None = None,
     reached: Callable[[list[dict[str, Any]]], None] | None = None,
 ) -> Run:
-    """Run a study and write its result folder.
+    """Run a study, with the model that a black-box study is about.
 
     Parameters
     ----------
     study : Study
+    model : "FILE.py:FUNCTION" or function
+        The black box of a black-box study.  A reference is loaded and called in a process of its own, so that a model
+        that ends its process, hangs or forks does not do so to the run; a function is called here.
     out : folder
-        Default: the study file's stem + "-results" in the current folder.  A folder of the same study is
-        resumed: what is stored there is not evaluated again.
+        A folder of the same study is resumed: what is stored there is not evaluated again.  If None, what the run
+        stores lies in a private folder that goes with the `Run`.
     executor : anything with submit(), optional
         Takes the evaluations, such as a pool of `concurrent.futures` or a `distributed.Client`; the model must then
         be a reference, not a function.  If None, the mechanics run here in threads, and a black box that is a
         reference in a process of its own, or in several where it proves expensive.
-    model : "FILE.py:FUNCTION" or function
-        The black box of a black-box study.  A reference is loaded and called in a process of its own, so that a model
-        that ends its process, hangs or forks does not do so to the run; a function is called here.
     threads : int, optional
         Threads of the mechanics, or processes of an expensive black box; all processors if None.  Results do not depend
         on it.
@@ -82,6 +82,7 @@ def run(
     from uqsphere.runner.analyse import analyse
     from uqsphere.runner.cluster import as_executor
     from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work
+    from uqsphere.runner.finished import Keeper
     from uqsphere.runner.log import logged
     from uqsphere.runner.services import run_services
     from uqsphere.runner.workers import Engine
@@ -91,7 +92,8 @@ def run(
     check_quantities(study)
     reference = model if isinstance(model, str) else None
     seconds = study.analysis.budget.time if seconds is None else seconds
-    folder = Path(out) if out is not None else Path(f"{study.path.stem}-results")
+    keeper = Keeper() if out is None else None
+    folder = keeper.folder if keeper is not None else Path(str(out))
     digest = None if model is None else model_digest(model)
     engine = Engine(
         executor=as_executor(executor),
@@ -151,7 +153,7 @@ def run(
                 "longer --budget goes on with it"
             ) from nothing
         log.write("counted", evaluations=work.ledger.total, reused=work.ledger.reused, stages=work.ledger.seconds)
-        return found
+        return replace(found, keeper=keeper)
 
 
 def _check_usage(study: Study, model: str | BlackBox | None, executor: Executor | None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,21 +15,40 @@ from uqsphere.store import read_json
 
 if TYPE_CHECKING:
     import pandas as pd
+    from xarray import Dataset
 
     from uqsphere.runner.plots import Plots
+    from uqsphere.uq.surrogate import Surrogate
+
+
+class Keeper:
+    """A private folder that lasts as long as this does."""
+
+    def __init__(self) -> None:
+        import shutil
+        import tempfile
+        import weakref
+
+        self.folder = Path(tempfile.mkdtemp(prefix="uqsphere-"))
+        weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """A finished run: its folder, the content of results.json and of manifest.json."""
+    """A finished run: its folder, the content of results.json and of manifest.json.
+
+    `keeper` is there where no folder was asked for: the one that it has goes when the run does.
+    """
 
     folder: Path
     results: Results
     manifest: Manifest
+    keeper: Keeper | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
         limits = [f"{row[0]} {row[1]} {row[3]}".rstrip() for row in self._answers()]
-        return f"<Run in {str(self.folder)!r}: {'; '.join(limits) or 'no limits'}>"
+        place = "" if self.keeper else f" in {str(self.folder)!r}"
+        return f"<Run{place}: {'; '.join(limits) or ', '.join(self.results.quantities)}>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: title, and every limit with its probability of a miss and its verdict."""
@@ -73,12 +92,18 @@ class Run:
     @property
     def services(self) -> dict[str, Run]:
         """The runs of the study's services, as their own folders have them."""
-        return {name: open_run(self.folder / "services" / name) for name in self.results.services}
+        runs = {name: open_run(self.folder / "services" / name) for name in self.results.services}
+        return {name: replace(run, keeper=self.keeper) for name, run in runs.items()}
 
-    def _table(self, name: str) -> pd.DataFrame:
+    def table(self, name: str) -> pd.DataFrame:
+        """A table of the run by its name in the folder tables/; raises FolderError where there is none."""
         from uqsphere.runner.export import read_table
 
         return read_table(self.folder, name)
+
+    def quantities(self) -> pd.DataFrame:
+        """Mean, standard deviation and quantiles of every quantity with their intervals."""
+        return self.table("quantities")
 
     def samples(self) -> pd.DataFrame:
         """Rows that were sampled: inputs (SI), quantities (SI), status, censored flags."""
@@ -86,17 +111,44 @@ class Run:
 
         return load_samples(self.folder)
 
+    def surrogate(self, output: str | None = None, *, rows: int = 2048, plain: bool = False) -> Surrogate:
+        """A surrogate of a quantity, fitted to rows of the run: `predict(rows) -> value, low, high`.
+
+        Parameters
+        ----------
+        output : name of the quantity; the first if None
+        rows : the most rows that it is fitted to; a tenth of the time at a tenth of them
+        plain : expand the quantity itself, in one piece: what `Surrogate.to_chaospy` takes
+
+        Raises
+        ------
+        UsageError
+            For a name that the run does not have, and where the rows are too few.
+        """
+        from uqsphere.runner.samples import surrogate_of
+
+        return surrogate_of(self.folder, output, rows=rows, plain=plain)
+
+    def to_xarray(self) -> Dataset:
+        """The stored rows as a Dataset of xarray, dimensions `chain` and `draw` as ArviZ has them, units as attributes.
+
+        Raises UsageError where xarray is not installed.
+        """
+        from uqsphere.runner.samples import dataset_of
+
+        return dataset_of(self.samples(), self.manifest)
+
     def indices(self) -> pd.DataFrame:
         """First and total Sobol' indices with their intervals."""
-        return self._table("sensitivity")
+        return self.table("sensitivity")
 
     def limits(self) -> pd.DataFrame:
         """Probabilities and margins of every limit with their intervals."""
-        return self._table("limits")
+        return self.table("limits")
 
     def margins(self) -> pd.DataFrame:
         """Values of the free scalar at the probabilities asked for."""
-        return self._table("margins")
+        return self.table("margins")
 
 
 def open_run(folder: str | Path) -> Run:

@@ -9,15 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.errors import AccessError, FolderError
+from uqsphere.errors import AccessError, FolderError, UsageError
 from uqsphere.files import LARGEST_ARRAY, array_of, read_whole
 from uqsphere.results.entries import SampleNames, read_entry
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.store import Store, write_atomically, write_json
+from uqsphere.store import Store, read_json, write_atomically, write_json
 
 if TYPE_CHECKING:
     import pandas as pd
+    from xarray import Dataset
+
+    from uqsphere.results.entries import Manifest
+    from uqsphere.uq.surrogate import Surrogate
 
 #: rows kept for figures: the first ones of every replicate
 KEPT = 16_384
@@ -72,3 +76,46 @@ def load_samples(folder: Path) -> pd.DataFrame:
     for k, name in enumerate(quantities):
         frame[f"censored_{name}"] = rows[:, d + q + k] > 0.0
     return frame
+
+
+def surrogate_of(folder: Path, output: str | None, *, rows: int, plain: bool) -> Surrogate:
+    """A surrogate of a quantity, fitted to stored rows that have an answer; `Run.surrogate`."""
+    from threadpoolctl import threadpool_limits
+
+    from uqsphere.study import load_study
+    from uqsphere.uq.points import random_generator
+    from uqsphere.uq.surrogate import fit_surrogate
+
+    frame = load_samples(folder)
+    known = [name.removeprefix("censored_") for name in frame.columns if name.startswith("censored_")]
+    name = known[0] if output is None and known else str(output)
+    if name not in known:
+        raise UsageError(f"there is no quantity {name!r} (there are: {', '.join(known) or 'none'})")
+    mark = read_json(folder / "study.resolved.json")
+    study = load_study(folder / "study.toml", tuple(mark.get("overrides", ())) if isinstance(mark, dict) else ())
+    if not study.random:
+        raise UsageError("no input of the model is random: there is nothing to fit a surrogate over")
+    good = frame[(frame["status"] == 0) & ~frame[f"censored_{name}"] & np.isfinite(frame[name])]
+    chosen = random_generator(seed=study.seed, task=f"surrogate {name}").permutation(len(good))[:rows]
+    inputs = study.inputs().only(tuple(study.random))
+    with threadpool_limits(limits=1, user_api="blas"):
+        x = good[list(inputs.names)].to_numpy()[chosen]
+        return fit_surrogate(x, good[name].to_numpy()[chosen], inputs, output=name, plain=plain)
+
+
+def dataset_of(frame: pd.DataFrame, manifest: Manifest) -> Dataset:
+    """Stored rows as xarray has them; `Run.to_xarray`."""
+    try:
+        import xarray
+    except ImportError as error:
+        raise UsageError('xarray is missing: pip install "uqsphere[xarray]"') from error
+    from uqsphere import __version__
+    from uqsphere.quantities import lookup
+
+    columns = {}
+    for name in frame.columns:
+        unit = "" if name == "status" or name.startswith("censored_") else lookup(name).unit
+        columns[name] = (("chain", "draw"), frame[name].to_numpy()[None, :], {"units": unit} if unit else {})
+    own = {"inference_library": "uqsphere", "inference_library_version": __version__}
+    coordinates = {"chain": [0], "draw": np.arange(len(frame))}
+    return xarray.Dataset(columns, coords=coordinates, attrs={"created_at": manifest.finished, **own})

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from uqsphere.files import Json
 from uqsphere.mechanics.pulses import MeasuredPulse
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from uqsphere.feed.answers import FeedPlan
     from uqsphere.study.feed import Particles
     from uqsphere.study.tests import TestsPlan
+    from uqsphere.uq.interop import SalibDesign
     from uqsphere.uq.joint import Dependence as Tie
     from uqsphere.uq.joint import Joint
 
@@ -193,6 +194,18 @@ class Study:
 
         laws = self.laws()
         return make_joint(tuple(laws), tuple(laws.values()), [tie_of(group) for group in self.dependence])
+
+    def to_chaospy(self) -> Any:
+        """The joint law of the random inputs as a distribution of chaospy; `uqsphere.uq.interop.joint_to_chaospy`."""
+        from uqsphere.uq.interop import joint_to_chaospy
+
+        return joint_to_chaospy(self.inputs().only(tuple(self.random)))
+
+    def to_salib(self, count: int = 1024, *, second: bool = False) -> SalibDesign:
+        """The study's own design of Sobol' indices as a problem and rows of SALib; `uqsphere.uq.interop.to_salib`."""
+        from uqsphere.uq.interop import to_salib
+
+        return to_salib(self.inputs().only(tuple(self.random)), count, second=second, seed=self.seed)
 
     def at_means(self) -> dict[str, float]:
         """Every number of the scene (or black-box input), the random ones at their nominal mean; SI."""

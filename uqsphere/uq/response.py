@@ -184,14 +184,18 @@ class Response:
         return np.asarray(predict(self.fits[fold % len(self.fits)], points))
 
 
-def cross_fit(points: Array, outputs: Array, germs: Sequence[GermLike]) -> list[Response]:
-    """Responses of every column of outputs (N, q) at the same germ points (N, d); ValueError for fewer than 8 rows."""
+def cross_fit(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False) -> list[Response]:
+    """Responses of every column of outputs (N, q) at the same germ points (N, d); ValueError for fewer than 8 rows.
+
+    `plain`: expansions of the outputs themselves, in one piece, in these very germs.
+    """
     outputs = outputs[:, None] if outputs.ndim == 1 else outputs
     n = len(outputs)
     if n < 8:
         raise ValueError(f"cross-fitting takes at least 8 rows, found {n}")
     folds = deal(n, FOLDS)
-    made = [fit_outputs(points[folds != k], outputs[folds != k], germs, most=MOST) for k in range(FOLDS)]
+    made = [fit_outputs(points[folds != k], outputs[folds != k], germs, plain=plain, most=MOST, settled=plain)
+            for k in range(FOLDS)]  # fmt: skip
     return [
         _response(tuple(fits[q] for fits in made), folds, points, np.asarray(outputs[:, q], dtype=float))
         for q in range(outputs.shape[1])

@@ -554,10 +554,12 @@ class Indices:
 
     def answer(self, course: Course) -> Shared:
         """The indices of every quantity, of the model itself where it was sampled, else of its expansion."""
-        answers = {}
-        for quantity in self.work.quantities:
+        answers, whole = {}, None if self.pairs is None else self.pairs.whole()
+        for k, quantity in enumerate(self.work.quantities):
             one, cost = self.expansions[quantity], course.cost(Accuracy(quantity, "indices"))
             concluded = _conclude(quantity, self.work.scene_names, self.found[quantity], one, self.asked, cost)
+            if whole is not None and concluded.sampled:
+                concluded = _beside_salib(concluded, whole[:, :, : self.blocks.inputs_count + 2, k])
             answers[quantity] = _with_sets(self.work, quantity, concluded, self.drawn.get(quantity), self.asked, cost)
         plain = None
         if self.pairs is not None:
@@ -639,6 +641,15 @@ def _with_sets(
         estimators=drawn.text,
         missed=indices.missed + late,
     )
+
+
+def _beside_salib(indices: Sensitivity, outputs: Array) -> Sensitivity:
+    """The same with what SALib's estimators find on the same rows (R, N, d + 2)."""
+    from uqsphere.uq.interop import salib_check
+
+    agree, text = salib_check(tuple(indices.first), indices.sampled, outputs)
+    told = " ".join(part for part in (indices.text, text) if part)
+    return replace(indices, text=told, agree=indices.agree if agree else False)
 
 
 def _widest(indices: dict[str, list[Estimate]]) -> float:

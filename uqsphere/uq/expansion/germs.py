@@ -254,7 +254,8 @@ def _own_germ(family: Family, parameters: tuple[tuple[str, float], ...], lower: 
         return family.germ
 
 
-def _coefficients(germ: GermLike, degree: int) -> Array:
+def recurrence_of(germ: GermLike, degree: int) -> Array:
+    """Monic recurrence (2, degree + 1 or more) of a germ's polynomials: its coefficients a and b."""
     if isinstance(germ, str):
         return _recurrence(germ, max(degree, HIGHEST_DEGREE))
     if degree >= germ.recurrence.shape[1]:
@@ -272,7 +273,7 @@ def orthonormal_values(germ: GermLike, points: Array, degree: int) -> Array:
 
     sqrt(b_(k+1)) p_(k+1) = (x - a_k) p_k - sqrt(b_k) p_(k-1), with the monic coefficients a, b.
     """
-    a, b = _coefficients(germ, degree)
+    a, b = recurrence_of(germ, degree)
     points = germ.values(points) if isinstance(germ, Germ) else points
     values = np.empty((degree + 1, points.size))
     values[0] = 1.0
@@ -284,7 +285,7 @@ def orthonormal_values(germ: GermLike, points: Array, degree: int) -> Array:
 
 def orthonormal_slopes(germ: GermLike, points: Array, degree: int) -> tuple[Array, Array]:
     """Values and derivatives, (degree + 1, n) each, of the orthonormal polynomials: the recurrence, differentiated."""
-    a, b = _coefficients(germ, degree)
+    a, b = recurrence_of(germ, degree)
     values = orthonormal_values(germ, points, degree)
     at, rates = (germ.values(points), germ.rates(points)) if isinstance(germ, Germ) else (points, 1.0)
     slopes = np.zeros_like(values)

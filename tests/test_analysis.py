@@ -1,0 +1,234 @@
+"""Analyses of plain arrays, surrogates as objects, and what goes over to SALib, chaospy and xarray."""
+
+from __future__ import annotations
+
+import gc
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import uqsphere
+from uqsphere import analysis
+from uqsphere.errors import AccessError, UsageError
+from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.indices import Blocks, sampled_indices
+from uqsphere.uq.interop import joint_to_chaospy, salib_check
+
+RNG = np.random.default_rng
+ANGLE = stats.uniform(-np.pi, 2.0 * np.pi)
+ANGLES = {"a": ANGLE, "b": ANGLE, "c": ANGLE}
+#: of Ishigami's function with a = 7, b = 0.1 (T. Homma, A. Saltelli, Rel. Eng. & System Safety 52, 1996, 1)
+FIRST, TOTAL = (0.3139, 0.4424, 0.0), (0.5576, 0.4424, 0.2437)
+
+
+def ishigami(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    a, b, c = (rows[name] for name in "abc")
+    return {"y": np.sin(a) + 7.0 * np.sin(b) ** 2 + 0.1 * c**4 * np.sin(a)}
+
+
+def rows_of(n: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    x = RNG(seed).uniform(-np.pi, np.pi, (n, 3))
+    return x, ishigami(dict(zip("abc", x.T, strict=True)))["y"]
+
+
+def holds(estimate: Estimate, truth: float, room: float = 0.0) -> bool:
+    assert estimate.low is not None
+    assert estimate.high is not None
+    return estimate.low - room <= truth <= estimate.high + room
+
+
+@pytest.fixture(scope="module")
+def surrogate() -> analysis.Surrogate:
+    return analysis.chaos(*rows_of(256), ANGLES, plain=True)
+
+
+def test_an_expansion_answers_with_intervals_that_hold(surrogate: analysis.Surrogate) -> None:
+    x, y = rows_of(2000, seed=2)
+    x, y = x[(inside := (np.abs(x) < 3.05).all(axis=1))], y[inside]
+    value, low, high = surrogate.predict(x)
+    assert np.mean((low <= y) & (y <= high)) >= 0.93
+    assert np.abs(value - y).max() < 0.5
+    assert np.array_equal(value, surrogate.predict(dict(zip("abc", x.T, strict=True))).value)
+    found = surrogate.indices()
+    for order, truth in (("first", FIRST), ("total", TOTAL)):
+        assert all(holds(found[order][name], t, 2e-3) for name, t in zip("abc", truth, strict=True))
+
+
+def test_points_beyond_the_rows_are_refused_with_the_input(surrogate: analysis.Surrogate) -> None:
+    with pytest.raises(UsageError, match=r"b = 4 lies outside of -3\.1"):
+        surrogate.predict({"a": 0.0, "b": 4.0, "c": 0.0})
+    with pytest.raises(UsageError, match="c is missing"):
+        surrogate.predict({"a": 0.0, "b": 0.0})
+    tied = analysis.joint({"u": stats.norm(), "v": stats.norm()}, {("u", "v"): 0.95})
+    x = tied.physical(RNG(3).normal(size=(200, 2)))
+    made = analysis.chaos(x, x.sum(axis=1), tied)
+    assert made.predict([[1.0, 1.0]]).value[0] == pytest.approx(2.0)
+    with pytest.raises(UsageError, match="u = 1, v = -1: no row lies so far"):
+        made.predict([[1.0, -1.0]])
+
+
+def test_a_surrogate_is_saved_without_pickle_and_read_bit_by_bit(tmp_path: Path) -> None:
+    x = RNG(4).lognormal(size=(300, 2))
+    inputs = {"a": stats.lognorm(1.0), "b": stats.lognorm(1.0)}
+    made = analysis.chaos(x, np.exp(np.abs(np.log(x[:, 0]))) * x[:, 1], inputs)
+    path = made.save(tmp_path / "s.npz")
+    with np.load(path, allow_pickle=False) as stored:
+        assert str(stored["document"]).startswith("{")
+    again = uqsphere.load_surrogate(path)
+    for one, other in zip(made.predict(x[:50]), again.predict(x[:50]), strict=True):
+        assert np.array_equal(one, other)
+    assert repr(again) == repr(made)
+    path.write_bytes(b"PK\x03\x04 nothing")
+    with pytest.raises(UsageError, match="holds no surrogate"):
+        uqsphere.load_surrogate(path)
+    with pytest.raises(AccessError):
+        uqsphere.load_surrogate(tmp_path / "none.npz")
+
+
+def test_a_polynomial_of_chaospy_has_the_same_values(surrogate: analysis.Surrogate) -> None:
+    x, y = rows_of(100, seed=5)
+    x = 0.9 * x
+    found = surrogate.to_chaospy()(*surrogate.germs(x).T)
+    assert np.abs(found - surrogate.predict(x).value).max() < 1e-12 * np.ptp(y)
+
+
+def test_a_joint_law_goes_over_to_chaospy() -> None:
+    laws = {"x": stats.norm(1.0, 2.0), "y": stats.gumbel_r(0.0, 1.0), "z": stats.beta(2, 3)}
+    for ties in (None, {("x", "y"): 0.6}):
+        mine = analysis.joint(laws, ties)
+        theirs = joint_to_chaospy(mine)
+        x = mine.physical(RNG(6).normal(size=(50, 3)))
+        if ties is None:
+            np.testing.assert_allclose(
+                theirs.pdf(x.T), np.prod([law.pdf(c) for law, c in zip(mine.laws, x.T, strict=True)], 0)
+            )
+        drawn = theirs.sample(4000, seed=1)
+        assert stats.spearmanr(drawn[0], drawn[1]).statistic == pytest.approx(0.6 if ties else 0.0, abs=0.05)
+    with pytest.raises(UsageError, match="no copula of this form"):
+        joint_to_chaospy(analysis.joint(laws, {("x", "y"): 0.6}, copula="clayton"))
+
+
+@pytest.mark.parametrize("second", [False, True])
+def test_salib_finds_the_same_indices_on_our_design(second: bool) -> None:
+    from SALib.analyze import sobol
+
+    laws = {name: {"dist": "uniform", "lower": -np.pi, "upper": np.pi} for name in "abc"}
+    study = uqsphere.load_study({"inputs": laws, "outputs": {"names": ["y"]}})
+    design = study.to_salib(2048, second=second)
+    y = ishigami(dict(zip("abc", design.rows.T, strict=True)))["y"]
+    found = sobol.analyze(design.problem, y, calc_second_order=second, num_resamples=20, seed=1)
+    assert found["S1"] == pytest.approx(FIRST, abs=0.02)
+    assert found["ST"] == pytest.approx(TOTAL, abs=0.02)
+    if second:
+        assert found["S2"][0, 2] == pytest.approx(0.2437, abs=0.03)
+
+
+def test_a_run_without_a_folder_says_what_salib_makes_of_its_rows() -> None:
+    laws = dict.fromkeys("abc", ANGLE)
+    study = uqsphere.load_study({"inputs": laws, "outputs": {"names": ["y"]},
+                                 "analysis": {"budget": {"evaluations": 8_000}, "cost": "1 us"}})  # fmt: skip
+    run = uqsphere.run(study, ishigami)
+    folder = run.folder
+    assert repr(run) == "<Run: y>"
+    assert "SALib's estimators on the same rows agree on 6" in run.results.sensitivity["y"].check.text
+    assert set(run.quantities()["statistic"]) >= {"mean", "sd"}
+    found = run.surrogate(rows=300)
+    assert found.predict([[0.1, 0.2, 0.3]]).value[0] == pytest.approx(
+        ishigami({"a": 0.1, "b": 0.2, "c": 0.3})["y"], abs=0.3
+    )
+    xarray = pytest.importorskip("xarray")
+    rows = run.to_xarray()
+    assert isinstance(rows, xarray.Dataset)
+    assert rows["y"].dims == ("chain", "draw")
+    assert rows.attrs["inference_library"] == "uqsphere"
+    frame = uqsphere.evaluate(study, {"a": [0.1, 0.2]}, model=ishigami)
+    due = ishigami({"a": np.array([0.1, 0.2]), "b": np.zeros(2), "c": np.zeros(2)})["y"]
+    assert frame["y"].to_numpy() == pytest.approx(due)
+    with pytest.raises(UsageError, match="unknown input 'q'"):
+        uqsphere.evaluate(study, {"q": 1.0}, model=ishigami)
+    assert folder.is_dir()
+    del run
+    gc.collect()
+    assert not folder.exists()
+
+
+def test_salib_check_sees_indices_that_are_wrong() -> None:
+    u = RNG(7).random((16, 256, 2, 2))
+    mixed = np.stack([Blocks(inputs_count=2).mix(a[:, 0], a[:, 1]) for a in u])
+    outputs = mixed[..., 0] + 2.0 * mixed[..., 1]
+    drawn = sampled_indices(outputs, Blocks(inputs_count=2))
+    ours = {"first": drawn.first, "total": drawn.total}
+    assert salib_check("ab", ours, outputs)[0]
+    off = {"first": ours["first"], "total": [replace(e, value=(e.value or 0.0) + 0.2) for e in ours["total"]]}
+    agree, text = salib_check("ab", off, outputs)
+    assert not agree
+    assert "disagree: total of a" in text
+
+
+def test_shares_of_tied_inputs_are_those_of_a_linear_model() -> None:
+    tied = analysis.joint({"u": stats.norm(), "v": stats.norm()}, {("u", "v"): 0.5})
+    x = tied.physical(RNG(8).normal(size=(300, 2)))
+    y = x @ [1.0, 2.0]
+    assert tied.correlation is not None
+    r = float(tied.correlation[0, 1])
+    whole = 5.0 + 4.0 * r
+    # A. B. Owen, C. Prieur, SIAM/ASA J. Uncertainty Quantification 5, 2017, 986, two inputs
+    expected = (1.0 * (1 - r**2 / 2) + 2.0 * r + 4.0 * r**2 / 2) / whole
+    assert holds(analysis.shapley_effects(x, y, tied)["u"], expected, 5e-3)
+    first = analysis.kucherenko_indices(x, y, tied)["first"]["u"]
+    assert holds(first, (1.0 + 2.0 * r) ** 2 / whole, 5e-3)
+    with pytest.raises(UsageError, match="depend on each other"):
+        analysis.sobol_indices(x, y, tied)
+
+
+def test_moment_free_indices_of_rows() -> None:
+    x, y = rows_of(2048, seed=9)
+    ranks = analysis.rank_indices(x, y, "abc")
+    assert all(holds(ranks[name], truth, 0.05) for name, truth in zip("abc", FIRST, strict=True))
+    delta = analysis.delta_indices(x, y, ANGLES)
+    # their order: E. Borgonovo, Rel. Eng. & System Safety 92, 2007, 771
+    assert delta["b"].value > delta["a"].value > delta["c"].value > 0.05
+    pawn, threshold = analysis.pawn_indices(x, np.sin(x[:, 0]))
+    assert pawn["x1"].value > threshold > pawn["x2"].value * 0.5
+
+
+def test_a_failure_probability_of_tied_inputs() -> None:
+    tied = analysis.joint({"u": stats.norm(), "v": stats.norm()}, {("u", "v"): 0.6})
+    assert tied.correlation is not None
+    truth = stats.norm.cdf(-3.5 / np.sqrt(2.0 + 2.0 * tied.correlation[0, 1]))
+    for evaluations in (150, 20_000):
+        found = analysis.failure_probability(lambda r: 3.5 + r["u"] + r["v"], tied, evaluations=evaluations)
+        assert holds(found.probability, truth, 0.02 * truth), found
+        assert found.design_point["u"] == pytest.approx(-1.75, abs=0.05)
+        assert found.sure
+
+
+def test_a_fragility_curve_of_two_lognormal_laws() -> None:
+    found = analysis.fragility(
+        lambda r: r["v"] * r["k"], {"k": stats.lognorm(0.1)}, free="v", levels=np.linspace(0.5, 2.0, 13),
+        strength=stats.lognorm(0.2), evaluations=26_000,
+    )  # fmt: skip
+    assert found.values[0.5].value == pytest.approx(1.0, abs=1e-3)
+    assert found.lognormal is not None
+    assert found.lognormal.dispersion.value == pytest.approx(np.hypot(0.1, 0.2), rel=5e-3)
+    with pytest.raises(UsageError, match="free and cannot scatter"):
+        analysis.fragility(lambda r: r["v"], {"v": stats.norm()}, free="v", levels=[1.0, 2.0], strength=1.0)
+
+
+def test_fits_to_observations() -> None:
+    values = stats.weibull_min(5.0, scale=10.0).rvs(60, random_state=1)
+    whole = analysis.weibull_fit(values)
+    assert whole.shape_interval[0] < 5.0 < whole.shape_interval[1]
+    cut = analysis.weibull_fit(np.minimum(values, 11.0), values > 11.0)
+    assert cut.failures == int((values <= 11.0).sum())
+    assert cut.scale == pytest.approx(10.0, rel=0.1)
+    assert analysis.lognormal_fit(np.exp(RNG(1).normal(2.0, 0.3, 80))).shape == pytest.approx(0.3, rel=0.2)
+    limits = analysis.tolerance_interval(np.arange(93.0))
+    assert limits.between == (0.0, 92.0)
+    with pytest.raises(UsageError, match="differ in number"):
+        analysis.weibull_fit([1.0, 2.0], [True])
+    with pytest.raises(UsageError, match=r"x \(n, d\) and y \(n,\)"):
+        analysis.rank_indices([1.0, 2.0], [1.0, 2.0])

@@ -1,0 +1,339 @@
+"""A surrogate as an object: what rows told of one output, with an interval at every point and a domain of validity.
+
+The interval is that of CV+ (R. F. Barber, E. J. Candès, A. Ramdas, R. J. Tibshirani, Annals of Statistics 49, 2021,
+486): each row's residual from the fit that has not seen it, about what that fit says here.  It is as wide as the
+surrogate has been wrong, and holds for points drawn as the rows were.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Final, NamedTuple, TypeAlias
+from zipfile import BadZipFile
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.errors import AccessError, UsageError
+from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.expansion import Chaos, Piece, fit_chaos, germ_points, predict
+from uqsphere.uq.expansion.expansion import Border, Transform
+from uqsphere.uq.expansion.germs import GERMS, Germ, GermLike, germs_of
+from uqsphere.uq.families import LawError, family_stored
+from uqsphere.uq.joint import Joint
+from uqsphere.uq.law import Law
+from uqsphere.uq.response import Response, cross_fit, index_shares
+
+#: points that are answered at a time: rows times fits stay in memory
+_BLOCK: Final = 1024
+#: normal score beyond which a law's values are those at it, on either side: 1e-15 lies beyond
+FARTHEST: Final = 8.0
+#: bytes of a surrogate that is read
+_LARGEST: Final = 1 << 28
+
+#: n points: a column (n,) by every input's name, a table of pandas, or an array (n, d) in the order of the inputs
+Rows: TypeAlias = Any
+
+
+class Prediction(NamedTuple):
+    """What a surrogate says of n points, (n,) each: the value, and between which the model's answer lies."""
+
+    value: Array
+    low: Array
+    high: Array
+
+
+def law_scores(laws: Sequence[Law], x: Array) -> Array:
+    """Normal scores (n, d) of values (n, d) under their laws, within 8 of the median."""
+    return np.column_stack([scores_of(law.cdf(x[:, k]), law.sf(x[:, k])) for k, law in enumerate(laws)])
+
+
+def scores_of(below: Array, above: Array) -> Array:
+    """Normal scores of probabilities below and above, through the smaller of the two."""
+    from scipy.special import ndtri
+
+    with np.errstate(divide="ignore"):
+        return np.clip(np.where(below < 0.5, ndtri(below), -ndtri(above)), -FARTHEST, FARTHEST)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surrogate:
+    """A surrogate of one output.
+
+    Attributes
+    ----------
+    output, names, laws : what it answers, of which inputs (d), and their laws.
+    response : the fits and their residuals; `response.error` is the share of the variance that it leaves.
+    lowest, highest : (d,) ends of the rows in each input, in the inputs' own units.
+    spread : (d, d) inverse covariance of the rows' normal scores, for inputs that depend on each other; else None.
+    reach : the largest squared distance of a row by `spread`.
+    """
+
+    output: str
+    names: tuple[str, ...]
+    laws: tuple[Law, ...]
+    response: Response
+    lowest: Array
+    highest: Array
+    spread: Array | None = None
+    reach: float = math.inf
+
+    def __repr__(self) -> str:
+        one = self.response
+        return (f"<Surrogate of {self.output!r} in {', '.join(self.names)}: {one.terms} terms from {one.count} rows, "
+                f"leaves {one.error:.2g} of the variance>")  # fmt: skip
+
+    def columns(self, rows: Rows) -> Array:
+        """Points (n, d) of rows, which must have every input, finite."""
+        if hasattr(rows, "columns") or isinstance(rows, Mapping):
+            missing = [name for name in self.names if name not in rows]
+            if missing:
+                raise UsageError(f"{missing[0]} is missing; the surrogate takes {', '.join(self.names)}")
+            parts = [np.atleast_1d(np.asarray(rows[name], dtype=float)) for name in self.names]
+            x = np.stack(np.broadcast_arrays(*parts), axis=-1)
+        else:
+            x = np.asarray(rows, dtype=float)
+        if x.ndim != 2 or x.shape[1] != len(self.names):
+            raise UsageError(f"rows of shape (n, {len(self.names)}) are due, found {x.shape}")
+        if not np.isfinite(x).all():
+            raise UsageError("the rows hold what is no finite number")
+        return x
+
+    def germs(self, rows: Rows) -> Array:
+        """Germs (n, d) at rows, which the expansions are polynomials of."""
+        germs = self.response.germs
+        points = germ_points(law_scores(self.laws, self.columns(rows)), germs)
+        values = [one.values(x) if isinstance(one, Germ) else x for one, x in zip(germs, points.T, strict=True)]
+        return np.column_stack(values)
+
+    def predict(self, rows: Rows, level: float = 0.95) -> Prediction:
+        """What the model would answer to rows, with the interval that holds the answer at this level.
+
+        Parameters
+        ----------
+        rows : mapping of input to (n,) column, table of pandas, or array (n, d), in the inputs' own units
+        level : share of points, drawn as the rows were, whose answer lies in its interval
+
+        Returns
+        -------
+        Prediction
+            value, low and high, (n,) each; infinite ends where the surrogate has too few rows to tell them.
+
+        Raises
+        ------
+        UsageError
+            For points outside the domain that the rows cover, with the input, and for rows without an input.
+        """
+        if not 0.0 < level < 1.0:
+            raise UsageError(f"level must lie between 0 and 1, found {level}")
+        x = self.columns(rows)
+        self._refuse_outside(x)
+        points = germ_points(law_scores(self.laws, x), self.response.germs)
+        parts = [self._between(points[k : k + _BLOCK], level) for k in range(0, max(len(points), 1), _BLOCK)]
+        return Prediction(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    def _between(self, points: Array, level: float) -> tuple[Array, Array, Array]:
+        one = self.response
+        found = np.array([predict(fit, points) for fit in one.fits])
+        off = one.scale * np.abs(one.residuals)
+        about, n = found[one.folds], one.count
+        rank = math.ceil(level * (n + 1))
+        if rank > n:
+            nothing = np.full(len(points), math.inf)
+            return found.mean(axis=0), -nothing, nothing
+        low = np.partition(about - off[:, None], n - rank, axis=0)[n - rank]
+        high = np.partition(about + off[:, None], rank - 1, axis=0)[rank - 1]
+        value = found.mean(axis=0)
+        return value, np.minimum(low, value), np.maximum(high, value)
+
+    def _refuse_outside(self, x: Array) -> None:
+        for k, name in enumerate(self.names):
+            off = (x[:, k] < self.lowest[k]) | (x[:, k] > self.highest[k])
+            if off.any():
+                ends = f"{self.lowest[k]:.6g} to {self.highest[k]:.6g}"
+                raise UsageError(f"{name} = {x[off][0, k]:.6g} lies outside of {ends}, which the rows cover: "
+                                 "run the study with a law that reaches there")  # fmt: skip
+        if self.spread is not None:
+            scores = law_scores(self.laws, x)
+            off = np.einsum("ni,ij,nj->n", scores, self.spread, scores) > self.reach
+            if off.any():
+                point = ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.names, x[off][0], strict=True))
+                raise UsageError(f"{point}: no row lies so far from what ties the inputs, though each by itself does")
+
+    def indices(self) -> dict[str, dict[str, Estimate]]:
+        """First and total Sobol' indices of the model with what the surrogate lacks: `{"first": {input: ...}, ...}`.
+
+        Raises UsageError where the inputs depend on each other (`uqsphere.analysis.shapley_effects` serves those).
+        """
+        if self.spread is not None:
+            raise UsageError("the inputs depend on each other: Sobol' indices would not share out the variance")
+        found = index_shares(self.response)
+        return {order: dict(zip(self.names, row, strict=True)) for order, row in found.items()}
+
+    def to_chaospy(self) -> Any:
+        """The expansion as a polynomial of chaospy in the germs q0, q1, ...: `polynomial(*surrogate.germs(rows).T)`.
+
+        Its values are those of `predict`, but for rounding; `uqsphere.uq.interop.expansion_to_chaospy`.
+        """
+        from uqsphere.uq.interop import expansion_to_chaospy
+
+        return expansion_to_chaospy(self.response)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the surrogate as plain arrays and one text: an .npz that needs no pickle; the path."""
+        path = Path(path)
+        one = self.response
+        arrays = {"points": one.points, "outputs": one.outputs, "folds": one.folds, "levels": one.levels,
+                  "residuals": one.residuals, "lowest": self.lowest, "highest": self.highest}  # fmt: skip
+        if self.spread is not None:
+            arrays["spread"] = self.spread
+        fits = []
+        for k, fit in enumerate(one.fits):
+            for p, piece in enumerate(fit.pieces):
+                arrays[f"coefficients_{k}_{p}"] = piece.coefficients
+                arrays[f"indices_{k}_{p}"] = piece.multi_indices
+            fits.append(_fit_document(fit))
+        laws = [_law_document(law) for law in self.laws]
+        told = {"version": 1, "output": self.output, "names": self.names, "laws": laws, "error": one.error,
+                "reach": self.reach, "fits": fits}  # fmt: skip
+        with path.open("wb") as file:
+            np.savez(file, document=np.array(json.dumps(told)), **arrays)  # type: ignore[arg-type]
+        return path
+
+
+def load_surrogate(path: str | Path) -> Surrogate:
+    """A surrogate from the file that `Surrogate.save` wrote: the same numbers, bit by bit.
+
+    Raises
+    ------
+    AccessError
+        Where the file cannot be read.
+    UsageError
+        For a file that holds no surrogate.
+    """
+    try:
+        if Path(path).stat().st_size > _LARGEST:
+            raise UsageError(f"{path} is larger than any surrogate")
+        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+    except OSError as error:
+        raise AccessError(f"{path} cannot be read: {error}") from error
+    except (TypeError, ValueError, BadZipFile) as error:
+        raise UsageError(f"{path} holds no surrogate: {error}") from error
+    try:
+        told = json.loads(str(arrays["document"]))
+        laws = tuple(_law_of(law) for law in told["laws"])
+        response = Response(
+            fits=tuple(_fit_of(fit, laws, arrays, k) for k, fit in enumerate(told["fits"])),
+            folds=arrays["folds"], points=arrays["points"], outputs=arrays["outputs"], levels=arrays["levels"],
+            residuals=arrays["residuals"], error=float(told["error"]),
+        )  # fmt: skip
+        return Surrogate(output=told["output"], names=tuple(told["names"]), laws=laws, response=response,
+                         lowest=arrays["lowest"], highest=arrays["highest"], spread=arrays.get("spread"),
+                         reach=float(told["reach"]))  # fmt: skip
+    except (KeyError, TypeError, ValueError) as error:
+        raise UsageError(f"{path} holds no surrogate: {type(error).__name__} {error}") from error
+
+
+def _law_document(law: Law) -> dict[str, object]:
+    if family_stored(law.family.name) is None:
+        raise UsageError(f"a surrogate over a law of {law.family.name} that is wrapped cannot be saved: give the law "
+                         "of scipy.stats")  # fmt: skip
+    return {**{key: value for key, value in vars(law).items() if key in _LAW}, "family": law.family.name}
+
+
+_LAW: Final = ("parameters", "lower", "upper", "data", "censored", "draws")
+
+
+def _law_of(told: Mapping[str, Any]) -> Law:
+    family = family_stored(told["family"])
+    if family is None:
+        raise ValueError(f"there is no distribution {told['family']!r}")
+    data, censored = (tuple(told[key]) for key in ("data", "censored"))
+    return Law(family=family, parameters=told["parameters"], lower=told["lower"], upper=told["upper"], data=data,
+               censored=censored, draws=tuple(map(tuple, told["draws"])))  # fmt: skip
+
+
+def _fit_document(fit: Chaos) -> dict[str, object]:
+    border = None if fit.border is None else {**vars(fit.border), "weights": _listed(fit.border.weights)}
+    return {
+        "germs": [germ if isinstance(germ, str) else "own" for germ in fit.germs],
+        "transforms": [None if piece.transform is None else asdict(piece.transform) for piece in fit.pieces],
+        "border": border,
+        "error": fit.cross_validation_error,
+        "samples": fit.samples,
+        "solver": fit.solver,
+    }
+
+
+def _listed(values: Array | None) -> list[float] | None:
+    return None if values is None else values.tolist()
+
+
+def _fit_of(told: Mapping[str, Any], laws: Sequence[Law], arrays: Mapping[str, Array], k: int) -> Chaos:
+    germs: list[GermLike] = [name if name in GERMS else germs_of((law,))[0]
+                             for name, law in zip(told["germs"], laws, strict=True)]  # fmt: skip
+    pieces = tuple(
+        Piece(coefficients=arrays[f"coefficients_{k}_{p}"], multi_indices=arrays[f"indices_{k}_{p}"].astype(np.int64),
+              transform=None if transform is None else Transform(**transform))
+        for p, transform in enumerate(told["transforms"])
+    )  # fmt: skip
+    border = told["border"]
+    if border is not None:
+        weights = border["weights"]
+        border = Border(**{**border, "weights": None if weights is None else np.array(weights)})
+    return Chaos(pieces=pieces, border=border, germs=tuple(germs), cross_validation_error=float(told["error"]),
+                 samples=int(told["samples"]), solver=str(told["solver"]))  # fmt: skip
+
+
+# --- fitting one ------------------------------------------------------------------------------------------------
+
+
+def least_rows(inputs: int) -> int:
+    """Rows below which no surrogate is fitted."""
+    return max(16, 4 * (inputs + 1))
+
+
+def fit_surrogate(x: Array, y: Array, inputs: Joint, *, output: str = "y", plain: bool = False) -> Surrogate:
+    """A surrogate of outputs (n,) at rows (n, d) drawn from the laws of the inputs, in any order that tells nothing.
+
+    `plain`: expand the output itself, in one piece.  Raises UsageError for rows that are too few or lie where their
+    laws have nothing; whether it may be used, `response.usable` says.
+    """
+    d, n = len(inputs.names), len(y)
+    if x.shape != (n, d) or y.ndim != 1:
+        raise UsageError(f"rows (n, {d}) and outputs (n,) are due, found {x.shape} and {y.shape}")
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise UsageError("rows and outputs must be finite: leave rows without an answer out")
+    if n < least_rows(d):
+        raise UsageError(f"{n} rows are too few for {d} inputs: {least_rows(d)} are needed")
+    for k, (name, law) in enumerate(zip(inputs.names, inputs.laws, strict=True)):
+        outside = (x[:, k] < law.lower) | (x[:, k] > law.upper)
+        if outside.any():
+            raise UsageError(f"{name} = {x[outside][0, k]:.6g} lies where its law has nothing")
+    scores = law_scores(inputs.laws, x)
+    try:
+        response = response_from(scores, y, germs_of(inputs.laws), plain=plain)
+    except (ValueError, LawError) as error:
+        raise UsageError(f"no surrogate of {output}: {error}") from error
+    made = Surrogate(output=output, names=inputs.names, laws=inputs.laws, response=response, lowest=x.min(axis=0),
+                     highest=x.max(axis=0))  # fmt: skip
+    if not inputs.dependent:
+        return made
+    spread = np.linalg.inv(np.atleast_2d(np.cov(scores, rowvar=False)))
+    reach = float(np.einsum("ni,ij,nj->n", scores, spread, scores).max())
+    return replace(made, spread=spread, reach=reach)
+
+
+def response_from(scores: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False) -> Response:
+    """A response of outputs (n,) at rows of normal scores (n, d), in any order that tells nothing.
+
+    Raises ValueError where none can be fitted.
+    """
+    points = germ_points(scores, germs)
+    germs = fit_chaos(points, outputs, germs, plain=True).germs if plain else germs
+    return cross_fit(points, outputs, germs, plain=plain)[0]
