@@ -21,7 +21,6 @@ from uqsphere.uq.archimedean import Archimedean
 from uqsphere.uq.elliptical import Elliptical
 from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.expansion import germ_points
-from uqsphere.uq.expansion.germs import GermLike
 from uqsphere.uq.indices import Blocks
 from uqsphere.uq.joint import Joint, independent_scores
 from uqsphere.uq.law import Law
