@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from uqsphere.report.contents import Contents
 from uqsphere.results import Results
@@ -15,6 +18,17 @@ from uqsphere.results.entries import Est, Resolved
 
 RNG_SEED = 7
 ROWS = 400
+
+
+def html_errors(page: str) -> list[tuple[object, str]]:
+    """Places and codes of what is no valid HTML on a page, and ids that it gives twice."""
+    html5lib = pytest.importorskip("html5lib")
+    parser = html5lib.HTMLParser(strict=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        parser.parse(page)
+    ids = re.findall(r"<[^>]*\sid=\"([^\"]*)\"", page)
+    return [(place, code) for place, code, _ in parser.errors] + [(i, "twice") for i in set(ids) if ids.count(i) > 1]
 
 
 def estimate(value: float | None, half: float = 0.01, reason: str = "not asked for") -> dict[str, Any]:

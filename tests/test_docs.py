@@ -19,6 +19,7 @@ from test_broken_studies import BASE
 from test_imports import FLOORS
 
 import uqsphere
+from tests.campaigns.pages import MOST_WORDS, words
 from uqsphere import errors
 from uqsphere.cli import build_parser
 from uqsphere.cli.run import MISSED
@@ -74,6 +75,14 @@ def rows(text: str) -> list[list[str]]:
 def ticked(text: str) -> list[str]:
     """What stands in backticks."""
     return re.findall(r"`([^`]+)`", text)
+
+
+def test_what_a_newcomer_reads_has_short_sentences() -> None:
+    others = [f"docs/{page}.md" for page in ("cluster", "what-changed", "measurements", "gallery", "api")]
+    for name in ("README.md", *others, *(page for page in PAGES if "tutorial" in page)):
+        text = re.sub(r"`[^`]*`", "x", re.sub(r"^(\||#).*$", "", prose(PAGES[name]), flags=re.MULTILINE))
+        sentences = [part for block in text.split("\n\n") for part in re.split(r"(?<=[.!?;:*])\s+", block)]
+        assert not [sentence for sentence in sentences if words(sentence) > MOST_WORDS], name
 
 
 # --- snippets -------------------------------------------------------------------------------------

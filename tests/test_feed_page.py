@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from report_folders import html_errors
 from test_population import fed, scattered
 
 from uqsphere.feed import laws
@@ -58,6 +59,7 @@ def test_the_brief_has_three_numbers_the_verdict_and_few_words(made):
     assert "the machine takes more" in brief
     assert "A quarry &lt;b&gt;" in files["report.html"]
     assert "<script" not in files["report.html"]
+    assert html_errors(files["report.html"]) == []
 
 
 def test_every_figure_has_its_drawing_and_its_numbers(made):
@@ -85,6 +87,7 @@ def test_a_fit_has_a_page_of_its_own(made):
     page = fit_page(fitted, posterior, tests)["report.html"]
     assert len(brief_of(page).split()) <= MOST_WORDS
     assert "What the tests tell" in page
+    assert html_errors(page) == []
 
 
 def test_tests_that_outlasted_theirs_lift_those_that_follow():

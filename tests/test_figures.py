@@ -352,10 +352,7 @@ def test_the_lines_tell_the_overlap(written):
 def test_pictures_have_their_words(written):
     history = written[2]
     for draw, words in (
-        (
-            draw_gauges,
-            ("incident bar, 0.25 m", "receiving bar, 0.15 m", "reflected", "transmitted", "[µs]"),
-        ),
+        (draw_gauges, ("incident bar, 0.25 m", "receiving bar, 0.15 m", "reflected", "transmitted", "[µs]")),
         (draw_forces, ("two waves", "contact B", "imbalance R")),
         (
             lambda found: draw_field(view_field(found)),

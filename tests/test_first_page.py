@@ -24,7 +24,7 @@ _ASSUMED = [
 ]
 _CHECK = {
     "check": "bar_yield_contact", "share": 0.56, "share_information": 0.0, "share_warning": 0.56, "share_failure": 0.0,
-    "worst": 1.8, "text": "in 56 % of the scenes the bars yield",
+    "worst": 1.8, "text": "in 56 % of the rows the bars yield",
 }  # fmt: skip
 
 

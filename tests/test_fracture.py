@@ -178,7 +178,7 @@ def test_every_demand_has_a_path_but_what_breaks_nothing() -> None:
 def test_balance_judged_at_fracture() -> None:
     check = check_at_fracture(np.array([0.01, 0.06, 0.2, np.nan]), np.array([2.0, 1.0, 1.0, 9.0]))
     assert (check.share_information, check.share_warning, check.worst) == (0.25, 0.25, 0.2)
-    assert "in 50 % of the specimens that break" in check.text
+    assert "in 50 % of the spheres that break" in check.text
     fine = check_at_fracture(np.array([0.01]), np.ones(1))
     assert fine.grade == 0
     assert "at most 0.01" in fine.text

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from report_folders import html_errors
 
 from tests.campaigns.inverse import Made, make_test, peak_coverage, rig_of, scene_of_test
 from uqsphere.arrays import Array
@@ -384,6 +385,7 @@ def test_a_folder_of_tests_in_one_call(clean: Made, tmp_path: Path, capsys: pyte
     page = (tmp_path / "out" / "two" / "sheet.html").read_text("utf-8")
     assert "is taken out" in page
     assert page.count("<svg") == 2
+    assert html_errors(page) == []
 
 
 @real

@@ -32,7 +32,7 @@ def solved(folder: Path, **limits: dict[str, Any]) -> Path:
         }
         check = {
             "check": "bar_yield_contact", "share": 0.0234, "share_information": 0.0, "share_warning": 0.0234,
-            "share_failure": 0.0, "worst": 1.7, "text": "in 2.34 % of the scenes the bars yield under the sphere",
+            "share_failure": 0.0, "worst": 1.7, "text": "in 2.34 % of the rows the bars yield under the sphere",
         }  # fmt: skip
         results["margins"][name] = {
             **entry,

@@ -106,7 +106,7 @@ def _margined(tmp_path: Path, medians: float) -> Contents:
 
 def _broken(name: str, warning: float) -> dict[str, Any]:
     return {"check": name, "share": warning, "share_information": 0.0, "share_warning": warning, "share_failure": 0.0,
-            "worst": 2.0, "text": f"in {100 * warning:g} % of the scenes something"}  # fmt: skip
+            "worst": 2.0, "text": f"in {100 * warning:g} % of the rows something"}  # fmt: skip
 
 
 def test_formulas_have_the_signs_of_print() -> None:

@@ -159,7 +159,7 @@ def test_shares_of_a_mixed_batch():
     assert (found.share_information, found.share_warning, found.share_failure) == (0.0, 0.5, 0.25)
     assert found.share == 0.75
     assert found.worst == pytest.approx(0.31, rel=1e-12)
-    assert found.text.startswith("in 75 % of the scenes")
+    assert found.text.startswith("in 75 % of the rows")
     assert "0.31" in found.text
 
 

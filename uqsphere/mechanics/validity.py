@@ -416,7 +416,7 @@ RULES: Final[tuple[Rule, ...]] = (
     Rule(name="force_balance", meaning="largest difference of the two forces over the largest force",
          measure=_imbalance, information=0.05, warning=0.1, rigs=(*_BARS, *_WEIGHTS),
          words="the two forces differ by up to {worst} of the largest at some instant (limit "
-               "{limit}; at the peak itself it may be less): one gauge does not stand for both faces",
+               "{limit}; at the peak itself it may be less); one gauge does not stand for both faces",
          fine="forces in balance: they differ by at most {worst} of the largest (limit {limit})"),
     Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), in the rise time",
          measure=_transits, warning=4.0, failure=3.0, rising=False, rigs=(*_BARS, *_WEIGHTS),
@@ -432,7 +432,7 @@ RULES: Final[tuple[Rule, ...]] = (
               "(at least {limit})"),
     Rule(name="force_level", meaning="pulse length over t_c (does the force come near P_0 = Z v_0/2?)",
          measure=_pulse_over_scale, information=2.0, rising=False, rigs=_BARS,
-         words="the pulse is short, in the worst scene {worst} t_c (near P_0 from {limit}): the force of the first "
+         words="the pulse is short, in the worst row {worst} t_c (near P_0 from {limit}); the force of the first "
                "loading stays below P_0 = Z v_0/2 and depends on the pulse's length",
          fine="pulse long against the contact: at least {worst} t_c (from {limit} on the force nears "
               "P_0 = Z v_0/2)"),
@@ -469,7 +469,7 @@ RULES: Final[tuple[Rule, ...]] = (
          fine="inserts thick enough: three contact radii are at most {worst} of their thickness"),
     Rule(name="pressure_shape", meaning="approach over that at which a face first yields (shape of the pressure)",
          measure=_depth, information=2.0, warning=6.0, laws=("plastic",),
-         words="a face is pressed to {worst} times its first yield: the pressure is flatter than Hertz's ({limit}), "
+         words="a face is pressed to {worst} times its first yield; the pressure is flatter than Hertz's ({limit}), "
                "stresses inside and at the rim are those of Hertz on the same circle",
          fine="pressure near Hertz's: faces pressed to at most {worst} times the first yield (limit {limit})"),
     Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), under load",
@@ -502,7 +502,7 @@ RULES: Final[tuple[Rule, ...]] = (
          fine="drag of the air small in the fall: g h/v_t² at most {worst} (limit {limit})"),
     Rule(name="oblique", meaning="angle between the path and the surface [deg]; friction and spin are left out",
          measure=_oblique, information=75.0, warning=45.0, failure=20.0, rising=False, rigs=_ONE,
-         words="the blow is oblique, {worst} deg (square on from {limit}): friction, spin and tension by sliding at "
+         words="the blow is oblique, {worst} deg (square on from {limit}); friction, spin and tension by sliding at "
                "the rim are left out, the normal part of the speed counts",
          fine="blow nearly square on: at least {worst} deg (from {limit})"),
     Rule(name="wave_loss", meaning="share of the energy that a thick target carries off as waves",
@@ -524,7 +524,7 @@ RULES: Final[tuple[Rule, ...]] = (
          fine="no contact is lost and found again before the largest force"),
     Rule(name="one_sided_field", meaning="contact radius over sphere radius where the forces differ at the peak",
          measure=_one_sided, information=0.1, warning=0.2, failure=0.3, rigs=_BLOWS,
-         words="the forces at the poles differ and the contact is large, a/r reaches {worst} (limit {limit}): the "
+         words="the forces at the poles differ and the contact is large, a/r reaches {worst} (limit {limit}); the "
                "field of one force is not half that of two",
          fine="field of unequal forces near that of each pole alone: a/r at most {worst} (limit {limit})"),
 )  # fmt: skip
@@ -534,7 +534,7 @@ RULES: Final[tuple[Rule, ...]] = (
 _AT_FRACTURE: Final = Rule(
     name="force_balance", meaning="difference of the two forces at fracture over the largest so far",
     measure=_imbalance, information=0.05, warning=0.1,
-    words="the two forces differ by up to {worst} of the largest when it comes to fracture (limit {limit}): one gauge "
+    words="the two forces differ by up to {worst} of the largest when it comes to fracture (limit {limit}); one gauge "
           "does not stand for both faces, and the stress inside is not that of equal forces",
     fine="forces in balance when the sphere breaks: they differ by at most {worst} of the largest (limit {limit})",
 )  # fmt: skip
@@ -585,7 +585,7 @@ def check_validity(scene: Scene, answers: Answers) -> list[Check]:
         If the answers are not those of as many rows.
     """
     if len(answers.status) != len(scene):
-        raise ValueError(f"{len(answers.status)} answers do not belong to a batch of {len(scene)} scenes")
+        raise ValueError(f"{len(answers.status)} answers do not belong to a batch of {len(scene)} rows")
     good = answered(answers.status)
     found = (_check(rule, scene, answers, good) for rule in rules_of(scene))
     return [check for check in found if check is not None]
@@ -608,16 +608,14 @@ def check_at_fracture(imbalance: Array, weights: Array) -> Check:
     rule = _AT_FRACTURE
     known = ~np.isnan(imbalance) & (weights > 0.0)
     if not known.any():
-        return _result(rule.name, np.zeros(3), None, "not checked: no specimen breaks")
+        return _result(rule.name, np.zeros(3), None, "not checked: no sphere breaks")
     measured, mass = imbalance[known], weights[known] / weights[known].sum()
     worst = float(measured.max())
     shares = np.asarray(np.bincount(grades(rule, measured), weights=mass, minlength=4)[1:], dtype=float)
     numbers = {"worst": f"{worst:.3g}", "limit": f"{rule.limit:.3g}"}
     if not shares.any():
         return _result(rule.name, shares, worst, rule.fine.format(**numbers))
-    broken = f"{_percent(float(min(shares.sum(), 1.0)))} specimens that break".replace(
-        "all specimens", "all the specimens"
-    )
+    broken = f"{_percent(float(min(shares.sum(), 1.0)))} spheres that break".replace("all spheres", "all the spheres")
     return _result(rule.name, shares, worst, f"in {broken} {rule.words.format(**numbers)}")
 
 
@@ -638,7 +636,7 @@ def _check(rule: Rule, scene: Scene, answers: Answers, good: Flags) -> Check | N
     if broken == 0.0:
         return _result(rule.name, shares, worst, rule.fine.format(**numbers))
     further = "" if rule.further is None else rule.further(scene, answers, good)
-    text = f"in {_percent(broken)} scenes {rule.words.format(**numbers)}{further}"
+    text = f"in {_percent(broken)} rows {rule.words.format(**numbers)}{further}"
     return _result(rule.name, shares, worst, text)
 
 
@@ -715,7 +713,7 @@ def _check_range(
         left = ", ".join(words for beyond, _, words in parts if beyond > 0.0)
         edge = "at the edge of its table" if "equal forces" in criterion.range_text else "of the formula all the same"
         text = (
-            f"in {_percent(share)} scenes {criterion.name} is outside its range ({criterion.range_text}): {left}; its "
+            f"in {_percent(share)} rows {criterion.name} is outside its range ({criterion.range_text}): {left}; its "
             f"value there is that {edge}"
         )
     return _result(name, np.array([0.0, share, 0.0]), worst, text)
@@ -745,7 +743,5 @@ def _check_product(columns: Mapping[str, Array]) -> Check:
         spans = (f"{lowest / 3600.0:.3g} to {highest / 3600.0:.3g} kWh/t",
                  f"{1e3 * size.min():.3g} to {1e3 * size.max():.3g} mm")  # fmt: skip
         left = " and ".join(span for span, which in zip(spans, outside, strict=True) if which.any())
-        text = (
-            f"in {_percent(share)} scenes t10 is outside the range of the drop-weight tests ({allowed}): found {left}"
-        )
+        text = f"in {_percent(share)} rows t10 is outside the range of the drop-weight tests ({allowed}): found {left}"
     return _result("range_of_t10", np.array([0.0, share, 0.0]), worst, text)

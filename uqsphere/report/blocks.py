@@ -6,14 +6,7 @@ import math
 from dataclasses import dataclass
 
 from uqsphere.report.figures.canvas import Picture
-from uqsphere.report.phrases import (
-    ABSENT,
-    MOST_DIGITS,
-    absent_reason,
-    estimate_text,
-    number_text,
-    probability_text,
-)
+from uqsphere.report.phrases import ABSENT, MOST_DIGITS, absent_reason, estimate_text, number_text, probability_text
 from uqsphere.results.entries import Est
 
 

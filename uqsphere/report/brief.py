@@ -179,10 +179,7 @@ class Brief:
     @property
     def legend(self) -> tuple[str, ...]:
         """What the signs of the ways mean, as far as they are used."""
-        used = (
-            (f"* {self.asked}", self.forces),
-            ("† strength assumed", any(mode.assumed for mode in self.modes)),
-        )
+        used = ((f"* {self.asked}", self.forces), ("† strength assumed", any(mode.assumed for mode in self.modes)))
         return tuple(text for text, seen in used if seen)
 
     @property
@@ -247,6 +244,9 @@ def make_brief(contents: Contents) -> Brief:
     called = {(answer.service, mode.limit): mode.name for answer in answers for mode in answer.modes if mode.limit}
     drivers, driven = next((found for part in parts.values() if (found := _drivers(part.results))[0]), ((), ""))
     manifest = contents.manifest
+    measure = _next_measurement(parts, answers)
+    if measure is None and answers and all(answer.verdict == "met" for answer in answers):
+        measure = ("None needed", "The target is met.")
     rows = sum(sum(part.results.model.evaluations.values()) for part in parts.values())
     chosen = ", ".join(dict.fromkeys(part.results.model.chosen for part in parts.values()))
     kind = "user’s model" if contents.black_box else f"impact model ({chosen})"
@@ -258,7 +258,7 @@ def make_brief(contents: Contents) -> Brief:
         answers=answers,
         drivers=drivers,
         driven=shorten(next((name for (_, limit), name in called.items() if limit == driven), driven), 40).lower(),
-        measure=_next_measurement(parts, answers),
+        measure=measure,
         cautions=tuple(cautions(parts, called)),
         model=" · ".join(model),
         footer=" · ".join(text for text in footer if text),
@@ -321,18 +321,18 @@ def _quantity_answers(contents: Contents) -> Iterator[Answer]:
             continue
         ends = [entry.quantiles[p].value for p in ("0.05", "0.95") if p in entry.quantiles]
         told = [value * factor for value in ends if value is not None]
-        note = f"{two(min(told))} to {two(max(told))} in nine cases of ten." if len(told) == 2 else ""
+        note = f"Nine in ten lie between {two(min(told))} and {two(max(told))}." if len(told) == 2 else ""
         yield Answer(question=question, big=two(median.value * factor), unit=unit_text(unit), note=note)
 
 
 def _axis(contents: Contents, entry: MarginEntry | None) -> Axis | None:
-    if entry is None:
+    """The scalar that is solved for; where none is, the load of the rig, so that a share has a place."""
+    path = next((path for path in _AXES if contents.at_mean(path)), "") if entry is None else entry.solve
+    if not path:
         return None
-    subject = contents.subject(entry.solve)
-    unit, factor = display_unit(subject)
-    words = _AXES.get(entry.solve) or shorten(short_input(entry.solve), 40)
-    planned = contents.at_mean(entry.solve)
-    return Axis(path=entry.solve, words=words, unit=unit_text(unit), factor=factor, planned=planned)
+    unit, factor = display_unit(contents.subject(path))
+    words = _AXES.get(path) or shorten(short_input(path), 40)
+    return Axis(path=path, words=words, unit=unit_text(unit), factor=factor, planned=contents.at_mean(path))
 
 
 def _mode(contents: Contents, name: str, limit: LimitEntry, margin: MarginEntry | None) -> Mode:
@@ -435,12 +435,18 @@ def _worded(answer: Answer, *, several: bool) -> Answer:
         must = f"{plain_percent(target)} may break" if survive else f"{plain_percent(1.0 - target)} must break"
         planned = f"Planned: {given(axis)}. " if axis.planned else ""
         best = next((m.at_target for m in answer.modes if m.at_target is not None and not m.assumed), None)
+        by = _by(answer)
+        alone = f" {capital(by)}." if by.endswith(" alone") else ""
+        why = f"As planned, {share(max(misses, default=0.0), target)} {'break' if survive else 'are left whole'}."
         return replace(
             answer,
             question=f"{'Highest' if survive else 'Least'} {axis.words}{of} ({must})",
             big=span(solved, safe_is_low=survive),
             unit=axis.unit,
-            note=planned + (f"Best estimate {two(best * axis.factor)} {axis.unit}." if best and survive else ""),
+            note=planned
+            + (f"Best estimate {two(best * axis.factor)} {axis.unit}." if best and survive else "")
+            + alone,
+            reasons=answer.reasons or ((why,) if answer.verdict == "not met" and misses else ()),
         )
     broken = (
         ("Share broken" if survive else "Share left whole")
@@ -578,16 +584,17 @@ def _of_strength(results: Results) -> tuple[str, str] | None:
     for name in deciding:
         limit = results.limits[name]
         settle = limit.tests_to_settle
-        if settle and settle.tests and limit.met is not False:
-            said = f"They settle the target of {shorten(name, 30)} ({plain_percent(float(settle.confidence))} sure)."
+        if settle and settle.tests and limit.met is not False and limit.word != "met":
+            said = f"They settle the target of {limit_name(name, 30)} ({plain_percent(float(settle.confidence))} sure)."
             return f"{counted(settle.tests, 'test')} of strength", said
     for name in [name for name in deciding if name in results.margins]:
         more = results.margins[name].more_tests
         if more and more.to_settle:
-            said = f"They settle the target of {shorten(name, 30)}, if they fall as those before."
+            said = f"They settle the target of {limit_name(name, 30)}, if they fall as those before."
             return f"{counted(int(more.to_settle), 'more test')} of strength", said
         if more and more.to_know_the_value and more.known_to and more.to_know_the_value <= _MOST_TESTS:
-            said = f"They give the value to {plain_percent(float(more.known_to))}."
+            solve = results.margins[name].solve
+            said = f"They give the {_AXES.get(solve, 'answer')} to within {plain_percent(float(more.known_to))}."
             return f"{counted(int(more.to_know_the_value), 'test')} of strength", said
     leading = _leading(results)
     entry = None if leading is None else results.limits[leading].measure_first
@@ -628,7 +635,7 @@ def _between_rivals(answer: Answer) -> tuple[str, str] | None:
     if best is None:
         return None
     (_, fewest, _), where, out = best
-    names = " and ".join(mode.name.lower() for mode in out[:3])
+    names = listed([mode.name.lower() for mode in out[:3]])
     said = f"None broken rules out {names} (95 % sure)."
     place = (
         f"the planned {given(axis)}" if where == axis.planned else f"{two(where * axis.factor)} {axis.unit}".rstrip()

@@ -232,7 +232,8 @@ def _of_checks(contents: Contents, names: Mapping[str, str]) -> Iterator[Caution
         often = ", ".join(f"{where}{plain_percent(float(f'{part:.2g}'))}" for where, part in places)
         groups.setdefault(effect, []).append(f"{check_words(check)} ({often})")
     for effect, texts in groups.items():
-        more = f" and {len(texts) - 1} more" if len(texts) > 1 else ""
+        others = len(texts) - 1
+        more = f", and {others} other check{' fails' if others == 1 else 's fail'}" if others else ""
         yield Caution(rank=_UNKNOWN, nearer=-1.0, text=f"{texts[0]}{more}: {effect}.")
 
 

@@ -25,13 +25,7 @@ from uqsphere.report.figures.distributions import distribution_figure
 from uqsphere.report.figures.fragility import energy_block, family_figure, family_table, fragility_figure
 from uqsphere.report.figures.history import loop_figure
 from uqsphere.report.figures.indices import group_figure, group_table, pair_table, sensitivity_figure
-from uqsphere.report.figures.limits import (
-    fitted_tests,
-    fracture_table,
-    interplay_figure,
-    probability_plot,
-    tests_table,
-)
+from uqsphere.report.figures.limits import fitted_tests, fracture_table, interplay_figure, probability_plot, tests_table
 from uqsphere.report.figures.scene import bars_figure, force_band_figure, hardest_table, stress_inside_figure
 from uqsphere.report.margins import parts_table
 from uqsphere.report.phrases import begin, breaks, call, input_name, limit_name, symbol
@@ -292,9 +286,7 @@ def computed_chapter(contents: Contents) -> Chapter:
         Block(heading="Plan and account", table=plan_table(contents), kind="notes"),
         Block(heading="Methods", table=methods_table(contents), kind="notes"),
         Block(
-            heading="Error against evaluations",
-            picture=convergence_figure(contents),
-            files=("tables/speed_error.csv",),
+            heading="Error against evaluations", picture=convergence_figure(contents), files=("tables/speed_error.csv",)
         ),
         Block(
             heading="Speed against error of each method",

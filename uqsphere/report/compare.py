@@ -28,11 +28,7 @@ from uqsphere.report.blocks import Block, Table
 from uqsphere.report.cautions import assumption
 from uqsphere.report.contents import read_contents
 from uqsphere.report.figures.canvas import Picture, inline, render, shorten
-from uqsphere.report.figures.compare import (
-    Change,
-    fragility_picture,
-    moved_picture,
-)
+from uqsphere.report.figures.compare import Change, fragility_picture, moved_picture
 from uqsphere.report.page import margin_boxes, new_environment
 from uqsphere.report.phrases import (
     ABSENT,

@@ -3,25 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from uqsphere.report.blocks import Table, cell, index_cell, thousands
 from uqsphere.report.contents import Contents
-from uqsphere.report.phrases import (
-    ABSENT,
-    input_name,
-    limit_name,
-    number_text,
-    powers,
-    symbol,
-    two_digits,
-    value_text,
-)
+from uqsphere.report.phrases import ABSENT, input_name, limit_name, number_text, powers, symbol, two_digits, value_text
 from uqsphere.results import IndexEntry, MeasureEntry, MeasureRow, SharesEntry
 from uqsphere.results.entries import Est, Ests
-
-if TYPE_CHECKING:
-    pass
 
 
 def _by_value(table: Ests) -> list[str]:
@@ -84,12 +71,7 @@ def _side(entry: MeasureEntry) -> str:
 def _shared_rows(entry: SharesEntry) -> tuple[tuple[str, ...], ...]:
     both = entry.kucherenko
     return tuple(
-        (
-            input_name(n),
-            index_cell(entry.shapley[n]),
-            index_cell(both.first.get(n)),
-            index_cell(both.total.get(n)),
-        )
+        (input_name(n), index_cell(entry.shapley[n]), index_cell(both.first.get(n)), index_cell(both.total.get(n)))
         for n in _by_value(entry.shapley)
     )
 
@@ -194,14 +176,7 @@ def measure_table(entry: MeasureEntry | None, caption: str) -> Table | None:
         count = specimens(entry, row)
         tests = (thousands(count) if count else "none") + ("" if seen is None else f" (the law rests on {seen})")
         if probability:
-            rows.append(
-                (
-                    input_name(row.input),
-                    cell(_scaled(row.sway, 10.0**-power)),
-                    two_digits(row.part),
-                    tests,
-                )
-            )
+            rows.append((input_name(row.input), cell(_scaled(row.sway, 10.0**-power)), two_digits(row.part), tests))
         else:
             rows.append((input_name(row.input), index_cell(row.effect), tests))
     wanted = f"{100.0 * entry.wanted:g} %"

@@ -62,7 +62,7 @@ def _answer(question: str, answer: Told, factor: float, unit: str) -> Answer:
 def _feed_brief(entry: FeedEntry) -> Brief:
     goal, broken = entry.goal, _answer("Share of the feed broken", entry.broken, 100.0, "%")
     if goal is not None:
-        asked = f"At least {100 * goal.broken:.3g} %, {100 * goal.at_least:.3g} % sure."
+        asked = f"Asked: at least {100 * goal.broken:.3g} % broken, {100 * goal.at_least:.3g} % sure."
         reasons = tuple(f"{capital(why)}." for why in goal.reasons)
         broken = replace(broken, verdict=goal.verdict, reasons=(asked, *reasons))
     p80, energy = entry.p80, entry.energy
@@ -94,7 +94,7 @@ def _drivers(answer: Told) -> tuple[tuple[str, float], ...]:
     parts = {"ignorance": (answer.ignorance or 0.0) ** 2, "scatter": (answer.scatter or 0.0) ** 2}
     total = sum(parts.values())
     ranked = sorted(parts.items(), key=lambda part: -part[1])
-    return tuple((name, part / total) for name, part in ranked) if total > 0.0 else ()
+    return tuple((name, part / total) for name, part in ranked if part > 0.02 * total) if total > 0.0 else ()
 
 
 def told_cautions(texts: Iterable[str], *, made_up: bool = False) -> tuple[Caution, ...]:

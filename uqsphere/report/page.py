@@ -101,9 +101,6 @@ GLOSSARY: Final[tuple[tuple[str, str, str], ...]] = (
      "One combination of all the random numbers of the study, computed: as one test in the laboratory would be."),
     ("censored", r"censored|outlast",
      "Known as a lower bound only, because the record ended first."),
-    ("characteristic value", r"characteristic",
-     "Here the 5 % quantile of a strength (95 % where the aim is to break), and the median of a load; the design value "
-     "is that of the design point."),
     ("coefficient of variation", r"coefficient of variation",
      "Standard deviation over mean."),
     ("control variate", r"control variate",
@@ -154,12 +151,8 @@ GLOSSARY: Final[tuple[tuple[str, str, str], ...]] = (
      "A small probability as a number of standard deviations of the normal law: 2.3 is 1 %, 3.1 is 0.1 %."),
     ("Shapley effect", r"Shapley",
      "The share of the variance that belongs to an input; they sum to one even where inputs depend on each other."),
-    ("standard error", r"standard error",
-     "The standard deviation of an estimate; a 95 % interval reaches about two of them to each side."),
     ("surrogate", r"\bsurrogate",
      "A formula fitted to some evaluations of the model, that answers in its place."),
-    ("violin", r"\b[Vv]iolins?\b",
-     "In a figure of indices, the bulge that shows where an index is likely to lie; its whisker is the 95 % interval."),
     ("a/r", r"\ba/r\b", "Radius of the contact circle over that of the sphere."),
     ("p, p_max, p_0", r"\bp_max\b|\bp_0\b",
      "Contact pressure in the centre of the circle: p_0 at any instant, p_max the largest of both faces. P is a force: "

@@ -6,7 +6,7 @@ import math
 import re
 from typing import Final
 
-from uqsphere.quantities import display_unit, format_estimate, format_value, lookup
+from uqsphere.quantities import OUTPUTS, display_unit, format_estimate, format_value, lookup
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import clean, shorten
 from uqsphere.results import Results
@@ -405,7 +405,10 @@ def breaks(results: Results, name: str) -> bool:
     found = results.fracture
     left_out = name in found.left_out and results.limits[name].aim == "break"
     judged = any(one.name == name and not one.assumed for verdict in results.verdicts for one in verdict.judged)
-    return name in found.limits or left_out or judged
+    # where no answer on fracture could be had, what is asked of the quantity tells
+    quantity = OUTPUTS.get(results.limits[name].quantity.partition(".")[0])
+    alone = not (found.limits or found.left_out) and quantity is not None and quantity.fracture
+    return name in found.limits or left_out or judged or alone
 
 
 def safe_side(estimate: Est, name: str, *, at_most: bool, digits: int = 4) -> str:

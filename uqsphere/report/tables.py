@@ -145,11 +145,7 @@ def _checks(checks: Sequence[CheckEntry], caption: str) -> Table:
             grade = "not checked"
         name = check.check.replace("_", " ")
         rows.append((name, grade, ", ".join(broken) or "none", mathematical(str(check.text))))
-    return Table(
-        caption=caption,
-        rows=tuple(rows),
-        header=("assumption", "grade", "share", "finding"),
-    )
+    return Table(caption=caption, rows=tuple(rows), header=("assumption", "grade", "share", "finding"))
 
 
 def granted_table(contents: Contents) -> Table | None:

@@ -429,8 +429,8 @@
       return kept.length ? "M" + kept.map(([p, v]) => across(v).toFixed(1) + " " + up(p).toFixed(1)).join("L") : "";
     }
 
-    function named(kind, words, d, width, dash = "none") { // a curve and its name beside it, two thirds of its way
-      const points = d.slice(1).split("L"), [x, y] = (points[Math.floor(points.length * 0.66)] || "").split(" ").map(Number), right = x < 400;
+    function named(kind, words, d, width, part, dash = "none") { // a curve, and its name beside a part of its way
+      const points = d.slice(1).split("L"), [x, y] = (points[Math.floor(points.length * part)] || "").split(" ").map(Number), right = x < 400;
       return d && `<path class="curve ${kind}" stroke-width="${width}" stroke-dasharray="${dash}" d="${d}"/>` +
         text(`halo ${kind}`, x + (right ? 7 : -7), y + 14, right ? "start" : "end", words);
     }
@@ -444,9 +444,9 @@
       parts.push(line("plan", x, BOX.t, x, BOX.b));
       limit.ways.forEach((way, k) => {
         const kind = ["core", "energy"].find(word => way.name.includes(word)) || "other";
-        if (shown && !setting.ways.has(way.name)) parts.push(named(kind + " soft", way.name, drawn(shown.x, shown.ways[k]), 1.8, DASHES[kind]));
+        if (shown && !setting.ways.has(way.name)) parts.push(named(kind + " soft", way.name, drawn(shown.x, shown.ways[k]), 1.8, [0.3, 0.8, 0.6, 0.45][k % 4], DASHES[kind]));
       });
-      if (shown) parts.push(named("contact strong", limit.label.toLowerCase(), drawn(shown.x, shown.own), 2.4));
+      if (shown) parts.push(named("contact strong", limit.label.toLowerCase(), drawn(shown.x, shown.own), 2.4, 0.66));
       drawing.lastChild.innerHTML = parts.join("");
       if (shown && target) second.textContent = `${one.label} at the target: ` +
         (solved ? two(solved * trusted * one.factor) + GAP + one.unit : "beyond the stored runs");

@@ -344,8 +344,8 @@ def _why(
         costs = ", ".join(f"{c.fidelity} {_worst(c.error):.2g} at {100.0 * c.cost:.0f} % of the cost" for c in close)
         return f"no cheaper model that is accurate enough saves much ({costs})"
     return (
-        f"the cheaper models err by more than the {bound:.2g} of a standard deviation that the accuracy asked for "
-        f"allows (worst quantity on the pilot sample: {tried})"
+        f"the cheaper models err by more than the {bound:.2g} standard deviations that the accuracy allows "
+        f"(worst quantity on the pilot sample: {tried})"
     )
 
 

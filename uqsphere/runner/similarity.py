@@ -382,7 +382,7 @@ class Tabled:
         several = len(names) > 1
         return (
             f"the inputs act through {len(names)} scaled number{'s' * several} ({', '.join(names)}): a table of "
-            f"{nodes:,} scenes in {'them' if several else 'it'} answers {self.rows:,} rows for {of}, and the model "
+            f"{nodes:,} points in {'them' if several else 'it'} answers {self.rows:,} rows for {of}; the model answers "
             f"{self.open:,} of them, where the table jumps"
         )
 

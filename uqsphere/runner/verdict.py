@@ -303,7 +303,7 @@ def _by_checks(case: _Case) -> str:
     for meaning, grades in grades_of(evidence.scene, evidence.answers).items():
         share = float((weights * (np.resize(grades, weights.shape) == FAILURE)).sum() / weights.sum())
         if share > (case.limit.target or 0.0):
-            return f"the model fails in {_share(share)} of the cases that miss it: {meaning}"
+            return f"the model fails in {_share(share)} of the rows that miss it: {meaning}"
     return ""
 
 

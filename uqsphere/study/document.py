@@ -643,7 +643,7 @@ class MarginsTable:
     for_fracture: Shares | None = key("probabilities of fracture, added as they are")
     family: FamilyTable | None = key("a curve at each of some `values` of another number of the scene, its `path`")
     bars_elastic: Flag = key(
-        "also the value at which the bars yield, in the pulse and under the sphere in 1 % of the cases; told in any "
+        "also the value at which the bars yield, in the pulse and under the sphere in 1 % of the rows; told in any "
         "case where `p_max` is asked for",
         False,
     )

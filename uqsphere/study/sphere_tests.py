@@ -163,12 +163,11 @@ def _compare_rates(place: Place, demand: Demand, scene: Scene, findings: Finding
     """Slow tests in a rig that is quick: what rocks were measured to bear more there is said."""
     if scene.options.get("rig.kind", "bars") == "platens" or "rate_0" in demand.parameters:
         return
-    rates = ", ".join(f"{rate:g} for {rock}" for rock, rate, _ in MEASURED_RATES)
+    ends = [pick(MEASURED_RATES, key=lambda entry: entry[1]) for pick in (min, max)]
+    rates = " to ".join(f"{rate:g} 1/s for {rock}" for rock, rate, _ in ends)
     gains = [more for *_, more in MEASURED_RATES]
     said = f"slow tests in a quick rig: struck, rocks bore {min(gains):g} to {max(gains):g} times as much; that is"
-    findings.warn(
-        place, f"{said} safe to survive and unsafe to break; rate_0 of the criterion carries it (in 1/s: {rates})"
-    )
+    findings.warn(place, f"{said} safe to survive and unsafe to break; rate_0 of the criterion carries it ({rates})")
 
 
 def _columns(

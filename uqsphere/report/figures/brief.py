@@ -9,21 +9,23 @@ import html
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Final
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from uqsphere.report.brief import Answer, Mode, crossing, solved_for
+from uqsphere.report.brief import Answer, Mode, crossing, solved_for, span
 from uqsphere.report.figures.canvas import clean, shorten
-from uqsphere.report.phrases import counted, share, two
+from uqsphere.report.phrases import counted, share
 
 #: probabilities that are marked on probability paper
 _TICKS: Final = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99)
 #: ends of probability paper
 _LEAST, _MOST = 0.0007, 0.993
-#: probability at which the name of the k-th curve stands beside it
+#: probability at which the name of the k-th curve stands beside it, and where else it may
 _NAMED: Final = (0.6, 0.3, 0.15, 0.8, 0.05)
+_LEVELS: Final = (0.9, 0.8, 0.7, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.003)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,7 +235,7 @@ def _curve(answers: Sequence[Answer], sheet: Sheet, number: int) -> str:
     for answer in answers:
         parts += _cross(paper, answer)
     if number == 1 or len(shown) > 1:
-        parts += _names(paper, shown)
+        parts += _names(paper, lines, shown)
     if answers[0].service:
         parts.append(_text(paper.left, paper.bottom + 2.9 * size, answers[0].service, kind="strong"))
     title = f"Share broken over {paper.axis.words}"
@@ -272,10 +274,13 @@ def _target(paper: _Paper, answer: Answer) -> list[str]:
     if answer.level is not None:
         y, solved = paper.y(answer.level), [paper.x(v) for v in solved_for(answer) if paper.inside(v)]
         right = not solved or max(solved) < 0.75 * paper.right
-        words = f"target {100 * answer.level:g} %"
+        words, planned = f"target {100 * answer.level:g} %", answer.axis.planned if answer.axis else None
+        line = paper.x(planned) if planned and paper.inside(planned) else paper.left
+        # clear of the line of what is planned
+        start = line - 2 if line < paper.left + 0.6 * size * len(words) else paper.left - 2
         parts += [
             _line(paper.left, y, paper.right, y, "target"),
-            _beside(paper, paper.right + 4 if right else paper.left - 2, y - 5, words, left=right, kind="halo"),
+            _beside(paper, paper.right + 4 if right else start, y - 5, words, left=right, kind="halo"),
         ]
     planned = answer.axis.planned if answer.axis else None
     if planned is not None and paper.inside(planned):
@@ -304,35 +309,45 @@ def _tests(paper: _Paper, answer: Answer, *, told: bool) -> list[str]:
     return parts
 
 
-def _names(paper: _Paper, modes: Sequence[Mode]) -> list[str]:
-    """The name of every curve beside it, each at a height of its own."""
-    parts = []
+def _names(paper: _Paper, lines: dict[str, list[tuple[float, float]]], modes: Sequence[Mode]) -> list[str]:
+    """The name of every curve beside it, where no other curve runs if there is such a place."""
+    parts, size = [], paper.sheet.type
+    points = [point for line in lines.values() for point in line]
+    planned = paper.axis.planned
+    if planned is not None and paper.inside(planned):
+        points += [(paper.x(planned), y) for y in np.arange(paper.top, paper.bottom, 0.5 * size).tolist()]
     for mode, level in zip(modes, _NAMED, strict=False):
-        for p in (level, 0.5, 0.2, 0.8, 0.05, 0.01):
-            value = paper.at(mode, p)
-            if value is None:
-                continue
-            y, name = paper.y(p) + 0.9 * paper.sheet.type, shorten(mode.name.lower(), 30)
-            placed = _beside(paper, paper.x(value) + 4, y, name, kind=f"strong halo {_kind(mode)}")
-            if placed:
-                parts.append(placed)
-                break
+        name, placed = shorten(mode.name.lower(), 30), ""
+        wide = 0.6 * size * len(name)
+        places = [(p, value) for p in (level, *_LEVELS) if (value := paper.at(mode, p)) is not None]
+        for crowded in (False, True):
+            for (p, value), left in product(places, (False, True)):
+                # below a curve that rises to the right, above it on its left
+                x, y = paper.x(value) + (-4 if left else 4), paper.y(p) + (0.0 if left else 0.8 * size)
+                begin = x - 6.0 - wide if left else x + 6.0
+                over = any(begin < a < begin + wide and y - size < b < y + 0.3 * size for a, b in points)
+                if over <= crowded and paper.left < begin and begin + wide < paper.right and not placed:
+                    placed = _beside(paper, x, y, name, left=left, kind=f"strong halo {_kind(mode)}")
+        parts.append(placed)
     return parts
 
 
 def _cross(paper: _Paper, answer: Answer) -> list[str]:
-    """The answer on the target: a bar over all ways and carriers, its ends with their numbers."""
-    axis, size, parts = paper.axis, paper.sheet.type, []
-    solved = [v for v in solved_for(answer) if paper.inside(v)]
-    if solved and answer.level is not None:
-        low, high, y = min(solved), max(solved), paper.y(answer.level)
-        parts += [
-            _line(paper.x(low), y, max(paper.x(high), paper.x(low) + 1.5), y, "bar"),
-            _beside(paper, paper.x(low), y - 6, two(low * axis.factor), left=True),
-        ]
-        if high > 1.02 * low:
-            parts.append(_beside(paper, paper.x(high), y + 1.25 * size, f"{two(high * axis.factor)} {axis.unit}"))
-    return parts
+    """The answer on the target: a bar over all ways and carriers, its ends with the numbers that are set large."""
+    axis, size, solved = paper.axis, paper.sheet.type, solved_for(answer)
+    inside = [v for v in solved if paper.inside(v)]
+    if not inside or answer.level is None:
+        return []
+    low, high, y = paper.x(min(inside)), paper.x(max(inside)), paper.y(answer.level)
+    first, _, last = span([v * axis.factor for v in solved], safe_is_low=answer.aim == "survive").partition("–")
+    parts = [_line(low, y, max(high, low + 1.5), y, "bar")]
+    if not last:
+        return [*parts, _beside(paper, high, y + 1.25 * size, f"{first} {axis.unit}")]
+    return [
+        *parts,
+        _beside(paper, low, y - 6, first, left=True),
+        _beside(paper, high, y + 1.25 * size, f"{last} {axis.unit}"),
+    ]
 
 
 def _planned(paper: _Paper, answers: Sequence[Answer]) -> list[str]:

@@ -27,21 +27,14 @@ from uqsphere.report.figures.canvas import (
 )
 from uqsphere.report.figures.distributions import axis_label
 from uqsphere.report.figures.fragility import probability_axis, score
-from uqsphere.report.phrases import (
-    PERHAPS,
-    SURE,
-    input_name,
-    limit_name,
-    number_text,
-)
+from uqsphere.report.phrases import PERHAPS, SURE, input_name, limit_name, number_text
 from uqsphere.results.entries import Entry, Est
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: rows of the figure of what moved, and of the figure of indices
+#: rows of the figure of what moved
 _MOST_ROWS: Final = 14
-_MOST_INPUTS: Final = 10
 
 
 class Change(Entry):

@@ -260,14 +260,7 @@ def _method_legend(axes: Axes, methods: list[str], further: bool, below: int) ->
     from matplotlib.lines import Line2D
 
     handles: list[Any] = [
-        Line2D(
-            [],
-            [],
-            color=_COLOURS[k % len(_COLOURS)],
-            marker=MARKS[k % len(MARKS)],
-            markersize=5,
-            label=name,
-        )
+        Line2D([], [], color=_COLOURS[k % len(_COLOURS)], marker=MARKS[k % len(MARKS)], markersize=5, label=name)
         for k, name in enumerate(_legend_names(methods))
     ]
     if further:
@@ -276,10 +269,6 @@ def _method_legend(axes: Axes, methods: list[str], further: bool, below: int) ->
     if below:
         handles.append(Line2D([], [], linestyle="", label=f"not shown: {below} below {_LEAST:g}"))
     legend_above(axes, 2, handles)
-
-
-def _times(ratio: float) -> str:
-    return f"{ratio:.2g}" if ratio < 10.0 else _thousands(round(ratio))
 
 
 def convergence_figure(contents: Contents) -> Picture | None:

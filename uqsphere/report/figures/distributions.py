@@ -11,13 +11,7 @@ from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit
 from uqsphere.report.contents import Contents, Samples, law_of
 from uqsphere.report.figures.canvas import BLUE, INK, PAPER, RED, Picture, legend_above, new_figure, slug, style
-from uqsphere.report.phrases import (
-    limit_name,
-    listed,
-    plain_percent,
-    symbol,
-    unit_text,
-)
+from uqsphere.report.phrases import limit_name, listed, plain_percent, symbol, unit_text
 from uqsphere.results import QuantityEntry
 from uqsphere.results.entries import Est
 from uqsphere.uq.law import Law

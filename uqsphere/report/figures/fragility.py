@@ -96,11 +96,7 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
         probability_axis(axes)
         axes.set_xlabel(solved_label(contents, solve))
         axes.set_ylabel(f"probability that {symbol(limit.quantity, 24)}\nexceeds the strength")
-    return Picture(
-        name=slug("fragility", name),
-        title=f"Fragility: {limit_name(name)}",
-        figure=figure,
-    )
+    return Picture(name=slug("fragility", name), title=f"Fragility: {limit_name(name)}", figure=figure)
 
 
 def solved_label(contents: Contents, solve: str) -> str:
@@ -370,10 +366,7 @@ def family_table(contents: Contents, name: str) -> Table:
     members = family.members
     keys = sorted({p for member in members for p in member.values}, key=float)
     rows = [
-        (
-            plain_percent(float(p)),
-            *(estimate_text(m.values[p], subject) if p in m.values else "–" for m in members),
-        )
+        (plain_percent(float(p)), *(estimate_text(m.values[p], subject) if p in m.values else "–" for m in members))
         for p in keys
     ]
     fitted = [member.lognormal.dispersion for member in members]

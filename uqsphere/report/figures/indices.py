@@ -25,13 +25,7 @@ from uqsphere.report.figures.canvas import (
     style,
     wrap,
 )
-from uqsphere.report.phrases import (
-    capital,
-    input_name,
-    share_text,
-    short_input,
-    symbol,
-)
+from uqsphere.report.phrases import capital, input_name, share_text, short_input, symbol
 from uqsphere.results import IndexEntry, OrderEntry
 from uqsphere.results.entries import Est, Ests
 
@@ -158,9 +152,7 @@ def group_figure(contents: Contents, quantity: str) -> Picture | None:
         ("by themselves (closed)", "with interactions (total)"),
     )
     return Picture(
-        name=slug("groups", quantity),
-        title=f"What groups of inputs do to {symbol(quantity)}",
-        figure=figure,
+        name=slug("groups", quantity), title=f"What groups of inputs do to {symbol(quantity)}", figure=figure
     )
 
 
@@ -192,11 +184,7 @@ def sensitivity_figure(contents: Contents, quantity: str) -> Picture | None:
         entry.total,
         f"share of the variance of {symbol(quantity, 24)}",
     )
-    return Picture(
-        name=slug("sensitivity", quantity),
-        title=f"What drives {symbol(quantity)}",
-        figure=figure,
-    )
+    return Picture(name=slug("sensitivity", quantity), title=f"What drives {symbol(quantity)}", figure=figure)
 
 
 #: inputs of a sensitivity figure

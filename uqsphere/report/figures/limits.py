@@ -29,13 +29,7 @@ from uqsphere.report.figures.canvas import (
 )
 from uqsphere.report.figures.distributions import axis_label
 from uqsphere.report.figures.fragility import probability_axis, score, x_scale
-from uqsphere.report.phrases import (
-    capital,
-    estimate_text,
-    input_name,
-    limit_name,
-    symbol,
-)
+from uqsphere.report.phrases import capital, estimate_text, input_name, limit_name, symbol
 from uqsphere.results import FractureEntry
 from uqsphere.results.entries import Est
 from uqsphere.uq.families import FAMILIES

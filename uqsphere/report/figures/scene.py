@@ -66,11 +66,7 @@ def force_band_figure(contents: Contents) -> Picture | None:
             place.set_ylim(0.0, 1.12 * largest * scale)
         axes[-1].set_xlabel(f"time since first touch [{unit}]")
         _legend(axes[0])
-    return Picture(
-        name="force-band",
-        title="Contact force over time",
-        figure=figure,
-    )
+    return Picture(name="force-band", title="Contact force over time", figure=figure)
 
 
 def _legend(axes: Axes) -> None:

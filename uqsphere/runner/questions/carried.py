@@ -76,7 +76,7 @@ def carried_far(study: Study) -> list[CheckEntry]:
     far, told = (ratios[worst] > bound for bound in (FAR, TOLD))
     text = (
         f"the strength of {worst} was measured on a contact whose E* differs by a factor of {ratios[worst]:.3g} "
-        f"(told from {TOLD:g}, warned of from {FAR:g}): what each carrier makes of it differs by that"
+        f"(told from {TOLD:g}, warned of from {FAR:g}); so do the carriers"
     )
     return [
         CheckEntry(

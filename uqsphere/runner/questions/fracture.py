@@ -44,7 +44,7 @@ ORDERS: Final = 8
 MOST_LOST: Final = 0.05
 _QUANTILES: Final = (0.05, 0.5, 0.95)
 _UNITS: Final = {"time": "s", "force": "N", "energy": "J", "specific_energy": "J/kg", "imbalance": "", "t10": "1"}
-_METHOD: Final = "specimens that break, on the loading path of the full model"
+_METHOD: Final = "spheres that break, on the loading path of the full model"
 
 
 @dataclass(kw_only=True)
@@ -93,7 +93,7 @@ class Fracture:
         work, pool = self.work, self._pool()
         specimens = _affordable(work, SPECIMENS)
         if pool is None or specimens == 0:
-            self.answer["reason"] = "the budget of evaluations leaves nothing for the loading of specimens"
+            self.answer["reason"] = "the budget of evaluations leaves nothing for the loading of spheres"
             return
         if find_spec("numba") is None:
             self.answer["reason"] = "the loading over time needs the compiled integrator (numba)"
@@ -211,7 +211,7 @@ def _at_fracture(work: Work, pool: Sample, limits: Sequence[Limit], drawn: Break
     work.ledger.evaluations["full"] = work.ledger.evaluations.get("full", 0) + len(distinct)
     lost = float((result.first < 0).mean())
     if lost > MOST_LOST:
-        return {"reason": f"the loading of {100.0 * lost:.0f} % of the specimens could not be followed"}
+        return {"reason": f"the loading of {100.0 * lost:.0f} % of the spheres could not be followed"}
     weights, evaluations, first = drawn.weights, int(flat.size), result.first.reshape(shape)
     known = {
         "time": result.time,
