@@ -477,6 +477,28 @@ def test_rows_without_an_answer_are_left_out_where_the_study_says_so(ask) -> Non
         ask(without(0.2), "analysis.on_failure='drop'", out="many")
 
 
+@pytest.mark.parametrize(("cost", "policy"), [("10 s", "drop"), ("10 s", "bound"), ("1 us", "bound")])
+def test_an_output_without_an_answer_leaves_the_others_of_its_row(
+    study_from: Callable[..., Study], tmp_path: Path, cost: str, policy: str
+) -> None:
+    """Two outputs, one of them without an answer in 3 % of the rows: the other is told as if all were there."""
+    text = EXPENSIVE.replace('names = ["y"]', 'names = ["y", "z"]').replace('cost = "10 s"', f'cost = "{cost}"')
+    text = text.replace('time = "2 h"', "evaluations = 4096").replace(
+        "mean = 0.005, quantile = 0.05, sobol = 0.01, ", ""
+    )
+    study, told = study_from(text=f'{text}on_failure = "{policy}"\n'), []
+    for edge in (-4.0, -2.95):
+
+        def model(x: dict[str, np.ndarray], edge: float = edge) -> dict[str, np.ndarray]:
+            return {"y": x["x1"] + x["x2"] + 9.0, "z": np.where(x["x1"] < edge, np.nan, x["x3"])}
+
+        told.append(uqsphere.run(study, out=tmp_path / f"{edge}", model=model).results)
+    first, then = told
+    assert then.model.failures > first.model.failures == 0
+    assert then.quantities["y"] == first.quantities["y"]
+    assert then.limits["high"].exceedance == first.limits["high"].exceedance
+
+
 def test_dependent_inputs_have_no_classical_indices(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     tied = EXPENSIVE + '[[dependence]]\nof = ["x1", "x2"]\nspearman = 0.5\n'
     monkeypatch.setitem(globals(), "EXPENSIVE", tied)

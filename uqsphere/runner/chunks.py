@@ -119,13 +119,13 @@ def unpacked(stored: npt.NDArray[Any] | None, rows: int, columns: int) -> Answer
 
 
 def chosen_columns(answered: Answered, have: tuple[str, ...], want: tuple[str, ...]) -> Answered:
-    """Some columns of a black box's answers; a row has failed where one of these is not finite."""
+    """Some columns of a black box's answers; a row has failed where one of these is not finite; it keeps the others."""
     which = [have.index(name) for name in want]
     values = answered.values[:, which]
     kept = np.where(answered.status == STATUS_NOT_FINITE, 0, answered.status)
     status = np.where((kept == 0) & ~np.isfinite(values).all(axis=1), STATUS_NOT_FINITE, kept)
     return Answered(
-        values=np.where(status[:, None] == 0, values, np.nan),
+        values=np.where((kept == 0)[:, None] & np.isfinite(values), values, np.nan),
         censored=answered.censored[:, which],
         status=status,
         route=answered.routes,

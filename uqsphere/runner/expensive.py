@@ -23,7 +23,15 @@ from uqsphere.runner.limits import LimitAnswer, limits_missed
 from uqsphere.runner.questions.distributions import METHOD, Sampled, find_missed, shortfalls
 from uqsphere.runner.questions.indices import CHAOS, Sensitivity, dependent_names
 from uqsphere.runner.questions.margins import MarginAnswer
-from uqsphere.runner.questions.probabilities import Demand, Learned, learn_limits, reserve, with_surrogate_design
+from uqsphere.runner.questions.probabilities import (
+    LEAST_CALLS,
+    Demand,
+    Learned,
+    learn_limits,
+    learnable,
+    reserve,
+    with_surrogate_design,
+)
 from uqsphere.runner.remote import Watch
 from uqsphere.runner.schedule import FIRST_SAMPLE, REPLICATES, SURROGATE
 from uqsphere.runner.surrogate_answers import (
@@ -35,7 +43,7 @@ from uqsphere.runner.surrogate_answers import (
     tails_of,
     widest,
 )
-from uqsphere.runner.surrogate_margins import surrogate_margins
+from uqsphere.runner.surrogate_margins import margin_runs, surrogate_margins
 from uqsphere.uq import response
 from uqsphere.uq.describe import Description
 from uqsphere.uq.estimate import Estimate, Why, absent
@@ -170,7 +178,7 @@ class Surrogates:
         every = int(have + room)
         # what is too rough for a response so far may be less so once its course tells
         rough = max(min(reserve(self.work, self.alone.limits, every), every - SURROGATE.judged), 0)
-        kept = min(reserve(self.work, self.found.limits, every) + rough, every // 2)
+        kept = min(reserve(self.work, self.found.limits, every) + rough + margin_runs(self.work), every // 2)
         affordable = min(every - kept, SURROGATE.most)
         count = self._next(affordable)
         if self.begun and count <= have:
@@ -198,13 +206,17 @@ class Surrogates:
         """Fit the runs, and answer with what may be used."""
         assert self.design is not None
         work, d = self.work, len(self.work.scene_names)
-        whole = ~self.design.failed[0]
-        self.responses = {}
-        enough = self.size >= SURROGATE.first and int(whole.sum()) >= SURROGATE.first // 2
-        if enough and (whole.all() or work.study.analysis.on_failure == "drop"):
-            points = germ_points(self.design.scores[0, :, :d], work.germs)[whole]
-            fitted = cross_fit(points, self.design.answers[0][whole], work.germs)
-            self.responses = dict(zip(work.quantities, fitted, strict=True))
+        points, drop = germ_points(self.design.scores[0, :, :d], work.germs), work.study.analysis.on_failure == "drop"
+        made: dict[str, Response] = {}
+        lost = np.array([self.design.lost(quantity)[0] for quantity in work.quantities])
+        for pattern in np.unique(lost, axis=0):
+            # outputs that miss the same rows are fitted together
+            these = [k for k, own in enumerate(lost) if (own == pattern).all()]
+            known = ~pattern
+            if self.size >= SURROGATE.first <= 2 * int(known.sum()) and (drop or known.all()):
+                fitted = cross_fit(points[known], self.design.answers[0][known][:, these], work.germs)
+                made |= dict(zip([work.quantities[k] for k in these], fitted, strict=True))
+        self.responses = {quantity: made[quantity] for quantity in work.quantities if quantity in made}
         self.found = answers_of(work, self.size, self.usable)
         # a limit may be followed by learning although its quantity is too rough for a response
         self.alone = answers_of_runs(work, blocks_of_runs(self.design), self.rough)
@@ -232,7 +244,8 @@ class Surrogates:
             return ""
         if not self.responses:
             return "no surrogate was fitted, since runs are too few or some have no answer"
-        told = [f"{quantity}: {self.responses[quantity].reason}" for quantity in self.rough]
+        nothing = "some of its runs have no answer"
+        told = [f"{q}: {self.responses[q].reason if q in self.responses else nothing}" for q in self.rough]
         which = "the surrogate is" if len(told) == 1 else "surrogates are"
         return f"{which} too rough ({'; '.join(told)})"
 
@@ -331,11 +344,11 @@ class _End:
         if not self.question.begun:
             alone = answers_of_runs(work, blocks_of_runs(self.design), self.question.rough)
         before = self.question.found.limits | alone.limits
+        margins = surrogate_margins(work, self.question.usable, affordable - self._to_learn(before), self.design)
         limits, learned = before, Learned(limits={})
         if self.course.stopped != "time":
             learned = learn_limits(work, limits, self.design)
             limits = with_surrogate_design(work, learned.limits, self.question.demands(), affordable)
-        margins = surrogate_margins(work, self.question.usable, affordable)
         if self.question.rough and self.course.stopped != "time":
             self._with_all_runs()
             alone = answers_of_runs(work, blocks_of_runs(self.design), self.question.rough)
@@ -360,6 +373,14 @@ class _End:
         sampled, sensitivity = settle_heavy(work, sampled, sensitivity, found.descriptions, tails)
         return Expensive(why=self._why(), surrogate=bool(found.descriptions), question=self.question,
                          sampled=sampled, sensitivity=sensitivity, margins=margins)  # fmt: skip
+
+    def _to_learn(self, limits: Mapping[str, LimitAnswer]) -> int:
+        """Evaluations that margins leave to the limits that are to be learned: enough to begin, or half of the rest."""
+        left = max(self.priced.way.affordable - self.work.ledger.total, 0)
+        wanted = sum(
+            learnable(self.work, one, limits[one.name]) for one in self.work.study.limits if one.name in limits
+        )
+        return min(LEAST_CALLS * wanted, left // 2)
 
     def _with_all_runs(self) -> None:
         """Runs that no surrogate can use still sharpen what sampling says: as far as the budget goes."""
@@ -530,7 +551,8 @@ def keep_margins(work: Work, found: Mapping[str, MarginAnswer], one: Expensive) 
     usable = {quantity: r for quantity, r in one.question.usable.items() if quantity in without.values()}
     if not usable:
         return dict(found)
-    answers = surrogate_margins(work, usable, work.study.analysis.budget.evaluations)
+    assert one.question.design is not None
+    answers = surrogate_margins(work, usable, work.study.analysis.budget.evaluations, one.question.design)
     return {**found, **{name: answers[name] for name in without if answers[name].curve}}
 
 

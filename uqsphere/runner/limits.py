@@ -146,7 +146,7 @@ def state_of(work: Work, limit: Limit, sample: Sample) -> LimitState:
         demands=demands,
         strength=limit.strength,
         censored=sample.late(limit.quantity),
-        failed=sample.failed,
+        failed=sample.lost(limit.quantity),
         on_failure="drop" if policy == "abort" else policy,
     )
     if not isinstance(limit.strength, Law) or not work.study.dependence:

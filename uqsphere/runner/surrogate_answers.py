@@ -175,7 +175,7 @@ def answers_of_runs(work: Work, sample: Sample, quantities: Collection[str]) -> 
     descriptions = {
         name: describe(
             sample.answer(name),
-            failed=sample.failed,
+            failed=sample.lost(name),
             on_failure=analysis.on_failure,
             quantiles=analysis.quantiles,
             method=METHOD,

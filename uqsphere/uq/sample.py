@@ -22,7 +22,7 @@ class Sample:
     scores, inputs : their independent standard normals and their physical values [SI], (R, n, D) each
     quantities : the q answers, in the order of the columns; none before the rows are evaluated
     answers, censored : values [SI], and whether they outlast the record, (R, n, q) each
-    status, failed : the model's code of each row, and whether it has no answer, (R, n) each
+    status, failed : the model's code of each row, and whether an answer of it is missing, (R, n) each
     fidelity : the model that was asked
     """
 
@@ -78,9 +78,13 @@ class Sample:
         """Whether a quantity outlasts the record, (R, n)."""
         return self.censored[:, :, self.quantities.index(quantity)]
 
+    def lost(self, quantity: str) -> Flags:
+        """Whether a quantity has no value, (R, n): a row that has failed may still have others."""
+        return np.asarray(self.failed & ~np.isfinite(self.answer(quantity)))
+
     def outputs(self, quantity: str) -> Array:
         """Values (R n,) of a quantity, nan where there is none."""
-        return np.where(self.failed, np.nan, self.answer(quantity)).ravel()
+        return np.where(self.lost(quantity), np.nan, self.answer(quantity)).ravel()
 
     def knows(self, quantity: str) -> bool:
         """Whether a quantity is a plain number in every row."""

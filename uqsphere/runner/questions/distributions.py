@@ -94,7 +94,7 @@ def _describe(work: Work, sample: Sample) -> dict[str, Description]:
         name: describe(
             sample.answer(name),
             censored=sample.late(name),
-            failed=sample.failed,
+            failed=sample.lost(name),
             on_failure=analysis.on_failure,
             quantiles=analysis.quantiles,
             method=METHOD,
@@ -172,7 +172,7 @@ def _left_open(work: Work, sample: Sample, descriptions: dict[str, Description])
         without = describe(
             sample.answer(name),
             censored=sample.late(name),
-            failed=sample.failed,
+            failed=sample.lost(name),
             on_failure="drop",
             quantiles=analysis.quantiles,
             method=METHOD,

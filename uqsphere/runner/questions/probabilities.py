@@ -459,8 +459,7 @@ def _learn(
 def known_points(work: Work, space: LimitSpace, design: Sample) -> tuple[Array, Array]:
     """Normal scores (N, d) of runs that are made, and the limit's function (N,) there."""
     scores, k = design.scores[0], work.quantities.index(space.limit.quantity)
-    quantity = np.where(design.failed[0], np.nan, design.answers[0][:, k])
-    return scores, space.value(scores, quantity, design.censored[0][:, k])
+    return scores, space.value(scores, design.outputs(space.limit.quantity), design.censored[0][:, k])
 
 
 def _with_learned(limit: Limit, answer: LimitAnswer, learned: ActiveAnswer) -> LimitAnswer:

@@ -48,7 +48,7 @@ from uqsphere.uq.rare.kriging import (
     reduced,
 )
 from uqsphere.uq.rare.mixture import Component, Mixture, allocate, draw_mixture, joined, log_density
-from uqsphere.uq.rare.problem import Evaluator, LimitFunction, Spent, log_normal_density
+from uqsphere.uq.rare.problem import REACH, Evaluator, LimitFunction, Spent, log_normal_density
 
 #: the process is fitted again once its points have grown by so much; candidates, and those that the variance is of
 GROWTH, CANDIDATES, NEAREST = 1.12, 6000, 600
@@ -67,8 +67,8 @@ RECENT, TRUSTED = 16, 4
 #: factor on the process's standard deviations, which take its lengths for known: with it 95 % of the intervals hold on
 #: public problems (docs/validation.md, "Few calls")
 SAFE = 2.0
-#: values of a free scalar where a probability that is asked for is looked for, and its range in the process
-STEPS, REACH = 17, 3.0
+#: values of a free scalar where a probability that is asked for is looked for
+STEPS = 17
 #: candidates nearer to a point without an answer are not asked for again
 LOST = 0.3
 #: doubt that is said to be more than the answer can bear

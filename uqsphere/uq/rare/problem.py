@@ -15,6 +15,8 @@ import numpy as np
 
 from uqsphere.arrays import Array
 
+#: range of a free scalar beside standard normal variables, to either side
+REACH = 3.0
 _HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 
 
