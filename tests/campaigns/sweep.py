@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from uqsphere.mechanics.balance import balance_of
 from uqsphere.mechanics.integrator.solve import motions, solve
-from uqsphere.mechanics.outputs import Answers, absent_in
+from uqsphere.mechanics.outputs import Answers
 from uqsphere.mechanics.scene import STATUS, Scene, answered
 from uqsphere.quantities import OUTPUTS
 
@@ -261,8 +261,6 @@ class Comparison:
 _DERIVED: Final = frozenset(name for name, entry in OUTPUTS.items() if entry.place) - {"p_max", "first_peak"} | {
     "energy_sphere", "specific_energy_sphere", "mean_force_max",
 }  # fmt: skip
-#: times that take the motion to the horizon: the reference ends with the record
-_WHOLE: Final = {"impulse_time", "time_above", "first_gap"}
 
 
 def _names(answers: Answers) -> tuple[str, ...]:
@@ -341,8 +339,7 @@ def _compare(
     wrong: list[Wrong] = []
     names: tuple[str, ...] = ()
     for scene in plan:
-        every = [each for each in OUTPUTS if each not in _WHOLE and not absent_in(scene, each)]
-        found = solve(scene, tolerance=tolerance, quantities=asked or every)
+        found = solve(scene, tolerance=tolerance, quantities=asked)
         names = _names(found)
         truths, known, note = judge(scene, found)
         errors = _errors(names, _answers(found), truths, tolerance)
@@ -363,7 +360,7 @@ def against_itself(
     """The kernel at `tolerance` against the kernel at `closer`."""
 
     def judge(scene: Scene, found: Answers) -> Any:
-        truth = solve(scene, tolerance=closer, quantities=tuple(found.values))
+        truth = solve(scene, tolerance=closer, quantities=quantities)
         # a judge that is not sure itself is heard where the row is not sure either
         known = answered(truth.status) & ((truth.status == 0) | (found.status == truth.status))
         return _answers(truth), known & answered(found.status), lambda row: ""

@@ -155,6 +155,8 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              needs=("specific_energy", "product.A", "product.b"),
              formula=lambda c: product_fineness(offered_energy(c), c["product.A"], c["product.b"])),
 )}  # fmt: skip
+#: quantities for which the motion is followed beyond the record, to the horizon: answered where they are named
+BEYOND: Final = frozenset({"impulse_time", "time_above", "first_gap"})
 OUTPUTS.update(
     (entry.quantity, _of_criterion(entry))
     for entry in CRITERIA.values()
@@ -220,9 +222,10 @@ def roots_of(quantities: Iterable[str], demands: Demands) -> set[str]:
 
 
 def wishes(quantities: Collection[str] | None, demands: Demands = MappingProxyType({})) -> int:
-    """What an integrator has to follow for these quantities and demands, or for all: sum of tracked.WANT_*."""
+    """What an integrator has to follow for these quantities and demands, or for all but `BEYOND`: tracked.WANT_*."""
     wanted = 0
-    for name in roots_of(OUTPUTS if quantities is None else quantities, demands) & SCALED.keys():
+    asked = OUTPUTS.keys() - BEYOND if quantities is None else quantities
+    for name in roots_of(asked, demands) & SCALED.keys():
         wanted |= SCALED[name][1]
     return wanted
 
@@ -462,7 +465,7 @@ class Answers:
     Attributes
     ----------
     values : mapping of str to (n,) array
-        The quantities asked for, all of `OUTPUTS` by default, SI; NaN where `status` is not 0 or 7.
+        The quantities asked for, all of `OUTPUTS` but `BEYOND` by default, SI; NaN where `status` is not 0 or 7.
     censored : mapping of str to (n,) array of bool
         For contact_time and pulse_width: the record ended first, the value is a lower bound.
     status : (n,) array of int
@@ -527,7 +530,7 @@ def answers_of(
     scaled : (n, ANSWERS) array
         Columns as `uqsphere.mechanics.integrator.tracked.SCALED` numbers them.
     quantities : collection of str, optional
-        Names of `OUTPUTS` or of the scene's demands; all that the scene has the numbers for if None.
+        Names of `OUTPUTS` or of the scene's demands; all that the scene has the numbers for, but `BEYOND`, if None.
 
     A row one of whose quantities is not finite has failed.
 
@@ -554,7 +557,7 @@ def answers_from(
         made = {**_of_faces(scene, tracked), **_of_blow(scene, tracked)}
     columns = Columns({**columns_of(scene), **tracked, "power": 1.0 if linear else 1.5, **made})
     if quantities is None:
-        quantities = [*(name for name in OUTPUTS if not absent_in(scene, name)), *scene.demands]
+        quantities = [*(name for name in OUTPUTS if name not in BEYOND and not absent_in(scene, name)), *scene.demands]
     values = {name: _value(scene, columns, name) for name in quantities}
     finite = np.logical_and.reduce([np.isfinite(value) for value in (columns["x_max"], *values.values())])
     status = np.where(answered(status) & ~finite, NOT_FINITE, status)
