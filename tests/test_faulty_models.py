@@ -111,19 +111,23 @@ def left_behind(place: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("name", FAULTY)
-def test_a_faulty_model_is_told_of_through_both_doors(
-    place: Path, name: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_faulty_model_is_told_of(place: Path, name: str, capfd: pytest.CaptureFixture[str]) -> None:
     body, said = FAULTY[name]
     reference = write(place, body)
-    assert main(["run", "s.toml", "--model", reference, "--out", "cli", "--json"]) == 4
+    assert main(["run", "s.toml", "--model", reference, "--out", "r", "--json"]) == 4
     out, err = capfd.readouterr()
     assert out == ""
     assert said in err
     assert all(c.isprintable() or c == "\n" for c in err)
     assert len(err) < 8000  # a traceback of the process, with the paths of its files
+    assert not (place / "r" / "results.json").exists()
+
+
+@pytest.mark.parametrize("name", ["ends", "segfault", "long", "hostile"])
+def test_a_faulty_model_is_told_of_through_the_door_of_python(place: Path, name: str) -> None:
+    body, said = FAULTY[name]
     with pytest.raises((ModelError, TooManyFailures)) as raised:
-        uqsphere.run(uqsphere.load_study(place / "s.toml"), out=place / "door", model=reference)
+        uqsphere.run(uqsphere.load_study(place / "s.toml"), out=place / "door", model=write(place, body))
     assert said in str(raised.value)
     assert not (place / "door" / "results.json").exists()
 

@@ -600,6 +600,16 @@ def test_plain_sampling_that_falls_a_little_short_of_a_small_probability_is_no_c
     assert "both" in narrower(told(1.17e-3, 0.01e-3), told(1.10e-3, 0.02e-3))[1]
 
 
+def test_one_failure_seen_by_luck_is_no_contradiction_and_three_are() -> None:
+    """Of 2,048 samples: at 3e-5 one is seen in 6 % of runs, three in 4 of 100,000."""
+    own = Estimate(value=3e-5, low=2.9e-5, high=3.1e-5, std_error=5e-7, method="", evaluations=1)
+    for count in (1, 3):
+        value = count / 2048
+        old = Estimate(value=value, low=0.1 * value, high=10.0 * value, std_error=value / math.sqrt(count), method="",
+                       evaluations=2048)  # fmt: skip
+        assert (narrower(own, old)[0] is own) == (count == 1)
+
+
 def test_what_sampling_said_of_its_own_estimate_is_not_said_of_another_that_reads_alike() -> None:
     def answer(half: float, evaluations: int) -> LimitAnswer:
         e = Estimate(value=0.01, low=0.01 - half, high=0.01 + half, std_error=0.5 * half, method="m",

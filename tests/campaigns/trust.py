@@ -422,7 +422,9 @@ def run_trials(seed: int, place: Path) -> Trial:
         shutil.rmtree(place / "run", ignore_errors=True)
         run = {"out": place / "run", "threads": 1, "model": model if study.black_box else None}
         found = watched([], place, cache_folder() or place, do=lambda _: run_of(study, **run))
-        return found, [fault for fault in faults_of(found, (0, 2, 4)) if "dlopen" not in fault]  # its first time
+        return found, [
+            fault for fault in faults_of(found, (0, 2, 4)) if "dlopen" not in fault and "find_class" not in fault
+        ]  # compiled code
 
     return trial
 

@@ -59,6 +59,8 @@ CLOSE: Final = 0.02
 
 #: probability below which sampling's own interval is not believed
 DOUBTFUL: Final = 1e-4
+#: chance of what plain sampling saw, beside another answer, above which it is no contradiction: 1 % of runs meet one
+BY_CHANCE: Final = 0.01
 #: plain sampling falls short of a doubtful probability by so much without contradicting it: its terms are skewed
 LACKING: Final = 1.25
 #: normal scores beyond which a tail is taken for certain
@@ -308,13 +310,29 @@ def narrower(own: Estimate, old: Estimate) -> tuple[Estimate, str]:
         return own, ""
     if own.half_width >= old.half_width and old.value >= DOUBTFUL:
         return old, "sampling was as accurate: its answer is kept"
-    if not (own.low > old.high or own.high < old.low):
+    if not (own.low > old.high or own.high < old.low) or chance_of(old, own) > BY_CHANCE:
         return own, f"plain sampling agrees: {old.value:.3g}"
     if own.low > old.high and old.value < DOUBTFUL and own.value < LACKING * old.value:
         return own, f"plain sampling gave {old.value:.3g}: it lacks the rare great terms of so small a probability"
     text = f"plain sampling gave {old.value:.3g}, outside of this: the interval holds both"
     low, high = min(own.low, old.low), max(own.high, old.high)
     return replace(own, low=low, high=high, std_error=(high - low) / 4.0), text
+
+
+def chance_of(old: Estimate, own: Estimate) -> float:
+    """Chance of so many failures, or so few, where the probability is at the nearer end of `own`.
+
+    A relative error of 1/sqrt(k) is that of k failures, which are Poisson's: a single one, seen by luck, is no
+    contradiction of a probability far below one in all samples, though intervals of replicates say so.
+    """
+    from scipy.special import gammainc, gammaincc
+
+    if not (old.value and old.std_error and own.low is not None and own.high is not None):
+        return 0.0
+    seen = (old.value / old.std_error) ** 2
+    if own.high < old.value:
+        return float(gammainc(seen, seen * own.high / old.value))
+    return float(gammaincc(seen + 1.0, seen * own.low / old.value))
 
 
 def complement(e: Estimate) -> Estimate:
