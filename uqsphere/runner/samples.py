@@ -109,13 +109,13 @@ def dataset_of(frame: pd.DataFrame, manifest: Manifest) -> Dataset:
         import xarray
     except ImportError as error:
         raise UsageError('xarray is missing: pip install "uqsphere[xarray]"') from error
-    from uqsphere import __version__
+    import uqsphere
     from uqsphere.quantities import lookup
 
     columns = {}
     for name in frame.columns:
         unit = "" if name == "status" or name.startswith("censored_") else lookup(name).unit
         columns[name] = (("chain", "draw"), frame[name].to_numpy()[None, :], {"units": unit} if unit else {})
-    own = {"inference_library": "uqsphere", "inference_library_version": __version__}
+    own = {"inference_library": "uqsphere", "inference_library_version": uqsphere.__version__}
     coordinates = {"chain": [0], "draw": np.arange(len(frame))}
     return xarray.Dataset(columns, coords=coordinates, attrs={"created_at": manifest.finished, **own})
