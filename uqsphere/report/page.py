@@ -21,7 +21,7 @@ from uqsphere.report.brief import make_brief
 from uqsphere.report.chapters import build_chapters
 from uqsphere.report.contents import Contents, read_contents, units_of
 from uqsphere.report.figures.brief import curve_drawings, mode_dots
-from uqsphere.report.figures.canvas import APOSTROPHE, Picture, inline, render, shorten
+from uqsphere.report.figures.canvas import APOSTROPHE, Picture, inline, render_all, shorten
 from uqsphere.report.phrases import short_share, two
 from uqsphere.report.services import service_chapters
 from uqsphere.report.tables import commands, repeat_rows
@@ -181,12 +181,13 @@ MOST_INLINED: Final = 2_200_000
 LONGEST: Final = 1500
 
 
-def build_report(folder: Path) -> Path:
+def build_report(folder: Path, *, threads: int | None = None) -> Path:
     """Write figures/*.svg and report.html of a finished run and of its services, from what is stored there.
 
     Parameters
     ----------
     folder : result folder of `uqsphere.run`
+    threads : processors that may draw; all if None
 
     Returns
     -------
@@ -202,12 +203,12 @@ def build_report(folder: Path) -> Path:
     """
     contents = read_contents(folder)
     for name in contents.services:
-        build_report(folder / "services" / name)
+        build_report(folder / "services" / name, threads=threads)
     with reading_units(units_of(contents.results, courses=contents.courses)):
-        return _build(folder, contents)
+        return _build(folder, contents, threads)
 
 
-def _build(folder: Path, contents: Contents) -> Path:
+def _build(folder: Path, contents: Contents, threads: int | None) -> Path:
     own = build_chapters(contents) if contents.results.rig != NO_RIG else []
     chapters = _distinct([*service_chapters(contents), *own])
     written = []
@@ -216,7 +217,7 @@ def _build(folder: Path, contents: Contents) -> Path:
             table = csv_text(block.picture.header, block.picture.rows)
             written.append(f"figures/{block.picture.name}.csv")
             write_atomically(folder / written[-1], table)
-    drawn = {b.picture.name: render(b.picture) for b in _blocks(chapters) if b.picture is not None}
+    drawn = render_all([b.picture for b in _blocks(chapters) if b.picture is not None], threads)
     for name, svg in drawn.items():
         write_atomically(folder / "figures" / f"{name}.svg", svg)
     page = folder / "report.html"

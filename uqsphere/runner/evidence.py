@@ -134,9 +134,13 @@ def _static(work: Work, points: Sample, scene: Scene, elastic: Answers) -> Sampl
     )
     if not rows.any():
         return None
-    found = _solved(work, yielding)
-    rows &= is_answered(found.status)
-    values = {name: np.where(rows, found.values[name], column) for name, column in elastic.values.items()}
+    # the motion is the elastic one, which stands: faces that do not yield need no other answer
+    found = _solved(work, yielding.at(np.flatnonzero(rows)))
+    answered = is_answered(found.status)
+    rows[rows] = answered
+    values = {name: column.copy() for name, column in elastic.values.items()}
+    for name, column in values.items():
+        column[rows] = found.values[name][answered]
     return _with(work, points, replace(elastic, values=values))
 
 
