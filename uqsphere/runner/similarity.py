@@ -284,7 +284,7 @@ def make_similarity(work: Work) -> Similarity | str:
     coordinates = numbers.of(_scaled(*_scene(work, rows))[0])
     follow = _followed(work, numbers, rows[:WEIGHED], coordinates[:WEIGHED], evaluate(coordinates[:WEIGHED]))
     table = make_table(coordinates, lambda points: follow.beside(work, points, evaluate(points)),
-                       len(work.quantities), TABLE.most)  # fmt: skip
+                       len(work.quantities), TABLE.most, MOST_OPEN)  # fmt: skip
     if (left := 1.0 - table.at(coordinates)[1].mean()) > MOST_OPEN:
         return f"it would leave {100.0 * left:.0f} % of the rows to the model, near jumps"
     return Similarity(numbers=numbers, table=table)

@@ -109,7 +109,7 @@ def _corners(cells: Whole, level: int) -> Whole:
     )
 
 
-def make_table(rows: Array, evaluate: Callable[[Array], Array], followed: int, most: int) -> Table:
+def make_table(rows: Array, evaluate: Callable[[Array], Array], followed: int, most: int, spared: float = 1.0) -> Table:
     """The table of functions at the places of rows (n, k) for at most `most` evaluations.
 
     Parameters
@@ -120,6 +120,7 @@ def make_table(rows: Array, evaluate: Callable[[Array], Array], followed: int, m
     followed : so many of the last columns say how the functions change, in standard deviations of what they are for;
         they are no part of the table
     most : evaluations
+    spared : share of the rows that it may leave without an answer; where so many evaluations cannot reach that, it ends
 
     >>> points = np.random.default_rng(1).normal(size=(4000, 2))
     >>> step = lambda x: x[:, :1] + 2.0 * (x[:, :1] > 0.3 * x[:, 1:])
@@ -138,7 +139,7 @@ def make_table(rows: Array, evaluate: Callable[[Array], Array], followed: int, m
     splits.add(0, fresh, counts)
     # a cell that is split shares the new nodes with its neighbours: about one for each of its parts
     while room := (most - table.nodes) // (3**axes - 2**axes):
-        if not splits.split(room, evaluate):
+        if table.nodes + splits.least(spared) > most or not splits.split(room, evaluate):
             break
     splits.close()
     return table
@@ -181,6 +182,19 @@ class _Splits:
         self.levels = np.concatenate([self.levels, np.full(len(cells), level)])
         self.cells, self.counts = np.concatenate([self.cells, cells]), np.concatenate([self.counts, counts])
         self.ranges = np.concatenate([self.ranges, ranges])
+
+    def least(self, spared: float) -> float:
+        """Evaluations that it takes at least to leave no more than this share of the rows near jumps.
+
+        Of a cell that is not sure either halving its sides halves the differences, or a jump goes through it, and half
+        of its parts stay so.
+        """
+        unsure, axes = self.ranges >= JUMP, len(self.table.low)
+        ahead = self.counts[unsure].sum() / (spared * len(self.rows))
+        if ahead <= 1.0:
+            return 0.0
+        smooth = float((2.0 ** (axes * (np.floor(np.log2(self.ranges[unsure] / JUMP)) + 1.0))).sum())
+        return min(smooth, float(unsure.sum() * ahead ** (axes - 1)))
 
     def split(self, room: int, evaluate: Callable[[Array], Array]) -> bool:
         """Split the cells that matter most, half of what all of them matter together; False where none is left."""
