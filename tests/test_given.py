@@ -27,6 +27,7 @@ from uqsphere.uq.fitting import fit_marginal, fitted_law, plausible, plausible_l
 from uqsphere.uq.joint import dependent_scores, make_copula, make_joint
 from uqsphere.uq.law import make_law
 from uqsphere.uq.points import random_generator
+from uqsphere.uq.surrogate import load_surrogate
 
 
 def written(path: Path, columns: dict[str, np.ndarray]) -> Path:
@@ -412,6 +413,10 @@ def test_the_command_writes_the_start_of_a_study(tmp_path: Path, capsys: pytest.
     study = tomllib.loads((tmp_path / "out" / "inputs.toml").read_text())
     assert set(study["inputs"]) == {"a", "b"}
     assert study["outputs"]["names"] == ["y"]
+    surrogate = load_surrogate(tmp_path / "out" / "surrogate-1.npz")
+    columns = runs(60)
+    found = surrogate.predict({name: columns[name][:20] for name in "ab"})
+    assert np.all((found.low <= columns["y"][:20]) & (columns["y"][:20] <= found.high))
     capsys.readouterr()
     assert main([*arguments, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "out" / "analysis.json").read_text())

@@ -17,27 +17,33 @@ Rows = list[dict[str, object]]
 
 def command_analyse(chosen: argparse.Namespace) -> int:
     """Analyse a table of runs."""
-    from uqsphere.given import analyse_data, analysis_text, known_laws, read_data, study_text
+    from uqsphere.given import analyse_runs, analysis_text, known_laws, read_data, study_text
 
     def names(text: str) -> list[str]:
         return [name.strip() for name in text.split(",") if name.strip()]
 
     data = read_data(chosen.data, names(chosen.inputs), names(chosen.outputs))
     known = None if chosen.laws is None else known_laws(chosen.laws, data.inputs)
-    found = analyse_data(data, known=known)
+    found, surrogates = analyse_runs(data, known=known)
     if chosen.out is not None:
         from uqsphere.given.page import analysis_page
         from uqsphere.store import write_outputs
 
-        text = json.dumps(found, indent=1, allow_nan=False) + "\n"
-        files = {"analysis.json": text, "inputs.toml": study_text(found), **analysis_page(found, data)}
+        files: dict[str, bytes | str] = {
+            "analysis.json": json.dumps(found, indent=1, allow_nan=False) + "\n",
+            "inputs.toml": study_text(found),
+            **analysis_page(found, data),
+            **{f"surrogate-{k + 1}.npz": surrogates[name].content()
+               for k, name in enumerate(data.outputs) if name in surrogates},
+        }  # fmt: skip
         write_outputs(chosen.out, files)
     if chosen.json:
         print_document(found)
     else:
         print(analysis_text(found))
         if chosen.out is not None:
-            print(f"\nwritten to {chosen.out}: report.html, analysis.json, and inputs.toml to begin a study with")
+            kept = " surrogates," if surrogates else ""
+            print(f"\nwritten to {chosen.out}: report.html, analysis.json,{kept} and inputs.toml to begin a study with")
     return 0
 
 

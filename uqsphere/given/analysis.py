@@ -20,7 +20,7 @@ from uqsphere.uq.expansion.germs import germs_of
 from uqsphere.uq.families import LawError
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import Law
-from uqsphere.uq.surrogate import law_scores, least_rows, response_from
+from uqsphere.uq.surrogate import Surrogate, law_scores, least_rows, response_from, surrogate_from
 
 SCHEMA_VERSION: Final = 2
 #: rows that an expansion is fitted to: beyond, it gains nothing
@@ -67,8 +67,13 @@ def known_laws(path: Path, names: Sequence[str]) -> Joint:
 
 
 def analyse_data(data: Data, *, known: Joint | None = None, seed: int = 0) -> Document:
-    """Everything that the table tells, ready for JSON: marginal laws with their fit and what it leaves open, rank
-    correlations, distributions of the outputs, first-order indices by ranks, and what an expansion tells.
+    """Everything that the table tells, ready for JSON: `analyse_runs` without the surrogates."""
+    return analyse_runs(data, known=known, seed=seed)[0]
+
+
+def analyse_runs(data: Data, *, known: Joint | None = None, seed: int = 0) -> tuple[Document, dict[str, Surrogate]]:
+    """Marginal laws with their fit and what it leaves open, rank correlations, distributions of the outputs,
+    first-order indices by ranks, and what an expansion tells; and the surrogates that may be used, by output.
 
     `known`: laws that the runs were drawn from, in the order of the inputs; they are fitted to the runs otherwise.
     """
@@ -79,7 +84,7 @@ def analyse_data(data: Data, *, known: Joint | None = None, seed: int = 0) -> Do
         return _analysed(data, known, seed)
 
 
-def _analysed(data: Data, known: Joint | None, seed: int) -> Document:
+def _analysed(data: Data, known: Joint | None, seed: int) -> tuple[Document, dict[str, Surrogate]]:
     marginals, laws = _fitted(data, seed) if known is None else _given(data, known)
     ties, dependence = _dependence(data, fitted=known is None)
     if known is None:
@@ -88,16 +93,17 @@ def _analysed(data: Data, known: Joint | None, seed: int) -> Document:
     if combined:
         laws = replace(laws, inputs=None, others=(), reason=combined[0])
     answers = {name: _answered(data, k, laws, ties, seed) for k, name in enumerate(data.outputs)}
-    return {
+    document = {
         "schema_version": SCHEMA_VERSION,
         "rows": len(data.x),
         "laws": "fitted" if known is None else "known",
         "inputs": marginals,
         "dependence": dependence,
         "combinations": combined,
-        "outputs": {name: output for name, (output, _) in answers.items()},
-        "sensitivity": {name: drivers for name, (_, drivers) in answers.items()},
+        "outputs": {name: output for name, (output, _, _) in answers.items()},
+        "sensitivity": {name: drivers for name, (_, drivers, _) in answers.items()},
     }
+    return document, {name: surrogate for name, (_, _, surrogate) in answers.items() if surrogate is not None}
 
 
 def _dependence(data: Data, *, fitted: bool) -> tuple[tuple[TiedPair, ...], list[Document]]:
@@ -261,8 +267,10 @@ def _tied(data: Data, laws: _Laws, ties: Sequence[TiedPair]) -> _Laws:
 # --- outputs ---------------------------------------------------------------------------------------------------
 
 
-def _answered(data: Data, column: int, laws: _Laws, ties: Sequence[TiedPair], seed: int) -> tuple[Document, Document]:
-    """What is known of one output: its distribution, and what drives it."""
+def _answered(
+    data: Data, column: int, laws: _Laws, ties: Sequence[TiedPair], seed: int
+) -> tuple[Document, Document, Surrogate | None]:
+    """What is known of one output: its distribution, what drives it, and its surrogate."""
     from uqsphere.uq.beyond_variance import rank_indices
     from uqsphere.uq.points import random_generator
 
@@ -274,7 +282,7 @@ def _answered(data: Data, column: int, laws: _Laws, ties: Sequence[TiedPair], se
     generator = random_generator(seed=seed, task=f"analyse ranks {name}")
     output = _output(y / unit)
     ranks = dict(zip(data.inputs, rank_indices(data.x, y / unit, generator), strict=True))
-    found, chaos = _expansion(data, y / unit, laws, ties, (seed, name))
+    found, chaos, surrogate = _expansion(data, y / unit, laws, ties, (seed, name))
     told = None
     if found is not None:
         told = {
@@ -294,7 +302,8 @@ def _answered(data: Data, column: int, laws: _Laws, ties: Sequence[TiedPair], se
         "notes": _looks(y / unit, unit),
     }
     apart = _apart(ranks, chaos, scaled)
-    return scaled, {"ranks": {n: e.as_dict() for n, e in ranks.items()}, "chaos": chaos, "disagree": apart}
+    drivers = {"ranks": {n: e.as_dict() for n, e in ranks.items()}, "chaos": chaos, "disagree": apart}
+    return scaled, drivers, None if surrogate is None else replace(surrogate, unit=unit)
 
 
 def _looks(values: Array, unit: float) -> list[str]:
@@ -351,8 +360,8 @@ def _output(values: Array) -> Document:
 
 def _expansion(
     data: Data, y: Array, laws: _Laws, ties: Sequence[TiedPair], key: tuple[int, str]
-) -> tuple[Document | None, Document]:
-    """What an expansion tells, where it passes its check, and what there is to say about it."""
+) -> tuple[Document | None, Document, Surrogate | None]:
+    """What an expansion tells, where it passes its check, what there is to say about it, and the expansion."""
     from uqsphere.uq.points import random_generator
 
     seed, name = key
@@ -361,14 +370,15 @@ def _expansion(
     scores: Array | None = None
     response, reason = None, _hopeless(y, laws, len(rows))
     if laws.inputs is not None and not reason:
-        scores = law_scores(laws.inputs.laws, data.x[rows][:, list(laws.columns)])
+        x = data.x[rows][:, list(laws.columns)]
+        scores = law_scores(laws.inputs.laws, x)
         try:
             response = response_from(scores, y[rows], germs_of(laws.inputs.laws))
             reason = "" if response.usable else response.reason
         except ValueError as error:
             reason = str(error)
     if laws.inputs is None or response is None or scores is None or reason:
-        return None, {"usable": False, "error": response and response.error, "reason": reason}
+        return None, {"usable": False, "error": response and response.error, "reason": reason}, None
     opened = left_open(laws.inputs, laws.others, ties, data.inputs, scores, len(data.x), generator)
     answers = given_answers(response, laws.inputs, opened, quantiles=_QUANTILES, seed=seed, task=name)
     found = {
@@ -380,7 +390,9 @@ def _expansion(
     }
     notes = _notes(data, laws.inputs, ties, scores) if laws.inputs.dependent else []
     kind = "dependent" if laws.inputs.dependent else "sobol"
-    return found, {"usable": True, "error": response.error, "reason": response.reason, "notes": notes, "kind": kind}
+    surrogate = surrogate_from(response, x, scores, laws.inputs, output=name)
+    about = {"usable": True, "error": response.error, "reason": response.reason, "notes": notes, "kind": kind}
+    return found, about, surrogate
 
 
 def _hopeless(y: Array, laws: _Laws, rows: int) -> str:

@@ -239,4 +239,5 @@ def index_table(contents: Contents, quantity: str) -> Table | None:
         caption=f"Sobol’ indices of {symbol(quantity)} with 95 % intervals",
         header=("input", "first (alone)", "total (with interactions)"),
         rows=tuple(rows),
+        note=entry.check.text,
     )

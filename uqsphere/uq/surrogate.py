@@ -7,6 +7,7 @@ surrogate has been wrong, and holds for points drawn as the rows were.
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -71,6 +72,7 @@ class Surrogate:
     lowest, highest : (d,) ends of the rows in each input, in the inputs' own units.
     spread : (d, d) inverse covariance of the rows' normal scores, for inputs that depend on each other; else None.
     reach : the largest squared distance of a row by `spread`.
+    unit : what the response counts the output in.
     """
 
     output: str
@@ -81,6 +83,7 @@ class Surrogate:
     highest: Array
     spread: Array | None = None
     reach: float = math.inf
+    unit: float = 1.0
 
     def __repr__(self) -> str:
         one = self.response
@@ -134,7 +137,7 @@ class Surrogate:
         self._refuse_outside(x)
         points = germ_points(law_scores(self.laws, x), self.response.germs)
         parts = [self._between(points[k : k + _BLOCK], level) for k in range(0, max(len(points), 1), _BLOCK)]
-        return Prediction(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        return Prediction(*(self.unit * np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def _between(self, points: Array, level: float) -> tuple[Array, Array, Array]:
         one = self.response
@@ -181,12 +184,16 @@ class Surrogate:
         """
         from uqsphere.uq.interop import expansion_to_chaospy
 
-        return expansion_to_chaospy(self.response)
+        return self.unit * expansion_to_chaospy(self.response)
 
     def save(self, path: str | Path) -> Path:
-        """Write the surrogate as plain arrays and one text: an .npz that needs no pickle; the path."""
-        path = Path(path)
-        one = self.response
+        """Write the surrogate as plain arrays and one text, an .npz that needs no pickle; the path."""
+        Path(path).write_bytes(self.content())
+        return Path(path)
+
+    def content(self) -> bytes:
+        """What `save` writes; raises UsageError over laws that are known by their functions alone."""
+        one, file = self.response, io.BytesIO()
         arrays = {"points": one.points, "outputs": one.outputs, "folds": one.folds, "levels": one.levels,
                   "residuals": one.residuals, "lowest": self.lowest, "highest": self.highest}  # fmt: skip
         if self.spread is not None:
@@ -199,10 +206,9 @@ class Surrogate:
             fits.append(_fit_document(fit))
         laws = [_law_document(law) for law in self.laws]
         told = {"version": 1, "output": self.output, "names": self.names, "laws": laws, "error": one.error,
-                "reach": self.reach, "fits": fits}  # fmt: skip
-        with path.open("wb") as file:
-            np.savez(file, document=np.array(json.dumps(told)), **arrays)  # type: ignore[arg-type]
-        return path
+                "reach": self.reach, "unit": self.unit, "fits": fits}  # fmt: skip
+        np.savez(file, document=np.array(json.dumps(told)), **arrays)  # type: ignore[arg-type]
+        return file.getvalue()
 
 
 def load_surrogate(path: str | Path) -> Surrogate:
@@ -234,7 +240,7 @@ def load_surrogate(path: str | Path) -> Surrogate:
         )  # fmt: skip
         return Surrogate(output=told["output"], names=tuple(told["names"]), laws=laws, response=response,
                          lowest=arrays["lowest"], highest=arrays["highest"], spread=arrays.get("spread"),
-                         reach=float(told["reach"]))  # fmt: skip
+                         reach=float(told["reach"]), unit=float(told["unit"]))  # fmt: skip
     except (KeyError, TypeError, ValueError) as error:
         raise UsageError(f"{path} holds no surrogate: {type(error).__name__} {error}") from error
 
@@ -320,8 +326,15 @@ def fit_surrogate(x: Array, y: Array, inputs: Joint, *, output: str = "y", plain
         response = response_from(scores, y, germs_of(inputs.laws), plain=plain)
     except (ValueError, LawError) as error:
         raise UsageError(f"no surrogate of {output}: {error}") from error
+    return surrogate_from(response, x, scores, inputs, output=output)
+
+
+def surrogate_from(
+    response: Response, x: Array, scores: Array, inputs: Joint, *, output: str, unit: float = 1.0
+) -> Surrogate:
+    """A response to rows x (n, d) with these normal scores (n, d) as a surrogate; `unit` is what it counts in."""
     made = Surrogate(output=output, names=inputs.names, laws=inputs.laws, response=response, lowest=x.min(axis=0),
-                     highest=x.max(axis=0))  # fmt: skip
+                     highest=x.max(axis=0), unit=unit)  # fmt: skip
     if not inputs.dependent:
         return made
     spread = np.linalg.inv(np.atleast_2d(np.cov(scores, rowvar=False)))

@@ -688,7 +688,7 @@ def _conclude(
     elif about.get("kind"):
         text = f"The polynomial chaos is not used: {about['reason'].removeprefix('refused: ')}. Indices are sampled."
     else:
-        text = "Only one method was asked for, so nothing checks it."
+        text = "Only one method was asked for."
     given = dict(zip(("first", "total"), ordered(given["first"], given["total"]), strict=True))
     width = _widest(given)
     given = {order: _believable(row) for order, row in given.items()}
