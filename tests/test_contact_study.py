@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uqsphere.errors import StudyError
+from uqsphere.errors import StudyError, UsageError
 from uqsphere.model import cheaper_fidelities, evaluate, scene_of
+from uqsphere.runner.analyse import compare_with_paper
 from uqsphere.runner.fidelity import out_of_reach
 from uqsphere.study import load_study
 
@@ -169,3 +170,11 @@ def test_a_strength_above_the_hardness_is_out_of_reach(tmp_path):
         assert [check.share_information, check.share_warning, check.share_failure].count(1.0) == (grade > 0)
         assert {1: check.share_information, 3: check.share_failure, 0: 1.0}[grade] == 1.0
     assert out_of_reach(load(tmp_path, "contact.law=hertz"), scene_of(load(tmp_path, "contact.law=hertz"), {}, 3)) == []
+
+
+def test_the_paper_is_no_comparison_for_what_yields_or_does_not_move(tmp_path):
+    with pytest.raises(StudyError, match=r"model.compare_with_paper: the paper knows Hertz alone"):
+        load(tmp_path, "model.compare_with_paper=true")
+    still = load(tmp_path, "model.compare_with_paper=true", "contact.law='hertz'", "striker.speed='1e-12 m/s'")
+    with pytest.raises(UsageError, match=r"model.compare_with_paper: leave it out; at the means .* too many steps"):
+        compare_with_paper(still)

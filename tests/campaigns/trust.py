@@ -47,7 +47,7 @@ MEMORY = "/dev/shm" if os.path.isdir("/dev/shm") else None
 #: exit codes that damaged input may give
 ALLOWED = (0, 2, 5, 6)
 #: seconds that a command may take: of its own work, and all in all on a machine that has other things to do
-LONGEST, PATIENCE = 10.0, 120.0
+LONGEST, PATIENCE = 60.0, 600.0
 
 _roots: list[str] = []
 _seen: list[str] = []

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import Any
 
+from uqsphere.errors import UsageError
 from uqsphere.quantities import format_estimate
 from uqsphere.runner.drivers import find_drivers
 from uqsphere.runner.evaluate import Work
@@ -122,10 +123,16 @@ def _tell_verdicts(sampled: Sampled, notice: Callable[[str], None] | None) -> No
 
 
 def compare_with_paper(study: Study) -> list[dict[str, Any]]:
-    """Rows of as printed, corrected and full answers at the means, where the study asks for them."""
+    """Rows of as printed, corrected and full answers at the means, where the study asks for them.
+
+    Raises UsageError where the scene at the means has no answer.
+    """
     if study.black_box or not study.model.compare_with_paper:
         return []
     from uqsphere.mechanics.as_printed import compare
     from uqsphere.model import scene_of
 
-    return [asdict(row) for row in compare(scene_of(study, {}), tolerance=study.model.tolerance)]
+    try:
+        return [asdict(row) for row in compare(scene_of(study, {}), tolerance=study.model.tolerance)]
+    except ValueError as error:
+        raise UsageError(f"model.compare_with_paper: leave it out; at the means of all inputs {error}") from None

@@ -87,6 +87,10 @@ def check_contact(scene: Scene, model: ModelChoice, findings: Findings) -> None:
     if model.fidelity == "linear":
         said = f'the linear model has no law of the contact: leave it out, or contact.law = "{law}"'
         findings.add(("model", "fidelity"), said)
+    if model.compare_with_paper:
+        findings.add(
+            ("model", "compare_with_paper"), f'the paper knows Hertz alone, and this is law = "{law}": leave it out'
+        )
     if law == "damage":
         for key, example in (("gamma", "5"), ("fracture_energy", '"50 J/kg"')):
             if f"contact.{key}" not in scene.readings and findings.clean(("contact", key)):
