@@ -291,6 +291,7 @@ def answer_black_box(
     found = call_black_box(box, given)
     if not isinstance(found, Mapping):
         raise ModelError(f"the model must return a dict of output name -> array, found {told(type(found).__name__)}")
+    found = _unfolded(found, outputs)
     due = [needed is None or name in needed for name in outputs]
     try:
         columns = [_output(found, name, len(rows), must) for name, must in zip(outputs, due, strict=True)]
@@ -312,6 +313,31 @@ def answer_black_box(
         status=np.where(finite, 0, STATUS_NOT_FINITE),
         note=note,
     )
+
+
+def place_names(field: str, places: int) -> tuple[str, ...]:
+    """Names of the columns that a field with so many places is stored in.
+
+    >>> place_names("force", 2)
+    ('force[0]', 'force[1]')
+    """
+    return tuple(f"{field}[{k}]" for k in range(places))
+
+
+def _unfolded(found: Mapping[str, npt.ArrayLike], outputs: Sequence[str]) -> Mapping[str, npt.ArrayLike]:
+    """What a model returned, with the columns of its fields (n, places) under the names of `place_names`."""
+    asked = dict.fromkeys(name.partition("[")[0] for name in outputs if name.endswith("]"))
+    if not asked:
+        return found
+    answer = dict(found)
+    for name in asked:
+        places = sum(output.partition("[")[0] == name for output in outputs)
+        shape = np.shape(found[name]) if name in found else ()
+        if len(shape) != 2 or shape[1] != places:
+            raise ModelError(f"the model's {name!r} must have the shape (rows, {places}) of a field, found {shape}")
+        answer.update(zip(place_names(name, places), np.ma.filled(np.ma.asarray(found[name], float), np.nan).T,
+                          strict=True))  # fmt: skip
+    return answer
 
 
 def _no_rows(quantities: Sequence[str]) -> Answered:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from uqsphere.report.blocks import Block, Chapter, Table, cell
+from uqsphere.report.blocks import Block, Chapter, Table, cell, index_cell
 from uqsphere.report.contents import Contents
 from uqsphere.report.drivers import (
     design_table,
@@ -22,6 +22,7 @@ from uqsphere.report.drivers import (
 )
 from uqsphere.report.figures.convergence import convergence_figure, speed_figure
 from uqsphere.report.figures.distributions import distribution_figure
+from uqsphere.report.figures.fields import field_figure
 from uqsphere.report.figures.fragility import energy_block, family_figure, family_table, fragility_figure
 from uqsphere.report.figures.history import loop_figure
 from uqsphere.report.figures.indices import group_figure, group_table, pair_table, sensitivity_figure
@@ -247,6 +248,29 @@ def screening_chapter(contents: Contents) -> Chapter:
     return Chapter(anchor="screening", heading="One input at a time", blocks=tuple(blocks))
 
 
+def fields_chapter(contents: Contents) -> Chapter:
+    """Answers that are vectors: their bands, indices over places, and indices of all places together."""
+    entry, blocks = contents.results.analyses.get("fields"), []
+    over_time = contents.courses is not None
+    values = entry.values if entry else {}
+    for name, stored in contents.fields.items():
+        rows = sorted(values.get(name, {}).items(), key=lambda item: -(item[1]["aggregated total"].value or 0.0))
+        cells = tuple((input_name(n), *(index_cell(est) for est in columns.values())) for n, columns in rows)
+        answer = stored.answer
+        note = (
+            f"{answer.components} principal components from {len(answer.rows)} rows leave {answer.truncated:.2g} of "
+            f"the variance, with their expansions {answer.error:.2g}; the intervals hold both."
+        )
+        caption = f"Share of the variance of {name} over all its places, with 95 % intervals"
+        table = Table(caption=caption, header=("input", "alone", "with interactions"), rows=cells, note=note)
+        blocks.append(Block(heading=f"{name} as a whole", picture=field_figure(name, stored, over_time=over_time),
+                            table=table if cells else None, remarks=() if cells else (note,),
+                            files=("fields.nc", "tables/fields.csv")))  # fmt: skip
+    if entry and entry.reason:
+        blocks.append(Block(heading="Fields", remarks=(f"No field is answered: {entry.reason}.",)))
+    return Chapter(anchor="fields", heading="Answers over time or place", blocks=tuple(blocks))
+
+
 def scene_chapter(contents: Contents) -> Chapter:
     """The row that is loaded hardest: its inputs, its bars, the stress inside its sphere."""
     blocks = (
@@ -320,6 +344,7 @@ CHAPTERS: Final[tuple[Callable[[Contents], Chapter], ...]] = (
     quantities_chapter,
     drivers_chapter,
     screening_chapter,
+    fields_chapter,
     scene_chapter,
     computed_chapter,
 )

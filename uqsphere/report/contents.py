@@ -17,6 +17,7 @@ from uqsphere.errors import FolderError
 from uqsphere.quantities import lookup, unit_that_reads
 from uqsphere.results import NO_RIG, Results, read_results
 from uqsphere.results.entries import LawTable, Manifest, Resolved, read_entry, read_manifest, read_resolved
+from uqsphere.results.fields import Stored, read_fields
 from uqsphere.results.sliders import Sliders
 from uqsphere.runner.samples import read_points
 from uqsphere.runner.schedule import REPLICATES
@@ -40,8 +41,9 @@ class Contents:
 
     `resolved` is study.resolved.json; `samples` are by quantity, `failed` the share of the sampled rows that
     have no answer; `points` are the inputs of the rows that have one (n,), in SI; `courses` is courses.json, where
-    forces were followed over time; `services` are the contents of the services' own folders; `tests` are the tests
-    behind strengths, by their names: how many, what they measured, in which file.
+    forces were followed over time; `fields` are the answers that are vectors; `services` are the contents of the
+    services' own folders; `tests` are the tests behind strengths, by their names: how many, what they measured, in
+    which file.
     """
 
     results: Results
@@ -51,6 +53,7 @@ class Contents:
     failed: float
     points: Mapping[str, Array] = field(default_factory=dict)
     courses: Mapping[str, Any] | None = None
+    fields: Mapping[str, Stored] = field(default_factory=dict)
     services: Mapping[str, Contents] = field(default_factory=dict)
     #: the randomisation that each row belongs to (n,), and what its page may move
     replicates: Array = field(default_factory=lambda: np.zeros(0))
@@ -174,6 +177,7 @@ def read_contents(folder: Path, tests: Mapping[str, str] | None = None) -> Conte
         failed=failed,
         points=points,
         courses=courses,
+        fields=read_fields(folder),
         services=services,
         replicates=(np.arange(len(rows)) * min(REPLICATES, len(rows)) // max(len(rows), 1))[good],
         sliders=read_entry(folder / "sliders.json", Sliders) if (folder / "sliders.json").is_file() else None,

@@ -48,7 +48,7 @@ def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
         return None
     sample = sampled.sample.head(max(1, SCENES // sampled.sample.replicates))
     rows = sample.inputs[:, :, : len(names)].reshape(-1, len(names))[~sample.failed.reshape(-1)]
-    found = _followed(work, rows) if len(rows) >= 16 else None
+    found = followed(work, rows) if len(rows) >= 16 else None
     if found is None:
         return None
     times, forces = found
@@ -84,14 +84,14 @@ def _tolerance(work: Work) -> float:
     return max(work.study.model.tolerance, 1e-6)
 
 
-def _followed(work: Work, rows: Array) -> tuple[Array, Array] | None:
+def followed(work: Work, rows: Array, instants: int = INSTANTS) -> tuple[Array, Array] | None:
     """Instants (m) of the first loading, and the forces (n, 2, m) of the rows then."""
     # look first how long the first loading lasts, then follow it finely
     trial = np.linspace(0.0, _LONGEST * float(np.median(_scene(work, rows)[0].scales.time)), _TRIAL)
     look = _follow(work, rows, trial)
     if look is None:
         return None
-    times = np.linspace(0.0, _end_of_loading(trial, look), INSTANTS)
+    times = np.linspace(0.0, _end_of_loading(trial, look), instants)
     forces = _follow(work, rows, times)
     if forces is None:
         return None

@@ -116,6 +116,8 @@ class Work:
     reached: Callable[[list[dict[str, Any]]], None] | None = None
     #: the rows only help to answer for others: one without an answer is no failure of the study
     spare: bool = False
+    #: what is asked in place of the study's quantities
+    columns: tuple[str, ...] = ()
     #: what the services of the study have answered
     services: Mapping[str, Results] = field(default_factory=dict)
 
@@ -145,7 +147,7 @@ class Work:
     @property
     def quantities(self) -> tuple[str, ...]:
         """Names of the answers, in the order of their columns."""
-        return self.study.analysis.quantities
+        return self.columns or self.study.analysis.quantities
 
     @property
     def scene_names(self) -> tuple[str, ...]:

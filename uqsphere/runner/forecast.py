@@ -147,7 +147,7 @@ def more_to_come(study: Study) -> bool:
     if not study.random or not study.black_box:
         return bool(study.random)
     named = set(analysis.methods) & {"form", "importance", "subset", *FURTHER}
-    return bool(named or analysis.samples_indices or study.margins or analysis.tolerance_intervals)
+    return bool(named or analysis.fields or analysis.samples_indices or study.margins or analysis.tolerance_intervals)
 
 
 def rough_quantities(study: Study) -> tuple[str, ...]:
@@ -305,7 +305,7 @@ def _planned(study: Study, budget: int | None, surrogate: bool) -> Iterator[tupl
         yield "rare events", *_rare(study, end)
     if analysis.tolerance_intervals:
         yield "tolerance intervals", analysis.tolerance_intervals.runs, analysis.tolerance_intervals.runs
-    if set(analysis.methods) & set(FURTHER):
+    if set(analysis.methods) & set(FURTHER) or analysis.fields:
         from uqsphere.runner.questions.further import planned_analyses
 
         yield from ((name, count, count) for name, count in planned_analyses(study))

@@ -315,7 +315,8 @@ def write_results(store: Store, results: Results, manifest: Manifest) -> None:
     write_json(store.folder / "results.json", results.document())
     fixed = ["manifest.json", "results.json", "study.resolved.json", "study.toml"]
     data = named_files(read_whole(store.folder / "study.toml").decode("utf-8", "replace"))
-    others = ("samples.json", "samples.npy", "courses.json", "sliders.json", "tables/courses.csv", *data)
+    others = ("samples.json", "samples.npy", "courses.json", "sliders.json", "tables/courses.csv", "fields.nc",
+              "tables/fields.csv", *data)  # fmt: skip
     fixed += [name for name in others if (store.folder / name).is_file()]
     write_sums(store.folder, [*(f"tables/{name}" for name in found), *fixed])
 

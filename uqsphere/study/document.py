@@ -64,6 +64,8 @@ METHODS: Final = ("qmc", "pce", "sobol", "form", "importance", "subset", *FURTHE
 SHAPES: Final = ("rectangular", "trapezoid", "ramp", "half_sine", "two_peak", "step", "measured")
 #: gauges of one scene
 MOST_GAUGES: Final = 20
+#: places of one field: a row of answers is stored whole
+MOST_PLACES: Final = 10_000
 #: rows of one stored chunk, `uqsphere.runner.chunks`
 _MOST_ROWS: Final = 16_384
 
@@ -591,6 +593,11 @@ class Analysis:
     )
     second_order: Flag = key("indices of all pairs of inputs as well", False)
     groups: Mapping[Text, Names] = key("indices of inputs taken together, each group by a name of yours", {})
+    fields: Mapping[Text, Annotated[Whole, within(2, MOST_PLACES, closed=True)]] = key(
+        "answers that are vectors, each with the number of its places: `force_a` and `force_b` over time, or arrays "
+        "that a black box returns beside its outputs; 2 to 10,000",
+        {},
+    )
     tolerance_intervals: ToleranceRequest | None = key(
         "distribution-free limits: `coverage` and `confidence`, both 0.95 unless given, and `runs`, by default the "
         "fewest that give a two-sided interval"

@@ -41,6 +41,8 @@ MOST_GROUPS: Final = 50
 MOST_RUNS: Final = 1_000_000
 #: columns of result tables that are no outputs
 RESERVED: Final = ("status", "censored")
+#: fields of the impact model, `uqsphere.runner.questions.fields`
+FORCES: Final = ("force_a", "force_b")
 #: the fineness of the product, which needs a table of its own
 FINENESS: Final = "t10"
 
@@ -285,6 +287,7 @@ def _read_analysis(
             findings.add(("analysis", key), f"{key} is for a black box ([inputs], [outputs]): leave it out")
     for index, name in enumerate(given.quantities):
         known_quantity(name, ("analysis", "quantities", index), outputs, findings)
+    _check_fields(document, outputs, findings)
     needed = [limit.quantity for limit in limits if limit.quantity is not None]
     default = list(outputs) if outputs is not None else (needed or ["p_max", "contact_time"])
     asked = [*(given.quantities or default), *needed]
@@ -302,6 +305,17 @@ def _read_analysis(
         # a limit of time is kept by ending a process: one row in each call unless the study says otherwise
         rows_per_call=given.rows_per_call or (None if given.time_limit is None else 1),
     )
+
+
+def _check_fields(document: Document, outputs: Sequence[str] | None, findings: Findings) -> None:
+    """Note fields that the model does not have, or whose names stand for something else."""
+    for name in document.analysis.fields:
+        place: Place = ("analysis", "fields", name)
+        if outputs is None:
+            if document.rig_kind != "bars" or name not in FORCES:
+                findings.add(place, f"no such field: between bars there are {one_of(FORCES)}")
+        elif not valid_name(name) or name in RESERVED or name in outputs or name in (document.inputs or {}):
+            findings.add(place, f"{shown(name)} cannot be the name of a field, or is that of an input or output")
 
 
 def _as_asked(analysis: Analysis, data: Mapping[str, Raw]) -> Analysis:

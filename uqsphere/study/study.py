@@ -268,7 +268,9 @@ def _analysis_json(analysis: Analysis) -> dict[str, Json]:
     if analysis.accuracy.curve == Accuracy.curve:
         del table["accuracy"]["curve"]
     table["accuracy"] = {key: value for key, value in table["accuracy"].items() if math.isfinite(value)}
-    later = {"cost": None, "rows_per_call": None, "at_once": 1, "time_limit": None, "ways": Analysis.ways}
+    later: dict[str, Json] = {
+        "cost": None, "rows_per_call": None, "at_once": 1, "time_limit": None, "ways": Analysis.ways, "fields": {},
+    }  # fmt: skip
     return {key: value for key, value in table.items() if key not in later or value != later[key]}
 
 

@@ -1,4 +1,4 @@
-"""Analyses that a study asks for by name (`analysis.methods`) beside what every run answers.
+"""Analyses that a study asks for by name (`analysis.methods`), and fields, beside what every run answers.
 
 Each is a module of this package that goes by that name, with the evaluations that it is likely to take and a table of
 estimates.
@@ -24,8 +24,8 @@ class Analysis(Protocol):
 
 
 def _asked(study: Study) -> Iterator[tuple[str, Analysis]]:
-    for name in study.analysis.methods:
-        if name in FURTHER and study.random:
+    for name in (*study.analysis.methods, *(("fields",) if study.analysis.fields else ())):
+        if name in (*FURTHER, "fields") and study.random:
             yield name, cast(Analysis, import_module(f"uqsphere.runner.questions.{name}"))
 
 
