@@ -31,6 +31,7 @@ CASES: dict[str, tuple[tuple[str, ...], tuple[float, float]]] = {
     "granite": (ROUGH, (2.74e9, 2.80e9)),
     "limestone_ball_slow": (ROUGH, (1.8e9, 2.8e9)),
     "glass_bead_small_bar": (ROUGH, (2.4e9, 3.0e9)),
+    "granite_force": (ROUGH, (5.4e3, 5.5e3)),
     "granite_three_ways": (ROUGH, (2.74e9, 2.80e9)),
     "limestone_three_ways": (ROUGH, (0.9e9, 2.0e9)),
     "as_printed": (ROUGH, (3.2e9, 3.9e9)),
