@@ -21,9 +21,7 @@ from uqsphere.uq.expansion import (
     fit_again,
     fit_chaos,
     germ_points,
-    gradients,
     hyperbolic_indices,
-    index_of,
     judge,
     orthonormal_values,
     predict,
@@ -214,7 +212,7 @@ def test_what_fits_lack_in_common_adds_to_their_spread_where_a_germ_is_unbounded
     for replicate in range(3):
         p = points(1, replicate, 48, (germ, germ))
         fits.append(fit_chaos(p, np.abs(p[:, 0] - 0.3) + p[:, 0] + 0.5 * p[:, 1], (germ, germ), plain=True))
-    shares = np.array([index_of(fit, [0]) for fit in fits])
+    shares = np.array([chaos_indices([fit], error=5e-3)["first"][0].value for fit in fits])
     spread = student(3) * float(np.std(shares, ddof=1)) / math.sqrt(3)
     value, error = float(np.mean(shares)), 5e-3
     lacked = student(3) * 2.0 * math.sqrt(value * (1.0 - value) * error / (144 if germ == "uniform" else 48))
@@ -304,28 +302,6 @@ def test_constant_outputs_and_bad_input() -> None:
         fit_chaos(p[:, :2], product(p), germs)
     with pytest.raises(ValueError, match="unknown germ"):
         germ_points(p, ("normal", "beta", "normal", "normal"))
-
-
-@pytest.mark.parametrize("model", [ishigami, product])
-def test_derivatives_are_those_of_the_values(model) -> None:
-    germs = ("uniform",) * 3 if model is ishigami else ("normal",) * 4
-    p = points(1, 0, 128, germs)
-    chaos = fit_chaos(p, model(p), germs)
-    at, step = 0.9 * p[:20], 1e-5
-    slopes = gradients(chaos, at)
-    for j in range(len(germs)):
-        shift = np.zeros(len(germs))
-        shift[j] = step
-        differences = (predict(chaos, at + shift) - predict(chaos, at - shift)) / (2.0 * step)
-        np.testing.assert_allclose(slopes[:, j], differences, rtol=1e-5, atol=1e-6 * np.abs(slopes).max())
-
-
-def test_indices_of_any_group() -> None:
-    p = points(2, 0, 256, ("uniform",) * 3)
-    chaos = fit_chaos(p, ishigami(p), ("uniform",) * 3)
-    exact = exact_indices("ishigami")
-    assert index_of(chaos, [0]) == pytest.approx(exact["first"][0], abs=1e-6)
-    assert index_of(chaos, [0, 2]) == pytest.approx(exact["total"][0] - exact["first"][0], abs=1e-6)
 
 
 def test_few_samples_of_many_inputs() -> None:

@@ -14,16 +14,10 @@ from uqsphere.uq.expansion import (
     Germ,
     chaos_indices,
     chaos_moments,
-    enrichment,
     fit_chaos,
     fit_outputs,
-    forecast,
     germ_points,
-    gradients,
-    index_of,
-    indices_of_order,
     judge,
-    law_germ,
     orthonormal_values,
     predict,
     validation_error,
@@ -35,8 +29,8 @@ from uqsphere.uq.expansion.germs import (
     grown,
     hyperbolic_indices,
     jacobi,
+    law_germ,
     nested,
-    orthonormal_slopes,
     products,
     skipping,
     stieltjes,
@@ -164,28 +158,7 @@ def test_a_smooth_output_is_left_whole() -> None:
     assert len(fit_chaos(p, np.exp(p.sum(axis=1)), germs).pieces) == 1
 
 
-# --- derivatives and many outputs -------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("germs", "model"),
-    [
-        (("uniform", "normal"), lambda x: x[:, 0] ** 3 - 2.0 * x[:, 0] * x[:, 1] ** 2 + x[:, 1]),
-        (("normal", "normal"), lambda x: np.exp(0.3 * x[:, 0] - 0.2 * x[:, 1] ** 2)),
-        (("uniform",) * 3, crossing),
-    ],
-    ids=["polynomial", "logarithm", "two pieces"],
-)
-def test_derivatives_are_those_of_the_values(germs, model) -> None:
-    p = points(128, germs)
-    chaos = fit_chaos(p, model(p), germs)
-    x, h = 0.9 * points(50, germs, 1), 1e-5
-    found = gradients(chaos, x)
-    for j in range(len(germs)):
-        up, down = x.copy(), x.copy()
-        up[:, j] += h
-        down[:, j] -= h
-        np.testing.assert_allclose(found[:, j], (predict(chaos, up) - predict(chaos, down)) / (2.0 * h), atol=1e-6)
+# --- many outputs -------------------------------------------------------------------------
 
 
 def test_many_outputs_share_a_design_and_do_not_disturb_each_other() -> None:
@@ -213,19 +186,16 @@ def test_huge_and_tiny_outputs(unit: float) -> None:
 # --- moments and indices ----------------------------------------------------------------------------------
 
 
-def test_indices_of_ishigami_of_any_order() -> None:
+def test_moments_and_indices_of_ishigami() -> None:
     model = MODELS["Ishigami"]
     p = points(256, model.germs)
     chaos = fit_chaos(p, model(p), model.germs)
     v1, v2, v13 = 0.5 * (1.0 + 0.1 * math.pi**4 / 5.0) ** 2, 49.0 / 8.0, 0.01 * math.pi**8 * 8.0 / 225.0
     v = v1 + v2 + v13
     assert chaos_moments(chaos) == pytest.approx((3.5, math.sqrt(v)), rel=1e-4)
-    assert index_of(chaos, [0]) == pytest.approx(v1 / v, abs=1e-4)
-    assert index_of(chaos, [2, 0]) == pytest.approx(v13 / v, abs=1e-4)
-    second = indices_of_order(chaos, 2)
-    assert next(iter(second)) == (0, 2)
-    assert index_of(chaos, [0, 1, 2]) == pytest.approx(0.0, abs=1e-6)
-    assert sum(sum(indices_of_order(chaos, k).values()) for k in (1, 2, 3)) == pytest.approx(1.0)
+    found = {order: [e.value for e in row] for order, row in chaos_indices([chaos]).items()}
+    assert found["first"] == pytest.approx([v1 / v, v2 / v, 0.0], abs=1e-4)
+    assert found["total"] == pytest.approx([(v1 + v13) / v, v2 / v, v13 / v], abs=1e-4)
 
 
 def test_indices_of_the_g_function_lie_in_their_intervals() -> None:
@@ -258,8 +228,6 @@ def test_indices_of_a_transformed_expansion_are_those_of_the_output() -> None:
             estimate = single[order][j]
             assert estimate.value == pytest.approx(value, abs=2e-3)
             assert estimate.low <= value <= estimate.high
-    pair = (math.exp(s2[0] + s2[1]) - math.exp(s2[0]) - math.exp(s2[1]) + 1.0) / every
-    assert index_of(chaos, [0, 1]) == pytest.approx(pair, abs=2e-3)
     assert chaos_moments(chaos)[0] == pytest.approx(math.exp(0.5 * s2.sum()), rel=1e-3)
 
 
@@ -286,9 +254,6 @@ def test_the_polynomials_of_a_law_of_ones_own_are_orthonormal(
     p = germ_points(scores[:, None], (germ,))[:, 0]
     values = orthonormal_values(germ, p, 10)
     np.testing.assert_allclose((values * weights) @ values.T, np.eye(11), atol=3e-6)
-    at, step = np.array([-0.4, 0.3]), 1e-6
-    slopes = (orthonormal_values(germ, at + step, 5) - orthonormal_values(germ, at - step, 5)) / (2.0 * step)
-    np.testing.assert_allclose(orthonormal_slopes(germ, at, 5)[1], slopes, atol=1e-7)
 
 
 def test_the_recurrence_of_a_beta_law_is_that_of_chaospy() -> None:
@@ -334,38 +299,6 @@ def test_laws_without_polynomials_are_refused() -> None:
     short = law_germ("short", base="uniform", from_normal=np.tanh, density=np.ones_like, lower=0.0, upper=1.0, degree=3)
     with pytest.raises(ValueError, match="up to degree 3"):
         orthonormal_values(short, np.zeros(2), 4)
-
-
-# --- more points ------------------------------------------------------------------------------------------
-
-
-def test_forecasts_follow_the_course() -> None:
-    sizes = [64, 128, 256]
-    steady = forecast(sizes, [4e-2, 1e-2, 2.5e-3], 2.5e-3 / 16.0)
-    assert steady.points == pytest.approx(1024, rel=0.15)
-    assert forecast(sizes, [4e-2, 1e-2, 2.5e-3], 1e-2).reached
-    flat = forecast(sizes, [0.11, 0.1, 0.1], 1e-3)
-    assert flat.points is None
-    assert "would not help" in flat.reason
-    slow = forecast(sizes, [0.4, 0.25, 0.16], 1e-6)
-    assert slow.points is None
-    assert "more than" in slow.reason
-    for bad in ([1.0], [64, 64], [128, 64]):
-        with pytest.raises(ValueError, match="rising sizes"):
-            forecast(bad, [0.1] * len(bad), 0.01)
-
-
-def test_enrichment_of_a_smooth_and_of_a_hopeless_output() -> None:
-    germs = ("uniform",) * 3
-    p = points(96, germs)
-    smooth = enrichment(p, np.cos(2.0 * p[:, 0]) / (1.5 + p[:, 1] * p[:, 2]), germs, 1e-6)
-    assert smooth.sizes == (24, 48, 96)
-    assert smooth.errors[0] > smooth.errors[2]
-    assert smooth.points is not None
-    assert 96 < smooth.points < 5000
-    hopeless = enrichment(p, oscillation(p), germs, 1e-2)
-    assert hopeless.points is None
-    assert not hopeless.reached
 
 
 def test_a_polynomial_that_is_wild_beyond_its_samples_is_not_believed() -> None:

@@ -1,4 +1,4 @@
-"""The fitted expansion: what is expanded, in one piece or two, and its values and derivatives anywhere.
+"""The fitted expansion: what is expanded, in one piece or two, and its values anywhere.
 
 An output is expanded itself, or its logarithm, root or reciprocal where that helps (`Transform`); errors are always
 counted in the units of the output, over its standard deviation.  Where one expansion ends another may begin: across an
@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.expansion.germs import GermLike, Indices, orthonormal_slopes, orthonormal_values, products
+from uqsphere.uq.expansion.germs import GermLike, Indices, orthonormal_values, products
 
 #: how far beyond the range of its samples a transformed output may go, over that range
 _MARGIN: Final = 1.0
@@ -274,38 +274,3 @@ def predict(chaos: Chaos, points: Array) -> Array:
         else:
             result[first : first + _BLOCK] = np.where(chaos.border.side(block, found), found[1], found[0])
     return result
-
-
-def gradients(chaos: Chaos, points: Array) -> Array:
-    """Derivatives (n, d) of the expansion with respect to the germs, at germ points (n, d).
-
-    At a border, those of the piece that holds the point.
-    """
-    points = np.asarray(points, dtype=float)
-    result = np.empty_like(points)
-    for first in range(0, points.shape[0], _BLOCK):
-        block = points[first : first + _BLOCK]
-        found = [_piece_slopes(chaos, piece, block) for piece in chaos.pieces]
-        part = found[0][1]
-        if chaos.border is not None:
-            side = chaos.border.side(block, [values for values, _ in found])
-            part = np.where(side[:, None], found[1][1], part)
-        result[first : first + _BLOCK] = part
-    return result
-
-
-def _piece_slopes(chaos: Chaos, piece: Piece, block: Array) -> tuple[Array, Array]:
-    """Values (n,) and derivatives (n, d) of one piece."""
-    highest = piece.multi_indices.max(axis=0)
-    pairs = [orthonormal_slopes(germ, block[:, j], int(highest[j])) for j, germ in enumerate(chaos.germs)]
-    tables = [values for values, _ in pairs]
-    inner = piece.coefficients @ products(tables, piece.multi_indices)
-    slopes = np.zeros_like(block)
-    for j, (_, rates) in enumerate(pairs):
-        terms = piece.multi_indices[:, j] > 0
-        if terms.any():
-            swapped = [*tables[:j], rates, *tables[j + 1 :]]
-            slopes[:, j] = piece.coefficients[terms] @ products(swapped, piece.multi_indices[terms])
-    if piece.transform is not None:
-        slopes *= piece.transform.slope(inner)[:, None]
-    return piece.back(inner), slopes

@@ -65,12 +65,6 @@ class Germ:
         """Standardised values (n,) of the law at points (n,) of the base."""
         return np.asarray(self.table(self._scores(points)))
 
-    def rates(self, points: Array) -> Array:
-        """Derivatives (n,) of the same."""
-        scores = self._scores(points)
-        density = np.exp(-0.5 * scores**2) / math.sqrt(2.0 * math.pi) if self.base == "uniform" else 0.5
-        return np.asarray(self.table(scores, 1) / (2.0 * density))
-
     def _scores(self, points: Array) -> Array:
         from scipy.special import ndtri
 
@@ -281,18 +275,6 @@ def orthonormal_values(germ: GermLike, points: Array, degree: int) -> Array:
         before = math.sqrt(b[k]) * values[k - 1] if k else 0.0
         values[k + 1] = ((points - a[k]) * values[k] - before) / math.sqrt(b[k + 1])
     return values
-
-
-def orthonormal_slopes(germ: GermLike, points: Array, degree: int) -> tuple[Array, Array]:
-    """Values and derivatives, (degree + 1, n) each, of the orthonormal polynomials: the recurrence, differentiated."""
-    a, b = recurrence_of(germ, degree)
-    values = orthonormal_values(germ, points, degree)
-    at, rates = (germ.values(points), germ.rates(points)) if isinstance(germ, Germ) else (points, 1.0)
-    slopes = np.zeros_like(values)
-    for k in range(degree):
-        before = math.sqrt(b[k]) * slopes[k - 1] if k else 0.0
-        slopes[k + 1] = ((at - a[k]) * slopes[k] + values[k] - before) / math.sqrt(b[k + 1])
-    return values, slopes * rates
 
 
 def germ_points(normals: Array, germs: Sequence[GermLike]) -> Array:

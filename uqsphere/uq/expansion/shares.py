@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -192,34 +191,6 @@ def _squares(chaos: Chaos) -> Array:
     """Squares of the coefficients but the constant, on a scale of their own."""
     coefficients = chaos.pieces[0].coefficients[1:]
     return np.asarray((coefficients / np.abs(coefficients).max()) ** 2)
-
-
-def index_of(chaos: Chaos, group: Sequence[int]) -> float:
-    """Sobol' index of a group of inputs by itself: the share of the variance that needs all of them and no other.
-
-    One input: its first-order index; two: their interaction; and so on.  Raises ValueError for an expansion that
-    does not vary.
-    """
-    members = sorted(set(group))
-    if chaos.constant:
-        raise ValueError("the expansion is a constant: it has no indices")
-    if chaos.plain:
-        squares = _squares(chaos)
-        active = chaos.pieces[0].multi_indices[1:] > 0
-        wanted = np.zeros(len(chaos.germs), dtype=bool)
-        wanted[members] = True
-        return float(squares[(active == wanted).all(axis=1)].sum() / squares.sum())
-    # Inclusion and exclusion over the closed indices of all subsets.
-    subsets = [subset for size in range(1, len(members) + 1) for subset in combinations(members, size)]
-    closed: list[float] = law_shares(chaos, subsets, 0)[:, 0].tolist()
-    found = sum((-1.0) ** (len(members) - len(subset)) * c for subset, c in zip(subsets, closed, strict=True))
-    return min(max(found, 0.0), 1.0)
-
-
-def indices_of_order(chaos: Chaos, order: int) -> dict[tuple[int, ...], float]:
-    """Sobol' index of every group of `order` inputs that are active in the expansion, the largest first."""
-    found = {group: index_of(chaos, group) for group in combinations(active_inputs(chaos), order)}
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def error_with_tails(fits: Sequence[Chaos], error: float) -> float:
