@@ -25,7 +25,7 @@ from uqsphere.errors import UsageError
 #: the report that is no run of a study
 BENCHMARK: Final = "benchmark"
 #: a published page is never larger than this [bytes]
-_LARGEST: Final = 1_200_000
+_LARGEST: Final = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -188,7 +188,7 @@ def test_page_stays_small_with_many_quantities_and_inputs(tmp_path: Path) -> Non
     folder = write_folder(tmp_path, quantities=("y1", "y2"), inputs=inputs)
     page = build_report(folder)
     # as many quantities as the impact model has
-    assert 7 * page.stat().st_size < MOST_BYTES
+    assert 3 * page.stat().st_size < MOST_BYTES
 
 
 def test_figures_beyond_the_room_of_the_page_stay_files(

@@ -594,7 +594,8 @@ def _of_strength(results: Results) -> tuple[str, str] | None:
             return f"{counted(int(more.to_settle), 'more test')} of strength", said
         if more and more.to_know_the_value and more.known_to and more.to_know_the_value <= _MOST_TESTS:
             solve = results.margins[name].solve
-            said = f"They give the {_AXES.get(solve, 'answer')} to within {plain_percent(float(more.known_to))}."
+            of = f" of {limit_name(name, 30)}" if len(deciding) > 1 else ""
+            said = f"They give the {_AXES.get(solve, 'answer')}{of} to within {plain_percent(float(more.known_to))}."
             return f"{counted(int(more.to_know_the_value), 'test')} of strength", said
     leading = _leading(results)
     entry = None if leading is None else results.limits[leading].measure_first

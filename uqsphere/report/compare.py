@@ -500,7 +500,7 @@ def _cut(text: str, longest: int = 70) -> str:
 # --- The comparison of two runs as one self-contained page: figures inlined, no script, nothing fetched.
 
 #: bytes of figures on the page, and rows of its longest table
-MOST_INLINED: Final = 2_200_000
+MOST_INLINED: Final = 550_000
 MOST_ROWS: Final = 400
 
 

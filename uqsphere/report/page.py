@@ -174,9 +174,9 @@ def words_used(page: str) -> list[tuple[str, str]]:
 
 
 #: a page is never larger than this
-MOST_BYTES: Final = 3_000_000
+MOST_BYTES: Final = 1_000_000
 #: of which the figures take up this much; what is beyond stays a file of its own
-MOST_INLINED: Final = 2_200_000
+MOST_INLINED: Final = 550_000
 #: characters of one text on the page; a study may hold megabytes
 LONGEST: Final = 1500
 
