@@ -436,7 +436,7 @@ def _worded(answer: Answer, *, several: bool) -> Answer:
         planned = f"Planned: {given(axis)}. " if axis.planned else ""
         best = next((m.at_target for m in answer.modes if m.at_target is not None and not m.assumed), None)
         by = _by(answer)
-        alone = f" {capital(by)}." if by.endswith(" alone") else ""
+        alone = f" {capital(by)}." if survive and by.endswith(" alone") else ""
         why = f"As planned, {share(max(misses, default=0.0), target)} {'break' if survive else 'are left whole'}."
         return replace(
             answer,
