@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from uqsphere.errors import StudyError, UsageError
-from uqsphere.model import cheaper_fidelities, evaluate, scene_of
+from uqsphere.mechanics.carried import in_the_test
+from uqsphere.mechanics.outputs import at_force, columns_of
+from uqsphere.model import cheaper_fidelities, evaluate, scene_of, solve_scene
 from uqsphere.runner.analyse import compare_with_paper
 from uqsphere.runner.fidelity import out_of_reach
 from uqsphere.study import load_study
@@ -178,3 +180,42 @@ def test_the_paper_is_no_comparison_for_what_yields_or_does_not_move(tmp_path):
     still = load(tmp_path, "model.compare_with_paper=true", "contact.law='hertz'", "striker.speed='1e-12 m/s'")
     with pytest.raises(UsageError, match=r"model.compare_with_paper: leave it out; at the means .* too many steps"):
         compare_with_paper(still)
+
+
+PRESSED = """
+[sphere]
+E = "60 GPa"
+nu = 0.25
+density = "2700 kg/m3"
+radius = "10 mm"
+onset_pressure = "0.85 GPa"
+hardness = "1.7 GPa"
+[rig]
+kind = "platens"
+[platens]
+E = "210 GPa"
+nu = 0.3
+density = "7850 kg/m3"
+force = "8 kN"
+[contact]
+law = "plastic"
+"""
+
+
+def test_a_test_between_platens_is_what_the_rig_of_platens_says(tmp_path):
+    """The poles of a sphere are crushed in its test as well: the same state by two ways, and the energy back to it."""
+    scene = scene_of(load(tmp_path, text=PRESSED), {}, 1)
+    names = ("p_max", "a_max", "core_tension", "energy", "energy_sphere", "plastic_work")
+    known = solve_scene(scene, "full", tolerance=1e-9, threads=1, quantities=names).values
+    asked = {"platen_E": 210e9, "platen_nu": 0.3}
+    for carrier, own in enumerate(("P_max", "energy_sphere")):
+        columns = {**columns_of(scene), "P_max": np.array([8e3]), "energy_sphere": known["energy_sphere"]}
+        force, state = in_the_test(columns, {"carrier": float(carrier), **asked}, yields=True)
+        assert force == pytest.approx([8e3], rel=1e-12), own
+        found = at_force(force, state)
+        for name in names:
+            assert found[name] == pytest.approx(known[name], rel=1e-9), name
+    # Hertz's poles are pressed on a smaller circle and take less
+    elastic = at_force(np.array([8e3]), in_the_test(columns, {"carrier": 0.0, **asked})[1])
+    assert elastic["core_tension"] > 1.2 * known["core_tension"]
+    assert elastic["energy_sphere"] < 0.7 * known["energy_sphere"]

@@ -30,6 +30,7 @@ from uqsphere.mechanics.design import (
 from uqsphere.mechanics.history import trace
 from uqsphere.mechanics.outputs import Path as LoadingPath
 from uqsphere.mechanics.scene import Scene
+from uqsphere.planning.blow import plan_blow
 from uqsphere.planning.window import Plan, Window, _settable, judge_points, plan_test, request_of, subject_of
 from uqsphere.study import Study, load_study
 
@@ -392,3 +393,29 @@ def test_windows_that_no_laboratory_can_set_are_merged_or_left_out() -> None:
     assert [(one.low, one.high) for one in found] == [(1.0, 3.0)]
     # a window that is the only one is told of, however narrow
     assert len(_settable([window(1.0, 1.001)])) == 1
+
+
+@pytest.mark.parametrize(("rig", "path"), [
+    ('kind = "impact"\nspeed = "5 m/s"\n[target]\nmaterial = "steel"', "rig.speed"),
+    ('kind = "platens"\n[platens]\nmaterial = "steel"\nforce = "4 kN"', "platens.force"),
+])  # fmt: skip
+def test_another_rig_is_planned_along_its_one_number(rig: str, path: str, tmp_path: Path) -> None:
+    """Spheres break where their force passes the median strength, 5 kN, and all from its 95 % fractile on."""
+    file = tmp_path / "study.toml"
+    file.write_text(f"""[sphere]
+material = "limestone"
+radius = "10 mm"
+[rig]
+{rig}
+[limits.force]
+quantity = "P_max"
+strength = {{ dist = "normal", mean = "5 kN", sd = "0.5 kN" }}
+""")
+    found = plan_blow(load_study(file), count=400)
+    assert found.path == path
+    starts = [found.first(where) for where in (found.breaks, found.share == 1.0)]
+    at = [float(np.interp(one, found.values, found.force)) for one in starts if one is not None]
+    assert at == pytest.approx([5e3, 5e3 + 1.645 * 500.0], rel=0.02)
+    assert main(["plan", str(file), "--out", str(tmp_path / "out"), "--json"]) == 0
+    assert (tmp_path / "out" / "plan.csv").is_file()
+    assert main(["plan", str(file), "--speed", "1,2"]) == 2

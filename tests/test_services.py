@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import uqsphere
 from reports.same_strength import CASES, rows_of, yielding_rows
 from uqsphere import load_study, run
 from uqsphere.cli import main
@@ -21,8 +22,10 @@ from uqsphere.report.contents import read_contents
 from uqsphere.report.terminal import summary_of
 from uqsphere.runner.export import export_run
 from uqsphere.runner.finished import Run, open_run
+from uqsphere.runner.questions.carried import carried_far
 from uqsphere.study import Study
 
+STUDIES = Path(uqsphere.__file__).parent.parent / "studies"
 SPHERE = """
 [sphere]
 material = "limestone"
@@ -351,6 +354,16 @@ def test_how_far_a_strength_is_carried_is_a_check(ran: Run) -> None:
     plane = 60.0 / (1.0 - 0.25**2) / (205.0 / (1.0 - 0.29**2))
     assert check.worst == pytest.approx(1.0 + plane, rel=1e-9)
     assert (check.share_information, check.share_warning) == (1.0, 0.0)
+    (size,) = (one for one in ran.results.services["chute"].validity if one.check == "carried_size")
+    assert size.worst == pytest.approx(1.0, abs=0.01)
+
+
+def test_the_rates_of_tests_and_service_are_compared() -> None:
+    """0.2 kN/s up to some 10 kN in the tests, 0.8 of the force within some 20 us of the blow."""
+    service = load_study(STUDIES / "limestone_chute_rotor.toml").services["chute"]
+    rate = next(one for one in carried_far(service) if one.check == "carried_rate")
+    assert 1e6 < rate.worst < 5e6
+    assert rate.share_warning == 1.0
 
 
 def test_the_answer_in_metres_is_a_speed_as_well(ran: Run) -> None:

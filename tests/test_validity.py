@@ -166,7 +166,7 @@ def test_shares_of_a_mixed_batch():
 def test_no_answer_at_all():
     found = checks(scene_with(sphere_nu=0.7))
     assert all(check.grade == 0 and check.worst is None for check in found.values())
-    assert "no scene was computed" in found["small_contact"].text
+    assert "no row was computed" in found["small_contact"].text
 
 
 def test_an_endless_step_has_no_infinite_number():

@@ -144,7 +144,7 @@ def _add_data(command: Command) -> None:
     _add_fit(command("fit-contact", "onset, hardness and pile-up from a slow test on a sphere between two platens",
                      "uqsphere.cli.records"))  # fmt: skip
     _add_feed(command)
-    plan = "speeds, ramps and lengths at which a sphere breaks as wanted, between elastic bars"
+    plan = "what breaks a sphere as wanted: speeds, ramps and lengths between bars, the one number of another rig"
     _add_plan(command("plan", plan, "uqsphere.cli.plan"))
 
 

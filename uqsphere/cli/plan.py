@@ -16,12 +16,15 @@ from uqsphere.units import UnitError, parse_value
 
 if TYPE_CHECKING:
     from uqsphere.planning.window import Chart, Plan, Window
+    from uqsphere.study import Study
 
 #: most points of a map in one direction, and striker lengths
 _MOST_POINTS: Final = 400
 _MOST_LENGTHS: Final = 6
 #: how the sides of a window and the kinds of specimen are called
 _RANGE: Final = "range"
+#: values of a rig's one number that are listed
+_LISTED: Final = 12
 
 
 def _numbers(text: str, dimension: str, unit: str, option: str) -> list[float]:
@@ -81,6 +84,8 @@ def command_plan(chosen: argparse.Namespace) -> int:
     from uqsphere.study import load_study
 
     study = load_study(chosen.study, chosen.overrides)
+    if not study.black_box and study.rig != "bars":
+        return _plan_blow(study, chosen, grid[0])
     from uqsphere.planning.window import plan_test, request_of
 
     request = request_of(study, speeds=speeds, rises=rises, lengths=lengths, level=chosen.imbalance,
@@ -97,6 +102,47 @@ def command_plan(chosen: argparse.Namespace) -> int:
         print_document({**content, "written": written})
     else:
         print("\n".join([_text(found), *(f"wrote {path}" for path in written)]))
+    return 0
+
+
+def _plan_blow(study: Study, chosen: argparse.Namespace, count: int) -> int:
+    """The plan of a rig that is moved by one number."""
+    from uqsphere.planning.blow import plan_blow
+    from uqsphere.store import csv_text, write_outputs
+
+    for name in ("speed", "rise", "length"):
+        if getattr(chosen, name) is not None:
+            raise UsageError(f"--{name} belongs to a test between bars; here between of [margins] gives the range")
+    found = plan_blow(study, quantile=chosen.quantile, count=count)
+    starts = {"quantile": found.first(found.breaks), "batch": found.first(found.share == 1.0)}
+    content: dict[str, object] = {
+        "title": study.title, "path": found.path, "limits": [limit.name for limit in found.limits],
+        "quantile": found.quantile, "starts": starts, "values": found.values.tolist(), "force": found.force.tolist(),
+        "breaks": found.breaks.tolist(), "share": found.share.tolist(), "grade": found.grade.tolist(),
+        "check": list(found.check),
+    }  # fmt: skip
+    written = []
+    if chosen.out is not None:
+        columns = (found.values, found.force, found.share, found.grade)
+        rows = [[*map(float, row), check] for *row, check in zip(*columns, found.check, strict=True)]
+        head = [f"{found.path} [SI]", "P_max [N]", "share_of_strengths", "grade", "check"]
+        written = [str(path) for path in write_outputs(chosen.out, {"plan.csv": csv_text(head, rows)})]
+    if chosen.json:
+        print_document({**content, "written": written})
+        return 0
+    said = {name: "nowhere in the range" if value is None else f"from {format_value(value, found.path)}"
+            for name, value in starts.items()}  # fmt: skip
+    lines = [("the sphere breaks by", ", ".join(limit.name for limit in found.limits)),
+             (f"at quantile {found.quantile:g} of the strength", said["quantile"]),
+             ("at 5 to 95 % of it", said["batch"])]  # fmt: skip
+    points = [
+        (format_value(float(found.values[k]), found.path), format_value(float(found.force[k]), "P_max"),
+         f"{100.0 * found.share[k]:.0f} %", found.check[k] or ("no answer" if found.grade[k] < 0 else "-"))
+        for k in range(0, count, max(count // _LISTED, 1))
+    ]  # fmt: skip
+    blocks = [f"{plain(study.title)}: what breaks the sphere, all else at its mean", table(("what", "value"), lines),
+              table((found.path, "force", "spheres that break", "the model warns of"), points)]  # fmt: skip
+    print("\n".join(["\n\n".join(blocks), *(f"wrote {path}" for path in written)]))
     return 0
 
 

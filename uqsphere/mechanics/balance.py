@@ -113,6 +113,16 @@ def _face(motion: Motion, pole: int, gap: Array, force: Array) -> tuple[Array, A
     return peak.dent + above, radius_now, peak.dent, 0.4 * force * np.maximum(above, 0.0), peak.plastic
 
 
+def rod_length(motion: Motion) -> float:
+    """Length of the rod ahead of the sphere [m], infinite where nothing comes back; 0 where none stands."""
+    partner, row = motion.scene.partners[1], motion.row
+    if partner is None or partner.kind != "bar" or partner.table == "bars":
+        return 0.0
+    columns = motion.scene.columns
+    speed = float(np.sqrt(columns[f"{partner.table}.E"][row] / columns[f"{partner.table}.density"][row]))
+    return 0.5 * speed * float(partner.round_trip[row])
+
+
 def rod_record(motion: Motion, position: float, times: Array) -> GaugeRecord:
     """The signal of a gauge on the rod ahead of the sphere, compression negative.
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.mechanics import contact
+from uqsphere.mechanics.yielding import CAP_PILE_UP, Face
 
 #: what a strength can be carried by -> the columns that it reads of the service
 CARRIERS: Final[dict[str, tuple[str, ...]]] = {
@@ -38,26 +39,43 @@ def needs_of(parameters: Mapping[str, float]) -> tuple[str, ...]:
     return (*CARRIERS[list(CARRIERS)[int(parameters["carrier"])]], *rate)
 
 
-def in_the_test(columns: Mapping[str, Any], parameters: Mapping[str, float]) -> tuple[Array, dict[str, Any]]:
+def pole_of(columns: Mapping[str, Any], modulus: Array, radius: Array) -> Face | None:
+    """The law of a sphere's pole between harder platens; None where its onset or its hardness is not given."""
+    law = [columns.get(f"sphere.{key}") for key in ("onset_pressure", "hardness")]
+    if any(part is None for part in law):
+        return None
+    onset, hardness = (np.broadcast_to(np.asarray(part, dtype=float), radius.shape) for part in law)
+    return Face(onset=onset, hardness=hardness, pile_up=np.full(radius.shape, CAP_PILE_UP), modulus=modulus,
+                effective_radius=radius)  # fmt: skip
+
+
+def in_the_test(
+    columns: Mapping[str, Any], parameters: Mapping[str, float], *, yields: bool = False
+) -> tuple[Array, dict[str, Any]]:
     """The slow force in the test, (n,) [N], and what `uqsphere.mechanics.outputs.at_force` is to know of it.
 
     force: F = P_max; centre: F = (P_A + P_B)/2 at its largest, (R19); energy: F = (5 U/(4 chi))^0.6 beta^0.4 from the
-    energy U of the sphere, chi its share in the test, (R22).  The rate is that of the service.
+    energy U of the sphere, chi its share in the test, (R22), or, where its poles yield, what chi times the stored
+    energy and the plastic work together take.  The rate is that of the service.
     """
     carrier = list(CARRIERS)[int(parameters["carrier"])]
     E, nu, radius = (np.asarray(columns[f"sphere.{key}"], dtype=float) for key in ("E", "nu", "radius"))
-    modulus = contact.reduced_modulus(E, nu, parameters["platen_E"], parameters["platen_nu"])
+    modulus = np.asarray(contact.reduced_modulus(E, nu, parameters["platen_E"], parameters["platen_nu"]))
     beta = contact.hertz_constant(modulus, radius)
     share = modulus * (1.0 - nu * nu) / E
+    face = pole_of(columns, modulus, radius) if yields else None
     peak = np.asarray(columns["P_max"], dtype=float)
     if carrier == "force":
         force = peak
     elif carrier == "centre":
         force = np.asarray(columns["mean_force_max"], dtype=float)
+    elif face is not None:
+        depth = face.depth_of_share(0.5 * np.asarray(columns["energy_sphere"]), share)
+        force = face.force(depth) * face.onset_force
     else:
         force = (1.25 * np.asarray(columns["energy_sphere"]) / share) ** 0.6 * beta**0.4
     known = {"modulus": modulus, "effective_radius": radius, "hertz_constant": beta, "mass": columns["mass"],
-             "sphere.E": E, "sphere.nu": nu, "sphere.radius": radius, "share": share}  # fmt: skip
+             "sphere.E": E, "sphere.nu": nu, "sphere.radius": radius, "face": face}  # fmt: skip
     if "rate_0" in parameters:
         known["loading_rate"] = columns["loading_rate"] * (force / peak)
     return force, known

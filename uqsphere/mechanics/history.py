@@ -333,10 +333,9 @@ def largest(found: Motion, begin: float, end: float) -> Peak | None:
         if approach(np.array([time]))[0] < approach(nodes[[highest]])[0]:
             time = nodes[highest]
         force = float(found.forces_at(np.array([time]))[0, face])
-        if force > 0.0 and (best is None or force > best.force):
-            best = Peak(
-                time=float(time), face=name, pressure=float(np.ravel(found.pressure_at(force, face))[0]), force=force
-            )
+        pressure = float(np.ravel(found.pressure_at(force, face))[0])
+        if force > 0.0 and (best is None or pressure > best.pressure):
+            best = Peak(time=float(time), face=name, pressure=pressure, force=force)
     return best
 
 

@@ -24,6 +24,7 @@ from uqsphere.mechanics.damage import Softening, broken
 from uqsphere.mechanics.integrator.tracked import DOMAIN, NOT_FINITE, SCALED
 from uqsphere.mechanics.rigs import RIGS, loss_to_waves
 from uqsphere.mechanics.scene import BROKEN, Scales, Scene, answered
+from uqsphere.mechanics.yielding import Press
 from uqsphere.units import Quantity
 
 _Kind = TypeVar("_Kind", bound=np.generic)
@@ -247,14 +248,26 @@ def at_force(force: Values, known: Mapping[str, Any]) -> Columns:
     force : (n,) array
         At both faces [N].
     known : mapping of str to arrays
-        `modulus`, `effective_radius`, `hertz_constant`, `mass`, and what the criteria read of the sphere.
+        `modulus`, `effective_radius`, `hertz_constant`, `mass`, and what the criteria read of the sphere; `face`, the
+        law of a pole of the sphere that yields between harder platens.
     """
-    approach = contact.approach_at_force(force, known["hertz_constant"])
-    columns = Columns({
-        **known, "P_max": force, "alpha_max": approach,
-        "energy": 2.0 * contact.contact_energy(approach, known["hertz_constant"]),
-    })  # fmt: skip
+    state = {name: value for name, value in known.items() if name != "face"} | {"P_max": force}
+    if (face := known.get("face")) is not None:
+        press = face.pressed(face.depth_at(force))
+        state |= {**_pressures(press), "alpha_max": press.approach}
+        stored, lost = 2.0 * press.stored, 2.0 * press.plastic
+        chi = known["modulus"] * (1.0 - np.square(known["sphere.nu"])) / known["sphere.E"]
+        state["energy_sphere"] = chi * stored + lost
+    else:
+        state["alpha_max"] = contact.approach_at_force(force, known["hertz_constant"])
+        stored = 2.0 * contact.contact_energy(state["alpha_max"], known["hertz_constant"])
+        lost = np.zeros(np.shape(force))
+    columns = Columns({**state, "energy": stored, "dissipated": lost})
     return Columns({**columns, "first_peak": columns["p_max"]})
+
+
+def _pressures(press: Press) -> dict[str, Array]:
+    return {"p_max": press.centre, "p_mean": press.mean, "p_field": 1.5 * press.mean, "a_max": press.radius}
 
 
 def pressed_to(scene: Scene, rows: Places, force: Array) -> dict[str, Array]:
@@ -263,10 +276,7 @@ def pressed_to(scene: Scene, rows: Places, force: Array) -> dict[str, Array]:
         return {}
     face = scene.faces.at(rows)
     state = face.pressed(face.depth_at(force))
-    return {
-        "alpha_max": state.approach, "p_max": state.centre, "p_mean": state.mean, "p_field": 1.5 * state.mean,
-        "a_max": state.radius,
-    }  # fmt: skip
+    return {"alpha_max": state.approach, **_pressures(state)}
 
 
 # --- faces that are not alike ---------------------------------------------------------------------------
@@ -296,9 +306,9 @@ def _side(scene: Scene, pole: int, x: Array) -> dict[str, Any]:
     path = scene.contact_dynamics == "path" or scene.rig == "platens"
     state = face.pressed(approach / face.onset_approach if path else face.static_depth(approach, force))
     return {
-        "P_max": state.force, "alpha_max": state.approach, "p_max": state.centre, "p_mean": state.mean,
-        "p_hertz": contact.pressure_at_force(state.force, modulus, radius),
-        "p_field": 1.5 * state.mean, "a_max": state.radius, "dent_left": state.dent, "dissipated": state.plastic,
+        **_pressures(state), "P_max": state.force, "alpha_max": state.approach,
+        "p_hertz": contact.pressure_at_force(state.force, modulus, radius), "dent_left": state.dent,
+        "dissipated": state.plastic,
         "stored": state.stored, "elastic": contact.contact_energy(approach, beta),
         "damage": face.damage(state.approach) if isinstance(face, Softening) else np.zeros(1),
     }  # fmt: skip
@@ -494,18 +504,18 @@ def _value(scene: Scene, columns: Columns, quantity: str) -> Array:
         return np.asarray(columns[quantity])
     key, parameters = scene.demands[quantity]
     if "carrier" in parameters:
-        return _carried(columns, key, parameters)
+        return _carried(columns, key, parameters, yields=scene.contact_law == "plastic")
     return demand(CRITERIA[key], columns, parameters)
 
 
-def _carried(columns: Columns, key: str, parameters: Mapping[str, float]) -> Array:
+def _carried(columns: Columns, key: str, parameters: Mapping[str, float], *, yields: bool) -> Array:
     """The demand of a criterion, or a quantity, in the test that is as hard on the sphere as what it meets here."""
-    force, known = in_the_test(columns, parameters)
+    force, known = in_the_test(columns, parameters, yields=yields)
     state = at_force(force, known)
-    own = known["share"] * state["energy"]
-    # a slow press offers what it stores
-    state = Columns({**state, "energy_sphere": own, "specific_energy_sphere": own / known["mass"],
-                     "specific_impact_energy": state["energy"] / known["mass"]})  # fmt: skip
+    # a slow press offers what it stores, and what is lost
+    offered = state["energy"] + state["dissipated"]
+    state = Columns({**state, "specific_energy_sphere": state["energy_sphere"] / known["mass"],
+                     "specific_impact_energy": offered / known["mass"]})  # fmt: skip
     rest = {name: value for name, value in parameters.items() if name not in CARRIED}
     return demand(CRITERIA[key], state, rest) if key in CRITERIA else np.asarray(state[key])
 

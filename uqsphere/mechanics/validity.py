@@ -108,7 +108,7 @@ _BARS: Final = ("bars",)
 _BLOWS: Final = tuple(rig.name for rig in RIGS.values() if rig.blow)
 _ONE: Final = tuple(rig.name for rig in RIGS.values() if rig.contacts == 1)
 _WEIGHTS: Final = tuple(rig.name for rig in RIGS.values() if rig.mover == "hammer")
-_NO_SCENE: Final = "not checked: no scene was computed"
+_NO_ROW: Final = "not checked: no row was computed"
 _NO_YIELD: Final = "not checked: the yield strength of the bars is not given"
 
 
@@ -592,14 +592,14 @@ def check_validity(scene: Scene, answers: Answers) -> list[Check]:
 
 
 def check_at_fracture(imbalance: Array, weights: Array) -> Check:
-    """The balance of the forces where it matters: at the fracture of n specimens, and not at a peak never reached.
+    """The balance of the forces where it matters: at the fracture of n spheres, and not at a peak never reached.
 
     Parameters
     ----------
     imbalance : (n,) array
         Difference of the two forces over the largest so far at the moment of fracture; NaN is left out.
     weights : (n,) array
-        What each specimen stands for.
+        What each sphere stands for.
 
     >>> check = check_at_fracture(np.array([0.01, 0.02, 0.2, 0.07]), np.array([3.0, 3.0, 1.0, 1.0]))
     >>> check.share_warning, check.share_information
@@ -627,7 +627,7 @@ def _check(rule: Rule, scene: Scene, answers: Answers, good: Flags) -> Check | N
         return _without_number(rule, scene, measured, bool(good.any()))
     usable = measured[good & ~np.isnan(measured)]
     if len(usable) == 0:
-        return _result(rule.name, np.zeros(3), None, _NO_SCENE)
+        return _result(rule.name, np.zeros(3), None, _NO_ROW)
     worst = float(usable.max() if rule.rising else usable.min())
     shares = np.bincount(grades(rule, usable), minlength=4)[1:] / len(usable)
     broken = float(shares.sum())
@@ -662,7 +662,7 @@ def _percent(share: float) -> str:
 
 # --- ranges of criteria -------------------------------------------------------------------------------
 # Outside the range of a table the ratio at its edge is used, and outside the range of a formula the formula itself, so
-# that a demand is never absent.  How many samples that concerns is a check like the others.
+# that a demand is never absent.  How many rows that concerns is a check like the others.
 
 #: how the ranges are called, by the column or parameter that each is of
 _WORDS: Final = {"sphere.nu": "nu", "modulus": "m"}
@@ -703,7 +703,7 @@ def _check_range(
     name = f"range_of_{quantity}"
     inside = in_range(criterion, columns, parameters)
     if len(inside) == 0:
-        return _result(name, np.zeros(3), None, _NO_SCENE)
+        return _result(name, np.zeros(3), None, _NO_ROW)
     share = float((~inside).sum() / len(inside))
     parts = [_farthest(*part) for part in ranges_of(criterion, columns, parameters)]
     worst = max(parts, key=lambda part: part[0])[1]
@@ -733,7 +733,7 @@ def _check_product(columns: Mapping[str, Array]) -> Check:
     energy, size = offered_energy(columns), 2.0 * columns["sphere.radius"]
     allowed = "0.1 to 2.5 kWh/t, 13 to 63 mm"
     if len(energy) == 0:
-        return _result("range_of_t10", np.zeros(3), None, _NO_SCENE)
+        return _result("range_of_t10", np.zeros(3), None, _NO_ROW)
     outside = [(energy < ENERGIES[0]) | (energy > ENERGIES[1]), (size < DIAMETERS[0]) | (size > DIAMETERS[1])]
     share = float((outside[0] | outside[1]).sum() / len(energy))
     lowest, highest = float(energy.min()), float(energy.max())

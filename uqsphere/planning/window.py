@@ -140,9 +140,15 @@ class Plan:
     charts: tuple[Chart, ...]
 
 
-def _fracture_limits(study: Study) -> list[tuple[Limit, Path]]:
+def fracture_limits(study: Study) -> list[tuple[Limit, Path]]:
+    """The limits that mean fracture, with the paths of their demands; refused where there is none."""
+    if not study.limits:
+        raise UsageError("a plan needs to know when the sphere breaks: give the study a limit, [limits.NAME]")
     found = [(limit, path_of(limit.quantity, study.demands)) for limit in study.limits if limit.fracture is not False]
-    return [(limit, path) for limit, path in found if path is not None]
+    paths = [(limit, path) for limit, path in found if path is not None]
+    if not paths:
+        raise UsageError("no limit of the study means fracture: a plan needs one of force, pressure, stress or energy")
+    return paths
 
 
 def _check(study: Study) -> None:
@@ -155,13 +161,10 @@ def _check(study: Study) -> None:
             f"(allowed: {', '.join(SHAPES)}; "
             "--set 'pulse={shape=\"rectangular\"}' puts one in place)"
         )
-    if not study.limits:
-        raise UsageError("a plan needs to know when the sphere breaks: give the study a limit, [limits.NAME]")
-    if not _fracture_limits(study):
-        raise UsageError("no limit of the study means fracture: a plan needs one of force, pressure, stress or energy")
+    fracture_limits(study)
 
 
-def _strength(limit: Limit, fractiles: Array) -> Array:
+def strength_at(limit: Limit, fractiles: Array) -> Array:
     """Strength over the model's factor, which stands at its median."""
     factor = limit.model_factor.median() if isinstance(limit.model_factor, Law) else limit.model_factor
     if isinstance(limit.strength, Law):
@@ -179,7 +182,7 @@ def subject_of(study: Study, quantile: float = 0.5) -> Subject:
         a ramp, or a scene outside the domain of the model.
     """
     _check(study)
-    limits, paths = zip(*_fracture_limits(study), strict=True)
+    limits, paths = zip(*fracture_limits(study), strict=True)
     scatter = any(isinstance(limit.strength, Law) for limit in limits)
     fractiles = np.unique([*FRACTILES, quantile]) if scatter else np.array([quantile])
     scene = scene_of(study, {}, 1, over_frequency=True)
@@ -194,7 +197,7 @@ def subject_of(study: Study, quantile: float = 0.5) -> Subject:
         limits=limits,
         paths=paths,
         fractiles=fractiles,
-        strengths=np.stack([_strength(limit, fractiles) for limit in limits], axis=1),
+        strengths=np.stack([strength_at(limit, fractiles) for limit in limits], axis=1),
         place=int(np.flatnonzero(fractiles == quantile)[0]),
         batch=tuple(int(k) for k in np.flatnonzero(np.isin(fractiles, FRACTILES))) if scatter else (0,),
         fidelity="massless" if study.model.fidelity == "massless" else "full",

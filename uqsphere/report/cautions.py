@@ -55,6 +55,8 @@ _FOUND: Final = {
     "wave_loss": "a thick target carries energy off as waves",
     "one_dimensional_rod": "the force rises faster than one-dimensional waves in the rod carry",
     "carried_far": "the strength was measured on a contact of another stiffness",
+    "carried_size": "the strength was measured on spheres of another size",
+    "carried_rate": "the strength was measured at another rate",
     "one_sided_field": "the forces at the poles differ where the contact is large",
     "before_reflection": "reflected waves are back before the record ends",
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypedDict
@@ -23,14 +24,14 @@ if TYPE_CHECKING:
 def history_of(study: Study, values: Mapping[str, float] | None = None, *, points: int = 2000) -> History:
     """The course of one scene: every number at its mean, or as `values` (dotted path -> SI) give it.
 
-    With the signals of the study's gauges, or of one half-way along each bar that has a length.
+    With the signals of the study's gauges, or of one half-way along each bar or rod that has a length.
 
     Raises
     ------
     UsageError
         For a scene outside the model's domain, or a number that a scene does not have.
     """
-    from uqsphere.mechanics.balance import rod_record
+    from uqsphere.mechanics.balance import rod_length, rod_record
     from uqsphere.mechanics.gauges import default_positions, gauge_record
     from uqsphere.mechanics.history import trace
     from uqsphere.mechanics.scene import STATUS
@@ -48,7 +49,9 @@ def history_of(study: Study, values: Mapping[str, float] | None = None, *, point
     try:
         found = trace(scene, 0, fidelity=fidelity, tolerance=tolerance, points=points, damper=damper)
         if study.rig != "bars":
-            return replace(found, gauges=tuple(rod_record(found.motion, g.position, found.time) for g in study.gauges))
+            ahead = [gauge.position for gauge in study.gauges] or [0.5 * rod_length(found.motion)]
+            signals = (rod_record(found.motion, place, found.time) for place in ahead if 0.0 < place < math.inf)
+            return replace(found, gauges=tuple(signals))
         places = tuple((gauge.bar, gauge.position) for gauge in study.gauges) or default_positions(found.motion)
         gauges = (gauge_record(found.motion, bar, position, points=len(found.time)) for bar, position in places)
         return replace(found, gauges=tuple(gauges))

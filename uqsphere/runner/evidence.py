@@ -124,10 +124,11 @@ def _solved(work: Work, scene: Scene) -> Answers:
 
 
 def _static(work: Work, points: Sample, scene: Scene, elastic: Answers) -> Sample | None:
-    """The rows with the pressures, depths and energies of faces that yield under the forces of the elastic motion."""
+    """The rows with faces that yield: between bars, which set the force, under the forces of the elastic motion; in
+    other rigs under their own, which yielding lowers."""
     if scene.contact_law != "hertz":
         return None
-    yielding = replace(scene, contact_law="plastic", contact_dynamics="elastic")
+    yielding = replace(scene, contact_law="plastic", contact_dynamics="elastic" if scene.rig == "bars" else "path")
     onsets = [partner.face.onset for partner in yielding.partners if partner and isinstance(partner.face, Face)]
     rows = (
         np.any([elastic.values["p_hertz"] > onset for onset in onsets], axis=0) if onsets else np.zeros(1, dtype=bool)

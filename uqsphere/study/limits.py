@@ -76,6 +76,7 @@ class LimitReading:
             target=self.table.target,
             fracture=self.table.fracture,
             platens=self.platens,
+            tested=self.strength.tested,
         )
 
 

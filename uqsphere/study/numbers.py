@@ -28,12 +28,22 @@ _FEW: Final = 10
 
 
 @dataclass(frozen=True, kw_only=True)
+class Tested:
+    """What a strength was tested at: mean diameter [m], growth of the force over the force [1/s] if it is given."""
+
+    diameter: float
+    growth: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Reading:
-    """A number as understood: SI value or law, the law's parameters as given (SI), and whether its data are made up."""
+    """A number as understood: SI value or law, the law's parameters as given (SI), whether its data are made up, and
+    what they were tested at."""
 
     value: float | Law
     given: Mapping[str, float] = field(default_factory=dict)
     made_up: bool = False
+    tested: Tested | None = None
 
     @property
     def nominal(self) -> float:

@@ -150,6 +150,10 @@ def _read_partner(document: Document, table: str, scene: Scene, findings: Findin
         scene.readings.setdefault(f"{table}.end", Reading(value=BAR_ENDS["free"]))
     if table == "platens":
         _one_of_two(scene, findings, table, ("force", "displacement"), ('"5 kN"', '"0.1 mm"'))
+        pressed, radius = scene.mean("platens.displacement"), scene.mean("sphere.radius")
+        if pressed is not None and radius is not None and pressed >= radius:
+            said = f"found {1e3 * pressed:.4g} mm, and the sphere has a radius of {1e3 * radius:.4g} mm: give far less"
+            findings.add((table, "displacement"), f'{said}, such as "0.1 mm"')
 
 
 def _fill_material(table: str, name: str | None, scene: Scene, findings: Findings) -> None:

@@ -65,9 +65,10 @@ class Service:
         return (*here, *place)
 
     def report(self, found: Findings, findings: Findings) -> None:
-        """Note what was found in the service at its place in the file."""
+        """Note what was found in the service at its place in the file, but for what lacks where a fault is known."""
         for place, message in found.faults:
-            findings.add(self.home(place), message)
+            if (home := self.home(place)) not in findings.spoiled:
+                findings.add(home, message)
 
     @property
     def text(self) -> str:

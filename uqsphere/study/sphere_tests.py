@@ -1,8 +1,9 @@
 """A strength from crushing tests on spheres: force at failure and diameter become what the limit is held against.
 
 Every test is taken for a static compression between two flat platens.  Its force gives contact pressure, contact
-radius and stored energy by Hertz, with the stiffness that the study has for the sphere, and the criterion of the limit
-makes the demand out of them: what it was at the failure is the strength of that specimen.
+radius and energy by the study's law of the contact, with the stiffness, onset and hardness that the study has for the
+sphere (platens are harder), and the criterion of the limit makes the demand out of them: what it was at the failure is
+the strength of that sphere.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags
 from uqsphere.materials import library
 from uqsphere.mechanics import contact
+from uqsphere.mechanics.carried import pole_of
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.criteria import demand as demand_of
 from uqsphere.mechanics.outputs import Columns, at_force, follows_force
@@ -24,7 +26,7 @@ from uqsphere.quantities import INPUTS
 from uqsphere.study.columns import LARGEST_TESTS, open_observations
 from uqsphere.study.document import RIG_TABLES
 from uqsphere.study.faults import Findings, Misplaced, Place, Raw
-from uqsphere.study.numbers import Reading, read_fixed
+from uqsphere.study.numbers import Reading, Tested, read_fixed
 from uqsphere.study.particle_tables import ENERGY_OF, SphereTestsTable
 from uqsphere.study.scene import Scene
 from uqsphere.study.tables import read_table
@@ -93,20 +95,28 @@ def read_sphere_tests(
         _compare_sizes(columns["diameter"], place, demand, scene, findings)
         _compare_rates(place, demand, scene, findings)
         try:
-            state = _at_failure(columns, stiff, platens, measured.stiffness)
+            state = _at_failure(columns, {**stiff, **_yields(scene)}, platens, measured.stiffness)
             if "energy" in columns:
                 state = {
                     **state,
                     **_by_energy(columns["energy"], str(table.energy_is), stiff, platens, state),
                 }
             law = _law(table, _beside(state, stiff, platens, scene), stopped, demand)
-            return Reading(value=law, made_up=table.made_up)
+            return Reading(value=law, made_up=table.made_up, tested=_tested(columns))
         except LawError as error:
             key = "force" if error.key in ("column", "file") else error.key
             raise Misplaced(error.message, key if key in raw else "") from None
         except ValueError as error:
             raise Misplaced(f"the tests cannot be turned into a strength: {error}") from None
     return None
+
+
+def _tested(columns: Mapping[str, Array]) -> Tested:
+    """Size and rate of the tests, the rate as the median of those that were stopped or broke."""
+    growth = None
+    if "rate" in columns and "force" in columns:
+        growth = float(np.median(columns["rate"] / columns["force"])) or None
+    return Tested(diameter=float(columns["diameter"].mean()), growth=growth)
 
 
 def _file_of(table: SphereTestsTable, place: Place, findings: Findings) -> tuple[str, str]:
@@ -260,13 +270,21 @@ def _law(table: SphereTestsTable, state: State, flags: Flags | None, demand: Dem
     raise ValueError("no modulus agrees with itself: give it by the key modulus of the limit")
 
 
+def _yields(scene: Scene) -> dict[str, float]:
+    """Onset and hardness of a sphere whose poles yield in the test as well."""
+    if scene.options.get("contact.law") != "plastic":
+        return {}
+    known = {key: scene.mean(f"sphere.{key}") for key in ("onset_pressure", "hardness")}
+    return {key: value for key, value in known.items() if value is not None}
+
+
 def _at_failure(
     columns: Mapping[str, Array], sphere: Mapping[str, float], platens: tuple[float, float], measured: Array | None
 ) -> State:
     """What the criteria read, (n,) each, at the force of every test; `measured` are stiffnesses K_e of the contact."""
     radius = 0.5 * columns["diameter"]
-    modulus = contact.reduced_modulus(sphere["E"], sphere["nu"], platens[0], platens[1])
-    modulus = modulus if measured is None else measured
+    plane = contact.reduced_modulus(sphere["E"], sphere["nu"], platens[0], platens[1])
+    modulus = np.full(radius.size, plane) if measured is None else measured
     # what was measured as an energy is put in its place afterwards
     force = columns.get("force", np.ones(radius.size))
     return at_force(force, {
@@ -275,6 +293,7 @@ def _at_failure(
         "loading_rate": columns.get("rate", np.zeros(force.size)),
         "sphere.radius": radius, "sphere.E": np.full(force.size, sphere["E"]),
         "sphere.nu": np.full(force.size, sphere["nu"]),
+        "face": pole_of({f"sphere.{key}": value for key, value in sphere.items()}, modulus, radius),
     })  # fmt: skip
 
 
@@ -307,12 +326,12 @@ def _by_energy(
 def _beside(state: State, sphere: Mapping[str, float], platens: tuple[float, float], scene: Scene) -> State:
     """The state at failure with the energies that the study's own partners would store beside the sphere's share."""
     share = _share(sphere, platens)
-    own = share * state["energy"]
+    own = share * state["energy"] + state["dissipated"]
     found = {"energy_sphere": own, "specific_energy_sphere": own / state["mass"]}
     tables = [table for table in RIG_TABLES[str(scene.options.get("rig.kind", "bars"))] if table != "bars"]
     partners = [(scene.mean(f"{table}.E"), scene.mean(f"{table}.nu")) for table in tables]
     shares = [_share(sphere, (E, nu)) for E, nu in partners if E is not None and nu is not None]
     if shares:
-        both = own * len(shares) / sum(shares)
+        both = (own - state["dissipated"]) * len(shares) / sum(shares)
         found |= {"energy": both, "specific_energy": both / state["mass"]}
     return Columns({**state, **found})

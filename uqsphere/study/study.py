@@ -14,6 +14,7 @@ from uqsphere.files import Json
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.study.axis import Axis
 from uqsphere.study.document import Accuracy, Analysis, Dependence, Gauge, ModelChoice
+from uqsphere.study.numbers import Tested
 from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ class Limit:
     With a criterion, `quantity` is its demand with these parameters (SI), by a name of the limit's own.  `fracture`:
     whether exceeding it breaks the sphere; None leaves that to the quantity.  `platens`: E (infinite: rigid) and nu of
     what the strength was measured between, in a test that is not the study's own rig; None: it is not carried.
+    `tested`: what the tests behind the strength were done at, if it has such.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Limit:
     parameters: Mapping[str, float] = field(default_factory=dict)
     fracture: bool | None = None
     platens: tuple[float, float] | None = None
+    tested: Tested | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.mechanics import bars
+from uqsphere.mechanics.balance import rod_length, rod_record
 from uqsphere.mechanics.field import BARS, last_time
 from uqsphere.mechanics.gauges import BarForces, bar_forces, force_imbalance, gauge_strain
 from uqsphere.mechanics.history import equilibrium, shown_time, view_field
@@ -33,7 +34,7 @@ from uqsphere.report.figures.canvas import (
     style,
     wrap,
 )
-from uqsphere.report.figures.scene import draw_field, field_rows, stress_figure
+from uqsphere.report.figures.scene import draw_field, field_rows, stress_colours, stress_figure
 from uqsphere.report.phrases import number_text
 from uqsphere.store import csv_text, write_outputs
 from uqsphere.study import Study
@@ -50,6 +51,8 @@ if TYPE_CHECKING:
 
 #: instants of a drawn course
 _POINTS: Final = 1200
+#: places and instants of the picture of a rod
+_PLACES: Final = 160
 #: changes of contact with a line of their own; a sphere that rattles has more than can be told apart
 _CHANGES: Final = 12
 #: reflections weaker than this, and more of them than this, are not drawn
@@ -337,6 +340,32 @@ def draw_xt(scene: Scene, history: History, row: int = 0) -> Picture:
         finding=_xt_finding(history, trips, ends, pulse),
         figure=figure,
     )
+
+
+def draw_rod(history: History, length: float) -> Picture:
+    """Axial stress in the rod ahead of the sphere over place and time."""
+    motion, table = history.motion, history.motion.scene.partners[1]
+    assert table is not None
+    places = (np.arange(_PLACES) + 0.5) * length / _PLACES
+    times = np.linspace(0.0, shown_time(history), _PLACES)
+    strain = np.stack([rod_record(motion, float(place), times).strain for place in places], axis=1)
+    stress = 1e-6 * strain * float(motion.scene.columns[f"{table.table}.E"][motion.row])
+    top = max(float(np.abs(stress).max()), 1e-12)
+    with style():
+        figure, (axes,) = new_figure(4.6)
+        image = axes.imshow(
+            stress, origin="lower", aspect="auto", cmap=stress_colours(), vmin=-top, vmax=top, interpolation="nearest",
+            extent=(0.0, length, 0.0, times[-1] * 1e6),
+        )  # fmt: skip
+        figure.colorbar(image, ax=axes, label="axial stress [MPa], tension positive", pad=0.02)
+        for gauge in history.gauges:
+            axes.axvline(gauge.position, color=INK, linestyle="--", linewidth=0.9)
+        axes.set_xlabel("place along the rod, sphere at 0 [m]")
+        axes.set_ylabel("time since first touch [µs]")
+    pressed = f"The wave carries up to {-float(stress.min()):.3g} MPa of compression"
+    pulled = f", and {float(stress.max()):.3g} MPa of tension comes back" if stress.max() > 0.01 * top else ""
+    return Picture(name="xt", title="Stress in the rod over place and time", figure=figure,
+                   finding=f"{pressed}{pulled}; dashed: gauge.")  # fmt: skip
 
 
 def _last_time(history: History, trips: list[float], ends: list[float]) -> float:
@@ -685,6 +714,8 @@ def _write(found: History, study: Study, folder: Path) -> list[Path]:
     }
     if bars_rig:
         contents |= {"xt.svg": xt_figure(scene, found), **_bar_pictures(found)}
+    elif math.isfinite(length := rod_length(found.motion)) and length > 0.0:
+        contents["xt.svg"] = render(draw_rod(found, length))
     if len(names) > len(_COLUMNS) or not bars_rig:
         contents["balance.svg"] = render(draw_balance(found))
     ratio, pressure = found.hardest_contact

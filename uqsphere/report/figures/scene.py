@@ -36,6 +36,7 @@ from uqsphere.report.phrases import input_name, value_text
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap
 
     from uqsphere.mechanics.history import History
 
@@ -234,19 +235,23 @@ _ROOM: Final = 0.012
 _LABEL: Final = {"boxstyle": "round,pad=0.2", "facecolor": LIGHT, "edgecolor": "none", "alpha": 0.7}
 
 
-def draw_field(view: FieldView) -> Picture:
-    """Stress in both bars over place and time, with the regions that the fronts bound, as in the paper's Fig. 3."""
+def stress_colours() -> LinearSegmentedColormap:
+    """From compression to tension."""
     from matplotlib.colors import LinearSegmentedColormap
 
+    return LinearSegmentedColormap.from_list("stress", [BLUE, "#b9d9ec", PAPER, "#f3d9a4", RED])
+
+
+def draw_field(view: FieldView) -> Picture:
+    """Stress in both bars over place and time, with the regions that the fronts bound, as in the paper's Fig. 3."""
     (left, right), begin, last = view.reach, view.begin, view.last
     unit, factor = _stress_unit(view)
     stress = view.stress * factor
     top = max(float(np.abs(stress).max()), 1e-12)
-    colours = LinearSegmentedColormap.from_list("stress", [BLUE, "#b9d9ec", PAPER, "#f3d9a4", RED])
     with style():
         figure, (axes,) = new_figure(6.2)
         image = axes.imshow(
-            stress, origin="lower", aspect="auto", cmap=colours, vmin=-top, vmax=top, interpolation="nearest",
+            stress, origin="lower", aspect="auto", cmap=stress_colours(), vmin=-top, vmax=top, interpolation="nearest",
             extent=(-left, right, begin * 1e6, last * 1e6),
         )  # fmt: skip
         figure.colorbar(image, ax=axes, label=f"axial stress [{unit}], tension positive", pad=0.02)

@@ -12,7 +12,9 @@ from typing import Final
 
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.carried import CARRIERS, carried_parameters
-from uqsphere.model import scene_of
+from uqsphere.mechanics.outputs import absent_in
+from uqsphere.mechanics.scene import Scene
+from uqsphere.model import scene_of, solve_scene
 from uqsphere.results.entries import CarriedEntry, CheckEntry
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_sample
 from uqsphere.runner.limits import LimitAnswer, judge_limits
@@ -25,8 +27,14 @@ from uqsphere.uq.estimate import Estimate, absent
 
 #: share of the budget for the curves of one carrier: with the sample and the margins less than half of it
 CURVES: Final = 0.05
-#: ratio of the contact moduli of test and service that is told, and that is warned of (rigs.md section 8)
-TOLD, FAR = 1.1, 1.5
+#: what test and service are compared by -> the ratios that are told and warned of (theory section 9), and words
+FAR: Final = {
+    "carried_far": (1.1, 1.5, "the E* of the contacts in test and service differ",
+                    "what each carrier makes of the strength differs by that"),
+    "carried_size": (1.1, 1.5, "the spheres of test and service differ in size", "small spheres are stronger"),
+    "carried_rate": (2.0, 1e3, "the rates of loading in test and service differ",
+                     "struck, rocks bore more, by rate_0 of the criterion"),
+}  # fmt: skip
 
 
 def find_carried(work: Work, sampled: Sampled) -> dict[str, CarriedEntry]:
@@ -56,34 +64,51 @@ def find_carried(work: Work, sampled: Sampled) -> dict[str, CarriedEntry]:
 
 
 def carried_far(study: Study) -> list[CheckEntry]:
-    """How much stiffer or softer the contact of the test was than those of the service, at the means.
+    """How far apart tests and service are at the means: in the E* of the contact, the size, and the rate of loading.
 
-    The ratio of E* is told above 1.1 and warned of above 1.5 (rigs.md section 8); sizes are compared where the tests
-    are read.
+    Told and warned of from the bounds of `FAR` on; the rate is that of the force over the force, and left out where the
+    law of the strength has the rate in it.
     """
-    tests = {limit.name: limit.platens for limit in study.limits if limit.platens is not None}
-    if not tests:
+    limits = [limit for limit in study.limits if limit.platens is not None]
+    if not limits:
         return []
     scene = scene_of(study, {})
     here = [float(one.modulus[0]) for one in scene.partners if one is not None]
-    E, nu = (float(scene.columns[f"sphere.{key}"][0]) for key in ("E", "nu"))
-    ratios = {
-        name: max(max(there / own, own / there) for own in here)
-        for name, platens in tests.items()
-        for there in (float(contact.reduced_modulus(E, nu, *platens)),)
-    }
+    E, nu, radius = (float(scene.columns[f"sphere.{key}"][0]) for key in ("E", "nu", "radius"))
+    ratios: dict[str, dict[str, float]] = {name: {} for name in FAR}
+    for limit in limits:
+        assert limit.platens is not None
+        there = float(contact.reduced_modulus(E, nu, *limit.platens))
+        ratios["carried_far"][limit.name] = max(max(there / own, own / there) for own in here)
+        if (tested := limit.tested) is None:
+            continue
+        size = tested.diameter / (2.0 * radius)
+        ratios["carried_size"][limit.name] = max(size, 1.0 / size)
+        rate = None if tested.growth is None or "rate_0" in limit.parameters else _growth(study, scene)
+        if rate is not None and tested.growth is not None:
+            ratios["carried_rate"][limit.name] = max(rate / tested.growth, tested.growth / rate)
+    return [_far(check, found) for check, found in ratios.items() if found]
+
+
+def _growth(study: Study, scene: Scene) -> float | None:
+    """Growth of the force in the service over its largest [1/s], at the means; None where it is not known."""
+    if absent_in(scene, "loading_rate"):
+        return None
+    asked = ("loading_rate", "P_max")
+    found = solve_scene(scene, "full", tolerance=study.model.tolerance, threads=1, quantities=asked).values
+    growth = float(found["loading_rate"][0] / found["P_max"][0])
+    return growth if growth > 0.0 else None
+
+
+def _far(check: str, ratios: Mapping[str, float]) -> CheckEntry:
+    told, far, apart, follows = FAR[check]
     worst = max(ratios, key=lambda name: ratios[name])
-    far, told = (ratios[worst] > bound for bound in (FAR, TOLD))
-    text = (
-        f"the strength of {worst} was measured on a contact whose E* differs by a factor of {ratios[worst]:.3g} "
-        f"(told from {TOLD:g}, warned of from {FAR:g}); so do the carriers"
-    )
-    return [
-        CheckEntry(
-            check="carried_far", share=float(far), share_information=float(told and not far),
-            share_warning=float(far), share_failure=0.0, worst=ratios[worst], text=text,
-        )
-    ]  # fmt: skip
+    ratio = ratios[worst]
+    text = f"{apart} by a factor of {ratio:.3g} for {worst} (told from {told:g}, warned of from {far:g}); {follows}"
+    return CheckEntry(
+        check=check, share=float(ratio > far), share_information=float(told < ratio <= far),
+        share_warning=float(ratio > far), share_failure=0.0, worst=ratio, text=text,
+    )  # fmt: skip
 
 
 def _carried(limit: Limit, carrier: str) -> Limit:
