@@ -24,7 +24,6 @@ from uqsphere.runner.questions.distributions import METHOD, Sampled, find_missed
 from uqsphere.runner.questions.indices import CHAOS, Sensitivity, dependent_names
 from uqsphere.runner.questions.margins import MarginAnswer
 from uqsphere.runner.questions.probabilities import (
-    LEAST_CALLS,
     Demand,
     Learned,
     learn_limits,
@@ -33,7 +32,7 @@ from uqsphere.runner.questions.probabilities import (
     with_surrogate_design,
 )
 from uqsphere.runner.remote import Watch
-from uqsphere.runner.schedule import FIRST_SAMPLE, REPLICATES, SURROGATE
+from uqsphere.runner.schedule import FIRST_SAMPLE, LEARNED, REPLICATES, SURROGATE
 from uqsphere.runner.surrogate_answers import (
     Answers,
     answers_of,
@@ -380,7 +379,7 @@ class _End:
         wanted = sum(
             learnable(self.work, one, limits[one.name]) for one in self.work.study.limits if one.name in limits
         )
-        return min(LEAST_CALLS * wanted, left // 2)
+        return min(LEARNED.least * wanted, left // 2)
 
     def _with_all_runs(self) -> None:
         """Runs that no surrogate can use still sharpen what sampling says: as far as the budget goes."""

@@ -19,6 +19,7 @@ from uqsphere.mechanics.rigs import RIGS
 from uqsphere.model import cheaper_fidelities, scene_of
 from uqsphere.quantities import lookup
 from uqsphere.runner.schedule import (
+    ALONG,
     CARRIED,
     CAUTION,
     DESIGN_POINT,
@@ -26,6 +27,7 @@ from uqsphere.runner.schedule import (
     FRACTURE,
     FRACTURE_CURVE,
     INDICES,
+    LEARNED,
     PILOT,
     RARE,
     REPLICATES,
@@ -289,7 +291,7 @@ def _surrogate(study: Study, first: float) -> tuple[float, float]:
     """Runs of one design, the `first` of which are those that were timed."""
     runs = _RUNS if len(study.random) <= 5 else _RUNS_MANY
     wide = _moves(study)
-    return (2 * runs if wide else runs) - first, SURROGATE.most + (256 if wide else 0)
+    return (2 * runs if wide else runs) - first, SURROGATE.most + (ALONG.most if wide else 0)
 
 
 def _planned(study: Study, budget: int | None, surrogate: bool) -> Iterator[tuple[str, float, float]]:
@@ -401,6 +403,8 @@ def choose_way(study: Study, cost: float | None = None, seconds: float | None = 
     crossover = max(balance, CHEAP)
 
     def way(surrogate: bool, why: str) -> Way:
+        if surrogate and affordable < analysis.budget.evaluations:
+            why += f"; {_short_of_time(seconds, affordable, analysis.budget.evaluations)}"
         return Way(surrogate=surrogate, why=why, sampling=planned, runs=runs, crossover=crossover,
                    balance=balance, affordable=affordable)  # fmt: skip
 
@@ -420,6 +424,33 @@ def choose_way(study: Study, cost: float | None = None, seconds: float | None = 
     if cost > balance:
         return way(False, f"{told}, but a model of a millisecond or less is sampled, which answers more, in any case")
     return way(False, f"{told}, but its fits take longer than sampling so cheap a model")
+
+
+def _short_of_time(seconds: float, affordable: int, evaluations: int) -> str:
+    return (f"budget.time, {_two(seconds)} s, has room for {affordable:,} of the {evaluations:,} evaluations of the "
+            "budget")  # fmt: skip
+
+
+def room_of(study: Study, way: Way) -> list[str]:
+    """What the budget of an expensive model has room for beside its design, and what not, with the way out."""
+    if not way.surrogate or not study.limits:
+        return []
+    half, found = way.affordable // 2, []
+    if _moves(study) and study.margins is not None:
+        least, path = ALONG.first + ALONG.least, study.margins.axis.path
+        found.append(
+            f"margins over {path}: up to {min(half, ALONG.most):,} evaluations, of which those are learned from that "
+            "tell most of a probability that no surrogate shows"
+            if half >= least
+            else f"margins over {path}: no room; raise analysis.budget to {2 * least} evaluations at least"
+        )
+    found.append(
+        f"small probabilities: {LEARNED.least} to {min(half, LEARNED.most)} evaluations for each limit that the design "
+        "does not show"
+        if half >= LEARNED.least
+        else f"small probabilities: bounds alone; raise analysis.budget to {2 * LEARNED.least} evaluations at least"
+    )
+    return found
 
 
 # --- What a run will cost, estimated before anything heavy is loaded.
@@ -488,6 +519,7 @@ class Plan(TypedDict, total=False):
     parts: list[PlannedPart]
     way: str | None
     why: str
+    room: list[str]
     services: dict[str, Plan]
     crossover_seconds_per_evaluation: float
     balance_seconds_per_evaluation: float
@@ -515,6 +547,8 @@ def plan_run(study: Study) -> Plan:
         "way": ("surrogate" if way.surrogate else "sampling") if known else None,
         "why": way.why if known else "the first runs of the model are timed, and that decides",
     }
+    if room := room_of(study, way):
+        plan["room"] = room
     if study.services:
         plan["services"] = {name: plan_run(service) for name, service in study.services.items()}
     if study.black_box:
@@ -584,6 +618,7 @@ def plan_text(study: Study, plan: Plan) -> str:
     if longest:
         lines.append("most of it: " + ", ".join(f"{p['part']} {_two(p['seconds'])} s" for p in longest))
     lines.append(f"way: {plan['way'] or 'not known yet'}: {plan['why']}")
+    lines += [f"room: {one}" for one in plan.get("room", ())]
     return "\n".join([*lines, *_crossover_text(study, plan)])
 
 

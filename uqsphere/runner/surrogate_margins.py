@@ -32,6 +32,7 @@ from uqsphere.runner.questions.probabilities import (
     limit_space,
     tied_strength,
 )
+from uqsphere.runner.schedule import ALONG
 from uqsphere.study import Limit
 from uqsphere.uq.curve import Fragility, fit_lognormal_curve, fragility
 from uqsphere.uq.estimate import Estimate, absent
@@ -49,12 +50,6 @@ if TYPE_CHECKING:
 #: values of a curve, and points of each replicate at every one of them
 VALUES: Final = 25
 POINTS: Final = 1024
-#: runs of the design over the free scalar: the most, and the fewest that a curve is drawn from
-MOST_RUNS: Final = 256
-LEAST_RUNS: Final = 32
-#: calls that are worth a beginning beside the runs of both designs
-LEAST_MORE: Final = 16
-
 #: how a value is called that the runs do not show, and the method of one that was learned
 FAR_OUT: Final = "too far out for a surrogate"
 METHOD_LEARNED: Final = "active learning along the free scalar"
@@ -84,7 +79,7 @@ class _Wide:
 def margin_runs(work: Work) -> int:
     """Runs of its own that the margins take at the most: none where the free scalar is a strength, or there is none."""
     margins = work.study.margins
-    return MOST_RUNS if margins is not None and margins.axis.moves_rows and work.study.limits else 0
+    return ALONG.most if margins is not None and margins.axis.moves_rows and work.study.limits else 0
 
 
 def surrogate_margins(
@@ -168,11 +163,11 @@ def _over_scalar(work: Work, affordable: int) -> _Wide:
     Half of the room at first, and all of it where every surrogate can use more.
     """
     axis = axis_of(work)
-    room = min(MOST_RUNS, affordable - work.ledger.total)
-    if room < LEAST_RUNS:
-        reason = f"not searched for: a design over {axis.path} takes {LEAST_RUNS} to {MOST_RUNS} more evaluations"
+    room = min(ALONG.most, affordable - work.ledger.total)
+    if room < ALONG.first:
+        reason = f"not searched for: a design over {axis.path} takes {ALONG.first} to {ALONG.most} more evaluations"
         return _Wide(reason=reason)
-    count, wide = max(LEAST_RUNS, 2 ** int(math.log2(room / 2))), _Wide()
+    count, wide = max(ALONG.first, 2 ** int(math.log2(room / 2))), _Wide()
     while count <= room:
         wide = _wider(work, wide, count)
         count *= 2
@@ -242,8 +237,8 @@ def _learned(
     if len(work.drawn.names) >= MOST_VARIABLES or tied_strength(work, limit) or wide.run is None:
         return before or _nothing(f"{limit.quantity} has no surrogate over {axis.path}, and cannot be learned")
     targets = [p for p in asked_probabilities(work, limit) if before is None or before.values[p].value is None]
-    if room < LEAST_MORE:
-        said = f"it takes {LEAST_MORE} evaluations more at least to learn where {limit.name} has them"
+    if room < ALONG.least:
+        said = f"it takes {ALONG.least} evaluations more at least to learn where {limit.name} has them"
         return before or _nothing(f"{limit.quantity} has no surrogate over {axis.path}: {said}")
     space = limit_space(work, limit, work.study.limits.index(limit))
     inner = LimitFunction(function=_along(work, space), dimension=len(work.drawn.names) + 1,

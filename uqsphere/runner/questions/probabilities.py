@@ -28,7 +28,7 @@ from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points
 from uqsphere.runner.forecast import more_to_come
 from uqsphere.runner.limits import LimitAnswer, limits_missed, takes_over
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.runner.schedule import DESIGN_POINT, RARE
+from uqsphere.runner.schedule import DESIGN_POINT, LEARNED, RARE
 from uqsphere.study import Limit
 from uqsphere.study.axis import strength_name
 from uqsphere.uq.estimate import Estimate
@@ -44,9 +44,6 @@ if TYPE_CHECKING:
     from uqsphere.uq.rare.active import ActiveAnswer
 
 METHOD: Final = "importance sampling"
-#: calls of the model that one limit may take, and the least that are worth a beginning
-MOST_CALLS: Final = 200
-LEAST_CALLS: Final = 30
 #: variables up to which a Gaussian process can follow a limit
 MOST_VARIABLES: Final = 10
 #: evaluations of a surrogate for a design point
@@ -425,7 +422,7 @@ def reserve(work: Work, limits: Mapping[str, LimitAnswer], affordable: int) -> i
     """Evaluations kept for the limits that need learning: at most half of what is affordable."""
     known = [limit for limit in work.study.limits if limit.name in limits]
     wanted = sum(learnable(work, limit, limits[limit.name]) for limit in known)
-    return min(MOST_CALLS * wanted, affordable // 2)
+    return min(LEARNED.most * wanted, affordable // 2)
 
 
 def learn_limits(work: Work, limits: Mapping[str, LimitAnswer], design: Sample) -> Learned:
@@ -449,9 +446,9 @@ def _learn(
     from uqsphere.uq.rare.active import METHOD as ACTIVE
     from uqsphere.uq.rare.active import learn_probability
 
-    calls = int(min(MOST_CALLS, room))
-    if calls < LEAST_CALLS:
-        text = f"active learning was not begun: it takes {LEAST_CALLS} evaluations at least, {MOST_CALLS} at most"
+    calls = int(min(LEARNED.most, room))
+    if calls < LEARNED.least:
+        text = f"active learning was not begun: it takes {LEARNED.least} evaluations at least, {LEARNED.most} at most"
         return answer.with_check(text), []
     space, asked = limit_space(work, limit, at), work.study.analysis.accuracy.probability
     learned = learn_probability(
