@@ -499,6 +499,44 @@ def test_an_output_without_an_answer_leaves_the_others_of_its_row(
     assert then.limits["high"].exceedance == first.limits["high"].exceedance
 
 
+def test_a_model_that_scatters_by_itself_is_told_apart_from_its_inputs(
+    study_from: Callable[..., Study], tmp_path: Path
+) -> None:
+    """y = x1 + x2/2 + noise: shares of the variance 1, 1/4 and 0.36 of 1.61."""
+    text = PLANE.replace("mean = 0.02", "mean = 0.05").replace("[inputs]", "[model]\nstochastic = true\n[inputs]")
+    text = text.replace("strength = 14.0", "strength = 12.0").replace("second_order = true", "")
+    rng = np.random.default_rng(2)
+
+    def model(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": x["x1"] + 0.5 * x["x2"] + rng.normal(0.0, 0.6, len(x["x1"]))}
+
+    truths = {"sd by the model": 0.6, "sd by the inputs": 1.25**0.5, "share of the variance": 0.36 / 1.61}
+    for cost, count in (("10 s", 600), ("1 us", 30_000)):
+        study = study_from(f"analysis.budget.evaluations={count}", "analysis.budget.time='99 h'",
+                           text=text.replace("10 s", cost))  # fmt: skip
+        results = uqsphere.run(study, out=tmp_path / cost[:2], model=model).results
+        split = results.analyses["replicates"].values["y"]["the model's own scatter"]
+        for name, truth in truths.items():
+            assert holds(split[name].model_dump(), truth)
+        assert holds(results.sensitivity["y"].total["x1"].model_dump(), 1.0 / 1.61)
+        assert holds(results.quantities["y"].sd.model_dump(), 1.61**0.5)
+        assert "learning" not in results.limits["high"].miss.method
+    with pytest.raises(StudyError, match="leave it out"):
+        study_from("model.stochastic=true")
+
+
+def test_many_inputs_are_screened_before_anything_else(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    laws = "\n".join(f'x{k} = {{ dist = "normal", mean = 0.0, sd = 1.0 }}' for k in range(50))
+    text = re.sub(r"(?s)\[inputs\].*\[outputs\]", f"[inputs]\n{laws}\n[outputs]", EXPENSIVE)
+    study = study_from("analysis.budget.evaluations=1000", "analysis.budget.time='99 h'", text=text)
+    results = uqsphere.run(study, out=tmp_path / "r", model=lambda x: {"y": 3.0 * x["x7"] + x["x9"]}).results
+    effects = results.analyses["morris"].values["y"]
+    ranked = sorted(effects, key=lambda name: -effects[name]["mean absolute effect"].number)
+    assert ranked[:2] == ["x7", "x9"]
+    assert effects["x0"]["mean absolute effect"].value == 0.0
+    assert plan_run(study)["room"][0].startswith("small probabilities: 30 to 200")
+
+
 def test_dependent_inputs_have_no_classical_indices(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     tied = EXPENSIVE + '[[dependence]]\nof = ["x1", "x2"]\nspearman = 0.5\n'
     monkeypatch.setitem(globals(), "EXPENSIVE", tied)

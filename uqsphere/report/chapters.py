@@ -234,8 +234,21 @@ def _measured(contents: Contents) -> list[Block]:
 
 
 def screening_chapter(contents: Contents) -> Chapter:
-    """Effects of one input at a time, those that move a quantity furthest first."""
+    """Effects of one input at a time, those that move a quantity furthest first, and a model's own scatter."""
     entry, blocks = contents.results.analyses.get("morris"), []
+    own = contents.results.analyses.get("replicates")
+    for quantity, split in own.values.items() if own else ():
+        shown = Table(
+            caption=f"Scatter of {symbol(quantity)} where a row is evaluated again, and by its inputs, 95 % intervals",
+            header=("of", "estimate"),
+            rows=tuple(
+                (of, cell(one, "" if of.startswith("share") else quantity))
+                for row in split.values()
+                for of, one in row.items()
+            ),
+        )
+        heading = f"What the model itself adds to {symbol(quantity)}"
+        blocks.append(Block(heading=heading, table=shown, files=("tables/analyses.csv",)))
     for quantity, table in entry.values.items() if entry else ():
         names = sorted(table, key=lambda name: -(table[name]["mean absolute effect"].value or 0.0))
         columns = tuple(table[names[0]])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
 from uqsphere.errors import UsageError
 from uqsphere.quantities import format_estimate
+from uqsphere.results import AnalysisEntry
 from uqsphere.runner.drivers import find_drivers
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.expensive import Expensive, answer_expensive, keep_answers, keep_indices, keep_margins, price
@@ -18,9 +19,10 @@ from uqsphere.runner.forecast import more_to_come
 from uqsphere.runner.questions.carried import find_carried
 from uqsphere.runner.questions.distributions import Sampled, sample_distributions
 from uqsphere.runner.questions.fracture import find_fracture
-from uqsphere.runner.questions.further import find_analyses
+from uqsphere.runner.questions.further import find_analyses, first_analyses, noise_of
 from uqsphere.runner.questions.margins import find_margins, judge_answers
 from uqsphere.runner.questions.probabilities import refine_limits
+from uqsphere.runner.questions.replicates import without_noise
 from uqsphere.runner.questions.shapley import share_variance
 from uqsphere.runner.questions.tolerance import find_tolerance
 from uqsphere.runner.results import Findings
@@ -38,20 +40,22 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     ledger.evaluations.update(pilot.evaluations)
     priced = price(work)
     ledger.close("pilot")
-    whole, expensive, found = work, None, None
+    whole, expensive, found, first = work, None, None, first_analyses(work)
     if priced.way.surrogate:
         work = priced.bounded(work)
-        expensive = answer_expensive(work, priced)
+        expensive = answer_expensive(work, priced, noise_of(first))
         ledger.close("surrogate")
-        found = _by_surrogate(work, pilot, expensive)
+        found = _by_surrogate(work, pilot, expensive, first)
     if found is None:
-        found = _by_sampling(work, pilot, expensive, notice)
+        found = _by_sampling(work, pilot, expensive, first, notice)
         if notice is not None and store.damaged:
             notice(f"damaged chunks were found and evaluated again: {', '.join(store.damaged)}")
     return finish(whole, store, priced, expensive, found)
 
 
-def _by_surrogate(work: Work, pilot: Pilot, one: Expensive) -> Findings | None:
+def _by_surrogate(
+    work: Work, pilot: Pilot, one: Expensive, first: Mapping[str, AnalysisEntry] | None
+) -> Findings | None:
     """What the surrogate way found, as every run writes it; None where the model has to be sampled."""
     if one.sampled is None:
         return None
@@ -63,13 +67,19 @@ def _by_surrogate(work: Work, pilot: Pilot, one: Expensive) -> Findings | None:
         sensitivity=one.sensitivity,
         margins=one.margins,
         tolerance=tolerance,
-        analyses=find_analyses(work),
+        analyses=find_analyses(work) if first is None else dict(first),
         history=work.ledger.rows,
         stops={"sampling": one.sampled.stopped, "sensitivity": one.sampled.stopped},
     )
 
 
-def _by_sampling(work: Work, pilot: Pilot, one: Expensive | None, notice: Callable[[str], None] | None) -> Findings:
+def _by_sampling(
+    work: Work,
+    pilot: Pilot,
+    one: Expensive | None,
+    first: Mapping[str, AnalysisEntry] | None,
+    notice: Callable[[str], None] | None,
+) -> Findings:
     """Everything by sampling the model; surrogates that did not answer all still answer what they know better."""
     ledger = work.ledger
     sampled = sample_distributions(work, more_to_come=more_to_come(work.study))
@@ -81,7 +91,7 @@ def _by_sampling(work: Work, pilot: Pilot, one: Expensive | None, notice: Callab
     _tell_verdicts(sampled, notice)
     tolerance = find_tolerance(work)
     ledger.close("tolerance intervals")
-    analyses = find_analyses(work)
+    analyses = find_analyses(work) if first is None else dict(first)
     margins = find_margins(work, sampled)
     if one is not None:
         margins = keep_margins(work, margins, one)
@@ -92,6 +102,7 @@ def _by_sampling(work: Work, pilot: Pilot, one: Expensive | None, notice: Callab
     fracture = find_fracture(work, sampled, margins)
     ledger.close("fracture")
     shared = share_variance(work, sampled)
+    shared = replace(shared, sensitivity=without_noise(shared.sensitivity, (first or {}).get("replicates")))
     if one is not None:
         shared = replace(shared, sensitivity=keep_indices(shared.sensitivity, one))
     ledger.close("sensitivity")

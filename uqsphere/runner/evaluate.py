@@ -255,7 +255,7 @@ def evaluate_points(
         raise OutOfBudget
     answered = found.answered
     if work.study.black_box:
-        if isinstance(work.store, Store) and not ledger.repeated:
+        if isinstance(work.store, Store) and not ledger.repeated and not work.study.model.stochastic:
             _repeat_one(work, work.store, task, rows, found)
         answered = chosen_columns(answered, task.columns, work.quantities)
     _account(work, fidelity, answered)
@@ -288,7 +288,7 @@ def _repeat_one(work: Work, store: Store, task: Task, rows: Array, found: Gather
         raise ModelError(
             f"the model is not deterministic: the same row gives {first[0]:.6g} and {now[0]:.6g} as "
             f"{task.columns[0]!r}, {where_of(task.names, row[0])}; give it a generator with a seed of its own, made in "
-            "every call"
+            "every call, or say [model] stochastic = true"
         )
     raise FolderError(
         f"{store.folder}: the stored answers are not those of the model as it is now: {task.columns[0]!r} was "

@@ -150,6 +150,7 @@ class Surrogates:
     found: Answers = field(default_factory=Answers)
     alone: Answers = field(default_factory=Answers)
     begun: bool = False
+    noise: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def size(self) -> int:
@@ -215,7 +216,11 @@ class Surrogates:
             if self.size >= SURROGATE.first <= 2 * int(known.sum()) and (drop or known.all()):
                 fitted = cross_fit(points[known], self.design.answers[0][known][:, these], work.germs)
                 made |= dict(zip([work.quantities[k] for k in these], fitted, strict=True))
-        self.responses = {quantity: made[quantity] for quantity in work.quantities if quantity in made}
+        self.responses = {
+            quantity: replace(made[quantity], noise=self.noise.get(quantity, 0.0))
+            for quantity in work.quantities
+            if quantity in made
+        }
         self.found = answers_of(work, self.size, self.usable)
         # a limit may be followed by learning although its quantity is too rough for a response
         self.alone = answers_of_runs(work, blocks_of_runs(self.design), self.rough)
@@ -273,8 +278,10 @@ class Expensive:
     margins: dict[str, MarginAnswer] = field(default_factory=dict)
 
 
-def answer_expensive(work: Work, priced: Priced) -> Expensive:
+def answer_expensive(work: Work, priced: Priced, noise: Mapping[str, float] | None = None) -> Expensive:
     """Answer a study through surrogates; `work` is bounded by what is affordable.
+
+    `noise`: the share of the variance that is the model's own scatter, by quantity.
 
     Raises
     ------
@@ -291,7 +298,7 @@ def answer_expensive(work: Work, priced: Priced) -> Expensive:
             f"the budget has room for {affordable} evaluations, and the smallest design takes "
             f"{SURROGATE.least}: raise analysis.budget"
         )
-    question = Surrogates(work=work, design=priced.design)
+    question = Surrogates(work=work, design=priced.design, noise=noise or {})
     course = campaign(work, question)
     if question.design is None:
         raise OutOfBudget

@@ -28,6 +28,7 @@ from uqsphere.runner.schedule import (
     FRACTURE_CURVE,
     INDICES,
     LEARNED,
+    MANY,
     PILOT,
     RARE,
     REPLICATES,
@@ -294,6 +295,11 @@ def _surrogate(study: Study, first: float) -> tuple[float, float]:
     return (2 * runs if wide else runs) - first, SURROGATE.most + (ALONG.most if wide else 0)
 
 
+def _begins(study: Study) -> bool:
+    """Whether a run may begin with what everything else rests on: replicates, or a screening of many inputs."""
+    return study.black_box and (study.model.stochastic or len(study.random) >= MANY)
+
+
 def _planned(study: Study, budget: int | None, surrogate: bool) -> Iterator[tuple[str, float, float]]:
     """Name, likely and most evaluations of every part, as if nothing had been spent before it."""
     end, analysis = math.inf if budget is None else float(budget), study.analysis
@@ -307,7 +313,7 @@ def _planned(study: Study, budget: int | None, surrogate: bool) -> Iterator[tupl
         yield "rare events", *_rare(study, end)
     if analysis.tolerance_intervals:
         yield "tolerance intervals", analysis.tolerance_intervals.runs, analysis.tolerance_intervals.runs
-    if set(analysis.methods) & set(FURTHER) or analysis.fields:
+    if set(analysis.methods) & set(FURTHER) or analysis.fields or _begins(study):
         from uqsphere.runner.questions.further import planned_analyses
 
         yield from ((name, count, count) for name, count in planned_analyses(study))

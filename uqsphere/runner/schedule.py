@@ -64,6 +64,8 @@ WAYS_CURVE: Final = Schedule(first=16, most=25)
 SLIDERS: Final = Schedule(first=2048, least=512, share=1 / 16)
 #: runs of the one design of an expensive model: those that are timed, the fewest, the most
 SURROGATE: Final = Schedule(first=32, least=8, judged=128, most=1024)
+#: inputs from which on `auto` begins with a screening of a black box
+MANY: Final = 50
 #: calls of an expensive model for one limit whose probability its design does not show: worth a beginning, and the most
 LEARNED: Final = Schedule(least=30, most=200)
 #: its runs over inputs and a free scalar: the fewest that a curve is drawn from, calls beside them that are worth a

@@ -419,6 +419,11 @@ class ModelChoice:
     compare_with_paper: Flag = key(
         "adds a table: the paper's printed massless formulas beside the corrected ones and the full model", False
     )
+    stochastic: Flag = key(
+        "a black box that answers the same row otherwise each time, the one key of this table for it: some rows are "
+        "evaluated several times, and its own scatter is told apart from that of the inputs",
+        False,
+    )
 
 
 def _parameter(name: str) -> Fixed:
@@ -615,6 +620,11 @@ class Analysis:
     def pursues(self, kind: str) -> bool:
         """Whether evaluations are spent on the accuracy of a kind of answer."""
         return kind not in _PURSUED or math.isfinite(getattr(self.accuracy, _PURSUED[kind]))
+
+    @property
+    def affordable(self) -> float:
+        """Evaluations that the budget has room for, in its time too where an evaluation's is given."""
+        return min(self.budget.evaluations, self.budget.time / self.cost if self.cost else math.inf)
 
     @property
     def samples_indices(self) -> bool:

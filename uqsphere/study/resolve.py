@@ -231,6 +231,9 @@ def _kind(data: Mapping[str, Raw], findings: Findings) -> bool | None:
             findings.add((), said)
             return None
         return False
+    model = data.get("model")
+    if isinstance(model, Mapping) and set(model) <= {"stochastic"}:
+        parts.remove("model")
     for name in parts:
         findings.add((name,), f"[{name}] belongs to a scene, and [{black[0]}] to a black box: leave one of them out")
     return None if parts else True

@@ -80,6 +80,8 @@ def _refuse_speeds(rig: RigTable, findings: Findings) -> None:
 def model_of(document: Document, findings: Findings) -> ModelChoice:
     """Which mechanics: other rigs than `bars`: closed forms, or the full model; under a weight a sphere is light."""
     model = document.model or ModelChoice()
+    if model.stochastic and document.outputs is None:
+        findings.add(("model", "stochastic"), "the impact model answers the same row alike: leave it out")
     if document.rig_kind == "bars" or not findings.clean(("model",)):
         return model
     anvil = document.rig_kind == "drop_weight" and (document.anvil is None or document.anvil.kind != "bar")

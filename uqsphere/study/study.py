@@ -214,6 +214,12 @@ class Study:
         """Every number of the scene (or black-box input), the random ones at their nominal mean; SI."""
         return {**self.fixed, **{name: law.nominal_mean() for name, law in self.random.items()}}
 
+    def _model_json(self) -> dict[str, Json] | None:
+        """The mechanics; `stochastic` came later, and changes the hash of a study that has it alone."""
+        if self.black_box:
+            return {"stochastic": True} if self.model.stochastic else None
+        return {name: value for name, value in asdict(self.model).items() if name != "stochastic"}
+
     def resolved(self) -> dict[str, Json]:
         """The study as plain JSON values: SI, every default explicit, no infinities."""
         laws = self.laws()
@@ -228,7 +234,7 @@ class Study:
             "options": dict(self.options),
             "materials": dict(self.materials),
             "sources": {name: asdict(source) for name, source in self.sources.items()},
-            "model": None if self.black_box else asdict(self.model),
+            "model": self._model_json(),
             "limits": {limit.name: _limit_json(limit) for limit in self.limits},
             "dependence": [_dependence_json(group) for group in self.dependence],
             "analysis": _analysis_json(self.analysis),

@@ -120,6 +120,7 @@ class Response:
     levels, residuals : (N,) what the response without a row says of it, and what that lacks.
     error : share of the variance that is left: of the rows, or as most of the expansions report of themselves where
         that is more, which supposes the worst of tails that no row reaches.
+    noise : share of the variance that is the model's own scatter: no response can take it, residuals hold it.
     """
 
     fits: tuple[Chaos, ...]
@@ -129,6 +130,7 @@ class Response:
     levels: Array
     residuals: Array
     error: float
+    noise: float = 0.0
 
     @property
     def count(self) -> int:
@@ -154,7 +156,7 @@ class Response:
     @property
     def usable(self) -> bool:
         """Whether the error is small enough for the response to speak for the model."""
-        return self.error <= MOST
+        return self.error - self.noise <= MOST
 
     @property
     def reason(self) -> str:

@@ -12,6 +12,7 @@ from uqsphere.model import is_answered
 from uqsphere.results import AnalysisEntry
 from uqsphere.results.entries import Est
 from uqsphere.runner.evaluate import Work, evaluate_whole
+from uqsphere.runner.schedule import MANY
 from uqsphere.study import Study
 from uqsphere.uq.estimate import Estimate, absent, mean_alone, sd_alone
 from uqsphere.uq.points import random_generator
@@ -23,9 +24,23 @@ LEVELS: Final = 4
 METHOD: Final = "elementary effects"
 
 
+#: its share of the budget where `auto` begins with it, and the fewest trajectories
+SHARE, FEWEST = 0.25, 4
+
+
+def walks(study: Study) -> int:
+    """Trajectories: those of a study that names it, else of their share of the budget; 0 where they are too few."""
+    if "morris" in study.analysis.methods:
+        return TRAJECTORIES
+    if not (study.black_box and "auto" in study.analysis.methods and len(study.random) >= MANY):
+        return 0
+    count = min(TRAJECTORIES, int(SHARE * study.analysis.affordable / (len(study.random) + 1)))
+    return count if count >= FEWEST else 0
+
+
 def planned(study: Study) -> int:
     """Evaluations: one for the start of every trajectory and one for each of its steps."""
-    return TRAJECTORIES * (len(study.random) + 1)
+    return walks(study) * (len(study.random) + 1)
 
 
 def trajectories(count: int, inputs: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -54,7 +69,9 @@ def answer(work: Work) -> AnalysisEntry:
     names, inputs = work.scene_names, work.all_inputs.only(work.scene_names)
     if tied := inputs.tied():
         return AnalysisEntry(reason=f"{', '.join(tied)} depend on each other: none moves alone")
-    scores, directions = trajectories(TRAJECTORIES, len(names), random_generator(seed=work.study.seed, task="morris"))
+    scores, directions = trajectories(
+        walks(work.study), len(names), random_generator(seed=work.study.seed, task="morris")
+    )
     answered = evaluate_whole(work, "morris", inputs.physical(scores.reshape(-1, len(names))))
     if isinstance(answered, str):
         return AnalysisEntry(reason=answered)
