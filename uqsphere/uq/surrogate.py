@@ -142,7 +142,7 @@ class Surrogate:
     def _between(self, points: Array, level: float) -> tuple[Array, Array, Array]:
         one = self.response
         found = np.array([predict(fit, points) for fit in one.fits])
-        off = one.scale * np.abs(one.residuals)
+        off = np.abs(one.residuals)
         about, n = found[one.folds], one.count
         rank = math.ceil(level * (n + 1))
         if rank > n:
