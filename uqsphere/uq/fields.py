@@ -22,7 +22,7 @@ from uqsphere.arrays import Array
 from uqsphere.uq.estimate import Estimate, student
 from uqsphere.uq.expansion import fit_outputs
 from uqsphere.uq.expansion.choice import deal
-from uqsphere.uq.expansion.germs import GermLike, Indices, orthonormal_values, products
+from uqsphere.uq.expansion.germs import GermLike, Indices, rows_of
 from uqsphere.uq.expansion.shares import law_points
 from uqsphere.uq.response import FOLDS, LEAST_NEAR, Folds, Subset, half_width
 
@@ -84,9 +84,7 @@ class _Fold:
 
     def products(self, points: Array) -> Array:
         """Products (P, n) of the terms at germ points (n, d)."""
-        highest = self.terms.max(axis=0)
-        tables = [orthonormal_values(germ, points[:, j], int(highest[j])) for j, germ in enumerate(self.germs)]
-        return products(tables, self.terms)
+        return rows_of(self.germs, points, self.terms)
 
 
 def answer_field(

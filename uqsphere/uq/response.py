@@ -33,7 +33,7 @@ from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.estimate import Absent, Estimate, Why, absent, none_of
 from uqsphere.uq.expansion import Chaos, Piece, fit_outputs, predict
 from uqsphere.uq.expansion.choice import deal
-from uqsphere.uq.expansion.germs import GermLike, orthonormal_values, products
+from uqsphere.uq.expansion.germs import GermLike, rows_of
 from uqsphere.uq.expansion.shares import Companion, active_inputs, chaos_moments, law_points, law_shares
 from uqsphere.uq.heavy_tails import half_range, hill, widened_share, without_moments
 from uqsphere.uq.indices import ordered
@@ -599,9 +599,7 @@ def _parts(fit: Chaos, asked: Sequence[Subset], number: int, points: Array) -> _
     if fit.plain:
         piece = fit.pieces[0]
         active, coefficients = piece.multi_indices > 0, piece.coefficients / deviation
-        highest = piece.multi_indices.max(axis=0)
-        tables = [orthonormal_values(germ, points[:, j], int(highest[j])) for j, germ in enumerate(fit.germs)]
-        rows = products(tables, piece.multi_indices)
+        rows = rows_of(fit.germs, points, piece.multi_indices)
     else:
         there = law_points(fit.germs, number)[0][:POINTS]
         companion = Companion(fit, there, (predict(fit, there) - mean) / deviation)

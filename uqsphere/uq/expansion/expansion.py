@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.expansion.germs import GermLike, Indices, orthonormal_values, products
+from uqsphere.uq.expansion.germs import GermLike, Indices, products, tables_of
 
 #: how far beyond the range of its samples a transformed output may go, over that range
 _MARGIN: Final = 1.0
@@ -256,18 +256,13 @@ class Chaos:
         return self.border is None and not np.any(self.pieces[0].coefficients[1:])
 
 
-def _tables(chaos: Chaos, block: Array) -> list[Array]:
-    highest = chaos.multi_indices.max(axis=0)
-    return [orthonormal_values(germ, block[:, j], int(highest[j])) for j, germ in enumerate(chaos.germs)]
-
-
 def predict(chaos: Chaos, points: Array) -> Array:
     """Values (n,) of the expansion at germ points (n, d)."""
     points = np.asarray(points, dtype=float)
     result = np.empty(points.shape[0])
     for first in range(0, points.shape[0], _BLOCK):
         block = points[first : first + _BLOCK]
-        tables = _tables(chaos, block)
+        tables = tables_of(chaos.germs, block, chaos.multi_indices)
         found = [piece.back(piece.coefficients @ products(tables, piece.multi_indices)) for piece in chaos.pieces]
         if chaos.border is None:
             result[first : first + _BLOCK] = found[0]

@@ -13,7 +13,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.uq.expansion.choice import Contest, Found, compete, lowered, prepare, rivals
 from uqsphere.uq.expansion.expansion import Chaos, Piece, predict
-from uqsphere.uq.expansion.germs import GermLike, grown, orthonormal_values, products, skipping
+from uqsphere.uq.expansion.germs import GermLike, grown, products, rows_of, skipping
 from uqsphere.uq.expansion.shares import law_points
 from uqsphere.uq.expansion.solvers import blended, leaned, neglected, refits, solve_rows, steadied
 from uqsphere.uq.expansion.splits import Split, find_split
@@ -81,10 +81,8 @@ def fit_again(chaos: Chaos, points: Array, outputs: Array) -> Chaos:
     points, outputs = np.asarray(points, dtype=float), np.asarray(outputs, dtype=float)
     if len(outputs) < len(piece.coefficients):
         raise ValueError(f"{len(piece.coefficients)} terms need as many samples, found {len(outputs)}")
-    highest = piece.multi_indices.max(axis=0)
-    values = [orthonormal_values(germ, points[:, j], int(highest[j])) for j, germ in enumerate(chaos.germs)]
     unit = float(np.abs(outputs).max()) or 1.0
-    coefficients = solve_rows(products(values, piece.multi_indices), outputs / unit) * unit
+    coefficients = solve_rows(rows_of(chaos.germs, points, piece.multi_indices), outputs / unit) * unit
     return replace(chaos, pieces=(replace(piece, coefficients=coefficients),), samples=outputs.size)
 
 
@@ -140,11 +138,7 @@ def _fitted(
         return _constant(centre * unit, germs, error, outputs.size)
     leaders = compete(contests, scaled, plain=plain)
     error = leaders[0].error if leaders else 1.0
-    split = None
-    if not plain and error > _ROUGH and outputs.size >= max(48, 6 * (len(germs) + 1)):
-        split = find_split(
-            leaders[0].contest if leaders else contests[0], points, scaled, below=_SPLIT_HELPS * min(error, 1.0)
-        )
+    split = None if plain else _split(leaders[0].contest if leaders else contests[0], error, points, scaled)
     best, least = _constant(centre * unit, germs, 1.0, outputs.size), 1.0
     candidates, tried = _candidates(leaders, split, points, scaled, unit, law), []
     for one in candidates:
@@ -158,6 +152,13 @@ def _fitted(
         lower = (_whole(found, scaled, unit, law) for found in lowered(leaders[0], scaled))
         return _calmest(chain(tried, candidates, lower), most) or best
     return best
+
+
+def _split(contest: Contest, error: float, points: Array, scaled: Array) -> Split | None:
+    """Two pieces, where one leaves much and there are samples enough."""
+    if error <= _ROUGH or scaled.size < max(48, 6 * (len(contest.germs) + 1)):
+        return None
+    return find_split(contest, points, scaled, below=_SPLIT_HELPS * min(error, 1.0))
 
 
 def _calmest(candidates: Iterable[_Candidate], most: float) -> Chaos | None:
@@ -212,8 +213,7 @@ def _whole(found: Found, scaled: Array, unit: float, law: Array) -> _Candidate:
     order = np.argsort(found.indices.sum(axis=1) > 0, kind="stable")  # the constant first
     indices, rows = found.indices[order], found.rows[order]
     fits = refits(rows, transform.forward(scaled), contest.folds)
-    highest = indices.max(axis=0)
-    there = products([orthonormal_values(germ, law[:, j], int(highest[j])) for j, germ in enumerate(germs)], indices)
+    there = rows_of(germs, law, indices)
     values = transform.back(fits.coefficients @ there)
     variance = float(np.var(scaled))
     moved = transform.back(fits.without @ there) - values
@@ -247,9 +247,8 @@ def _chosen_without(found: Found, scaled: Array, law: Array, values: Array) -> A
     contest, germs = found.contest, found.contest.germs
     every, places = np.unique(np.concatenate(found.without), axis=0, return_inverse=True)
     law, values = law[:_FEWER_LOOKED_AT], values[:_FEWER_LOOKED_AT]
-    highest = every.max(axis=0)
     here = products(contest.values, every)
-    there = products([orthonormal_values(germ, law[:, j], int(highest[j])) for j, germ in enumerate(germs)], every)
+    there = rows_of(germs, law, every)
     outputs, begin, answer = found.transform.forward(scaled), 0, []
     for fold, indices in enumerate(found.without):
         own = places.ravel()[begin : begin + len(indices)]
@@ -281,12 +280,8 @@ def _shifts(split: Split, points: Array, scaled: Array, law: Array) -> Array:
     A piece goes on beyond its own samples, and where it wins there the folds show how much is made up.
     """
     contest, germs = split.contest, split.contest.germs
-    highest = max(int(indices.max()) for indices, _ in split.pieces)
-    here, there = (
-        [orthonormal_values(germ, where[:, j], highest) for j, germ in enumerate(germs)] for where in (points, law)
-    )
     count = int(contest.folds.max()) + 1
-    rows = [products(here, indices) for indices, _ in split.pieces]
+    rows = [rows_of(germs, points, indices) for indices, _ in split.pieces]
     ends = [coefficients @ own for (_, coefficients), own in zip(split.pieces, rows, strict=True)]
     side = split.border.side(points, ends)
     lines = []
@@ -296,7 +291,7 @@ def _shifts(split: Split, points: Array, scaled: Array, law: Array) -> Array:
             fits = refits(own[:, part], scaled[part], contest.folds[part])
             several = np.tile(fits.coefficients, (count + 1, 1))
             several[1 : 1 + len(fits.without)] = fits.without
-        lines.append(several @ products(there, indices))
+        lines.append(several @ rows_of(germs, law, indices))
     values = np.array([np.where(split.border.side(law, pair), pair[1], pair[0]) for pair in zip(*lines, strict=True)])
     moved = values[1:] - values[0]
     return np.asarray((count - 1) * np.mean(moved**2, axis=1) / float(np.var(scaled)))

@@ -355,6 +355,17 @@ def products(values: Sequence[Array], multi_indices: Indices) -> Array:
     return matrix
 
 
+def tables_of(germs: Sequence[GermLike], points: Array, terms: Indices) -> list[Array]:
+    """Values (degree + 1, n) of the polynomials of each germ at points (n, d), as far as terms (P, d) have them."""
+    highest = terms.max(axis=0)
+    return [orthonormal_values(germ, points[:, j], int(highest[j])) for j, germ in enumerate(germs)]
+
+
+def rows_of(germs: Sequence[GermLike], points: Array, terms: Indices) -> Array:
+    """Products (P, n) of polynomials with degrees terms (P, d) at germ points (n, d)."""
+    return products(tables_of(germs, points, terms), terms)
+
+
 class Combination:
     """A sum of products with `coefficients` (P,) and degrees `multi_indices` (P, d), evaluated with few products.
 
