@@ -15,8 +15,10 @@ from tests.campaigns.sweep import (
     against_itself,
     against_reference,
     as_inputs,
+    balances,
     design,
     table,
+    with_law,
 )
 from uqsphere.mechanics.integrator.solve import solve
 from uqsphere.mechanics.outputs import Answers
@@ -107,3 +109,13 @@ def test_an_undecided_row_needs_one_right_answer() -> None:
     assert (sweep._errors(names, sweep._answers(both), truth, 1e-6) == 0.0).all()
     alone = sweep._answers(replace(found, values=wrong))
     assert (sweep._errors(("p_max",), alone, truth, 1e-6) > ALLOWED).all()
+
+
+@pytest.mark.parametrize("law", ["plastic", "damage"])
+def test_energy_is_kept_where_a_face_yields_at_its_first_touch_or_softens_to_its_largest_force(law: str) -> None:
+    """(C15), over the tolerance.  Faces that yield within the touch had 4,000; depths told by the force, 28."""
+    heavy = {"mu": (1.0, 1e3, True), "theta": (0.1, 30.0, True)}
+    picked = (STRATA[0], STRATA[7], STRATA[9])
+    lacking = balances(with_law(design(33, 1, strata=picked, narrower=heavy), law, 1), 1e-6)
+    assert np.isfinite(lacking).all()
+    assert lacking.max() < 10.0

@@ -1,8 +1,8 @@
 """One motion as loads, dents, velocities and energies over time: for every rig and every law of contact.
 
-What a face has taken follows from its force alone: the largest so far gives depth, dent and plastic work by the law of
-virgin loading (`uqsphere.mechanics.yielding`), and a smaller one lies on the spring of unloading.  Velocities of the
-partners' contact points are those of (R1): V_A = w + alpha_A', V_B = w - alpha_B'.
+What a face has taken follows from its largest force so far (where it softens: from its largest approach), which gives
+depth, dent and plastic work by the law of virgin loading (`uqsphere.mechanics.yielding`), and a smaller one lies on the
+spring of unloading.  Velocities of the partners' contact points: V_A = w + alpha_A', V_B = w - alpha_B', (R1).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.mechanics import contact
+from uqsphere.mechanics.damage import Softening
 from uqsphere.mechanics.gauges import GaugeRecord
 from uqsphere.mechanics.integrator.solve import Motion
 
@@ -103,7 +104,10 @@ def _face(motion: Motion, pole: int, gap: Array, force: Array) -> tuple[Array, A
         pressed = np.maximum(gap, 0.0)
         return gap, np.sqrt(radius * pressed), none, np.asarray(contact.contact_energy(pressed, beta)), none
     law, largest = law.at(motion.row), np.maximum.accumulate(force)
-    peak = law.pressed(law.depth_at(largest))
+    # a face that softens has no dent, and near its largest force that does not tell its depth
+    soft = isinstance(law, Softening)
+    deepest = np.maximum.accumulate(np.maximum(gap, 0.0))
+    peak = law.pressed(deepest / law.onset_approach if soft else law.depth_at(largest))
     back = np.where(peak.depth > 1.0, peak.approach - peak.dent, peak.approach)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.cbrt(np.square(np.where(largest > 0.0, force / largest, 0.0)))

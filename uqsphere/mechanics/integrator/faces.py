@@ -318,6 +318,20 @@ def most_stored(law, lane, top):
 
 
 @compiled(**INNER)
+def within_spring(law, lane, x, top):
+    """Share of a step from a touch that ends before a spring is at its largest approach so far; 1: none gets there.
+
+    The force beyond is another one.  x (TERMS, PAIR): approaches at the start; top (PAIR,): bounds of them in the step.
+    """
+    share = 1.0
+    for m in range(lane, 2 * LANES, LANES):
+        rest = law[LARGEST, m] - law[DENT, m] - x[0, m]
+        if law[SPRING, m] > 0.0 and top[m] - x[0, m] > rest > ARMED * law[LARGEST, m]:
+            share = min(share, 0.9 * rest / (top[m] - x[0, m]))
+    return share
+
+
+@compiled(**INNER)
 def may_switch(law, lane, top, rate):
     """Whether a face of a lane may change its branch within a step: by what it can reach at most, or a fall.
 

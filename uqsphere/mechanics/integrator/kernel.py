@@ -27,6 +27,7 @@ from uqsphere.mechanics.integrator.faces import (
     press_deeper,
     switch,
     tail_level,
+    within_spring,
     wrong_branch,
 )
 from uqsphere.mechanics.integrator.step import (
@@ -358,6 +359,10 @@ def march(
                     continue
                 if touching[j] == 0 and may_switch(law, j, room[1], rate):
                     flags[j] |= tracked.SWITCHES
+                reached = within_spring(law, j, x, room[1]) if touching[j] == 1 else 1.0
+                if reached < 1.0:
+                    proposed[j] = reached * h[j]
+                    continue
             impulse = h[j] * theta[j] * max(branch[j], branch[LANES + j])
             allowed = 100.0 * local * size[0, j]
             if mode == 0:
