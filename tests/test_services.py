@@ -186,6 +186,8 @@ FAULTS: dict[str, tuple[str, tuple[str, ...], str, str]] = {
     "a rod without diameter": (CELL, ("rod.diameter=null",), "rod.diameter", "diameter is missing"),
     "no force": (PLATENS, ("platens.force=0 N",), "platens.force", "must be above 0"),
     "neither force nor way": (PLATENS, ("platens.force=null",), "platens.force", "force or displacement is missing"),
+    "platens through the sphere": (
+        PLATENS, ("platens.force=null", "platens.displacement=60 mm"), "platens.displacement", "give far less"),
     "bars with another rig": (IMPACT, ("bars.infinite=true",), "bars", '[bars] belongs to the rig "bars"'),
     "a striker with another rig": (IMPACT, ("striker.speed=1 m/s",), "striker", 'belongs to the rig "bars"'),
     "a pulse with another rig": (DROP, ('pulse.shape="step"',), "pulse", 'belongs to the rig "bars"'),
