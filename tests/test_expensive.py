@@ -668,6 +668,26 @@ def test_margins_of_an_expensive_model(ask, monkeypatch: pytest.MonkeyPatch, sol
         assert found["value"] == pytest.approx(truth, abs=0.03)
 
 
+def test_a_margin_that_no_surrogate_shows_is_learned(ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The case of the validation, two outputs of five inputs and 150 runs: where the kinked one exceeds 6 with 1 %."""
+    from tests.campaigns.rare import MARGIN_CASE, MARGIN_TRUTH, margin_model
+
+    monkeypatch.setitem(globals(), "EXPENSIVE", MARGIN_CASE.format(seed=2))
+    calls: list[int] = []
+
+    def model(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        calls.append(len(x["a"]))
+        return margin_model(x)
+
+    found = ask(model).results.margins["high"].values["0.01"]
+    assert sum(calls) <= 151
+    assert holds(found.model_dump(), MARGIN_TRUTH)
+    assert found.value == pytest.approx(MARGIN_TRUTH, rel=0.03)
+    assert found.high is not None
+    assert found.low is not None
+    assert found.high - found.low < 0.2 * MARGIN_TRUTH
+
+
 def test_a_family_that_no_surrogate_draws_is_told(
     ask, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

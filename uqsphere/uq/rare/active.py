@@ -58,7 +58,7 @@ TERMS = 4
 FIRST, MOST_KNOWN = 10, 128
 #: values over their median where great ones begin to be pulled in; the likelihood says whether they are
 SQUEEZE = 0.5
-#: turns in a row that have to be sure enough
+#: calls in a row that have to leave it sure enough
 CALM = 2
 #: looks at untouched space for every variable, before the process is believed, and calls between two of them
 LOOKS, BETWEEN = 3, 4
@@ -230,7 +230,7 @@ class Search:
         calm, looked, begun = 0, 0, len(self.points)
         while True:
             seen = self.look()
-            calm = calm + 1 if 1.96 * seen.doubt < accuracy else 0
+            calm = calm + at_once if 1.96 * seen.doubt < accuracy else 0
             left = int(max(self.evaluator.left, 0))
             if not left or (calm >= CALM and looked >= looks):
                 return seen, looked
