@@ -612,7 +612,7 @@ class Analysis:
     )
     at_once: Annotated[Whole, within(1, 64, closed=True)] = key(
         "runs of an expensive black box that are chosen together where it learns, for machines that make as many side "
-        "by side: 8 take about a fifth more of them in all",
+        "by side: 8 take about a quarter more of them in all",
         1,
     )
     time_limit: Seconds | None = key("longest time of one evaluation of a black box; one that takes longer has failed")
