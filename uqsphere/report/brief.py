@@ -435,8 +435,8 @@ def _worded(answer: Answer, *, several: bool) -> Answer:
         must = f"{plain_percent(target)} may break" if survive else f"{plain_percent(1.0 - target)} must break"
         planned = f"Planned: {given(axis)}. " if axis.planned else ""
         best = next((m.at_target for m in answer.modes if m.at_target is not None and not m.assumed), None)
-        by = _by(answer)
-        alone = f" {capital(by)}." if survive and by.endswith(" alone") else ""
+        lacking = [m.name.lower() for m in _without(answer)] if survive else []
+        alone = f" Without {listed(lacking)}." if lacking else ""
         why = f"As planned, {share(max(misses, default=0.0), target)} {'break' if survive else 'are left whole'}."
         return replace(
             answer,
@@ -469,11 +469,15 @@ def _beyond(aim: str) -> str:
     return "beyond" if aim == "survive" else "short of"
 
 
+def _without(answer: Answer) -> list[Mode]:
+    """The ways of breaking that miss the target as planned, and for which no number was solved."""
+    return [m for m in answer.modes if m.at_target is None and m.miss is not None and m.miss > (answer.target or 0.0)]
+
+
 def _by(answer: Answer) -> str:
     """By which ways the number was solved for, where not all that are judged have one."""
     known = [mode.name.lower() for mode in answer.modes if mode.at_target is not None]
-    lacking = any(m.at_target is None and m.miss is not None and m.miss > (answer.target or 0.0) for m in answer.modes)
-    if lacking:
+    if _without(answer):
         return f"by {listed(known)} alone"
     return "by way of breaking" if len(known) > 1 else ""
 

@@ -381,7 +381,7 @@ class Tabled:
         names, nodes = self.similarity.numbers.names, self.similarity.table.nodes
         several = len(names) > 1
         return (
-            f"the inputs act through {len(names)} scaled number{'s' * several} ({', '.join(names)}): a table of "
+            f"the inputs act through {len(names)} scaled number{'s' * several} ({', '.join(names)}); a table of "
             f"{nodes:,} points in {'them' if several else 'it'} answers {self.rows:,} rows for {of}; the model answers "
             f"{self.open:,} of them, where the table jumps"
         )

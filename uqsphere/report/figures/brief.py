@@ -226,7 +226,7 @@ def _curve(answers: Sequence[Answer], sheet: Sheet, number: int) -> str:
         ]
     parts += _scale(paper)
     for answer in answers:
-        parts += _target(paper, answer)
+        parts += _target(paper, answer, first=answer is answers[0])
     for mode in shown:
         parts.append(_path(lines[mode.name], f"curve {_kind(mode)}"))
     for tests in {answer.tests: answer for answer in answers}.values():
@@ -269,7 +269,7 @@ def _scale(paper: _Paper) -> list[str]:
     return parts
 
 
-def _target(paper: _Paper, answer: Answer) -> list[str]:
+def _target(paper: _Paper, answer: Answer, *, first: bool) -> list[str]:
     parts, size = [], paper.sheet.type
     if answer.level is not None:
         y, solved = paper.y(answer.level), [paper.x(v) for v in solved_for(answer) if paper.inside(v)]
@@ -283,7 +283,7 @@ def _target(paper: _Paper, answer: Answer) -> list[str]:
             _beside(paper, paper.right + 4 if right else start, y - 5, words, left=right, kind="halo"),
         ]
     planned = answer.axis.planned if answer.axis else None
-    if planned is not None and paper.inside(planned):
+    if first and planned is not None and paper.inside(planned):
         x = paper.x(planned)
         parts += [
             _line(x, paper.top, x, paper.bottom, "plan"),
