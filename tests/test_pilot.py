@@ -268,3 +268,9 @@ def test_rows_with_two_candidates_are_answered(study_from: Build, monkeypatch: p
     assert np.isfinite(answered.values).all()
     assert (work.ledger.undecided, work.ledger.failures) == (10, {})
     assert not scene_of(work.study, {}, 1).status.any()
+
+
+def test_a_duration_beyond_the_record_is_looked_at_where_it_is_asked_for(study_from: Build) -> None:
+    study = study_from('analysis.quantities=["contact_time", "impulse_time"]', "analysis.budget.evaluations=600")
+    found = pilot.first_look(work_of(study))
+    assert {"contact_time", "impulse_time"} <= found.measured_error.keys()

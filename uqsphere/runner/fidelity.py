@@ -10,6 +10,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags
 from uqsphere.mechanics.fidelity import Fallback, fit_error_law
+from uqsphere.mechanics.outputs import BEYOND, all_of
 from uqsphere.mechanics.yielding import Face
 from uqsphere.model import cheaper_fidelities, is_answered, scene_of, solve_scene
 from uqsphere.results.entries import CheckEntry
@@ -224,7 +225,8 @@ def first_look(work: Work) -> Pilot:
     scene, half = scene_of(study, values, count), max(count // 2, 1)
     few = scene_of(study, {name: column[:half] for name, column in values.items()}, half)
     look = _Look(work=work, few=few)
-    full = look.solve(scene, "full", study.model.tolerance, None)
+    every = all_of(scene, work.quantities) if BEYOND & set(work.quantities) else None
+    full = look.solve(scene, "full", study.model.tolerance, every)
     same = _first(full, len(few))
     scatter = np.array([_scatter(full, name) for name in work.quantities])
     asked, bound = study.model.fidelity, allowed_error(study)
