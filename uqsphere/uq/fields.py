@@ -177,12 +177,14 @@ def _quantiles(
     order = np.argsort(heights, kind="stable")
     for k, fold in enumerate(folds):
         values = fold.products(law_points(fold.germs, FOLDS * seed + k)[0][:POINTS]).T @ fold.coefficients
-        near = np.searchsorted(heights[order], values @ along) - LEAST_NEAR // 2
+        first = np.searchsorted(heights[order], values @ along) - LEAST_NEAR // 2
         rng = np.random.default_rng([seed, k])
-        row = np.clip(near, 0, len(order) - LEAST_NEAR) + rng.integers(0, LEAST_NEAR, len(values))
-        found.append(np.quantile(values + residuals[order[row]], levels, axis=0))
+        row = np.clip(first, 0, len(order) - LEAST_NEAR) + rng.integers(0, LEAST_NEAR, len(values))
+        found.append(np.quantile(values + residuals[order[row]], levels, axis=0, method="hazen"))
     answers = np.array(found)
-    return _band(answers.mean(axis=0), np.hypot(_between(answers), half), unit)
+    # what the rows near a level tell of its residuals, as `response.with_residuals` has it
+    near = math.sqrt(len(residuals) / LEAST_NEAR) * half
+    return _band(answers.mean(axis=0), np.hypot(_between(answers), near), unit)
 
 
 def _indices(
