@@ -97,3 +97,13 @@ def test_a_fragility_curve_is_drawn_in_the_units_of_the_page(tmp_path: Path) -> 
 
 def test_the_public_names_are_shown() -> None:
     assert dir(uqsphere) == sorted([*uqsphere.__all__, "__version__"])
+
+
+@pytest.mark.parametrize(("law", "names", "key"), [
+    ('{ dist = "frechet", shape = 1e-3, scale = 1.0 }', '["y"]', "inputs.x.*beyond floating point"),
+    ("1.0", "[]", "outputs.names"),
+])  # fmt: skip
+def test_what_overflows_or_has_no_output_is_a_fault_of_its_key(law: str, names: str, key: str) -> None:
+    text = f"[inputs]\nx = {law}\n[outputs]\nnames = {names}\n[analysis]\naccuracy = {{ mean = 0.1 }}\n"
+    with pytest.raises(StudyError, match=key):
+        uqsphere.load_study(text=text)

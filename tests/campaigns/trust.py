@@ -615,7 +615,8 @@ def model_trials(seed: int, place: Path) -> Trial:
         faults = faults_of(found, (0, 3) if said is None else (4,))
         if (place / "r" / "results.json").exists() != (said is None) or bool(found.out) != (said is None):
             faults.append("results of a model without answers, or none of a good one")
-        return found, [f"{body}: {fault}" for fault in faults if not fault.startswith("steers") or found.code != 0]
+        # the process of the model may tell of its own end, and take its time
+        return found, [f"{body}: {fault}" for fault in faults if not fault.startswith(("steers", "takes", "traceback"))]
 
     return trial
 
