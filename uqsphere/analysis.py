@@ -37,7 +37,6 @@ from uqsphere.given.answers import variance_shares
 from uqsphere.uq import beyond_variance, curve, tolerance
 from uqsphere.uq.curve import LognormalCurve
 from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.families import LawError
 from uqsphere.uq.foreign import LawLike, as_law, joint_of
 from uqsphere.uq.joint import Dependence, Joint
 from uqsphere.uq.limit_state import LimitState, tails
@@ -85,7 +84,7 @@ def _refusing() -> Iterator[None]:
     try:
         with threadpool_limits(limits=1, user_api="blas"):
             yield
-    except (LawError, ValueError) as error:
+    except ValueError as error:
         raise UsageError(str(error)) from error
 
 

@@ -390,15 +390,13 @@ def evaluate(
 
     Parameters
     ----------
-    study : Study
     values : mapping of dotted path to (n,) array
         In SI; the rest of the scene stands at its mean.
     quantities : names of `uqsphere.quantities.OUTPUTS`
     fidelity : full, massless, linear, or elastic: yield from the largest force alone
     tolerance : relative error of every quantity
     threads : all processors if None; the answers do not depend on it
-    model : "FILE.py:FUNCTION" or function
-        The black box of a black-box study, which answers its outputs (or those of `quantities`) here, in one call.
+    model : the black box of a black-box study, "FILE.py:FUNCTION" or a function, called here once
 
     Returns
     -------
@@ -421,11 +419,10 @@ def evaluate(
         return _evaluate_box(study, values, quantities, model)
     if model is not None:
         raise UsageError("a model of one's own answers black-box studies; this one describes an impact scene")
-    if not quantities:
-        raise UsageError(f"no quantity is asked for (allowed: {', '.join(OUTPUTS)})")
-    for name in quantities:
+    for name in quantities or ("",):
         if name not in OUTPUTS:
-            raise UsageError(f"unknown quantity {name!r} (allowed: {', '.join(OUTPUTS)})")
+            said = f"unknown quantity {name!r}" if name else "no quantity is asked for"
+            raise UsageError(f"{said} (allowed: {', '.join(OUTPUTS)})")
     if fidelity not in FIDELITIES:
         raise UsageError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(FIDELITIES)})")
     names, rows = _rows_of(values)

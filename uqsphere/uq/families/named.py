@@ -59,17 +59,7 @@ def wrapped(name: str, law: Functions, shapes: tuple[str, ...] = ()) -> Family:
         return 2.0 if math.isfinite(mean) else 1.0
 
     def canonical(given: dict[str, float], lower: float, upper: float) -> dict[str, float]:
-        numbers = tuple(given[key] for key in shapes)
-        for quantile, share, called in ((law.ppf, law.cdf, "lower"), (law.isf, law.sf, "upper")):
-            with np.errstate(all="ignore"):
-                places = np.asarray(quantile(_TAILS, *numbers), dtype=float)
-                found = np.asarray(share(places, *numbers), dtype=float) / _TAILS
-            wrong = ~(np.abs(found - 1.0) < _AGREE)
-            if np.isnan(places).all():
-                raise LawError(f"{name} has no law with these shapes", shapes[0] if shapes else "")
-            if wrong.any():
-                raise LawError(f"the {called} tail of {name} is wrong from the probability {_TAILS[wrong][0]:g} on: "
-                               "its quantile there has another probability")  # fmt: skip
+        _check_tails(name, law, tuple(given[key] for key in shapes), shapes[0] if shapes else "")
         return given
 
     def resolve(given: Mapping[str, float], lower: float, upper: float) -> tuple[float, float, Shapes]:
@@ -97,6 +87,20 @@ def wrapped(name: str, law: Functions, shapes: tuple[str, ...] = ()) -> Family:
         heavy_upper=lambda numbers: order(numbers, law.isf),
         fit=no_fit,
     )
+
+
+def _check_tails(name: str, law: Functions, numbers: Shapes, key: str) -> None:
+    """Raise LawError, for a key, where quantiles and probabilities of a tail do not belong to each other."""
+    for quantile, share, called in ((law.ppf, law.cdf, "lower"), (law.isf, law.sf, "upper")):
+        with np.errstate(all="ignore"):
+            places = np.asarray(quantile(_TAILS, *numbers), dtype=float)
+            found = np.asarray(share(places, *numbers), dtype=float) / _TAILS
+        if np.isnan(places).all():
+            raise LawError(f"{name} has no law with these shapes", key)
+        wrong = ~(np.abs(found - 1.0) < _AGREE)
+        if wrong.any():
+            raise LawError(f"the {called} tail of {name} is wrong from the probability {_TAILS[wrong][0]:g} on: "
+                           "its quantile there has another probability")  # fmt: skip
 
 
 @lru_cache(maxsize=64)
