@@ -421,7 +421,7 @@ RULES: Final[tuple[Rule, ...]] = (
     Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), in the rise time",
          measure=_transits, warning=4.0, failure=3.0, rising=False, rigs=(*_BARS, *_WEIGHTS),
          words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while the force rises from "
-               "10 % to 90 % (at least {limit}), too few for a quasi-static sphere",
+               "10 % to 90 % (at least {limit}); too few for a quasi-static sphere",
          fine="sphere quasi-static: a wave, at sqrt(E/rho), crosses it at least {worst} times while the "
               "force rises from 10 % to 90 % (at least {limit})"),
     Rule(name="one_dimensional_bars", meaning="rise of the pulse over bar radius/c_0 (one-dimensional waves)",
@@ -438,7 +438,7 @@ RULES: Final[tuple[Rule, ...]] = (
               "P_0 = Z v_0/2)"),
     Rule(name="before_reflection", meaning="record over the first return of a reflected wave (infinite bars)",
          measure=_record_over_echo, information=1.0, rigs=_BARS,
-         words="infinite bars were asked for, but the record runs to {worst} times the first return of a "
+         words="infinite bars were asked for; but the record runs to {worst} times the first return of a "
                "reflected wave in bars of the given length",
          fine="infinite bars: the record ends before a wave is back, at {worst} times its first return"),
     Rule(name="sphere_yield_contact", meaning="contact pressure over that at which the sphere yields or crushes",
@@ -451,8 +451,8 @@ RULES: Final[tuple[Rule, ...]] = (
          fine="no face yields: the approach is at most {worst} of that at first yield"),
     Rule(name="softer_body", meaning="onset of the harder body of a face over that of the softer one",
          measure=_other_onset, information=1.3, rising=False, laws=("plastic",),
-         words="the body of a face that is taken for hard begins to yield at {worst} times the pressure of the softer "
-               "one (clear from {limit}), or has the lower hardness: the law is only a bound",
+         words="a face taken for hard yields at {worst} times the pressure of the softer one (clear from {limit}), "
+               "or is less hard; the law is only a bound",
          fine="one body of each face is clearly the softer: the other begins to yield at {worst} times its pressure "
               "(clear from {limit})"),
     Rule(name="plastic_range", meaning="approach over that at which a face first yields (law seen up to 110)",
@@ -474,7 +474,7 @@ RULES: Final[tuple[Rule, ...]] = (
          fine="pressure near Hertz's: faces pressed to at most {worst} times the first yield (limit {limit})"),
     Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), under load",
          measure=_transits_of_blow, warning=6.0, failure=4.0, rising=False, rigs=_ONE,
-         words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while it is pressed (at least {limit}), "
+         words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while it is pressed (at least {limit}); "
                "too few for a quasi-static sphere",
          fine="sphere quasi-static: a wave, at sqrt(E/rho), crosses it at least {worst} times while it is pressed "
               "(at least {limit})"),
