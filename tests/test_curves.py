@@ -26,7 +26,7 @@ TRUTH = {0.01: 0.771664, 0.5: 1.4185936, 0.99: 1.933693}
 
 @pytest.fixture(scope="module")
 def crushed() -> Study:
-    return uqsphere.load_study(STUDIES / "limestone_margin.toml")
+    return uqsphere.load_study(STUDIES / "limestone_margin.toml", ['contact.law="hertz"'])
 
 
 def kinked(value: float, z: np.ndarray) -> np.ndarray:

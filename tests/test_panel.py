@@ -75,7 +75,7 @@ def test_other_laws_are_asked_as_the_run_asks_them(run_folder: Path, dist: str) 
     data = panel_of(run_folder)
     law = make_law(dist, {"mean": 4e9, **({"modulus": 12.0} if dist == "weibull" else {"cov": 0.1})})
     contents = read_contents(run_folder)
-    demands = contents.samples["p_max"].values
+    demands = contents.samples[data["limits"][0]["quantity"]].values
     data["limits"][0]["law"] = _law(law, np.log(demands))
     data["limits"][0]["tie"]["spearman"] = 0.0
     data["limits"][0]["miss"] = [float(np.mean(law.cdf(demands)))] * 3

@@ -234,9 +234,14 @@ def stored_energy(law, m, above):
         return 0.4 * force * max(above, 0.0), 0.4 * (force + slope * above)
     onset, b = law[ONSET, m], law[SOFTENING, m]
     z = max((above + law[SHIFT, m]) / onset, 1.0)
-    recovered = onset * (force / law[UNIT, m]) / math.sqrt(_virgin_area(z, b, law[PILE_UP, m]))
-    # its slope is only used to look for tops between points: that of a spring of the present stiffness
-    return 0.4 * force * recovered, 0.8 * recovered * slope
+    area = _virgin_area(z, b, law[PILE_UP, m])
+    recovered = onset * (force / law[UNIT, m]) / math.sqrt(area)
+    # dA/dz of (C6) is C - (C - 1) g/(g + y - 1)
+    pile_up, g = law[PILE_UP, m], 5.0
+    if pile_up > 1.0:
+        g = min(5.0, pile_up * b * b / ((pile_up - 1.0) * (1.0 + b)))
+    widens = pile_up - ((pile_up - 1.0) * g / (g + math.sqrt(z) - 1.0) if g > 0.0 else 0.0)
+    return 0.4 * force * recovered, 0.4 * recovered * (2.0 * slope - 0.5 * force * widens / (area * onset))
 
 
 @compiled(**INNER)
