@@ -259,7 +259,7 @@ def _by_assumed(case: _Case) -> str:
     """(c): whether a way with an assumed strength turns the verdict somewhere in the 95 % range of that strength."""
     if case.evidence is None:
         left = [way.called for way in ways_of(case.study).assumed] if means_fracture(case.limit) else []
-        return f"the budget of evaluations left nothing to judge {_listed(left)}" if left else ""
+        return f"the budget left nothing to judge {_listed(left)}" if left else ""
     turning, ends = [], []
     for way in case.ways:
         chances = [case.chance(way, law) for law in (way.weak, way.limit.strength, way.strong)]
