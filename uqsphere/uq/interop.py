@@ -11,7 +11,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.uq.control import mean_expansion
-from uqsphere.uq.estimate import Estimate, from_replicates, student
+from uqsphere.uq.estimate import Estimate, absent, from_replicates, student
 from uqsphere.uq.expansion.germs import GermLike, load_chaospy, recurrence_of
 from uqsphere.uq.indices import Blocks, uniform_halves
 from uqsphere.uq.joint import Joint
@@ -145,16 +145,22 @@ def salib_indices(outputs: Array) -> dict[str, list[Estimate]]:
     """First and total indices by SALib's estimators from outputs (R, N, d + 2) at blocks A, AB_1 ... AB_d, B.
 
     SALib's own intervals are those of a bootstrap of Sobol' points, which are several times too wide: here they are
-    those of the R randomisations.
+    those of the R randomisations.  There are none where the output is constant in A and B of a randomisation.
     """
     from SALib.analyze.sobol import first_order, total_order
 
-    spread = float(outputs.std()) or 1.0
-    y = (outputs - outputs.mean()) / spread
+    # a power of two rounds nothing, and keeps the squares of 1e300 and of 1e-300 inside floating point
+    y = np.ldexp(outputs, -int(np.frexp(np.abs(outputs).max())[1]))
+    y = (y - y.mean()) / (float(y.std()) or 1.0)
+    # SALib calls both indices of a constant zero, with a warning
+    constant = not np.ptp(y[:, :, [0, -1]], axis=(1, 2)).all()
     found: dict[str, list[Estimate]] = {}
     for order, estimator in (("first", first_order), ("total", total_order)):
         found[order] = []
         for j in range(1, y.shape[2] - 1):
+            if constant:
+                found[order].append(absent("the output is constant in a randomisation", "SALib", outputs.size))
+                continue
             parts = [float(estimator(r[:, 0], r[:, j], r[:, -1])) for r in y]
             flat = y.reshape(-1, y.shape[2])
             pooled = float(estimator(flat[:, 0], flat[:, j], flat[:, -1]))
