@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -223,6 +223,8 @@ def lost_designs(failed: Flags) -> str:
 #: points of each replicate that the expansion is fitted to, and replicates that are fitted
 FIT_POINTS = 256
 FITS = 8
+#: fits that are kept where many inputs need several randomisations for each: what fewer agree on tells no interval
+_LEAST_FITS: Final = 4
 CHAOS = "polynomial chaos"
 HELD_OUT = "share of the variance left unexplained (held out)"
 
@@ -323,21 +325,27 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
 
     d = len(work.scene_names)
     sample = sampled.sample
-    n = sample.count
     least = 4 * (d + 1)
-    used = min(max(FIT_POINTS, least), n)
-    outputs = sample.answer(quantity)
-    whole = ~sample.failed
+    # many inputs take the rows of several randomisations for one fit
+    joined = min(-(-least // sample.count), max(1, sample.replicates // (2 * _LEAST_FITS)))
+    count = min(FITS, sample.replicates // (2 * joined))
+    used = min(max(FIT_POINTS, least), joined * sample.count)
+
+    def rows_of(block: int, most: int | None = None) -> tuple[Array, Array]:
+        """Points and outputs of the rows with an answer among the first ones of some randomisations."""
+        own = slice(joined * block, joined * (block + 1))
+        keep = ~sample.failed[own].ravel()[:most]
+        scores = sample.scores[own, :, :d].reshape(-1, d)[:most]
+        return germ_points(scores[keep], work.germs), sample.answer(quantity)[own].ravel()[:most][keep]
+
     alone = not work.study.analysis.samples_indices
     fits: list[Chaos] = []
     errors = []
-    for replicate in range(FITS):
-        keep = whole[replicate, :used]
-        points = germ_points(sample.scores[replicate, :used, :d][keep], work.germs)
+    for replicate in range(count):
+        points, column = rows_of(replicate, used)
         if len(points) < least:
             reason = f"{len(points)} samples with an answer are too few for an expansion in {d} inputs: {least} are due"
             return Expansion(about={"kind": None, "error": None, "evaluations": 0, "reason": reason})
-        column = outputs[replicate, :used][keep]
         # as an answer of its own, the interval has to hold the choice of terms too
         again = fits and not alone
         if again:
@@ -346,15 +354,13 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
             # the mean of the fits takes one set of germs
             germs = fits[0].germs if fits else work.germs
             fits.append(fit_chaos(points, column, germs, plain=True, settled=bool(fits)))
-        # held out: another randomisation altogether
-        other = FITS + replicate
-        points = germ_points(sample.scores[other, :, :d][whole[other]], work.germs)
-        errors.append(validation_error(fits[-1], points, outputs[other][whole[other]]))
+        # held out: other randomisations altogether
+        errors.append(validation_error(fits[-1], *rows_of(count + replicate)))
     error = float(np.mean(errors))
     own = error_with_tails(fits, error)
     # sampling corrects a control variate whatever it leaves out; nothing corrects an answer of its own
     verdict = judge(fits[0], own if alone else error)
-    evaluations = FITS * used
+    evaluations = count * used
     about = {
         "kind": CHAOS,
         "error": verdict.error,
