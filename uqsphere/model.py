@@ -284,7 +284,7 @@ def answer_black_box(
     if len(rows) == 0:
         return _no_rows(outputs)
     if box is None:
-        raise UsageError("a black-box study is run with --model FILE.py:FUNCTION")
+        raise UsageError("a black box is run with --model FILE.py:FUNCTION, in Python with model=")
     given = {name: np.full(len(rows), value) for name, value in study.fixed.items()}
     given |= {name: np.array(rows[:, k]) for k, name in enumerate(names)}
     inputs = np.stack(list(given.values()), axis=1)

@@ -131,7 +131,7 @@ def as_law(given: LawLike) -> Law:
     >>> from scipy import stats
     >>> law = as_law(stats.norm(1.0, 0.1))
     >>> law.family.name, float(law.isf(np.array([1e-30]))[0].round(9))
-    ('normal', 2.146462809)
+    ('normal', 2.146402469)
     """
     if isinstance(given, Law):
         return given
