@@ -181,9 +181,11 @@ def test_a_curve_costs_little_more_than_a_point() -> None:
 
 def test_an_impact_over_energy_with_a_family_and_bars(tmp_path: Path) -> None:
     study = Path(uqsphere.__file__).parent.parent / "studies" / "limestone_margin.toml"
-    sets = [*SMALL, f'margins.solve="{ENERGY}"', 'margins.between=["0.5 J/kg", "50 kJ/kg"]']
+    # bars yield under a sphere that stays elastic
+    hertz = [*SMALL, 'contact.law="hertz"']
+    sets = [*hertz, f'margins.solve="{ENERGY}"', 'margins.between=["0.5 J/kg", "50 kJ/kg"]']
     found = uqsphere.run(uqsphere.load_study(study, sets), out=tmp_path / "r").results.document()["margins"]["whole"]
-    speeds = uqsphere.run(uqsphere.load_study(study, SMALL), out=tmp_path / "s").results.document()["margins"]["whole"]
+    speeds = uqsphere.run(uqsphere.load_study(study, hertz), out=tmp_path / "s").results.document()["margins"]["whole"]
     # kinetic energy of the striker over the sphere's mass, at the means: v50 is the same event
     means = uqsphere.load_study(study).at_means()
     mass = 4.0 / 3.0 * math.pi * means["sphere.radius"] ** 3 * means["sphere.density"]
@@ -198,6 +200,11 @@ def test_an_impact_over_energy_with_a_family_and_bars(tmp_path: Path) -> None:
     assert bars["pulse_value"] > speeds["values"]["0.95"]["value"]
     assert bars["contact"]["value"] > 0.0
     assert bars["contact_probability"] == 0.01
+    # poles that are crushed press no harder than their hardness, 1.7 GPa, and bars of 1.9 GPa yield from 3 GPa on
+    crushed = uqsphere.run(uqsphere.load_study(study, SMALL), out=tmp_path / "c").results.document()["margins"]["whole"]
+    assert crushed["bars"]["contact"]["value"] is None
+    assert crushed["bars"]["contact_everywhere"] == "elastic"
+    assert set(crushed["bars"]["yields_at"].values()) == {0.0}
     # the checks are made at the answer, not where the study stands, and see the bars yield there as the curve does
     for entry in (speeds, found):
         told = entry["validity"]

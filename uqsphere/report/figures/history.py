@@ -202,8 +202,14 @@ def balance_picture(balance: Balance, hertz: Sequence[float]) -> Picture:
         over.legend(loc="upper left", bbox_to_anchor=(0.0, 1.22), ncols=4, borderpad=0.0)
         over.grid()
         loop.grid()
-    title = "Force over approach, and where the energy is"
-    return Picture(name="balance", title=title, finding=_balance_finding(balance), figure=figure)
+    columns: dict[str, Array] = {"time [s]": balance.time}
+    for pole, name in enumerate("AB"):
+        if hertz[pole] > 0.0:
+            columns |= {f"approach {name} [m]": balance.approach[pole], f"force {name} [N]": balance.force[pole]}
+    columns |= {f"{name} [J]": course for name, course, _, _ in parts}
+    rows = tuple(zip(*(column.tolist() for column in columns.values()), strict=True))
+    return Picture(name="balance", title="Force over approach, and where the energy is", header=tuple(columns),
+                   rows=rows, finding=_balance_finding(balance), figure=figure)  # fmt: skip
 
 
 def loop_figure(contents: Contents) -> Picture | None:
