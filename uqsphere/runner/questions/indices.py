@@ -329,7 +329,7 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
     # many inputs take the rows of several randomisations for one fit
     joined = min(-(-least // sample.count), max(1, sample.replicates // (2 * _LEAST_FITS)))
     count = min(FITS, sample.replicates // (2 * joined))
-    used = min(max(FIT_POINTS, least), joined * sample.count)
+    used = min(max(joined * FIT_POINTS, least), joined * sample.count)
 
     def rows_of(block: int, most: int | None = None) -> tuple[Array, Array]:
         """Points and outputs of the rows with an answer among the first ones of some randomisations."""
