@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from report_folders import estimate, limit, put, write_folder
 
 from uqsphere.cli import main
 from uqsphere.mechanics.validity import RULES
-from uqsphere.report.brief import make_brief, span
+from uqsphere.report.brief import Answer, Axis, Mode, make_brief, ranged, span
 from uqsphere.report.cautions import check_words
 from uqsphere.report.contents import read_contents
 from uqsphere.report.page import typeset
@@ -137,3 +138,20 @@ def test_checks_are_told_with_what_they_do_to_the_answer(tmp_path: Path) -> None
         moved = {"results/validity": [broken], "results/model/chosen": "full" if followed else "massless"}
         told = [caution.text for caution in make_brief(put(contents, moved)).cautions if "(20 %)" in caution.text]
         assert [text.partition("): ")[2] for text in told] == ([f"{effect}."] if effect else [])
+
+
+def test_a_way_without_a_number_opens_the_safe_end() -> None:
+    """What breaks more than is allowed at every value looked at leaves nothing to promise."""
+    axis = Axis(path="striker.speed", words="striker speed", unit="m/s", factor=1.0, planned=0.6)
+    tested = Mode(limit="whole", name="Core tension", place="core", miss=0.002, broken=0.002, at_target=0.9)
+    worse = Mode(limit="", name="Ring crack", place="rim", miss=0.9, broken=0.9, assumed=True)
+    curve = ((0.05, 0.4), (2.0, 0.999))
+    for aim, modes, told in (
+        ("survive", (tested,), "0.90"),
+        ("survive", (tested, worse), "under 0.60–0.90"),
+        ("survive", (tested, replace(worse, curve=curve)), "under 0.050–0.90"),
+        ("break", (tested, worse), "over 0.90"),
+        ("break", (tested, replace(worse, curve=curve)), "0.90–over 2.0"),
+    ):
+        answer = Answer(question="", big="", unit="", note="", aim=aim, axis=axis, target=0.01, modes=modes)
+        assert ranged(answer) == told

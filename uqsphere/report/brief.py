@@ -434,18 +434,20 @@ def _worded(answer: Answer, *, several: bool) -> Answer:
     if several and axis is not None and solved and target is not None:
         must = f"{plain_percent(target)} may break" if survive else f"{plain_percent(1.0 - target)} must break"
         planned = f"Planned: {given(axis)}. " if axis.planned else ""
-        best = next((m.at_target for m in answer.modes if m.at_target is not None and not m.assumed), None)
-        lacking = [m.name.lower() for m in _without(answer)] if survive else []
-        alone = f" Without {listed(lacking)}." if lacking else ""
+        told = ranged(answer)
+        # a range of what may be is no range of what is allowed
+        within = ", somewhere in" if "–" in told else ""
+        best = next((m for m in answer.modes if m.at_target is not None and not m.assumed), None)
+        alone = ""
+        if best is not None and best.at_target is not None and len(answer.modes) > 1:
+            alone = f"By {best.name.lower()} alone: {two(best.at_target * axis.factor)} {axis.unit}."
         why = f"As planned, {share(max(misses, default=0.0), target)} {'break' if survive else 'are left whole'}."
         return replace(
             answer,
-            question=f"{'Highest' if survive else 'Least'} {axis.words}{of} ({must})",
-            big=span(solved, safe_is_low=survive),
+            question=f"{'Highest' if survive else 'Least'} {axis.words}{of} ({must}){within}",
+            big=told,
             unit=axis.unit,
-            note=planned
-            + (f"Best estimate {two(best * axis.factor)} {axis.unit}." if best and survive else "")
-            + alone,
+            note=planned + alone,
             reasons=answer.reasons or ((why,) if answer.verdict == "not met" and misses else ()),
         )
     broken = (
@@ -460,7 +462,7 @@ def _worded(answer: Answer, *, several: bool) -> Answer:
     if axis is not None and solved and (target is not None or len(asked) == 1):
         where = "at the target" if target is not None else f"where {plain_percent(next(iter(asked)))} break"
         words = f"{axis.words[:1].upper()}{axis.words[1:]} {where}"
-        value = f"{span(solved, safe_is_low=survive)}\u00a0{axis.unit}"
+        value = f"{ranged(answer)}\u00a0{axis.unit}"
         second = (words, value, _by(answer))
     return replace(answer, question=f"{broken}{at}{of}", big=big, unit=unit, note=allowed, second=second)
 
@@ -474,10 +476,36 @@ def _without(answer: Answer) -> list[Mode]:
     return [m for m in answer.modes if m.at_target is None and m.miss is not None and m.miss > (answer.target or 0.0)]
 
 
+def beyond_reach(answer: Answer) -> float | None:
+    """A bound (SI) of the number that some way of breaking would need, where none was solved for it; else None.
+
+    To survive the number lies below, to break above: the end of the curve of that way, which misses the target even
+    there, or what is planned where its curve is not known.
+    """
+    survive, planned = answer.aim == "survive", answer.axis.planned if answer.axis else None
+    ends = [m.curve[0 if survive else -1][0] if m.curve else planned for m in _without(answer)]
+    known = [end for end in ends if end is not None] + (solved_for(answer) if ends else [])
+    return None if not known else min(known) if survive else max(known)
+
+
+def ranged(answer: Answer) -> str:
+    """The range of the number solved for over all ways of breaking; open at its safe end where one has no number."""
+    assert answer.axis is not None
+    survive, factor, end = answer.aim == "survive", answer.axis.factor, beyond_reach(answer)
+    told = span([v * factor for v in solved_for(answer)], safe_is_low=survive)
+    if end is None:
+        return told
+    first, _, last = told.partition("–")
+    bound, other = two(end * factor), (last or first) if survive else first
+    if survive:
+        return f"under {bound}" if other == bound else f"under {bound}–{other}"
+    return f"over {bound}" if other == bound else f"{other}–over {bound}"
+
+
 def _by(answer: Answer) -> str:
     """By which ways the number was solved for, where not all that are judged have one."""
     known = [mode.name.lower() for mode in answer.modes if mode.at_target is not None]
-    if _without(answer):
+    if _without(answer) and beyond_reach(answer) is None:
         return f"by {listed(known)} alone"
     return "by way of breaking" if len(known) > 1 else ""
 

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from uqsphere.report.brief import Answer, Mode, crossing, solved_for, span
+from uqsphere.report.brief import Answer, Mode, beyond_reach, crossing, ranged, solved_for
 from uqsphere.report.figures.canvas import clean, shorten
 from uqsphere.report.phrases import counted, share
 
@@ -225,6 +225,7 @@ def _curve(answers: Sequence[Answer], sheet: Sheet, number: int) -> str:
             ),
         ]
     parts += _scale(paper)
+    paper.taken += _under_bars(paper, answers)
     for answer in answers:
         parts += _target(paper, answer, first=answer is answers[0])
     for mode in shown:
@@ -299,10 +300,10 @@ def _tests(paper: _Paper, answer: Answer, *, told: bool) -> list[str]:
     paper.taken += [(x - 4.0, y + 0.4 * paper.sheet.type, 8.0) for x, y in points]
     if not points or not told:
         return parts
-    count = len(answer.tests) + answer.left_whole
-    x, y = points[len(points) // 3]
     made = "made-up " if answer.made_up else ""
-    parts.append(_beside(paper, x - 8, y + 4, counted(count, f"{made}test"), left=True, kind="halo"))
+    words = counted(len(answer.tests) + answer.left_whole, f"{made}test")
+    places = (_beside(paper, x - 8, y + 4, words, left=True, kind="halo") for x, y in points[len(points) // 3 :])
+    parts.append(next((placed for placed in places if placed), ""))
     if answer.left_whole:
         x, y = points[-1]
         parts.append(_beside(paper, x - 8, y - 6, f"{answer.left_whole} left whole →", left=True, kind="halo"))
@@ -339,7 +340,9 @@ def _cross(paper: _Paper, answer: Answer) -> list[str]:
     if not inside or answer.level is None:
         return []
     low, high, y = paper.x(min(inside)), paper.x(max(inside)), paper.y(answer.level)
-    first, _, last = span([v * axis.factor for v in solved], safe_is_low=answer.aim == "survive").partition("–")
+    if beyond_reach(answer) is not None:
+        low, high = (paper.left, high) if answer.aim == "survive" else (low, paper.right)
+    first, _, last = ranged(answer).partition("–")
     parts = [_line(low, y, max(high, low + 1.5), y, "bar")]
     if not last:
         return [*parts, _beside(paper, high, y + 1.25 * size, f"{first} {axis.unit}")]
@@ -350,13 +353,34 @@ def _cross(paper: _Paper, answer: Answer) -> list[str]:
     ]
 
 
-def _planned(paper: _Paper, answers: Sequence[Answer]) -> list[str]:
-    """The share broken as planned: a bar over all ways, its ends with their numbers where they lie on the paper."""
+def _as_planned(paper: _Paper, answers: Sequence[Answer]) -> tuple[float, float, float] | None:
+    """Where what is planned stands, and the least and the largest share broken there over all ways."""
     planned = answers[0].axis.planned if answers[0].axis else None
     broken = [mode.broken for answer in answers for mode in answer.modes if mode.broken is not None]
     if planned is None or not broken or not paper.inside(planned):
+        return None
+    return paper.x(planned), min(broken), max(broken)
+
+
+def _under_bars(paper: _Paper, answers: Sequence[Answer]) -> list[tuple[float, float, float]]:
+    """Lines of text that would stand on the bars of the targets and of what is planned."""
+    size, found = paper.sheet.type, []
+    for answer in answers:
+        inside = [paper.x(v) for v in solved_for(answer) if paper.inside(v)]
+        if inside and answer.level is not None:
+            found.append((min(inside), paper.y(answer.level) + 0.35 * size, max(inside) - min(inside)))
+    if (place := _as_planned(paper, answers)) is not None:
+        x, low, high = place
+        top, bottom = (min(max(paper.y(p), paper.top), paper.bottom) for p in (high, low))
+        found += [(x - 2.0, y, 4.0) for y in np.arange(top, bottom, size).tolist()]
+    return found
+
+
+def _planned(paper: _Paper, answers: Sequence[Answer]) -> list[str]:
+    """The share broken as planned: a bar over all ways, its ends with their numbers where they lie on the paper."""
+    if (place := _as_planned(paper, answers)) is None:
         return []
-    x, low, high = paper.x(planned), min(broken), max(broken)
+    x, low, high = place
     low_y, high_y = (min(max(paper.y(p), paper.top), paper.bottom) for p in (low, high))
     parts = [_line(x, low_y + 1.5, x, high_y - 1.5, "bar")]
     if high > 1.2 * low and high > _LEAST:
