@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import uqsphere
 from uqsphere.mechanics import contact, impact
 from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.integrator import solve as dynamics
@@ -403,3 +404,38 @@ def test_a_closed_form_gives_what_it_has() -> None:
     with pytest.raises(KeyError):
         answers_from(given, {"x_b": np.ones(1), "ended": np.ones(1), "x_max": np.ones(1)}, given.status,
                      np.zeros(1, dtype=np.int64), quantities=["contact_time"])  # fmt: skip
+
+
+THROWN = """
+seed = 5
+[sphere]
+material = "soda_lime_glass"
+density = { dist = "lognormal", mean = "2500 kg/m3", cov = 0.4 }
+radius = "5 mm"
+[rig]
+kind = "impact"
+speed = { dist = "lognormal", mean = "3 m/s", cov = 0.3 }
+[target]
+kind = "thick"
+material = "steel"
+[analysis]
+quantities = ["p_max"]
+accuracy = { mean = 0.01, quantile = 0.1, sobol = 0.01 }
+"""
+
+
+def test_indices_of_free_impact_are_those_of_a_product_of_powers(tmp_path: Path) -> None:
+    """p_max goes with speed^(2/5) density^(1/5): S_i = (exp(a_i^2 s_i^2) - 1)/(exp(sum a^2 s^2) - 1)."""
+    (tmp_path / "s.toml").write_text(THROWN, "utf-8")
+    found = uqsphere.run(uqsphere.load_study(tmp_path / "s.toml"), out=tmp_path / "r").results.sensitivity["p_max"]
+    parts = {
+        "rig.speed": 0.4**2 * math.log(1.0 + 0.3**2),
+        "sphere.density": 0.2**2 * math.log(1.0 + 0.4**2),
+    }
+    whole = math.expm1(sum(parts.values()))
+    for name, part in parts.items():
+        first, total = found.first[name], found.total[name]
+        others = sum(parts.values()) - part
+        assert first.low - 1e-6 <= math.expm1(part) / whole <= first.high + 1e-6
+        assert total.low - 1e-6 <= 1.0 - math.expm1(others) / whole <= total.high + 1e-6
+        assert first.high - first.low < 0.02
