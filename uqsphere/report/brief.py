@@ -439,7 +439,7 @@ def _worded(answer: Answer, *, several: bool) -> Answer:
         within = ", somewhere in" if "–" in told else ""
         best = next((m for m in answer.modes if m.at_target is not None and not m.assumed), None)
         alone = ""
-        if best is not None and best.at_target is not None and len(answer.modes) > 1:
+        if survive and best is not None and best.at_target is not None and len(answer.modes) > 1:
             alone = f"By {best.name.lower()} alone: {two(best.at_target * axis.factor)} {axis.unit}."
         why = f"As planned, {share(max(misses, default=0.0), target)} {'break' if survive else 'are left whole'}."
         return replace(
