@@ -6,7 +6,6 @@ import base64
 import csv
 import io
 import json
-import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -29,7 +28,7 @@ from uqsphere.mechanics.gauges import gauge_strain
 from uqsphere.mechanics.history import view_field
 from uqsphere.report import history_figure, xt_figure
 from uqsphere.report.contents import read_contents
-from uqsphere.report.figures.canvas import Picture, inline, new_figure, render, render_all, spread, style
+from uqsphere.report.figures.canvas import Picture, inline, render, spread, style
 from uqsphere.report.figures.convergence import Series, _labelled, convergence_figure, speed_figure
 from uqsphere.report.figures.distributions import distribution_figure
 from uqsphere.report.figures.fragility import fragility_figure
@@ -450,22 +449,3 @@ def test_the_picture_of_the_bars_survives_the_way_into_a_page(written):
         assert _light(seen) + 0.05 >= 4.5 * (_light(np.array(to_rgb(name.get_color()))) + 0.05)
     # a finding first: the range of the stress
     assert picture.finding.startswith("The bars carry between −")
-
-
-def test_two_processes_draw_what_one_draws(monkeypatch: pytest.MonkeyPatch) -> None:
-    def pictures() -> list[Picture]:
-        made = []
-        for k in range(3):
-            with style():
-                figure, axes = new_figure(1.0)
-                axes[0].plot([0.0, 1.0], [k, 1.0])
-            made.append(Picture(name=f"p{k}", title=f"line {k}", figure=figure))
-        return made
-
-    monkeypatch.setattr("threading.active_count", lambda: 1)
-    alone = render_all(pictures(), 1)
-    assert list(alone) == ["p0", "p1", "p2"]
-    assert render_all(pictures(), 2) == alone
-    # a child that does not come to its end costs nothing but time
-    monkeypatch.setattr("json.dump", lambda *_: os._exit(1))
-    assert render_all(pictures(), 2) == alone

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import qmc
 
 from uqsphere.uq.points import MOST_DIMENSIONS, random_generator, sobol_points
 from uqsphere.uq.sample import Sample, without
@@ -21,14 +20,6 @@ def draw(count: int, start: int = 0, dimension: int = 3, seed: int = 7, task: st
 def test_start_continues_the_same_sequence(start: int, count: int) -> None:
     whole = draw(128)
     assert np.array_equal(draw(count, start), whole[start : start + count])
-
-
-@pytest.mark.parametrize(("dimension", "bits"), [(1, 52), (5, 52), (1200, 30)])
-def test_points_are_those_of_scipy(dimension: int, bits: int) -> None:
-    engine = qmc.Sobol(dimension, bits=bits, rng=random_generator(seed=7, task="t"))
-    points = np.concatenate([engine.random(1), engine.random(299)]) + 0.5 ** (bits + 1)
-    assert np.array_equal(draw(300, dimension=dimension), points)
-    assert np.array_equal(draw(7, 255, dimension=dimension), points[255:262])
 
 
 def test_same_key_same_points_other_key_other_points() -> None:

@@ -49,7 +49,7 @@ def command_run(chosen: argparse.Namespace) -> int:
     found, interrupted = _watched_run(study, chosen, _seconds(chosen.budget))
     if sys.stderr.isatty():
         say("writing the report")
-    page = build_report(found.folder, threads=chosen.jobs)
+    page = build_report(found.folder)
     if missed := len(found.results.accuracy.missed):
         say(f"accuracy not reached in {missed} {'place' if missed == 1 else 'places'}: the report has what was asked")
     if chosen.json:

@@ -21,7 +21,7 @@ from uqsphere.report.brief import make_brief
 from uqsphere.report.chapters import build_chapters
 from uqsphere.report.contents import Contents, read_contents, units_of
 from uqsphere.report.figures.brief import curve_drawings, mode_dots
-from uqsphere.report.figures.canvas import APOSTROPHE, Picture, inline, render_all, shorten
+from uqsphere.report.figures.canvas import APOSTROPHE, Picture, inline, render, shorten
 from uqsphere.report.phrases import short_share, two
 from uqsphere.report.services import service_chapters
 from uqsphere.report.tables import commands, repeat_rows
@@ -181,13 +181,12 @@ MOST_INLINED: Final = 550_000
 LONGEST: Final = 1500
 
 
-def build_report(folder: Path, *, threads: int | None = None) -> Path:
+def build_report(folder: Path) -> Path:
     """Write figures/*.svg and report.html of a finished run and of its services, from what is stored there.
 
     Parameters
     ----------
     folder : result folder of `uqsphere.run`
-    threads : processors that may draw; all if None
 
     Returns
     -------
@@ -203,12 +202,12 @@ def build_report(folder: Path, *, threads: int | None = None) -> Path:
     """
     contents = read_contents(folder)
     for name in contents.services:
-        build_report(folder / "services" / name, threads=threads)
+        build_report(folder / "services" / name)
     with reading_units(units_of(contents.results, courses=contents.courses)):
-        return _build(folder, contents, threads)
+        return _build(folder, contents)
 
 
-def _build(folder: Path, contents: Contents, threads: int | None) -> Path:
+def _build(folder: Path, contents: Contents) -> Path:
     own = build_chapters(contents) if contents.results.rig != NO_RIG else []
     chapters = _distinct([*service_chapters(contents), *own])
     written = []
@@ -217,7 +216,7 @@ def _build(folder: Path, contents: Contents, threads: int | None) -> Path:
             table = csv_text(block.picture.header, block.picture.rows)
             written.append(f"figures/{block.picture.name}.csv")
             write_atomically(folder / written[-1], table)
-    drawn = render_all([b.picture for b in _blocks(chapters) if b.picture is not None], threads)
+    drawn = {b.picture.name: render(b.picture) for b in _blocks(chapters) if b.picture is not None}
     for name, svg in drawn.items():
         write_atomically(folder / "figures" / f"{name}.svg", svg)
     page = folder / "report.html"

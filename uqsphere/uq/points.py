@@ -8,21 +8,19 @@ depends on the order in which things are drawn, and a sequence can be continued 
 from __future__ import annotations
 
 import hashlib
-from functools import lru_cache
-from importlib.util import find_spec
-from pathlib import Path
-from typing import TypeAlias
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from uqsphere.arrays import Array
 
 #: Dimensions for which direction numbers exist (Joe and Kuo 2008).
 MOST_DIMENSIONS = 21201
 
-#: points that differ in the last digits of their number alone: these are combined with those of the first digits
-_BLOCK = 256
+_BLOCK = 65536
+#: sequences that may be continued, and where they are: a long one is drawn piece by piece, and need not begin anew
+_left: dict[tuple[int, int, str, int], tuple[Any, int]] = {}
+_MOST_LEFT = 64
 _WIDE = 1000  # from here on the scrambling matrices of 52-bit points would fill the memory
 
 
@@ -56,65 +54,28 @@ def sobol_points(*, dimension: int, count: int, start: int = 0, seed: int, task:
         )
     if count == 0 or dimension == 0:
         return np.empty((count, dimension))
+    from scipy.stats import qmc
+
     bits = 52 if dimension < _WIDE else 30
     if start + count > 2**bits:
         raise ValueError(f"a sequence in {dimension} dimensions holds 2^{bits} points")
-    shift, columns = _scrambled(dimension, bits, seed, task, replicate)
-    begin = start - start % _BLOCK
-    far = _combined(columns, np.arange(begin, start + count, _BLOCK)) ^ shift
-    near = _combined(columns, np.arange(min(_BLOCK, start + count - begin)))
-    whole = (far[:, None] ^ near).reshape(-1, dimension)[start - begin : start - begin + count]
-    return np.asarray(whole * 0.5**bits + 0.5 ** (bits + 1))
-
-
-Words: TypeAlias = npt.NDArray[np.uint64]
-
-
-def _combined(columns: Words, numbers: npt.NDArray[np.int64]) -> Words:
-    """Points (n, d) of these numbers: the columns (d, bits) of the digits in their Gray code, added without carry."""
-    gray = numbers ^ (numbers >> 1)
-    found = np.zeros((len(gray), len(columns)), dtype=np.uint64)
-    for digit in range(int(gray.max(initial=0)).bit_length()):
-        found ^= np.where(gray[:, None] >> digit & 1, columns[:, digit], np.uint64(0))
-    return found
-
-
-@lru_cache(maxsize=64)  # a long sequence is drawn piece by piece
-def _scrambled(dimension: int, bits: int, seed: int, task: str, replicate: int) -> tuple[Words, Words]:
-    """Digital shift (d,) and scrambled columns (d, bits), with the random numbers of `scipy.stats.qmc.Sobol`.
-
-    That class itself draws the same points; its package takes longer to import than most studies to be drawn.
-    """
-    kind = np.uint64 if bits > 32 else np.uint32
-    generator = np.random.default_rng(_seed(seed, task, replicate).spawn(1)[0])  # as there
-    drawn = generator.integers(2, size=(dimension, bits), dtype=kind).astype(np.uint64)
-    lower = np.tril(generator.integers(2, size=(dimension, bits, bits), dtype=kind), -1).astype(np.float32)
-    lower[:, np.arange(bits), np.arange(bits)] = 1.0
-    places = np.arange(bits - 1, -1, -1, dtype=np.uint64)  # the first digit is the highest
-    digits = (_directions(dimension, bits)[:, None, :] >> places[:, None]) & np.uint64(1)
-    mixed = (lower @ digits.astype(np.float32)).astype(np.uint64) & np.uint64(1)
-    shift = drawn @ (np.uint64(1) << places[::-1])
-    return shift, np.bitwise_or.reduce(mixed << places[:, None], axis=1)
-
-
-@lru_cache(maxsize=8)
-def _directions(dimension: int, bits: int) -> Words:
-    """The columns (d, bits) of the sequence before they are scrambled, from the numbers of Joe and Kuo in SciPy."""
-    spec = find_spec("scipy")
-    if spec is None or spec.origin is None:
-        raise ImportError("scipy is not installed")
-    with np.load(Path(spec.origin).with_name("stats") / "_sobol_direction_numbers.npz") as stored:
-        polynomials, first = stored["poly"][:dimension].astype(int), stored["vinit"][:dimension].astype(np.uint64)
-    columns = np.ones((dimension, bits), dtype=np.uint64)
-    degrees = np.array([int(polynomial).bit_length() - 1 for polynomial in polynomials])
-    for degree in np.unique(degrees[degrees > 0]):
-        rows = np.flatnonzero((degrees == degree) & (np.arange(dimension) > 0))
-        known = min(int(degree), bits)
-        columns[rows, :known] = first[rows, :known]
-        for j in range(known, bits):
-            new = columns[rows, j - degree]
-            for k in range(degree):
-                taken = (polynomials[rows] >> (degree - 1 - k)) & 1
-                new = new ^ (taken.astype(np.uint64) * columns[rows, j - k - 1] << np.uint64(k + 1))
-            columns[rows, j] = new
-    return columns << np.arange(bits - 1, -1, -1, dtype=np.uint64)
+    key = (dimension, seed, task, replicate)
+    engine, drawn = _left.pop(key, (None, 0))
+    if engine is None or drawn > start:
+        generator = np.random.default_rng(_seed(seed, task, replicate))
+        engine, drawn = qmc.Sobol(dimension, scramble=True, bits=bits, rng=generator), 0
+    # The very first point by itself: a first draw of another size than 2^k would warn, and a sequence that
+    # is going to be continued may be cut anywhere.  Points before `start` are drawn and thrown away, since
+    # fast_forward of SciPy 1.17 takes no sequence of more than 32 bits.
+    wanted = []
+    while drawn < start + count:
+        size = 1 if drawn == 0 else min(_BLOCK, (start if drawn < start else start + count) - drawn)
+        block = engine.random(size)
+        if drawn >= start:
+            wanted.append(block)
+        drawn += size
+    if len(_left) >= _MOST_LEFT:
+        _left.pop(next(iter(_left)), None)
+    _left[key] = engine, drawn
+    points = np.concatenate(wanted)
+    return np.asarray(points, dtype=np.float64) + 0.5 ** (bits + 1)

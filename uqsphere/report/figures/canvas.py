@@ -9,12 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
-import os
 import re
-import sys
 import textwrap
-import threading
 import unicodedata
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
@@ -26,7 +22,6 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.mechanics.integrator.solve import thread_count
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -367,38 +362,6 @@ def _idle(element: ElementTree.Element) -> bool:
     empty = element.tag == f"{_SVG}defs" and not len(element)
     empty |= element.tag == f"{_SVG}path" and element.get("style") == "fill: none" and "id" not in element.attrib
     return empty or element.tag in (f"{_SVG}metadata", f"{_SVG}style")
-
-
-def render_all(pictures: Sequence[Picture], threads: int | None) -> dict[str, str]:
-    """`render` of each, by name; with two `threads` (None: processors) half of them in a process beside this one.
-
-    That is a fork, which sees the pictures as they are: on Linux, while no other thread runs.  It ends by itself.
-    """
-    alone = thread_count(threads) < 2 or len(pictures) < 2 or sys.platform != "linux" or threading.active_count() > 1
-    if alone:
-        return {picture.name: render(picture) for picture in pictures}
-    reading, writing = os.pipe()
-    child = os.fork()
-    if child == 0:
-        try:
-            os.close(reading)
-            with os.fdopen(writing, "w", encoding="utf-8") as out:
-                json.dump([render(picture) for picture in pictures[1::2]], out)
-        finally:
-            os._exit(0)
-    os.close(writing)
-    try:
-        found = {picture.name: render(picture) for picture in pictures[::2]}
-        with os.fdopen(reading, encoding="utf-8") as told:
-            text = told.read()
-    finally:
-        os.waitpid(child, 0)
-    try:
-        rest = json.loads(text)
-    except ValueError:  # it did not come to its end: what is wrong is said here
-        rest = [render(picture) for picture in pictures[1::2]]
-    found |= {picture.name: svg for picture, svg in zip(pictures[1::2], rest, strict=True)}
-    return {picture.name: found[picture.name] for picture in pictures}
 
 
 def _describe(root: ElementTree.Element, picture: Picture) -> None:
