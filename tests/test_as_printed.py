@@ -214,7 +214,6 @@ def test_only_words_that_the_page_uses_are_explained(tmp_path: Path) -> None:
     ]
     page = page_of(write_folder(tmp_path, limits={"x": limit(0.0075, 0.01, True)}))
     shown = re.search(r'<dl class="words">(.*?)</dl>', page, re.DOTALL)
-    assert shown is not None
     found = re.findall(r"<dt>(.*?)</dt>", shown[1])
     assert {"quantile", "coefficient of variation"} & set(found)
     assert "PAWN" not in found

@@ -77,7 +77,6 @@ def test_the_sheet_says_what_the_results_say(folder: Path) -> None:
     judged = [way for way in contents.results.verdicts[0].judged if way.assumed]
     assert {mode.miss for mode in answer.modes if mode.assumed} == {way.miss.value for way in judged}
     page = html.unescape((folder / "brief.html").read_text())
-    assert answer.second is not None
     assert span(solved) in answer.second[1]
     for miss in misses:
         assert short_share(miss, 0.01).replace("\u00a0", " ") in page.replace("\u00a0", " ")
@@ -101,7 +100,6 @@ def test_the_sheet_is_one_sheet_of_paper(folder: Path) -> None:
 
 def test_the_next_measurement_tells_the_ways_apart(folder: Path) -> None:
     measure = make_brief(read_contents(folder)).measure
-    assert measure is not None
     count, where = measure[0].split(" spheres at ")
     assert 5 <= int(count) <= 20
     assert where.endswith("m/s")

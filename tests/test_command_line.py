@@ -369,7 +369,6 @@ def test_signals_keep_what_is_done(place: Path, number: int, code: int) -> None:
     arguments = [sys.executable, "-m", "uqsphere", "run", "box.toml", "--model", "model.py:f", "--out", "r"]
     arguments += ["--set", "analysis.rows_per_call=2048"]  # the first stage in one call
     with subprocess.Popen(arguments, cwd=place, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
-        assert running.stderr is not None
         assert running.stderr.readline() == "a word\n"  # it is at work
         running.send_signal(number)
         out, err = running.communicate(timeout=60)

@@ -443,7 +443,6 @@ def scores(dimension: int, count: int = 2**15) -> np.ndarray:
 def test_a_plane_gives_its_squared_direction_cosines(level: float) -> None:
     z = scores(3)
     found = failure_shares(z, (z @ [0.8, -0.6, 0.0] > level).astype(float))
-    assert found is not None
     assert found[1] == BY_DIRECTION
     assert found[0] == pytest.approx([0.64, 0.36, 0.0], abs=0.02)
 
@@ -454,13 +453,11 @@ def test_an_integrated_strength_is_an_input_like_the_others(level: float) -> Non
     # the strength 0.6 s + 0.8 level_of_s against the demand 0.8 z_0: fails where s < (0.8 z_0 - level)/0.6
     score = (0.8 * z[:, 0] - level) / 0.6
     found = failure_shares(z, ndtr(score), score)
-    assert found is not None
     assert found[1] == BY_DIRECTION
     assert found[0] == pytest.approx([0.64, 0.0, 0.36], abs=0.01)
     # counted instead
     whole = scores(3)
     counted = failure_shares(whole, (0.8 * whole[:, 0] - 0.6 * whole[:, 2] > level).astype(float))
-    assert counted is not None
     assert counted[0] == pytest.approx(found[0], abs=0.02)
 
 
@@ -468,7 +465,6 @@ def test_two_opposite_ways_to_fail_hang_on_their_own_input() -> None:
     """The centre of such failures is the origin but for what else plays a small part."""
     z = scores(3)
     found = failure_shares(z, (np.abs(z[:, 1]) + 0.1 * z[:, 0] > 2.0).astype(float))
-    assert found is not None
     assert found[1] == BY_INFORMATION
     assert found[0][1] > 0.95
     assert found[0].sum() == pytest.approx(1.0)
@@ -481,8 +477,6 @@ def test_a_strength_integrated_tells_as_much_as_one_that_is_counted() -> None:
     score = (demand - 3.0) / 0.8
     found = failure_shares(z[:, :2], ndtr(score), score)
     counted = failure_shares(z, (z[:, 2] < score).astype(float))
-    assert found is not None
-    assert counted is not None
     assert (found[1], counted[1]) == (BY_INFORMATION, BY_INFORMATION)
     assert found[0] == pytest.approx(counted[0], abs=0.02)
     assert found[0][0] > 0.7
@@ -494,7 +488,6 @@ def test_ishigami_fails_by_three_inputs() -> None:
     x = 2.0 * np.pi * (ndtr(z) - 0.5)
     y = np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
     found = failure_shares(z, (y > 10.0).astype(float))
-    assert found is not None
     assert found[1] == BY_INFORMATION
     assert found[0].min() > 0.1
 
@@ -543,7 +536,6 @@ accuracy = {{ mean = 0.05, quantile = 0.2, sobol = 0.05, probability = 0.05 }}
         run = uqsphere.run(study, model=lambda x: {"y": x["a"] + x["b"] + 0.3 * x["c"]}, out=tmp_path / order)
         found.append(run.results.limits["high"].governing_inputs)
     for shares in found:
-        assert shares is not None
         assert shares["a"] == pytest.approx(shares["b"], abs=1e-3)
         assert sum(shares.values()) == pytest.approx(1.0, abs=1e-9)
         # var(a + b) = 2 + 2 rho, and c is by itself

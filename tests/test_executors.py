@@ -130,7 +130,6 @@ def test_plain_answers_are_stored_in_eight_bytes_each() -> None:
     flagged = Answered(values=values, censored=none | (values == 2.0), status=np.array([0, 7, 0]))
     for answered in (plain, flagged):
         back = unpacked(packed(answered), 3, 2)
-        assert back is not None
         assert back.values.tobytes() == values.tobytes()
         assert (back.censored == answered.censored).all()
         assert (back.status == answered.status).all()
@@ -183,7 +182,6 @@ def test_what_the_model_has_started_ends_with_it(tmp_path: Path, how: str) -> No
     if how == "gone":
         # as when the run itself is killed: the other end of the pipe is closed
         (process,) = pool._processes
-        assert process.stdin is not None
         process.stdin.close()
     elif how == "close":
         pool.close()

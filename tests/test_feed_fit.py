@@ -191,7 +191,6 @@ def test_sizes_and_what_the_tests_do_not_tell() -> None:
         assert set(size.low_tail) == {"lognormal", "weibull"}
         low, high = (size.low_tail[name].value or 0.0 for name in ("weibull", "lognormal"))
         assert low < high
-    assert entry.goodness.p_value is not None
     assert entry.goodness.p_value > 0.01
     # no specimen was hit twice: gamma is the prior's
     assert float(np.log(posterior.draws["gamma"]).std()) == pytest.approx(0.35, rel=0.05)
@@ -221,8 +220,6 @@ def test_repeated_blows_tell_gamma_roughly() -> None:
     posterior, entry = fit(tests, Request(law="lognormal", seed=5))
     gamma = entry.parameters["lognormal"]["gamma"]
     assert gamma.told
-    assert gamma.posterior.low is not None
-    assert gamma.posterior.high is not None
     assert gamma.posterior.low < 4.0 < gamma.posterior.high
     correlation = np.corrcoef(np.log(posterior.median(0.01)), np.log(posterior.draws["gamma"]))[0, 1]
     assert correlation < -0.4

@@ -46,7 +46,6 @@ def load(tmp_path: Path) -> Load:
 
 def test_a_table_is_read_as_it_stands(load: Load) -> None:
     plan = load().tests
-    assert plan is not None
     assert plan.rows == 4
     assert plan.specimens.diameter.tolist() == [0.01, 0.01, 0.02, 0.02]
     assert plan.specimens.last.tolist() == [100.0, 150.0, 60.0, 80.0]
@@ -64,7 +63,6 @@ def test_a_table_is_read_as_it_stands(load: Load) -> None:
 def test_dividers_comments_and_rows_that_count(load: Load, divider: str) -> None:
     csv = "# made up\n" + CSV.replace(",", divider) + "# the end\n"
     plan = load(csv, more='where = { n = "b" }\n').tests
-    assert plan is not None
     assert plan.specimens.last.tolist() == [150.0, 80.0]
 
 
@@ -74,7 +72,6 @@ def test_energies_are_the_particles_own(load: Load) -> None:
 
     def found(*changes: tuple[str, str], more: str = steel, csv: str = CSV) -> float:
         plan = load(csv, *changes, more=more).tests
-        assert plan is not None
         return float(plan.specimens.last[0])
 
     assert found(('"sphere"', '"contact"')) == pytest.approx(100.0 * share, rel=1e-12)
@@ -102,7 +99,6 @@ def test_forces_need_the_stiffness_of_the_particle(load: Load) -> None:
     assert any("intact rock" in said for said in intact.warnings)
     csv = "d,e,out,k\n10,100,broke,10\n10,150,broke,10\n20,60,survived,10\n"
     plan = load(csv, force, more=steel + 'stiffness = "k"\n').tests
-    assert plan is not None
     share = 1.0 - 10e9 / (205e9 / (1.0 - 0.29**2))
     assert float(plan.specimens.last[0]) == pytest.approx(
         share * float(energy_of_force(100.0, 0.01, 10e9, 2700.0)), rel=1e-12)  # fmt: skip
@@ -117,7 +113,6 @@ def test_repeated_blows_classes_and_meshes(load: Load) -> None:
         'mesh_lower = "lo"\nmesh_upper = "hi"\nmesh_unit = "mm"'), ('outcome = "out"', 'broken = "out"'),
         more='specimen = "who"\nparticles = "n"\nblows = "k"\n',
     ).tests  # fmt: skip
-    assert plan is not None
     tests = plan.specimens
     assert tests.diameter[0] == pytest.approx(math.sqrt(8.0 * 11.2) * 1e-3)
     assert tests.energies[0].tolist() == [50.0, 50.0]
@@ -130,8 +125,6 @@ def test_fineness_and_what_it_is_told_of(load: Load) -> None:
     csv = "d,e,out,t,p5,p1\n20,300,broke,12,40,6\n20,900,broke,30,,\n20,500,survived,,,\n"
     dropped = ('"platens"', '"drop_weight"'), ('"sphere"', '"input"')
     plan = load(csv, *dropped, more='t10 = "t"\npassing = { "5 mm" = "p5", "1 mm" = "p1" }\n').tests
-    assert plan is not None
-    assert plan.fineness is not None
     np.testing.assert_allclose(plan.fineness.t10, [0.12, 0.30])
     np.testing.assert_allclose(plan.fineness.sieves, [0.005, 0.001])
     np.testing.assert_allclose(plan.fineness.offered, [300.0, 900.0])
@@ -220,7 +213,6 @@ def test_the_sphere_of_a_study_is_what_its_particles_are_of(load: Load, tmp_path
     scene += '[target]\nmaterial = "steel"\n[limits.a]\nquantity = "p_max"\nstrength = "4 GPa"\n'
     study = load(material=scene)
     assert study.tests is not None
-    assert study.particles is not None
     assert study.particles.name == "granite"
     other = CSV.replace("150", "151")
     assert load(other, material=scene).hash != study.hash

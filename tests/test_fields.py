@@ -95,7 +95,6 @@ def test_a_model_of_ones_own_returns_a_field_beside_its_outputs(tmp_path: Path) 
     assert found["aggregated first"].value == pytest.approx(0.5, abs=1e-6)
     assert (tmp_path / "run" / "tables" / "fields.csv").read_text().startswith("field,place,statistic,of,value")
     (block,) = fields_chapter(read_contents(tmp_path / "run")).blocks
-    assert block.table is not None
     assert "2 principal components from 128 rows leave" in block.table.note
 
     with pytest.raises(ModelError, match=r"'f' must have the shape \(rows, 40\)"):

@@ -116,7 +116,6 @@ def test_labels_stand_apart_and_inside_at_any_length(
     folder = write_folder(tmp_path, quantities=names, inputs=inputs, limits=limits, censored=0.2)
     contents = read_contents(with_pairs(folder))
     picture = DRAWINGS[kind](contents)
-    assert picture is not None
     boxes = drawn(picture)
     assert len(boxes) > 3
     assert_apart(boxes)
@@ -144,7 +143,6 @@ def test_a_planned_point_beyond_the_axis_is_an_arrow_and_no_flat_curve(tmp_path:
     low = [[point[0], 1e-30, 1e-31, 1e-29] for point in curve[:6]]
     contents = put(contents, {"results/margins/x/curve": [*low, *curve[6:]]})
     picture = fragility_figure(contents, "x")
-    assert picture is not None
     axes = picture.figure.axes[0]
     marks = [line for line in axes.lines if line.get_marker() in ("D", "v", "^")]
     assert [line.get_marker() for line in marks] == ["v"]
@@ -167,7 +165,6 @@ def test_errors_far_below_what_was_asked_leave_the_others_their_room(tmp_path: P
     contents = read_contents(write_folder(tmp_path))
     contents = put(contents, {f"results/speed_error/{len(contents.results.speed_error) - 1}/error": 1e-14})
     picture = convergence_figure(contents)
-    assert picture is not None
     axes = picture.figure.axes[0]
     assert axes.get_ylim()[0] == pytest.approx(1e-3)
     assert "not shown: 1 below 0.001" in [text.get_text() for text in axes.get_legend().get_texts()]
@@ -204,7 +201,6 @@ def test_settings_of_the_user_neither_matter_nor_change(tmp_path: Path) -> None:
 def test_areas_of_a_density_are_shares(tmp_path: Path) -> None:
     contents = read_contents(write_folder(tmp_path, quantities=("contact_time",), censored=0.25))
     picture = distribution_figure(contents, "contact_time")
-    assert picture is not None
     axes = picture.figure.axes[0]
     width = float(np.diff(axes.get_xlim())[0])
     (bar,) = [p for p in axes.patches if p.get_hatch()]

@@ -117,5 +117,4 @@ def test_the_table_of_margins_says_where_the_bars_yield(two: Contents) -> None:
     assert table.rows[0][1] == "1.68 m/s to 1.96 m/s"
     assert table.rows[0][3] == "56 %"
     checks = answer_checks_table(two, "y")
-    assert checks is not None
     assert "At the answer for “y”, 1.793 m/s, on 128 rows" in checks.caption

@@ -316,7 +316,6 @@ def test_first_loading_is_what_the_specimens_show(several: uqsphere.Run) -> None
 def test_the_balance_of_forces_is_judged_at_fracture(several: uqsphere.Run) -> None:
     check = next(c for c in several.results.document()["validity"] if c["check"] == "force_balance")
     assert "fracture" in check["text"] or "breaks" in check["text"]
-    assert several.results.fracture is not None
     assert check["worst"] >= several.results.fracture.imbalance.quantiles["0.95"].value
 
 

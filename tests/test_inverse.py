@@ -107,7 +107,6 @@ def test_the_end_of_the_elastic_contact_is_found(moment: float) -> None:
     faces, found = read_back(made, 0.01, departure=True)
     true = moment - (faces.pulse.begin - made.begin)
     end = found.departure
-    assert end is not None
     assert not found.held
     assert end.earliest - 5e-6 <= true <= end.latest
     assert abs(end.time - true) < 12e-6

@@ -341,7 +341,6 @@ def test_independent_inputs_are_column_wise_quantiles() -> None:
 @pytest.mark.parametrize("spearman", [-0.8, 0.6])
 def test_the_copula_has_the_rank_correlation_that_was_asked_for(spearman: float) -> None:
     correlation = correlation_from_spearman(SCENE_NAMES, [(("E", "strength"), spearman)])
-    assert correlation is not None
     assert correlation[0, 2] == pytest.approx(2.0 * math.sin(math.pi * spearman / 6.0), rel=1e-14)
     n = 40_000
     physical = Joint(names=SCENE_NAMES, laws=LAWS, correlation=correlation).physical(
@@ -370,7 +369,6 @@ def test_conditional_score_of_the_strength() -> None:
 
 def test_group_of_three_ties_every_pair_and_nothing_else() -> None:
     correlation = correlation_from_spearman(("a", "b", "c", "d"), [(("a", "b", "c"), 0.4)])
-    assert correlation is not None
     tied = 2.0 * math.sin(math.pi * 0.4 / 6.0)
     assert correlation.tolist() == [
         [1.0, tied, tied, 0.0],

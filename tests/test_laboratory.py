@@ -63,7 +63,6 @@ def test_a_clean_test_has_its_forces_and_energies(clean: Made) -> None:
         assert not peak.doubts
         assert peak.low < true.max() < peak.high
         assert abs(peak.value / true.max() - 1.0) < 0.03
-    assert read.energies is not None
     whole = read.energies[1]
     assert 0.0 < whole.absorbed < 0.2 * whole.incident
     assert read.withheld == ("the specimen is said to be no sphere",)

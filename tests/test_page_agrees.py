@@ -61,7 +61,6 @@ def whole(tmp_path: Path) -> Contents:
 
 
 def words(picture: Picture | None) -> list[str]:
-    assert picture is not None
     found = [text.get_text() for text in picture.figure.findobj(Text)]
     return [text for text in found if text]
 

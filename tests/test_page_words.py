@@ -46,7 +46,6 @@ def test_the_table_of_most_columns_fits_the_page_and_the_paper(name: str) -> Non
     contents: Any = SimpleNamespace(results=results, subject=lambda variable: subject_of(results, variable))
     for limit_name in results.limits:
         table = given_failure_table(contents, limit_name)
-        assert table is not None
         assert len(table.header) == 6
         assert narrowest(table) <= LETTERS, table.rows
 
@@ -127,7 +126,6 @@ def test_marks_of_a_family_stand_at_the_probabilities_asked_for(tmp_path: Path) 
     family = {"path": "sphere.radius", "members": [{"value": r, **member} for r in (0.008, 0.012)]}
     contents = put(contents, {"results/margins/whole/family": family})
     picture = family_figure(contents, "whole")
-    assert picture is not None
     (axes,) = picture.figure.axes
     marked = [line for line in axes.lines if line.get_linestyle() == "None"]
     assert [sorted(line.get_xdata()) for line in marked] == [[0.8, 1.0]] * 2
@@ -139,7 +137,6 @@ def _label(contents: Contents) -> str:
     from uqsphere.report.figures.fragility import fragility_figure
 
     picture = fragility_figure(contents, "whole")
-    assert picture is not None
     return str(picture.figure.axes[0].get_xlabel())
 
 
@@ -163,7 +160,6 @@ def test_an_importance_factor_is_no_power_of_ten(tmp_path: Path, share: float, t
         governing_inputs={"sphere.E": share, "limits.x.strength": 1.0 - share},
     )
     table = design_table(contents, "x")
-    assert table is not None
     assert table.rows[0][3] == text
 
 

@@ -136,7 +136,6 @@ def test_steps_that_are_too_large_cost_the_values_that_halve_them() -> None:
     gaps = np.array([0.5, 1.1, 2.0])
     # halved once, and twice: one value more, and three
     found = _coarse(gaps, 100, 900, "")
-    assert found is not None
     assert (found.step, found.needed) == (2.0, 900 + 400)
     assert "differ by up to 2 normal scores, asked 0.6 (about 1,300 evaluations" in found.missed()
     assert _coarse(np.array([0.6]), 100, 900, "") is None

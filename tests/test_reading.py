@@ -71,7 +71,6 @@ def test_a_page_of_small_pressures_is_in_one_unit_and_its_files_in_si(tmp_path: 
     changed = (folder / "results.json").read_bytes()
     page = build_report(folder).read_text()
     table = re.search(rf"<caption[^>]*>{name}: values.*?</table>", page, re.DOTALL)
-    assert table is not None
     assert units_of(Results.model_validate(results))[name] in table[0]
     assert usual not in table[0]
     assert (folder / "results.json").read_bytes() == changed != before

@@ -251,8 +251,6 @@ def test_shared_demand_against_numerical_integration() -> None:
     nodes, weights = np.polynomial.hermite_e.hermegauss(80)
     held = ndtr(-(nodes - 1.0)) * ndtr(-(0.5 * nodes - 1.5))
     exact = 1.0 - float(weights @ held) / np.sqrt(2.0 * np.pi)
-    assert found.value is not None
-    assert found.std_error is not None
     assert abs(found.value - exact) < 4.0 * found.std_error
     assert found.std_error < 1e-3 * exact
 
@@ -263,8 +261,6 @@ def test_dependent_strengths_against_owen(rho: float) -> None:
     factor = residual_correlation(np.array([[1.0, rho], [rho, 1.0]]))
     found = exceedance(union_state(make_union([constant(h), constant(k)], factor, np.random.default_rng(5))))
     exact = 1.0 - two_normals(-h, -k, rho)
-    assert found.value is not None
-    assert found.std_error is not None
     assert abs(found.value - exact) < 4.0 * found.std_error
     # it is the dependence that is seen: without it the answer is another
     assert abs(exact - (1.0 - ndtr(-h) * ndtr(-k))) > 8.0 * found.std_error
@@ -290,8 +286,6 @@ def test_samples_without_an_answer_widen_the_interval() -> None:
     states = [constant(-1.0, failed=failed, on_failure="bound"), constant(-1.0, on_failure="bound")]
     found = exceedance(union_state(make_union(states, np.eye(2), np.random.default_rng(0))))
     p = 1.0 - ndtr(1.0) ** 2
-    assert found.low is not None
-    assert found.high is not None
     assert found.low <= p * (1.0 - 1.0 / N) * (1.0 + 1e-9)
     assert found.high >= p * (1.0 - 1.0 / N) + 1.0 / N - 1e-9
 
@@ -309,15 +303,12 @@ def test_drawn_strengths_follow_their_law_given_a_fracture() -> None:
     h, k = -0.6, -0.9
     union = make_union([constant(h), constant(k)], np.eye(2), np.random.default_rng(2))
     drawn = draw_breaking(union, 200, np.random.default_rng(3))
-    assert drawn is not None
     assert (drawn.shares < 1.0).any(axis=0).all()
     p, q = ndtr(h), ndtr(k)
     any_one = p + q - p * q
     # demands are negative, so a share of more than 1 never means a strength that holds: zero is a strength reached
     for state, chance in zip(drawn.shares, (p, q), strict=True):
         broken = share_of(state < 1.0, drawn.weights, "", 1)
-        assert broken.value is not None
-        assert broken.std_error is not None
         assert abs(broken.value - chance / any_one) < 4.0 * broken.std_error
 
 
@@ -330,7 +321,6 @@ def test_shares_below_one_are_uniform_in_the_strength(rho: float) -> None:
     factor = residual_correlation(np.array([[1.0, rho], [rho, 1.0]]))
     union = make_union(states, factor, np.random.default_rng(2))
     drawn = draw_breaking(union, 200, np.random.default_rng(3))
-    assert drawn is not None
     for share in drawn.shares:
         broken = share[share < 1.0]
         assert abs(broken.mean() - 0.5) < 4.0 / np.sqrt(12.0 * broken.size)
@@ -347,7 +337,6 @@ def test_specimens_of_a_sequence_stay_evenly_spread() -> None:
     x = np.stack([sobol_points(dimension=2, count=512, start=0, seed=1, task="t", replicate=r)[:, 0] for r in range(R)])
     states = [LimitState(demands=2.0 + 1e-3 * x, strength=make_law("uniform", {}, 0.0, 10.0))] * 2
     drawn = draw_breaking(make_union(states, np.eye(2), np.random.default_rng(0)), 64, np.random.default_rng(1))
-    assert drawn is not None
     low = np.array([(x[r, drawn.rows[r]] < 0.5).mean() for r in range(R)])
     assert np.std(low) < 2.0 * np.sqrt(0.25 / 64)
 
@@ -369,8 +358,6 @@ def test_shares_and_quantiles_cover() -> None:
         share = share_of(values < 0.3, weights, "", 1)
         middle = weighted_quantile(values, weights, 0.5, "", 1)
         for k, (estimate, truth) in enumerate(((share, -np.expm1(-0.3)), (middle, np.log(2.0)))):
-            assert estimate.low is not None
-            assert estimate.high is not None
             hits[k] += estimate.low <= truth <= estimate.high
     assert np.all(hits / runs > 0.9)
     assert np.all(hits / runs < 0.99)

@@ -218,7 +218,6 @@ def test_paper_comparison_says_how_far_off_each_formula_is(tmp_path: Path) -> No
         {"quantity": "linear_plateau", "unit": "m", "as_printed": None, "corrected": 1e-5, "full": None, "note": "n"},
     ]
     table = paper_table(read_contents(write_folder(tmp_path, paper=rows)))
-    assert table is not None
     assert table.rows[0][1:] == ("3 GPa", "2.6 GPa", "2.5 GPa", "+20 %", "(5.4)")
     assert table.rows[1] == ("linear plateau", "–", "10 µm", "–", "–", "n")
 

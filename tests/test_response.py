@@ -135,8 +135,6 @@ def test_numerator_and_denominator_are_corrected_by_the_same_rows() -> None:
     found = index_shares(rough)
     for j in range(3):
         e = found["first"][j]
-        assert e.low is not None
-        assert e.high is not None
         assert e.low <= model.first[j] / 1.0225 <= e.high
     assert found["first"][1].high - found["first"][1].value >= 0.0225  # what is left may be any input's
 
@@ -234,7 +232,6 @@ def test_the_share_drawn_in_grows_like_polynomials_of_the_degree_do() -> None:
 
     def share(error: float) -> Array:
         inner = within_rows(replace(one, error=error), fit, steps, values)
-        assert inner is not None
         return np.asarray((inner - values)[1:] / (values[0] - values[1:]))
 
     little, more = share(1e-12), share(1e-10)

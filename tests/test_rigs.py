@@ -194,7 +194,6 @@ def test_faces_may_yield_at_the_end_of_an_elastic_motion() -> None:
     found = solved(given, *told).values
     elastic = solved(scene("impact", numbers), "P_max", "p_max", "a_max").values
     face = given.faces
-    assert face is not None
     state = face.pressed(face.depth_at(elastic["P_max"]))
     assert found["P_max"] == pytest.approx(elastic["P_max"], rel=1e-12)
     assert found["p_hertz"] == pytest.approx(elastic["p_max"], rel=1e-12)
@@ -234,8 +233,6 @@ def test_a_light_sphere_under_a_weight(ratio: float, more: float) -> None:
     mass = float(contact.sphere_mass(0.01, 2600.0))
     given = scene("drop_weight", {**LIMESTONE, **of("anvil"), **of("hammer", mass=ratio * mass), "hammer.speed": 0.5})
     behind, ahead = given.partners
-    assert behind is not None
-    assert ahead is not None
     series = impact.light_sphere_constant(behind.hertz_constant, ahead.hertz_constant)
     light = impact.blow(series, behind.mass, 0.5).force
     assert solved(given, "P_max").values["P_max"][0] / light[0] - 1.0 == pytest.approx(more, abs=0.006)

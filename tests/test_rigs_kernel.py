@@ -167,7 +167,6 @@ def test_echoes_of_a_rod_agree_with_a_second_integrator(kind: str, end: float) -
                   options={"target.kind": "bar"} if kind == "impact" else {}, horizon=4e-4)  # fmt: skip
     found = motion(scene, 0, tolerance=1e-10)
     scales, rod = scene.scales, scene.partners[1]
-    assert rod is not None
     behind, unit = scene.partners[0], float(scales.time[0])
     light = math.inf if behind is None else float(behind.mass[0] * scales.speed[0] / (scales.force[0] * unit))
     zeta = float(scales.force[0] / (rod.impedance[0] * scales.speed[0]))

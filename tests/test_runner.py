@@ -416,7 +416,6 @@ def test_nothing_is_given_up_on_one_look_or_within_caution() -> None:
     assert out_of_reach(course[-1:], 0.01, 0.0) is None
     assert out_of_reach(course, 0.01, needed / CAUTION * 1.001) is None
     given_up = out_of_reach(course, 0.01, needed / CAUTION * 0.999)
-    assert given_up is not None
     assert given_up.needed == 100_000
     assert "about 100,000 evaluations" in given_up.text
 

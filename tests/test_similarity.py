@@ -174,7 +174,6 @@ def test_models_that_agree_on_every_row_may_still_disagree_on_one() -> None:
     # shares that the points hit exactly leave nothing to see: the error is that of one row and of the cells
     same = np.full(16, 0.25) + 1e-9 * np.arange(16)
     found = probability(same, same, np.full(16, 0.25), sizes=(256, 25600), counted=True, method="x")
-    assert found is not None
     assert found.std_error >= 1.0 / (16 * 256)
     nothing = np.zeros(16)
     assert probability(nothing, nothing, nothing, sizes=(256, 512), counted=True, method="x") is None
@@ -231,8 +230,6 @@ def test_a_rough_quantity_is_answered_by_a_table(granite: Work) -> None:
     assert question.tabled.count == 2048
     total = question.found["contact_time"]["total"][2]
     # docs/validation.md: 0.0999 with 0.0006
-    assert total.low is not None
-    assert total.high is not None
     assert total.low < 0.0999 < total.high
     assert "table" in question.tabled.told("the indices")
     assert question.tabled.forecast > 5 * question.size

@@ -84,7 +84,6 @@ def test_granite_is_the_study_of_the_contract() -> None:
     (elastic,) = load_study(STUDIES / "granite.toml", ('contact.law="hertz"',)).limits
     assert elastic.quantity == "p_max"
     assert study.analysis.budget.time == 600.0
-    assert study.margins is not None
     assert (study.margins.axis.low, study.margins.axis.high) == (0.05, 20.0)
     assert study.materials == {"sphere": "granite", "bars": "maraging_steel"}
     # Only what the file leaves to the library has a source there.
@@ -211,7 +210,6 @@ def test_inputs_carry_strengths_and_the_gaussian_copula(load: Load) -> None:
         "sphere.E", "sphere.radius", "striker.speed", "limits.crushing.strength",
         "limits.crushing.model_factor",
     )  # fmt: skip
-    assert inputs.correlation is not None
     assert inputs.correlation[0, 3] == pytest.approx(2.0 * math.sin(math.pi * 0.6 / 6.0), rel=1e-12)
     assert np.count_nonzero(inputs.correlation - np.eye(5)) == 2
     assert load(BASE.split("[[dependence]]")[0]).inputs().correlation is None
@@ -424,7 +422,6 @@ def test_black_box_limits_take_any_number(load: Load) -> None:
     assert study.limits[0].strength == 0.0
     assert study.fixed == {"x2": 2.0}
     assert study.inputs().names == ("x1", "limits.h.strength")
-    assert study.margins is not None
     assert (study.margins.axis.low, study.margins.axis.high) == (-1.0, 3.0)
     assert study.resolved()["model"] is None
 

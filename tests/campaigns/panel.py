@@ -125,8 +125,6 @@ def _brief(study: Study, evaluations: int) -> Study:
 
 def agrees(found: Mapping[str, Any], known: Est) -> bool:
     """Whether the printed interval holds the run's value, or meets its interval."""
-    assert known.low is not None
-    assert known.high is not None
     return bool(found["low"] <= known.high and known.low <= found["high"])
 
 

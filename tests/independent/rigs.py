@@ -142,7 +142,6 @@ def strike(mu: float, speed: float, poles: list[Pole], rtol: float = 1e-12, hori
             if not len(times) or abs(times[-1] - time) > 1e-13 * (1 + time):
                 continue
             law = poles[k].law
-            assert law is not None
             if what == "lost":
                 law.state, y[k] = FREE, law.dent
                 found.losses += 1
