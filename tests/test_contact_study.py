@@ -100,6 +100,8 @@ def test_it_has_no_default_where_a_face_yields(tmp_path):
 
 @pytest.mark.parametrize(("settings", "path", "said"), [
     (("contact.hardness='1 GPa'",), "contact.hardness", "cannot flow at less than its onset"),
+    (("sphere.onset_pressure='3 GPa'", "sphere.hardness='0.5 GPa'"), "sphere.hardness", "cannot flow at less than"),
+    (("bars.onset_pressure='3 GPa'", "bars.hardness='1 GPa'"), "bars.hardness", "cannot flow at less than its onset"),
     (("contact.hardness='200 GPa'",), "contact.hardness", 'law = "hertz"'),
     (("contact.hardness='0 GPa'",), "contact.hardness", "above 0"),
     (("contact.hardness='-2 GPa'",), "contact.hardness", "above 0"),

@@ -77,8 +77,11 @@ def test_what_yields_is_told_with_what_the_static_law_says():
     found = checks(soft, p_max=2e9, P_max=4000.0)
     assert found["bar_yield_contact"].worst == pytest.approx(2.0 / (1.15 * 1.295 * np.exp(0.736 * 0.2)))
     assert found["sphere_yield_contact"].worst == pytest.approx(2.0 / 1.5)
-    for name, of in (("bar_yield_contact", softest_partner), ("sphere_yield_contact", sphere_body)):
-        body, scales = of(soft), soft.scales
+    scales = soft.scales
+    for name, body in (
+        ("bar_yield_contact", softest_partner(soft)),
+        ("sphere_yield_contact", sphere_body(soft.columns)),
+    ):
         face = Face(**body._asdict(), modulus=scales.modulus, effective_radius=scales.effective_radius)
         press = face.pressed(face.depth_at(np.array([4000.0])))
         assert f"p_max is at most {press.centre[0] / 1e9:.3g} GPa, a dent of {1e6 * press.dent[0]:.2g} um" in (

@@ -8,6 +8,7 @@ contact with the sphere has a reduced modulus, a radius and, where it yields, a 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import reduce
 from typing import TYPE_CHECKING, Final, TypedDict
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 #: kinds of partners that a study may choose for a target or an anvil, and those that a rig chooses itself
 KINDS: Final = ("thick", "plate", "bar", "mass")
 #: the three numbers of the law of a face, by their keys
-_LAW: Final = ("onset_pressure", "hardness", "pile_up")
+LAW: Final = ("onset_pressure", "hardness", "pile_up")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +102,7 @@ def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) 
             impedance=_impedance(scene, table, kind),
             mass=_mass(scene, table) if kind == "mass" else _everywhere(np.inf, scene),
             speed=_everywhere(0.0, scene) if speed is None else speed,
-            **_law(scene, table, face_nu, modulus, radius, share),
+            **_law(scene, table, modulus, radius, share),
             **_echo(scene, table, kind),
         )
 
@@ -150,25 +151,39 @@ def _echo(scene: Scene, table: str, kind: str) -> dict[str, Array]:
     return {"round_trip": np.asarray(bars.round_trip(length, E, density)), "reflection": reflection}
 
 
-def body_of(scene: Scene, table: str, nu: Array) -> Body:
+def _given(columns: Mapping[str, Array], name: str, default: Values) -> Array:
+    """A column, or `default` in every row."""
+    return columns.get(name, np.full(len(next(iter(columns.values()))), default))
+
+
+def body_of(columns: Mapping[str, Array], table: str, rigid: bool = False) -> Body:
     """What the partner of a table has of the law of its face: given, or that of a metal; infinite where rigid."""
-    insert = f"{table}.insert_yield_strength"
-    metal = metal_body(scene.column(insert if insert in scene.columns else f"{table}.yield_strength"), nu)
-    found = Body(*(scene.columns.get(f"{table}.{key}", own) for key, own in zip(_LAW, metal, strict=True)))
-    return found._replace(onset=np.full(len(scene), np.inf)) if scene.rigid_contact else found
+    strength, nu = (
+        columns.get(f"{table}.insert_{key}", _given(columns, f"{table}.{key}", np.nan))
+        for key in ("yield_strength", "nu")
+    )
+    metal = metal_body(np.full_like(nu, np.nan) if rigid else strength, nu)
+    found = Body(*(columns.get(f"{table}.{key}", own) for key, own in zip(LAW, metal, strict=True)))
+    return found._replace(onset=np.full_like(nu, np.inf)) if rigid else found
 
 
-def sphere_body(scene: Scene) -> Body:
+def sphere_body(columns: Mapping[str, Array]) -> Body:
     """What the sphere has of the law of a face; it stays elastic where no onset is given."""
-    usual = (np.full(len(scene), np.inf), np.full(len(scene), np.inf), np.full(len(scene), CAP_PILE_UP))
-    return Body(*(scene.columns.get(f"sphere.{key}", own) for key, own in zip(_LAW, usual, strict=True)))
+    usual = (np.inf, np.inf, CAP_PILE_UP)
+    return Body(*(_given(columns, f"sphere.{key}", own) for key, own in zip(LAW, usual, strict=True)))
+
+
+def law_of(columns: Mapping[str, Array], table: str, *, rigid: bool = False, at_onset: bool = False) -> Body:
+    """The law of a face: of its softer body, row by row, but for what [contact] gives."""
+    numbers = softer(body_of(columns, table, rigid), sphere_body(columns))
+    found = Body(*(columns.get(f"contact.{key}", own) for key, own in zip(LAW, numbers, strict=True)))
+    return found._replace(hardness=found.onset) if at_onset else found
 
 
 def softest_partner(scene: Scene) -> Body:
     """What the partner that yields first has of the law, row by row; infinite where none has an onset."""
     tables = dict.fromkeys(partner.table for partner in scene.partners if partner is not None)
-    found = [body_of(scene, table, scene.column(f"{table}.insert_nu", scene.column(f"{table}.nu"))) for table in tables]
-    return reduce(softer, found)
+    return reduce(softer, [body_of(scene.columns, table, scene.rigid_contact) for table in tables])
 
 
 class _Law(TypedDict):
@@ -176,7 +191,7 @@ class _Law(TypedDict):
     takes: Array
 
 
-def _law(scene: Scene, table: str, nu: Array, modulus: Array, radius: Array, share: Array) -> _Law:
+def _law(scene: Scene, table: str, modulus: Array, radius: Array, share: Array) -> _Law:
     """The law of a face that takes damage, or yields: of its softer body, row by row, but for what [contact] gives."""
     elastic = _Law(face=None, takes=_everywhere(0.0, scene))
     if scene.contact_law == "damage":
@@ -191,17 +206,9 @@ def _law(scene: Scene, table: str, nu: Array, modulus: Array, radius: Array, sha
         return _Law(face=law, takes=share)
     if scene.contact_law != "plastic":
         return elastic
-    body, sphere = body_of(scene, table, nu), sphere_body(scene)
-    onset, hardness, pile_up = (
-        scene.columns.get(f"contact.{key}", own) for key, own in zip(_LAW, softer(body, sphere), strict=True)
-    )
-    if np.isinf(onset).all():
+    numbers = law_of(scene.columns, table, rigid=scene.rigid_contact, at_onset=scene.hardness_at_onset)
+    if np.isinf(numbers.onset).all():
         return elastic
-    face = Face(
-        onset=onset,
-        hardness=onset if scene.hardness_at_onset else hardness,
-        pile_up=pile_up,
-        modulus=modulus,
-        effective_radius=radius,
-    )
-    return _Law(face=face, takes=np.where(sphere.onset < body.onset, 1.0, 0.0))
+    face = Face(**numbers._asdict(), modulus=modulus, effective_radius=radius)
+    crushed = sphere_body(scene.columns).onset < body_of(scene.columns, table, scene.rigid_contact).onset
+    return _Law(face=face, takes=np.where(crushed, 1.0, 0.0))

@@ -159,6 +159,7 @@ INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              plausible=(1e7, 1e10), meaning="yield strength of the inserts"),
     Quantity(name="bars.insert_thickness", symbol="t_i", dimension="length", display="mm", plausible=(1e-4, 0.2),
              meaning="thickness of the inserts"),
+    *_law_of("bars", "b", "bars' faces"),
     Quantity(name="striker.speed", symbol="v_0", dimension="speed", display="m/s", plausible=(1e-3, 50.0),
              meaning="speed of the striker"),
     Quantity(name="striker.length", symbol="l_0", dimension="length", display="m", plausible=(0.01, 5.0),

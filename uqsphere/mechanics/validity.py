@@ -142,8 +142,12 @@ def _over_bar_onset(scene: Scene, answers: Answers) -> Array | str:
     return _over_onset(scene, answers, softest_partner(scene), _NO_YIELD)
 
 
+def _sphere(scene: Scene) -> Body:
+    return sphere_body(scene.columns)
+
+
 def _over_sphere_onset(scene: Scene, answers: Answers) -> Array | str:
-    return _over_onset(scene, answers, sphere_body(scene), "not checked: the onset pressure of the sphere is not given")
+    return _over_onset(scene, answers, _sphere(scene), "not checked: the onset pressure of the sphere is not given")
 
 
 def _pressed(scene: Scene, answers: Answers, body: Body, good: Flags) -> Press:
@@ -178,7 +182,7 @@ def _over_partner_onset(scene: Scene, answers: Answers) -> Array | str:
     found = []
     for one in dict.fromkeys(one.table for one in scene.partners if one is not None):
         partner = next(part for part in scene.partners if part is not None and part.table == one)
-        onset = body_of(scene, one, scene.column(f"{one}.nu")).onset
+        onset = body_of(scene.columns, one, scene.rigid_contact).onset
         pressure = contact.pressure_at_force(answers.values["P_max"], partner.modulus, partner.effective_radius)
         found.append(pressure / np.where(np.isfinite(onset), _positive(onset), np.nan))
     worst = np.fmax.reduce(found)
@@ -201,9 +205,9 @@ def _of_faces(scene: Scene, answers: Answers, pick: Callable[[Face, Array], Arra
 def _other_onset(scene: Scene, answers: Answers) -> Array | str:
     """Onset of the harder body over that of the softer one, the least of the faces that yield; 1 where the harder body
     has the lower hardness."""
-    sphere, found = sphere_body(scene), []
+    sphere, found = sphere_body(scene.columns), []
     for one in (one for one in scene.partners if one is not None and isinstance(one.face, Face)):
-        body = body_of(scene, one.table, scene.column(f"{one.table}.insert_nu", scene.column(f"{one.table}.nu")))
+        body = body_of(scene.columns, one.table, scene.rigid_contact)
         with np.errstate(invalid="ignore", divide="ignore"):
             ratio = np.maximum(body.onset, sphere.onset) / np.minimum(body.onset, sphere.onset)
             crossed = (body.onset < sphere.onset) != (body.hardness < sphere.hardness)
@@ -220,7 +224,7 @@ def _dents(scene: Scene, answers: Answers, good: Flags) -> str:
     found = _of_faces(scene, answers, lambda face, depth: face.pressed(depth).dent)
     assert found is not None
     dent = found[good]
-    flats_yield = bool((softest_partner(scene).onset <= sphere_body(scene).onset).any())
+    flats_yield = bool((softest_partner(scene).onset <= sphere_body(scene.columns).onset).any())
     faces = "the bars" if scene.rig == "bars" else "what stands there"
     due = f": re-lap {faces}" if flats_yield and np.nanmax(dent) > _RELAP else ""
     return f"; dents of up to {1e6 * np.nanmax(dent):.2g} um stay{due}"
@@ -442,7 +446,7 @@ RULES: Final[tuple[Rule, ...]] = (
                "reflected wave in bars of the given length",
          fine="infinite bars: the record ends before a wave is back, at {worst} times its first return"),
     Rule(name="sphere_yield_contact", meaning="contact pressure over that at which the sphere yields or crushes",
-         measure=_over_sphere_onset, warning=1.0, laws=("hertz", "damage"), further=_static(sphere_body),
+         measure=_over_sphere_onset, warning=1.0, laws=("hertz", "damage"), further=_static(_sphere),
          words="the sphere crushes at its poles, p_0 reaches {worst} times the pressure at which it begins to",
          fine="sphere elastic at its poles: p_0 at most {worst} times the pressure at which it begins to crush"),
     Rule(name="dented", meaning="approach over that at which a face first yields",

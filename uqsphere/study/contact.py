@@ -5,8 +5,12 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import numpy as np
+
 from uqsphere.materials import library
-from uqsphere.mechanics.yielding import CAP_PILE_UP, FLOW, METAL_PILE_UP, metal_onset
+from uqsphere.mechanics.partners import LAW, body_of, law_of, sphere_body
+from uqsphere.mechanics.rigs import RIGS, Rig
+from uqsphere.mechanics.yielding import Body
 from uqsphere.quantities import format_value
 from uqsphere.study.document import Document, LimitTable, ModelChoice
 from uqsphere.study.faults import Findings, one_of, shown, suggestion
@@ -96,76 +100,75 @@ def check_contact(scene: Scene, model: ModelChoice, findings: Findings) -> None:
             if f"contact.{key}" not in scene.readings and findings.clean(("contact", key)):
                 findings.add(("contact", key), f'{key} is missing: law = "damage" needs it, such as {key} = {example}')
         return
-    numbers = _law_at_means(scene)
-    if numbers is None:
-        given = "bars.yield_strength, bars.insert_yield_strength or contact.onset_pressure"
-        if all(findings.clean(place) for place in (("bars",), ("contact",), ("sphere",))):
-            findings.add(("contact", "law"), f"nothing says what yields: give {given}")
+    columns = {name: np.array([reading.nominal]) for name, reading in scene.readings.items()}
+    rig, rigid = RIGS[str(scene.options.get("rig.kind", "bars"))], bool(scene.options.get("bars.rigid_contact"))
+    own = [name for name in columns if name in {f"contact.{key}" for key in LAW}]
+    if (
+        math.isinf(float(sphere_body(columns).onset[0]))
+        and f"contact.{LAW[0]}" not in own
+        and not any(math.isfinite(float(body_of(columns, table).onset[0])) for table in rig.tables)
+    ):
+        _nothing_yields(rig, findings)
         return
-    onset, hardness, pile_up, bar_yields = numbers
-    if bar_yields and scene.options.get("bars.rigid_contact"):
+    if rigid and "bars.yield_strength" in columns and f"contact.{LAW[0]}" not in own:
         findings.add(
             ("bars", "rigid_contact"), "rigid bars do not yield: leave rigid_contact or bars.yield_strength out"
         )
-    elif hardness is None or pile_up is None:
-        key = "hardness" if hardness is None else "pile_up"
-        where = "contact" if bar_yields or "contact.onset_pressure" in scene.readings else "sphere"
-        if findings.clean((where, key)):
-            example = '"2 GPa"' if key == "hardness" else "2"
-            findings.add((where, key), f"{key} is missing beside the onset: add {key} = {example} to [{where}]")
-    else:
-        _check_softening(onset, hardness, pile_up, findings)
+    # every body that is given, then what [contact] makes of the softer one of each face
+    bodies = {table: body_of(columns, table, rigid) for table in rig.tables} | {"sphere": sphere_body(columns)}
+    at_onset = scene.options.get("contact.hardness") == "onset"
+    overridden = at_onset or bool(own)
+    for table, body in bodies.items():
+        if not overridden or bool(body.hardness[0] < body.onset[0] < math.inf):
+            _check_law(table, body, findings)
+    for table in rig.tables if overridden else ():
+        _check_law("contact", law_of(columns, table, rigid=rigid, at_onset=at_onset), findings)
 
 
-def _law_at_means(scene: Scene) -> tuple[float, float | None, float | None, bool] | None:
-    """Onset, hardness and pile-up of the faces at the nominal means, and whether it is the bar that yields.
-
-    The same as `uqsphere.mechanics.scene.Scene.faces` row by row; None where nothing has an onset.
-    """
-    strength, nu = (
-        scene.mean(f"bars.insert_{key}") if f"bars.insert_{key}" in scene.readings else scene.mean(f"bars.{key}")
-        for key in ("yield_strength", "nu")
-    )
-    bar = math.inf if strength is None or nu is None else float(metal_onset(strength, nu))
-    sphere, own = scene.mean("sphere.onset_pressure"), scene.mean("contact.onset_pressure")
-    sphere = math.inf if sphere is None else sphere
-    bar_yields = bar <= sphere and bar < math.inf
-    onset = min(bar, sphere) if own is None else own
-    if onset == math.inf:
-        return None
-    hardness: float | None
-    pile_up: float | None
-    if bar_yields and strength is not None:
-        hardness, pile_up = FLOW * strength, METAL_PILE_UP
-    else:
-        hardness, pile_up = scene.mean("sphere.hardness"), CAP_PILE_UP if sphere < math.inf else None
-    if scene.options.get("contact.hardness") == "onset":
-        hardness = onset
-    elif "contact.hardness" in scene.readings:
-        hardness = scene.mean("contact.hardness")
-    if "contact.pile_up" in scene.readings:
-        pile_up = scene.mean("contact.pile_up")
-    return onset, hardness, pile_up, bar_yields and own is None
+def _nothing_yields(rig: Rig, findings: Findings) -> None:
+    """Note a law of yield without a number of it: beside other partners than bars the faces may all be elastic."""
+    given = [f"{table}.yield_strength" for table in rig.tables]
+    if rig.name != "bars":
+        said = (
+            f"nothing yields, every face is elastic: give {', '.join(given)} or sphere.onset_pressure for one that does"
+        )
+        findings.warn(("contact", "law"), said)
+    elif all(findings.clean((table,)) for table in ("bars", "contact", "sphere")):
+        said = (
+            "nothing says what yields: give bars.yield_strength, bars.insert_yield_strength or contact.onset_pressure"
+        )
+        findings.add(("contact", "law"), said)
 
 
-def _check_softening(onset: float, hardness: float, pile_up: float, findings: Findings) -> None:
-    """Note a hardness below the onset, and a softening b = C H/p_y - 1 that the law is not made for."""
-    place = ("contact", "hardness")
+def _check_law(place: str, law: Body, findings: Findings) -> None:
+    """Note what is missing beside an onset, a hardness below it, and a softening b = C H/p_y - 1 that is none."""
+    onset, hardness, pile_up = (float(numbers[0]) for numbers in law)
+    if math.isinf(onset):
+        return
+    for key, value, example in (("hardness", hardness, '"2 GPa"'), ("pile_up", pile_up, "2")):
+        if not math.isfinite(value):
+            if findings.clean((place, key)):
+                findings.add((place, key), f"{key} is missing beside the onset: add {key} = {example} to [{place}]")
+            return
     found, begin = (format_value(value, "contact.hardness") for value in (hardness, onset))
     b = pile_up * hardness / onset - 1.0
+    if not findings.clean((place, "hardness")) or not findings.clean((place, "pile_up")):
+        return
     if hardness < onset:
         findings.add(
-            place, f"the hardness {found} is below the onset {begin}: a face cannot flow at less than its onset"
+            (place, "hardness"),
+            f"the hardness {found} is below the onset {begin}: a face cannot flow at less than its onset",
         )
     elif b > _MOST_SOFTENING:
         most = format_value((1.0 + _MOST_SOFTENING) * onset / pile_up / _ROUNDED, "contact.hardness")
         findings.add(
-            place, f'a hardness of {found} for an onset of {begin} is Hertz: give at most {most}, or law = "hertz"'
+            (place, "hardness"),
+            f'a hardness of {found} for an onset of {begin} is Hertz: give at most {most}, or law = "hertz"',
         )
     elif 1e-12 < b < _LEAST_SOFTENING:
         least = (1.0 + _LEAST_SOFTENING) * _ROUNDED
         findings.add(
-            ("contact", "pile_up"),
+            (place, "hardness" if place == "sphere" else "pile_up"),
             f"pile_up = {pile_up:.4g} with hardness {found} and onset {begin} makes b = C H/p_y - 1 = {b:.2g}, which "
             f"must be 0 or from {_LEAST_SOFTENING:g} to {_MOST_SOFTENING:g}: give pile_up = "
             f"{least * onset / hardness:.4g} or more, a hardness of "

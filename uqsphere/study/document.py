@@ -201,6 +201,11 @@ class BarsTable:
     insert_nu: Number = key("Poisson ratio of the inserts", default_is="from the material, else that of the bars")
     insert_yield_strength: Number = key("yield strength of the inserts", default_is="as `insert_nu`")
     insert_thickness: Number = key("thickness of the inserts, for a validity check")
+    onset_pressure: Number = key(
+        'centre pressure at which the face yields, with a contact that is "plastic"', default_is="from `yield_strength`"
+    )
+    hardness: Number = key("mean pressure of the face that flows fully", default_is="from `yield_strength`")
+    pile_up: Number = key("pile-up of the face far beyond yield", default_is="8/3")
     infinite: Flag = key("no reflections", False)
     rigid_contact: Flag = key("leaves the bars out of the contact stiffness, `1/E* = (1 - nu²)/E`", False)
 

@@ -148,9 +148,10 @@ def _resolve_part(data: dict[str, Raw], findings: Findings, path: Path, text: st
         read_contact(document, scene, findings)
         if document.rig_kind == "bars":
             check_scene(scene, model, findings)
-            check_contact(scene, model, findings)
         else:
             read_rig(document, scene, findings)
+        if document.rig_kind != "none":
+            check_contact(scene, model, findings)
     limits = read_limits(document.limits, outputs, findings, scene)
     if document.contact is not None:
         share_fracture_energy(document.contact.fracture_energy, limits, scene, findings)
