@@ -14,22 +14,19 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import t as student_t
 
 from tests.campaigns.chaos import MODELS, ChaosModel
-from uqsphere.uq.estimate import student
 from uqsphere.uq.expansion import (
     chaos_indices,
     chaos_moments,
     fit_again,
     fit_chaos,
     germ_points,
-    hyperbolic_indices,
     judge,
     orthonormal_values,
     predict,
     validation_error,
 )
-from uqsphere.uq.expansion.choice import compete, lowered, prepare
 from uqsphere.uq.expansion.shares import error_with_tails
-from uqsphere.uq.expansion.solvers import blended, leaned, left_one_out, neglected, refits, steadied
+from uqsphere.uq.expansion.solvers import left_one_out, neglected, refits
 from uqsphere.uq.points import sobol_points
 
 SCATTER = np.array([0.3, 0.2, 0.1, 0.4])
@@ -77,16 +74,6 @@ def test_polynomials_are_those_of_chaospy(germ: str) -> None:
     np.testing.assert_allclose(values, reference, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("germ", ["normal", "uniform"])
-def test_polynomials_are_orthonormal(germ: str) -> None:
-    if germ == "normal":
-        x, w = np.polynomial.hermite_e.hermegauss(20)
-    else:
-        x, w = np.polynomial.legendre.leggauss(20)
-    values = orthonormal_values(germ, x, 12)
-    np.testing.assert_allclose((values * (w / w.sum())) @ values.T, np.eye(13), atol=1e-10)
-
-
 def test_chaospy_leaves_logging_and_randomness_as_they_were() -> None:
     code = (
         "import logging, sys, numpy as np; before = np.random.get_state()[1].copy()\n"
@@ -103,17 +90,6 @@ def test_chaospy_leaves_logging_and_randomness_as_they_were() -> None:
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, check=False)
     assert done.returncode == 0, done.stderr.decode()
     assert logging.getLogger().level != logging.DEBUG
-
-
-@pytest.mark.parametrize(("dimension", "degree"), [(1, 4), (3, 3), (6, 2)])
-def test_total_degree_sets_are_complete(dimension: int, degree: int) -> None:
-    indices = hyperbolic_indices(dimension, degree, 1.0, 10_000)
-    assert len({tuple(row) for row in indices.tolist()}) == math.comb(dimension + degree, degree)
-    assert indices[0].tolist() == [0] * dimension
-    sparse = hyperbolic_indices(dimension, degree, 0.5, 10_000)
-    assert {tuple(row) for row in sparse.tolist()} <= {tuple(row) for row in indices.tolist()}
-    assert np.all(np.sqrt(sparse).sum(axis=1) ** 2 <= degree + 1e-6)
-    assert hyperbolic_indices(dimension, degree, 1.0, 3) is None
 
 
 def test_a_polynomial_is_recovered_exactly() -> None:
@@ -204,21 +180,6 @@ def test_the_unexplained_share_widens_an_interval_by_a_quarter_of_itself() -> No
             for estimate, value in zip(found[order], values, strict=True):
                 assert estimate.low <= value <= estimate.high
         assert 0.25 * error <= found["first"][2].high < 0.5 * error
-
-
-@pytest.mark.parametrize("germ", ["uniform", "normal"])
-def test_what_fits_lack_in_common_adds_to_their_spread_where_a_germ_is_unbounded(germ: str) -> None:
-    fits = []
-    for replicate in range(3):
-        p = points(1, replicate, 48, (germ, germ))
-        fits.append(fit_chaos(p, np.abs(p[:, 0] - 0.3) + p[:, 0] + 0.5 * p[:, 1], (germ, germ), plain=True))
-    shares = np.array([chaos_indices([fit], error=5e-3)["first"][0].value for fit in fits])
-    spread = student(3) * float(np.std(shares, ddof=1)) / math.sqrt(3)
-    value, error = float(np.mean(shares)), 5e-3
-    lacked = student(3) * 2.0 * math.sqrt(value * (1.0 - value) * error / (144 if germ == "uniform" else 48))
-    half = max(spread, lacked) if germ == "uniform" else math.hypot(spread, lacked)
-    assert 0.1 < spread / lacked < 10.0
-    assert chaos_indices(fits, error=error)["first"][0].half_width == pytest.approx(half + 0.25 * error, rel=1e-9)
 
 
 def test_tails_that_no_sample_reaches_are_in_the_intervals() -> None:
@@ -345,16 +306,6 @@ def test_a_kink_is_found_and_taken_in_two_pieces() -> None:
     assert validation_error(plain, held, kinked(held)) > 1e-3
 
 
-@pytest.mark.parametrize(("germ", "law"), [("normal", "Normal"), ("uniform", "Uniform")])
-def test_recurrences_are_those_of_chaospy(germ: str, law: str) -> None:
-    import chaospy
-
-    from uqsphere.uq.expansion.germs import _recurrence
-
-    theirs = getattr(chaospy, law)(*((0.0, 1.0) if germ == "normal" else (-1.0, 1.0))).ttr(np.arange(16))
-    assert np.array_equal(_recurrence(germ, 15), np.asarray(theirs, dtype=float).reshape(2, 16))
-
-
 # --- the error that an expansion reports: samples left out, folds left out, and what is loose beyond the samples
 
 
@@ -379,58 +330,6 @@ def test_refits_are_those_of_least_squares_done_again() -> None:
     np.testing.assert_allclose(left_one_out(rows, values), alone, rtol=EXACT, atol=EXACT)
 
 
-def test_the_jackknife_foretells_the_error_of_coefficients_from_noise() -> None:
-    """Its mean over many samples is the sum of the variances of the coefficients, s² k/(n - k - 1) for normal rows."""
-    rng = np.random.default_rng(5)
-    n, k, folds = 120, 6, np.arange(120) % 10
-    sums = []
-    for _ in range(200):
-        rows = rng.standard_normal((k, n))
-        found = refits(rows, rng.standard_normal(n), folds)
-        moved = found.without - found.coefficients
-        sums.append(9.0 * float(np.mean(np.sum(moved**2, axis=1))))
-    # larger by what a tenth of the samples missing adds, about 1/(1 - 0.1)
-    spread = 4.0 * float(np.std(sums)) / math.sqrt(len(sums))
-    assert k / (n - k - 1) - spread < np.mean(sums) < 1.25 * k / (n - k - 1) + spread
-
-
-def test_the_reported_error_lies_between_what_it_is_made_of() -> None:
-    assert blended(0.3, 0.01) == pytest.approx(0.3)  # large errors: as K-fold has it
-    assert blended(1e-6, 1e-8) == pytest.approx(1e-7)  # small ones: the geometric mean
-    assert 1e-3 < blended(1e-2, 1e-3) < 1e-2
-    for folded, left_out, loose in [(1e-6, 1e-8, 1e-3), (1e-2, 1e-3, 0.5), (1e-30, 0.0, 1e-20)]:
-        assert blended(folded, left_out, loose) >= loose
-    assert blended(0.3, 0.01, share=0.5) == pytest.approx(math.sqrt(0.003))  # two pieces, whatever the size
-    assert blended(0.0, 0.0) == 0.0
-    assert blended(1.0, math.inf) == math.inf
-
-
-def test_no_single_square_decides_a_mean() -> None:
-    alike = np.full(50, 0.3)
-    assert steadied(alike) == pytest.approx(0.3, rel=1e-12)
-    # of many, next to nothing is taken away
-    many = np.random.default_rng(4).standard_normal(3000) ** 2
-    assert steadied(many) == pytest.approx(float(many.mean()), rel=1e-4)
-    # the largest of all, ever larger, is let go
-    ratios = [steadied(np.append(alike, size)) / 0.3 for size in (0.3, 3.0, 3e2, 3e4, 3e8)]
-    assert ratios[0] == pytest.approx(1.0, rel=1e-12)
-    assert max(ratios) < 3.0
-    assert ratios[-1] == pytest.approx(1.0, abs=1e-3)
-    for squares in (np.append(alike, 7.0), many):
-        for factor in (1e-200, 1e200):
-            assert steadied(factor * squares) == pytest.approx(factor * steadied(squares), rel=1e-9)
-    assert steadied(np.array([2.0])) == 2.0
-    assert steadied(np.zeros(4)) == 0.0
-    assert steadied(np.array([1.0, math.inf])) == math.inf
-
-
-def test_what_the_choice_is_uncertain_by_is_counted_on_both_sides() -> None:
-    assert blended(1e-6, 1e-8, 0.0, 1e-7) == pytest.approx(math.sqrt(1e-6 * 1e-7))
-    assert blended(1e-6, 1e-8, 0.0, 1e-4) == pytest.approx(1e-4)
-    assert blended(1e-6, 1e-8, 0.0, 1e-9) == pytest.approx(1e-7)
-    assert blended(0.3, 0.1, 0.0, 0.5) == pytest.approx(0.5)
-
-
 def test_the_terms_that_come_next_are_those_of_least_squares() -> None:
     """Two terms left out, exactly: they explain all, and have the energy of the error that they leave under the law."""
     x = ndtri(sobol_points(dimension=1, count=32, seed=4, task="neglected", replicate=0))[:, 0]
@@ -445,29 +344,6 @@ def test_the_terms_that_come_next_are_those_of_least_squares() -> None:
     assert abs(found.energy - float(np.mean(off**2))) < spread
     one = neglected(kept, values, others, most=1)
     assert 0.0 < one.share < found.share
-
-
-def test_noise_explains_nothing() -> None:
-    rng = np.random.default_rng(11)
-    shares = []
-    for _ in range(200):
-        rows = np.vstack([np.ones(60), rng.standard_normal((9, 60))])
-        shares.append(neglected(rows, rng.standard_normal(60), rng.standard_normal((80, 60)), most=1).share)
-    # the best of 80 explains 16 % of what 50 degrees of freedom leave, which is taken off
-    assert float(np.median(shares)) < 0.03
-    assert max(shares) < 0.25
-    nothing = neglected(np.ones((1, 8)), np.arange(8.0), np.zeros((0, 8)))
-    assert (nothing.share, nothing.energy) == (0.0, 0.0)
-    exact = neglected(np.ones((1, 8)), np.full(8, 2.0), rng.standard_normal((3, 8)))
-    assert exact.energy < 1e-28
-
-
-def test_an_error_leans_on_the_terms_that_come_next() -> None:
-    assert leaned(1e-6, 1e-8, 0.5) == pytest.approx(1e-7)
-    assert leaned(1e-6, 1e-3, 0.1) == pytest.approx(1e-3)  # never below what they have
-    assert leaned(1e-6, 0.0, 0.0) == 1e-6
-    assert leaned(0.0, 0.0, 0.0) == 0.0
-    assert leaned(math.inf, 1e-8, 0.9) == math.inf
 
 
 @pytest.mark.parametrize(("name", "size"), [("short column", 64), ("short column", 128), ("Ishigami", 64)])
@@ -522,30 +398,3 @@ def test_a_fit_that_is_wild_beyond_its_samples_gives_way_where_one_of_lower_degr
             assert mild.degree < plain.degree or plain.constant
     assert usable <= 3
     assert given_way >= 4
-
-
-def test_a_rough_fit_gives_way_to_none() -> None:
-    points = np.asarray(ndtri(sobol_points(dimension=2, count=64, seed=3, task="rough", replicate=0)))
-    outputs = np.sign(points[:, 0] + points[:, 1])
-    plain, mild = (fit_chaos(points, outputs, ("normal", "normal"), most=most) for most in (1.0, 0.05))
-    assert plain.cross_validation_error > 0.05
-    assert np.array_equal(plain.coefficients, mild.coefficients)
-
-
-def test_a_contender_without_its_highest_degrees_has_the_error_of_what_its_folds_chose_so() -> None:
-    points, outputs = levelling(1, 64)
-    contest = prepare(points, ("normal", "normal"))
-    leader = next(one for one in compete([contest], outputs, plain=True) if one.without)
-    found = list(lowered(leader, outputs))
-    degrees = [int(one.indices.sum(axis=1).max()) for one in found]
-    assert degrees == sorted(set(leader.indices.sum(axis=1).tolist()) - {0}, reverse=True)[1:]
-    for one, degree in zip(found, degrees, strict=True):
-        off = np.empty(64)
-        for fold, chosen in enumerate(leader.without):
-            kept = chosen[chosen.sum(axis=1) <= degree]
-            rows = np.prod([orthonormal_values("normal", points[:, j], 15)[kept[:, j]] for j in (0, 1)], axis=0)
-            here = contest.folds == fold
-            coefficients = np.linalg.lstsq(rows[:, ~here].T, outputs[~here], rcond=None)[0]
-            off[here] = coefficients @ rows[:, here] - outputs[here]
-        assert one.error == pytest.approx(float(np.mean(off**2) / np.var(outputs)), rel=1e-6)
-        assert one.reported > one.error

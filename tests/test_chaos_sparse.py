@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
@@ -26,17 +25,13 @@ from uqsphere.uq.expansion.choice import deal
 from uqsphere.uq.expansion.expansion import possible_transforms
 from uqsphere.uq.expansion.germs import (
     germs_of,
-    grown,
     hyperbolic_indices,
     jacobi,
     law_germ,
-    nested,
     products,
-    skipping,
     stieltjes,
 )
-from uqsphere.uq.expansion.solvers import SOLVERS, Task, least_angles, solve_rows
-from uqsphere.uq.expansion.splits import _Data, _left_by_cuts
+from uqsphere.uq.expansion.solvers import SOLVERS, Task, solve_rows
 from uqsphere.uq.law import make_law
 from uqsphere.uq.points import sobol_points
 
@@ -345,25 +340,6 @@ def test_pieces_that_cross_are_those_of_their_own_samples(seed: int) -> None:
     assert float(np.quantile(np.abs(predict(chaos, held_out[flat]) - truth.min()), 0.9)) < 2e-3
 
 
-def test_cuts_tried_all_at_once_leave_what_two_planes_leave() -> None:
-    rng = np.random.default_rng(8)
-    points = rng.uniform(-1.0, 1.0, (90, 3))
-    outputs = np.where(points[:, 1] > 0.2, 3.0 * points[:, 0], points[:, 2]) + 0.1 * rng.standard_normal(90)
-    axes, places = np.repeat(np.arange(3), 4), np.tile([-0.5, 0.1, 0.2, 0.99], 3)
-    left = _left_by_cuts(_Data(points=points, outputs=outputs, bases=()), axes, places)
-    for axis, place, found in zip(axes, places, left, strict=True):
-        total = 0.0
-        side = points[:, axis] > place
-        if side.mean() < 0.08:
-            assert found == math.inf
-            continue
-        for part in (side, ~side):
-            rows = np.column_stack([np.ones(part.sum()), points[part]])
-            total += float(np.linalg.lstsq(rows, outputs[part], rcond=None)[1][0])
-        assert found == pytest.approx(total / 90, rel=1e-6)
-    assert int(np.argmin(left)) == 6  # where the jump is
-
-
 # --- solvers of sparse regression: recovery, and errors of samples left out against fits made anew
 
 
@@ -396,18 +372,6 @@ def test_sparse_polynomials_are_found_among_more_candidates_than_samples(name: s
     assert error < 1e-24
     coefficients = solve_rows(basis[active], values)
     np.testing.assert_allclose(coefficients @ basis[active], values, atol=1e-12)
-
-
-def test_least_squares_takes_whole_sets() -> None:
-    found = nested(2, 1.0, 5, 100)
-    assert found is not None
-    indices, sizes = found
-    points = np.random.default_rng(3).uniform(-1.0, 1.0, (60, 2))
-    basis = products([orthonormal_values("uniform", x, 5) for x in points.T], indices)
-    values = points[:, 0] ** 2 * points[:, 1]
-    active, error = SOLVERS["least squares"](task_of(basis, values, deal(60, 5), sizes=sizes)).best()
-    assert active.size == 10  # total degree 3 in two inputs
-    assert error < 1e-24
 
 
 def greedy_anew(basis: np.ndarray, values: np.ndarray, steps: int, orthogonal: bool) -> list[int]:
@@ -450,40 +414,6 @@ def test_errors_of_samples_left_out_are_those_of_fits_made_anew(name: str, ortho
         assert path.errors[size - 1] == pytest.approx(np.mean((predicted - values) ** 2) / np.var(values), rel=1e-9)
 
 
-def angles_anew(basis: np.ndarray, values: np.ndarray, steps: int) -> list[int]:
-    """Least-angle regression with the equiangular direction from the inverse of the Gram matrix (Efron 2004)."""
-    x = basis[1:] - basis[1:].mean(axis=1, keepdims=True)
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
-    fit, y = np.zeros(values.size), values - values.mean()
-    active = [int(np.argmax(np.abs(x @ y)))]
-    while len(active) < steps - 1:
-        c = x @ (y - fit)
-        height = np.abs(c[active]).max()
-        np.testing.assert_allclose(np.abs(c[active]), height, rtol=1e-8)
-        rows = np.sign(c[active])[:, None] * x[active]
-        inverse = np.linalg.inv(rows @ rows.T)
-        scale = inverse.sum() ** -0.5
-        direction = scale * inverse.sum(axis=0) @ rows
-        a = x @ direction
-        steps_to = {
-            row: min(s for s in ((height - c[row]) / (scale - a[row]), (height + c[row]) / (scale + a[row])) if s > 0)
-            for row in range(len(x))
-            if row not in active
-        }
-        nearest = min(steps_to, key=steps_to.__getitem__)
-        fit = fit + steps_to[nearest] * direction
-        active.append(nearest)
-    return [0, *(row + 1 for row in active)]
-
-
-def test_least_angles_take_the_textbooks_order() -> None:
-    for seed in range(5):
-        _, basis = legendre_basis(40, 3, 3, seed)
-        values = np.exp(0.7 * basis[1] - 0.4 * basis[2]) + np.abs(basis[3])
-        path = least_angles(task_of(basis, values, deal(40, 5), most=10))
-        assert path.order.tolist() == angles_anew(basis, values, 10)
-
-
 @pytest.mark.parametrize("name", SOLVERS)
 def test_dependent_and_repeated_rows_do_no_harm(name: str) -> None:
     _, basis = legendre_basis(50, 2, 3)
@@ -492,61 +422,3 @@ def test_dependent_and_repeated_rows_do_no_harm(name: str) -> None:
     active, error = SOLVERS[name](task_of(twice, values, deal(50, 5), sizes=(3, 6, 10))).best()
     assert error < 1e-20
     assert np.linalg.matrix_rank(twice[active]) == active.size
-
-
-@pytest.mark.parametrize("name", SOLVERS)
-def test_one_term_and_few_samples(name: str) -> None:
-    _, basis = legendre_basis(6, 2, 1)
-    path = SOLVERS[name](task_of(basis, np.arange(6.0), deal(6, 3), most=1, sizes=(1, 3)))
-    active, error = path.best()
-    assert active.tolist() == [0]
-    assert 1.0 <= error < 3.0
-
-
-def test_folds_are_even_and_the_same_every_time() -> None:
-    for n, count in ((7, 5), (64, 10), (256, 5), (3, 5)):
-        folds = deal(n, count)
-        assert np.array_equal(folds, deal(n, count))
-        numbers = np.bincount(folds)
-        assert numbers.size == min(n, count)
-        assert numbers.max() - numbers.min() <= 1
-
-
-def test_grown_sets_hold_what_lies_below_and_admissible_neighbours() -> None:
-    active = np.array([[0, 0, 0], [2, 1, 0], [0, 0, 1]])
-    found = {tuple(row) for row in grown(active, np.array([1.0, 0.5, 0.1]), 15, 1000).tolist()}
-    below = set(itertools.product(range(3), range(2), [0])) | {(0, 0, 1)}
-    assert below <= found
-    for row in found - below:  # a neighbour: everything just below it is there
-        lower = [(*row[:j], k - 1, *row[j + 1 :]) for j, k in enumerate(row) if k]
-        assert all(low in below for low in lower)
-    assert {(3, 0, 0), (0, 2, 0), (1, 0, 1), (0, 1, 1), (0, 0, 2)} <= found
-    assert (1, 1, 1) not in found  # (1, 0, 1) and (0, 1, 1) are not there yet
-    few = grown(active, np.array([1.0, 0.5, 0.1]), 15, 4)
-    assert few[:3].tolist() == active.tolist()
-    assert len(few) == 4
-    assert grown(active, np.ones(3), 2, 1000).max() == 2
-
-
-def test_terms_two_degrees_above_are_those_of_inputs_in_use() -> None:
-    active = np.array([[0, 0, 0], [2, 0, 0], [4, 0, 1]])
-    assert skipping(active, 15).tolist() == [[4, 0, 0], [4, 0, 3], [6, 0, 1]]
-    assert skipping(active, 4).tolist() == [[4, 0, 0], [4, 0, 3]]
-    assert skipping(np.zeros((1, 2), dtype=np.int64), 15).shape == (0, 2)
-
-
-@pytest.mark.parametrize("name", ["matching pursuit", "forward selection", "least angles"])
-def test_terms_chosen_without_a_fold_are_those_chosen_on_the_other_samples(name: str) -> None:
-    _, basis = legendre_basis(60, 3, 4, seed=5)
-    values = np.exp(basis[1]) + basis[5] * basis[8]
-    folds = deal(60, 5)
-    path = SOLVERS[name](task_of(basis, values, folds))
-    active, _ = path.best()
-    for fold, chosen in enumerate(path.chosen_without()):
-        seen = folds != fold
-        alone = SOLVERS[name](task_of(basis[:, seen], values[seen], deal(int(seen.sum()), 5), most=30))
-        known = min(len(chosen), len(alone.order))
-        assert chosen[:known].tolist() == alone.order[:known].tolist()
-        assert len(chosen) <= len(active)
-    assert len(path.chosen_without()) == 5
-    assert SOLVERS["subspace pursuit"](task_of(basis, values, folds)).chosen_without() == []

@@ -231,13 +231,6 @@ def test_a_missed_accuracy_is_exit_0_with_a_warning(ask: Any) -> None:
     assert "accuracy not reached" in answer.err
 
 
-def test_too_many_failures_are_exit_4(ask: Any) -> None:
-    wide = 'sphere.radius={dist="normal", mean="5 mm", sd="0.5 mm", lower="3 mm", upper="7 mm"}'
-    answer = ask("run", "small.toml", *QUICK, "--set", wide)
-    assert (answer.code, answer.out) == (4, "")
-    assert "outside the domain" in answer.err
-
-
 def test_foreign_and_other_folders_are_exit_5(ask: Any, place: Path) -> None:
     (place / "mine").mkdir()
     (place / "mine" / "thesis.txt").write_text("precious")

@@ -28,7 +28,7 @@ from uqsphere.uq.failure_indices import (
     sway_estimates,
 )
 from uqsphere.uq.indices import Blocks, uniform_halves
-from uqsphere.uq.joint import Dependence, Joint, conditional_score, make_joint
+from uqsphere.uq.joint import Dependence, make_joint
 from uqsphere.uq.law import make_law
 from uqsphere.uq.points import sobol_points
 
@@ -204,16 +204,6 @@ def test_many_dependent_inputs_take_random_orders(study_from, tmp_path) -> None:
     assert abs(shapley["x5"]["value"] - 0.5) <= 4.0 * shapley["x5"]["std_error"]
     # three correlated inputs, of which one acts: it keeps most, the two others take a part each
     assert shapley["x0"]["value"] > shapley["x1"]["value"] > shapley["x7"]["high"]
-
-
-def test_a_run_with_dependence_is_repeated_bit_by_bit(study_from, tmp_path) -> None:
-    text = tie('of = ["a", "b"]\nkendall = 0.3\ncopula = "gumbel"\n').replace("sobol = 0.02", "sobol = 0.1")
-    results = [
-        uqsphere.run(study_from(text=text), out=tmp_path / name, model=line).results.document()
-        for name in ("one", "two")
-    ]
-    assert results[0]["sensitivity"] == results[1]["sensitivity"]
-    assert results[0]["limits"] == results[1]["limits"]
 
 
 def test_what_few_tests_leave_open_is_refused_for_another_copula(study_from, tmp_path) -> None:
@@ -397,27 +387,6 @@ def test_sway_with_ties_is_the_difference_of_two_runs(kind: str) -> None:
         apart = (probability(scores + h) - probability(scores - h)).reshape(R, -1).mean(axis=1) / 2e-3
         error = math.hypot(found[column].std_error, float(np.std(apart, ddof=1)) / 4.0)
         assert abs(found[column].value - apart.mean()) <= 4.0 * error + 1e-7
-
-
-def test_gradients_of_independent_inputs_are_their_scores() -> None:
-    z = sampled(16).reshape(-1, 3)
-    assert np.array_equal(score_gradients(Joint(names=("a", "b", "c"), laws=(UNIT,) * 3), z), z)
-
-
-def test_gradients_agree_with_a_conditional_density() -> None:
-    """Along one member, ln f differs from that of its conditional law by what does not depend on it."""
-    inputs = make_joint(("a", "b"), (UNIT,) * 2, [Dependence(of=("a", "b"), copula="gumbel", kendall=0.4)])
-    copula = inputs.groups[0].copula
-    known = np.array([[0.7]])
-    values, h = np.array([-1.0, 0.2, 1.7]), 1e-3
-
-    def log_conditional(x: np.ndarray) -> np.ndarray:
-        at = [conditional_score(copula, 1, (0,), np.repeat(known, 3, axis=0), x + step) for step in (h, -h)]
-        return np.log((ndtr(at[0]) - ndtr(at[1])) / (2.0 * h))
-
-    slope = -(log_conditional(values + 0.01) - log_conditional(values - 0.01)) / 0.02
-    scores = np.column_stack([np.full(3, 0.7), values])
-    assert np.allclose(score_gradients(inputs, scores)[:, 1], slope, atol=2e-3)
 
 
 def test_numbers_of_tests_follow_the_formulas() -> None:

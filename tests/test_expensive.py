@@ -6,7 +6,6 @@ import json
 import math
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,22 +17,15 @@ import uqsphere
 from tests.campaigns.coverage import coverage_models, expensive_rows
 from uqsphere.cli import main
 from uqsphere.errors import StudyError, TooManyFailures, UsageError
-from uqsphere.runner import evaluate as work
 from uqsphere.runner import remote
-from uqsphere.runner.campaign import Cost, cost_of, indices_missed
-from uqsphere.runner.evaluate import Ledger, Work
-from uqsphere.runner.expensive import Expensive, Surrogates, keep_answers, keep_indices
+from uqsphere.runner.campaign import Cost, cost_of
 from uqsphere.runner.forecast import CHEAP, choose_way, plan_run, plan_text
-from uqsphere.runner.limits import LimitAnswer
-from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.runner.questions.indices import Sensitivity
-from uqsphere.runner.surrogate_answers import Answers, blocks_of_runs
+from uqsphere.runner.surrogate_answers import blocks_of_runs
 from uqsphere.study import Study
 from uqsphere.uq.describe import describe
-from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.expansion import fit_outputs
 from uqsphere.uq.points import sobol_points
-from uqsphere.uq.response import cross_fit, index_shares
+from uqsphere.uq.response import cross_fit
 from uqsphere.uq.sample import Sample
 
 MODELS = {model.name: model for model in coverage_models()}
@@ -120,34 +112,6 @@ def test_an_expensive_smooth_model_is_answered_with_a_few_hundred_runs(ask) -> N
     assert results["limits"]["high"]["met"] is True
 
 
-def test_no_first_index_lies_above_the_total_one(ask, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each is widened by its own error, and may be off by a little more than that."""
-
-    def apart(one: Any, seed: int) -> dict[str, Any]:
-        found = index_shares(one, seed)
-        first, total = found["first"][1], found["total"][1]
-        found["first"][1] = replace(first, value=total.high + 0.002, low=total.high + 0.001, high=total.high + 0.003)
-        return found
-
-    monkeypatch.setattr("uqsphere.runner.surrogate_answers.index_shares", apart)
-    indices = ask(Counted(ishigami)).results.document()["sensitivity"]["y"]
-    for name in ("x1", "x2", "x3"):
-        assert indices["first"][name]["low"] <= indices["total"][name]["high"]
-
-
-def test_the_larger_design_of_many_inputs_has_fewer_points(ask, monkeypatch: pytest.MonkeyPatch) -> None:
-    sizes = []
-
-    def noted(*args: Any, **more: Any) -> Any:
-        sizes.append(more["count"])
-        return work.draw(*args, **more)
-
-    monkeypatch.setattr("uqsphere.runner.surrogate_answers.draw", noted)
-    monkeypatch.setattr("uqsphere.runner.surrogate_answers.HELD", 16 * 3 * 9000)
-    ask(Counted(ishigami), "analysis.accuracy.mean=1e-7", "analysis.budget.evaluations=64")
-    assert set(sizes) == {4096, 8192}
-
-
 def test_every_accuracy_that_is_missed_has_a_cost_of_its_own(ask) -> None:
     accuracy = "analysis.accuracy={ mean = 5e-4, quantile = 0.001, sobol = 1e-4, probability = 0.001 }"
     missed = ask(Counted(ishigami), accuracy, "analysis.budget.evaluations=200").results.accuracy.missed
@@ -207,17 +171,6 @@ def both(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {"y": ishigami(x), "z": chequered(x)}
 
 
-def test_several_outputs_that_are_too_rough_are_told_as_several(
-    study_from: Callable[..., Study], tmp_path: Path
-) -> None:
-    def rough(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        return {"y": -chequered(x), "z": chequered(x)}
-
-    study = study_from("analysis.budget.evaluations=100", text=MIXED)
-    why = uqsphere.run(study, out=tmp_path / "r", model=rough).results.plan.why
-    assert re.fullmatch(r"surrogates are too rough \(y: refused: .*; z: refused: .*\): the 96 runs are sampled", why)
-
-
 @pytest.mark.parametrize("runs", [16, 32, 64, 256])
 def test_intervals_by_the_runs_of_a_rough_output_cover(runs: int) -> None:
     """Blocks of one sequence as replicates: of an output too rough for its evenness they are as good as independent."""
@@ -269,50 +222,6 @@ def test_more_budget_takes_no_margin_and_no_design_point_from_a_surrogate(
     assert sum(results["model"]["evaluations"].values()) <= 2700
     told = [part["why"] for part in results["plan"]["parts"] if part["part"] == "sampling"]
     assert told == ["A surrogate was not good enough, and the model was sampled."]
-
-
-def test_a_small_probability_of_a_surrogate_is_kept_only_where_it_is_better_known(
-    study_from: Callable[..., Study],
-) -> None:
-    study = study_from(text=EXPENSIVE)
-    work = Work(study=study, store=None, ledger=Ledger(), fidelity="full")
-
-    def limit(value: float, half: float) -> LimitAnswer:
-        p = Estimate(value=value, low=value - half, high=value + half, std_error=0.5 * half, method="", evaluations=1)
-        return LimitAnswer(
-            quantity="y", aim="survive", target=0.5, exceedance=p, miss=p, margin={}, governing=None, design={"x1": 0.0}
-        )
-
-    def kept(one: LimitAnswer, other: LimitAnswer) -> Sampled:
-        nothing = np.zeros((2, 1, 1))
-        sample = Sample.at("x", nothing, nothing).with_answers("y", nothing)
-        sampled = Sampled(sample=sample, descriptions={}, limits={"high": one}, missed=[], stopped="")  # fmt: skip
-        question = Surrogates(work=work, found=Answers(limits={"high": other}), responses={"y": EXACT})
-        expensive = Expensive(why="", surrogate=False, question=question)
-        return keep_answers(work, sampled, expensive)
-
-    # below 1 % the methods for rare events may take over, and widths are not held against the accuracy on the way
-    narrow, wide = limit(0.011, 0.003), limit(0.009, 0.008)
-    assert kept(narrow, wide).limits["high"].miss is narrow.miss
-    better = kept(wide, narrow)
-    assert better.limits["high"].miss is narrow.miss
-    assert [one.subject for one in better.missed] == ["limits.high"]
-
-
-@pytest.mark.parametrize(("half", "late", "kept"), [(0.03, True, True), (0.03, False, False), (0.001, True, False)])
-def test_indices_of_a_surrogate_are_kept_where_sampled_ones_are_wider_than_asked(
-    half: float, late: bool, kept: bool
-) -> None:
-    def indices(half: float, missed: bool) -> Sensitivity:
-        row = {"x1": Estimate(value=0.5, low=0.5 - half, high=0.5 + half, std_error=half, method="", evaluations=1)}
-        told = [indices_missed("y", half, 0.001)] if missed else []
-        return Sensitivity(first=row, total=row, surrogate={}, sampled={}, expanded={}, agree=None, text="",
-                           missed=told)  # fmt: skip
-
-    sampled, own = indices(half, late), indices(0.01, True)
-    expensive = Expensive(why="", surrogate=False, question=Any, sensitivity={"y": own})
-    found = keep_indices({"y": sampled, "z": sampled}, expensive)
-    assert found == {"y": own if kept else sampled, "z": sampled}
 
 
 FAR = '[limits.far]\nquantity = "z"\nstrength = { dist = "normal", mean = 12.0, sd = 0.5 }\n'
@@ -375,26 +284,6 @@ def test_runs_made_for_a_rough_output_serve_the_surrogates_of_the_others(
     assert holds(y["mean"], TRUTH.mean)
 
 
-@pytest.mark.parametrize(("after", "runs"), [(40, 32), (300, 128)])
-def test_a_run_that_is_cut_off_reports_what_its_runs_say(
-    study_from: Callable[..., Study], tmp_path: Path, after: int, runs: int
-) -> None:
-    rows = 0
-
-    def counted(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        nonlocal rows
-        rows += len(x["x1"])
-        return both(x)
-
-    study = study_from("analysis.budget.evaluations=600", "analysis.rows_per_call=8", text=MIXED)
-    found = uqsphere.run(study, out=tmp_path / "r", model=counted, stop=lambda: rows >= after)
-    assert found.manifest.interrupted
-    assert found.results.quantities["z"].mean.evaluations == runs
-    assert found.results.accuracy.stopped_by["sampling"] == "time"
-    again = uqsphere.run(study, out=tmp_path / "r", model=counted)
-    assert again.results.quantities["z"].mean.evaluations > 500
-
-
 def test_a_step_is_answered_within_its_interval(ask) -> None:
     results = ask(
         Counted(lambda x: np.where(x["x1"] + 0.3 * x["x2"] > 0.5, 5.0, 0.0) + 0.1 * x["x3"])
@@ -439,15 +328,6 @@ def test_a_cheap_model_is_sampled(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     results = ask(Counted(ishigami), "analysis.budget.evaluations=20000").results.document()
     assert results["plan"]["way"] == "sampling"
     assert results["quantities"]["y"]["mean"]["evaluations"] >= 2048
-
-
-def test_what_is_drawn_and_stored_is_no_cost_of_the_model(ask, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(globals(), "EXPENSIVE", EXPENSIVE.replace('cost = "10 s"\n', ""))
-    found = ask(Counted(ishigami), "analysis.budget.evaluations=20000")
-    assert found.manifest.plan.cost_seconds_per_evaluation < found.manifest.seconds["pilot"] / 32.0
-    plan = found.manifest.plan
-    expensive = plan.cost_seconds_per_evaluation > plan.crossover_seconds_per_evaluation
-    assert found.results.plan.way == ("surrogate" if expensive else "sampling")
 
 
 def test_budgets_below_the_smallest_designs(ask) -> None:
@@ -619,28 +499,6 @@ def test_a_design_point_on_a_surrogate_is_confirmed_by_a_run(ask, monkeypatch: p
     assert any("the model gives 11" in text for text in limit["checks"])
 
 
-def test_a_design_point_that_the_model_contradicts_leaves_the_shares_known_before(
-    ask, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The search would put its importance factors in the place of shares by direction."""
-    monkeypatch.setitem(globals(), "EXPENSIVE", PLANE.replace("14.0", "11.0"))
-
-    def run(out: str) -> dict[str, Any]:
-        return dict(ask(Counted(plane), out=out).results.document()["limits"]["high"])
-
-    with monkeypatch.context() as without:
-        without.setattr("uqsphere.runner.expensive.with_surrogate_design", lambda work, limits, *_: limits)
-        before = run("before")
-    for name in ("CONFIRMED", "CLOSE"):
-        monkeypatch.setattr(f"uqsphere.runner.questions.probabilities.{name}", -1.0)
-    limit = run("after")
-    assert "does not confirm" in limit["design_point_reason"]
-    assert not limit["design_point"]
-    assert before["governing_inputs"]
-    for key in ("governing_inputs", "governing_inputs_method"):
-        assert limit[key] == before[key]
-
-
 def test_pairs_and_groups_come_off_the_surrogate(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(globals(), "EXPENSIVE", PLANE.replace("14.0", "11.0"))
     found = ask(Counted(plane)).results.document()["sensitivity"]["y"]
@@ -743,12 +601,6 @@ def test_the_plan_says_the_way_and_the_crossover(study_from: Callable[..., Study
 def test_listed_methods_and_the_impact_model_are_sampled(study_from: Callable[..., Study]) -> None:
     assert not choose_way(study_from("analysis.methods=['sobol']", text=EXPENSIVE)).surrogate
     assert plan_run(study_from())["way"] == "sampling"
-
-
-def test_a_cost_that_is_not_given_leaves_the_hash(study_from: Callable[..., Study]) -> None:
-    without = EXPENSIVE.replace('cost = "10 s"\n', "")
-    assert "cost" not in study_from(text=without).resolved()["analysis"]
-    assert study_from(text=without).hash != study_from(text=EXPENSIVE).hash
 
 
 def test_what_a_missed_accuracy_would_take() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from uqsphere.cli import main
 from uqsphere.errors import UsageError
 from uqsphere.given import Data, analyse_data, analysis, analysis_text, known_laws, read_data, study_text
 from uqsphere.given.analysis import quantile_interval
-from uqsphere.given.answers import _answer, leaning, reach, spanned
+from uqsphere.given.answers import _answer, reach, spanned
 from uqsphere.given.table import combinations
 from uqsphere.given.ties import left_open, rank_correlations, rank_influence, tied, ties_of, with_ties
 from uqsphere.uq.beyond_variance import rank_indices
@@ -26,7 +25,6 @@ from uqsphere.uq.estimate import Estimate, sd_alone
 from uqsphere.uq.fitting import fit_marginal, fitted_law, plausible, plausible_laws
 from uqsphere.uq.joint import dependent_scores, make_copula, make_joint
 from uqsphere.uq.law import make_law
-from uqsphere.uq.points import random_generator
 from uqsphere.uq.surrogate import load_surrogate
 
 
@@ -160,28 +158,6 @@ def test_rank_indices_of_strong_normal_inputs_are_not_too_small() -> None:
         found.append(rank_indices(x[:, :1], x @ [1.0, 0.7, 0.4, 0.2, 0.05], rng)[0])
     assert abs(np.mean([e.value for e in found]) - truth) < 0.04
     assert sum(e.low <= truth <= e.high for e in found) >= 52
-
-
-def test_rank_indices_of_heavy_tailed_outputs_are_covered() -> None:
-    """z1 z2 + z3 of tied scores, of kurtosis 7: the factor of the normal law held 91 % of these."""
-    rng, truths = np.random.default_rng(10), (0.72 / 2.36, 0.97 / 2.36, 1.0 / 2.36)
-    turn = np.linalg.cholesky(np.array([[1.0, 0.6, 0.0], [0.6, 1.0, 0.5], [0.0, 0.5, 1.0]])).T
-    covered = np.zeros(3)
-    for _ in range(600):
-        x = rng.standard_normal((100, 3)) @ turn
-        found = rank_indices(x, x[:, 0] * x[:, 1] + x[:, 2], rng)
-        covered += [e.low <= truth <= e.high for e, truth in zip(found, truths, strict=True)]
-    assert 0.925 < covered.mean() / 600 < 0.97
-
-
-def test_rank_indices_of_inputs_whose_ends_lie_far_apart_are_covered() -> None:
-    """The square of a normal input: the neighbours at its ends differ in it, which took the coverage to 91 %."""
-    rng, covered = np.random.default_rng(3), 0
-    for _ in range(600):
-        x = rng.standard_normal((100, 2))
-        found = rank_indices(x[:, :1], x[:, 0] ** 2 + x[:, 1], rng)[0]
-        covered += found.low <= 2.0 / 3.0 <= found.high
-    assert 0.922 < covered / 600 < 0.97
 
 
 def test_the_interval_of_an_index_does_not_lie_below_zero() -> None:
@@ -450,10 +426,6 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     assert main(["analyse", str(tmp_path / "bytes.csv"), "--inputs", "a", "--outputs", "y"]) == 2
 
 
-def test_seeds_are_keyed_by_the_task() -> None:
-    assert random_generator(seed=0, task="analyse a").random() != random_generator(seed=0, task="analyse b").random()
-
-
 def test_a_folder_is_no_table(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="this is a folder"):
         read_data(tmp_path, ["a"], ["y"])
@@ -512,41 +484,6 @@ def test_a_gaussian_copula_that_is_not_alone_leaves_the_others_open() -> None:
     assert np.mean([tie.weights.get("clayton", 0.0) for tie in taken]) > 0.2
 
 
-def test_a_first_index_is_left_open_as_the_square_that_it_is() -> None:
-    """A correlation of 0.13 +- 0.06 that is squared: by logits such an index was held in 86 % of 78 tables."""
-    roots = 0.13 + 0.06 * stats.norm.ppf((np.arange(64) + 0.5) / 64)
-    below, above = reach(0.13**2, roots**2, 0.13**2, "squares")
-    assert 0.13**2 - below == pytest.approx(0.01**2, abs=5e-4)
-    assert 0.13**2 + above == pytest.approx(0.25**2, rel=0.05)
-    # of either sign, a correlation of 0.02 may be one of 0.13
-    assert 0.02**2 + reach(0.02**2, (roots - 0.11) ** 2, 0.02**2, "squares")[1] > 0.11**2
-    # nothing is left open below nothing, and all of it is not exceeded
-    assert reach(-1e-4, np.full(64, 0.001), 0.0, "squares")[0] == 0.0
-    assert reach(0.99, np.linspace(0.8, 1.0, 64), 0.99, "squares")[1] <= 0.0100001
-
-
-def test_a_share_of_next_to_nothing_is_not_told_from_none() -> None:
-    """Ishigami's third input does nothing by itself: 22 % of 95 tables of 400 runs told 1e-11 to 1e-7 from that."""
-    estimate = Estimate(value=7e-8, low=6.9e-8, high=7.1e-8, std_error=1e-9, method="", evaluations=1)
-    whole = _answer(estimate, [7.1e-8, 6.9e-8], 7e-8, (0.0, 1.0), way="shares").whole
-    assert whole.low == 0.0
-    assert 7e-8 < whole.high < 1e-7
-    more = replace(estimate, value=7e-3, low=6.9e-3, high=7.1e-3)
-    assert _answer(more, [7.1e-3, 6.9e-3], 7e-3, (0.0, 1.0), way="shares").whole.low > 6e-3
-
-
-def test_the_interval_of_an_outer_quantile_leans_outward() -> None:
-    """Standard deviations that are even by factors: 6 % of 400 lower quantiles lay below their intervals, 2 % above."""
-    factors = np.r_[1.0, np.exp(0.1 * stats.norm.ppf((np.arange(64) + 0.5) / 64))]
-    below, above = leaning(-1.645 * factors, np.zeros(65))
-    # 0.2 is left open of the logarithm, of which the steps have 1.645 times as much on either side
-    assert 1.645 * 0.2 + below == pytest.approx(1.645 * np.expm1(0.2), rel=0.02)
-    assert 1.645 * 0.2 + above == pytest.approx(-1.645 * np.expm1(-0.2), rel=0.02)
-    assert leaning(1.645 * factors, np.zeros(65)) == pytest.approx((above, below))
-    # a quantile on either side of the mean has no factor
-    assert leaning(np.array([0.1, -0.1, 0.2]), np.zeros(3)) == (0.0, 0.0)
-
-
 def test_every_copula_that_is_left_open_is_held_by_itself() -> None:
     """Where Clayton's copula was left open, but the Gaussian one taken, 21 of 32 tables held the lower quantile."""
     steps = 0.1 * stats.norm.ppf((np.arange(32) + 0.5) / 32)
@@ -563,24 +500,6 @@ def test_every_copula_that_is_left_open_is_held_by_itself() -> None:
     # few laws do not tell where their copula lies, and one copula has nothing to span
     assert spanned(both, ["gaussian"] * 57 + ["clayton"] * 7) is None
     assert spanned(both, ["gaussian"] * 64) is None
-
-
-def test_laws_of_two_copulas_move_a_quantile_one_by_one() -> None:
-    """The copulas of the laws are those that the interval of a quantile, and of no mean, is told by."""
-    rng = np.random.default_rng(0)
-    z = dependent_scores(make_copula("clayton", 2, spearman=0.5), rng.standard_normal((80, 2)))
-    x = 3.0 + 0.4 * np.column_stack([z, rng.standard_normal(80)])
-    data = Data(inputs=("a", "b", "c"), outputs=("y",), x=x, y=x @ [[1.0], [0.6], [0.7]])
-    told: list[bool] = []
-
-    def counted(steps: np.ndarray, copulas: Sequence[Hashable]) -> tuple[float, float] | None:
-        told.append(len(steps) == len(copulas) == 64 and len(set(copulas)) > 1)
-        return spanned(steps, copulas)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("uqsphere.given.answers.spanned", counted)
-        analyse_data(data)
-    assert told == [True] * 3
 
 
 # --- Columns of a table that others give exactly are named, and no expansion is fitted to them.

@@ -150,15 +150,6 @@ def test_outputs_of_any_size_have_indices(size: float) -> None:
     assert [e.value for e in other.total] == pytest.approx([e.value for e in one.total], rel=1e-9)
 
 
-@pytest.mark.parametrize(("count", "room"), [(32, 1.12), (64, 1.0)])
-def test_intervals_of_few_points_are_longer(count: int, room: float) -> None:
-    blocks = Blocks(inputs_count=6)
-    y = outputs(MODELS["g-function"], blocks, count)
-    plain = index_estimates(y, blocks, "saltelli")
-    for one, other in zip(sampled_indices(y, blocks).total[2:], plain["total"][2:], strict=True):
-        assert one.half_width == pytest.approx(room * other.half_width, rel=1e-9)
-
-
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_an_input_without_effect_is_zero_within_its_interval(estimator: str) -> None:
     model = MODELS["g-function"]
@@ -261,29 +252,6 @@ def test_intervals_cover_the_closed_form(estimator: str) -> None:
             for e, truth in zip(found[order], getattr(model, order), strict=True)
         ]
     assert 0.90 <= np.mean(hits) <= 0.99
-
-
-def test_pairs_cost_less_where_outliers_rule() -> None:
-    """A rare step in the leading input: both estimators cover the truth, and pairs find its first index far better."""
-    p, height = 0.002, 12.0
-    edge = float(ndtri(1.0 - p))
-    density = math.exp(-0.5 * edge**2) / math.sqrt(2.0 * math.pi)
-    # y = x_1 + height 1(x_1 > edge) + x_2/2 + x_3/10: the variances add
-    variances = np.array([1.0 + height**2 * p * (1.0 - p) + 2.0 * height * density, 0.25, 0.01])
-    blocks = Blocks(inputs_count=3)
-
-    def outputs_of(replicate: int) -> np.ndarray:
-        halves = uniform_halves(blocks, count=2048, seed=3, task="outliers", replicate=replicate)
-        x = ndtri(blocks.mix(*halves))
-        return x[..., 0] + height * (x[..., 0] > edge) + 0.5 * x[..., 1] + 0.1 * x[..., 2]
-
-    y = np.stack([outputs_of(r) for r in range(16)])
-    plain, pairs = (index_estimates(y, blocks, name) for name in ("saltelli", "janon_monod"))
-    for found in (plain, pairs):
-        for order in ("first", "total"):
-            for estimate, truth in zip(found[order], variances / variances.sum(), strict=True):
-                assert within(estimate, truth)
-    assert pairs["first"][0].half_width < 0.3 * plain["first"][0].half_width
 
 
 def test_cross_check_names_what_disagrees() -> None:
@@ -460,18 +428,6 @@ def test_faults_of_the_new_keys_are_told(study_from: Callable[..., Study], overr
         study_from(override, text=ISHIGAMI)
 
 
-def test_the_resolved_study_tells_one_request_from_another(study_from: Callable[..., Study]) -> None:
-    one = study_from(text=ISHIGAMI)
-    assert one.resolved()["analysis"]["groups"] == {"both": ["x1", "x3"], "one": ["x2"]}
-    assert one.analysis.tolerance_intervals.runs == 38
-    others = [
-        study_from(text=ISHIGAMI.replace("second_order = true", "second_order = false")),
-        study_from('analysis.groups={both=["x1"]}', text=ISHIGAMI),
-        study_from("analysis.tolerance_intervals.runs=60", text=ISHIGAMI),
-    ]
-    assert len({study.hash for study in (one, *others)}) == 4
-
-
 # --- the expansion as control variate ---------------------------------------------------------------------
 
 
@@ -575,15 +531,6 @@ def test_the_mean_of_expansions_is_the_mean_of_their_values() -> None:
     assert not transformed.plain
     with pytest.raises(ValueError, match="in one piece"):
         mean_expansion([transformed])
-
-
-def test_a_constant_expansion_is_no_surrogate() -> None:
-    fits = expansion("linear", 1, points=32, fits=1)
-    from dataclasses import replace
-
-    piece = replace(fits[0].pieces[0], coefficients=fits[0].coefficients[:1], multi_indices=fits[0].multi_indices[:1])
-    flat = replace(fits[0], pieces=(piece,))
-    assert chaos_surrogate(flat, Blocks(inputs_count=5), np.ones((2, 4, 7))) is None
 
 
 # --- borgonovo's delta and PAWN: integrals of known laws, atoms, coverage, and what does nothing --

@@ -13,20 +13,16 @@ import pytest
 from scipy.special import gamma, ndtr, ndtri
 
 import uqsphere
-from uqsphere.errors import FolderError, StudyError
+from uqsphere.errors import StudyError
 from uqsphere.report import build_report
-from uqsphere.results import Results
-from uqsphere.results.entries import checked_entry
 from uqsphere.runner.axis_rows import AxisRows
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.questions.curves import energy_curve, find_rows
 from uqsphere.study import Study
-from uqsphere.uq import curve
 from uqsphere.uq.curve import fragility
 from uqsphere.uq.law import make_law
 from uqsphere.uq.limit_state import LimitState, exceedance
 from uqsphere.uq.points import sobol_points
-from uqsphere.uq.whatif import fewest_tests
 
 TARGETS = (0.01, 0.1, 0.5, 0.9, 0.99)
 MEDIAN, SCATTER = 1.2, 0.25
@@ -109,10 +105,6 @@ def test_curves_that_turn_back_are_refused_and_noise_is_not() -> None:
     assert found.values[0.5].value == pytest.approx(MEDIAN, rel=0.02)
 
 
-def test_noise_is_levelled_half_way_between_the_running_ends() -> None:
-    assert curve._monotone(np.array([0.0, 2.0, 1.0, 3.0])).tolist() == [0.0, 1.5, 1.5, 3.0]
-
-
 def test_a_scalar_that_crosses_zero_is_taken_as_it_is() -> None:
     grid = np.linspace(-3.0, 3.0, 13)
     exact = np.repeat(np.asarray(ndtr(grid))[:, None], 3, axis=1)
@@ -146,16 +138,6 @@ def test_exceedance_and_fragility_agree() -> None:
 def test_what_goes_not_together_is_refused(grid: np.ndarray, probabilities: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"must"):
         fragility(grid, probabilities, (0.5,), samples=10, evaluations=1)
-
-
-def test_the_place_where_a_curve_turns_back_is_told() -> None:
-    """Up to the value 2.2 and down again, ending lower than it began: the rise is not taken for the turn."""
-    shape = np.exp(-((np.log(GRID / 2.2)) ** 2) / 0.3)
-    exact = np.repeat((0.1 + 0.8 * shape)[:, None], 4, axis=1)
-    exact[-1] = 0.05
-    reason = fragility(GRID, exact, (0.5,), samples=1000, evaluations=1).values[0.5].reason
-    told = float(reason.rsplit(" ", 1)[1])
-    assert told == pytest.approx(GRID[np.argmin(np.abs(GRID - 2.2))], rel=0.25)
 
 
 # --- fragility over the specific energy: what a fracture energy was given as comes back, and the closed form of Hertz
@@ -272,29 +254,6 @@ def test_the_curve_of_a_pressure_is_that_of_the_closed_form(study: Study, rows: 
     truth = pressure_exceeds(inner[:, 0], count)
     assert np.all(np.abs(inner[:, 1] - truth) < 0.02 * np.minimum(truth, 1.0 - truth))
     assert np.all(inner[:, 3] - inner[:, 2] < 0.1 * np.minimum(truth, 1.0 - truth))
-
-
-def test_rows_in_narrow_bins_of_energy_agree(study: Study, rows: AxisRows) -> None:
-    # between infinite bars the energy is a power of the speed, so that rows of speeds in equal ratios that happen to
-    # have an energy are a fair sample of specimens given it
-    generator = np.random.default_rng(8)
-    count = 300_000
-    sigma = math.sqrt(math.log1p(0.12**2))
-    values = {
-        "sphere.E": 52e9 / math.sqrt(1.0 + 0.12**2) * np.exp(sigma * generator.standard_normal(count)),
-        "sphere.radius": 0.01 + 0.0005 * generator.standard_normal(count),
-        "striker.speed": np.exp(generator.uniform(math.log(0.1), math.log(10.0), count)),
-    }
-    frame = uqsphere.evaluate(study, values, ("specific_energy", "p_max"), fidelity="massless")
-    energy, pressure = frame["specific_energy"].to_numpy(), frame["p_max"].to_numpy()
-    scale = 4e9 / math.gamma(1.0 + 1.0 / 12.0)
-    exceeding = -np.expm1(-((pressure / scale) ** 12))
-    found = energy_curve(rows, study.limits[1], "specific_energy", (0.1, 0.5, 0.9))
-    for p, estimate in found.values.items():
-        inside = np.abs(np.log(energy / estimate.value)) < 0.02
-        own = exceeding[inside]
-        assert inside.sum() > 1000
-        assert abs(own.mean() - p) < 4.0 * own.std() / math.sqrt(inside.sum()) + 0.002
 
 
 def test_intervals_cover_the_closed_form(study: Study) -> None:
@@ -447,19 +406,6 @@ def test_the_table_of_limits_has_them(folder: Path) -> None:
     assert "miss, cov of the strength 0.12" in text
 
 
-def test_results_with_a_strange_assumption_are_refused(folder: Path) -> None:
-    results = json.loads((folder / "results.json").read_text("utf-8"))
-    checked_entry(Path("results.json"), results, Results)
-    for strange in ({"assumption": "luck"}, {"instead": "twelve"}, {"met": "yes"}):
-        for k in range(len(results["limits"]["held"]["assumed"])):
-            broken = json.loads(json.dumps(results))
-            if broken["limits"]["held"]["assumed"][k]["assumption"] != "cov":
-                continue
-            broken["limits"]["held"]["assumed"][k] |= strange
-            with pytest.raises(FolderError, match="assumed"):
-                checked_entry(Path("results.json"), broken, Results)
-
-
 def test_laws_with_another_scatter() -> None:
     weibull = make_law("weibull", {"mean": 4.0, "modulus": 12.0})
     what, taken, instead, other = weibull.with_scatter(0.8) or pytest.fail("no law")
@@ -476,7 +422,3 @@ def test_laws_of_another_family_have_the_same_mean_and_scatter() -> None:
         assert other.family.name != law.family.name
         assert (other.mean(), other.sd()) == pytest.approx((law.mean(), law.sd()), rel=1e-9)
     assert make_law("exponential", {"mean": 1.0}).kin() is None
-
-
-def test_fewest_tests_gives_up_where_it_is_too_close_to_call() -> None:
-    assert fewest_tests(lambda tests: False, 20) is None

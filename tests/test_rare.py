@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,33 +17,15 @@ from scipy.stats import chi2, norm
 
 import uqsphere
 from tests.campaigns.rare import PROBLEMS, integrate_plane, problem
-from uqsphere.runner.campaign import Cost, Missed
-from uqsphere.runner.limits import LimitAnswer
-from uqsphere.runner.questions.probabilities import _with_cost, narrower
+from uqsphere.runner.questions.probabilities import narrower
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.rare.active import fit_kriging, learn_probability, predict
-from uqsphere.uq.rare.auto import _paths, find_probability
+from uqsphere.uq.rare.auto import find_probability
 from uqsphere.uq.rare.form import find_design_points
 from uqsphere.uq.rare.importance import (
-    Pool,
     around_design_points,
-    collect,
     defended,
     importance_sampling,
-    pooled_weights,
-    tail_shape,
-    wide_mixture,
-)
-from uqsphere.uq.rare.mixture import (
-    Component,
-    Mixture,
-    Radial,
-    allocate,
-    draw_mixture,
-    draw_radial,
-    fit_mixture,
-    log_density,
-    radial_density,
 )
 from uqsphere.uq.rare.problem import Evaluator, FailedEvaluation, LimitFunction
 from uqsphere.uq.rare.subset import subset_simulation
@@ -109,64 +89,6 @@ def test_the_search_keeps_to_its_share_of_evaluations() -> None:
 
 
 # --- densities ------------------------------------------------------------------------------------
-
-
-def test_a_radial_component_integrates_to_one_and_draws_from_its_density() -> None:
-    component = Radial(axis=np.array([0.6, 0.8, 0.0]), concentration=4.0, shape=5.0, spread=9.0)
-    rng = np.random.default_rng(5)
-    normal = Radial(axis=np.array([1.0, 0.0, 0.0]), concentration=0.0, shape=1.5, spread=3.0)
-    points = 3.0 * draw_radial(normal, rng.random((200_000, 5)))
-    flat = radial_density(component, points) - (radial_density(normal, points / 3.0) - 3.0 * math.log(3.0))
-    ratio = np.exp(flat)
-    assert ratio.mean() == pytest.approx(1.0, abs=4.0 * ratio.std() / math.sqrt(len(ratio)))
-    drawn = draw_radial(component, rng.random((100_000, 5)))
-    assert (drawn**2).sum(axis=1).mean() == pytest.approx(9.0, abs=4.0 * 9.0 / math.sqrt(5.0 * 1e5))
-    weighted = (ratio[:, None] * points).mean(axis=0)
-    noise = 4.0 * (ratio[:, None] * points).std(axis=0) / math.sqrt(len(points)) + 4.0 * 2.0 / math.sqrt(1e5)
-    assert (np.abs(weighted - drawn.mean(axis=0)) < noise).all()
-
-
-def test_a_mixture_draw_is_stratified_and_repeatable_and_continues() -> None:
-    mixture = Mixture(
-        shares=np.array([0.75, 0.25]),
-        components=(
-            Component(mean=np.array([-3.0, 0.0]), factor=np.eye(2)),
-            Component(mean=np.array([5.0, 0.0]), factor=0.5 * np.eye(2)),
-        ),
-    )
-    counts = allocate(mixture.shares, 64)
-    assert sum(counts) == 64
-    first = draw_mixture(mixture, counts, seed=1, task="t", replicate=0)
-    assert (first == draw_mixture(mixture, counts, seed=1, task="t", replicate=0)).all()
-    again = draw_mixture(mixture, counts, seed=1, task="t", replicate=0, block=1)
-    assert not (first == again).any()
-    assert int((first[:, 0] > 2.0).sum()) == counts[1]
-    assert log_density(mixture, np.array([[-3.0, 0.0]]))[0] == pytest.approx(math.log(0.75 / (2.0 * math.pi)), abs=1e-9)
-
-
-def test_a_fit_finds_two_clusters_and_not_three() -> None:
-    rng = np.random.default_rng(4)
-    centre = np.array([5.0, 0.0])
-    points = np.concatenate([rng.standard_normal((600, 2)) + centre, 0.5 * rng.standard_normal((300, 2)) - centre])
-    fitted = fit_mixture(points, np.ones(900), rng=np.random.default_rng(1))
-    assert len(fitted.components) == 2
-    assert sorted(fitted.shares) == pytest.approx([1 / 3, 2 / 3], abs=0.01)
-
-
-def test_the_tail_shape_of_pareto_weights_is_seen() -> None:
-    rng = np.random.default_rng(6)
-    heavy = tail_shape((1.0 - rng.random(20_000)) ** -0.9)
-    assert heavy == pytest.approx(0.9, abs=0.25)
-    assert tail_shape(rng.random(20_000)) < 0.1
-
-
-def test_pooled_weights_give_the_probability_of_all_stages() -> None:
-    pool, whole = Pool(), evaluator(plane(2.0), 2)
-    collect(whole, pool, wide_mixture(2), 4096, seed=1, task="a")
-    collect(whole, pool, wide_mixture(2, reach=2.0), 4096, seed=1, task="b")
-    _, weights = pooled_weights(pool)
-    error = math.sqrt(float((weights**2).sum())) / pool.count
-    assert weights.sum() / pool.count == pytest.approx(float(ndtr(-2.0)), abs=4.0 * error)
 
 
 # --- estimators -----------------------------------------------------------------------------------
@@ -373,13 +295,6 @@ def test_untouched_space_is_looked_at_before_a_process_is_believed() -> None:
     assert found.estimate.value == pytest.approx(entry.reference, rel=0.15)
 
 
-def test_paths_between_peaks_are_points_also_from_the_origin() -> None:
-    for second in (np.array([2.0, 1.0, 0.0]), np.zeros(3)):
-        found = _paths(np.zeros(3), second)
-        assert found.shape == (14, 3)
-        assert np.isfinite(found).all()
-
-
 # --- small probabilities in whole runs, against the closed form of a lognormal peak pressure; black boxes too
 
 
@@ -548,20 +463,6 @@ def test_evaluations_go_where_an_accuracy_is_asked_for(tmp_path: Path) -> None:
     assert results.accuracy.missed == ()
 
 
-@pytest.mark.parametrize("budget", [1000, 2000, 3000, 5000])
-def test_what_subset_simulation_alone_has_found_is_a_bound(budget: int) -> None:
-    limit = LimitFunction(function=lambda u: 4.75 - u.sum(axis=1) / math.sqrt(2.0), dimension=2)
-    found = find_probability(limit, seed=1, budget=budget)
-    value = float(norm.sf(4.75))
-    assert found.evaluations <= budget
-    assert found.estimate.low <= value <= found.estimate.high
-    if found.importance is None or found.importance.estimate.value is None:
-        assert found.estimate.value is None
-        assert found.estimate.reason
-    else:
-        assert found.estimate.value == pytest.approx(value, rel=0.1)
-
-
 def test_plain_sampling_that_falls_a_little_short_of_a_small_probability_is_no_contradiction() -> None:
     def told(value: float, half: float) -> Estimate:
         return Estimate(
@@ -586,21 +487,3 @@ def test_one_failure_seen_by_luck_is_no_contradiction_and_three_are() -> None:
         old = Estimate(value=value, low=0.1 * value, high=10.0 * value, std_error=value / math.sqrt(count), method="",
                        evaluations=2048)  # fmt: skip
         assert (narrower(own, old)[0] is own) == (count == 1)
-
-
-def test_what_sampling_said_of_its_own_estimate_is_not_said_of_another_that_reads_alike() -> None:
-    def answer(half: float, evaluations: int) -> LimitAnswer:
-        e = Estimate(value=0.01, low=0.01 - half, high=0.01 + half, std_error=0.5 * half, method="m",
-                     evaluations=evaluations)  # fmt: skip
-        return LimitAnswer(quantity="y", aim="survive", target=None, exceedance=e, miss=e, margin={}, governing=None)
-
-    asked = SimpleNamespace(analysis=SimpleNamespace(accuracy=SimpleNamespace(probability=0.05)))
-    work: Any = SimpleNamespace(study=asked)
-    sampled, own = answer(0.002, 1000), answer(0.00201, 4000)
-    assert sampled.accuracy_missed("miss", 0.05) == own.accuracy_missed("miss", 0.05)
-    missed = Missed(subject="limits.high", kind="miss", said="limit high: miss: too wide")
-    told = replace(missed, cost=Cost(" (about 1,600 evaluations would reach it)", 1600))
-    before: Any = SimpleNamespace(limits={"high": sampled}, missed=[told])
-    assert _with_cost(work, missed, "high", sampled, before) == told
-    # half-widths fall by the root at least: (0.201 / 0.05)^2 times as many
-    assert _with_cost(work, missed, "high", own, before).cost.needed == 65_000

@@ -16,7 +16,6 @@ import uqsphere
 from tests.campaigns.coverage import CoverageModel, coverage_models
 from uqsphere.arrays import Array
 from uqsphere.cli.watch import Progress
-from uqsphere.console import bar
 from uqsphere.given.answers import given_answers
 from uqsphere.mechanics.history import FieldView
 from uqsphere.report import build_report
@@ -25,7 +24,6 @@ from uqsphere.report.terminal import summary_of
 from uqsphere.study import Study
 from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.expansion import chaos_indices, fit_chaos, germ_points
-from uqsphere.uq.expansion.germs import Combination, products
 from uqsphere.uq.expansion.shares import law_shares
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import make_law
@@ -38,8 +36,6 @@ from uqsphere.uq.response import (
     half_width,
     index_shares,
     pair_shares,
-    with_residuals,
-    within_rows,
 )
 from uqsphere.uq.surrogate import response_from
 
@@ -74,24 +70,6 @@ def test_the_error_of_a_response_is_that_of_runs_left_out() -> None:
     smooth = cross_fit(points, outputs.mean() + points[:, 0] + points[:, 1] ** 2, model.germs)[0]
     assert smooth.usable
     assert smooth.error < 1e-20
-
-
-def test_residuals_give_a_response_the_spread_of_the_model() -> None:
-    model, points, outputs = fitted("kinked", 64)
-    rough = cross_fit(points, outputs, model.germs)[0]
-    values, reach = with_residuals(rough, np.zeros(4096), np.random.default_rng(1))
-    assert reach.min() > 0.0
-    assert set(np.round(values, 9)) <= set(np.round(rough.residuals, 9))
-
-
-def test_where_residuals_are_larger_the_law_may_be_off_by_as_much_more() -> None:
-    model, points, outputs = fitted("kinked", 64)
-    levels = np.linspace(0.0, 1.0, 64)
-    sign = np.where(np.arange(64) % 2 == 0, 1.0, -1.0)
-    one = replace(cross_fit(points, outputs, model.germs)[0], levels=levels, error=0.0,
-                  residuals=sign * np.where(levels > 0.75, 0.3, 0.1))  # fmt: skip
-    _, (low, high) = with_residuals(one, np.array([0.1, 0.95]), np.random.default_rng(1))
-    assert high / low == pytest.approx(3.0)
 
 
 def test_an_interval_that_few_rows_carry_knows_that_they_are_few() -> None:
@@ -152,17 +130,6 @@ def test_pairs_and_groups_are_shares_like_those_of_one_input() -> None:
     assert _hold([pair[0]], truth) == _hold([closed[0]], 1.0 - model.first[1]) == [True]
 
 
-def test_sampled_shares_hang_on_the_seed_alone() -> None:
-    model, points, outputs = fitted("lognormal", 64)
-    one = cross_fit(points, outputs, model.germs)[0]
-    first, again, other = (index_shares(one, seed)["first"][0] for seed in (1, 1, 2))
-    assert first == again
-    assert first.value != other.value
-    for found in (first, other):
-        assert found.half_width < 3e-4
-        assert found.value == pytest.approx(model.first[0], abs=3e-4)
-
-
 def test_shares_of_a_fit_with_a_kink_do_not_run_away() -> None:
     model, points, outputs = fitted("kinked", 128, seed=2000)
     chaos = fit_chaos(points, outputs, model.germs)
@@ -174,36 +141,6 @@ def test_shares_of_a_fit_with_a_kink_do_not_run_away() -> None:
     found = chaos_indices([chaos])
     told = np.array([[e.value for e in found[order]] for order in ("first", "total")]).T
     assert np.abs(told - truth).max() < 0.03
-
-
-def test_designs_average_to_a_small_share_on_both_sides_of_zero() -> None:
-    model, points, outputs = fitted("kinked", 128, seed=2000)
-    chaos = fit_chaos(points, outputs, model.germs)
-    last = np.array([law_shares(chaos, [[3]], k)[0, 0] for k in range(24)])
-    assert last.min() < 0.0 < last.max()  # 0.00035, with a noise of 0.0006
-    error = float(last.std(ddof=1)) / math.sqrt(last.size)
-    assert abs(float(last.mean()) - model.first[3]) < 4.0 * error
-
-
-def test_a_sum_of_products_by_halves_is_the_sum() -> None:
-    random = np.random.default_rng(7)
-    for indices in ([[0, 0, 0], [1, 0, 2], [0, 3, 1], [2, 2, 0], [1, 0, 2]], [[0, 0], [0, 2]], [[0, 0]], [[0], [3]]):
-        rows = np.array(indices, dtype=np.int64)
-        tables = [random.normal(size=(4, 11)) for _ in range(rows.shape[1])]
-        for table in tables:
-            table[0] = 1.0
-        weights = random.normal(size=len(rows))
-        found = Combination(weights, rows).values(tables)
-        np.testing.assert_allclose(found, weights @ products(tables, rows), rtol=1e-12, atol=1e-14)
-
-
-def test_a_companion_that_is_near_sharpens_the_shares() -> None:
-    model, points, outputs = fitted("lognormal", 64)
-    chaos = fit_chaos(points, outputs, model.germs)
-    assert not chaos.plain
-    found = law_shares(chaos, [[j] for j in range(4)], 5)
-    truth = np.array([model.first, model.total]).T[:4]
-    assert np.abs(found - truth).max() < 5e-4
 
 
 # --- beyond the rows --------------------------------------------------------------------------------------
@@ -221,23 +158,6 @@ def bump(z: Array) -> Array:
     """x + 1/(1 + c²) of a Cauchy c: 1/9 of its variance is that of c."""
     c = np.tan(np.pi * (ndtr(z[:, 0]) - 0.5))
     return np.asarray(z[:, 1] + 1.0 / (1.0 + c * c))
-
-
-def test_the_share_drawn_in_grows_like_polynomials_of_the_degree_do() -> None:
-    one = response_of(bump, normals(64, 14))
-    fit = max(one.fits, key=lambda f: int(f.multi_indices[:, 0].max()))
-    end = one.points[:, 0].max()
-    steps = np.array([[end, 0.0], [1.02 * end, 0.0], [1.5 * end, 0.0]])
-    values = replace(one, fits=(fit,)).at(steps)
-
-    def share(error: float) -> Array:
-        inner = within_rows(replace(one, error=error), fit, steps, values)
-        return np.asarray((inner - values)[1:] / (values[0] - values[1:]))
-
-    little, more = share(1e-12), share(1e-10)
-    assert more[0] / little[0] == pytest.approx(10.0, rel=1e-6)
-    assert little[1] > 50.0 * little[0]
-    assert share(0.04)[1] == pytest.approx(1.0)
 
 
 def _hold(found: list[Estimate], truth: float) -> list[bool]:
@@ -449,13 +369,6 @@ def test_the_band_of_forces_holds_the_largest_forces(study_from: Callable[..., S
         assert len(lines) > 1000
 
 
-def test_a_black_box_has_no_forces(tmp_path: Path) -> None:
-    source = Path(uqsphere.__file__).parent.parent / "studies" / "ishigami.toml"
-    study = uqsphere.load_study(source, ["analysis.budget.evaluations=8000"])
-    run = uqsphere.run(study, out=tmp_path / "r", model=lambda x: {"y": x["x1"] + x["x2"] * x["x3"]})
-    assert not (run.folder / "courses.json").exists()
-
-
 def test_progress_tells_the_accuracy_and_the_most_that_is_left(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -471,7 +384,3 @@ def test_progress_tells_the_accuracy_and_the_most_that_is_left(
     assert "sampling: 10,000 of 20,000 evaluations" in line
     assert "at most 30 s in all" in line  # 10,000 in 10 s, 40,000 allowed
     assert "error over what was asked: p_max 2" in line
-
-
-def test_bars_have_one_length() -> None:
-    assert {len(bar(share, 12)) for share in (-0.1, 0.0, 0.013, 0.5, 0.999, 1.0, 1.3)} == {12}

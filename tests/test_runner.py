@@ -113,19 +113,6 @@ def test_results_have_the_shape_of_the_contract(finished: Path) -> None:
     assert "seconds" not in json.dumps(results)
 
 
-def test_the_schema_can_refuse(finished: Path) -> None:
-    results = uqsphere.open_run(finished).results.document()
-    for spoil in (
-        lambda r: r["quantities"]["p_max"]["mean"].update(value=None),
-        lambda r: r["limits"]["crushing"].pop("miss"),
-        lambda r: r["quantities"]["p_max"]["mean"].update(value="1"),
-    ):
-        copy = json.loads(json.dumps(results))
-        spoil(copy)
-        with pytest.raises(jsonschema.ValidationError):
-            jsonschema.validate(copy, SCHEMA)
-
-
 def test_answers_are_in_order(finished: Path) -> None:
     results = uqsphere.open_run(finished).results.document()
     for entry in results["quantities"].values():

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from docs.figures.stress_elements import elements_figure
 from tests.campaigns.stress_tables import (
     SHAPES,
     axis_series,
-    chebyshev_nodes,
     exact,
     hoop_field,
     largest_hoop,
     load_on_axis,
-    pack,
     rim_tension,
     surface_integrals,
     volume_integrals,
@@ -32,9 +27,8 @@ from uqsphere.mechanics.contact import centre_tension
 from uqsphere.mechanics.stress import tables
 from uqsphere.mechanics.stress.series import Load, load_coefficients, pressure_on_surface, series_stress, surface_stress
 from uqsphere.mechanics.stress.tables import core_ratio
-from uqsphere.report.figures.canvas import render, style
 from uqsphere.report.figures.history import write_history
-from uqsphere.report.figures.scene import stress_figure, stress_picture
+from uqsphere.report.figures.scene import stress_picture
 from uqsphere.study import shipped_studies
 
 Array = npt.NDArray[np.float64]
@@ -106,19 +100,6 @@ def test_strains_belong_to_displacements(load: Load, place: tuple[float, float])
     )
     assert np.abs(first).max() < 1e-9
     assert np.abs(second).max() < 2e-7
-
-
-def test_a_wrong_coefficient_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    import uqsphere.mechanics.stress.series as series
-
-    right = series.load_coefficients
-
-    def bent(load: Load, terms: int) -> Array:
-        return right(load, terms) * (1.0 + 1e-6 * (np.arange(terms + 1) == 1))
-
-    monkeypatch.setattr(series, "load_coefficients", bent)
-    with pytest.raises(AssertionError):
-        test_forces_on_a_volume_balance_to_1e_10(UNEVEN, (0.55, 0.35))
 
 
 def test_the_load_is_met_and_the_rest_of_the_surface_is_free() -> None:
@@ -310,12 +291,6 @@ def test_fields_of_one_force_are_those_of_the_theory() -> None:
         assert one / two == pytest.approx(wanted, abs=6e-4)
 
 
-def test_one_modulus_for_all_rows_is_the_same_as_a_column() -> None:
-    ratio = np.array([0.01, 0.1, 0.29])
-    one, many = (tables.ratio("volume", ratio, 0.2, m) for m in (7.0, np.full(3, 7.0)))
-    assert one == pytest.approx(many, rel=1e-12)
-
-
 def test_the_core_is_continuous_where_its_place_reaches_the_centre() -> None:
     ratio = np.linspace(0.22, 0.3, 401)
     tension, depth = tables.core_ratio(ratio, 0.45)
@@ -381,17 +356,6 @@ def test_the_rim_of_a_small_contact_is_that_of_the_half_space() -> None:
     assert float(tables.half_space_rim(0.005, 0.2, 9.0)) == pytest.approx(total, rel=1e-5)
 
 
-def test_packing_keeps_what_it_says() -> None:
-    values = np.exp(np.random.default_rng(1).normal(size=(4, 5)))
-    packed = json.loads(json.dumps(pack(values)))
-    matrix = np.zeros(packed["shape"])
-    for index, row in enumerate(packed["rows"]):
-        matrix[index, : len(row)] = np.array(row) * packed["unit"]
-    nodes = chebyshev_nodes((4, 5))
-    table = tables.Table(name="test", coefficients=matrix)
-    assert table(nodes[0][:, None], nodes[1][None, :]) == pytest.approx(values, rel=1e-8)
-
-
 # --- the series of the stress against finite elements that know nothing of it ---------------------
 
 
@@ -430,21 +394,6 @@ def test_uniform_pressure_is_exact() -> None:
     assert np.abs(found.stress[:, 3]).max() < 1e-4
 
 
-def test_what_cannot_be_solved_is_refused() -> None:
-    mesh = make_mesh(0.2, 4, 0.1)
-    for ratio, nu in ((0.2, 0.5), (1.2, 0.25)):
-        with pytest.raises(ValueError, match="must lie in"):
-            solve_elements(ratio, nu, mesh)
-
-
-def test_the_figure_says_the_numbers(fine: elements.Comparison) -> None:
-    with style():
-        text = render(elements_figure(fine))
-    assert f"{fine.worst:.2g}" in text
-    assert "nan" not in text
-    assert math.isfinite(fine.worst)
-
-
 # --- the picture of the stress inside the sphere --------------------------------------------------
 
 
@@ -454,13 +403,6 @@ def test_it_says_what_the_table_says() -> None:
     axes = picture.figure.axes[0]
     mark = next(line for line in axes.lines if line.get_marker() == "o")
     assert mark.get_ydata()[0] == pytest.approx(1.0 - float(core_ratio(0.1, 0.25)[1]))
-
-
-def test_it_is_the_same_file_twice_and_well_formed() -> None:
-    first = stress_figure(0.2, 0.2, 1e9)
-    assert first == stress_figure(0.2, 0.2, 1e9)
-    assert ElementTree.fromstring(first).tag.endswith("svg")
-    assert "nan" not in first
 
 
 @pytest.mark.parametrize(("ratio", "nu"), [(0.4, 0.2), (0.001, 0.2), (0.1, -0.1)])

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable
-from dataclasses import FrozenInstanceError
 from pathlib import Path
 
 import jsonschema
@@ -18,22 +17,8 @@ import pytest
 from test_broken_studies import BASE, BLACK_BOX, CASES
 
 from uqsphere.errors import StudyError, UsageError
-from uqsphere.mechanics.pulses import noise_names
-from uqsphere.quantities import INPUTS
 from uqsphere.study import Limit, Study, json_schema, load_study
-from uqsphere.study.document import (
-    SCENE,
-    Analysis,
-    BarsTable,
-    LimitTable,
-    MarginsTable,
-    PulseTable,
-    SphereTable,
-    StrikerTable,
-)
-from uqsphere.study.feed_tables import ProductTable
 from uqsphere.study.rigs import NO_SPHERE
-from uqsphere.study.tables import declared
 from uqsphere.uq.law import Law
 
 STUDIES = Path(__file__).parent.parent / "studies"
@@ -146,12 +131,6 @@ def test_ishigami_black_box() -> None:
     assert y.mean() == pytest.approx(3.5, rel=1e-12)
     exact = 0.5 + 49 / 8 + 0.1 * np.pi**4 / 5 + 0.01 * np.pi**8 / 18
     assert y.var() == pytest.approx(exact, rel=5e-3)
-
-
-def test_a_study_is_frozen(load: Load) -> None:
-    study = load(BASE)
-    with pytest.raises(FrozenInstanceError):
-        study.seed = 3  # type: ignore[misc]
 
 
 def test_hash_does_not_see_comments_layout_title_or_unit(load: Load) -> None:
@@ -441,18 +420,6 @@ def test_schema_refuses_what_an_editor_should_underline() -> None:
         assert not validator.is_valid(tomllib.loads(cases[name].content().decode())), name
     validator.validate(tomllib.loads(BASE))
     validator.validate(tomllib.loads(BLACK_BOX))
-
-
-def test_schema_knows_the_keys_that_the_parser_knows() -> None:
-    tables = json_schema()["$defs"]
-    for kind in (SphereTable, BarsTable, StrikerTable, PulseTable, ProductTable, LimitTable, Analysis, MarginsTable):
-        assert set(tables[kind.__name__]["properties"]) == set(declared(kind))
-    for path in INPUTS:
-        section, key = path.split(".")
-        # the noise of a record is made an input by a flag
-        if path not in noise_names() and section in SCENE:
-            name = "target" if section == "anvil" else section
-            assert tables[f"{name.capitalize()}Table"]["properties"][key]["description"]
 
 
 def test_the_schema_has_nothing_that_a_study_cannot_have() -> None:
