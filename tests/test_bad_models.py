@@ -17,13 +17,10 @@ from uqsphere.cli import main
 from uqsphere.cli.watch import Progress, Silence
 from uqsphere.errors import ModelError, ModelRaised, UsageError
 from uqsphere.model import answer_black_box
-from uqsphere.results import MeasureEntry
 from uqsphere.runner.campaign import NO_NUMBER, Cost, cost_of, out_of_reach
 from uqsphere.runner.questions.indices import lost_designs
 from uqsphere.study import Study, load_study
-from uqsphere.uq.control import expansion_indices
 from uqsphere.uq.estimate import from_replicates
-from uqsphere.uq.indices import Blocks
 
 Rows = dict[str, np.ndarray[Any, np.dtype[np.float64]]]
 
@@ -108,14 +105,6 @@ def test_intervals_have_the_scale_of_their_values(power: int) -> None:
         assert getattr(scaled, key) == math.ldexp(getattr(plain, key), power)
 
 
-@pytest.mark.parametrize("scale", [1e-300, 1.0, 1e300])
-def test_indices_of_an_expansion_have_no_scale(scale: float) -> None:
-    degrees = np.array([[0, 0], [1, 0], [1, 1]])
-    found = expansion_indices(scale * np.array([5.0, 3.0, 1.0]), degrees, Blocks(inputs_count=2))
-    assert found["first"] == pytest.approx([0.9, 0.0], abs=1e-12)
-    assert found["total"] == pytest.approx([1.0, 0.1], abs=1e-12)
-
-
 @pytest.mark.parametrize("power", [-900, 990])
 def test_a_run_has_the_answers_of_its_scale(power: int, tmp_path: Path) -> None:
     def scaled(rows: Rows) -> Rows:
@@ -137,10 +126,6 @@ def _row(name: str, value: float, error: float) -> dict[str, Any]:
     sway = {"value": value, "low": value - 2.0 * error, "high": value + 2.0 * error, "std_error": error,
             "method": "m", "evaluations": 9}  # fmt: skip
     return {"input": name, "sway": sway, "share": 0.5, "tests": 2, "observations": None}
-
-
-def _measured(*rows: dict[str, Any]) -> MeasureEntry:
-    return MeasureEntry.model_validate({"of": "probability", "wanted": 0.1, "rows": rows})
 
 
 # --- models that raise, end, or never come back ---------------------------------------------------------

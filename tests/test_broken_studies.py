@@ -1,20 +1,14 @@
-"""Studies that are broken, one way each or several at once: exit code, place and first line of the message.
-
-``python tests/test_broken_studies.py`` prints them as a Markdown table.
-"""
+"""Studies that are broken, one way each or several at once: exit code, place and first line of the message."""
 
 from __future__ import annotations
 
 import os
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
-from uqsphere.errors import AccessError, Problem, StudyError, UqsphereError, UsageError
+from uqsphere.errors import AccessError, StudyError, UsageError
 from uqsphere.study import load_study
 
 BASE = """\
@@ -290,11 +284,6 @@ def test_broken_study(case: Broken, tmp_path: Path) -> None:
         assert jargon not in str(error)
 
 
-def test_there_are_many() -> None:
-    assert len(CASES) >= 45
-    assert len({case.name for case in CASES}) == len(CASES)
-
-
 def test_the_base_is_in_order(tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
     for text in (BASE, BLACK_BOX):
@@ -332,97 +321,3 @@ def test_many_faults_are_counted_not_listed(tmp_path: Path) -> None:
     error = faults(f"{keys}\n{BASE}".encode(), tmp_path)
     assert len(error.problems) == 101
     assert "400 more faults" in error.problems[-1].message
-
-
-FRAGMENTS = st.sampled_from(
-    ["[", "]", "{", "}", "=", '"', "'", "nan", "inf", "1e999", "-", ".", "\n", "\0", "[[limits]]",
-        "[sphere]", "true",
-     "99999999999999999999", "\\u0000", '"""', "0x", "1979-05-27", "[]", "{}", "dist", "mean", '"5 GPa"',
-         "é", "#"]
-)  # fmt: skip
-
-
-@st.composite
-def mutations(draw: st.DrawFn) -> bytes:
-    """A study with a few pieces cut out, doubled, swapped or put in."""
-    text = draw(st.sampled_from([BASE, BLACK_BOX]))
-    for _ in range(draw(st.integers(1, 3))):
-        a, b = sorted((draw(st.integers(0, len(text))), draw(st.integers(0, len(text)))))
-        b = min(b, a + 30)
-        match draw(st.integers(0, 3)):
-            case 0:
-                text = text[:a] + text[b:]
-            case 1:
-                text = text[:b] + text[a:]
-            case 2:
-                text = text[:a] + draw(FRAGMENTS) + text[b:]
-            case _:
-                text = text[:a] + draw(FRAGMENTS) + text[a:]
-    return text.encode()
-
-
-VALUES = st.recursive(
-    st.one_of(
-        st.sampled_from(["true", "1", "-1", "0", "0.5", "nan", "1e308", '"5 GPa"', '"free"', '""',
-            '"1e999 m"',
-                         "1979-05-27", "07:32:00", '"5 mm"', '"auto"', '"x"']),
-        st.integers(-(10**25), 10**25).map(str),
-        st.text("ab.1 éµ", max_size=8).map(lambda text: f'"{text}"'),
-    ),
-    lambda inner: st.one_of(
-        st.lists(inner, max_size=3).map(lambda items: f"[{', '.join(items)}]"),
-        st.dictionaries(st.sampled_from(["dist", "mean", "sd", "cov", "lower", "file", "x"]), inner,
-            max_size=3).map(
-            lambda items: "{" + ", ".join(f"{key} = {value}" for key, value in items.items()) + "}"
-        ),
-    ),
-    max_leaves=6,
-)  # fmt: skip
-
-
-@st.composite
-def replaced_values(draw: st.DrawFn) -> bytes:
-    """A study in which the values of some keys are anything that TOML knows."""
-    lines = draw(st.sampled_from([BASE, BLACK_BOX])).split("\n")
-    for at in draw(st.sets(st.sampled_from([i for i, line in enumerate(lines) if "=" in line]), max_size=3)):
-        lines[at] = f"{lines[at].partition('=')[0]} = {draw(VALUES)}"
-    return "\n".join(lines).encode()
-
-
-@settings(
-    max_examples=150,
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
-    derandomize=True,
-)
-@given(content=st.one_of(mutations(), replaced_values()))
-def test_whatever_is_in_the_file_only_study_errors_come_out(content: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "study.toml"
-    path.write_bytes(content)
-    lines = content.count(b"\n") + 1
-    problems: list[Problem] = []
-    try:
-        assert len(load_study(path).hash) == 64
-    except StudyError as error:
-        problems = error.problems
-    assert all(1 <= problem.line <= lines and problem.column >= 1 and problem.message for problem in problems)
-
-
-def table() -> str:
-    """Every broken study with its exit code and the first line of its message, as Markdown."""
-    rows = ["| study | exit code | first line |", "|---|---|---|"]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "study.toml"
-        for case in CASES:
-            path.write_bytes(case.content())
-            try:
-                load_study(path)
-                rows.append(f"| {case.name} | 0 | |")
-            except UqsphereError as error:
-                first = str(error).splitlines()[0].replace(f"{folder}/", "").replace("|", "\\|")
-                rows.append(f"| {case.name} | {error.exit_code} | `{first}` |")
-    return "\n".join(rows)
-
-
-if __name__ == "__main__":
-    print(table())

@@ -6,7 +6,6 @@ import html
 import json
 import math
 import re
-from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -73,30 +72,6 @@ def test_intervals_of_a_run_hold_the_truth_as_often_as_they_say(rows) -> None:
     assert "| all |" in coverage.summary(rows)
 
 
-def test_true_zeros_are_exact_and_not_counted_among_the_others(rows) -> None:
-    inert = [r for r in rows if r.model == "g-function" and r.answer in ("x5", "x6") and "index" in r.kind]
-    assert len(inert) == 8
-    assert all(r.exact and r.covered == 1.0 for r in inert)
-    assert pooled(rows) == pooled([r for r in rows if not r.exact])
-    # an input without an effect to speak of, whose interval is hundreds of times its error, does not make the width
-    first = [r for r in rows if r.kind == "first index" and r.way == "sampling, d + 2" and not r.exact]
-    assert 0.85 < pooled([replace(first[0], width=797.0, error=1e-6), *first[1:]])[0].width < 1.5
-
-
-def test_a_wrong_truth_is_seen() -> None:
-    moved = replace(MODELS["linear"], mean=MODELS["linear"].mean + 0.1)
-    found = coverage_rows(repetitions=5, models=[moved], sample_sizes=(128,), index_sizes=(64,), seed=1)
-    assert next(r for r in found if r.kind == "mean").covered == 0.0
-
-
-def test_surrogates_are_counted_alone_and_as_control() -> None:
-    found = coverage.surrogate_rows(repetitions=3, models=[MODELS["linear"], MODELS["kinked"]])
-    # the hold-out refuses the kinked model: its expansion has no interval of its own
-    assert {r.model for r in found if r.way == "chaos alone"} == {"linear"}
-    assert {r.model for r in found if r.way == "chaos as control"} == {"linear", "kinked"}
-    assert all(r.covered == 1.0 for r in found if r.model == "linear")
-
-
 # --- given data -----------------------------------------------------------------------------------
 
 
@@ -122,19 +97,6 @@ def test_models_with_ties_have_the_answers_that_they_state(name: str) -> None:
     assert sum(model.indices.get("shapley", (1.0,))) == pytest.approx(1.0)
 
 
-def test_given_runs_are_counted_with_known_laws_and_fitted_ones() -> None:
-    """Two repetitions: that truth and answers belong together; what is covered, many repetitions have to say."""
-    told: list[str] = []
-    rows = given.given_rows(repetitions=2, models=("linear",), sizes=(100,), notice=told.append)
-    assert [text.split(": ")[1] for text in told] == ["expansion used 2 of 2, disagreement 0"] * 2
-    known = [row for row in rows if row.way == "laws known" and row.kind in ("first index", "total index", "mean")]
-    assert len(known) == 11
-    assert all(row.covered == 1.0 for row in known)
-    errors = {row.way: row.error for row in rows if row.kind == "first index" and row.answer == "x1"}
-    assert errors["laws known"] < 1e-9 < errors["laws fitted"] < 0.3
-    assert "- one" in given.given_text(rows, ["one"])
-
-
 def test_an_expansion_over_a_kernel_density_is_refused() -> None:
     """Of 11 tables whose laws were kernel densities the sd of the expansion held in 5."""
     found = analyse_data(given._runs(given.model_of("two humps, kernel density"), 200, 3))
@@ -155,45 +117,12 @@ def rival(model: str, samples: int, true: float, told: tuple[float, ...] = (0.0,
                        version="1.0", told=told)  # fmt: skip
 
 
-def test_a_fingerprint_tells_designs_and_models_apart() -> None:
-    model = chaos.MODELS["Ishigami"]
-    points = chaos.design(model, 64, 1)
-    outputs = model(points)
-    known = rival("Ishigami", 64, 1e-3, chaos.fingerprint(points, outputs))
-    assert chaos.same_design(known, points, outputs * (1.0 + 1e-14))  # another machine's rounding
-    other = chaos.design(model, 64, 2)
-    moved = points.copy()
-    moved[5, 2] += 1e-3
-    for design, answers in ((other, model(other)), (points[::-1], model(points[::-1])), (points, 2.0 * outputs),
-                            (points, outputs + 1e-3 * points[:, 0]), (moved, outputs)):  # fmt: skip
-        assert not chaos.same_design(known, design, answers)
-
-
-def test_what_is_stored_is_used_for_its_own_design_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    points = chaos.design(chaos.MODELS["product"], 64, 1)
-    found = rival("product", 64, 0.125, chaos.fingerprint(points, chaos.MODELS["product"](points)))
-    path = tmp_path / "runs.json"
-    path.write_text(json.dumps([asdict(found), asdict(rival("product", 65, 0.5))]), encoding="utf-8")
-    monkeypatch.setattr(chaos, "stored", lambda read=chaos.stored: read(path))
-    first, second, another = chaos.measure(["product"], [64, 65], [1, 2])[:3]
-    assert (first.rival_true, first.rival_seconds) == (0.125, 3.0)
-    assert second.rival_true is None  # of the first seed alone
-    assert another.rival_true is None  # stored for another design
-
-
 def test_the_stored_runs_are_those_of_the_designs_of_today() -> None:
     known = chaos.stored()
     assert {model for model, _, _ in known} == set(chaos.MODELS)
     for (name, samples, seed), one in known.items():
         points = chaos.design(chaos.MODELS[name], samples, seed)
         assert chaos.same_design(one, points, chaos.MODELS[name](points)), (name, samples)
-
-
-def test_no_worse_and_better_are_counted_with_the_tolerance_that_is_said() -> None:
-    pairs = [(1e-3, 2e-3), (1.04e-3, 1e-3), (1.06e-3, 1e-3), (2e-11, 1e-11), (1e-12, 1e-9), (1.0, None)]
-    found = [chaos.Measured(model="a", samples=64, seed=1, true=ours, reported=ours, seconds=0.1, chosen="",
-                            rival_true=theirs) for ours, theirs in pairs]  # fmt: skip
-    assert chaos.verdicts(found) == (4, 2, 5)
 
 
 # --- a contact time that jumps --------------------------------------------------------------------

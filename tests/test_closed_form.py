@@ -66,13 +66,6 @@ def test_loading_time_against_quadrature():
         assert loading_time(x) == pytest.approx(expected, rel=1e-13)
 
 
-def test_times_of_force_levels():
-    force = np.array([0.5, 0.9, 0.95, 0.99])
-    times = loading_time(force ** (2 / 3))
-    np.testing.assert_allclose(times, [0.819341, 2.006065, 2.479866, 3.561896], atol=1e-6)
-    np.testing.assert_allclose(loading_approach(times) ** 1.5, force, rtol=1e-13)
-
-
 def test_loading_approach_is_the_inverse_to_the_last_digits():
     x = np.concatenate([np.geomspace(1e-12, 0.5, 4001), 1.0 - np.geomspace(0.5, 1e-12, 4001)])
     error = np.abs(loading_approach(loading_time(x)) / x - 1.0)
@@ -80,15 +73,6 @@ def test_loading_approach_is_the_inverse_to_the_last_digits():
     # across the seam of the two ways nothing jumps
     seam = loading_approach(0.1 + np.array([-1e-15, 0.0, 1e-15]))
     assert np.ptp(seam) < 5e-15
-
-
-def test_loading_approach_keeps_its_shape_and_limits():
-    s = np.array([[0.0, 1.0], [60.0, np.inf]])
-    x = loading_approach(s)
-    assert x.shape == s.shape
-    assert x[0, 0] == 0.0
-    assert x[1].tolist() == [1.0, 1.0]
-    assert (np.diff(loading_approach(np.linspace(0.0, 20.0, 5001))) > 0.0).all()
 
 
 @pytest.mark.parametrize("wrong", [-1e-9, np.nan])
@@ -192,15 +176,6 @@ def test_full_tends_to_massless_with_the_expected_order(shape, order):
     assert error[0] < {"rectangular": 1e-3, "half_sine": 1e-4}[shape]
 
 
-def test_step_peaks_of_the_full_model():
-    """Theory section 5: max P_A/P_0 and force imbalance over P_0 under a step."""
-    scene = scaled_scene([10.0, 1.0, 0.1, 0.01, 0.001], 1.0, shape="step", horizon_in_t_c=60.0)
-    found = dynamics.solve(scene, tolerance=1e-9)
-    peaks = found.values["P_max"] / scene.scales.force
-    np.testing.assert_allclose(peaks[:4], [1.7535, 1.1932, 1.03297, 1.00436], atol=1e-4)
-    np.testing.assert_allclose((found.values["force_imbalance"] * peaks)[2:], [0.43488, 0.16420, 0.05880], atol=1e-5)
-
-
 # ---- linear
 
 
@@ -215,16 +190,6 @@ def test_linear_approaches_obey_their_equations(mu):
         # mu (d'' + d') + 2 d = 0 away from the jumps, with an error of h² d'''' mu/12
         swing = mu * (bend[0] - bend[1] + slope[0] - slope[1]) + 2.0 * (here[0] - here[1])
         assert abs(swing) < 2e-4 * max(1.0, 0.02 / mu) * max(1.0, mu)
-
-
-def test_linear_first_moments():
-    """x_1 starts with the slope 2, x_2 with 0, after the first touch: theory (3)."""
-    s = 1e-6
-    x_1, x_2 = linear_approaches(s, 0.3)
-    assert x_1 / s == pytest.approx(2.0, rel=1e-5)
-    assert abs(x_2 / s) < 1e-5
-    far = linear_approaches(1e3, np.array([1e-3, 8.0, 100.0]))
-    np.testing.assert_allclose(far, 1.0, atol=1e-3)
 
 
 @pytest.mark.parametrize(("mu", "theta"), [(0.03, 3.0), (1.0, 0.7), (12.0, 2.0)])
@@ -370,13 +335,6 @@ def test_what_governs_is_the_direction_of_the_design_point(answers: dict[str, An
     expected = {**SHARES, "limits.crushing.strength": strength}
     for name, share in answers["limits"]["crushing"]["governing_inputs"].items():
         assert share == pytest.approx(expected[name] / (VARIANCE + strength), abs=0.03)
-
-
-def test_the_step_of_the_study_is_the_formula() -> None:
-    """The horizon is long enough for the peak to be the asymptotic one."""
-    assert math.exp(log_peak((0.2, 0.1, 0.3))) == pytest.approx(
-        (3 * math.sqrt(210e9 * 7850) * math.pi * 9e-4 / math.pi**3 * (52e9 / math.sqrt(1.04) / 0.9375) ** 2
-         * (1 / math.sqrt(1.09)) / (0.01 / math.sqrt(1.01)) ** 2) ** (1 / 3), rel=1e-12)  # fmt: skip
 
 
 SEEDS = 20

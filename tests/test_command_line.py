@@ -277,13 +277,6 @@ def test_damaged_runs_are_exit_5(ask: Any, finished_copy: Path, damage: str, com
     assert answer.err.strip()
 
 
-@pytest.mark.parametrize("name", ["tables/limits.csv", "samples.npy", "samples.json"])
-def test_missing_parts_are_exit_5(ask: Any, finished_copy: Path, name: str) -> None:
-    (finished_copy / name).unlink()
-    answer = ask("export", str(finished_copy), "--format", "csv")
-    assert (answer.code, answer.out) == (5, "")
-
-
 def test_history(ask: Any, place: Path) -> None:
     answer = ask("history", "small.toml", "--out", "h")
     assert answer.code == 0
@@ -307,14 +300,6 @@ def test_a_black_box_runs_and_its_prints_are_no_result(place: Path) -> None:
     assert answer.returncode == 0
     assert json.loads(answer.stdout)["model"]["chosen"] == "black box"
     assert "a word" in answer.stderr
-
-
-def test_a_black_box_in_processes_gives_the_same(place: Path) -> None:
-    one = process(["run", "box.toml", "--model", "model.py:f", "--out", "one", "--json"], place)
-    two = process(["run", "box.toml", "--model", "model.py:f", "--out", "two", "--json", "-j", "2"], place)
-    assert (one.returncode, two.returncode) == (0, 0), two.stderr
-    assert json.loads(one.stdout) == json.loads(two.stdout)
-    assert (place / "one" / "results.json").read_bytes() == (place / "two" / "results.json").read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ import uqsphere
 from tests.campaigns.kills import answers_of
 from uqsphere.black_box import model_digest
 from uqsphere.errors import AccessError, ModelError, StudyError, TooManyFailures, UsageError
-from uqsphere.runner.chunks import CHUNK, block_size, packed, unpacked
+from uqsphere.runner.chunks import CHUNK, block_size
 from uqsphere.runner.remote import Task
 from uqsphere.runner.workers import LocalWorkers, TimeOver, WorkerDied, gather
 from uqsphere.study import Study
@@ -100,13 +100,6 @@ def test_blocks_follow_from_counts_alone(box: Any) -> None:
     assert (limited.analysis.time_limit, block_size(limited, 10**7, alone=True)) == (5.0, 1)
 
 
-def test_new_keys_leave_the_hash_of_other_studies(box: Any) -> None:
-    plain, _ = box("good")
-    assert not {"rows_per_call", "time_limit"} & set(plain.resolved()["analysis"])
-    assert len({box("good", text)[0].hash for text in ("seed=1", "analysis.rows_per_call=1",
-                                                       'analysis.time_limit="1 s"')}) == 3  # fmt: skip
-
-
 @pytest.mark.parametrize("override", ["analysis.rows_per_call=0", "analysis.rows_per_call=20_000",
                                       'analysis.time_limit="0 s"', 'analysis.time_limit="5 m"'])  # fmt: skip
 def test_calls_that_cannot_be_are_refused(box: Any, override: str) -> None:
@@ -118,24 +111,6 @@ def test_a_scene_has_no_calls(study_from: Any) -> None:
     for override in ("analysis.rows_per_call=1", 'analysis.time_limit="1 s"'):
         with pytest.raises(StudyError, match="black box"):
             study_from(override)
-
-
-def test_plain_answers_are_stored_in_eight_bytes_each() -> None:
-    from uqsphere.model import Answered
-
-    values = np.array([[1.0, -0.0], [np.nan, 2.0], [3.0, np.pi]])
-    none = np.zeros(values.shape, dtype=bool)
-    plain = Answered(values=values, censored=none, status=np.zeros(3, dtype=np.int64))
-    assert packed(plain).nbytes == values.nbytes
-    flagged = Answered(values=values, censored=none | (values == 2.0), status=np.array([0, 7, 0]))
-    for answered in (plain, flagged):
-        back = unpacked(packed(answered), 3, 2)
-        assert back.values.tobytes() == values.tobytes()
-        assert (back.censored == answered.censored).all()
-        assert (back.status == answered.status).all()
-    assert unpacked(packed(plain), 2, 2) is None
-    assert unpacked(packed(flagged), 3, 1) is None
-    assert unpacked(np.zeros((3, 2), dtype=np.int32), 3, 2) is None
 
 
 # --- spawned processes ----------------------------------------------------------------------------
@@ -200,19 +175,6 @@ def _alive(number: int) -> bool:
         return Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except FileNotFoundError:
         return False
-
-
-def test_closing_ends_what_runs() -> None:
-    pool = LocalWorkers(1)
-    slow = pool.submit(time.sleep, 3600)
-    while not pool.process_ids():
-        time.sleep(0.01)
-    pool.close()
-    assert pool.process_ids() == []
-    with pytest.raises(WorkerDied):
-        slow.result()
-    with pytest.raises(RuntimeError):
-        pool.submit(abs, 1)
 
 
 # --- the same bytes -------------------------------------------------------------------------------

@@ -14,8 +14,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
 from matplotlib.text import Text
 from report_folders import limit, put, with_pairs, write_folder
@@ -28,8 +26,8 @@ from uqsphere.mechanics.gauges import gauge_strain
 from uqsphere.mechanics.history import view_field
 from uqsphere.report import history_figure, xt_figure
 from uqsphere.report.contents import read_contents
-from uqsphere.report.figures.canvas import Picture, inline, render, spread, style
-from uqsphere.report.figures.convergence import Series, _labelled, convergence_figure, speed_figure
+from uqsphere.report.figures.canvas import Picture, inline, render, style
+from uqsphere.report.figures.convergence import convergence_figure, speed_figure
 from uqsphere.report.figures.distributions import distribution_figure
 from uqsphere.report.figures.fragility import fragility_figure
 from uqsphere.report.figures.history import draw_forces, draw_gauges, force_rows, wave_forces
@@ -151,16 +149,6 @@ def test_a_planned_point_beyond_the_axis_is_an_arrow_and_no_flat_curve(tmp_path:
     assert marks[0].get_ydata()[0] == pytest.approx(axes.get_ylim()[0])
 
 
-def test_of_two_methods_for_one_question_the_better_is_labelled_and_none_below_the_axis() -> None:
-    def series(method: str, error: float, quantity: str = "p_max") -> Series:
-        return Series(
-            method=method, quantity=quantity, kind="mean", asked=0.01, points=((10.0, 1.0, 9.0), (20.0, 2.0, error))
-        )
-
-    plain, controlled, tiny = series("sampled", 0.5), series("controlled", 0.1), series("sampled", 1e-9, "a_max")
-    assert _labelled([plain, controlled, tiny]) == [controlled]
-
-
 def test_errors_far_below_what_was_asked_leave_the_others_their_room(tmp_path: Path) -> None:
     contents = read_contents(write_folder(tmp_path))
     contents = put(contents, {f"results/speed_error/{len(contents.results.speed_error) - 1}/error": 1e-14})
@@ -208,17 +196,6 @@ def test_areas_of_a_density_are_shares(tmp_path: Path) -> None:
     heights, edges, _ = axes.patches[0].get_data()
     # the last thousandth on either side lies outside the drawing
     assert np.sum(heights * np.diff(edges)) / width == pytest.approx(0.75, abs=0.01)
-
-
-@given(st.lists(st.floats(0.0, 10.0), min_size=1, max_size=10))
-@settings(max_examples=50, deadline=None)
-def test_spread_keeps_a_gap_order_and_the_ends(wanted: list[float]) -> None:
-    places = spread(wanted, 1.0, 0.0, 10.0)
-    order = np.argsort(wanted, kind="stable")
-    steps = np.diff(np.array(places)[order])
-    assert np.all(steps >= 1.0 - 1e-9)
-    assert min(places) >= -1e-9
-    assert max(places) <= 10.0 + 1e-9
 
 
 @pytest.fixture(scope="module")
@@ -328,14 +305,6 @@ def test_the_files_and_what_is_in_them(written, capsys):
     assert document["equilibrium"]["level"] == 0.05
     assert document["gauges"][2]["overlaps"][0]["second"] == "reflected"
     assert document["first_tension"]["incident"]["position"] == pytest.approx(0.1, rel=1e-3)
-
-
-def test_python_has_the_gauges(written):
-    history = written[2]
-    assert [(record.bar, record.position) for record in history.gauges] == [
-        ("incident", 0.25), ("receiving", 0.15), ("incident", 0.05),
-    ]  # fmt: skip
-    assert all(np.isfinite(record.strain).all() for record in history.gauges)
 
 
 def test_the_lines_tell_the_overlap(written):

@@ -22,13 +22,12 @@ from uqsphere.uq.fitting import (
     LEAST_TESTS,
     count_tests,
     fitted_law,
-    possible_densities,
     possible_laws,
     possible_tails,
     series_behind,
 )
 from uqsphere.uq.law import LawError
-from uqsphere.uq.weibull import STRENGTHS, fit_strength, fitted_parameters, kaplan_meier, make_tests, pivots, unbiasing
+from uqsphere.uq.weibull import STRENGTHS, fit_strength, fitted_parameters, kaplan_meier, make_tests, unbiasing
 
 RNG = np.random.default_rng(7)
 COMPLETE = 2.0 * RNG.weibull(6.0, 24)
@@ -115,15 +114,6 @@ def test_unbiased_modulus_is_right_on_average() -> None:
     error = np.std(fits, ddof=1) / 20.0
     assert np.mean(fits) - 6.0 > 4.0 * error
     assert factor * np.mean(fits) == pytest.approx(6.0, abs=4.0 * error)
-
-
-def test_pivots_without_stops_are_those_of_complete_series() -> None:
-    from uqsphere.uq.families.location_scale import extreme_pivots
-
-    ours = pivots(STRENGTHS["weibull"], np.ones(9, dtype=bool), 4000, np.random.default_rng(1))
-    theirs = extreme_pivots(9, 4000, np.random.default_rng(2))
-    for a, b in zip(ours, theirs, strict=True):
-        assert stats.ks_2samp(a, b).pvalue > 0.001
 
 
 def test_kaplan_meier_is_the_step_function_without_stops() -> None:
@@ -254,25 +244,6 @@ def test_many_tests_leave_little_open(fit: str) -> None:
         law = fitted_law(rng.normal(5.0, 1.0, n), fit)
         spreads.append(float(np.std(possible_tails(law, np.array([4.0]), 200, rng)[0])))
     assert spreads[1] < 0.25 * spreads[0]
-
-
-@pytest.mark.parametrize("bounds", [(None, None), (3.9, 6.0)])
-def test_kernel_densities_are_those_of_the_laws_made_again(bounds: tuple[float | None, float | None]) -> None:
-    """Without drawing anything twice: every observation once gives the law itself."""
-    data = np.random.default_rng(4).normal(5.0, 1.0, 30)
-    law = fitted_law(data, "kde", *bounds)
-    x = np.linspace(4.0, 5.9, 7)
-
-    class Once:
-        def multinomial(self, n: int, p: np.ndarray, size: int) -> np.ndarray:
-            return np.ones((size, n), dtype=np.int64)
-
-    below, above = possible_tails(law, x, 2, Once())
-    assert below[1] == pytest.approx(law.cdf(x), rel=1e-8)
-    assert above[1] == pytest.approx(law.sf(x), rel=1e-8)
-    drawn, others = possible_densities(law, x, 2, Once())
-    assert drawn == pytest.approx(law.pdf(x), rel=1e-6)
-    assert others[1] == pytest.approx(drawn, rel=1e-12)
 
 
 def test_too_few_tests_and_known_bounds_are_refused() -> None:

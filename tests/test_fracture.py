@@ -341,17 +341,8 @@ def test_fracture_in_report_tables_and_summary(several: uqsphere.Run) -> None:
     assert "Core tension" in summary_of(read_contents(several.folder))
 
 
-@pytest.fixture(scope="module")
-def small_text() -> str:
-    from conftest import SMALL
-
-    return SMALL
-
-
-def test_one_limit_is_its_own_union(tmp_path: Path, small_text: str) -> None:
-    path = tmp_path / "one.toml"
-    path.write_text(small_text, encoding="utf-8")
-    results = uqsphere.run(uqsphere.load_study(path), out=tmp_path / "r").results.document()
+def test_one_limit_is_its_own_union(finished: Path) -> None:
+    results = uqsphere.open_run(finished).results.document()
     found = results["fracture"]
     assert found["union"] == results["limits"]["crushing"]["exceedance"]
     assert found["governed_by"]["crushing"]["value"] == 1.0
@@ -371,15 +362,6 @@ def test_what_cannot_mean_fracture_is_refused(tmp_path: Path, small_text: str) -
     path.write_text(small_text.replace("[analysis]", wrong + "[analysis]"), encoding="utf-8")
     with pytest.raises(StudyError, match="breaks no sphere"):
         uqsphere.load_study(path)
-
-
-def test_a_study_without_the_key_keeps_its_hash(tmp_path: Path, small_text: str) -> None:
-    path = tmp_path / "plain.toml"
-    path.write_text(small_text, encoding="utf-8")
-    plain = uqsphere.load_study(path)
-    assert "fracture" not in plain.resolved()["limits"]["crushing"]
-    path.write_text(small_text.replace('quantity = "p_max"\n', 'quantity = "p_max"\nfracture = false\n'), "utf-8")
-    assert uqsphere.load_study(path).hash != plain.hash
 
 
 def test_where_faces_yield_the_path_is_that_of_the_law():

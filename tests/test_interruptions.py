@@ -285,18 +285,6 @@ def test_a_file_system_that_is_read_only(study: Study, tmp_path: Path, monkeypat
     assert before == {path: path.read_bytes() for path in (tmp_path / "r").rglob("*") if path.is_file()}
 
 
-def test_a_damaged_chunk_is_named(study: Study, tmp_path: Path) -> None:
-    uqsphere.run(study, out=tmp_path / "r", model=Box())
-    (path,) = (tmp_path / "r" / "evaluations").iterdir()
-    data = bytearray(path.read_bytes())
-    data[-1] ^= 1
-    path.write_bytes(bytes(data))
-    said: list[str] = []
-    again = uqsphere.run(study, out=tmp_path / "r", model=Box(), notice=said.append)
-    assert list(again.manifest.damaged_chunks) == [path.name]
-    assert any(path.name in text for text in said)
-
-
 # --- extension ------------------------------------------------------------------------------------
 
 

@@ -9,7 +9,6 @@ import pytest
 from scipy import integrate, stats
 from scipy.special import ndtr, ndtri
 
-from uqsphere.uq import archimedean
 from uqsphere.uq.joint import (
     COPULAS,
     Dependence,
@@ -143,25 +142,6 @@ def test_rosenblatt_goes_there_and_back(kind: str, size: int) -> None:
     copula = made(kind, size, 0.6)
     drawn = normals(256, size)
     assert np.allclose(independent_scores(copula, dependent_scores(copula, drawn)), drawn, atol=1e-9)
-
-
-@pytest.mark.parametrize("theta", [1.0 + 1e-6, 1.2, 1.8, 5.0, 100.0])
-def test_gumbel_pair_is_inverted_in_a_few_steps(theta: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The general search took ten times as long, which made an analysis of given runs take four times the others'."""
-    scores = np.linspace(-8.0, 8.0, 41)
-    pair = archimedean.Archimedean(generator=archimedean.ARCHIMEDEAN["gumbel"], theta=theta, size=2)
-    known, normal = (axis.reshape(-1) for axis in np.meshgrid(scores, scores))
-    searched = archimedean._root(
-        lambda score: pair.conditional_score(1, (0,), known[:, None], score) - normal, known.size
-    )
-    monkeypatch.setattr(archimedean, "_root", None)
-    found = pair.score_at(1, (0,), known[:, None], normal)
-    told = np.abs(searched) < 8.0
-    assert np.allclose(found[told], searched[told], rtol=0.0, atol=1e-9)
-    # where the search has no digits left, beyond what is known, both ends hold
-    far = pair.score_at(1, (0,), np.array([[-38.0], [38.0], [0.0]]), np.array([38.0, -38.0, -38.0]))
-    assert np.isfinite(far).all()
-    assert far[2] < -8.0
 
 
 @pytest.mark.parametrize("kind", COPULAS)
@@ -365,19 +345,6 @@ def test_conditional_score_of_the_strength() -> None:
     assert np.abs(np.corrcoef(residual, z[:, :3].T)[0, 1:]).max() < 4.0 / math.sqrt(50_000)
     alone, one = Joint(names=names, laws=laws_).regression("s", ("a", "b"))
     assert (alone.tolist(), one) == ([0.0, 0.0], 1.0)
-
-
-def test_group_of_three_ties_every_pair_and_nothing_else() -> None:
-    correlation = correlation_from_spearman(("a", "b", "c", "d"), [(("a", "b", "c"), 0.4)])
-    tied = 2.0 * math.sin(math.pi * 0.4 / 6.0)
-    assert correlation.tolist() == [
-        [1.0, tied, tied, 0.0],
-        [tied, 1.0, tied, 0.0],
-        [tied, tied, 1.0, 0.0],
-        [0.0, 0.0, 0.0, 1.0],
-    ]
-    assert correlation_from_spearman(("a", "b"), []) is None
-    assert correlation_from_spearman(("a", "b"), [(("a", "b"), 0.0)]) is None
 
 
 @pytest.mark.parametrize(

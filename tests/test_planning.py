@@ -31,7 +31,7 @@ from uqsphere.mechanics.history import trace
 from uqsphere.mechanics.outputs import Path as LoadingPath
 from uqsphere.mechanics.scene import Scene
 from uqsphere.planning.blow import plan_blow
-from uqsphere.planning.window import Plan, Window, _settable, judge_points, plan_test, request_of, subject_of
+from uqsphere.planning.window import Plan, judge_points, plan_test, request_of, subject_of
 from uqsphere.study import Study, load_study
 
 EXACT, SOLVER = 1e-12, 2e-4
@@ -376,23 +376,6 @@ def test_a_study_without_limits_is_refused(tmp_path: Path, capsys: pytest.Captur
     path.write_text(text[:begin] + text[end:], encoding="utf-8")
     assert main(["plan", str(path)]) == 2
     assert "give the study a limit" in capsys.readouterr().err
-
-
-def test_a_rig_without_meaning_is_refused() -> None:
-    with pytest.raises(ValueError, match="length"):
-        Rig(length=0.0)
-    with pytest.raises(ValueError, match="fall"):
-        Rig(length=1.0, fall=-1e-6)
-
-
-def test_windows_that_no_laboratory_can_set_are_merged_or_left_out() -> None:
-    def window(low: float, high: float) -> Window:
-        return Window(kind="quantile", rise=0.0, low=low, high=high, below="speed", above="length")
-
-    found = _settable([window(1.0, 2.0), window(2.01, 3.0), window(4.0, 4.01)])
-    assert [(one.low, one.high) for one in found] == [(1.0, 3.0)]
-    # a window that is the only one is told of, however narrow
-    assert len(_settable([window(1.0, 1.001)])) == 1
 
 
 @pytest.mark.parametrize(("rig", "path"), [

@@ -164,13 +164,6 @@ def test_margins_are_strength_over_demand(strength_scatter: float) -> None:
     assert hits >= 29  # of 36: four standard deviations below 95 %
 
 
-def test_margins_scale_with_the_strength_and_against_the_demand() -> None:
-    state = lognormal_state(0.01, 0.1, seed=1)
-    doubled = LimitState(demands=2.0 * state.demands, strength=state.strength)
-    for key, estimate in margin_quantiles(state).items():
-        assert margin_quantiles(doubled)[key].value == pytest.approx(0.5 * estimate.value, rel=1e-6)
-
-
 def test_margins_that_have_no_meaning_are_absent() -> None:
     demands = np.abs(np.random.default_rng(1).standard_normal((8, 256)))
     for strength in (0.0, make_law("normal", {"mean": 1.0, "sd": 1.0})):

@@ -15,8 +15,8 @@ import uqsphere
 from uqsphere.mechanics import contact, impact
 from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.integrator import solve as dynamics
-from uqsphere.mechanics.outputs import BEYOND, OUTPUTS, Answers, absent_in, answers_from, path_of
-from uqsphere.mechanics.rigs import RIGS, closing_speed
+from uqsphere.mechanics.outputs import BEYOND, OUTPUTS, Answers, absent_in, path_of
+from uqsphere.mechanics.rigs import closing_speed
 from uqsphere.mechanics.scene import NEVER_CLOSE, Scene
 from uqsphere.mechanics.stress import tables
 from uqsphere.mechanics.validity import check_validity
@@ -134,26 +134,6 @@ def test_every_answer_is_a_power_of_the_inputs() -> None:
     assert found["sphere.radius"] == pytest.approx([2.0, 0.0], abs=1e-11)
     assert found["sphere.density"] == pytest.approx([0.6, 0.2], abs=1e-11)
     assert found["rig.speed"] == pytest.approx([1.2, 0.4], abs=1e-11)
-
-
-def test_sobol_indices_of_free_impact() -> None:
-    """Lognormal inputs make P_max lognormal: S_i = (exp(k_i² s_i²) - 1)/(exp(sum) - 1)."""
-    powers = {"sphere.E": 0.4, "sphere.radius": 2.0, "sphere.density": 0.6, "rig.speed": 1.2}
-    sd = {"sphere.E": 0.3, "sphere.radius": 0.1, "sphere.density": 0.1, "rig.speed": 0.15}
-    base, rng, n = {**LIMESTONE, **of("target"), "rig.speed": 2.0}, np.random.default_rng(5), 200_000
-    scores = {name: rng.normal(size=(2, n)) for name in powers}
-
-    def force(fixed: str) -> Any:
-        """P_max with one input of the first draw and the others of the second."""
-        columns = {**base, **{k: base[k] * np.exp(sd[k] * scores[k][int(k != fixed)]) for k in powers}}
-        return solved(scene("impact", columns, rigid_contact=True), "P_max").values["P_max"]
-
-    first = {**base, **{k: base[k] * np.exp(sd[k] * scores[k][0]) for k in powers}}
-    whole = solved(scene("impact", first, rigid_contact=True), "P_max").values["P_max"]
-    shares = {name: (powers[name] * sd[name]) ** 2 for name in powers}
-    for name, share in shares.items():
-        wanted = math.expm1(share) / math.expm1(sum(shares.values()))
-        assert float(np.corrcoef(whole, force(name))[0, 1]) == pytest.approx(wanted, abs=0.01), name
 
 
 def test_lengths_scale() -> None:
@@ -386,21 +366,6 @@ def test_every_rig_has_its_checks() -> None:
     assert oblique == [0, 1, 2, 3]
     assert grade(converged_scene("07_drop_weight_chatter"), "chatter") == 1
     assert grade(converged_scene("09_load_cell"), "chatter") == 0
-
-
-def test_a_rig_is_one_entry() -> None:
-    for rig in RIGS.values():
-        assert rig.contacts == (1 if not rig.behind else 2)
-        assert rig.meaning
-        assert rig.tables
-
-
-def test_a_closed_form_gives_what_it_has() -> None:
-    """Answers come from columns by name; a quantity whose columns are not there is an error, never a wrong number."""
-    given = struck()
-    with pytest.raises(KeyError):
-        answers_from(given, {"x_b": np.ones(1), "ended": np.ones(1), "x_max": np.ones(1)}, given.status,
-                     np.zeros(1, dtype=np.int64), quantities=["contact_time"])  # fmt: skip
 
 
 THROWN = """

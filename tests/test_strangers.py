@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from report_folders import limit, write_folder
 
-from tests.campaigns.trust import Outcome, Studies, damage_bytes, damage_json, faults_of, guarded, tried, watched
+from tests.campaigns.trust import guarded, tried
 from uqsphere.cli import main
 from uqsphere.console import plain_lines
 from uqsphere.errors import AccessError, FolderError
@@ -100,12 +100,6 @@ def header(text: str, length: int = 118) -> bytes:
 def test_arrays_are_as_long_as_their_bytes(data: bytes) -> None:
     with pytest.raises(ValueError):  # noqa: PT011
         array_of(data)
-
-
-def test_an_array_comes_back(tmp_path: Path) -> None:
-    values = np.array([[1.0, np.nan, -0.0], [np.inf, 5e-324, 2.0]])
-    np.save(tmp_path / "x.npy", values)
-    assert array_of((tmp_path / "x.npy").read_bytes()).tobytes() == values.tobytes()
 
 
 @pytest.mark.parametrize(
@@ -404,15 +398,6 @@ def test_damage_gives_its_exit_codes_and_nothing_else(part: str, count: int, cod
     assert codes - {6} <= set(found["codes"]) <= codes
 
 
-def test_the_same_seed_gives_the_same_damage_and_damage_is_damage() -> None:
-    made = Studies(1)
-    assert made(7) == made(7)
-    assert len({made(k) for k in range(50)}) == 50
-    generators = [np.random.default_rng(k) for k in range(40)]
-    assert sum(damage_bytes(b"some bytes " * 9, g) != b"some bytes " * 9 for g in generators) > 35
-    assert sum(repr(damage_json({"a": [1, {"b": 2.0}]}, g)) != repr({"a": [1, {"b": 2.0}]}) for g in generators) > 25
-
-
 def test_writes_elsewhere_processes_and_pickles_are_seen(tmp_path: Path) -> None:
     import pickle
     import subprocess
@@ -428,24 +413,3 @@ def test_writes_elsewhere_processes_and_pickles_are_seen(tmp_path: Path) -> None
         subprocess.run(["true"], check=True)
         pickle.loads(pickle.dumps(Path))
         assert len({text.split()[0] for text in seen}) == 4
-
-
-def test_faults_of_a_command_are_seen(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def stumble(arguments: list[str]) -> int:
-        raise ValueError("why")
-
-    monkeypatch.setattr("uqsphere.cli.main", stumble)
-    assert faults_of(watched(["show"], tmp_path))
-    fine = {"arguments": ("show",), "code": 0, "out": "text\n", "err": "", "seconds": 0.1, "forbidden": ()}
-    assert faults_of(Outcome(**fine)) == []
-    for change in ({"code": 1, "err": "x"}, {"code": 5}, {"out": "\x1b[2J"}, {"seconds": 99.0}, {"err": "Traceback"},
-                   {"forbidden": ("open",)}):  # fmt: skip
-        assert faults_of(Outcome(**(fine | change)))
-
-
-def test_a_hang_is_cut_off(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    import time
-
-    monkeypatch.setattr("tests.campaigns.trust.PATIENCE", 0.2)
-    monkeypatch.setattr("uqsphere.cli.main", lambda arguments: time.sleep(60) or 0)
-    assert faults_of(watched(["show"], tmp_path)) == ["hangs"]
