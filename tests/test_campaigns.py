@@ -18,7 +18,6 @@ from tests.campaigns import chaos, coverage, given, links, mutate
 from tests.campaigns.coverage import LEAST, POOLED, QUANTILES, coverage_models, coverage_rows, pooled, reference
 from uqsphere.errors import UsageError
 from uqsphere.given import analyse_data
-from uqsphere.mechanics import contact
 from uqsphere.mechanics.stress import tables
 from uqsphere.model import answer_scene
 from uqsphere.report.figures.canvas import style
@@ -167,16 +166,6 @@ def test_the_rim_is_nearly_all_that_the_principal_tension_sees() -> None:
     assert found.in_zone > 0.999
     # where the rim is left out, the two say nearly the same
     assert found.hoop * 0.99 < found.beyond < 1.1 * found.hoop
-
-
-def test_the_force_of_even_odds() -> None:
-    case = links.CASES[0]
-    ratio = 0.5 * np.pi * case.pressure / case.reduced
-    # a field that is as dangerous at all contacts, and twice as dangerous as the other: half the pressure
-    found = links.even_odds(case, ratio * np.array([0.1, 1.0]), np.array([2.0, 2.0]), 1.0)
-    assert found == pytest.approx(0.5 * case.pressure, rel=1e-12)
-    force = links.force_at(case.pressure, case.radius, case.reduced)
-    assert float(contact.pressure_at_force(force, case.reduced, case.radius)) == pytest.approx(case.pressure, rel=1e-12)
 
 
 # --- the paper's equations ------------------------------------------------------------------------

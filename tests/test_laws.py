@@ -277,15 +277,6 @@ def test_refusals_name_the_key_and_the_fault(kind, given, more, key, text) -> No
     assert caught.value.key == key
 
 
-def test_the_table_of_keys_is_complete() -> None:
-    assert set(FAMILIES) == {*PAIRS, "empirical"}
-    assert FAMILIES["normal"].keys == ("mean", "sd", "cov")
-    assert "cov" not in FAMILIES["normal"].dimensional
-    assert "log_mean" not in FAMILIES["lognormal"].dimensional
-    assert {"scale", "mean", "threshold", "lower", "upper"} <= FAMILIES["weibull"].dimensional
-    assert FAMILIES["weibull"].allowed() == "(modulus, scale) or (mean, modulus); threshold = 0"
-
-
 def test_laws_travel_between_processes_and_load_no_scipy_stats() -> None:
     law = make_law("weibull", {"mean": 4e9, "modulus": 12.0})
     assert pickle.loads(pickle.dumps(law)) == law

@@ -16,13 +16,12 @@ from uqsphere.black_box import load_black_box, model_digest
 from uqsphere.errors import AccessError, UqsphereError, UsageError
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.outputs import absent_in
-from uqsphere.mechanics.scene import STATUS, Scene
+from uqsphere.mechanics.scene import Scene
 from uqsphere.model import (
     STATUS_NOT_FINITE,
     answer_black_box,
     evaluate,
     scene_of,
-    status_text,
 )
 from uqsphere.quantities import OUTPUTS
 from uqsphere.study import Study
@@ -72,16 +71,6 @@ def test_evaluate_is_the_mechanics_at_the_means(study: Study) -> None:
         assert frame[name].to_numpy().tobytes() == direct.values[name].tobytes()
     assert list(frame.columns) == [*QUANTITIES, "status", "censored"]
     assert (frame["status"] == 0).all()
-
-
-def test_rows_do_not_see_each_other(study: Study) -> None:
-    values = spread(700)  # more than one block of the integrator
-    whole = evaluate(study, values, QUANTITIES, tolerance=1e-4, threads=1)
-    order = np.random.default_rng(1).permutation(700)
-    mixed = evaluate(study, {k: v[order] for k, v in values.items()}, QUANTITIES, tolerance=1e-4, threads=2)
-    assert whole.to_numpy(dtype=float)[order].tobytes() == mixed.to_numpy(dtype=float).tobytes()
-    alone = evaluate(study, {k: v[[300]] for k, v in values.items()}, QUANTITIES, tolerance=1e-4)
-    assert alone.to_numpy()[0].tolist() == whole.to_numpy()[300].tolist()
 
 
 def test_every_quantity_has_a_column(study: Study) -> None:
@@ -138,15 +127,6 @@ def test_a_row_without_meaning_has_a_status_and_no_number(study: Study, column: 
 def test_wrong_questions_are_refused(study: Study, values: Any, options: Any, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         evaluate(study, values, **options)
-
-
-def test_closed_form_and_integrator_agree_through_evaluate(study_from: Callable[..., Study]) -> None:
-    infinite = study_from("bars.infinite=true")
-    closed = evaluate(infinite, spread(4), QUANTITIES, fidelity="massless")
-    scene = scene_of(infinite, spread(4))
-    numbers = dynamics.solve(scene, fidelity="massless", tolerance=1e-10)
-    for name in ("p_max", "energy"):
-        np.testing.assert_allclose(closed[name], numbers.values[name], rtol=1e-8)
 
 
 def test_the_face_is_the_same_from_outside(study: Study) -> None:
@@ -302,8 +282,3 @@ def test_digests_tell_models_apart(tmp_path: Path) -> None:
     file.write_text("def f(x): return 3\n")
     assert first != model_digest(f"{file}:f")
     assert model_digest(leave) == model_digest(leave) != model_digest(lambda x: x)
-
-
-def test_every_status_has_words() -> None:
-    assert all(status_text(code, black_box=False) == text for code, text in STATUS.items())
-    assert "finite" in status_text(STATUS_NOT_FINITE, black_box=True)

@@ -20,7 +20,6 @@ from uqsphere.feed.population import (
     Feed,
     Sizes,
     breaking,
-    draws_for,
     make_classes,
     populate,
     size_at,
@@ -237,12 +236,6 @@ def test_a_lot_scatters_as_its_particles_and_ignorance_as_the_draws():
     expected = share.var() + (share * (1.0 - share)).mean() / 50.0
     assert drawn.var() == pytest.approx(expected, rel=4.0 * math.sqrt(2.0 / 4_000))
     assert 50.0 * drawn == pytest.approx(np.round(50.0 * drawn), abs=1e-9)
-
-
-def test_dear_feeds_take_fewer_draws_and_no_fewer_than_two_hundred():
-    assert draws_for(FINE, fed(), 4000) == 4000
-    assert 200 <= draws_for(replace(FINE, form="tavares_own"), fed(10), 4000) < 4000
-    assert draws_for(FINE, fed(3, make_law("lognormal", {"mean": 100.0, "sd": 10.0})), 4000) == 200
 
 
 # --- fineness -------------------------------------------------------------------------------------------------------

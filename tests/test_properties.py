@@ -9,19 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import BOX, SMALL
 from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from uqsphere.errors import FolderError, StudyError
-from uqsphere.files import array_of
-from uqsphere.store import csv_text, open_store, write_json
+from uqsphere.errors import StudyError
+from uqsphere.store import csv_text, open_store
 from uqsphere.study import load_study
 from uqsphere.units import UNITS, UnitError, parse_value
 from uqsphere.uq.describe import describe
 from uqsphere.uq.law import LawError, make_law
-from uqsphere.uq.limit_state import reliability_index
 from uqsphere.uq.tolerance import attained_confidence, least_runs
 
 #: the machine may be busy: an example has no time limit, the number of examples is the cost
@@ -68,13 +65,6 @@ def test_any_text_is_a_study_or_has_faults_with_their_place(text: str) -> None:
 @example(b"\xff\xfea\0")
 def test_any_bytes_are_a_study_or_have_faults(data: bytes) -> None:
     load_text(data)
-
-
-@FEW
-@given(st.integers(0, 10**9), st.sampled_from([SMALL, BOX]), st.text(min_size=1, max_size=12))
-def test_a_study_with_something_put_into_it(seed: int, text: str, junk: str) -> None:
-    at = seed % (len(text) + 1)
-    load_text(text[:at] + junk + text[at:])
 
 
 @QUIET
@@ -168,39 +158,11 @@ def test_no_damage_of_a_chunk_goes_unseen(values: np.ndarray, at: int, bit: int,
             store.close()
 
 
-@QUIET
-@given(st.binary(max_size=300))
-def test_no_bytes_are_an_array_by_accident(data: bytes) -> None:
-    with pytest.raises(ValueError):  # noqa: PT011
-        array_of(data)
-
-
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**53), 2**53) | NUMBERS | st.text(max_size=8),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=4),
     max_leaves=12,
 )
-
-
-@QUIET
-@given(JSON)
-def test_documents_come_back(content: object) -> None:
-    from uqsphere.store import read_json
-
-    with tempfile.TemporaryDirectory() as place:
-        path = Path(place) / "x.json"
-        write_json(path, content)
-        assert read_json(path) == content
-
-
-@QUIET
-@given(JSON)
-def test_any_document_is_a_result_or_says_what_is_wrong(content: object) -> None:
-    from uqsphere.results import Results
-    from uqsphere.results.entries import checked_entry
-
-    with pytest.raises(FolderError, match=r"results\.json is not what a run writes: .+"):
-        checked_entry(Path("results.json"), content, Results)
 
 
 @QUIET
@@ -282,13 +244,6 @@ def test_a_law_and_its_inverse(kind: str, first: float, second: float, p: float)
     assert law.sf(y)[0] == pytest.approx(p, rel=1e-6)
     assert x[0] <= y[0]
     assert law.cdf(x)[0] + law.sf(x)[0] == pytest.approx(1.0, abs=1e-12)
-
-
-@QUIET
-@given(st.floats(1e-12, 0.999), st.floats(1e-12, 0.999))
-def test_a_larger_probability_has_a_smaller_index(p: float, q: float) -> None:
-    beta, gamma = reliability_index(p), reliability_index(q)
-    assert (p < q) == (beta > gamma) or beta == gamma
 
 
 @QUIET

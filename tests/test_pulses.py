@@ -13,9 +13,7 @@ from uqsphere.mechanics import bars
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.pulses import (
     DEFAULT_VALLEY,
-    PARAMETERS,
     PRESETS,
-    SHAPES,
     Pulse,
     build_pulse,
     pulse_value,
@@ -136,10 +134,6 @@ def test_rows_do_not_depend_on_each_other():
     np.testing.assert_array_equal(both.coefficients[0], alone.coefficients[0])
 
 
-def test_every_shape_names_its_parameters():
-    assert set(PARAMETERS) == set(SHAPES)
-
-
 # --- pulses of strikers that are no piece of the bar, ramps and the presets of the paper's Fig. 2 -
 
 
@@ -206,16 +200,6 @@ def test_a_striker_like_the_bar_sends_the_plain_pulse():
     one, other = (dynamics.solve(scene, tolerance=1e-9, quantities=names).values for scene in (plain, same))
     for name in names:
         np.testing.assert_allclose(other[name], one[name], rtol=1e-9)
-
-
-def test_rows_do_not_know_each_other():
-    """Rows of few steps keep their answers beside rows of many."""
-    diameters = np.array([0.03, 0.04, 0.05, 0.06])
-    columns = {name: np.full(4, value) for name, value in BASE.items()} | {"striker.diameter": diameters}
-    together = dynamics.solve(Scene(columns=columns), tolerance=1e-8, quantities=("p_max",)).values["p_max"]
-    for k in range(4):
-        alone = Scene(columns={name: column[[k]] for name, column in columns.items()})
-        assert dynamics.solve(alone, tolerance=1e-8, quantities=("p_max",)).values["p_max"][0] == together[k]
 
 
 def test_length_and_speed_of_sound_are_the_strikers():

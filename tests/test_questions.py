@@ -18,15 +18,10 @@ from uqsphere.report.contents import read_contents
 from uqsphere.report.figures.convergence import error_series
 from uqsphere.report.figures.fragility import family_table
 from uqsphere.report.tables import accuracy_table
-from uqsphere.results import Results, SpeedRow
-from uqsphere.results.margins import MarginEntry
-from uqsphere.runner.account import FURTHER, further_rows
-from uqsphere.runner.campaign import indices_missed
+from uqsphere.runner.account import FURTHER
 from uqsphere.runner.finished import Run
-from uqsphere.runner.questions.curves import GAP, Band, Coarse, _coarse, _steps_of
+from uqsphere.runner.questions.curves import GAP
 from uqsphere.study import Study
-from uqsphere.uq.describe import Description, lacking
-from uqsphere.uq.estimate import Estimate, exact
 
 Array = npt.NDArray[np.float64]
 #: what is asked of the sum here: more than its budget reaches, and curves at two values of the other input
@@ -132,32 +127,6 @@ def test_members_of_a_family_that_print_alike_stay_apart(study_from: Callable[..
     assert family_table(read_contents(run.folder), "high").header == ("probability", "3.5", "3.50001")
 
 
-def test_steps_that_are_too_large_cost_the_values_that_halve_them() -> None:
-    gaps = np.array([0.5, 1.1, 2.0])
-    # halved once, and twice: one value more, and three
-    found = _coarse(gaps, 100, 900, "")
-    assert (found.step, found.needed) == (2.0, 900 + 400)
-    assert "differ by up to 2 normal scores, asked 0.6 (about 1,300 evaluations" in found.missed()
-    assert _coarse(np.array([0.6]), 100, 900, "") is None
-
-
-def test_steps_are_measured_in_normal_scores() -> None:
-    rows = [np.full(16, p) for p in (0.5, 0.8413447, 0.0)]
-    assert _steps_of(rows) == pytest.approx([1.0, 1.0 + 4.264891], abs=1e-5)
-
-
-def test_what_is_not_reached_reads_as_more_than_was_asked() -> None:
-    said = indices_missed("y", 0.0604, 0.06).said
-    assert said == "y: indices: half-width 0.0604, asked 0.06"
-    assert indices_missed("y", 0.06, 0.05999).said.startswith("y: indices: half-width 0.06,")
-    assert "half-width 0.06000005 of" in Band(half_width=0.060000049, asked=0.06, evaluations=1000).missed()
-    assert "by up to 0.604 normal" in Coarse(step=0.604, evaluations=1, needed=2.0, why="").missed()
-    known = Estimate(value=1.0, low=0.8796, high=1.1204, std_error=0.06, method="m", evaluations=9)
-    described = Description(mean=known, sd=known, quantiles={0.5: known}, censored_share=exact(0.0), scale=2.0)
-    texts = [text for _, text in lacking(described, mean=0.06, quantile=0.05)]
-    assert [text.partition(" of ")[0] for text in texts] == ["mean: half-width 0.0602", "quantile 0.5: half-width 0.06"]
-
-
 # --- each question has what is said of it -----------------------------------------------------------------
 
 #: names that begin or continue each other, inputs that depend on each other, and rows without an answer
@@ -241,24 +210,6 @@ def test_every_shortfall_of_a_quantity_has_its_own_cost(run: Run) -> None:
 def est(value: float, half: float, method: str = "m") -> dict[str, Any]:
     ends = {"low": value - half, "high": value + half, "std_error": half}
     return {"value": value, **ends, "method": method, "evaluations": 7}
-
-
-def test_a_value_is_measured_by_the_spread_of_its_curve() -> None:
-    curve = [[0.0, 0.0, 0.0, 0.0], [1.0, 0.1587, 0.0, 0.0], [5.0, 0.8413, 0.0, 0.0], [6.0, 1.0, 1.0, 1.0]]
-    entry = {"solve": "x", "unit": "", "values": {"0.1": est(1.0, 0.1), "0.5": est(3.0, 0.4)}, "curve": curve}
-
-    def rows() -> list[tuple[str, SpeedRow]]:
-        blank = Results.model_construct(margins={"x": MarginEntry.model_validate(entry)}, sensitivity={}, limits={})
-        return further_rows(blank)
-
-    ((part, row),) = rows()
-    assert (part, row.quantity, row.evaluations) == ("margins", "margins.x", 7)
-    assert row.error == pytest.approx(0.4 / 2.0)
-    # a falling curve has the same spread, and one that does not reach so far has none
-    entry["curve"] = [[-row[0], *row[1:]] for row in curve][::-1]
-    assert rows()[0][1].error == pytest.approx(0.2)
-    entry["curve"] = curve[1:2]
-    assert rows() == []
 
 
 def test_every_method_that_answers_has_a_row(run: Run) -> None:

@@ -13,8 +13,6 @@ from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
 import uqsphere
-from tests.campaigns.auto import compare
-from tests.campaigns.auto import main as print_table
 from uqsphere.arrays import Array
 from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work, draw, evaluate_points
 from uqsphere.runner.questions import indices as questions
@@ -269,17 +267,3 @@ def test_a_run_with_a_table_repeats_whatever_its_threads(tmp_path: Path) -> None
     assert (again.folder / "results.json").read_bytes() == known
     assert again.manifest.evaluations_reused > 0
     assert not again.manifest.damaged_chunks
-
-
-def test_the_table_of_choices(study_from: Build, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    study_from()
-    quick = ('model.fidelity="auto"', 'analysis.methods=["qmc"]', 'analysis.quantities=["p_max"]',
-             "analysis.accuracy.quantile=0.5", "bars.infinite=true")  # fmt: skip
-    found = compare(tmp_path / "study.toml", quick)
-    assert found.farthest < 4.0
-    assert found.full.evaluations.keys() - {"ways"} == {"full"}
-    assert min(found.seconds) > 0.0
-    assert print_table([str(tmp_path / "study.toml"), *(f"--set={setting}" for setting in quick)]) == 0
-    printed = capsys.readouterr().out
-    assert "chosen" in printed
-    assert "study: " in printed

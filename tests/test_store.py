@@ -82,20 +82,6 @@ def test_a_chunk_comes_back_bit_for_bit(tmp_path: Path) -> None:
     store.close()
 
 
-@pytest.mark.parametrize("place", [0, 20, -1])
-def test_a_flipped_byte_is_noticed(tmp_path: Path, place: int) -> None:
-    store = opened(tmp_path / "r")
-    store.save("k", VALUES)
-    (path,) = (tmp_path / "r" / "evaluations").iterdir()
-    data = bytearray(path.read_bytes())
-    data[place] ^= 1
-    path.write_bytes(bytes(data))
-    assert store.load("k") is None
-    store.save("k", VALUES)
-    assert store.load("k").tobytes() == VALUES.tobytes()
-    store.close()
-
-
 def test_a_truncated_or_linked_chunk_is_not_used(tmp_path: Path) -> None:
     store = opened(tmp_path / "r")
     store.save("k", VALUES)

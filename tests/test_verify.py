@@ -77,15 +77,6 @@ def test_a_whole_run_is_called_whole_and_stays_untouched(box: Path) -> None:
     assert "whole" in verify_text(found)
 
 
-def test_the_chunks_are_drawn_by_the_seed(box: Path) -> None:
-    def chosen(seed: int) -> list[str]:
-        found = verify_folder(box / "run", chunks=2, seed=seed, model=f"{box / 'model.py'}:f")
-        return sorted(entry.chunk for entry in found.repeated)
-
-    assert chosen(1) == chosen(1)
-    assert len({tuple(chosen(seed)) for seed in range(4)}) > 1
-
-
 def test_what_an_evaluation_cost_is_no_evaluation(box: Path) -> None:
     """A time never comes out the same: a whole run would be called damaged for it."""
     stored = {path.name.rpartition("_")[0] for path in (box / "run" / "evaluations").glob("*.npy")}
@@ -106,12 +97,6 @@ def test_another_model_is_not_run(box: Path) -> None:
     (box / "model.py").write_text(MODEL + "raise SystemExit\n")
     with pytest.raises(UsageError, match="not run"):
         verify_folder(box / "run", model=f"{box / 'model.py'}:f")
-
-
-def test_a_scene_is_evaluated_again(finished: Path) -> None:
-    found = verify_folder(finished, chunks=2, seed=1)
-    assert (found.verdict, found.results) == ("whole", "the same")
-    assert len(found.repeated) == 2
 
 
 def test_every_evaluation_of_a_scene_is_evaluated_again(finished: Path) -> None:
