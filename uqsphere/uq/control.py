@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +27,9 @@ from uqsphere.uq.describe import Description
 from uqsphere.uq.estimate import Estimate, absent, corrected, share, student
 from uqsphere.uq.expansion import Chaos, germ_points, predict
 from uqsphere.uq.indices import Blocks, Surrogate
+
+#: probabilities on either side of a quantile, over the smaller side up to a tenth, where differences are counted
+RANGE: Final = 0.5
 
 
 def _estimate(value: float, error: float, replicates: int, method: str, evaluations: int,
@@ -90,50 +94,48 @@ def describe_controlled(
     variance, spread = corrected(squares[0], squares[1] - squares[2])
     scale = math.sqrt(variance) if variance > 0.0 else float(expensive.std())
     loose = 0.5 * spread / scale if scale > 0.0 else 0.0
-    pools = [np.sort(rows, axis=None) for rows in (expensive, cheap, cheap_many)]
+    many = np.sort(cheap_many, axis=None)
     return Description(
         mean=_estimate(mean, error, replicates, method, total),
         sd=_estimate(scale, loose, replicates, method, total, least=0.0),
-        quantiles={p: _quantile(p, (expensive, cheap, cheap_many), pools, method) for p in quantiles},
+        quantiles={p: _quantile(p, (expensive, cheap, cheap_many), many, method) for p in quantiles},
         censored_share=share(np.zeros(expensive.shape, dtype=bool), "share of the samples"),
         scale=scale,
     )
 
 
-def _quantile(p: float, rows: tuple[Array, Array, Array], pools: list[Array], method: str) -> Estimate:
-    """A quantile off the controlled distribution function, its interval after Woodruff (1952).
+def _quantile(p: float, rows: tuple[Array, Array, Array], many: Array, method: str) -> Estimate:
+    """A quantile off the corrected distribution function, its interval after Woodruff (1952); `many` in order.
 
-    The cheap model is shifted so that its own quantile from the n points falls on that of the expensive one.  There the
-    replicates give the standard error of the probability; the three pooled samples make one distribution function,
-    which is read off at p and at the two ends of the probability.
+    Where the cheap model is close, steps of both would hardly meet between the same rows; counted over a range of
+    values, as a kernel of that width does, what the model lies above the cheap one counts by how far, and a row in
+    which they disagree altogether counts whole.  Half of the probability beyond the quantile, on either side,
+    is a range that leaves the difference as it is: its density hardly bends there.
     """
-    expensive, cheap, many = rows
-    (replicates, n), m = expensive.shape, many.shape[1]
-    if min(p, 1.0 - p) * expensive.size < 5:
+    from scipy.special import ndtr
+
+    expensive, cheap, more = rows
+    replicates, side = len(expensive), min(p, 1.0 - p)
+    if side * expensive.size < 5:
         return absent(f"too few samples beyond the {p:g} quantile", method, expensive.size)
-    at, own = (float(pool[min(int(p * pool.size), pool.size - 1)]) for pool in pools[:2])
-    pools = [pools[0], pools[1] + (at - own), pools[2] + (at - own)]
-    shares = [(expensive <= at).mean(axis=1), (cheap <= own).mean(axis=1), (many <= own).mean(axis=1)]
-    _, error = corrected(shares[0], shares[1] - shares[2])
-    half = student(replicates) * math.hypot(error, _floor(n, m, replicates))
-    values = np.concatenate(pools)
-    weights = np.repeat([1.0 / pools[0].size, -1.0 / pools[1].size, 1.0 / pools[2].size], [len(x) for x in pools])
-    order = np.argsort(values, kind="stable")
-    values, mass = values[order], np.cumsum(weights[order])
-    # the function may fall here and there: between its upper and its lower hull it is taken in the middle
-    upper = np.maximum.accumulate(mass)
-    lower = np.minimum.accumulate(mass[::-1])[::-1]
 
     def read(probability: float) -> float:
-        last = len(values) - 1
-        first = values[min(int(np.searchsorted(upper, probability)), last)]
-        return 0.5 * float(first + values[min(int(np.searchsorted(lower, probability)), last)])
+        return float(np.interp(probability * many.size - 0.5, np.arange(many.size), many))
 
-    value, low, high = read(p), read(max(p - half, 0.0)), read(min(p + half, 1.0))
+    at = read(p)
+    width = 0.5 * (read(p + RANGE * min(side, 0.1)) - read(p - RANGE * min(side, 0.1)))
+    if width > 0.0:
+        moved = (ndtr((at - expensive) / width) - ndtr((at - cheap) / width)).mean(axis=1)
+    else:
+        moved = (expensive <= at).mean(axis=1) - (cheap <= at).mean(axis=1)
+    _, error = corrected(moved, -(more <= at).mean(axis=1))
+    error = math.hypot(error, 0.5 / more.shape[1] / math.sqrt(replicates))
+    half, middle = student(replicates) * error, p - float(moved.mean())
+    value, low, high = (read(x) for x in (middle, middle - half, middle + half))
     return Estimate(
         value=value,
-        low=min(low, value),
-        high=max(high, value),
+        low=low,
+        high=high,
         std_error=0.5 * (high - low) / student(replicates),
         method=method,
         evaluations=expensive.size,

@@ -28,9 +28,9 @@ DEPTH: Final = 12
 #: corners that differ by half a standard deviation tell nothing in between; across a smaller jump interpolation is off
 #: by a sixth of its square in the mean: one in a hundred rows there leaves less than a thousandth of the variance
 JUMP: Final = 0.5
-#: root mean square of that difference over all rows at which a table is done: less than a twelfth of its square, 1e-4,
+#: root mean square of that difference over all rows at which a table is done: less than a twelfth of its square, 5e-4,
 #: of the variance is left
-CLOSE: Final = 0.03
+CLOSE: Final = 0.08
 
 Whole: TypeAlias = npt.NDArray[np.int64]
 

@@ -34,9 +34,7 @@ from uqsphere.uq.sample import Sample
 METHOD = "randomised quasi-Monte Carlo"
 TABLE_METHOD = f"{METHOD}, controlled by a table"
 #: points of each replicate that what follows a sample takes of a table
-ROWS_AT_MOST = 4096
-#: points of each replicate at which a table is made: the second stage, where quantiles have some samples beyond
-TABLED = 256
+ROWS_AT_MOST = 1024
 #: evaluations that sampling takes go with this power of the half-widths: those of quantiles and probabilities fall with
 #: the power 0.6 to 0.8 of the points in the shipped studies
 FALL = 1.0 / 0.75
@@ -190,7 +188,7 @@ class Distributions:
     """Mean, quantiles and probabilities, from the rows that were drawn so far (a `Question`).
 
     Stages double the points of every replicate.  Where more of them would take more evaluations than a table of the
-    scaled answers, that is made at the second stage, and asked at many more points.
+    scaled answers, that is made after the first stage, and asked at many more points.
     """
 
     work: Work
@@ -223,7 +221,7 @@ class Distributions:
         fresh = evaluate_sample(work, f"sampling.{start}", points)
         self.sample = fresh if self.sample is None else self.sample.join(fresh)
         self._describe(self.sample)
-        if self.sample.count == TABLED:
+        if not start:
             self._begin_table(self.sample, room - fresh.size)
         return True
 
