@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 from conftest import SUM
 
@@ -14,7 +13,7 @@ import uqsphere
 from uqsphere.runner.account import FACTOR
 from uqsphere.runner.campaign import cost_of
 from uqsphere.runner.forecast import forecast, plan_run, plan_text
-from uqsphere.runner.questions.curves import KIND, Band, widest
+from uqsphere.runner.questions.curves import KIND, Band
 from uqsphere.study import Study, load_study
 
 STUDIES = Path(__file__).parents[1] / "studies"
@@ -23,25 +22,12 @@ STUDIES = Path(__file__).parents[1] / "studies"
 # --- bands ------------------------------------------------------------------------------------------------
 
 
-def test_a_band_that_is_narrow_enough_is_not_missed() -> None:
-    band = Band(half_width=0.02, asked=0.02, evaluations=1000)
-    assert band.missed() == ""
-    assert band.table()["needed"] == 1000
-
-
 def test_a_band_that_is_too_wide_says_what_it_would_take() -> None:
     cost = cost_of([(1000, 8.0), (4000, 4.0)])
     text = Band(half_width=0.08, asked=0.02, evaluations=4000, cost=cost, share=0.05).missed()
     assert "half-width 0.08 of the smaller side of its probability, asked 0.02" in text
     assert "about 64,000 evaluations would reach it" in text
     assert "a budget of about 1,300,000" in text
-
-
-def test_a_band_looks_at_probabilities_of_interest_alone() -> None:
-    spread = np.where(np.arange(16) % 2, 1.0, -1.0)
-    curve = np.array([0.001 + 0.0009 * spread, 0.5 + 0.1 * spread, 0.5 + 0.01 * spread])
-    # t(15) s/sqrt(16)/p, s = 0.1 sqrt(16/15)
-    assert widest(curve, 0.01) == pytest.approx(2.1314 * 0.1 * np.sqrt(16 / 15) / 4.0 / 0.5, rel=1e-3)
 
 
 # --- forecasts --------------------------------------------------------------------------------------------

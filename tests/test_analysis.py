@@ -89,13 +89,6 @@ def test_a_surrogate_is_saved_without_pickle_and_read_bit_by_bit(tmp_path: Path)
         uqsphere.load_surrogate(tmp_path / "none.npz")
 
 
-def test_a_polynomial_of_chaospy_has_the_same_values(surrogate: analysis.Surrogate) -> None:
-    x, y = rows_of(100, seed=5)
-    x = 0.9 * x
-    found = surrogate.to_chaospy()(*surrogate.germs(x).T)
-    assert np.abs(found - surrogate.predict(x).value).max() < 1e-12 * np.ptp(y)
-
-
 def test_a_joint_law_goes_over_to_chaospy() -> None:
     laws = {"x": stats.norm(1.0, 2.0), "y": stats.gumbel_r(0.0, 1.0), "z": stats.beta(2, 3)}
     for ties in (None, {("x", "y"): 0.6}):

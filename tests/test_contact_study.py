@@ -1,6 +1,5 @@
 """The table [contact] of a study: what it takes, what it refuses, and which pressure a strength is."""
 
-import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -143,10 +142,6 @@ def test_a_law_without_its_numbers_is_refused(tmp_path):
 def test_rows_without_a_law_have_status_1(tmp_path):
     scene = scene_of(load(tmp_path), {"contact.hardness": np.array([1e9, 2e9, 1e12])}, None)
     assert scene.status.tolist() == [1, 0, 1]
-
-
-def test_the_base_is_toml():
-    assert tomllib.loads(BASE)["contact"]["law"] == "plastic"
 
 
 def test_the_law_at_the_end_is_a_fidelity_of_its_own(tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from typing import Any
 
@@ -11,7 +10,6 @@ import pytest
 
 from tests.campaigns.stress_tables import hoop_field
 from uqsphere import load_study
-from uqsphere.cli import main
 from uqsphere.mechanics import contact, criteria
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, demand, in_range
 from uqsphere.mechanics.outputs import path_of
@@ -98,13 +96,6 @@ def test_every_criterion_says_what_it_is(name: str) -> None:
         assert not entry.parameters
 
 
-def test_only_the_columns_named_are_needed() -> None:
-    for name, entry in CRITERIA.items():
-        columns = {key: value for key, value in rows().items() if key in entry.needs}
-        parameters = {key: GIVEN[key] for key in entry.parameters}
-        assert demand(entry, columns, parameters) == demand(entry, rows(), parameters), name
-
-
 def test_core_tension_lies_between_centre_and_practice() -> None:
     columns = rows(np.array([2e3, 20e3, 60e3]))
     core, centre = (demand(CRITERIA[name], columns) for name in ("core_tension", "centre_tension"))
@@ -153,18 +144,6 @@ def test_size_effect() -> None:
         assert ratio == pytest.approx(4.0 ** (1.0 / 9.0), rel=1e-12)
 
 
-def test_the_rim_of_a_small_contact_is_that_of_the_half_space() -> None:
-    """At a/r = 0.005 within 2 %: outside of both contacts and what they have grown over, 2 pi a² 3 m/((m-1)(m+2))."""
-    columns, m = rows(np.array([1.25, 20e3])), 9.0
-    edge = contact.edge_tension(columns["p_max"], 0.22)
-    area = 2.0 * math.pi * columns["a_max"] ** 2 * 3.0 * m / ((m - 1.0) * (m + 2.0))
-    half_space = edge * (area / 1e-4) ** (1.0 / m)
-    found = demand(CRITERIA["weakest_link_rim"], columns, {"modulus": m, "reference_area": 1e-4})
-    assert float(columns["a_max"][0] / 0.01) == pytest.approx(0.005, rel=0.2)
-    assert found[0] == pytest.approx(half_space[0], rel=0.03)
-    assert found[1] < 0.8 * half_space[1]
-
-
 def test_rate_raises_the_strength_of_its_own_sample() -> None:
     columns = rows(np.array([1e3, 50e3]))
     entry = CRITERIA["core_tension"]
@@ -172,16 +151,6 @@ def test_rate_raises_the_strength_of_its_own_sample() -> None:
     rate = criteria.strain_rate(columns)
     assert slow / fast == pytest.approx(1.0 + (rate / 200.0) ** (2.0 / 3.0), rel=1e-12)
     assert rate == pytest.approx(slow / 52e9 / 60e-6, rel=1e-12)
-
-
-def test_energy_at_a_force() -> None:
-    """E_f = (4/5) P^(5/3) beta^(-2/3), theory section 10, is what both contacts hold."""
-    beta = 3e9
-    assert criteria.fracture_energy(5e3, beta) == pytest.approx(0.8 * 5e3 ** (5 / 3) * beta ** (-2 / 3), rel=1e-12)
-    path = np.linspace(0.0, float(contact.approach_at_force(5e3, beta)), 20001)
-    force = contact.hertz_force(path, beta)
-    work = 2.0 * float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(path)))
-    assert criteria.fracture_energy(5e3, beta) == pytest.approx(work, rel=1e-6)
 
 
 def test_a_truncated_energy_is_lognormal_after_the_change() -> None:
@@ -241,30 +210,3 @@ def test_the_model_answers_them_for_every_fidelity() -> None:
         columns |= {name: np.full(2, fixed[name]) for name in ("sphere.radius", "sphere.nu", "sphere.E")}
         for name, criterion in own.items():
             assert frame[name].to_numpy() == pytest.approx(demand(CRITERIA[criterion], columns), rel=1e-12)
-
-
-def test_the_mean_pressure_is_two_thirds_of_the_largest() -> None:
-    study = load_study(shipped_studies()["granite"], ['contact.law="hertz"'])
-    for fidelity in ("massless", "linear", "full"):
-        frame = evaluate(study, {"striker.speed": np.array([0.5])}, ("p_mean", "p_max"), fidelity=fidelity)
-        assert frame["p_mean"][0] == pytest.approx(2.0 / 3.0 * frame["p_max"][0], rel=1e-12)
-
-
-def test_list_criteria(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
-    assert main(["list", "criteria"]) == 0
-    narrow = capsys.readouterr().out.splitlines()
-    assert max(map(len, narrow)) <= 80
-    assert [name for name in CRITERIA if any(line.split()[0] == name for line in narrow)] == list(CRITERIA)
-    monkeypatch.setenv("COLUMNS", "400")
-    assert main(["list", "criteria", "--json"]) == 0
-    content = json.loads(capsys.readouterr().out)
-    assert [entry["criterion"] for entry in content] == list(CRITERIA)
-    assert content[0]["unit"] == "Pa"
-    assert main(["list", "criteria"]) == 0
-    text = capsys.readouterr().out
-    for (name, entry), line in zip(CRITERIA.items(), text.splitlines()[1:], strict=True):
-        assert line.startswith(name)
-        assert all(words in line for words in (entry.formula, entry.range_text, entry.source))
-    told = {entry["criterion"]: entry["parameters"] for entry in content}
-    assert told["weakest_link_volume"]["modulus"] == "Weibull modulus m"

@@ -16,7 +16,7 @@ from uqsphere.cli import main
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.questions.curves import curves_along, family_curves
 from uqsphere.study import Study
-from uqsphere.uq.curve import fit_axis, local_lines
+from uqsphere.uq.curve import fit_axis
 
 STUDIES = Path(uqsphere.__file__).parent.parent / "studies"
 #: speeds at which the limestone breaks with these probabilities, by 131,072 straight rows of another seed on
@@ -59,18 +59,6 @@ def test_predictions_of_powers_are_exact_and_bounded() -> None:
     none = [np.zeros((16, 4, 0)) for _ in values]
     still = fit_axis(values, none, [np.full((16, 4), v**2) for v in values])
     assert still.predict(1.0, still.products(np.zeros((16, 3, 0)))) == pytest.approx(np.ones((16, 3)), rel=1e-6)
-
-
-def test_lines_level_noise_and_keep_what_rises() -> None:
-    generator = np.random.default_rng(5)
-    at = np.linspace(0.0, 1.0, 40)
-    places = np.tile(np.repeat(at, 4), (16, 1))
-    line = 3.0 * places - 1.0
-    noise = 0.3 * generator.standard_normal(places.shape)
-    levels, squares = local_lines(places, line + noise, at, 4.0 * (at[1] - at[0]))
-    assert np.abs(levels.mean(axis=1) - (3.0 * at - 1.0)).max() < 4.0 * 0.3 * np.sqrt(squares.max())
-    assert (levels.var(axis=1, ddof=1) / 16.0 / (0.09 * squares)).mean() == pytest.approx(1.0, abs=0.25)
-    assert local_lines(places, line, at, 0.2)[0] == pytest.approx(np.tile(3.0 * at[:, None] - 1.0, (1, 16)))
 
 
 def test_values_of_a_study_cover(crushed: Study) -> None:

@@ -94,7 +94,7 @@ def test_a_table_takes_memory_for_the_columns_that_are_named_only(tmp_path: Path
     assert found.y[:, 0].tolist() == expected["y"].tolist()
 
 
-@pytest.mark.parametrize("header", ["E [GPa]", "x\x1b[2J", "%", "status", "1st", "Größe (mm)", '"q""t"'])
+@pytest.mark.parametrize("header", ["E [GPa]", "x\x1b[2J", "Größe (mm)", '"q""t"'])
 def test_what_analyse_writes_is_a_study(tmp_path: Path, header: str, capsys: pytest.CaptureFixture[str]) -> None:
     runs = table(tmp_path / "runs.csv", f"{header},y")
     name = header.strip('"').replace('""', '"')

@@ -15,7 +15,7 @@ from uqsphere.uq.estimate import Estimate, absent, from_replicates, share
 from uqsphere.uq.points import sobol_points
 
 QUANTILES = (0.05, 0.5, 0.95)
-REPETITIONS = 120
+REPETITIONS = 60
 
 
 def normals(kind: str, repetition: int, dimension: int, n: int, replicates: int = 16) -> np.ndarray:

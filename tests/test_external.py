@@ -19,7 +19,6 @@ import uqsphere
 from uqsphere.black_box import load_black_box, model_digest
 from uqsphere.cli.serve import server_of
 from uqsphere.errors import AccessError, ModelError, StudyError, UsageError
-from uqsphere.external import Program
 
 #: prints, writes a CSV and JSON; fails where x is above 2, and hangs below -2
 SOLVER = """\
@@ -261,9 +260,3 @@ def test_a_study_that_cannot_be_served(tmp_path: Path) -> None:
     )
     with pytest.raises(UsageError, match="a study of the impact model"):
         server_of(uqsphere.load_study(tmp_path / "box.toml"), 0)
-
-
-def test_a_program_on_the_path_is_called_by_its_name(tmp_path: Path) -> None:
-    model = load_black_box(declared(tmp_path))
-    assert isinstance(model, Program)
-    assert model.__qualname__ == sys.executable

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -123,9 +120,8 @@ def test_a_faulty_model_is_told_of(place: Path, name: str, capfd: pytest.Capture
     assert not (place / "r" / "results.json").exists()
 
 
-@pytest.mark.parametrize("name", ["ends", "segfault", "long", "hostile"])
-def test_a_faulty_model_is_told_of_through_the_door_of_python(place: Path, name: str) -> None:
-    body, said = FAULTY[name]
+def test_a_faulty_model_is_told_of_through_the_door_of_python(place: Path) -> None:
+    body, said = FAULTY["segfault"]
     with pytest.raises((ModelError, TooManyFailures)) as raised:
         uqsphere.run(uqsphere.load_study(place / "s.toml"), out=place / "door", model=write(place, body))
     assert said in str(raised.value)
@@ -146,15 +142,6 @@ def test_a_model_that_does_more_than_answer_harms_nothing(
     assert ("the model f forked a process" in err) == (name == "fork")
     assert ("noise" in err) == (name == "children")
     assert left_behind(place) == []
-
-
-def test_what_the_model_prints_is_no_json(place: Path) -> None:
-    """Children of the model and of its libraries write to descriptor 1 themselves."""
-    reference = write(place, HARMLESS["children"])
-    line = [sys.executable, "-m", "uqsphere", "run", "s.toml", "--model", reference, "--json"]
-    done = subprocess.run(line, capture_output=True, text=True, check=True)
-    assert json.loads(done.stdout)["quantities"]["y"]
-    assert "noise" in done.stderr
 
 
 def test_what_a_function_prints_is_no_answer(place: Path, capfd: pytest.CaptureFixture[str]) -> None:

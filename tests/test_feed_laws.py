@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from uqsphere.feed import laws
-from uqsphere.mechanics.damage import damage_of, energy_share
+from uqsphere.mechanics.damage import damage_of
 
 RNG = np.random.default_rng
 #: u_0 ... u_20 of three gammas, and D of a blow E/e: computed with independent code from (C17)
@@ -149,18 +149,6 @@ def test_the_bridge_between_force_and_energy() -> None:
         np.testing.assert_allclose(laws.weakest_link(force, d, 2000.0, m, d_r), share, rtol=1e-10)
 
 
-def test_a_lognormal_fit_of_weibull_energies() -> None:
-    sample = 100.0 * (-np.log1p(-RNG(5).random(200_000)) / math.log(2.0)) ** (1.0 / 3.0)
-    E50, sigma = laws.lognormal_like(5.0, 100.0)
-    assert float(np.exp(np.log(sample).mean())) == pytest.approx(float(E50), rel=3e-3)
-    assert float(np.log(sample).std()) == pytest.approx(float(sigma), rel=6e-3)
-
-
 def test_damage_is_linear_for_vogel_and_peukert() -> None:
     found = laws.excess_after(np.array([30.0, 5.0, 50.0]), np.array([2, 7, 1]), np.array(12.0))
     assert float(found) == 2 * 18.0 + 38.0
-
-
-def test_energy_share_is_the_inverse_of_damage() -> None:
-    d = np.linspace(0.01, 0.95, 20)
-    np.testing.assert_allclose(damage_of(energy_share(d, 4.0), 4.0), d, rtol=1e-9)

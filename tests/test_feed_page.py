@@ -17,7 +17,6 @@ from uqsphere.feed.fit import FitEntry
 from uqsphere.feed.product import Fineness, ProductPlan
 from uqsphere.feed.tests import make_specimens
 from uqsphere.report.feed import feed_page, fit_page
-from uqsphere.report.figures.feed import kaplan_meier, shown_sizes
 
 TRUTH = {"e_inf": 40.0, "d0": 0.02, "phi": 0.9}
 MOST_WORDS = 180
@@ -88,19 +87,6 @@ def test_a_fit_has_a_page_of_its_own(made):
     assert len(brief_of(page).split()) <= MOST_WORDS
     assert "What the tests tell" in page
     assert html_errors(page) == []
-
-
-def test_tests_that_outlasted_theirs_lift_those_that_follow():
-    energy, share = kaplan_meier(make_specimens([0.01] * 4, [1.0, 2.0, 3.0, 4.0], broke=[True, False, True, True]))
-    assert energy.tolist() == [1.0, 3.0, 4.0]
-    assert share == pytest.approx([0.125, 0.4375, 0.8125])
-
-
-def test_many_sizes_are_gathered_and_none_is_lost():
-    tests = make_specimens(np.geomspace(0.005, 0.06, 300), 100.0)
-    parts = shown_sizes(tests)
-    assert len(parts) <= 6
-    assert sum(part.particles for _, part in parts) == 300
 
 
 def test_offered_energies_are_drawn_by_their_levels(made):

@@ -78,17 +78,6 @@ def test_the_field_obeys_the_wave_equation(scene):
         assert strain == pytest.approx(stretch, abs=4e-3 * span)
 
 
-def test_the_grid_is_the_field_of_both_bars():
-    history = history_with()
-    places, times = np.array([-0.7, -0.1, 0.2, 1.1]), np.array([1e-4, 4e-4, 9e-4])
-    grid = field_grid(history.motion, places, times)
-    assert grid.stress.shape == grid.velocity.shape == (3, 4)
-    for k, place in enumerate(places):
-        found = field_at(history.motion, "incident" if place < 0 else "receiving", abs(place), times)
-        np.testing.assert_array_equal(grid.stress[:, k], found.stress)
-        np.testing.assert_array_equal(grid.velocity[:, k], found.velocity)
-
-
 def test_tension_begins_where_the_tail_meets_the_reflection():
     """A rectangle's tail meets the front of its own reflection l_0 from the sphere, t_i/2 after first touch."""
     found = first_tension(history_with().motion, "incident")

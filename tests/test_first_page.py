@@ -17,11 +17,6 @@ from uqsphere.report.phrases import safe_side
 from uqsphere.report.tables import answer_checks_table, margins_table
 from uqsphere.results.margins import LognormalEntry, MarginEntry
 
-_ASSUMED = [
-    {"assumption": "dependence", "with": ["sphere.E"], "miss": estimate(0.0105, 1e-4), "met": False},
-    {"assumption": "modulus", "taken": 12.0, "instead": 9.6, "miss": estimate(0.0073, 1e-5), "met": True},
-    {"assumption": "law", "taken": "weibull", "instead": "lognormal", "miss": estimate(4e-6, 1e-8), "met": True},
-]
 _CHECK = {
     "check": "bar_yield_contact", "share": 0.56, "share_information": 0.0, "share_warning": 0.56, "share_failure": 0.0,
     "worst": 1.8, "text": "in 56 % of the rows the bars yield",
@@ -40,20 +35,6 @@ def _margin(value: float, probability: float, aim_rising: bool = True) -> dict[s
         },
         "validity": {"value": value, "samples": 128, "checks": [_CHECK]},
     }  # fmt: skip
-
-
-@pytest.fixture
-def contents(tmp_path: Path) -> Contents:
-    """A limit that is met by an assumed dependence, at a speed at which the bars yield."""
-    one = {**limit(0.002, 0.01, True, half=2e-6), "assumed": _ASSUMED,
-           "tests_to_settle": {"tests": 48, "confidence": 0.95}}  # fmt: skip
-    fracture = {"limits": ["x"], "left_out": [], "union": estimate(0.002, 1e-6), "first_loading": estimate(2e-4, 1e-6)}
-    folder = write_folder(tmp_path, limits={"x": one}, fracture=fracture)
-    path = folder / "study.resolved.json"
-    resolved = json.loads(path.read_text("utf-8"))
-    tie = {"of": ["sphere.E", "limits.x.strength"], "copula": "gaussian", "spearman": 0.6}
-    path.write_text(json.dumps({**resolved, "dependence": [tie]}), "utf-8")
-    return _with_margins(folder, {"x": _margin(0.6585, 0.01)})
 
 
 def _with_margins(folder: Path, margins: dict[str, Any]) -> Contents:

@@ -14,7 +14,6 @@ import uqsphere
 from uqsphere.report import build_report
 from uqsphere.study import ENERGY
 from uqsphere.uq.curve import fit_lognormal_curve, interpolate_rows
-from uqsphere.uq.whatif import root
 
 GRID = np.geomspace(0.3, 5.0, 40)
 SMALL = (
@@ -110,16 +109,6 @@ def test_intervals_of_the_lognormal_curve_cover() -> None:
 def test_no_lognormal_curve_is_said(table: np.ndarray, says: str) -> None:
     assert says in str(fit_lognormal_curve(GRID, table, evaluations=1))
     assert "positive" in str(fit_lognormal_curve(GRID - 1.0, table, evaluations=1))
-
-
-def test_the_root_of_a_curve() -> None:
-    places = np.linspace(-2.0, 2.0, 81)
-    curves = np.array([ndtr(places - 0.5), ndtr(places), ndtr(places - 9.0)])
-    rising = [root(places, curve.__getitem__, 0.3, True) for curve in curves]
-    assert rising == pytest.approx([ndtri(0.3) + 0.5, ndtri(0.3), math.inf], abs=1e-3)
-    falling = [root(places, (1.0 - curve).__getitem__, 0.3, False) for curve in curves[:2]]
-    assert falling == pytest.approx([ndtri(0.7) + 0.5, ndtri(0.7)], abs=1e-3)
-    assert root(places, curves[0].__getitem__, 1e-9, True) == -math.inf
 
 
 def test_a_run_finds_a_curve_that_is_known(tmp_path: Path) -> None:

@@ -7,8 +7,7 @@ import pytest
 from test_kernel import scaled_scene
 
 from uqsphere.bench.scenes import scattered_scene
-from uqsphere.mechanics.integrator.solve import integrate, solve
-from uqsphere.mechanics.integrator.tracked import ANSWER_X_MAX
+from uqsphere.mechanics.integrator.solve import solve
 from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
 
 #: granite between steel bars; what a test varies is put in its place
@@ -140,13 +139,6 @@ def test_a_step_on_light_spheres_follows_no_oscillation_that_has_died_out() -> N
 def test_a_record_without_end_is_refused() -> None:
     with pytest.raises(ValueError, match="finite"):
         Scene(columns=scene_with().columns, horizon=np.inf)
-
-
-def test_the_record_before_the_first_echo_keeps_no_waves() -> None:
-    scene = scene_with()
-    first = Scene(columns=scene.columns, first_loading_only=True)
-    assert integrate(first, quantities=("p_max",)).steps[0] < integrate(scene, quantities=("p_max",)).steps[0]
-    assert integrate(first, quantities=("p_max",)).answers[0, ANSWER_X_MAX] > 0.0
 
 
 @pytest.mark.parametrize(("mu", "theta"), [(1e-6, 3.0), (1e-6, 10.0), (1e-7, 0.5)])

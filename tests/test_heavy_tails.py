@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,17 +14,12 @@ from scipy.special import stdtrit
 
 import uqsphere
 from uqsphere.arrays import Array
-from uqsphere.runner.account import _slowest
-from uqsphere.runner.campaign import indices_missed
-from uqsphere.runner.questions.distributions import speed_rows
-from uqsphere.runner.questions.indices import Sensitivity, _admitted
 from uqsphere.study import load_study
 from uqsphere.uq.describe import describe
-from uqsphere.uq.estimate import Absent, Why, absent, exact
-from uqsphere.uq.heavy_tails import MEAN, VARIANCE, HeavyTail, half_range, heavy_tail, widened_share, without_moments
+from uqsphere.uq.estimate import Why
+from uqsphere.uq.heavy_tails import MEAN, VARIANCE, HeavyTail, heavy_tail, without_moments
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.points import sobol_points
-from uqsphere.uq.response import stretched
 
 
 def tail(law_order: float, growth: float, doubt: float) -> HeavyTail:
@@ -92,61 +86,6 @@ def test_samples_alone_do_not_tell_a_law_with_a_mean_from_one_without(order: flo
     found = without_moments(describe(samples), None, samples)
     assert found.mean.value is None
     assert found.mean.why is why
-
-
-@pytest.mark.parametrize(
-    ("reason", "told"),
-    [
-        (Absent.because(Why.NO_MOMENT, "a has none"), "does not exist: a has none"),
-        (Absent.because(Why.NOT_KNOWN, "too few runs"), "is not known: too few runs"),
-        (Absent.because(Why.NO_CONVERGENCE, "one sample"), "does not converge: one sample"),
-        ("too few successful samples in a replicate", "is not known"),
-    ],
-)
-def test_a_share_says_of_its_variance_what_is_said_of_the_deviation(reason: Absent | str, told: str) -> None:
-    share = widened_share(replace(exact(0.5), low=0.4, high=0.6), absent(reason, "m", 9))
-    assert share.reason == f"the variance that it is a share of {told}"
-
-
-def test_errors_say_what_they_are_over() -> None:
-    samples = np.random.default_rng(1).normal(size=(16, 256))
-    found = describe(samples)
-    kinds = [row.error_kind for row in speed_rows({"y": found}, {}, 4096)]
-    assert kinds
-    assert all(kind.endswith("over the standard deviation") for kind in kinds)
-    gone = without_moments(found, tail(1.5, 1.0, 0.0), samples)
-    rows = speed_rows({"y": gone}, {}, 4096)
-    assert len(rows) == len(kinds)
-    assert all(row.error_kind.endswith("over half the 16-84 % range") for row in rows)
-    part: Any = SimpleNamespace(name="sampling", found=SimpleNamespace(history=rows))
-    # the part that took longest names its answer whatever this is over
-    assert _slowest(part).endswith(" of y")
-    assert rows[0].error == pytest.approx(gone.mean.half_width / half_range(samples))
-
-
-def test_without_a_deviation_the_scale_is_the_range_that_it_is_called() -> None:
-    """Bounded values have a deviation, and what they are without bounds has none."""
-    values = pareto(1.5, 3)
-    held = describe(np.minimum(values, 50.0))
-    found = stretched(held, describe(values), values, 64)
-    assert found.sd.value is None
-    assert found.scale_name == "half the 16-84 % range"
-    assert found.scale == half_range(values) < held.scale
-
-
-@pytest.mark.parametrize(
-    ("half", "told"), [(0.33, "half-width 0.33, asked 0.01"), (0.28, "half-width 0.28, asked 0.01")]
-)
-def test_a_missed_accuracy_has_the_width_that_the_answer_has(half: float, told: str) -> None:
-    """Indices of a heavy tail are widened after what they missed was written down."""
-
-    def indices(width: float) -> Sensitivity:
-        row = {"a": replace(exact(0.5), low=0.5 - width, high=0.5 + width)}
-        return Sensitivity(first=row, total=row, surrogate={}, sampled={}, expanded={}, agree=None, text="",
-                           missed=[indices_missed("y", 0.28, 0.01)])  # fmt: skip
-
-    (missed,) = _admitted("y", indices(half), indices(0.28), 0.01).missed
-    assert told in missed.text
 
 
 @pytest.mark.parametrize("count", [64, 512])

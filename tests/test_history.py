@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.closed_form import linear_approaches, massless_approach
+from uqsphere.mechanics.closed_form import massless_approach
 from uqsphere.mechanics.field import waves_at
 from uqsphere.mechanics.history import find_changes, trace
 from uqsphere.mechanics.integrator import solve as dynamics
@@ -217,19 +217,6 @@ def test_a_massless_sphere_moves_with_the_mean_of_the_bar_ends():
     np.testing.assert_array_equal(history.force_a, history.force_b)
 
 
-def test_linear_history_is_the_closed_form_until_contact_is_lost():
-    scene = granite(infinite=True, sphere_density=2e5, horizon=2e-3)
-    history = trace(scene, fidelity="linear", tolerance=1e-10)
-    inside = history.time < history.record_end
-    assert history.record_end < history.horizon
-    expected = linear_approaches(
-        history.time[inside] / scene.scales.time[0], scene.scales.mass_number[0], scene.scales.pulse_number[0]
-    )
-    found = np.array([history.approach_a[inside], history.approach_b[inside]]) / scene.scales.approach[0]
-    np.testing.assert_allclose(found, expected, atol=1e-9)
-    np.testing.assert_allclose(history.force_a[inside], found[0].clip(0.0) * scene.scales.force[0], rtol=1e-12)
-
-
 def test_first_touch_is_no_loss():
     for density in (100.0, 2650.0, 1e5):
         scene = granite(infinite=True, sphere_density=density, striker_length=2.0)
@@ -247,10 +234,3 @@ def test_what_cannot_be_traced_is_refused():
         trace(granite(), fidelity="auto")
     with pytest.raises(IndexError):
         trace(granite(), 1)
-
-
-def test_the_last_row_by_its_negative_number():
-    one, other = granite(), granite(striker_speed=2.0)
-    both = Scene(columns={k: np.concatenate([v, other.columns[k]]) for k, v in one.columns.items()})
-    assert trace(both, -1, points=5).first_peak == trace(other, points=5).first_peak
-    assert trace(both, 0, points=5).first_peak == trace(one, points=5).first_peak

@@ -56,43 +56,12 @@ def test_the_table_of_plates_solves_its_equation(lam):
     assert found.duration == pytest.approx(duration, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("lam", "e", "peak", "duration"),
-    [
-        (0.01, 0.9828761299, 1.131513937, 3.223680478),
-        (0.1, 0.8433394109, 1.035545965, 3.278494988),
-        (0.5, 0.4368953009, 0.7502314356, 3.624441451),
-        (1.0, 0.1841228742, 0.556160867, 4.387612018),
-    ],
-)
-def test_the_table_of_plates_has_the_stated_values(lam, e, peak, duration):
-    found = unit_blow(lam)
-    assert (found.restitution, found.force, found.duration) == pytest.approx((e, peak, duration), rel=1e-9)
-
-
 def test_a_free_blow_is_hertz():
     """P_max = 1.25^0.6 beta^0.4 M^0.6 v^1.2; the often quoted 3.2145 of the duration is 3.2180655."""
     found = impact.blow(2e10, 0.02, 5.0)
     assert found.force == pytest.approx(1.25**0.6 * 2e10**0.4 * 0.02**0.6 * 5.0**1.2, rel=1e-11)
     assert found.duration == pytest.approx(3.2180655 * (0.02**2 / (2e10**2 * 5.0)) ** 0.2, rel=1e-8)
     assert found.restitution == pytest.approx(1.0, abs=1e-11)
-
-
-def test_a_thick_plate_has_the_converged_answer():
-    modulus, beta, mass = numbers(LIMESTONE)
-    found = impact.blow(beta, mass, 3.6)
-    assert found.force == pytest.approx(3005.190235473395, rel=1e-9)
-    assert contact.pressure_at_force(found.force, modulus, 0.01) == pytest.approx(2444040243.153365, rel=1e-9)
-    assert found.duration == pytest.approx(4.799913055874804e-05, rel=1e-9)
-
-
-def test_the_end_of_a_bar_has_the_converged_answer():
-    modulus, beta, mass = numbers(GRANITE)
-    found = impact.blow(beta, mass, 4.0, 12755.407815979783)
-    assert found.force == pytest.approx(3113.186788915098, rel=1e-9)
-    assert contact.pressure_at_force(found.force, modulus, 0.01) == pytest.approx(2292412938.9789357, rel=1e-9)
-    assert found.duration == pytest.approx(5.006958500253971e-05, rel=1e-9)
-    assert -4.0 * found.restitution == pytest.approx(-3.6306782775247157, rel=1e-9)
 
 
 def test_a_plate_that_is_punched_has_no_answer():

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import csv
-import math
 import re
-from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,13 +16,10 @@ from uqsphere.report import build_report
 from uqsphere.report.blocks import Table
 from uqsphere.report.contents import Contents, read_contents, subject_of
 from uqsphere.report.drivers import design_table, given_failure_table
-from uqsphere.report.figures.convergence import _legend_names, _ticks
 from uqsphere.report.figures.fragility import family_figure
-from uqsphere.report.page import new_environment, unbroken
+from uqsphere.report.page import unbroken
 from uqsphere.report.phrases import mathematical, outward, probability_range
-from uqsphere.report.tables import _part_row
-from uqsphere.results import PartEntry, read_results
-from uqsphere.runner.questions.curves import METHOD
+from uqsphere.results import read_results
 
 ROOT = Path(__file__).parents[1]
 #: letters that a line of a table holds on A4, and in the column of the page
@@ -50,44 +45,6 @@ def test_the_table_of_most_columns_fits_the_page_and_the_paper(name: str) -> Non
         assert narrowest(table) <= LETTERS, table.rows
 
 
-def test_a_table_of_many_columns_is_set_smaller_and_of_very_many_parts_its_intervals() -> None:
-    environment = new_environment()
-    environment.filters["drawn"] = str
-    template = environment.from_string('{% from "parts.html" import table %}{{ table(t) }}')
-
-    def page(columns: int) -> str:
-        row = ("x", *["1.234 (1.233 to 1.235) m/s"] * (columns - 1))
-        return template.render(t=Table(caption="c", header=("input", *["v"] * (columns - 1)), rows=(row,)))
-
-    assert 'class=" wide' not in page(4)
-    assert 'class=" wide' in page(5)
-    assert "(1.233\u00a0to\u00a01.235)\u00a0m/s" in page(6)
-    assert "(1.233\u00a0to 1.235)\u00a0m/s" in page(7)
-
-
-def test_names_in_a_legend_are_whole() -> None:
-    methods = ["pick and freeze", "polynomial chaos", METHOD, "a, first of two", "a, second of two"]
-    names = _legend_names(methods)
-    assert names == [
-        "pick and freeze",
-        "polynomial chaos",
-        "runs along the curve",
-        "a, first of two",
-        "a, second of two",
-    ]
-    assert not any("…" in name for name in names)
-    assert all(len(line) <= 30 for name in names for line in name.split("\n"))
-
-
-def test_a_narrow_axis_has_several_ticks_and_none_on_another() -> None:
-    narrow = [(0.01 * k, 0.01 * k + width) for k in range(-100, 100, 3) for width in (0.1, 0.15, 0.2, 0.25)]
-    for low, high in ((1.5, 2.2), (3.1, 3.7), (0.0, 5.0), (2.0, 3.0), *narrow):
-        ticks = _ticks(low, high)
-        assert 3 <= len(ticks) <= 8
-        assert all(10.0**low <= tick <= 10.0**high * (1.0 + 1e-9) for tick in ticks)
-        assert all(math.log10(b / a) > 0.04 * (high - low) for a, b in pairwise(ticks))
-
-
 @pytest.mark.parametrize(("low", "high"), [(3.14e-7, 0.0010382), (0.012, 0.0123), (0.99883, 0.9999997), (0.0, 1.0)])
 def test_a_range_is_never_printed_narrower_than_it_is(low: float, high: float) -> None:
     first, last = outward(low, high)
@@ -95,17 +52,6 @@ def test_a_range_is_never_printed_narrower_than_it_is(low: float, high: float) -
     assert last >= high * (1.0 - 1e-6)
     assert outward(first, last) == pytest.approx((first, last), rel=1e-9)
     assert probability_range(low, high) == probability_range(first, last)
-
-
-def _margined(tmp_path: Path, medians: float) -> Contents:
-    contents = read_contents(solved(tmp_path, whole=limit(0.0075, 0.01, True)))
-    factors = {"medians": medians, "fractiles": 1.04, "fractiles_of": {"strength": 0.05, "demand": 0.95}}
-    return put(contents, {"results/margins/whole/factors": factors})
-
-
-def _broken(name: str, warning: float) -> dict[str, Any]:
-    return {"check": name, "share": warning, "share_information": 0.0, "share_warning": warning, "share_failure": 0.0,
-            "worst": 2.0, "text": f"in {100 * warning:g} % of the rows something"}  # fmt: skip
 
 
 def test_formulas_have_the_signs_of_print() -> None:
@@ -138,13 +84,6 @@ def _label(contents: Contents) -> str:
 
     picture = fragility_figure(contents, "whole")
     return str(picture.figure.axes[0].get_xlabel())
-
-
-def test_seconds_of_a_part_are_whole_where_they_are_many() -> None:
-    part = PartEntry(part="sensitivity", likely=1000, most=2000, taken=1280)
-    assert _part_row(part, 132.4)[1].endswith("; took 1\u202f280 in 132 s")
-    assert _part_row(part, 5234.2)[1].endswith(" in 5\u202f234 s")
-    assert _part_row(part, 3.14159)[1].endswith(" in 3.1 s")
 
 
 def with_limit(folder: Path, **more: Any) -> Contents:

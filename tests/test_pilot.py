@@ -79,27 +79,6 @@ def test_the_law_bounds_errors_it_has_not_seen(reach: float) -> None:
     assert law[0][1] == pytest.approx(0.45, abs=0.15)
 
 
-def test_a_row_is_doubtful_by_itself() -> None:
-    mu = np.geomspace(1e-6, 1e-1, 501)
-    fallback = Fallback(
-        coefficients=((0.0, 0.5, 0.1),), bounds=(0.05,), mass_range=(1e-5, 1e-2), pulse_range=(2.0, 4.0)
-    )
-    whole = fallback.doubtful(scenes(mu))
-    expected = (mu**0.5 * 3.0**0.1 > 0.05) | (mu < 1e-5) | (mu > 1e-2)
-    assert np.mean(whole != expected) < 0.01  # a row on an edge may round either way
-    for size in (1, 7, 64):
-        parts = [fallback.doubtful(scenes(mu[k : k + size])) for k in range(0, len(mu), size)]
-        np.testing.assert_array_equal(np.concatenate(parts), whole)
-
-
-def test_what_has_no_meaning_is_doubtful() -> None:
-    fallback = Fallback(coefficients=((-50.0, 0.0, 0.0),), bounds=(1.0,), mass_range=(0.0, np.inf),
-                        pulse_range=(0.0, np.inf))  # fmt: skip
-    scene = scenes([1e-3, 1e-3])
-    broken = Scene(columns={**scene.columns, "sphere.E": np.array([60e9, np.nan])}, infinite=True)
-    assert fallback.doubtful(broken).tolist() == [False, True]
-
-
 # --- rows that fall back --------------------------------------------------------------------------
 
 
@@ -200,11 +179,6 @@ def test_a_run_reports_the_share_and_the_saving(study_from: Build, tmp_path: Pat
 # --- the rule -------------------------------------------------------------------------------------
 
 
-def test_the_choice_does_not_depend_on_threads_or_time(study_from: Build) -> None:
-    study = study_from(*WIDE)
-    assert pilot.first_look(work_of(study)) == pilot.first_look(replace(work_of(study), threads=2))
-
-
 @pytest.mark.parametrize(
     ("accuracy", "chosen", "least"), [(0.2, "massless", 0.0), (0.1, "massless", 0.2), (0.002, "full", 0.8)]
 )
@@ -231,24 +205,6 @@ def test_a_record_that_one_model_outlasts_alone_is_an_error(study_from: Build) -
     assert let_go.any()
     error = massless.error["contact_time"]
     assert error is None or error >= np.sqrt(let_go.mean())
-
-
-def test_a_censored_answer_is_never_close_to_an_exact_one() -> None:
-    def answers(value: float, late: bool, status: int = 0) -> dynamics.Answers:
-        return dynamics.Answers(
-            values={"contact_time": np.array([value])}, censored={"contact_time": np.array([late])},
-            status=np.array([status]), record=np.ones(1), steps=np.zeros(1, dtype=np.int64),
-        )  # fmt: skip
-
-    def gap(one: dynamics.Answers, other: dynamics.Answers) -> float:
-        return float(pilot.differences(one, other, ("contact_time",), np.array([2.0]))[0, 0])
-
-    assert gap(answers(1.2, True), answers(1.0, True)) == pytest.approx(0.1)
-    assert gap(answers(1.2, True), answers(1.0, False)) == 1.0
-    assert gap(answers(0.8, False), answers(1.0, True)) == -1.0
-    assert gap(answers(9.0, True), answers(1.0, False)) == 4.0
-    assert gap(answers(1.2, False, 7), answers(1.0, False)) == pytest.approx(0.1)
-    assert np.isnan(gap(answers(1.2, False, 3), answers(1.0, False)))
 
 
 def test_rows_with_two_candidates_are_answered(study_from: Build, monkeypatch: pytest.MonkeyPatch) -> None:

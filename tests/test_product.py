@@ -12,10 +12,8 @@ import uqsphere
 from uqsphere.errors import StudyError, UsageError
 from uqsphere.mechanics.criteria import CRITERIA, product_fineness
 from uqsphere.model import evaluate
-from uqsphere.quantities import display_unit, lookup
 from uqsphere.report import build_report
 from uqsphere.study import Study
-from uqsphere.study.reference import build_schema
 
 PRODUCT = """
 [product]
@@ -46,12 +44,6 @@ def test_the_formula_has_its_slope_its_half_and_its_limit() -> None:
     assert product_fineness(math.log(2.0) / b, 0.55, b) == pytest.approx(0.275, rel=1e-12)
     assert product_fineness(1e9, np.array([0.4, 0.55]), b).tolist() == [0.4, 0.55]
     assert product_fineness(0.0, 0.55, b) == 0.0
-
-
-def test_units_are_those_of_the_mill() -> None:
-    assert lookup("product.b").allows(1.0)
-    assert display_unit("product.b")[1] == pytest.approx(3600.0)
-    assert display_unit("t10") == ("%", 100.0)
 
 
 def test_a_study_with_a_product_answers_it(study_from: Callable[..., Study], small_text: str) -> None:
@@ -92,11 +84,6 @@ def test_asked_without_a_product_it_is_refused(study_from: Callable[..., Study],
         evaluate(study_from(), {}, ("t10",), tolerance=1e-4)
     with pytest.raises(StudyError, match=r"quantities\[1\]: t10 needs"):
         study_from(text=small_text.replace('"contact_time"]', '"t10"]'))
-
-
-def test_the_schema_for_editors_knows_the_table() -> None:
-    table = build_schema()["$defs"]["ProductTable"]
-    assert {"A", "b"} == set(table["required"])
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import OdeSolution, solve_ivp
 from test_kernel import EXAMPLE, scaled_scene
 
-from tests.independent.reference import POINTS, WEIGHTS, Course, Problem, Unaffordable, follow, problem_of, refer
+from tests.independent.reference import POINTS, WEIGHTS, Course, Unaffordable, follow, problem_of, refer
 from uqsphere.mechanics.scene import Scene
 
 REFERENCE = json.loads((Path(__file__).parent / "data" / "reference_scenes.json").read_text())
@@ -91,77 +90,6 @@ def test_heavy_sphere_is_a_wall() -> None:
 # ---- another method
 
 
-def runge_kutta(problem: Problem, end: float) -> tuple[list[OdeSolution], list[float], float]:
-    """DOP853 from jump to jump, waves that come back read off its dense output; largest approach on the way."""
-    edges = {float(edge) for edge in problem.breaks if math.isfinite(edge)}
-    trips = [float(trip) for trip in problem.trips]
-    for trip in trips * 6:
-        edges |= {edge + trip for edge in edges if edge + trip < end}
-    stops = sorted({round(edge, 12) for edge in edges if 0.0 < edge < end} | {end})
-    paths: list[OdeSolution] = []
-    starts: list[float] = []
-
-    def force(x: Any) -> Any:
-        return np.maximum(x, 0.0) ** 1.5
-
-    def incident(s: float, middle: float) -> float:
-        inside = middle < float(problem.breaks[-1])
-        return float(problem.pulse(np.array([s, 2.0 * middle - s]))[0]) * inside
-
-    def leaving(s: float, middle: float, bar: int) -> float:
-        """g_A or k_B at s, in the stretch that holds `middle`."""
-        if middle < 0.0:
-            return 0.0
-        index = max(k for k, start in enumerate(starts) if start <= middle)
-        x = paths[index](s)
-        arriving = towards(s, middle, bar)
-        return float(arriving - force(x[0])) if bar == 0 else float(arriving + force(x[1]))
-
-    def towards(s: float, middle: float, bar: int) -> float:
-        own = incident(s, middle) if bar == 0 else 0.0
-        if problem.ends[bar] == 0:
-            return own
-        return own + float(problem.ends[bar]) * leaving(s - trips[bar], middle - trips[bar], bar)
-
-    begin, state, largest = 0.0, np.zeros(3), 0.0
-    for stop in stops:
-        middle = 0.5 * (begin + stop)
-
-        def slopes(s: float, y: Any, middle: float = middle) -> list[float]:
-            a, b = force(y[0]), force(y[1])
-            return [2.0 * towards(s, middle, 0) - a - y[2], y[2] - b - 2.0 * towards(s, middle, 1),
-                    (a - b) / float(problem.mass)]  # fmt: skip
-
-        found = solve_ivp(slopes, (begin, stop), state, method="DOP853", rtol=1e-12, atol=1e-14, dense_output=True)
-        paths.append(found.sol)
-        starts.append(begin)
-        state = found.y[:, -1]
-        for a, b in zip(found.t[:-1], found.t[1:], strict=True):
-            largest = max(largest, float(found.sol(np.linspace(a, b, 41))[:2].max()))
-        begin = stop
-    return paths, starts, largest
-
-
-@pytest.mark.parametrize(
-    ("shape", "ends"), [("rectangular", (1.0, -0.4)), ("half_sine", (-1.0, 0.7)), ("rectangular", (0.3, 1.0))]
-)
-def test_against_runge_kutta_with_stored_waves(shape: str, ends: tuple[float, float]) -> None:
-    scene = scaled_scene([0.2], [0.8], np.array([[1.0, 1.7]]), np.array([ends]), shape=shape)
-    end = 3.0
-    scene = Scene(columns=scene.columns, shape=shape, horizon=float(end * scene.scales.time[0]))
-    problem = problem_of(scene, 0)
-    found = follow(problem)
-    until = float(found.ended)
-    paths, starts, largest = runge_kutta(problem, until)
-    assert float(found.x_max) == pytest.approx(largest, rel=1e-5)  # read on a grid
-    last = found.pieces[-1]
-    at_end = last.states.astype(float)
-    share = float(found.end)
-    state = np.polynomial.chebyshev.chebval(2.0 * share - 1.0, at_end)
-    assert np.abs(paths[-1](until) - state).max() < 1e-9
-    assert starts[-1] < until
-
-
 # ---- what it promises
 
 
@@ -182,16 +110,6 @@ def test_energy_between_free_ends() -> None:
     # in units of Z (v_0/2)² t_c the sphere has mu u²/2, each contact (2/5) x^(5/2)
     held = 0.4 * (x1**2.5 + x2**2.5) + 0.1 * u**2 / 2.0
     assert carried + held == pytest.approx(0.5, rel=1e-12)
-
-
-def test_units_do_not_matter() -> None:
-    """A scene a thousand times as large, as heavy per volume and as fast has the same motion."""
-    numbers = {name: np.array([value]) for name, value in EXAMPLE.items()}
-    lengths = ("sphere.radius", "bars.diameter", "bars.incident_length", "bars.receiving_length", "striker.length")
-    larger = {name: column * (1e3 if name in lengths else 1.0) for name, column in numbers.items()}
-    small, large = refer(Scene(columns=numbers)), refer(Scene(columns=larger))
-    assert large.values["p_max"] == pytest.approx(small.values["p_max"], rel=1e-13)
-    assert large.values["contact_time"] == pytest.approx(1e3 * small.values["contact_time"], rel=1e-12)
 
 
 def test_no_answer_rather_than_a_doubtful_one() -> None:

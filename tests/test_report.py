@@ -14,9 +14,8 @@ from report_folders import est, limit, write_folder
 from uqsphere.errors import FolderError
 from uqsphere.report import build_report
 from uqsphere.report.contents import read_contents
-from uqsphere.report.page import MOST_BYTES
 from uqsphere.report.phrases import probability_text, rounded, share_text
-from uqsphere.report.tables import methods_table, paper_table
+from uqsphere.report.tables import paper_table
 from uqsphere.results.entries import Est
 
 NASTY = '<script>alert(1)</script> $x^2$ "&\x07\u202e'
@@ -86,12 +85,6 @@ def test_sections_stand_in_the_order_of_a_decision(page: str) -> None:
         "words",
     ]
     assert reader.open == []
-
-
-def test_methods_are_explained_once(standard: Path) -> None:
-    rows = {row[0]: row for row in methods_table(read_contents(standard)).rows}
-    assert len(rows) == len(methods_table(read_contents(standard)).rows)
-    assert "distribution of p_max" in rows["by hand"][2]
 
 
 def test_study_without_limits_states_its_distributions(tmp_path: Path) -> None:
@@ -183,14 +176,6 @@ def test_same_folder_gives_the_same_bytes(standard: Path, tmp_path: Path) -> Non
     assert len(first) > 5
 
 
-def test_page_stays_small_with_many_quantities_and_inputs(tmp_path: Path) -> None:
-    inputs = tuple(f"input_{k}" for k in range(20))
-    folder = write_folder(tmp_path, quantities=("y1", "y2"), inputs=inputs)
-    page = build_report(folder)
-    # as many quantities as the impact model has
-    assert 3 * page.stat().st_size < MOST_BYTES
-
-
 def test_figures_beyond_the_room_of_the_page_stay_files(
     standard: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -224,19 +209,6 @@ def test_paper_comparison_says_how_far_off_each_formula_is(tmp_path: Path) -> No
 
 def test_sources_that_were_not_seen_are_marked(page: str) -> None:
     assert "a handbook [source not seen" in Reader(page).text
-
-
-def test_seconds_come_in_the_order_of_the_rows(tmp_path: Path) -> None:
-    from uqsphere.report.contents import read_contents
-    from uqsphere.report.figures.convergence import error_series
-
-    folder = write_folder(tmp_path)
-    rows = json.loads((folder / "results.json").read_text())["speed_error"]
-    series = {(s.method, s.quantity): s for s in error_series(read_contents(folder))}
-    found = series["pick and freeze", "p_max"].points
-    assert [p[0] for p in found] == [r["evaluations"] for r in rows[3:]]
-    assert [p[1] for p in found] == pytest.approx([0.4, 0.5, 0.6])
-    assert [p[2] for p in found] == pytest.approx([r["error"] / 0.01 for r in rows[3:]])
 
 
 @pytest.mark.parametrize(

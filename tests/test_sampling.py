@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from uqsphere.uq.points import MOST_DIMENSIONS, random_generator, sobol_points
+from uqsphere.uq.points import MOST_DIMENSIONS, sobol_points
 from uqsphere.uq.sample import Sample, without
 from uqsphere.uq.tolerance import attained_confidence, largest_order, least_runs, tolerance_limits
 
@@ -64,12 +64,6 @@ def test_empty_and_refused_sizes() -> None:
         draw(1, seed=-1)
 
 
-def test_random_generator_is_keyed_alike() -> None:
-    first = random_generator(seed=1, task="a").random(3)
-    assert np.array_equal(first, random_generator(seed=1, task="a").random(3))
-    assert not np.array_equal(first, random_generator(seed=1, task="b").random(3))
-
-
 def test_points_do_not_depend_on_what_was_drawn_before() -> None:
     def part(start: int, count: int, replicate: int = 0) -> np.ndarray:
         return sobol_points(dimension=3, count=count, start=start, seed=9, task="pieces", replicate=replicate)
@@ -119,16 +113,6 @@ def test_replicates_keep_the_same_number_of_rows_that_have_an_answer() -> None:
     assert some.whole().count == 3
     assert np.array_equal(some.whole().answers[1], sample.answers[1, :3])
     assert np.array_equal(without(sample.scores, failed)[0], sample.scores[0, [0, 2, 3]])
-
-
-def test_one_replicate_is_cut_into_blocks() -> None:
-    sample = _sample(4)
-    one = sample.head(4)
-    blocks = (
-        Sample.at(one.names, one.scores[:1], one.inputs[:1]).with_answers(one.quantities, one.answers[:1]).blocks(2)
-    )
-    assert (blocks.replicates, blocks.count) == (2, 2)
-    assert np.array_equal(blocks.scores[1], sample.scores[0, 2:])
 
 
 # --- wilks' tolerance limits: binomial sums, the classical table, coverage, samples without an answer

@@ -100,21 +100,6 @@ def test_a_bad_row_does_not_touch_the_others():
     assert scene.scales.time[0] == scene.scales.time[2] == granite().scales.time[0]
 
 
-@pytest.mark.parametrize(("length", "time", "mass"), [(1e3, 1.0, 1.0), (1e3, 1e6, 1e3), (0.37, 5.1, 0.029)])
-def test_similarity_numbers_do_not_know_units(length, time, mass):
-    pressure, density = mass / (length * time**2), mass / length**3
-    factors = {"E": pressure, "density": density, "speed": length / time, "nu": 1.0}
-    factors |= {"incident_end": 1.0, "receiving_end": 1.0}  # and all others are lengths
-    columns = {k: np.array([v * factors.get(k.split(".")[1], length)]) for k, v in GRANITE.items()}
-    here, there = granite(), Scene(columns=columns)
-    for number in ("mass_number", "pulse_number"):
-        np.testing.assert_allclose(getattr(there.scales, number), getattr(here.scales, number), rtol=EXACT)
-    np.testing.assert_allclose(there.scales.force, here.scales.force * mass * length / time**2, rtol=EXACT)
-    np.testing.assert_allclose(there.scales.time, here.scales.time * time, rtol=EXACT)
-    np.testing.assert_allclose(there.round_trips, here.round_trips * time, rtol=EXACT)
-    np.testing.assert_allclose(there.record_end, here.record_end * time, rtol=EXACT)
-
-
 def test_scales_by_hand():
     scales = granite().scales
     # P_0 = Z v0/2, alpha_c = (P_0/beta)^(2/3), t_c = 2 alpha_c/v0: the stiffness at alpha_c over Z is 1/t_c

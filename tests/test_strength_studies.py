@@ -144,10 +144,6 @@ def test_inverse_questions(load: Load) -> None:
     assert quantities == ("P_max", "p_max")
 
 
-def test_new_keys_leave_the_hash_of_older_studies_alone(load: Load) -> None:
-    assert set(load(margins=MARGINS).resolved()["margins"]) == {"solve", "between", "for_probability"}
-
-
 @pytest.mark.parametrize(
     ("margins", "says"),
     [

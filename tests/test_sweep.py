@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from tests.campaigns import sweep
 from tests.campaigns.sweep import (
     ALLOWED,
-    RANGES,
     STRATA,
     against_itself,
     against_reference,
-    as_inputs,
     balances,
     design,
     table,
@@ -68,47 +64,6 @@ def test_the_sweep_finds_a_wrong_row(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 # ---- the design
-
-
-def test_design_covers_its_ranges_and_every_row_has_a_meaning() -> None:
-    plan = design(2200, 1)
-    assert all((scene.status == 0).all() for scene in plan)
-    mu = np.concatenate([scene.scales.mass_number for scene in plan])
-    theta = np.concatenate([scene.scales.pulse_number for scene in plan])
-    theta = theta[np.isfinite(theta)]
-    for values, name in ((mu, "mu"), (theta, "theta")):
-        low, high, _ = RANGES[name]
-        decades = np.histogram(np.log10(values), np.linspace(np.log10(low), np.log10(high), 6))[0]
-        assert decades.min() > 0.15 * len(values)  # five equal parts: a fifth in each
-    for name in ("sphere.E", "sphere.radius", "striker.speed", "sphere.nu"):
-        values = np.concatenate([scene.columns[name] for scene in plan])
-        low, high, log = RANGES[name]
-        share = np.log(values / low) / np.log(high / low) if log else (values - low) / (high - low)
-        assert share.min() < 0.01
-        assert share.max() > 0.99
-    ends = np.concatenate([s.columns["bars.receiving_end"] for s in plan if not s.infinite])
-    assert {-1.0, 0.0, 1.0} <= set(ends)
-    assert ((ends != -1.0) & (ends != 0.0) & (ends != 1.0)).mean() > 0.4
-    assert {scene.shape for scene in plan} == {"rectangular", "trapezoid", "half_sine", "two_peak", "step"}
-
-
-def test_same_seed_same_scenes() -> None:
-    one, two, other = design(50, 4), design(50, 4), design(50, 6)
-    assert as_inputs(one[0], 0) == as_inputs(two[0], 0)
-    assert as_inputs(one[0], 0) != as_inputs(other[0], 0)
-
-
-def test_an_undecided_row_needs_one_right_answer() -> None:
-    plan = design(6, 1, strata=STRATA[5:6], narrower=SHORT)
-    scene = plan[0]
-    found = solve(scene)
-    wrong = {name: 1.5 * value for name, value in found.values.items()}
-    both = replace(found, values=wrong, others=dict(found.values))
-    names = tuple(found.values)
-    truth = sweep._answers(found)
-    assert (sweep._errors(names, sweep._answers(both), truth, 1e-6) == 0.0).all()
-    alone = sweep._answers(replace(found, values=wrong))
-    assert (sweep._errors(("p_max",), alone, truth, 1e-6) > ALLOWED).all()
 
 
 @pytest.mark.parametrize("law", ["plastic", "damage"])

@@ -11,7 +11,7 @@ from uqsphere.mechanics.closed_form import solve_closed
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.partners import softest_partner, sphere_body
 from uqsphere.mechanics.scene import Scene
-from uqsphere.mechanics.validity import RULES, Check, check_validity, grades
+from uqsphere.mechanics.validity import RULES, Check, check_validity
 from uqsphere.mechanics.yielding import Face
 
 BASE = {
@@ -181,8 +181,3 @@ def test_an_endless_step_has_no_infinite_number():
 def test_answers_of_another_batch_are_refused():
     with pytest.raises(ValueError, match="do not belong"):
         check_validity(scene_with(), dynamics.solve(scene_with(rows=2)))
-
-
-def test_grades_of_a_falling_rule():
-    rule = next(rule for rule in RULES if rule.name == "quasi_static_sphere")
-    assert grades(rule, np.array([5.0, 3.5, 2.0, np.nan])).tolist() == [0, 2, 3, 0]
