@@ -28,10 +28,9 @@ from uqsphere.report import history_figure, xt_figure
 from uqsphere.report.contents import read_contents
 from uqsphere.report.figures.canvas import Picture, inline, render, style
 from uqsphere.report.figures.convergence import convergence_figure, speed_figure
-from uqsphere.report.figures.distributions import distribution_figure
+from uqsphere.report.figures.distributions import distribution_figure, group_figure, sensitivity_figure
 from uqsphere.report.figures.fragility import fragility_figure
 from uqsphere.report.figures.history import draw_forces, draw_gauges, force_rows, wave_forces
-from uqsphere.report.figures.indices import group_figure, sensitivity_figure
 from uqsphere.report.figures.scene import draw_field, force_band_figure
 from uqsphere.runner.deterministic import history_summary
 

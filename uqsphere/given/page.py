@@ -13,7 +13,7 @@ from uqsphere.report.blocks import Block, Chapter, Table, cell, index_cell
 from uqsphere.report.brief import Answer, Brief
 from uqsphere.report.feed import page_files, told_cautions
 from uqsphere.report.figures.canvas import BLUE, GREY, INK, Picture, new_figure, shorten, slug, style
-from uqsphere.report.figures.indices import draw_indices
+from uqsphere.report.figures.distributions import draw_indices
 from uqsphere.report.phrases import two
 from uqsphere.results.entries import Est
 

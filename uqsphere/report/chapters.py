@@ -1,52 +1,38 @@
 """The order of the page: the evidence behind the brief, then the annexes, each a function of what is stored.
 
-A new figure or table is a `Block` in the function of its chapter; a new chapter is an entry of `CHAPTERS`.
+A new figure or table is a block in the function of its chapter; a new chapter is an entry of `CHAPTERS`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Final
 
+from uqsphere.quantities import reading_units
+from uqsphere.report import drivers, tables
 from uqsphere.report.blocks import Block, Chapter, Table, cell, index_cell
-from uqsphere.report.contents import Contents
-from uqsphere.report.drivers import (
-    design_table,
-    distances_table,
-    failure_table,
-    given_failure_table,
-    index_table,
-    measure_table,
-    shapley_table,
-)
+from uqsphere.report.contents import Contents, units_of
+from uqsphere.report.figures import fragility, scene
+from uqsphere.report.figures.canvas import Picture
 from uqsphere.report.figures.convergence import convergence_figure, speed_figure
-from uqsphere.report.figures.distributions import distribution_figure
-from uqsphere.report.figures.fields import field_figure
-from uqsphere.report.figures.fragility import energy_block, family_figure, family_table, fragility_figure
+from uqsphere.report.figures.distributions import distribution_figure, field_figure, group_figure, sensitivity_figure
 from uqsphere.report.figures.history import loop_figure
-from uqsphere.report.figures.indices import group_figure, group_table, pair_table, sensitivity_figure
-from uqsphere.report.figures.limits import fitted_tests, fracture_table, interplay_figure, probability_plot, tests_table
-from uqsphere.report.figures.scene import bars_figure, force_band_figure, hardest_table, stress_inside_figure
-from uqsphere.report.margins import parts_table
-from uqsphere.report.phrases import begin, breaks, call, input_name, limit_name, symbol
-from uqsphere.report.services import carried_block
-from uqsphere.report.tables import (
-    accuracy_table,
-    answer_checks_table,
-    checks_table,
-    dependence_texts,
-    fixed_table,
-    granted_table,
-    inputs_table,
-    limits_table,
-    margins_table,
-    methods_table,
-    model_table,
-    paper_table,
-    plan_table,
-    quantity_table,
-)
+from uqsphere.report.phrases import ABSENT, begin, breaks, call, input_name, limit_name, symbol
+
+
+def _block(
+    heading: str,
+    table: Table | None = None,
+    *files: str,
+    picture: Picture | None = None,
+    kind: str = "",
+    remark: str = "",
+) -> Block:
+    """A block whose numbers are in these tables of the run."""
+    paths = tuple(f"tables/{name}.csv" for name in files)
+    remarks = (remark,) if remark else ()
+    return Block(heading=heading, picture=picture, table=table, remarks=remarks, files=paths, kind=kind)
 
 
 def of_limits(contents: Contents) -> list[str]:
@@ -58,8 +44,7 @@ def of_limits(contents: Contents) -> list[str]:
 def _twin(contents: Contents, name: str) -> str:
     """An earlier limit whose curve over the free scalar is the same; empty where there is none."""
     margins = contents.results.margins
-    earlier = list(margins)[: list(margins).index(name)]
-    own = margins[name]
+    own, earlier = margins[name], list(margins)[: list(margins).index(name)]
     same = (n for n in earlier if margins[n].solve == own.solve and margins[n].curve == own.curve)
     return next((n for n in same if margins[n].values.keys() == own.values.keys() and own.curve), "")
 
@@ -67,307 +52,244 @@ def _twin(contents: Contents, name: str) -> str:
 # --- the evidence: what stands open behind the brief ------------------------------------------------------
 
 
-def evidence_chapter(contents: Contents) -> Chapter:
+def evidence_blocks(contents: Contents) -> Iterator[Block]:
     """Curves, tests and drivers as figures; then values, assumptions, limits and broken checks as tables."""
-    asked = of_limits(contents) or list(contents.results.sensitivity)
-    blocks = [
-        *_curves(contents),
-        *_tests(contents),
-        *(
-            Block(
-                heading=f"What drives {symbol(name)}",
-                picture=sensitivity_figure(contents, name),
-                files=("tables/sensitivity.csv",),
-            )
-            for name in asked[:2]
-        ),
-        Block(heading="Force over time", picture=force_band_figure(contents), files=("tables/courses.csv",)),
-        Block(heading="What is assumed of the strength", table=granted_table(contents)),
-        carried_block(contents),
-    ]
+    yield from _curves(contents)
+    yield from _tests(contents)
+    for name in (of_limits(contents) or list(contents.results.sensitivity))[:2]:
+        yield _block(f"What drives {symbol(name)}", None, "sensitivity", picture=sensitivity_figure(contents, name))
+    yield _block("Force over time", None, "courses", picture=scene.force_band_figure(contents))
+    yield _block("What is assumed of the strength", tables.granted_table(contents))
+    yield carried_block(contents)
     if contents.results.limits:
-        blocks.append(Block(heading="Limits", table=limits_table(contents), files=("tables/limits.csv",)))
-    broken = checks_table(contents, broken=True)
-    blocks.append(Block(heading="Checks of the model that are broken", table=broken, kind="checks notes"))
-    return Chapter(anchor="evidence", heading="Evidence", blocks=tuple(blocks))
+        yield _block("Limits", tables.limits_table(contents), "limits")
+    broken = tables.checks_table(contents, broken=True)
+    yield _block("Checks of the model that are broken", broken, kind="checks notes")
 
 
-def _curves(contents: Contents, *, fracture: bool = True) -> list[Block]:
+def _curves(contents: Contents, *, fracture: bool = True) -> Iterator[Block]:
     """Share broken over the free scalar with the values asked for; without one, load against strength.
 
     With `fracture` off those of limits that break nothing, such as yield of the bars.
     """
-    results, blocks = contents.results, list[Block]()
-    shown = [name for name in results.margins if (not results.fracture or breaks(results, name)) is fracture]
-    for name in shown:
+    results = contents.results
+    for name, margin in results.margins.items():
+        if (not results.fracture or breaks(results, name)) is not fracture:
+            continue
         twin = _twin(contents, name)
-        blocks.append(
-            Block(
-                heading=f"Share {'broken by' if fracture else 'over'} {limit_name(name)}",
-                picture=fragility_figure(contents, name),
-                table=margins_table(contents, name, only_own=bool(twin)),
-                files=("tables/margins.csv", "tables/fragility.csv"),
-            )
-        )
-        if contents.results.margins[name].family and not twin:
-            heading = f"{limit_name(name)} over {input_name(contents.results.margins[name].family.path)}"
-            blocks.append(Block(heading=heading, picture=family_figure(contents, name)))
-    if results.margins or not fracture:
-        return blocks
-    quantities = (of_limits(contents) or list(results.quantities))[:3]
-    return [Block(heading=begin(name, call(name)), picture=distribution_figure(contents, name)) for name in quantities]
+        heading = f"Share {'broken by' if fracture else 'over'} {limit_name(name)}"
+        table = tables.margins_table(contents, name, only_own=bool(twin))
+        picture = fragility.fragility_figure(contents, name)
+        yield _block(heading, table, "margins", "fragility", picture=picture)
+        if margin.family and not twin:
+            heading = f"{limit_name(name)} over {input_name(margin.family.path)}"
+            yield _block(heading, picture=fragility.family_figure(contents, name))
+    if fracture and not results.margins:
+        for name in _drawn(contents):
+            yield _block(begin(name, call(name)), picture=distribution_figure(contents, name))
 
 
-def _tests(contents: Contents) -> list[Block]:
+def _drawn(contents: Contents) -> list[str]:
+    """Quantities whose distributions stand among the evidence."""
+    return [] if contents.results.margins else (of_limits(contents) or list(contents.results.quantities))[:3]
+
+
+def _tests(contents: Contents) -> Iterator[Block]:
     """The tests behind the strengths, each series once, with what they measured and whether they are made up."""
-    blocks = []
     seen: list[tuple[object, str]] = []
     for name, limit in contents.results.limits.items():
         own = f"limits.{name}.strength"
-        known, key = fitted_tests(contents, name), (contents.resolved.random.get(own), limit.quantity)
+        known, key = fragility.fitted_tests(contents, name), (contents.resolved.random.get(own), limit.quantity)
         if known is None or key in seen:
             continue
         seen.append(key)
         told = contents.tests.get(own, f"{known.fit.tests} tests")
         remark = f"{told}{', made up' if own in contents.resolved.made_up else ''}."
-        heading = f"Tests behind {limit_name(name)}"
-        blocks.append(Block(heading=heading, picture=probability_plot(known), remarks=(remark,)))
-    return blocks
+        yield _block(f"Tests behind {limit_name(name)}", picture=fragility.probability_plot(known), remark=remark)
+
+
+def carried_block(contents: Contents) -> Block:
+    """What strengths measured elsewhere answer by each carrier; empty where there are none."""
+    rows = []
+    for name, limit in contents.results.limits.items():
+        carried = limit.carried
+        if not carried:
+            continue
+        subject = contents.subject(carried.solve)
+        cells = [cell(entry, subject, probability=not carried.solve) for entry in carried.by_carrier().values()]
+        what = input_name(carried.solve) if carried.solve else "probability of missing the aim"
+        rows.append((limit_name(name), what, *cells, carried.safe(limit.aim) or ABSENT))
+    header = ("limit", "what", "by force", "by energy", "by centre", "safe end")
+    caption = "Answers by what carries the strength from its test: force, energy in the sphere, tension at its centre"
+    return _block("Carried from the tests", Table(caption=caption, header=header, rows=tuple(rows)) if rows else None)
 
 
 # --- the annexes ------------------------------------------------------------------------------------------
 
 
-def fracture_chapter(contents: Contents) -> Chapter:
+def inputs_blocks(contents: Contents) -> Iterator[Block]:
+    """Inputs with their laws and sources."""
+    table = tables.inputs_table(contents) if contents.results.inputs else None
+    random = _block("Random inputs", table, "inputs", kind="notes")
+    yield replace(random, remarks=tuple(tables.dependence_texts(contents)))
+    yield _block("Fixed numbers", tables.fixed_table(contents), kind="notes")
+
+
+def fracture_blocks(contents: Contents) -> Iterator[Block]:
     """Fracture by any limit, and what margins are made of."""
     results = contents.results
-    blocks = [
-        Block(
-            heading="Fracture by any limit",
-            picture=interplay_figure(contents) if results.fracture else None,
-            table=fracture_table(contents) if results.fracture else None,
-            files=("tables/fracture.csv",),
-        ),
-        *_curves(contents, fracture=False),
-        *(block for name in results.margins for block in energy_block(contents, name)),
-    ]
+    picture = fragility.interplay_figure(contents) if results.fracture else None
+    yield _block("Fracture by any limit", fragility.fracture_table(contents), "fracture", picture=picture)
+    yield from _curves(contents, fracture=False)
     for name in results.margins:
-        if results.margins[name].family and not _twin(contents, name):
-            blocks.append(Block(heading=f"Family of {limit_name(name)}", table=family_table(contents, name)))
-        heading = f"What the margin of {limit_name(name)} is made of"
-        blocks.append(Block(heading=heading, table=parts_table(contents, name)))
+        yield from fragility.energy_block(contents, name)
+    for name, margin in results.margins.items():
+        if margin.family and not _twin(contents, name):
+            yield _block(f"Family of {limit_name(name)}", fragility.family_table(contents, name))
+        yield _block(f"What the margin of {limit_name(name)} is made of", tables.parts_table(contents, name))
     for name in results.limits:
-        blocks.append(Block(heading=f"Likeliest miss of {limit_name(name)}", table=design_table(contents, name)))
-        heading = f"Inputs where {limit_name(name)} is missed"
-        table = given_failure_table(contents, name)
-        blocks.append(Block(heading=heading, table=table, files=("tables/drivers.csv",)))
-        known = fitted_tests(contents, name)
-        fit = None if known is None else tests_table(known)
-        blocks.append(Block(heading=f"Law fitted to the tests of {limit_name(name)}", table=fit))
-    return Chapter(anchor="fracture", heading="Fracture and margins", blocks=tuple(blocks))
+        yield _block(f"Likeliest miss of {limit_name(name)}", drivers.design_table(contents, name))
+        table = drivers.given_failure_table(contents, name)
+        yield _block(f"Inputs where {limit_name(name)} is missed", table, "drivers")
+        known = fragility.fitted_tests(contents, name)
+        fit = None if known is None else fragility.tests_table(known)
+        yield _block(f"Law fitted to the tests of {limit_name(name)}", fit)
 
 
-def quantities_chapter(contents: Contents) -> Chapter:
+def quantities_blocks(contents: Contents) -> Iterator[Block]:
     """How every quantity is distributed."""
-    drawn = [] if contents.results.margins else (of_limits(contents) or list(contents.results.quantities))[:3]
-    blocks = [
-        Block(
-            heading=begin(name, call(name)),
-            picture=None if name in drawn else distribution_figure(contents, name),
-            table=quantity_table(contents, name),
-            files=("tables/quantities.csv",),
-        )
-        for name in contents.results.quantities
-    ]
-    return Chapter(anchor="quantities", heading="Quantities", blocks=tuple(blocks))
+    for name in contents.results.quantities:
+        picture = None if name in _drawn(contents) else distribution_figure(contents, name)
+        yield _block(begin(name, call(name)), tables.quantity_table(contents, name), "quantities", picture=picture)
 
 
-def drivers_chapter(contents: Contents) -> Chapter:
-    """Indices of failure and of every quantity, in all kinds."""
-    blocks = []
-    for name, limit in contents.results.limits.items():
-        table = failure_table(contents, name) if limit.drivers else None
-        blocks.append(Block(heading=f"Missing {limit_name(name)}", table=table, files=("tables/drivers.csv",)))
-    asked = of_limits(contents) or list(contents.results.sensitivity)
-    for name in contents.results.sensitivity:
-        blocks += [
-            Block(
-                heading=f"Indices of {symbol(name)}",
-                picture=None if name in asked[:2] else sensitivity_figure(contents, name),
-                table=index_table(contents, name) or shapley_table(contents, name),
-                files=("tables/sensitivity.csv",),
-            ),
-            Block(
-                heading=f"{symbol(name)}: pairs of inputs",
-                table=pair_table(contents, name),
-                files=("tables/sensitivity.csv",),
-            ),
-            Block(
-                heading=f"{symbol(name)}: groups of inputs",
-                picture=group_figure(contents, name),
-                table=group_table(contents, name),
-                files=("tables/sensitivity.csv",),
-            ),
-            Block(
-                heading=f"{symbol(name)} beyond its variance",
-                table=distances_table(contents, name),
-                files=("tables/drivers.csv",),
-            ),
-        ]
-    blocks += _measured(contents)
-    return Chapter(anchor="drivers", heading="What drives it, what to measure", blocks=tuple(blocks))
-
-
-def _measured(contents: Contents) -> list[Block]:
-    """What better known inputs are worth, for every limit and every quantity."""
+def drivers_blocks(contents: Contents) -> Iterator[Block]:
+    """Indices of failure and of every quantity in all kinds, and what better known inputs are worth."""
     results = contents.results
+    for name in results.limits:
+        yield _block(f"Missing {limit_name(name)}", drivers.failure_table(contents, name), "drivers")
+    shown = (of_limits(contents) or list(results.sensitivity))[:2]
+    for name in results.sensitivity:
+        words, picture = symbol(name), None if name in shown else sensitivity_figure(contents, name)
+        yield _block(f"Indices of {words}", drivers.index_table(contents, name), "sensitivity", picture=picture)
+        yield _block(f"{words}: pairs of inputs", drivers.pair_table(contents, name), "sensitivity")
+        table, picture = drivers.group_table(contents, name), group_figure(contents, name)
+        yield _block(f"{words}: groups of inputs", table, "sensitivity", picture=picture)
+        yield _block(f"{words} beyond its variance", drivers.distances_table(contents, name), "drivers")
     asked = {limit_name(name): entry.measure_first for name, entry in results.limits.items()}
     asked |= {symbol(name): entry.measure_first for name, entry in results.sensitivity.items()}
-    return [
-        Block(
-            heading=f"What to measure first for {words}",
-            table=measure_table(entry, f"What better known inputs are worth, {words}"),
-            files=("tables/drivers.csv",),
-        )
-        for words, entry in asked.items()
-    ]
+    for words, entry in asked.items():
+        table = drivers.measure_table(entry, f"What better known inputs are worth, {words}")
+        yield _block(f"What to measure first for {words}", table, "drivers")
 
 
-def screening_chapter(contents: Contents) -> Chapter:
+def screening_blocks(contents: Contents) -> Iterator[Block]:
     """Effects of one input at a time, those that move a quantity furthest first, and a model's own scatter."""
-    entry, blocks = contents.results.analyses.get("morris"), []
-    own = contents.results.analyses.get("replicates")
+    entry, own = (contents.results.analyses.get(name) for name in ("morris", "replicates"))
     for quantity, split in own.values.items() if own else ():
-        shown = Table(
-            caption=f"Scatter of {symbol(quantity)} where a row is evaluated again, and by its inputs, 95 % intervals",
-            header=("of", "estimate"),
-            rows=tuple(
-                (of, cell(one, "" if of.startswith("share") else quantity))
-                for row in split.values()
-                for of, one in row.items()
-            ),
-        )
-        heading = f"What the model itself adds to {symbol(quantity)}"
-        blocks.append(Block(heading=heading, table=shown, files=("tables/analyses.csv",)))
-    for quantity, table in entry.values.items() if entry else ():
-        names = sorted(table, key=lambda name: -(table[name]["mean absolute effect"].value or 0.0))
-        columns = tuple(table[names[0]])
-        rows = tuple((input_name(n), *(cell(table[n][column], quantity) for column in columns)) for n in names)
+        caption = f"Scatter of {symbol(quantity)} where a row is evaluated again, and by its inputs, 95 % intervals"
+        parts = [part for row in split.values() for part in row.items()]
+        rows = tuple((of, cell(one, "" if of.startswith("share") else quantity)) for of, one in parts)
+        table = Table(caption=caption, header=("of", "estimate"), rows=rows)
+        yield _block(f"What the model itself adds to {symbol(quantity)}", table, "analyses")
+    for quantity, found in entry.values.items() if entry else ():
+        names = sorted(found, key=lambda name: -(found[name]["mean absolute effect"].value or 0.0))
+        columns = tuple(found[names[0]])
+        lines = tuple((input_name(n), *(cell(found[n][column], quantity) for column in columns)) for n in names)
         caption = f"Change of {symbol(quantity)} as one input crosses half of its law (Morris), with 95 % intervals"
-        shown = Table(caption=caption, header=("input", *columns), rows=rows)
-        blocks.append(Block(heading=f"Screening of {symbol(quantity)}", table=shown, files=("tables/analyses.csv",)))
+        table = Table(caption=caption, header=("input", *columns), rows=lines)
+        yield _block(f"Screening of {symbol(quantity)}", table, "analyses")
     if entry and entry.reason:
-        blocks.append(Block(heading="Screening", remarks=(f"No input was screened: {entry.reason}.",)))
-    return Chapter(anchor="screening", heading="One input at a time", blocks=tuple(blocks))
+        yield _block("Screening", remark=f"No input was screened: {entry.reason}.")
 
 
-def fields_chapter(contents: Contents) -> Chapter:
+def fields_blocks(contents: Contents) -> Iterator[Block]:
     """Answers that are vectors: their bands, indices over places, and indices of all places together."""
-    entry, blocks = contents.results.analyses.get("fields"), []
-    over_time = contents.courses is not None
-    values = entry.values if entry else {}
+    entry = contents.results.analyses.get("fields")
     for name, stored in contents.fields.items():
-        rows = sorted(values.get(name, {}).items(), key=lambda item: -(item[1]["aggregated total"].value or 0.0))
-        cells = tuple((input_name(n), *(index_cell(est) for est in columns.values())) for n, columns in rows)
+        found = (entry.values if entry else {}).get(name, {})
+        names = sorted(found, key=lambda n: -(found[n]["aggregated total"].value or 0.0))
+        rows = tuple((input_name(n), *map(index_cell, found[n].values())) for n in names)
         answer = stored.answer
         note = (
             f"{answer.components} principal components from {len(answer.rows)} rows leave {answer.truncated:.2g} of "
             f"the variance, with their expansions {answer.error:.2g}; the intervals hold both."
         )
         caption = f"Share of the variance of {name} over all its places, with 95 % intervals"
-        table = Table(caption=caption, header=("input", "alone", "with interactions"), rows=cells, note=note)
-        blocks.append(Block(heading=f"{name} as a whole", picture=field_figure(name, stored, over_time=over_time),
-                            table=table if cells else None, remarks=() if cells else (note,),
-                            files=("fields.nc", "tables/fields.csv")))  # fmt: skip
+        table = Table(caption=caption, header=("input", "alone", "with interactions"), rows=rows, note=note)
+        picture = field_figure(name, stored, over_time=contents.courses is not None)
+        block = _block(f"{name} as a whole", table if rows else None, picture=picture, remark="" if rows else note)
+        yield replace(block, files=("fields.nc", "tables/fields.csv"))
     if entry and entry.reason:
-        blocks.append(Block(heading="Fields", remarks=(f"No field is answered: {entry.reason}.",)))
-    return Chapter(anchor="fields", heading="Answers over time or place", blocks=tuple(blocks))
+        yield _block("Fields", remark=f"No field is answered: {entry.reason}.")
 
 
-def scene_chapter(contents: Contents) -> Chapter:
+def scene_blocks(contents: Contents) -> Iterator[Block]:
     """The row that is loaded hardest: its inputs, its bars, the stress inside its sphere."""
-    blocks = (
-        Block(heading="Inputs of the row that is loaded hardest", table=hardest_table(contents)),
-        Block(heading="How its contact yields", picture=loop_figure(contents)),
-        Block(heading="Stress in its bars", picture=bars_figure(contents)),
-        Block(heading="Stress inside its sphere", picture=stress_inside_figure(contents)),
-    )
-    return Chapter(anchor="scene", heading="The row that is loaded hardest", blocks=blocks)
+    yield _block("Inputs of the row that is loaded hardest", scene.hardest_table(contents))
+    yield _block("How its contact yields", picture=loop_figure(contents))
+    yield _block("Stress in its bars", picture=scene.bars_figure(contents))
+    yield _block("Stress inside its sphere", picture=scene.stress_inside_figure(contents))
 
 
-def computed_chapter(contents: Contents) -> Chapter:
+def computed_blocks(contents: Contents) -> Iterator[Block]:
     """Validity, the model that was chosen, and what of the accuracy asked for was reached."""
-    blocks = [
-        Block(
-            heading="Checks of the model",
-            table=checks_table(contents) if contents.results.validity else None,
-            kind="checks notes",
-            files=("tables/validity.csv",),
-        ),
-        *(
-            Block(
-                heading=f"Checks at the answer for {limit_name(name)}",
-                table=answer_checks_table(contents, name),
-                kind="checks notes",
-            )
-            for name in contents.results.margins
-        ),
-        Block(
-            heading="The paper’s formulas as printed, and corrected",
-            table=paper_table(contents),
-            kind="notes",
-            files=("tables/paper.csv",),
-        ),
-        Block(heading=f"Model chosen: {contents.results.model.chosen}", table=model_table(contents)),
-        Block(heading="Accuracy asked and reached", table=accuracy_table(contents), kind="brief"),
-        Block(heading="Plan and account", table=plan_table(contents), kind="notes"),
-        Block(heading="Methods", table=methods_table(contents), kind="notes"),
-        Block(
-            heading="Error against evaluations", picture=convergence_figure(contents), files=("tables/speed_error.csv",)
-        ),
-        Block(
-            heading="Speed against error of each method",
-            picture=speed_figure(contents),
-            files=("tables/speed_error.csv", "manifest.json"),
-        ),
-    ]
-    return Chapter(anchor="computed", heading="How it was computed", blocks=tuple(blocks))
+    yield _block("Checks of the model", tables.checks_table(contents), "validity", kind="checks notes")
+    for name in contents.results.margins:
+        table = tables.answer_checks_table(contents, name)
+        yield _block(f"Checks at the answer for {limit_name(name)}", table, kind="checks notes")
+    words = "The paper’s formulas as printed, and corrected"
+    yield _block(words, tables.paper_table(contents), "paper", kind="notes")
+    yield _block(f"Model chosen: {contents.results.model.chosen}", tables.model_table(contents))
+    yield _block("Accuracy asked and reached", tables.accuracy_table(contents), kind="brief")
+    yield _block("Plan and account", tables.plan_table(contents), kind="notes")
+    yield _block("Methods", tables.methods_table(contents), kind="notes")
+    yield _block("Error against evaluations", None, "speed_error", picture=convergence_figure(contents))
+    picture, files = speed_figure(contents), ("tables/speed_error.csv", "manifest.json")
+    yield Block(heading="Speed against error of each method", picture=picture, files=files)
 
 
-def inputs_chapter(contents: Contents) -> Chapter:
-    """Inputs with their laws and sources."""
-    blocks = (
-        Block(
-            heading="Random inputs",
-            table=inputs_table(contents) if contents.results.inputs else None,
-            remarks=tuple(dependence_texts(contents)),
-            kind="notes",
-            files=("tables/inputs.csv",),
-        ),
-        Block(heading="Fixed numbers", table=fixed_table(contents), kind="notes"),
-    )
-    return Chapter(anchor="inputs", heading="Inputs and their sources", blocks=blocks)
-
-
-#: the page from top to bottom, behind the brief
-CHAPTERS: Final[tuple[Callable[[Contents], Chapter], ...]] = (
-    evidence_chapter,
-    inputs_chapter,
-    fracture_chapter,
-    quantities_chapter,
-    drivers_chapter,
-    screening_chapter,
-    fields_chapter,
-    scene_chapter,
-    computed_chapter,
+#: the page from top to bottom, behind the brief: anchor, heading and blocks; all but the first are annexes
+CHAPTERS: Final[tuple[tuple[str, str, Callable[[Contents], Iterator[Block]]], ...]] = (
+    ("evidence", "Evidence", evidence_blocks),
+    ("inputs", "Inputs and their sources", inputs_blocks),
+    ("fracture", "Fracture and margins", fracture_blocks),
+    ("quantities", "Quantities", quantities_blocks),
+    ("drivers", "What drives it, what to measure", drivers_blocks),
+    ("screening", "One input at a time", screening_blocks),
+    ("fields", "Answers over time or place", fields_blocks),
+    ("scene", "The row that is loaded hardest", scene_blocks),
+    ("computed", "How it was computed", computed_blocks),
 )
 
 
 def build_chapters(contents: Contents) -> list[Chapter]:
     """The chapters that have something to say, in the order of the page."""
     found = []
-    for build in CHAPTERS:
-        chapter = build(contents)
-        if any(not block.empty for block in chapter.blocks):
-            found.append(replace(chapter, annex=build is not evidence_chapter))
+    for anchor, heading, blocks in CHAPTERS:
+        made = tuple(block for block in blocks(contents) if not block.empty)
+        if made:
+            found.append(Chapter(anchor=anchor, heading=heading, blocks=made, annex=anchor != "evidence"))
     return found
+
+
+def service_chapters(contents: Contents) -> list[Chapter]:
+    """A chapter for every service: its answers, its checks, and where its own page is."""
+    chapters = []
+    for name, own in contents.services.items():
+        with reading_units(units_of(own.results, courses=own.courses)):
+            blocks = [
+                _block(
+                    f"Share broken by {limit_name(limit)}",
+                    tables.margins_table(own, limit),
+                    picture=fragility.fragility_figure(own, limit),
+                )
+                for limit in own.results.margins
+            ]
+            blocks += [_block(f"Limits of {name}", tables.limits_table(own)), carried_block(own)]
+            broken = tables.checks_table(own, broken=True)
+            blocks.append(_block(f"Checks that are broken in {name}", broken, kind="checks notes"))
+        remark = f"Its own page, with figures and drivers: services/{name}/report.html."
+        heading = f"Service {name}"
+        chapters.append(Chapter(anchor=f"service-{name}", heading=heading, blocks=tuple(blocks), remark=remark))
+    return chapters

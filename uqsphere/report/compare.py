@@ -14,32 +14,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
 from pydantic import Field
 
 from uqsphere.console import plain, screen_width, table, wrap, writable
 from uqsphere.quantities import display_unit, lookup, reading_units, unit_that_reads
-from uqsphere.report.blocks import Block, Table
+from uqsphere.report.blocks import Block, Table, thousands
 from uqsphere.report.cautions import assumption
-from uqsphere.report.contents import read_contents
-from uqsphere.report.figures.canvas import Picture, inline, render, shorten
-from uqsphere.report.figures.compare import Change, fragility_picture, moved_picture
+from uqsphere.report.contents import Contents, read_contents
+from uqsphere.report.figures import canvas
+from uqsphere.report.figures.canvas import BLUE, INK, PAPER, Picture, mark, shorten
 from uqsphere.report.page import margin_boxes, new_environment
 from uqsphere.report.phrases import (
     ABSENT,
-    NONE,
-    PERHAPS,
-    SAME,
-    SURE,
-    UNKNOWN,
     begin,
     call,
     estimate_text,
+    input_name,
     limit_name,
     loud,
     number_text,
@@ -47,12 +43,58 @@ from uqsphere.report.phrases import (
     rounded,
     symbol,
 )
-from uqsphere.results import LimitEntry, Results
+from uqsphere.results import Results
 from uqsphere.results.entries import Entry, Est, Manifest, Resolved, read_resolved
 from uqsphere.store import write_outputs
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 _LEVEL: Final = 0.05
 _SCORE: Final = 1.959963984540054
+#: what is said of an answer in two runs: it moved, perhaps, not to be seen, the same in every bit, not known
+SURE, PERHAPS, NONE, SAME, UNKNOWN = "changed", "perhaps", "not seen", "the same", "not known"
+
+
+class Change(Entry):
+    """One answer of two runs: `section` and `name` say which.
+
+    `difference` is after minus before in SI, with its 95 % interval `low`, `high`; `relative` is it over the
+    value before; `significance` the two-sided probability of so large a difference by chance.  `subject` is the name
+    whose unit it has, empty for a plain number; `chance` says that it is read as a probability.
+    """
+
+    section: str
+    name: str
+    statistic: str
+    unit: str = ""
+    before: Est
+    after: Est = Est()
+    difference: float | None = None
+    low: float | None = None
+    high: float | None = None
+    relative: float | None = None
+    significance: float | None = None
+    verdict: str = ""
+    subject: str = Field(default="", exclude=True)
+    chance: bool = Field(default=False, exclude=True)
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """Which answer it is."""
+        return self.name, self.section, self.statistic
+
+    def told(self, say: Callable[[Est, str], str] = estimate_text) -> tuple[str, str, str, str]:
+        """Before, after, difference with its interval, and that in per cent of what was; signs for what is not."""
+        before, after = (
+            probability_text(side) if self.chance and say is estimate_text else say(side, self.subject)
+            for side in (self.before, self.after)
+        )
+        difference = estimate_text(Est.of(self.difference, self.low, self.high), self.subject)
+        difference = "none" if self.difference == 0.0 else difference
+        if self.relative is None or self.section == "sensitivity":
+            return before, after, difference, ABSENT
+        return before, after, difference, number_text(f"{100.0 * self.relative:+.3g}") + " %"
 
 
 class Cause(Entry):
@@ -151,116 +193,72 @@ def judge_together(significances: list[float | None]) -> list[str]:
 # --- answers ------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Answer:
-    """An answer of a run, as `Change` has it of two."""
-
-    section: str
-    name: str
-    statistic: str
-    unit: str = ""
-    subject: str = ""
-    chance: bool = False
-    estimate: Est
-
-    @property
-    def key(self) -> tuple[str, str, str]:
-        return self.name, self.section, self.statistic
-
-
-def _limit_answers(name: str, limit: LimitEntry) -> Iterator[_Answer]:
-    """Probabilities and margins of one limit."""
-    own = partial(_Answer, section="limits", name=f"limits.{name}")
+def _answers(results: Results) -> Iterator[Change]:
+    """Every answer of a run, as what was before."""
     missing = "probability of missing the aim"
-    yield own(statistic=missing, chance=True, estimate=limit.miss)
-    for row in limit.assumed:
-        yield own(statistic=f"{missing} {assumption(row)}", chance=True, estimate=row.miss)
-    if limit.aim == "break":  # else it is the same number
-        yield own(statistic="probability of exceeding the strength", estimate=limit.exceedance)
-    for key, estimate in limit.margin.items():
-        words = "median" if key == "median" else f"{100 * float(key):g} %"
-        yield own(statistic=f"strength over demand, {words}", estimate=estimate)
-
-
-def _answers(results: Results) -> Iterator[_Answer]:
-    """Every answer of a run."""
     for name, limit in results.limits.items():
-        yield from _limit_answers(name, limit)
+        own = partial(Change, section="limits", name=f"limits.{name}")
+        yield own(statistic=missing, chance=True, before=limit.miss)
+        for row in limit.assumed:
+            yield own(statistic=f"{missing} {assumption(row)}", chance=True, before=row.miss)
+        if limit.aim == "break":  # else it is the same number
+            yield own(statistic="probability of exceeding the strength", before=limit.exceedance)
+        for key, estimate in limit.margin.items():
+            words = "median" if key == "median" else f"{100 * float(key):g} %"
+            yield own(statistic=f"strength over demand, {words}", before=estimate)
     for name, entry in results.quantities.items():
-        own = partial(_Answer, section="quantities", name=name)
+        own = partial(Change, section="quantities", name=name)
         united = partial(own, unit=entry.unit, subject=name if entry.unit else "")
-        yield united(statistic="mean", estimate=entry.mean)
-        yield united(statistic="standard deviation", estimate=entry.sd)
+        yield united(statistic="mean", before=entry.mean)
+        yield united(statistic="standard deviation", before=entry.sd)
         for p, estimate in entry.quantiles.items():
-            yield united(statistic=f"{100.0 * float(p):.12g} % quantile", estimate=estimate)
-        yield own(statistic="censored share", chance=True, estimate=entry.censored_share)
+            yield united(statistic=f"{100.0 * float(p):.12g} % quantile", before=estimate)
+        yield own(statistic="censored share", chance=True, before=entry.censored_share)
     for name, margin in results.margins.items():
-        own = partial(_Answer, section="margins", name=f"limits.{name}", unit=margin.unit)
+        subject = margin.solve if margin.unit else ""
+        own = partial(Change, section="margins", name=f"limits.{name}", unit=margin.unit, subject=subject)
         for p, estimate in margin.values.items():
-            words = f"{margin.solve} at {100.0 * float(p):.12g} % exceedance"
-            yield own(statistic=words, subject=margin.solve if margin.unit else "", estimate=estimate)
+            yield own(statistic=f"{margin.solve} at {100.0 * float(p):.12g} % exceedance", before=estimate)
     for name, indices in results.sensitivity.items():
         kinds = {"first index": indices.first, "total index": indices.total}
         for kind, found in ({"Shapley effect": indices.shapley} if indices.shapley else kinds).items():
             for variable, estimate in found.items():
-                yield _Answer(section="sensitivity", name=name, statistic=f"{kind} of {variable}", estimate=estimate)
+                yield Change(section="sensitivity", name=name, statistic=f"{kind} of {variable}", before=estimate)
 
 
-def _triple(estimate: Est) -> tuple[float, float, float] | None:
-    """Value and interval as numbers; an estimate without interval is exact only if it says so."""
-    value, low, high = estimate.value, estimate.low, estimate.high
-    return None if value is None or low is None or high is None else (float(value), float(low), float(high))
-
-
-def _difference_of(before: Est, after: Est) -> tuple[float, float, float, float | None, float | None] | None:
-    """Difference, low, high, relative difference and significance; None where one of the two is not known."""
-    a, b = _triple(before), _triple(after)
-    if a is None or b is None:
-        return None
-    difference, low, high, significance = difference_interval(a, b)
-    relative = difference / abs(a[0]) if a[0] else None
+def _difference(before: Est, after: Est) -> dict[str, Any]:
+    """Difference, low, high, relative difference and significance; empty where one of the two is not known."""
+    a, b = ((side.value, side.low, side.high) for side in (before, after))
+    if None in a or None in b:
+        return {}
+    difference, low, high, significance = difference_interval(a, b)  # type: ignore[arg-type]
+    found: dict[str, Any] = {"difference": difference, "low": low, "high": high}
+    relative = difference / abs(before.number) if before.value else math.inf
+    found["relative"] = relative if math.isfinite(relative) else None
     # two exact answers that agree are no evidence of anything
-    told = None if low == high == 0.0 else significance
-    return difference, low, high, relative if relative is None or math.isfinite(relative) else None, told
+    return found | {"significance": None if low == high == 0.0 else significance}
 
 
-def _changes(before: Results, after: Results) -> tuple[list[Change], list[str], list[str]]:
+def _changes(before: Results, after: Results) -> tuple[list[Change], list[tuple[str, ...]]]:
     """Answers that both runs have, and the names of those that one has alone."""
-    sides = [{answer.key: answer for answer in _answers(results)} for results in (before, after)]
-    first, second = sides
-    pairs = [(a, second[key]) for key, a in first.items() if key in second and second[key].unit == a.unit]
-    found = [_difference_of(a.estimate, b.estimate) or (None,) * 5 for a, b in pairs]
+    first, second = ({answer.key: answer for answer in _answers(results)} for results in (before, after))
+    shared = [key for key, a in first.items() if key in second and second[key].unit == a.unit]
+    found = [_difference(first[key].before, second[key].before) for key in shared]
+    verdicts = judge_together([told.get("significance") for told in found])
     changes = []
-    verdicts = judge_together([significance for *_, significance in found])
-    for (a, b), told, verdict in zip(pairs, found, verdicts, strict=True):
-        difference, low, high, relative, significance = told
-        changes.append(
-            Change(
-                section=a.section,
-                name=a.name,
-                statistic=a.statistic,
-                unit=a.unit,
-                before=a.estimate,
-                after=b.estimate,
-                difference=difference,
-                low=low,
-                high=high,
-                relative=relative,
-                significance=significance,
-                verdict=SAME if difference == 0.0 and significance is None else verdict,
-                subject=a.subject,
-                chance=a.chance,
-            )
-        )
-    shared = {(c.name, c.section, c.statistic) for c in changes}
-    lone = [[f"{key[0]}: {key[2]}" for key in side if key not in shared] for side in sides]
-    return changes, lone[0], lone[1]
+    for key, told, verdict in zip(shared, found, verdicts, strict=True):
+        same = told.get("difference") == 0.0 and told["significance"] is None
+        more = {**told, "after": second[key].before, "verdict": SAME if same else verdict}
+        changes.append(first[key].model_copy(update=more))
+    alone = [tuple(f"{key[0]}: {key[2]}" for key in side if key not in shared) for side in (first, second)]
+    return changes, alone
 
 
 # --- what was changed -----------------------------------------------------------------------------------
 
 #: parts of study.resolved.json that say how a run is looked at, not what is asked
 _APART: Final = ("hash", "title", "written_by", "order", "sources", "overrides", "model_reference", "model_digest")
+_ABSENT: Final = object()
 
 
 def _flat(node: Any, place: str = "") -> Iterator[tuple[str, Any]]:
@@ -293,44 +291,26 @@ def _causes(before: Resolved, after: Resolved) -> list[Cause]:
     return found
 
 
-_ABSENT: Final = object()
-
-
 def _said(value: Any, name: str) -> str:
     """A number, a law or an option in words."""
     if value is _ABSENT:
         return "absent"
-    unit, factor = _unit_of(name)
     if isinstance(value, Mapping) and "dist" in value:
-        shown = value["given"] or value["parameters"]
-        parts = [f"{key} {number:.6g}" for key, number in shown.items()]
+        parts = [f"{key} {number:.6g}" for key, number in (value["given"] or value["parameters"]).items()]
         parts += [f"{key} {value[key]:.6g}" for key in ("lower", "upper") if value[key] is not None]
-        if value["data"]:
-            parts.append(f"{len(value['data'])} observations")
+        parts += [f"{len(value['data'])} observations"] if value["data"] else []
         base = lookup(name).unit
         return f"{value['dist']}: {', '.join(parts)}" + (f" ({base})" if base else "")
+    if isinstance(value, (list, dict)):
+        return ", ".join(map(str, value))
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return (
-            {True: "yes", False: "no", None: "none"}.get(value, str(value))
-            if not isinstance(value, (list, dict))
-            else ", ".join(map(str, value))
-        )
+        return {True: "yes", False: "no", None: "none"}.get(value, str(value))
+    plain_number = "." not in name or name.startswith(("limits.", "analysis.", "model."))
+    unit, factor = ("", 1.0) if plain_number else display_unit(name)
     return f"{value * factor:.6g} {unit}".rstrip()
 
 
-def _unit_of(name: str) -> tuple[str, float]:
-    return display_unit(name) if "." in name and not name.startswith(("limits.", "analysis.", "model.")) else ("", 1.0)
-
-
 # --- both together --------------------------------------------------------------------------------------
-
-
-def _open(folder: Path) -> tuple[Results, Manifest, Resolved]:
-    """results.json, manifest.json and study.resolved.json of a finished run."""
-    from uqsphere.runner.finished import open_run
-
-    run = open_run(folder)
-    return run.results, run.manifest, read_resolved(folder)
 
 
 def compare_folders(before: Path, after: Path) -> Comparison:
@@ -341,71 +321,48 @@ def compare_folders(before: Path, after: Path) -> Comparison:
     FolderError
         When one of them is no finished run, or is damaged.
     """
-    (first, manifest_a, resolved_a), (second, manifest_b, resolved_b) = _open(before), _open(after)
-    changes, lone_a, lone_b = _changes(first, second)
-    verdicts = [
-        LimitPair(
-            limit=name,
-            before=limit.met,
-            after=second.limits[name].met,
-            verdict_before=limit.word,
-            verdict_after=second.limits[name].word,
-            target_before=limit.target,
-            target_after=second.limits[name].target,
+    from uqsphere.runner.finished import open_run
+
+    folders = before, after
+    runs = [open_run(folder) for folder in folders]
+    first, second = (run.results for run in runs)
+    resolved = [read_resolved(folder) for folder in folders]
+    changes, alone = _changes(first, second)
+    sides = [
+        Side(
+            folder=str(folder), title=run.results.study.title, hash=run.results.study.hash, seed=run.results.study.seed,
+            version=run.results.versions.get("uqsphere"), model=run.results.model.chosen,
+            evaluations=run.manifest.evaluations, seconds=run.manifest.seconds.get("total"),
         )
-        for name, limit in first.limits.items()
-        if name in second.limits
-    ]
+        for folder, run in zip(folders, runs, strict=True)
+    ]  # fmt: skip
+    pairs = [(name, limit, second.limits[name]) for name, limit in first.limits.items() if name in second.limits]
+    shared = [name for name in first.services if name in second.services]
     return Comparison(
         schema_version=1,
-        before=_about(before, first, manifest_a),
-        after=_about(after, second, manifest_b),
+        before=sides[0],
+        after=sides[1],
         same_study=first.study.hash == second.study.hash,
         identical=first.model_copy(update={"versions": {}}) == second.model_copy(update={"versions": {}}),
-        causes=tuple(_causes(resolved_a, resolved_b)),
-        limits=tuple(verdicts),
+        causes=tuple(_causes(resolved[0], resolved[1])),
+        limits=tuple(
+            LimitPair(
+                limit=name, before=a.met, after=b.met, verdict_before=a.word, verdict_after=b.word,
+                target_before=a.target, target_after=b.target,
+            )
+            for name, a, b in pairs
+        ),
         changes=tuple(changes),
         compared=sum(c.significance is not None for c in changes),
         changed=sum(c.verdict == SURE for c in changes),
         perhaps=sum(c.verdict == PERHAPS for c in changes),
-        only_before=tuple(lone_a),
-        only_after=tuple(lone_b),
-        services={
-            name: compare_folders(before / "services" / name, after / "services" / name)
-            for name in first.services
-            if name in second.services
-        },
-    )
-
-
-def _about(folder: Path, results: Results, manifest: Manifest) -> Side:
-    return Side(
-        folder=str(folder),
-        title=results.study.title,
-        hash=results.study.hash,
-        seed=results.study.seed,
-        version=results.versions.get("uqsphere"),
-        model=results.model.chosen,
-        evaluations=manifest.evaluations,
-        seconds=manifest.seconds.get("total"),
-    )
+        only_before=alone[0],
+        only_after=alone[1],
+        services={name: compare_folders(*(folder / "services" / name for folder in folders)) for name in shared},
+    )  # fmt: skip
 
 
 # --- for the terminal -------------------------------------------------------------------------------------
-
-
-def difference_text(change: Change) -> str:
-    """A difference with its interval, and in per cent of what it was."""
-    if change.difference is None:
-        return "-"
-    if change.difference == 0.0:
-        return "0"
-    subject = change.subject
-    text = estimate_text(Est.of(change.difference, change.low, change.high), subject)
-    relative = change.relative
-    if relative is None or change.section == "sensitivity":
-        return text
-    return f"{text}, {number_text(f'{100.0 * relative:+.3g}')} %"
 
 
 def _units(changes: Iterable[Change]) -> dict[str, str]:
@@ -443,61 +400,140 @@ def comparison_text(found: Comparison, width: int | None = None) -> str:
 
 
 def _parts(found: Comparison, width: int) -> list[str]:
-    first, second = found.before, found.after
-    rows = [(key, *(_plainly(getattr(side, key)) for side in (first, second)))
-            for key in ("folder", "title", "seed", "version", "evaluations")]  # fmt: skip
+    """The tables of a comparison, and what stands between them."""
+    rows: list[tuple[str, ...]] = [(key, *(str(getattr(side, key)) for side in (found.before, found.after)))
+                                   for key in ("folder", "title", "seed", "version", "evaluations")]  # fmt: skip
     parts = [wrap(headline(found), width, ""), "", table(("", "before", "after"), rows, width), ""]
-    if found.causes:
-        rows = [(c.what, _cut(c.before), _cut(c.after)) for c in found.causes]
-        parts += ["changed in the study", table(("what", "before", "after"), rows, width), ""]
-    else:
-        parts += ["nothing was changed in the study", ""]
+    rows = [(c.what, shorten(c.before, 70), shorten(c.after, 70)) for c in found.causes]
+    changed = ["changed in the study", table(("what", "before", "after"), rows, width)]
+    parts += [*(changed if rows else ["nothing was changed in the study"]), ""]
     rows = [(e.limit, loud(e.verdict_before), loud(e.verdict_after)) for e in found.limits]
-    if rows:
-        parts += [table(("limit", "verdict before", "verdict after"), rows, width), ""]
+    parts += [table(("limit", "verdict before", "verdict after"), rows, width), ""] if rows else []
     # intervals of both sides stand there where there is room; that of the difference always does
-    wide = _changes_table(found.changes, estimate_text, "before (95 %)", "after (95 %)", None)
+    wide = _changes_table(found.changes, estimate_text, " (95 %)", None)
     fits = max(map(len, wide.split("\n"))) <= width
-    parts.append(wide if fits else _changes_table(found.changes, rounded, "before", "after", width))
+    parts.append(wide if fits else _changes_table(found.changes, rounded, "", width))
     for lone, side in ((found.only_before, "before"), (found.only_after, "after")):
         if lone:
-            more = " ..." if len(lone) > 12 else ""
-            parts.append(wrap(f"only {side}: {'; '.join(lone[:12])}{more}", width))
+            parts.append(wrap(f"only {side}: {'; '.join(lone[:12])}{' ...' if len(lone) > 12 else ''}", width))
     if found.perhaps:
-        parts.append(
-            wrap(f'"perhaps": significant at 95 % taken alone; of {found.compared} answers about '
-                 f"{0.05 * found.compared:.0f} would be so by chance", width)
-        )  # fmt: skip
-    if found.page:
-        parts.append(f"page: {plain(found.page)}")
-    return parts
+        words = f'"perhaps": significant at 95 % taken alone; of {found.compared} answers about '
+        parts.append(wrap(f"{words}{0.05 * found.compared:.0f} would be so by chance", width))
+    return [*parts, f"page: {plain(found.page)}"] if found.page else parts
 
 
-def _plainly(value: Any) -> str:
-    """Counts with a comma at the thousands; a seed is no count, but a name."""
-    return ", ".join(f"{n:,} {k}" for k, n in value.items()) if isinstance(value, Mapping) else str(value)
-
-
-def _changes_table(changes: Iterable[Change], said: Callable[[Est, str], str], *rest: Any) -> str:
-    """Both sides of every answer as `said` says them, the difference, and whether it is more than chance."""
-    before, after, width = rest
+def _changes_table(changes: Iterable[Change], say: Callable[[Est, str], str], interval: str, width: int | None) -> str:
+    """Both sides of every answer as `say` says them, the difference, and whether it is more than chance."""
     rows: list[tuple[str, ...] | str] = []
     name = ""
     for change in changes:
-        if change.name != name:
-            name = change.name
-            rows.append(name)
-        subject = change.subject
-        sides = [said(side, subject) for side in (change.before, change.after)]
-        rows.append((change.statistic, *sides, difference_text(change), change.verdict))
-    return table(("answer", before, after, "difference (95 %)", "change"), rows, width)
+        rows += [change.name] if change.name != name else []
+        name = change.name
+        before, after, difference, share = change.told(say)
+        both = difference if share == ABSENT or change.difference == 0.0 else f"{difference}, {share}"
+        rows.append((change.statistic, before, after, both, change.verdict))
+    header = ("answer", f"before{interval}", f"after{interval}", "difference (95 %)", "change")
+    return table(header, rows, width)
 
 
-def _cut(text: str, longest: int = 70) -> str:
-    return text if len(text) <= longest else text[: longest - 1] + "…"
+# --- figures -----------------------------------------------------------------------------------------------
+
+#: rows of the figure of what moved
+_MOST_MOVED: Final = 14
 
 
-# --- The comparison of two runs as one self-contained page: figures inlined, no script, nothing fetched.
+def moved_rows(changes: Iterable[Change]) -> list[Change]:
+    """Answers with a relative difference that is known to some degree, the surest first."""
+    rows = [c for c in changes
+            if c.section != "sensitivity" and c.relative is not None and c.verdict in (SURE, PERHAPS)]  # fmt: skip
+    rows = sorted(rows, key=lambda c: (c.section != "limits", c.significance, -abs(c.relative or 0.0)))[:_MOST_MOVED]
+    names = list(dict.fromkeys(c.name for c in rows))
+    return sorted(rows, key=lambda c: names.index(c.name))
+
+
+def moved_picture(changes: Iterable[Change]) -> Picture | None:
+    """Relative differences with their intervals; None where nothing moved."""
+    rows = moved_rows(changes)
+    if not rows:
+        return None
+    ends = 100.0 * np.array([[c.difference, c.low, c.high] for c in rows], dtype=float)
+    ends /= np.array([[abs(c.before.number)] for c in rows])
+    least, most = (float(pick(np.abs(ends[:, 0]))) for pick in (np.min, np.max))
+    wide = most > 30.0 * max(least, 1e-12)
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(1.2 + 0.42 * len(rows))
+        if wide:
+            axes.set_xscale("symlog", linthresh=max(least, 1e-3))
+        axes.axvline(0.0, color=canvas.GREY, linewidth=0.8)
+        for k, (row, (value, low, high)) in enumerate(zip(rows, ends, strict=True)):
+            axes.plot([low, high], [k, k], color=INK, linewidth=1.2, marker="|", markersize=7)
+            face = BLUE if row.verdict == SURE else PAPER
+            axes.plot(value, k, marker="o", markersize=7, color=BLUE, markerfacecolor=face)
+            side = 1 if value >= 0.0 else -1
+            canvas.note(axes, number_text(f"{value:+.3g}") + " %", (high if side > 0 else low, k), (6 * side, 0),
+                        va="center", ha="left" if side > 0 else "right", fontsize=8.5)  # fmt: skip
+        canvas.name_rows(axes, [canvas.wrap(f"{row.name}: {row.statistic}", 34) for row in rows], -0.6)
+        axes.margins(x=0.22)
+        if wide:
+            _percent_ticks(axes)
+        axes.set_xlabel("difference, in per cent of the value before")
+        marks = [mark(BLUE, "changed", marker="o", linestyle="")]
+        if any(row.verdict == PERHAPS for row in rows):
+            marks.append(mark(BLUE, "perhaps", marker="o", markerfacecolor=PAPER, linestyle=""))
+        canvas.legend_above(axes, 3, [*marks, mark(INK, "95 % interval", marker="|")], 1.6)
+    return Picture(name="moved", title="What moved", figure=figure)
+
+
+def _percent_ticks(axes: Axes) -> None:
+    """Few round ticks on a symmetric logarithmic axis, none on top of another."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+    low, high = axes.get_xlim()
+    axes.figure.draw_without_rendering()  # type: ignore[union-attr]
+    place = axes.transData.transform
+    kept: list[float] = []
+    last = -np.inf
+    powers = [10.0**k for k in range(-3, 12)]
+    for tick in [*(-p for p in reversed(powers)), 0.0, *powers]:
+        x = float(place((tick, 0.0))[0])
+        if low <= tick <= high and (x - last > 34.0 or tick == 0.0):
+            kept = [k for k in kept if tick != 0.0 or x - float(place((k, 0.0))[0]) > 34.0]
+            kept.append(tick)
+            last = x
+    axes.xaxis.set_major_locator(FixedLocator(kept))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: number_text(f"{value:g}")))
+
+
+def fragility_picture(before: Contents, after: Contents, name: str) -> Picture | None:
+    """Both fragility curves of a limit with their bands."""
+    from uqsphere.report.figures.distributions import axis_label
+    from uqsphere.report.figures.fragility import on_paper, probability_axis
+
+    entries = [contents.results.margins[name] for contents in (before, after)]
+    solve = entries[0].solve
+    if any(len(entry.curve) < 2 or entry.solve != solve for entry in entries):
+        return None
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(3.6)
+        for entry, colour, line, word in zip(
+            entries, (BLUE, canvas.ORANGE), ("-", "--"), ("before", "after"), strict=True
+        ):
+            curve = np.array(entry.curve, dtype=float)
+            curve = curve[on_paper(curve[:, 1], 1e-5)]
+            x = curve[:, 0] * display_unit(solve)[1]
+            middle, low, high = (canvas.score(curve[:, k]) for k in (1, 2, 3))
+            canvas.band(axes, x, low, high, colour)
+            axes.plot(x, middle, color=colour, linestyle=line, label=word)
+        probability_axis(axes)
+        axes.set_xlabel(axis_label(solve, shorten(input_name(solve), 50)))
+        axes.set_ylabel("probability of exceeding the strength")
+        canvas.legend_above(axes, 3, line=1.6)
+    title = f"Fragility of {limit_name(name)}, before and after"
+    return Picture(name=canvas.slug("fragility", name), title=title, figure=figure)
+
+
+# --- the comparison as one self-contained page: figures inlined, no script, nothing fetched ------------------
 
 #: bytes of figures on the page, and rows of its longest table
 MOST_INLINED: Final = 550_000
@@ -505,7 +541,7 @@ MOST_ROWS: Final = 400
 
 
 def write_page(before: Path, after: Path, found: Comparison, out: Path) -> Path:
-    """Write the page of `uqsphere.report.compare.compare_folders`, and beside it one for each service.
+    """Write the page of `compare_folders`, and beside it one for each service.
 
     Parameters
     ----------
@@ -553,10 +589,10 @@ _SUBJECTS: Final = {
 def _table(found: Comparison, section: str, name: str) -> Table:
     """Before, after and difference of every answer of a section."""
     rows = [
-        (str(c.statistic), _cell(c, c.before), _cell(c, c.after), _difference(c), _share(c), str(c.verdict))
+        (c.statistic, *c.told(), c.verdict)
         for c in found.changes
         if c.section == section and (not name or c.name == name)
-    ]  # fmt: skip
+    ]
     return Table(
         # a caption of its own: it names the region for those who cannot see what stands above it
         caption=f"{_SUBJECTS[section].format(name=name)}: before, after, and after minus before, with 95 % intervals",
@@ -565,45 +601,26 @@ def _table(found: Comparison, section: str, name: str) -> Table:
     )
 
 
-def _cell(change: Change, side: Est) -> str:
-    return probability_text(side) if change.chance else estimate_text(side, change.subject)
-
-
-def _difference(change: Change) -> str:
-    if change.difference is None:
-        return ABSENT
-    if change.difference == 0.0:
-        return "none"
-    return estimate_text(Est.of(change.difference, change.low, change.high), change.subject)
-
-
-def _share(change: Change) -> str:
-    if change.relative is None or change.section == "sensitivity":
-        return ABSENT
-    return number_text(f"{100.0 * change.relative:+.3g}") + " %"
-
-
-def _limits(found: Comparison) -> list[dict[str, Any]]:
+def _limits(found: Comparison) -> list[dict[str, str]]:
     """One box per limit: its verdict before and after, and its probability."""
     boxes = []
     for entry in found.limits:
-        name = entry.limit
-        words = entry.verdict_before, entry.verdict_after
-        miss = next(c for c in found.changes if c.name == f"limits.{name}" and c.section == "limits")
-        texts = [probability_text(side) for side in (miss.before, miss.after)]
-        line = f"Probability of missing its aim: {texts[0]} before, {texts[1]} after."
+        miss = next(c for c in found.changes if c.name == f"limits.{entry.limit}" and c.section == "limits")
+        before, after, *_ = miss.told()
+        line = f"Probability of missing its aim: {before} before, {after} after."
         if miss.verdict in (SURE, PERHAPS) and miss.relative is not None:
-            sign = "more" if miss.relative > 0.0 else "less"
             doubt = "" if miss.verdict == SURE else ", which may be chance"
             share = number_text(f"{100.0 * abs(miss.relative):.3g}")
-            line += f" That is {share} % {sign}{doubt}."
+            line += f" That is {share} % {'more' if miss.relative > 0.0 else 'less'}{doubt}."
         elif miss.difference is not None:
             line += " No difference is seen above the intervals."
-        boxes.append({"name": shorten(name, 80), "before": words[0], "after": words[1], "line": line})
+        words = {"before": entry.verdict_before, "after": entry.verdict_after}
+        boxes.append({"name": shorten(entry.limit, 80), **words, "line": line})
     return boxes
 
 
 def _page(found: Comparison, parts: Mapping[str, list[Block]]) -> str:
+    """The text of the page."""
     from markupsafe import Markup
 
     room, taken = MOST_INLINED, list[str]()
@@ -612,7 +629,7 @@ def _page(found: Comparison, parts: Mapping[str, list[Block]]) -> str:
         nonlocal room
         # p_max and P_max are drawn under the same name
         taken.append(picture.name)
-        element = inline(render(picture), f"{picture.name}-{len(taken)}")
+        element = canvas.inline(canvas.render(picture), f"{picture.name}-{len(taken)}")
         room -= len(element.encode())
         # the one text that is not escaped: made of escaped parts by the XML writer
         return Markup(element) if room >= 0 else "The figure is left out: the page would become too large with it."
@@ -620,42 +637,33 @@ def _page(found: Comparison, parts: Mapping[str, list[Block]]) -> str:
     environment = new_environment()
     environment.filters["drawn"] = placed
     template = environment.from_string(resources.files("uqsphere.report").joinpath("compare.html").read_text("utf-8"))
-    causes = Table(
-        caption="What was changed in the study",
-        header=("number or choice", "before", "after"),
-        rows=tuple((c.what, c.before, c.after) for c in found.causes[:MOST_ROWS]),
-    )
+    sides = found.before, found.after
+    keys = {"folder": "folder", "title": "title", "hash": "study", "seed": "seed", "version": "uqsphere",
+            "model": "model", "evaluations": "evaluations"}  # fmt: skip
+    runs = []
+    for key, words in keys.items():
+        values = (getattr(side, key) for side in sides)
+        texts = (ABSENT if v is None else thousands(v) if isinstance(v, int) else str(v) for v in values)
+        runs.append((words, *texts))
     moved = moved_picture(found.changes)
-    runs = Table(
-        caption="The two runs",
-        header=("", "before", "after"),
-        rows=tuple(
-            (words, _shown(getattr(found.before, key)), _shown(getattr(found.after, key)))
-            for key, words in (("folder", "folder"), ("title", "title"), ("hash", "study"), ("seed", "seed"),
-                               ("version", "uqsphere"), ("model", "model"), ("evaluations", "evaluations"))
+    title = " / ".join(dict.fromkeys(side.title for side in sides))
+    shown = {
+        "version": "",
+        "title": title,
+        "margin_boxes": Markup(margin_boxes(title, Manifest())),
+        "headline": headline(found),
+        "boxes": _limits(found),
+        "causes": Table(
+            caption="What was changed in the study",
+            header=("number or choice", "before", "after"),
+            rows=tuple((c.what, c.before, c.after) for c in found.causes[:MOST_ROWS]),
         ),
-    )  # fmt: skip
-    titles = list(dict.fromkeys(side.title for side in (found.before, found.after)))
-    return (
-        template.render(
-            version="",
-            title=" / ".join(titles),
-            margin_boxes=Markup(margin_boxes(" / ".join(titles), Manifest())),
-            headline=headline(found),
-            boxes=_limits(found),
-            causes=causes,
-            moved=Block(heading="What moved", picture=moved) if moved else None,
-            limits=_table(found, "limits", ""),
-            parts=parts,
-            runs=runs,
-            alone=[("before", found.only_before[:200]), ("after", found.only_after[:200])],
-            compared=found.compared,
-            perhaps=found.perhaps,
-            same_seed=found.before.seed == found.after.seed,
-        )
-        + "\n"
-    )
-
-
-def _shown(value: Any) -> str:
-    return "–" if value is None else (f"{value:,}".replace(",", "\u202f") if isinstance(value, int) else str(value))
+        "moved": Block(heading="What moved", picture=moved) if moved else None,
+        "limits": _table(found, "limits", ""),
+        "parts": parts,
+        "runs": Table(caption="The two runs", header=("", "before", "after"), rows=tuple(runs)),
+        "alone": [("before", found.only_before[:200]), ("after", found.only_after[:200])],
+        "compared": found.compared,
+        "same_seed": found.before.seed == found.after.seed,
+    }
+    return template.render(shown) + "\n"

@@ -18,12 +18,11 @@ from uqsphere.errors import UsageError
 from uqsphere.quantities import reading_units
 from uqsphere.report.blocks import Block, Chapter
 from uqsphere.report.brief import make_brief
-from uqsphere.report.chapters import build_chapters
+from uqsphere.report.chapters import build_chapters, service_chapters
 from uqsphere.report.contents import Contents, read_contents, units_of
 from uqsphere.report.figures.brief import curve_drawings, mode_dots
 from uqsphere.report.figures.canvas import APOSTROPHE, Picture, inline, render, shorten
 from uqsphere.report.phrases import short_share, two
-from uqsphere.report.services import service_chapters
 from uqsphere.report.tables import commands, repeat_rows
 from uqsphere.report.whatif import panels
 from uqsphere.results import NO_RIG

@@ -17,8 +17,6 @@ from uqsphere.uq.families import family_stored
 #: digits of a number on the page that has an interval: more are known of some, and read by nobody
 MOST_DIGITS: Final = 5
 
-#: what is said of an answer in two runs: it moved, perhaps, not to be seen, the same in every bit, not known
-SURE, PERHAPS, NONE, SAME, UNKNOWN = "changed", "perhaps", "not seen", "the same", "not known"
 ABSENT: Final = "–"
 #: a width of 0.1 is not to count as 0.0999999
 _ROUND: Final = 1e-9
@@ -439,6 +437,3 @@ def safe_side(estimate: Est, name: str, *, at_most: bool, digits: int = 4) -> st
     elif not at_most and shown < scaled * (1.0 - 1e-9):
         shown += step
     return f"{shown:.{decimals}f}".replace("-", "−") + text[found.end() :]
-
-
-# --- Accuracies that were not reached, as people are told them: those of one reason and one cost in one sentence.

@@ -1,9 +1,10 @@
-"""The tables of the answers: quantities, indices, limits, margins."""
+"""The tables of the answers: quantities, limits, margins and what they are made of, how all was computed."""
 
 from __future__ import annotations
 
+import math
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 from uqsphere.quantities import OUTPUTS, lookup
 from uqsphere.report.blocks import Table, cell, thousands
@@ -12,6 +13,7 @@ from uqsphere.report.contents import Contents, family_of
 from uqsphere.report.phrases import (
     ABSENT,
     answer_text,
+    at_most,
     begin,
     breaks,
     call,
@@ -24,12 +26,14 @@ from uqsphere.report.phrases import (
     plain_percent,
     powers,
     probability_range,
+    rounded,
     symbol,
     unit_text,
     value_text,
 )
 from uqsphere.results import LimitEntry, ModelEntry, PartEntry, QuestionRow
 from uqsphere.results.entries import CheckEntry, Est
+from uqsphere.results.margins import MarginEntry
 from uqsphere.units import told_apart
 
 
@@ -58,21 +62,15 @@ def limits_table(contents: Contents) -> Table:
     limits = contents.results.limits
     tested = any(limit.ignorance for limit in limits.values())
     for name, limit in limits.items():
-        low, high = limit.reliability_index_interval or (None, None)
-        index = limit.reliability_index
-        opened = limit.ignorance
-        rows.append(
-            (
-                limit_name(name),
-                limit.aim,
-                ABSENT if limit.target is None else plain_percent(limit.target),
-                cell(limit.miss, probability=True),
-                *((probability_range(*opened.miss) if opened.known else ABSENT,) if tested else ()),
-                ABSENT if index is None else cell(Est.of(index, low, high), digits=3),
-                cell(limit.margin["median"], digits=3),
-                f"{cell(limit.margin['0.05'], digits=3)} / {cell(limit.margin['0.95'], digits=3)}",
-            )
-        )
+        index, ends, opened = limit.reliability_index, limit.reliability_index_interval, limit.ignorance
+        least, most = (cell(limit.margin[p], digits=3) for p in ("0.05", "0.95"))
+        rows.append((
+            limit_name(name), limit.aim, ABSENT if limit.target is None else plain_percent(limit.target),
+            cell(limit.miss, probability=True),
+            *((probability_range(*opened.miss) if opened.known else ABSENT,) if tested else ()),
+            ABSENT if index is None else cell(Est.of(index, *(ends or ())), digits=3),
+            cell(limit.margin["median"], digits=3), f"{least} / {most}",
+        ))  # fmt: skip
     header = ("limit", "aim", "target", "probability of missing it", *(("left open by the tests",) if tested else ()),
               "reliability index", "strength over demand, median", "5 % / 95 %")  # fmt: skip
     return Table(caption="Limits with 95 % intervals", header=header, rows=tuple(rows))
@@ -176,43 +174,38 @@ def granted_table(contents: Contents) -> Table | None:
 
 def paper_table(contents: Contents) -> Table | None:
     """The paper's formulas as printed beside the corrected and the full answers."""
-    found = contents.results.paper
     rows = []
-    for row in found:
-        name = row.quantity if row.quantity in OUTPUTS else ""
-        texts = [_paper_number(number, name, row.unit) for number in (row.as_printed, row.corrected, row.full)]
+    for row in contents.results.paper:
+        known = row.quantity in OUTPUTS
+        like = row.quantity if known else _LIKE.get(row.unit, "")
+        texts = [value_text(number, like, 5) for number in (row.as_printed, row.corrected, row.full)]
         off = ABSENT
         if row.as_printed is not None and row.full:
             off = number_text(f"{100.0 * (row.as_printed / row.full - 1.0):+.3g}") + " %"
-        rows.append((str(row.quantity).replace("_", " ") if not name else call(name), *texts, off, str(row.note)))
-    if not rows:
-        return None
-    return Table(
-        caption="At the means of the inputs",
-        rows=tuple(rows),
-        header=("quantity", "as printed", "corrected", "full model", "printed against full", "note"),
-        note="No intervals: one row, computed to the tolerance of the study.",
-    )
+        what = call(row.quantity) if known else str(row.quantity).replace("_", " ")
+        rows.append((what, *texts, off, str(row.note)))
+    header = ("quantity", "as printed", "corrected", "full model", "printed against full", "note")
+    note = "No intervals: one row, computed to the tolerance of the study."
+    return Table(caption="At the means of the inputs", rows=tuple(rows), header=header, note=note) if rows else None
 
 
 #: SI unit -> a named quantity with that unit's display, for rows that are no quantity of interest
 _LIKE = {"Pa": "p_max", "N": "P_max", "m": "alpha_max", "s": "contact_time", "J": "energy"}
 
 
-def _paper_number(value: float | None, name: str, unit: str) -> str:
-    return ABSENT if value is None else value_text(value, name or _LIKE.get(unit, ""), 5)
-
-
 def accuracy_table(contents: Contents) -> Table | None:
     """Half-widths asked and reached and what the rest would take, one row per question."""
-    told = contents.results.accuracy.questions
-    if not told:
-        return None
-    return Table(
-        caption="Half-widths of the 95 % intervals, asked and reached",
-        rows=tuple(_question_row(row) for row in told),
-        header=("question", "asked", "reached", "", "it would take"),
-    )
+    rows = []
+    for row in contents.results.accuracy.questions:
+        _, comma, scale = str(row.question).partition(", ")
+        verdict = {True: "reached", False: "not reached", None: "not pursued"}[row.met]
+        reached = ABSENT if row.reached is None else number_text(told_apart(row.reached, row.asked))
+        needed = ABSENT if row.met or row.met is None else "not known"
+        needed = f"about {thousands(int(row.needed))} evaluations" if row.needed else needed
+        rows.append((f"{question_name(row)}{comma}{scale}", f"{row.asked:g}", reached, verdict, needed))
+    header = ("question", "asked", "reached", "", "it would take")
+    caption = "Half-widths of the 95 % intervals, asked and reached"
+    return Table(caption=caption, header=header, rows=tuple(rows)) if rows else None
 
 
 def question_name(row: QuestionRow) -> str:
@@ -222,17 +215,6 @@ def question_name(row: QuestionRow) -> str:
     subject = limit_name(name) if head in ("limits", "margins") and rest else symbol(str(row.quantity))
     subject += f" at {where}" if where else ""
     return f"{str(row.question).partition(', ')[0]} of {subject}"
-
-
-def _question_row(row: QuestionRow) -> tuple[str, ...]:
-    """One accuracy: what it is of, asked, reached, the verdict, and what it would take."""
-    _, comma, scale = str(row.question).partition(", ")
-    verdict = {True: "reached", False: "not reached", None: "not pursued"}[row.met]
-    reached = ABSENT if row.reached is None else number_text(told_apart(row.reached, row.asked))
-    needed = ABSENT if row.met or row.met is None else "not known"
-    if row.needed:
-        needed = f"about {thousands(int(row.needed))} evaluations"
-    return f"{question_name(row)}{comma}{scale}", f"{row.asked:g}", reached, verdict, needed
 
 
 def model_table(contents: Contents) -> Table:
@@ -282,27 +264,18 @@ def _ladder_rows(model: ModelEntry) -> list[tuple[str, str]]:
 def repeat_rows(contents: Contents) -> list[tuple[str, str]]:
     """What another must know to get the same numbers."""
     results, manifest = contents.results, contents.manifest
-    rows = [
+    budget, total = contents.resolved.analysis.budget, manifest.seconds.get("total")
+    again = f", {thousands(manifest.evaluations_reused)} of them stored before" if manifest.evaluations_reused else ""
+    rows = (
         ("study", str(results.study.hash)),
         ("seed", str(results.study.seed)),
         ("versions", ", ".join(f"{k} {v}" for k, v in results.versions.items())),
-    ]
-    if manifest.platform:
-        rows.append(("machine", " ".join(str(v) for v in manifest.platform.values())))
-    if manifest.evaluations:
-        again = manifest.evaluations_reused
-        rows.append(
-            (
-                "evaluations",
-                thousands(manifest.evaluations) + (f", {thousands(again)} of them stored before" if again else ""),
-            )
-        )
-    total = manifest.seconds.get("total")
-    if total is not None:
-        rows.append(("time", f"{total:.3g} s"))
-    budget = contents.resolved.analysis.budget
-    rows.append(("budget", f"{thousands(budget.evaluations)} evaluations, {thousands(budget.time)} s"))
-    return rows
+        ("machine", " ".join(str(v) for v in manifest.platform.values())),
+        ("evaluations", thousands(manifest.evaluations) + again if manifest.evaluations else ""),
+        ("time", "" if total is None else f"{total:.3g} s"),
+        ("budget", f"{thousands(budget.evaluations)} evaluations, {thousands(budget.time)} s"),
+    )
+    return [row for row in rows if row[1]]
 
 
 def commands(contents: Contents) -> Sequence[str]:
@@ -344,57 +317,48 @@ def _named(contents: Contents) -> Iterator[tuple[str, str]]:
         yield entry.mean.method, f"distribution of {symbol(name)}"
     for name, limit in results.limits.items():
         yield limit.miss.method, f"probability of {limit_name(name)}"
-    for name, margin in results.margins.items():
-        for estimate in margin.values.values():
-            if estimate.value is not None:
-                yield estimate.method, f"fragility of {limit_name(name)}"
+    known = {f"fragility of {limit_name(name)}": margin.values for name, margin in results.margins.items()}
     for name, indices in results.sensitivity.items():
-        for order in (indices.first, indices.total, indices.shapley, indices.second):
-            for estimate in order.values():
-                if estimate.value is not None:
-                    yield estimate.method, f"indices of {symbol(name)}"
+        orders = (indices.first, indices.total, indices.shapley, indices.second)
+        known[f"indices of {symbol(name)}"] = {
+            f"{k} {n}": e for k, found in enumerate(orders) for n, e in found.items()
+        }
+    for what, estimates in known.items():
+        yield from ((estimate.method, what) for estimate in estimates.values() if estimate.value is not None)
 
 
 def plan_table(contents: Contents) -> Table | None:
     """What was planned and what it took; None for runs without a plan.  What was missed stands with the accuracies."""
-    plan = contents.results.plan
+    plan, costs = contents.results.plan, contents.manifest.plan
     if not plan:
         return None
-    costs = contents.manifest.plan
     spent = sum(contents.results.model.evaluations.values())
     budget = contents.resolved.analysis.budget.evaluations
-    surrogates = any("surrogate" in str(name) or "polynomial" in str(name) for name, _ in _named(contents))
-    helped = "; surrogates, where methods name them, narrow its intervals or check it" if surrogates else ""
-    helped = helped if plan.way == "sampling" else ""
+    helped = ""
+    if plan.way == "sampling" and any("surrogate" in n or "polynomial" in n for n, _ in _named(contents)):
+        helped = "; surrogates, where methods name them, narrow its intervals or check it"
     rows = [
         ("way", f"{plan.way}: {plan.why}{helped}"),
         ("forecast", f"{thousands(plan.sampling_evaluations)} evaluations by sampling, some "
                      f"{thousands(plan.surrogate_evaluations)} by a surrogate, whatever the budget"),
         ("taken", f"{thousands(spent)} evaluations of at most {thousands(budget)}"),
     ]  # fmt: skip
-    seconds = _part_seconds(contents.manifest.seconds)
-    rows += [_part_row(part, seconds.get(part.part)) for part in plan.parts or ()]
-    cost = costs.cost_seconds_per_evaluation
+    # seconds of every part, from those at which the parts ended, one after the other
+    seconds, before = {}, 0.0
+    for name, end in contents.manifest.seconds.items():
+        if name != "total":
+            seconds[name], before = float(end) - before, float(end)
+    rows += [part_row(part, seconds.get(part.part)) for part in plan.parts or ()]
+    cost, crossover = costs.cost_seconds_per_evaluation, costs.crossover_seconds_per_evaluation
     if cost:
-        crossover = costs.crossover_seconds_per_evaluation
         text = f"{number_text(f'{cost:.2g}')} s; a surrogate is taken above {number_text(f'{crossover:.2g}')} s"
         rows.append(("cost of an evaluation", text))
     return Table(caption="Plan and account", header=("", ""), rows=tuple(rows))
 
 
-def _part_seconds(ends: Mapping[str, float]) -> dict[str, float]:
-    """Seconds of every part, from those at which the parts ended, one after the other."""
-    found, before = {}, 0.0
-    for name, end in ends.items():
-        if name != "total":
-            found[name], before = float(end) - before, float(end)
-    return found
-
-
-def _part_row(part: PartEntry, seconds: float | None) -> tuple[str, str]:
+def part_row(part: PartEntry, seconds: float | None) -> tuple[str, str]:
     """A part of the run: planned and taken, in what time, and why they differ."""
-    likely, most = thousands(part.likely), thousands(part.most)
-    text = f"planned {likely}, at most {most}; took {thousands(part.taken)}"
+    text = f"planned {thousands(part.likely)}, at most {thousands(part.most)}; took {thousands(part.taken)}"
     if seconds is not None and seconds >= 0.05:
         text += f" in {thousands(round(seconds)) if seconds >= 10.0 else f'{seconds:.2g}'} s"
     return str(part.part), f"{text}. {powers(str(part.why))}" if part.why else text
@@ -426,31 +390,24 @@ _WORDS = {
 
 
 def _law_text(contents: Contents, name: str) -> str:
-    law = contents.resolved.random[name]
+    law, subject = contents.resolved.random[name], contents.subject(name)
     family = family_of(law)
-    subject = contents.subject(name)
-    given = law.given or law.parameters
     # what was fitted to observations is known no better than they tell; the table of the tests has the intervals
     digits = 3 if law.data else 6
     parts = []
-    for key, value in given.items():
+    for key, value in (law.given or law.parameters).items():
         if key == "rate":
             unit = unit_text(lookup(subject).unit)
             parts.append(f"rate {value:.6g}" + (f" per {unit}" if unit else ""))
         elif isinstance(value, (int, float)):
-            parts.append(
-                f"{_WORDS.get(key, key)} "
-                + (f"{value:.{digits}g}" if key not in family.dimensional else value_text(value, subject, digits))
-            )
-    for end, word in (
-        (law.lower, "from" if family.bounded else "cut off below"),
-        (law.upper, "to" if family.bounded else "cut off above"),
-    ):
-        if end is not None:
-            parts.append(f"{word} {value_text(end, subject, 6)}")
+            text = value_text(value, subject, digits) if key in family.dimensional else f"{value:.{digits}g}"
+            parts.append(f"{_WORDS.get(key, key)} {text}")
+    words = ("from", "to") if family.bounded else ("cut off below", "cut off above")
+    ends = zip(words, (law.lower, law.upper), strict=True)
+    parts += [f"{word} {value_text(end, subject, 6)}" for word, end in ends if end is not None]
     if law.data:
-        stopped = len(law.censored)
-        parts.append(f"{len(law.data)} observations" + (f" and {stopped} stopped before" if stopped else ""))
+        stopped = f" and {len(law.censored)} stopped before" if law.censored else ""
+        parts.append(f"{len(law.data)} observations{stopped}")
     return ", ".join([family.label, *parts])
 
 
@@ -465,47 +422,26 @@ def inputs_table(contents: Contents) -> Table:
     """Random inputs with their laws; mean and standard deviation are those of the law in force."""
     rows = []
     for name, entry in contents.results.inputs.items():
-        subject = contents.subject(name)
-        rows.append(
-            (
-                f"{input_name(name)}",
-                _law_text(contents, name),
-                value_text(entry.mean, subject),
-                value_text(entry.sd, subject, 3),
-                _source(contents, name),
-            )
-        )
-    return Table(
-        caption="Random inputs",
-        header=("input", "law", "mean in force", "sd in force", "source"),
-        rows=tuple(rows),
-        note="Exact: these laws are what the answers are computed for.",
-    )
+        mean, sd = (value_text(v, contents.subject(name), k) for v, k in ((entry.mean, 4), (entry.sd, 3)))
+        rows.append((input_name(name), _law_text(contents, name), mean, sd, _source(contents, name)))
+    header = ("input", "law", "mean in force", "sd in force", "source")
+    note = "Exact: these laws are what the answers are computed for."
+    return Table(caption="Random inputs", header=header, rows=tuple(rows), note=note)
 
 
 def fixed_table(contents: Contents) -> Table | None:
     """Fixed numbers and choices of the scene with their sources."""
-    rows = [
-        (input_name(name), value_text(value, name, 6), _source(contents, name))
-        for name, value in contents.resolved.fixed.items()
-    ]
-    for name, value in contents.resolved.options.items():
-        text = {True: "yes", False: "no"}.get(value, str(value)) if isinstance(value, bool) else str(value)
-        rows.append(
-            (name.replace(".", ": ").replace("_", " "), text.replace("_", " "), "stated in the study or default")
-        )
-    rows += [
-        (
-            f"material of the {'sphere' if part == 'sphere' else 'bars'}",
-            str(material).replace("_", " "),
-            "material library",
-        )
-        for part, material in contents.resolved.materials.items()
-    ]
-    if not rows:
-        return None
+    study, stated = contents.resolved, "stated in the study or default"
+    rows = [(input_name(n), value_text(value, n, 6), _source(contents, n)) for n, value in study.fixed.items()]
+    for name, value in study.options.items():
+        text = ("yes" if value else "no") if isinstance(value, bool) else str(value)
+        rows.append((name.replace(".", ": ").replace("_", " "), text.replace("_", " "), stated))
+    for part, material in study.materials.items():
+        of = "sphere" if part == "sphere" else "bars"
+        rows.append((f"material of the {of}", str(material).replace("_", " "), "material library"))
     note = "Exact: the numbers that the answers are computed for."
-    return Table(caption="Fixed numbers", header=("input", "value", "source"), rows=tuple(rows), note=note)
+    header = ("input", "value", "source")
+    return Table(caption="Fixed numbers", header=header, rows=tuple(rows), note=note) if rows else None
 
 
 def dependence_texts(contents: Contents) -> list[str]:
@@ -518,3 +454,91 @@ def dependence_texts(contents: Contents) -> list[str]:
         freedom = f" with {group.dof:g} degrees of freedom" if group.dof else ""
         texts.append(f"{' and '.join(input_name(n) for n in group.of)}: {strength}, {copula} copula{freedom}.")
     return texts
+
+
+# --- what a margin is made of: safety factors, partial factors, scatter, ignorance, error -----------------------
+
+
+def parts_table(contents: Contents, name: str) -> Table | None:
+    """Everything that is known of a margin beside its curve; None for a folder of an earlier version."""
+    entry, limit = contents.results.margins[name], contents.results.limits[name]
+    if "factors" not in entry.model_fields_set:
+        return None
+    subject, solve = contents.subject(entry.solve), input_name(entry.solve)
+    rows: list[tuple[str, str]] = []
+    factor = reserve(contents, entry, limit)
+    if factor is not None:
+        word = "reserve" if factor >= 1.0 else "shortfall (reserve below 1)"
+        # in three digits, never more than it is
+        whole = f"{math.floor(100.0 * factor + 1e-9) / 100.0:.2f}" if factor < 100.0 else f"{math.floor(factor)}"
+        told = whole if factor >= 1.0 else f"{factor:.3g}"
+        rows.append((f"{word} in {solve}: the answer against the planned value", told))
+    factors, of = entry.factors, entry.factors.fractiles_of
+    if factors.medians:
+        # safe above 1 where the sphere is to survive, short where it is to break
+        safe = "safety factor" if limit.aim == "survive" else "strength over demand (above 1: short of breaking)"
+        fractiles = f"{plain_percent(of.strength)} fractile of the strength over {plain_percent(of.demand)} fractile"
+        apart = "of the demand (each by itself, without their dependence)"
+        rows += [
+            (f"{safe} as planned: median strength over median demand", _ranged(contents, name, factors.medians, 0.5)),
+            (f"{safe} as planned: {fractiles} {apart}", _ranged(contents, name, factors.fractiles, of.demand)),
+        ]
+    rows += _partial_rows(entry, limit)
+    split = entry.split
+    for spread, words in (
+        (split.scatter, "scatter from sphere to sphere, in the probability already"),
+        (split.ignorance, "uncertainty of the answer from few tests"),
+        (split.numerical, "uncertainty of the answer from computing"),
+    ):
+        if spread is not None:
+            rows.append((f"{words} (standard deviation of its logarithm)", number_text(f"{spread:#.2g}")))
+    opened = entry.ignorance
+    if opened.laws:
+        ends = ["beyond the range" if end is None else rounded(Est.of(end), subject, 3)
+                for end in (opened.low, opened.high)]  # fmt: skip
+        rows.append((f"{solve} that the tests leave open (95 %)", " to ".join(ends)))
+        if opened.mean_law is not None:
+            words = f"{solve} with the mean over all laws that the tests allow"
+            rows.append((words, rounded(Est.of(opened.mean_law), subject, 3)))
+    if limit.ignorance.known:
+        told = probability_range(*limit.ignorance.miss)
+        rows.append(("probability of missing the aim that the tests leave open", told))
+    caption = f"Margin of {limit_name(name)}; the answer is where {plain_percent(entry.probability or 0.0)} exceed it"
+    return Table(caption=caption, header=("", "value"), rows=tuple(rows)) if rows else None
+
+
+def reserve(contents: Contents, entry: MarginEntry, limit: LimitEntry) -> float | None:
+    """Factor by which the free scalar may move before the target is reached; below 1 where it is missed."""
+    here, value = contents.at_mean(entry.solve), entry.value.value
+    if here is None or value is None or not (here > 0.0 and value > 0.0):
+        return None
+    return float(value / here if at_most(entry, limit.aim) else here / value)
+
+
+def _partial_rows(entry: MarginEntry, limit: LimitEntry) -> list[tuple[str, str]]:
+    """The partial factors at the answer."""
+    rows, likeliest = [], "failure" if limit.aim == "survive" else "survival"
+    for key, part in entry.lost_to.partial.items():
+        strength = key.endswith(".strength")
+        own = limit.quantity if strength else key
+        fractile = "5 %" if limit.aim == "survive" else "95 %"
+        what = (
+            f"its {fractile} fractile over its value at the likeliest {likeliest}"
+            if strength
+            else f"its value at the likeliest {likeliest} over its median"
+        )
+        values = (part.characteristic, part.design) if strength else (part.design, part.characteristic)
+        text = f"{part.factor:.3f} ({value_text(values[0], own)} over {value_text(values[1], own)})"
+        rows.append((f"at the answer, partial factor of {input_name(key)}: {what}", text))
+    return rows
+
+
+def _ranged(contents: Contents, name: str, factor: float, fractile: float) -> str:
+    """A safety factor with the relative interval of the demand under it; the strength over it is exact by its law."""
+    limit = contents.resolved.limits[name]
+    quantity = contents.results.quantities.get(limit.quantity)
+    demand = quantity.quantiles.get(f"{fractile:g}", Est()) if quantity is not None else Est()
+    if limit.model_factor != 1.0 or not demand.value or not demand.low or not demand.high:
+        return f"{factor:.3g} (no interval: the demand has none of its own)"
+    low, high = sorted((factor * demand.value / demand.high, factor * demand.value / demand.low))
+    return cell(Est.of(factor, low, high))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import re
 import textwrap
 import unicodedata
@@ -156,21 +157,9 @@ _SETTINGS: Final[dict[str, Any]] = {
 }
 #: settings of the machine, not of a picture
 _MACHINE: Final = (
-    "backend",
-    "interactive",
-    "toolbar",
-    "webagg",
-    "tk.",
-    "savefig.directory",
-    "date.",
-    "timezone",
-    "docstring",
-    "keymap",
-    "animation",
-    "macosx",
-    "figure.hooks",
-    "_internal",
-)
+    "backend", "interactive", "toolbar", "webagg", "tk.", "savefig.directory", "date.", "timezone", "docstring",
+    "keymap", "animation", "macosx", "figure.hooks", "_internal",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,15 +255,50 @@ def new_figure(height: float, rows: int = 1, **keywords: Any) -> tuple[Figure, l
 def legend_above(axes: Axes, columns: int, handles: Iterable[Artist] | None = None, line: float = 2.0) -> None:
     """What each mark is, in columns above the drawing; `line` is the length of a mark."""
     axes.legend(
-        handles=axes.get_legend_handles_labels()[0] if handles is None else handles,
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0),
-        ncols=columns,
-        borderaxespad=0.2,
-        borderpad=0.0,
-        handlelength=line,
-        columnspacing=1.2,
-    )
+        handles=axes.get_legend_handles_labels()[0] if handles is None else handles, loc="lower left", ncols=columns,
+        bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, borderpad=0.0, handlelength=line, columnspacing=1.2,
+    )  # fmt: skip
+
+
+def mark(colour: str, label: str, **line: Any) -> Artist:
+    """A line or a mark as a legend shows it."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], color=colour, label=label, **line)
+
+
+def note(axes: Axes, words: str, at: tuple[float, float], by: tuple[float, float] = (0.0, 0.0), **more: Any) -> None:
+    """Words at a place, moved `by` points; `more` goes to matplotlib."""
+    axes.annotate(words, at, xytext=by, textcoords="offset points", **{"fontsize": 9.0, **more})
+
+
+def band(axes: Axes, x: Array, low: Array, high: Array, colour: str, alpha: float = 0.25, **more: Any) -> None:
+    """What lies between two curves, pale and without an edge."""
+    axes.fill_between(x, low, high, color=colour, alpha=alpha, linewidth=0.0, **more)
+
+
+def time_unit(longest: float) -> tuple[str, float]:
+    """The unit in which times up to `longest` [s] read well, and its factor."""
+    return ("ms", 1e3) if longest >= 2e-3 else ("µs", 1e6)
+
+
+def log_axis(axes: Axes, which: str, low: float, high: float) -> None:
+    """A logarithmic axis, x or y, from low to high with plain numbers at it, as many as there is room for."""
+    getattr(axes, f"set_{which}scale")("log")
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    span = math.log10(high / low)
+    steps = (1.0,) if span > 2.6 else (1.0, 2.0, 5.0) if span > 0.7 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
+    ticks = [step * 10.0**k for k in decades for step in steps if low <= step * 10.0**k <= high]
+    getattr(axes, f"set_{which}ticks")(ticks, [f"{tick:.6g}" for tick in ticks])
+    getattr(axes, f"set_{which}ticks")([], minor=True)
+    getattr(axes, f"set_{which}lim")(low, high)
+
+
+def score(p: Any, least: float = 1e-6) -> Array:
+    """Normal scores of probabilities, which are kept `least` away from 0 and 1."""
+    from scipy.special import ndtri
+
+    return np.asarray(ndtri(np.clip(np.asarray(p, dtype=float), least, 1.0 - least)))
 
 
 def name_rows(axes: Axes, names: Sequence[str], top: float = -0.5, bottom: float = -0.5) -> None:
@@ -332,12 +356,9 @@ def _plain(element: ElementTree.Element, asked: set[str]) -> None:
     element.tail = None
     if element.get("id") not in asked:
         element.attrib.pop("id", None)
-    found = element.get("style", "")
-    if "font" in found:
+    if found := element.get("style"):
         # the reader's machine may lack the font that was measured with; it is wide, so others fit
-        found = found.replace("font-family: 'DejaVu Sans'; ", "").replace("'DejaVu Sans'", _FACE)
-    if found:
-        element.set("style", found)
+        element.set("style", found.replace("font-family: 'DejaVu Sans'; ", "").replace("'DejaVu Sans'", _FACE))
     if element.get("transform", "").startswith("rotate(-0 "):
         del element.attrib["transform"]
     for key in ("x", "y", "transform"):
@@ -352,36 +373,29 @@ def _plain(element: ElementTree.Element, asked: set[str]) -> None:
     kept: list[ElementTree.Element] = []
     for child in element:
         _plain(child, asked)
+        # metadata, a style sheet that would reach beyond the figure, and empty parts draw nothing
+        idle = child.tag in (f"{_SVG}metadata", f"{_SVG}style") or (child.tag == f"{_SVG}defs" and not len(child))
+        idle |= child.tag == f"{_SVG}path" and child.get("style") == "fill: none" and "id" not in child.attrib
         bare = child.tag == f"{_SVG}g" and not child.attrib
-        kept += list(child) if bare else [] if _idle(child) else [child]
+        kept += list(child) if bare else [] if idle else [child]
     element[:] = kept
-
-
-def _idle(element: ElementTree.Element) -> bool:
-    """Whether an element draws nothing: metadata, a style sheet that would reach beyond the figure, empty parts."""
-    empty = element.tag == f"{_SVG}defs" and not len(element)
-    empty |= element.tag == f"{_SVG}path" and element.get("style") == "fill: none" and "id" not in element.attrib
-    return empty or element.tag in (f"{_SVG}metadata", f"{_SVG}style")
 
 
 def _describe(root: ElementTree.Element, picture: Picture) -> None:
     """Words for who does not see the picture, and the paper it stands on."""
-    words = {"title": picture.title, "desc": picture.finding}
-    parts = []
-    for kind, text in words.items():
-        if text:
-            part = ElementTree.Element(f"{_SVG}{kind}", {"id": kind})
-            part.text = APOSTROPHE.sub("’", clean(text))
-            parts.append(part)
+    parts = [(kind, text) for kind, text in (("title", picture.title), ("desc", picture.finding)) if text]
     root.attrib |= {
         "role": "img",
         "id": "root",
-        "aria-labelledby": " ".join(str(part.get("id")) for part in parts),
+        "aria-labelledby": " ".join(kind for kind, _ in parts),
         "style": f"stroke-linejoin: round; stroke-linecap: butt; font-family: {_FACE}",
     }
-    paper = ElementTree.Element(f"{_SVG}rect", {"id": "paper", "width": "100%", "height": "100%", "fill": PAPER})
-    for place, element in enumerate((*parts, paper)):
+    for place, (kind, text) in enumerate(parts):
+        element = ElementTree.Element(f"{_SVG}{kind}", {"id": kind})
+        element.text = APOSTROPHE.sub("’", clean(text))
         root.insert(place, element)
+    paper = ElementTree.Element(f"{_SVG}rect", {"id": "paper", "width": "100%", "height": "100%", "fill": PAPER})
+    root.insert(len(parts), paper)
 
 
 def inline(svg: str, name: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
@@ -27,10 +26,11 @@ from uqsphere.report.figures.canvas import (
     SKY,
     Picture,
     legend_above,
+    log_axis,
     new_figure,
+    score,
     style,
 )
-from uqsphere.report.figures.fragility import score
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,18 +91,6 @@ def _levels(tests: Specimens) -> Iterator[tuple[float, float, float]]:
         yield float(np.exp(np.log(tests.last[part]).mean())), share, float(weight.sum())
 
 
-def _log_axis(axes: Axes, which: str, low: float, high: float) -> None:
-    """A logarithmic axis from low to high with plain numbers at it, as many as there is room for."""
-    getattr(axes, f"set_{which}scale")("log")
-    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    span = math.log10(high / low)
-    steps = (1.0,) if span > 2.6 else (1.0, 2.0, 5.0) if span > 0.7 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
-    ticks = [step * 10.0**k for k in decades for step in steps if low <= step * 10.0**k <= high]
-    getattr(axes, f"set_{which}ticks")(ticks, [f"{tick:.6g}" for tick in ticks])
-    getattr(axes, f"set_{which}ticks")([], minor=True)
-    getattr(axes, f"set_{which}lim")(low, high)
-
-
 def _none_of(tests: Specimens) -> Specimens:
     return tests.at(np.zeros(len(tests), dtype=bool))
 
@@ -133,7 +121,7 @@ def probability_plot(tests: Specimens, posterior: Posterior) -> Picture:
             axes.plot(left, np.full(len(left), foot), "|", color=colour, markersize=7)
             rows += [(size, float(e), None, "left whole", 1.0) for e in left]
         _probability_axis(axes)
-        _log_axis(axes, "x", float(reach[0]), float(reach[-1]))
+        log_axis(axes, "x", float(reach[0]), float(reach[-1]))
         axes.set_xlabel("energy that a particle takes up [J/kg]")
         legend_above(axes, 3)
     finding = (
@@ -172,8 +160,8 @@ def size_plot(tests: Specimens, posterior: Posterior, feed: FeedEntry | None) ->
         if classes:
             floor = np.full(len(classes), 0.9 * float(half[0].min()))
             axes.plot(1e3 * np.array(classes), floor, "|", color=RED, markersize=10, label="classes of the feed")
-        _log_axis(axes, "x", 1e3 * float(sizes[0]) / 1.05, 1e3 * float(sizes[-1]) * 1.05)
-        _log_axis(axes, "y", 0.8 * float(half[0].min()), 1.1 * float(half[2].max()))
+        log_axis(axes, "x", 1e3 * float(sizes[0]) / 1.05, 1e3 * float(sizes[-1]) * 1.05)
+        log_axis(axes, "y", 0.8 * float(half[0].min()), 1.1 * float(half[2].max()))
         axes.set_xlabel("diameter [mm]")
         axes.set_ylabel("energy that breaks half [J/kg]")
         axes.grid(True)
@@ -210,7 +198,7 @@ def parameters_plot(posterior: Posterior, entry: FitEntry) -> Picture:
                     color=GREY,
                     linestyle="--",
                 )
-            _log_axis(axes, "x", float(np.exp(grid[0])), float(np.exp(grid[-1])))
+            log_axis(axes, "x", float(np.exp(grid[0])), float(np.exp(grid[-1])))
             axes.set_yticks([])
             unit = f" [{told.unit}]" if told.unit not in ("", "1") else ""
             axes.set_xlabel(f"{name}{unit}{'' if told.told else ': these tests do not tell it'}")
@@ -275,7 +263,7 @@ def product_plot(entry: FeedEntry) -> Picture:
                               ha="right", textcoords="offset points", fontsize=9.0)  # fmt: skip
         if entry.fines_sieve is not None:
             axes.axvline(1e3 * entry.fines_sieve, color=RED, linewidth=1.0, linestyle=":", label="fines")
-        _log_axis(axes, "x", max(float(x[0]), 1e-3 * float(x[-1])), float(x[-1]))
+        log_axis(axes, "x", max(float(x[0]), 1e-3 * float(x[-1])), float(x[-1]))
         axes.set_ylim(0.0, 102.0)
         axes.set_xlabel("sieve [mm]")
         axes.set_ylabel("finer, by mass [%]")

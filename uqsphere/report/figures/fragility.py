@@ -1,19 +1,20 @@
-"""Margin and fragility as figures: how far the strength is from the demand, and at which value it breaks."""
+"""Limits in figures: at which value they break, alone, together and in families, and the tests behind a strength."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit
-from uqsphere.report.blocks import Block, Table
+from uqsphere.report.blocks import Block, Table, cell
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import (
     BLUE,
     GREEN,
+    GREY,
     INK,
     MARKS,
     ORANGE,
@@ -23,15 +24,21 @@ from uqsphere.report.figures.canvas import (
     SKY,
     WARM,
     Picture,
+    band,
+    mark,
     new_figure,
+    note,
+    score,
     shorten,
     slug,
     style,
 )
-from uqsphere.report.figures.distributions import axis_label
+from uqsphere.report.figures.distributions import axis_label, log_ticks
 from uqsphere.report.phrases import (
+    ABSENT,
     at_most,
     begin,
+    capital,
     estimate_text,
     input_name,
     limit_name,
@@ -42,27 +49,42 @@ from uqsphere.report.phrases import (
     symbol,
 )
 from uqsphere.report.tables import margins_table
-from uqsphere.results import LimitEntry
 from uqsphere.results.entries import Est
-from uqsphere.results.margins import AgainstEntry, MarginEntry
+from uqsphere.results.margins import MarginEntry
 from uqsphere.runner.questions.curves import member_values
+from uqsphere.uq.families import FAMILIES
+from uqsphere.uq.law import Law
+from uqsphere.uq.weibull import (
+    STRENGTHS,
+    StrengthFit,
+    StrengthTests,
+    fit_strength,
+    make_tests,
+    pivots,
+    plotting_positions,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 #: probabilities outside this range lie beyond the axis, and are followed this far
 _LEAST, _LAST = 1e-6, 1e-15
-#: factor between largest and smallest margin from which on their axis is logarithmic, and the logarithm where it ends
-_WIDE, _MOST = 8.0, 600.0
-_TICKS: Final = (1e-6, 1e-5, 1e-4, 1e-3, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999, 0.99999, 0.999999)
-_PRIORITY: Final = {0.5: 0.0, 0.01: 0.1, 0.99: 0.1, 0.1: 0.2, 0.9: 0.2, 0.001: 0.3, 0.999: 0.3}
+#: what stands on probability paper, the roundest first
+_TICKS: Final = (0.5, 0.01, 0.99, 0.1, 0.9, 0.001, 0.999, 1e-6, 1e-5, 1e-4, 0.9999, 0.99999, 0.999999)
+#: letters on the curves that they stand on
+_BOX: Final = {"facecolor": PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
+_COLOURS: Final = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY, INK)
 
 
-def score(p: Any, least: float = _LEAST) -> Array:
-    """Normal scores of probabilities, which are kept `least` away from 0 and 1."""
-    from scipy.special import ndtri
+def rises(entry: MarginEntry) -> bool:
+    """Whether more are broken at larger values."""
+    return bool(entry.curve[-1][1] >= entry.curve[0][1])
 
-    return np.asarray(ndtri(np.clip(np.asarray(p, dtype=float), least, 1.0 - least)))
+
+def on_paper(p: Array, least: float) -> slice:
+    """Points of a curve from the last that is practically sure at one end to the first at the other."""
+    inside = np.flatnonzero((p > least) & (p < 1.0 - least))
+    return slice(max(int(inside[0]) - 1, 0), int(inside[-1]) + 2) if len(inside) else slice(None)
 
 
 def fragility_figure(contents: Contents, name: str) -> Picture | None:
@@ -70,31 +92,32 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
     entry = contents.results.margins.get(name)
     if not entry or len(entry.curve) < 2:
         return None
-    solve = entry.solve
-    subject = contents.subject(solve)
-    factor = display_unit(subject)[1]
+    factor = display_unit(contents.subject(entry.solve))[1]
     curve = np.array(entry.curve, dtype=float)
-    here = contents.at_mean(solve)
-    limit = contents.results.limits[name]
+    here, limit = contents.at_mean(entry.solve), contents.results.limits[name]
     with style():
         figure, (axes,) = new_figure(3.9)
         kept = _interesting(curve[:, 1], curve[:, 0], here)
         x = curve[kept, 0] * factor
         middle, low, high = (score(curve[kept, k], _LAST) for k in (1, 2, 3))
-        axes.fill_between(x, low, high, color=BLUE, alpha=0.25, linewidth=0.0)
+        band(axes, x, low, high, BLUE)
         axes.plot(x, middle, color=BLUE)
         x_scale(axes, x)
-        rising = bool(curve[-1, 1] >= curve[0, 1])
-        _lognormal_line(axes, entry, curve[kept, :2], factor)
-        _asked_points(axes, entry, factor, x, subject, limit.aim)
-        _target_line(axes, limit, rising, _crossing(axes, curve[kept, :2], factor, limit))
+        z = lognormal_scores(entry, curve[kept, :2])
+        if np.isfinite(z).any():
+            axes.plot(x, z, color=INK, linestyle="--", linewidth=1.0)
+            note(axes, "dashed: lognormal", (1.0, 0.0), (-4, 4), xycoords="axes fraction", ha="right", va="bottom")
+        _asked_points(axes, entry, factor, x, contents.subject(entry.solve), limit.aim)
+        if limit.target is not None:
+            accepted = limit.target if limit.aim == "survive" else 1.0 - limit.target
+            _target_line(axes, accepted, limit.aim, rises(entry), _crossing(axes, curve[kept, :2], factor, accepted))
         bottom, top = np.clip(axes.get_ylim(), score(_LEAST), -score(_LEAST))
         axes.set_ylim(bottom - 0.08 * (top - bottom), top + 0.05 * (top - bottom))
         if here is not None and x[0] <= here * factor <= x[-1]:
-            _operating_point(axes, here * factor, limit.exceedance, rising)
+            _operating_point(axes, here * factor, limit.exceedance, rises(entry))
         _yielding_bars(axes, entry, factor, x)
         probability_axis(axes)
-        axes.set_xlabel(solved_label(contents, solve))
+        axes.set_xlabel(solved_label(contents, entry.solve))
         axes.set_ylabel(f"probability that {symbol(limit.quantity, 24)}\nexceeds the strength")
     return Picture(name=slug("fragility", name), title=f"Fragility: {limit_name(name)}", figure=figure)
 
@@ -105,35 +128,28 @@ def solved_label(contents: Contents, solve: str) -> str:
     return axis_label(contents.subject(solve), word + shorten(input_name(solve), 50))
 
 
-def _interesting(p: Array, x: Array, here: float | None) -> Array:
+def _interesting(p: Array, x: Array, here: float | None) -> slice:
     """Points of the curve between the first that is practically sure and the last, and around the operating point."""
-    inside = np.flatnonzero((p > 1e-5) & (p < 1.0 - 1e-5))
-    first, last = (max(inside[0] - 1, 0), min(inside[-1] + 1, len(p) - 1)) if len(inside) else (0, len(p) - 1)
-    begin, end = _close_together(x)
-    if begin < last and first < end:
-        first, last = max(first, begin), min(last, end)
+    first, stop, _ = on_paper(p, 1e-5).indices(len(p))
+    last = stop - 1
+    # where most values lie close together, the curve is a first look only beyond them
+    steps = np.diff(np.log(x) if x[0] > 0.0 else x)
+    close = np.flatnonzero(steps <= 2.0 * np.median(steps))
+    if len(close) >= 0.7 * len(steps) and close[-1] - close[0] == len(close) - 1:
+        begin, end = int(close[0]), int(close[-1]) + 1
+        if begin < last and first < end:
+            first, last = max(first, begin), min(last, end)
     if here is not None and x[0] <= here <= x[-1]:
         k = int(np.searchsorted(x, here))
         first, last = min(first, max(k - 1, 0)), max(last, min(k, len(p) - 1))
-    return np.arange(first, last + 1)
-
-
-def _close_together(x: Array) -> tuple[int, int]:
-    """First and last of the values that lie close together, if most do: beyond them the curve is a first look only."""
-    steps = np.diff(np.log(x) if x[0] > 0.0 else x)
-    close = np.flatnonzero(steps <= 2.0 * np.median(steps))
-    whole = len(close) >= 0.7 * len(steps) and close[-1] - close[0] == len(close) - 1
-    return (int(close[0]), int(close[-1]) + 1) if whole else (0, len(x) - 1)
+    return slice(first, last + 1)
 
 
 def x_scale(axes: Axes, x: Array) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
+    """The axis of a curve, logarithmic where it spans much."""
     if x[0] > 0.0 and x[-1] > 8.0 * x[0]:
         axes.set_xscale("log")
-        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
-        axes.xaxis.set_minor_formatter(NullFormatter())
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        log_ticks(axes.xaxis)
     axes.set_xlim(x[0], x[-1])
 
 
@@ -145,6 +161,8 @@ def lognormal_scores(entry: MarginEntry, curve: Array) -> Array:
     from scipy.special import ndtr
 
     fitted = entry.lognormal
+    if not fitted.median:
+        return np.full(len(curve), np.nan)
     z = np.log(curve[:, 0] / fitted.median.number) / fitted.dispersion.number
     z = z if fitted.rising else -z
     p = curve[:, 1]
@@ -153,25 +171,10 @@ def lognormal_scores(entry: MarginEntry, curve: Array) -> Array:
     return np.where(near, z, np.nan)
 
 
-def _lognormal_line(axes: Axes, entry: MarginEntry, curve: Array, factor: float) -> None:
-    """The lognormal curve beside the computed one, dashed, as far as it comes near."""
-    if not entry.lognormal.median:
-        return
-    x, z = curve[:, 0], lognormal_scores(entry, curve)
-    if not np.isfinite(z).any():
-        return
-    axes.plot(x * factor, z, color=INK, linestyle="--", linewidth=1.0)
-    axes.annotate(
-        "dashed: lognormal", (1.0, 0.0), xycoords="axes fraction", xytext=(-4, 4), textcoords="offset points",
-        ha="right", va="bottom", fontsize=9.0,
-    )  # fmt: skip
-
-
 def _yielding_bars(axes: Axes, entry: MarginEntry, factor: float, x: Array) -> None:
     """From where on the bars yield under the sphere: hatched, at the top, labelled."""
-    bars = entry.bars
+    bars, rising = entry.bars, rises(entry)
     contact = bars.contact.value
-    rising = bool(entry.curve[-1][1] >= entry.curve[0][1])
     if contact is None and bars.contact_everywhere != "yields":
         return
     begin = (x[0] if rising else x[-1]) if contact is None else contact * factor
@@ -181,23 +184,14 @@ def _yielding_bars(axes: Axes, entry: MarginEntry, factor: float, x: Array) -> N
     axes.axvspan(*span, ymin=0.965, ymax=1.0, facecolor="none", edgecolor=INK, hatch="////", linewidth=0.0, alpha=0.6)
     if contact is not None and x[0] < begin < x[-1]:
         axes.axvline(begin, color=INK, linewidth=0.9, linestyle="-.")
-    share = plain_percent(bars.contact_probability)
-    axes.annotate(
-        f"hatched: bars yield in more than {share} of the rows",
-        (1.0, 1.0),
-        xycoords="axes fraction",
-        xytext=(0, 3),
-        textcoords="offset points",
-        ha="right",
-        va="bottom",
-        fontsize=9.0,
-    )
+    words = f"hatched: bars yield in more than {plain_percent(bars.contact_probability)} of the rows"
+    note(axes, words, (1.0, 1.0), (0, 3), xycoords="axes fraction", ha="right", va="bottom")
 
 
 def _asked_points(axes: Axes, entry: MarginEntry, factor: float, x: Array, subject: str, aim: str) -> None:
-    """The values at the probabilities asked for, labelled below the curve; the answer first, and as it is told."""
+    """The values at the probabilities asked for, labelled below the curve; the answer first, to the safe side."""
     labelled: list[float] = []
-    rising, own = bool(entry.curve[-1][1] >= entry.curve[0][1]), entry.probability
+    rising, own = rises(entry), entry.probability
     for p, estimate in sorted(entry.values.items(), key=lambda item: float(item[0]) != own):
         if estimate.value is None or not x[0] <= estimate.value * factor <= x[-1]:
             continue
@@ -207,54 +201,32 @@ def _asked_points(axes: Axes, entry: MarginEntry, factor: float, x: Array, subje
             continue
         labelled.append(place[1])
         answer = float(p) == own
-        most = at_most(entry, aim)
-        text = safe_side(estimate, subject, at_most=most) if answer else rounded(estimate, subject, 3)
-        axes.annotate(
-            text,
-            place,
-            xytext=(7 if rising else -7, -3),
-            textcoords="offset points",
-            va="top",
-            ha="left" if rising else "right",
-            fontsize=9.0,
-            fontweight="bold" if answer else "normal",
-            bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.85},
-        )
+        # as many digits as the brief
+        text = safe_side(estimate, subject, at_most=at_most(entry, aim), digits=2)
+        note(axes, text if answer else rounded(estimate, subject, 2), place, (7 if rising else -7, -3), va="top",
+             ha="left" if rising else "right", fontweight="bold" if answer else "normal", bbox=_BOX)  # fmt: skip
 
 
-def _crossing(axes: Axes, curve: Array, factor: float, limit: LimitEntry) -> float:
+def _crossing(axes: Axes, curve: Array, factor: float, accepted: float) -> float:
     """Where across the drawing (0 to 1) the curve (K, 2) reaches the accepted probability; its middle if nowhere."""
-    if limit.target is None:
-        return 0.5
-    accepted = limit.target if limit.aim == "survive" else 1.0 - limit.target
     above = np.flatnonzero((curve[:-1, 1] - accepted) * (curve[1:, 1] - accepted) <= 0.0)
-    if not len(above):
-        return 0.5
-    place = axes.transData.transform((curve[above[0], 0] * factor, 0.0))
-    return float(axes.transAxes.inverted().transform(place)[0])
+    return _across(axes, curve[above[0], 0] * factor) if len(above) else 0.5
 
 
-def _target_line(axes: Axes, limit: LimitEntry, rising: bool, crossing: float) -> None:
+def _across(axes: Axes, x: float) -> float:
+    """The share of the way from the left end of a drawing at which a value stands."""
+    return float(axes.transAxes.inverted().transform(axes.transData.transform((x, 0.0)))[0])
+
+
+def _target_line(axes: Axes, accepted: float, aim: str, rising: bool, crossing: float) -> None:
     """The accepted probability, labelled where the curve lies below it if there is room, else at the other end."""
-    if limit.target is None:
-        return
-    accepted = limit.target if limit.aim == "survive" else 1.0 - limit.target
     y = float(score(accepted))
     axes.axhline(y, color=RED, linestyle="--", linewidth=1.2)
-    word = "at most" if limit.aim == "survive" else "at least"
+    words = f"target: {'at most' if aim == 'survive' else 'at least'} {plain_percent(accepted)}"
     # labels of points lie where the curve is above the line
     left = rising == ((crossing if rising else 1.0 - crossing) > 0.4)
-    axes.annotate(
-        f"target: {word} {plain_percent(accepted)}",
-        (0.0 if left else 1.0, y),
-        xytext=(4 if left else -4, 3),
-        xycoords=("axes fraction", "data"),
-        textcoords="offset points",
-        ha="left" if left else "right",
-        va="bottom",
-        color=WARM,
-        fontsize=9.0,
-    )
+    note(axes, words, (0.0 if left else 1.0, y), (4 if left else -4, 3), xycoords=("axes fraction", "data"),
+         ha="left" if left else "right", va="bottom", color=WARM)  # fmt: skip
 
 
 def _operating_point(axes: Axes, x: float, exceedance: Est, rising: bool) -> None:
@@ -262,28 +234,21 @@ def _operating_point(axes: Axes, x: float, exceedance: Est, rising: bool) -> Non
     p = exceedance.value
     if p is None:
         return
-    y = float(score(p))
     bottom, top = axes.get_ylim()
-    mark = "v" if p < _LEAST else ("^" if p > 1.0 - _LEAST else "D")
-    if mark != "D":  # an arrow: it lies beyond the axis
-        y = bottom if mark == "v" else top
+    y, sign = float(score(p)), "D"
+    if not _LEAST <= p <= 1.0 - _LEAST:  # an arrow: it lies beyond the axis
+        y, sign = (bottom, "v") if p < _LEAST else (top, "^")
     elif exceedance.low is not None and exceedance.high is not None:
         axes.plot([x, x], score([exceedance.low, exceedance.high]), color=INK, linewidth=1.4)
-    axes.plot(x, y, marker=mark, markersize=8, color=ORANGE, markeredgecolor=INK, clip_on=False, zorder=5)
-    across = float(axes.transAxes.inverted().transform(axes.transData.transform((x, y)))[0])
+    axes.plot(x, y, marker=sign, markersize=8, color=ORANGE, markeredgecolor=INK, clip_on=False, zorder=5)
+    across = _across(axes, x)
     below = (across if rising else 1.0 - across) <= 0.6
-    axes.plot([x, x], [y, bottom if below else top], color=INK, linewidth=0.8, linestyle=":")
-    right = rising == below
-    axes.annotate(
-        f"as planned: {plain_percent(p)}",
-        (x, bottom if below else top),
-        # clear of the word for the dashed line at the bottom, and of the hatches at the top
-        xytext=(5 if right else -5, (17 if right and across > 0.35 else 4) if below else -12),
-        ha="left" if right else "right",
-        va="bottom" if below else "top",
-        textcoords="offset points",
-        fontsize=9.0,
-    )
+    end, right = bottom if below else top, rising == below
+    axes.plot([x, x], [y, end], color=INK, linewidth=0.8, linestyle=":")
+    # clear of the word for the dashed line at the bottom, and of the hatches at the top
+    up = (17 if right and across > 0.35 else 4) if below else -12
+    note(axes, f"as planned: {plain_percent(p)}", (x, end), (5 if right else -5, up), ha="left" if right else "right",
+         va="bottom" if below else "top")  # fmt: skip
     axes.set_ylim(bottom, top)
 
 
@@ -291,122 +256,282 @@ def probability_axis(axes: Axes) -> None:
     """Ticks at round probabilities, the roundest first, none nearer to another than a line of text."""
     low, high = axes.get_ylim()
     seen: list[float] = []
-    for p in sorted(_TICKS, key=lambda p: _PRIORITY.get(p, 1.0)):
+    for p in _TICKS:
         height = float(score(p))
         if low <= height <= high and all(abs(height - float(score(q))) > 0.055 * (high - low) for q in seen):
             seen.append(p)
-    axes.set_yticks([float(score(p)) for p in seen], [_tick(p) for p in seen])
+    axes.set_yticks([float(score(p)) for p in seen], [f"{100.0 * p:.6f}".rstrip("0").rstrip(".") + " %" for p in seen])
     axes.set_ylim(low, high)
     axes.grid()
 
 
-def _tick(p: float) -> str:
-    return f"{100.0 * p:.6f}".rstrip("0").rstrip(".") + " %"
-
-
-# --- Families of fragility curves over another number, and the lognormal curve in words.
-
-_COLOURS = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY, INK)
-
-
-def family_name(contents: Contents, name: str) -> str:
-    """The number over which the curves form a family."""
-    return input_name(contents.results.margins[name].family.path)
+# --- families over another number, and curves over the specific energy ----------------------------------
 
 
 def family_figure(contents: Contents, name: str) -> Picture | None:
     """The curves of a family; None where fewer than two could be computed."""
     entry = contents.results.margins[name]
-    family = entry.family
-    members = [member for member in family.members if len(member.curve) > 1]
+    path = entry.family.path
+    members = [member for member in entry.family.members if len(member.curve) > 1]
     if len(members) < 2:
         return None
-    subject = contents.subject(entry.solve)
-    factor = display_unit(subject)[1]
-    from matplotlib.lines import Line2D
-
-    handles = []
+    factor = display_unit(contents.subject(entry.solve))[1]
+    handles, ends = [], list[float]()
     with style():
         figure, (axes,) = new_figure(3.7)
-        low, high = np.inf, -np.inf
-        labels = member_values(family.path, [member.value for member in members], 3)
+        labels = member_values(path, [member.value for member in members], 3)
         for k, (member, label) in enumerate(zip(members, labels, strict=True)):
             curve = np.array(member.curve, dtype=float)
-            inside = np.flatnonzero((curve[:, 1] > 1e-4) & (curve[:, 1] < 1.0 - 1e-4))
-            kept = slice(max(inside[0] - 1, 0), inside[-1] + 2) if inside.size else slice(None)
+            kept = on_paper(curve[:, 1], 1e-4)
             x, p = curve[kept, 0] * factor, curve[kept, 1]
-            low, high = min(low, float(x[0])), max(high, float(x[-1]))
-            colour, mark = _COLOURS[k % len(_COLOURS)], MARKS[k % len(MARKS)]
+            ends += [float(x[0]), float(x[-1])]
+            colour = _COLOURS[k % len(_COLOURS)]
+            own: dict[str, Any] = {"marker": MARKS[k % len(MARKS)], "markersize": 4.5}
             axes.plot(x, score(p), color=colour)
             # marks at the probabilities asked for alone: those of all curves are to be compared
             asked = [(e.value * factor, float(q)) for q, e in member.values.items() if e.value is not None]
             points = np.array([point for point in asked if x[0] <= point[0] <= x[-1]]).reshape(-1, 2)
-            axes.plot(points[:, 0], score(points[:, 1]), color=colour, marker=mark, markersize=4.5, linestyle="none")
-            handles.append(Line2D([], [], color=colour, marker=mark, markersize=4.5, label=number_text(label)))
-        x_scale(axes, np.array([low, high]))
+            axes.plot(points[:, 0], score(points[:, 1]), color=colour, linestyle="none", **own)
+            handles.append(mark(colour, number_text(label), **own))
+        x_scale(axes, np.array([min(ends), max(ends)]))
         axes.set_ylim(float(score(1e-3)) - 0.2, float(score(0.999)) + 0.2)
         probability_axis(axes)
         axes.set_xlabel(solved_label(contents, entry.solve))
         axes.set_ylabel(f"probability that {symbol(contents.results.limits[name].quantity, 24)}\nexceeds the strength")
-        axes.legend(handles=handles, title=shorten(input_name(family.path), 30), title_fontsize=9.0, loc="upper left")
-    title = f"Fragility of {limit_name(name)} over {family_name(contents, name)}"
+        axes.legend(handles=handles, title=shorten(input_name(path), 30), title_fontsize=9.0, loc="upper left")
     return Picture(
-        name=slug("fragility-family", name),
-        title=title,
-        figure=figure,
-        header=(family.path, entry.solve, "probability", "low", "high"),
+        name=slug("fragility-family", name), title=f"Fragility of {limit_name(name)} over {input_name(path)}",
+        figure=figure, header=(path, entry.solve, "probability", "low", "high"),
         rows=tuple((float(m.value), *map(float, point)) for m in members for point in m.curve),
-    )
+    )  # fmt: skip
 
 
 def family_table(contents: Contents, name: str) -> Table:
     """The values at the probabilities asked for, and the lognormal curve, of every member."""
     entry = contents.results.margins[name]
-    family, subject = entry.family, contents.subject(entry.solve)
-    members = family.members
-    keys = sorted({p for member in members for p in member.values}, key=float)
+    path, members, subject = entry.family.path, entry.family.members, contents.subject(entry.solve)
     rows = [
-        (plain_percent(float(p)), *(estimate_text(m.values[p], subject) if p in m.values else "–" for m in members))
-        for p in keys
+        (plain_percent(float(p)), *(estimate_text(m.values.get(p, Est()), subject) for m in members))
+        for p in sorted({p for member in members for p in member.values}, key=float)
     ]
     fitted = [member.lognormal.dispersion for member in members]
-    rows.append(("dispersion of the lognormal curve", *(estimate_text(found) if found else "–" for found in fitted)))
-    name_of = shorten(family_name(contents, name), 40)
+    rows.append(("dispersion of the lognormal curve", *(estimate_text(found) if found else ABSENT for found in fitted)))
     solved = begin(entry.solve, input_name(entry.solve))
-    caption = f"{solved} at which {limit_name(name)} is exceeded, by {name_of}"
-    header = ("probability", *map(number_text, member_values(family.path, [m.value for m in members])))
+    caption = f"{solved} at which {limit_name(name)} is exceeded, by {shorten(input_name(path), 40)}"
+    header = ("probability", *map(number_text, member_values(path, [m.value for m in members])))
     return Table(caption=caption, header=header, rows=tuple(rows))
 
 
-# --- The fragility over the specific energy: drawn and told as the one over the speed is.
-
-
-def _seen_so(contents: Contents, name: str, against: AgainstEntry) -> Contents:
-    """The contents as if the energy were what the margins of this limit are solved for."""
-    values = {key: getattr(against, key) for key in ("quantity", "unit", "values", "curve", "lognormal")}
-    own = MarginEntry(solve=values.pop("quantity"), **values)
-    margins = {**contents.results.margins, name: own}
-    return replace(contents, results=contents.results.model_copy(update={"margins": margins}))
-
-
 def energy_block(contents: Contents, name: str) -> list[Block]:
-    """The block of a limit; none where no curve over the energy was asked for."""
+    """The fragility over the specific energy, drawn and told as the one over the speed; none where not asked for."""
     against = contents.results.margins[name].against
     if not against:
         return []
     heading = f"Fragility of {limit_name(name)} over the specific energy"
     if against.reason:
         return [Block(heading=heading, remarks=(f"No curve can be given: {against.reason}.",))]
-    view = _seen_so(contents, name, against)
+    # the contents as if the energy were what the margins of this limit are solved for
+    values = {key: getattr(against, key) for key in ("unit", "values", "curve", "lognormal")}
+    margins = {**contents.results.margins, name: MarginEntry(solve=against.quantity, **values)}
+    view = replace(contents, results=contents.results.model_copy(update={"margins": margins}))
     picture = fragility_figure(view, name)
+    remark = "Every sphere is struck with the speed that imposes just this energy on it, as by a drop weight."
     return [
         Block(
-            heading=heading,
+            heading=heading, table=margins_table(view, name), remarks=(remark,),
             picture=picture and replace(picture, name=slug("fragility-energy", name), title=heading),
-            table=margins_table(view, name),
-            remarks=(
-                "Every sphere is struck with the speed that imposes just this energy on it, as by a drop weight.",
-            ),
             files=("tables/margins.csv", "tables/fragility_energy.csv"),
         )
+    ]  # fmt: skip
+
+
+# --- fracture by any limit: the probabilities, which comes first, the state it comes in, the interplay ---
+
+#: what is shown of the state at fracture: words, and a quantity with the same unit
+_STATE: Final = {
+    "time": ("time of fracture", "contact_time"),
+    "force": ("force at fracture", "P_max"),
+    "energy": ("energy in both contacts at fracture", "energy"),
+    "specific_energy": ("the same per mass of the sphere", "specific_energy"),
+    "t10": ("product finer than a tenth of the sphere, t10 from the record's energy", "t10"),
+    "imbalance": ("difference of the two forces at fracture, over the larger so far", "force_imbalance"),
+}
+_SHARES: Final = {"0.05": "5 %", "0.5": "median", "0.95": "95 %"}
+_STYLES: Final = ("-", "--", "-.", ":")
+#: normal scores go so far out that a curve leaves the picture where it would
+_FAR: Final = 1e-14
+#: high over low beyond which the curve of one limit is not drawn beside that of all
+_KNOWN: Final = 4.0
+#: limits that are drawn
+MOST_CURVES: Final = 8
+
+
+def fracture_table(contents: Contents) -> Table | None:
+    """Probabilities, shares, orders, and the state at fracture."""
+    found = contents.results.fracture
+    if not found:
+        return None
+    several = len(found.limits) > 1
+    chances = [("probability of fracture over the record" + (", by any limit" if several else ""), found.union)]
+    if found.first_loading:
+        chances.append(("probability of fracture in the first loading", found.first_loading))
+    if several:
+        chances += [(f"share of fractures in which {limit_name(n)} is reached first", e)
+                    for n, e in found.governed_by.items()]  # fmt: skip
+        chances += [("share in the order " + ", then ".join(limit_name(n) for n in entry.limits), entry.share)
+                    for entry in found.order if len(entry.limits) > 1]  # fmt: skip
+    rows = [(words, cell(estimate, probability=True)) for words, estimate in chances]
+    for key, state in found.states().items():
+        words, like = _STATE[key]
+        rows += [(f"{words}, {_SHARES.get(p, p)}", cell(e, like)) for p, e in state.quantiles.items()]
+    caption = "Fracture, with 95 % intervals; what follows the probabilities is of the spheres that break"
+    return Table(caption=caption, header=("", "value (95 % interval)"), rows=tuple(rows))
+
+
+def interplay_figure(contents: Contents) -> Picture | None:
+    """Probability of exceeding each limit, and of fracture by any, over the free scalar."""
+    found, margins = contents.results.fracture, contents.results.margins
+    if len(found.curve) < 2:
+        return None
+    solve = str(found.solve)
+    factor = display_unit(solve)[1]
+    union = np.array(found.curve, dtype=float)
+    here, x = contents.at_mean(solve), union[:, 0] * factor
+    with style():
+        figure, (axes,) = new_figure(4.3)
+        middle, low, high = (score(union[:, k], _FAR) for k in (1, 2, 3))
+        band(axes, x, low, high, GREY, 0.35)
+        axes.plot(x, middle, color=INK, linewidth=3.0, alpha=0.55, label="any of them")
+        drawn = [n for n in found.limits[:MOST_CURVES] if n in margins and len(margins[n].curve) > 1]
+        for k, name in enumerate(drawn):
+            curve = np.array(margins[name].curve, dtype=float)
+            curve = curve[(curve[:, 0] >= union[0, 0] * 0.999) & (curve[:, 0] <= union[-1, 0] * 1.001)]
+            # not known to a factor of two, it may seem to lie above that of any of them
+            known = np.where(curve[:, 3] > _KNOWN * curve[:, 2], np.nan, curve[:, 1])
+            axes.plot(curve[:, 0] * factor, score(known, _FAR), color=_COLOURS[k % len(_COLOURS)],
+                      linestyle=_STYLES[k % len(_STYLES)], label=shorten(limit_name(name), 28))  # fmt: skip
+        x_scale(axes, x)
+        axes.set_ylim(float(score(_LEAST)), float(score(1.0 - 1e-4)))
+        if here is not None and union[0, 0] <= here <= union[-1, 0]:
+            axes.axvline(here * factor, color=INK, linewidth=0.8, linestyle=":")
+            left = _across(axes, here * factor) > 0.3
+            note(axes, "as planned", (here * factor, axes.get_ylim()[0]), (-4 if left else 4, 4),
+                 ha="right" if left else "left")  # fmt: skip
+        probability_axis(axes)
+        axes.legend(loc="upper left")
+        axes.set_xlabel(solved_label(contents, solve))
+        axes.set_ylabel("probability of reaching the strength")
+    return Picture(name="interplay", title="Interplay of the limits", figure=figure)
+
+
+# --- strength tests as a probability plot: on the paper of the fitted law its points lie on a straight line -
+
+_PAPER_TICKS = (0.001, 0.01, 0.05, 0.1, 0.2, 0.5, 0.8, 0.9, 0.99, 0.999)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedTests:
+    """The tests behind the strength of a limit, the law that the run used, and the fit of its kind."""
+
+    limit: str
+    quantity: str
+    tests: StrengthTests
+    law: Law
+    fit: StrengthFit
+
+
+def fitted_tests(contents: Contents, name: str) -> FittedTests | None:
+    """The tests behind a limit's strength, where a Weibull or lognormal law was fitted to them."""
+    found = contents.resolved.random.get(f"limits.{name}.strength")
+    if found is None or found.dist not in STRENGTHS or not found.data:
+        return None
+    stopped = found.censored
+    tests = make_tests([*found.data, *stopped], [False] * len(found.data) + [True] * len(stopped))
+    law = Law(family=FAMILIES[found.dist], parameters=found.parameters)
+    quantity = contents.results.limits[name].quantity
+    return FittedTests(
+        limit=name, quantity=quantity, tests=tests, law=law, fit=fit_strength(tests, STRENGTHS[found.dist])
+    )
+
+
+def probability_plot(known: FittedTests) -> Picture:
+    """Tests, fitted law and the 95 % band of the laws that the tests allow."""
+    from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
+
+    tests, law, fitted, quantity = known.tests, known.law, known.fit, known.quantity
+    factor = display_unit(quantity)[1]
+    paper = fitted.law
+    positions = paper.height(plotting_positions(tests.failed))
+    low = min(float(paper.height(np.array([0.01]))[0]), float(positions[0]) - 0.3)
+    high = max(float(paper.height(np.array([0.99]))[0]), float(positions[-1]) + 0.3)
+    heights = np.linspace(low, high, 80)
+    centre, inverse = pivots(paper, tests.failed, 2000, np.random.default_rng(1))
+    spread = paper.shape(fitted.shape)
+    lines = np.log(fitted.scale) + spread * (inverse[:, None] * heights - centre[:, None])
+    ends = np.exp(np.quantile(lines, [0.025, 0.975], axis=0))
+    stopped = tests.values[~tests.failed]
+    with style():
+        figure, (axes,) = new_figure(3.7)
+        axes.fill_betweenx(heights, ends[0] * factor, ends[1] * factor, color=BLUE, alpha=0.2, linewidth=0.0)
+        axes.plot(law.ppf(paper.below(heights)) * factor, heights, color=BLUE)
+        axes.plot(tests.values[tests.failed] * factor, positions, linestyle="none", marker="o", color=INK,
+                  markerfacecolor=PAPER, markersize=5.5)  # fmt: skip
+        if stopped.size:
+            axes.plot(stopped * factor, np.full(stopped.size, low), linestyle="none", marker=">", color=ORANGE,
+                      markeredgecolor=INK, markersize=7, clip_on=False, zorder=5)  # fmt: skip
+        every = np.concatenate([tests.values, law.ppf(paper.below(heights))]) * factor
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(MaxNLocator(7))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.set_xlim(0.95 * every.min(), 1.05 * every.max())
+        ticks = [p for p in _PAPER_TICKS if low <= float(paper.height(np.array([p]))[0]) <= high]
+        axes.set_yticks(paper.height(np.array(ticks)).tolist(), [f"{100.0 * p:g} %" for p in ticks])
+        axes.set_ylim(low, high)
+        axes.grid()
+        axes.set_xlabel(axis_label(quantity, f"strength against {shorten(symbol(quantity), 40)}"))
+        axes.set_ylabel("share of the tests\nthat has broken")
+    return Picture(
+        name=slug("strength", known.limit), title=f"Strength tests: {limit_name(known.limit)}",
+        figure=figure,
+        header=("what", "strength", "share that has failed", "least (95 %)", "largest (95 %)"),
+        rows=_drawn(known, heights, ends),
+    )  # fmt: skip
+
+
+def _drawn(known: FittedTests, heights: Array, ends: Array) -> tuple[tuple[Any, ...], ...]:
+    """The tests, and the law with its band, in SI: at a share the strength and its ends."""
+    tests = known.tests
+    shares = plotting_positions(tests.failed)
+    rows: list[tuple[Any, ...]] = [
+        ("test", float(value), float(share), "", "")
+        for value, share in zip(np.sort(tests.values[tests.failed]), np.sort(shares), strict=True)
     ]
+    rows += [("stopped", float(value), "", "", "") for value in tests.values[~tests.failed]]
+    share = known.fit.law.below(heights)
+    strengths = known.law.ppf(share)
+    rows += [("law", *map(float, row)) for row in zip(strengths, share, ends[0], ends[1], strict=True)]
+    return tuple(rows)
+
+
+def tests_table(known: FittedTests) -> Table:
+    """Parameters with both kinds of intervals, and the closeness of the fit."""
+    law, fitted, quantity = known.law, known.fit, known.quantity
+    shape, scale = fitted.law.shape_words, fitted.law.scale_words
+
+    def text(value: float, ends: tuple[float, float], own: str = "") -> str:
+        return estimate_text(Est.of(value, ends[0], ends[1]), own)
+
+    rows = (
+        ("tests, failures", f"{fitted.tests}, {fitted.failures}"),
+        (f"{shape}, largest likelihood (interval: profile likelihood)", text(fitted.shape, fitted.shape_likelihood)),
+        (f"{shape}, bias taken out (interval: simulated series)", text(fitted.unbiased, fitted.shape_interval)),
+        (f"{scale} (interval: profile likelihood)", text(fitted.scale, fitted.scale_likelihood, quantity)),
+        (f"{scale} (interval: simulated series)", text(fitted.scale, fitted.scale_interval, quantity)),
+        (
+            "largest distance from the tests, probability of a larger one",
+            f"{fitted.distance:.3g}, {fitted.p_value:.2g}",
+        ),
+    )
+    caption = f"{capital(law.family.label)} law of the strength of {limit_name(known.limit)}, with 95 % intervals"
+    return Table(caption=caption, header=("", "value"), rows=rows)
