@@ -84,11 +84,12 @@ class Change(Entry):
         """Which answer it is."""
         return self.name, self.section, self.statistic
 
-    def told(self, say: Callable[[Est, str], str] = estimate_text) -> tuple[str, str, str, str]:
+    def told(self, say: Callable[[Est, str], str] | None = None) -> tuple[str, str, str, str]:
         """Before, after, difference with its interval, and that in per cent of what was; signs for what is not."""
+        sides = self.before, self.after
+        plain_say = say or estimate_text
         before, after = (
-            probability_text(side) if self.chance and say is estimate_text else say(side, self.subject)
-            for side in (self.before, self.after)
+            probability_text(side) if self.chance and say is None else plain_say(side, self.subject) for side in sides
         )
         difference = estimate_text(Est.of(self.difference, self.low, self.high), self.subject)
         difference = "none" if self.difference == 0.0 else difference
