@@ -9,7 +9,7 @@ import numpy as np
 
 from uqsphere.arrays import Flags
 from uqsphere.mechanics.damage import broken
-from uqsphere.mechanics.outputs import BEYOND, OUTPUTS, Answers, absent_in, merged_answers
+from uqsphere.mechanics.outputs import Answers, all_of, merged_answers
 from uqsphere.mechanics.scene import Scene, answered
 
 #: the quantity that the blows add, and the one that a blow leaves
@@ -35,7 +35,7 @@ def after_blows(
         `broke_at` is the number of the blow that breaks the sphere, censored at the last where it holds them all.
     """
     if quantities is None:
-        quantities = [*(name for name in OUTPUTS if name not in BEYOND and not absent_in(scene, name)), *scene.demands]
+        quantities = all_of(scene)
     asked = tuple(dict.fromkeys([*(name for name in quantities if name != BROKE_AT), DAMAGE]))
     left, alive, parts = np.ones(len(scene)), np.arange(len(scene)), []
     gamma = scene.columns["contact.gamma"]

@@ -228,6 +228,11 @@ def all_of(scene: Scene, named: Collection[str] = ()) -> tuple[str, ...]:
     return (*every, *scene.demands)
 
 
+def all_with(scene: Scene, named: Collection[str]) -> tuple[str, ...] | None:
+    """What to ask a solver for all quantities and what is named: None, but for those of `BEYOND`."""
+    return all_of(scene, named) if BEYOND & set(named) else None
+
+
 def wishes(quantities: Collection[str] | None, demands: Demands = MappingProxyType({})) -> int:
     """What an integrator has to follow for these quantities and demands, or for all but `BEYOND`: tracked.WANT_*."""
     wanted = 0
@@ -346,7 +351,9 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
         found[column] = partial(_largest, sides, column)
     found["dissipated"] = lambda: sum(side["dissipated"] for side in sides)
     if scene.contact_law == "damage":
-        found["damaged"] = partial(_largest, sides, "damage")
+        # of one blow: `uqsphere.mechanics.blows` counts them
+        found["damaged"], found["blow"] = partial(_largest, sides, "damage"), lambda: np.ones(len(scene))
+        found["blow_censored"] = lambda: 1.0 - broken(_largest(sides, "damage"), scene.columns["contact.gamma"])
     if not one_contact and "difference" in tracked:
         found["force_imbalance"] = lambda: force * tracked["difference"] / _largest(sides, "P_max")
     if firsts:

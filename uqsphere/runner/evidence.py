@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.mechanics.outputs import absent_in
+from uqsphere.mechanics.outputs import absent_in, all_with
 from uqsphere.mechanics.yielding import Face
 from uqsphere.model import Answered, is_answered, scene_of, solve_scene
 from uqsphere.runner.axis_rows import evaluate_at
@@ -116,7 +116,8 @@ def _solved(work: Work, scene: Scene) -> Answers:
     tolerance = work.study.model.tolerance
 
     def solve() -> Answers:
-        return solve_scene(scene, "full", tolerance=tolerance, threads=work.threads, quantities=None)
+        asked = all_with(scene, work.quantities)
+        return solve_scene(scene, "full", tolerance=tolerance, threads=work.threads, quantities=asked)
 
     work.ledger.evaluations["full"] = work.ledger.evaluations.get("full", 0) + len(scene)
     about = [scene.contact_law, scene.contact_dynamics, tolerance]

@@ -10,7 +10,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags
 from uqsphere.mechanics.fidelity import Fallback, fit_error_law
-from uqsphere.mechanics.outputs import BEYOND, all_of
+from uqsphere.mechanics.outputs import all_with
 from uqsphere.mechanics.yielding import Face
 from uqsphere.model import cheaper_fidelities, is_answered, scene_of, solve_scene
 from uqsphere.results.entries import CheckEntry
@@ -225,8 +225,7 @@ def first_look(work: Work) -> Pilot:
     scene, half = scene_of(study, values, count), max(count // 2, 1)
     few = scene_of(study, {name: column[:half] for name, column in values.items()}, half)
     look = _Look(work=work, few=few)
-    every = all_of(scene, work.quantities) if BEYOND & set(work.quantities) else None
-    full = look.solve(scene, "full", study.model.tolerance, every)
+    full = look.solve(scene, "full", study.model.tolerance, all_with(scene, work.quantities))
     same = _first(full, len(few))
     scatter = np.array([_scatter(full, name) for name in work.quantities])
     asked, bound = study.model.fidelity, allowed_error(study)

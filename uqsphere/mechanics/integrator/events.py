@@ -16,6 +16,7 @@ from uqsphere.mechanics.integrator import searches, tracked
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
     ARMED,
+    face_yielded,
     largest_approach,
     largest_force,
     most_stored,
@@ -164,8 +165,11 @@ def _dip(piece, face, level, a, b, slope_b):
 
 
 @compiled(**INNER)
-def _switch(law, lane, piece, grid, theta):
-    """The first change of branch of either face in a step: its theta, and face + 4 or face + 6, 1: it breaks, or 0."""
+def _switch(law, lane, piece, grid, theta, bends):
+    """The first change of branch of either face in a step: its theta, and face + 4 or face + 6, 1: it breaks, or 0.
+
+    bends (2,): where each face turns, about, or -1.
+    """
     apart()
     ends, why = theta, 0
     for face in range(2):
@@ -175,8 +179,9 @@ def _switch(law, lane, piece, grid, theta):
             for i in range(tracked.POINTS):
                 if grid[face, 1, i] > 0.0 and grid[face, 1, i + 1] <= 0.0:
                     found = searches.settle(
-                        piece, face, True, i * width, (i + 1) * width, grid[face, 1, i], grid[face, 1, i + 1], 0.0
-                    )
+                        piece, face, True, i * width, (i + 1) * width, grid[face, 1, i], grid[face, 1, i + 1], 0.0,
+                        bends[face],
+                    )  # fmt: skip
                     break
             if law[tracked.GAMMA, m] > 0.0:
                 limit = theta if math.isnan(found) else found
@@ -192,8 +197,12 @@ def _switch(law, lane, piece, grid, theta):
                     if right > room * (1.0 + ARMED):
                         found = _dip(piece, face, room, i * width, (i + 1) * width, grid[face, 1, i + 1])
                 elif right >= room:
+                    guess = searches.inverse_guess(
+                        i * width, width, left - room, width * grid[face, 1, i], right - room,
+                        width * grid[face, 1, i + 1],
+                    )  # fmt: skip
                     found = searches.settle(
-                        piece, face, False, i * width, (i + 1) * width, left - room, right - room, room
+                        piece, face, False, i * width, (i + 1) * width, left - room, right - room, room, guess
                     )
                 elif (
                     searches.highest_between(left, width * grid[face, 1, i], right, width * grid[face, 1, i + 1])
@@ -209,7 +218,7 @@ def _switch(law, lane, piece, grid, theta):
 
 @compiled(**INNER)
 def after_step(
-    mode, flags, track, lane, piece, pushes, grid, places, theta, before, h, echo, low, tiny, near, hover, graze,
+    mode, flags, track, lane, piece, pushes, grid, bends, places, theta, before, h, echo, low, tiny, near, hover, graze,
     stop_at_loss, yielding, law,
 ):  # fmt: skip
     """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
@@ -218,16 +227,21 @@ def after_step(
     (face + 2), a face that begins to yield (face + 4) or ceases to (face + 6).  `echo` is the time of the first
     reflected wave, `tiny` the error allowed in an approach, `low` > 0 the share of the largest approach below which
     the record ends; for the others see `_faces`.  grid (face, 2, POINTS + 1): values and slopes over [0, theta]; room.
-    places (2,) receive the theta of a face's largest approach so far, or -1.  pushes (6, TERMS): the series of both
+    bends: see `_switch`.  places (2,) receive the theta of a face's largest approach so far, or -1: one that has
+    yielded is at its deepest on virgin loading.  pushes (6, TERMS): the series of both
     forces, where faces have laws of their own, and room.
     """
     apart()
     ends, why = theta, 0
     if flags & tracked.SWITCHES:
-        ends, why = _switch(law, lane, piece, grid, theta)
+        ends, why = _switch(law, lane, piece, grid, theta, bends)
         if why != 0:  # the step is cut: what `look` saw of it is more than there is
+            if flags & ~tracked.SWITCHES or not (face_yielded(law, lane) and face_yielded(law, LANES + lane)):
+                searches.survey(piece, ends, grid)
+            else:
+                for face in range(2):
+                    grid[face, 0, tracked.POINTS] = searches.value(piece, face, ends)
             flags |= 1 << tracked.FACE_A
-            searches.survey(piece, ends, grid)
         theta = ends
     if flags & tracked.SOMETHING:
         ends, met, lost = _faces(track, lane, piece, grid, theta, before, h, near, hover, graze)
@@ -243,6 +257,9 @@ def after_step(
     known = max(track[tracked.FACE_A, lane], track[tracked.FACE_B, lane])
     if flags & (1 << tracked.FACE_A):
         for face in range(2):
+            if yielding and face_yielded(law, face * LANES + lane):
+                places[face] = -1.0
+                continue
             # faces that are alike share the largest approach so far
             least = track[tracked.FACE_A + face, lane] if yielding else known
             found, places[face] = searches.largest_approach(face, mode, piece, ends, grid, least, own, law, lane)

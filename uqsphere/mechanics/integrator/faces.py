@@ -150,7 +150,7 @@ def let_go(law, m, above):
     recovered = onset * force / math.sqrt(area)
     law[PEAK, m] = law[UNIT, m] * force
     law[LARGEST, m], law[DENT, m] = largest, largest - recovered
-    law[SPRING, m] = law[PEAK, m] / recovered**1.5
+    law[SPRING, m] = law[PEAK, m] / (recovered * math.sqrt(recovered))
     law[HERTZ, m] = law[SPRING, m]
     law[SHIFT, m], law[BY_X, m], law[BY_ROOT, m], law[BY_LOG, m], law[CONSTANT, m] = 0.0, 0.0, 0.0, 0.0, 0.0
     return approach - law[DENT, m]
@@ -247,7 +247,7 @@ def stored_energy(law, m, above):
 @compiled(**INNER)
 def largest_approach(law, m, known):
     """Largest approach of a face so far, where `known` is that while it has not yielded."""
-    return max(known, law[LARGEST, m]) if face_yielded(law, m) else known
+    return law[LARGEST, m] if face_yielded(law, m) else known
 
 
 @compiled(**INNER)

@@ -42,7 +42,7 @@ from uqsphere.mechanics.integrator.step import (
     slow_step,
     step_from_touch,
 )
-from uqsphere.mechanics.integrator.tracked import LANES, ORDER, PAIR, TERMS
+from uqsphere.mechanics.integrator.tracked import LANES, PAIR, TERMS
 from uqsphere.mechanics.integrator.vectors import bare
 from uqsphere.mechanics.integrator.vectors import row as row_of
 
@@ -116,7 +116,7 @@ def march(
         np.zeros((2, lanes), dtype=np.int64), np.zeros((tracked.TRACKS, lanes)), np.ones((SCALES, lanes)),
         np.zeros((4, 2, tracked.POINTS + 1)), np.zeros((3, PAIR)), np.zeros((19, lanes)),
         np.zeros((4, lanes), dtype=np.int64), np.zeros((tracked.NUMBERS, PAIR)), np.zeros((TERMS, PAIR)),
-        np.zeros((1, PAIR)), np.zeros((tracked.RIGS, PAIR)), np.zeros((TERMS, PAIR)), np.full(2, -1.0),
+        np.zeros((1, PAIR)), np.zeros((tracked.RIGS, PAIR)), np.zeros((TERMS, PAIR)), np.full((2, 2), -1.0),
         np.zeros((TERMS, PAIR)), np.zeros((6, TERMS)), np.zeros((2 * tracked.POINTS + 2, PAIR)),
     )  # fmt: skip
     # faces that yield: their law, the series of the logarithm in it, a divisor; see `faces`
@@ -133,7 +133,8 @@ def march(
         np.zeros(lanes, dtype=np.bool_),
     )
     # what stands at the poles, the series of U_A and -U_B, where in a step faces are pressed deepest
-    rig, free, places, rigged = bare(owned[26]), bare(owned[27]), bare(owned[28]), rigs.shape[1] > 0
+    rig, free, places, bends = bare(owned[26]), bare(owned[27]), bare(owned[28][0]), bare(owned[28][1])
+    rigged, of_forces = rigs.shape[1] > 0, wanted & (tracked.WANT_DIFFERENCE | tracked.WANT_MEAN) != 0
     if not yielding:
         wanted &= ~tracked.WANT_SHARE
     for m in range(PAIR):
@@ -326,7 +327,7 @@ def march(
         evaluate(u, theta, 1.0, half, at_u, rate_u)
         if mode != 1:
             root_error(root, theta, half, at, law, branch, row_of(room, 0, 0), row_of(room, 1, 0))
-        if apart and wanted & (tracked.WANT_DIFFERENCE | tracked.WANT_MEAN):
+        if apart and of_forces:
             for i in range(tracked.POINTS + 1):
                 evaluate(force, theta, i / tracked.POINTS, half, row_of(pressed, i, 0), row_of(pressing, i, 0))
         events.look(
@@ -384,6 +385,7 @@ def march(
             if yielding:
                 for m in range(j, PAIR, LANES):
                     raised = known[0, m] > track[tracked.FACE_A + m // LANES, j]
+                    bends[m // LANES] = room[3, m] if room[4, m] > 0.0 else -1.0
                     places[m // LANES] = (room[3, m] if room[4, m] > 0.0 else ending) if raised else -1.0
             if flags[j] != 0:
                 for face in range(2):
@@ -392,7 +394,7 @@ def march(
                     for i in range(tracked.POINTS + 1):
                         grid[face, 0, i] = at[i, face * LANES + j]
                         grid[face, 1, i] = rate[i, face * LANES + j]
-                    if own[j]:
+                    if own[j] and of_forces:
                         for k in range(TERMS):
                             pushes[face, k] = force[k, face * LANES + j]
                 quiet = share if low[j] > 0.0 else 0.0
@@ -401,7 +403,7 @@ def march(
                         max(track[tracked.FACE_A, j], track[tracked.FACE_B, j]), max(known[0, j], known[0, LANES + j])
                     )
                 ending, why = events.after_step(
-                    mode, flags[j], track, j, piece, pushes, grid, places, theta[j], before, h[j],
+                    mode, flags[j], track, j, piece, pushes, grid, bends, places, theta[j], before, h[j],
                     min(trips[0, j], trips[1, j]), quiet, local * size[0, j], near[j], asked * size[0, j], graze[r],
                     stop_at_loss and not rigged and not beyond[j], yielding, law,
                 )  # fmt: skip
@@ -469,10 +471,10 @@ def march(
                 out[r, tracked.ANSWER_SPEED] = events.value_of(u, j, ending)
                 beyond[j], why = True, 2 + int(track[tracked.LOST_FACE, j])
             if why >= 2 or (why == 1 and own[j]):
-                a, b, w = 0.0, 0.0, 0.0
-                for k in range(ORDER, -1, -1):
-                    a, b, w = a * ending + x[k, j], b * ending + x[k, LANES + j], w * ending + u[k, j]
-                at[last_point, j], at[last_point, LANES + j], at_u[j] = a, b, w
+                at_u[j] = events.value_of(u, j, ending)
+                for face in range(2):  # where a face leaves or changes its branch, the search has come by
+                    m = face * LANES + j
+                    at[last_point, m] = grid[face, 0, last_point] if why >= 2 else events.value_of(x, m, ending)
             if why >= 2:  # the motion goes on from where a face left or touched
                 at_stop = False
                 touching[j] = 1 if why < 4 and x[0, (why - 2) * LANES + j] <= 0.0 else 0

@@ -73,21 +73,31 @@ _shifted_root = elementwise(
         where((by_log < 0.0) | (by_log > 0.0), 1.0 / (root + base), 0.0),
     ),
 )
-_log_term = elementwise(PAIR, 1, lambda total, root, k, inverse: (k * root - total) * inverse)
+# of a face on virgin loading (inverse > 0) the terms of the logarithm stand in the place of those of x, so that one
+# product with the root's serves both
+_beside = elementwise(PAIR, 1, lambda x, inverse: where(inverse > 0.0, 0.0 * x, x))
 _any_branch = elementwise(
     PAIR,
-    1,
-    lambda force, hertz, x, by_x, root, by_root, log, by_log, inverse_k: (
-        hertz * force + by_x * x + by_root * root + by_log * log * inverse_k
+    2,
+    lambda product, hertz, x, by_x, root, by_root, by_log, inverse, k, share: (
+        hertz * product + by_x * x + by_root * root + by_log * (log := (k * root - product) * inverse) * share,
+        where(inverse > 0.0, log, x),
     ),
 )
+_virgin_start = elementwise(
+    PAIR,
+    1,
+    lambda product, hertz, x, by_x, root, by_root, by_log, log, constant: (
+        hertz * product + by_x * x + by_root * root + by_log * log + constant
+    ),
+)
+_any_softened = elementwise(PAIR, 1, lambda force, hertz, by_power, power: hertz * force + by_power * power)
 _first_power = elementwise(PAIR, 1, lambda x: where(x > 0.0, 1.0 / larger(x, 1e-300), 0.0))
 _slope_term = elementwise(PAIR, 1, lambda x, k: k * x)
 # k x_0 P_k = sum of ((p + 1) j - k) x_j P_(k-j), 0 < j <= k, of P = x^p with p = gamma + 3/2
 _power_term = elementwise(
     PAIR, 1, lambda total, sloped, gamma, k, inverse, share: ((gamma + 2.5) * sloped - k * total) * inverse * share
 )
-_add = elementwise(PAIR, 1, lambda force, constant: force + constant)
 _stiffer = elementwise(PAIR, 1, lambda force, spring: spring * force)
 _odd_root = elementwise(PAIR, 1, lambda x, total, half: (x - 2.0 * total) * half)
 _even_root = elementwise(PAIR, 1, lambda x, total, middle, half: (x - 2.0 * total - middle * middle) * half)
@@ -133,8 +143,9 @@ def expand(
 
     push : (TERMS, PAIR), 2 f and -2 h_B.  A face whose approach is not positive carries no force.  yielding, virgin:
     whether faces have a law of their own, and whether one of them is on virgin loading; law: see
-    `uqsphere.mechanics.integrator.faces`; log (TERMS, PAIR): k times the k-th term of l; inverse (PAIR,): room.
-    softens: whether faces take damage; log then has the terms of x^(gamma + 3/2); sloped (TERMS, PAIR): room.
+    `uqsphere.mechanics.integrator.faces`; log (TERMS, PAIR): k times the k-th term of l on virgin loading, else of x;
+    inverse (PAIR,): room.  softens: whether faces take damage; log then has the terms of x^(gamma + 3/2); sloped
+    (TERMS, PAIR): room.
     rigged, rig (RIGS, PAIR): whether something else than a bar stands at a pole, and what; free (TERMS, PAIR): the
     series of U_A and -U_B.
     """
@@ -156,13 +167,14 @@ def expand(
                     _even_root(root_k, x_k, root_k, row(root, k // 2, 0), half)
                 else:
                     _odd_root(root_k, x_k, root_k, half)
-            products(x, root, k, 0, k + 1, force_k)
-            if virgin and softens:
-                _softened(k, x, force_k, law, log, inverse, sloped)
-            elif virgin:
-                _branches(k, x, root, force_k, law, log, inverse)
-            elif yielding:
-                _stiffer(force_k, force_k, row(law, SPRING, 0))
+            if virgin and not softens:
+                _branches(k, x, root, force_k, law, log, inverse, sloped)
+            else:
+                products(x, root, k, 0, k + 1, force_k)
+                if virgin:
+                    _softened(k, x, force_k, law, log, inverse, sloped)
+                elif yielding:
+                    _stiffer(force_k, force_k, row(law, SPRING, 0))
         if k == ORDER:
             break
         share = 1.0 / (k + 1.0)
@@ -181,20 +193,19 @@ def expand(
 
 
 @compiled(**INNER)
-def _branches(k, x, root, force_k, law, log, inverse):
-    """The k-th term of the forces where a face may be on virgin loading; force_k: that of x sqrt(x)."""
-    log_k, root_k, scale = row(log, k, 0), row(root, k, 0), 1.0
-    if k == 0:
-        for m in range(PAIR):
-            log[0, m] = log_start(law, m, root[0, m]) if law[BY_LOG, m] != 0.0 else 0.0
-    else:
-        scale = 1.0 * k
-        products(log, root, k, 1, k, log_k)
-        _log_term(log_k, log_k, root_k, scale, inverse)
-    _any_branch(force_k, force_k, row(law, HERTZ, 0), row(x, k, 0), row(law, BY_X, 0), root_k, row(law, BY_ROOT, 0),
-                log_k, row(law, BY_LOG, 0), 1.0 / scale)  # fmt: skip
-    if k == 0:
-        _add(force_k, force_k, row(law, CONSTANT, 0))
+def _branches(k, x, root, force_k, law, log, inverse, start):
+    """The k-th term of the forces where a face may be on virgin loading; start: room for the logarithm itself."""
+    log_k, x_k, root_k, scale = row(log, k, 0), row(x, k, 0), row(root, k, 0), 1.0 * k
+    _beside(log_k, x_k, inverse)
+    products(log, root, k, 0, k + 1, force_k)
+    if k > 0:
+        _any_branch(force_k, log_k, force_k, row(law, HERTZ, 0), x_k, row(law, BY_X, 0), root_k, row(law, BY_ROOT, 0),
+                    row(law, BY_LOG, 0), inverse, scale, 1.0 / scale)  # fmt: skip
+        return
+    for m in range(PAIR):
+        start[0, m] = log_start(law, m, root[0, m]) if law[BY_LOG, m] != 0.0 else 0.0
+    _virgin_start(force_k, force_k, row(law, HERTZ, 0), x_k, row(law, BY_X, 0), root_k, row(law, BY_ROOT, 0),
+                  row(law, BY_LOG, 0), row(start, 0, 0), row(law, CONSTANT, 0))  # fmt: skip
 
 
 @compiled(**INNER)
@@ -212,8 +223,7 @@ def _softened(k, x, force_k, law, power, inverse, sloped):
         products(x, power, k, 1, k + 1, power_k)
         products(sloped, power, k, 1, k + 1, row(sloped, 0, 0))
         _power_term(power_k, power_k, row(sloped, 0, 0), row(law, GAMMA, 0), scale, inverse, 1.0 / scale)
-    _any_branch(force_k, force_k, row(law, HERTZ, 0), x_k, row(law, BY_X, 0), x_k, row(law, BY_ROOT, 0), power_k,
-                row(law, BY_LOG, 0), 1.0)  # fmt: skip
+    _any_softened(force_k, force_k, row(law, HERTZ, 0), row(law, BY_LOG, 0), power_k)
 
 
 def _root_16(a):
