@@ -31,61 +31,39 @@ def html_errors(page: str) -> list[tuple[object, str]]:
     return [(place, code) for place, code, _ in parser.errors] + [(i, "twice") for i in set(ids) if ids.count(i) > 1]
 
 
+def _est(value: float, low: float, high: float, error: float, method: str = "by hand") -> dict[str, Any]:
+    return {"value": value, "low": low, "high": high, "std_error": error, "method": method, "evaluations": ROWS}
+
+
 def estimate(value: float | None, half: float = 0.01, reason: str = "not asked for") -> dict[str, Any]:
     """An EST of results.json."""
     if value is None:
-        return {
-            "value": None,
-            "low": None,
-            "high": None,
-            "std_error": None,
-            "method": "by hand",
-            "evaluations": 0,
-            "reason": reason,
-        }
-    return {
-        "value": value,
-        "low": value - half,
-        "high": value + half,
-        "std_error": half / 2.0,
-        "method": "by hand",
-        "evaluations": ROWS,
-    }
+        nothing = dict.fromkeys(("value", "low", "high", "std_error"))
+        return nothing | {"method": "by hand", "evaluations": 0, "reason": reason}
+    return _est(value, value - half, value + half, half / 2.0)
 
 
 def _quantity(values: np.ndarray, censored: np.ndarray) -> dict[str, Any]:
-    share = float(censored.mean())
-    sd = float(values.std())
-    reason = "the record ends before it"
+    share, sd = float(censored.mean()), float(values.std())
     known = sd > 0.0 and share < 1.0
+
+    def est(value: float, half: float) -> dict[str, Any]:
+        return estimate(float(value) if known else None, half * sd, "the record ends before it")
+
     return {
         "unit": "Pa",
-        "mean": estimate(float(values.mean()) if known else None, 0.01 * sd, reason),
-        "sd": estimate(sd if known else None, 0.02 * sd, reason),
-        "quantiles": {
-            p: estimate(float(np.quantile(values, float(p))) if known else None, 0.03 * sd, reason)
-            for p in ("0.05", "0.5", "0.95")
-        },
-        "censored_share": {
-            "value": share,
-            "low": share,
-            "high": min(1.0, share + 0.01),
-            "std_error": 0.001,
-            "method": "share",
-            "evaluations": ROWS,
-        },
+        "mean": est(values.mean(), 0.01),
+        "sd": est(sd, 0.02),
+        "quantiles": {p: est(np.quantile(values, float(p)), 0.03) for p in ("0.05", "0.5", "0.95")},
+        "censored_share": _est(share, share, min(1.0, share + 0.01), 0.001, "share"),
     }
 
 
 def _sensitivity(inputs: list[str], scatter: bool) -> dict[str, Any]:
     if not scatter:
         nothing = {name: estimate(None, reason="no input of the model is random") for name in inputs}
-        return {
-            "first": nothing,
-            "total": nothing,
-            "surrogate": {"kind": None},
-            "check": {"text": "no input is random"},
-        }
+        check = {"text": "no input is random"}
+        return {"first": nothing, "total": nothing, "surrogate": {"kind": None}, "check": check}
     shares = 2.0 ** -np.arange(1.0, len(inputs) + 1.0)
     return {
         "first": {n: estimate(float(s)) for n, s in zip(inputs, shares, strict=True)},
@@ -155,30 +133,13 @@ def _margins(names: list[str]) -> dict[str, Any]:
     return dict.fromkeys(names, entry)
 
 
-_LAW = {
-    "dist": "lognormal",
-    "parameters": {"log_mean": 24.67, "log_sd": 0.12},
-    "given": {"mean": 52e9, "cov": 0.12},
-    "lower": None,
-    "upper": None,
-    "data": [],
-}
-_SPEED = {
-    "dist": "normal",
-    "parameters": {"mean": 0.5, "sd": 0.01},
-    "given": {"mean": 0.5, "cov": 0.02},
-    "lower": None,
-    "upper": None,
-    "data": [],
-}
-_STRENGTH = {
-    "dist": "weibull",
-    "parameters": {"modulus": 12.0, "scale": 4.17e9, "threshold": 0.0},
-    "given": {"modulus": 12.0, "mean": 4e9},
-    "lower": None,
-    "upper": None,
-    "data": [],
-}
+def _law(dist: str, parameters: dict[str, float], **given: float) -> dict[str, Any]:
+    return {"dist": dist, "parameters": parameters, "given": given, "lower": None, "upper": None, "data": []}
+
+
+_LAW = _law("lognormal", {"log_mean": 24.67, "log_sd": 0.12}, mean=52e9, cov=0.12)
+_SPEED = _law("normal", {"mean": 0.5, "sd": 0.01}, mean=0.5, cov=0.02)
+_STRENGTH = _law("weibull", {"modulus": 12.0, "scale": 4.17e9, "threshold": 0.0}, modulus=12.0, mean=4e9)
 
 
 def write_folder(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import gc
-from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +13,7 @@ import uqsphere
 from uqsphere import analysis
 from uqsphere.errors import AccessError, UsageError
 from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.indices import Blocks, sampled_indices
-from uqsphere.uq.interop import joint_to_chaospy, salib_check
+from uqsphere.uq.interop import joint_to_chaospy
 
 RNG = np.random.default_rng
 ANGLE = stats.uniform(-np.pi, 2.0 * np.pi)
@@ -150,19 +147,6 @@ def test_a_run_without_a_folder_says_what_salib_makes_of_its_rows() -> None:
     assert not folder.exists()
 
 
-def test_salib_check_sees_indices_that_are_wrong() -> None:
-    u = RNG(7).random((16, 256, 2, 2))
-    mixed = np.stack([Blocks(inputs_count=2).mix(a[:, 0], a[:, 1]) for a in u])
-    outputs = mixed[..., 0] + 2.0 * mixed[..., 1]
-    drawn = sampled_indices(outputs, Blocks(inputs_count=2))
-    ours = {"first": drawn.first, "total": drawn.total}
-    assert salib_check("ab", ours, outputs)[0]
-    off = {"first": ours["first"], "total": [replace(e, value=(e.value or 0.0) + 0.2) for e in ours["total"]]}
-    agree, text = salib_check("ab", off, outputs)
-    assert not agree
-    assert "disagree: total of a" in text
-
-
 def test_shares_of_tied_inputs_are_those_of_a_linear_model() -> None:
     tied = analysis.joint({"u": stats.norm(), "v": stats.norm()}, {("u", "v"): 0.5})
     x = tied.physical(RNG(8).normal(size=(300, 2)))
@@ -210,37 +194,6 @@ def test_a_fragility_curve_of_two_lognormal_laws() -> None:
         analysis.fragility(lambda r: r["v"], {"v": stats.norm()}, free="v", levels=[1.0, 2.0], strength=1.0)
 
 
-def test_fits_to_observations() -> None:
-    values = stats.weibull_min(5.0, scale=10.0).rvs(60, random_state=1)
-    whole = analysis.weibull_fit(values)
-    assert whole.shape_interval[0] < 5.0 < whole.shape_interval[1]
-    cut = analysis.weibull_fit(np.minimum(values, 11.0), values > 11.0)
-    assert cut.failures == int((values <= 11.0).sum())
-    assert cut.scale == pytest.approx(10.0, rel=0.1)
-    assert analysis.lognormal_fit(np.exp(RNG(1).normal(2.0, 0.3, 80))).shape == pytest.approx(0.3, rel=0.2)
-    limits = analysis.tolerance_interval(np.arange(93.0))
-    assert limits.between == (0.0, 92.0)
-    with pytest.raises(UsageError, match="differ in number"):
-        analysis.weibull_fit([1.0, 2.0], [True])
-    with pytest.raises(UsageError, match=r"x \(n, d\) and y \(n,\)"):
-        analysis.rank_indices([1.0, 2.0], [1.0, 2.0])
-
-
 def blocks_of(page: str) -> list[str]:
     text = (Path(uqsphere.__file__).parent.parent / "docs" / page).read_text("utf-8")
     return [part.partition("```")[0] for part in text.split("```python\n")[1:]]
-
-
-def test_the_borehole_from_laws_to_figures(capsys: pytest.CaptureFixture[str]) -> None:
-    from matplotlib import pyplot
-
-    pyplot.switch_backend("Agg")
-    ours, theirs = blocks_of("borehole.md")
-    assert sum(map(bool, ours.splitlines())) <= 26
-    known: dict[str, object] = {}
-    exec(ours.replace("50_000", "8_000").replace("rows=512", "rows=60"), known)
-    pyplot.close("all")
-    assert holds(known["run"].results.sensitivity["flow"].first["rw"], 0.6594, 0.01)  # type: ignore[attr-defined]
-    assert "Failure(probability=Estimate(value=0.00015" in capsys.readouterr().out
-    if find_spec("openturns"):
-        exec(theirs, {})

@@ -15,7 +15,6 @@ from uqsphere.mechanics.validity import RULES
 from uqsphere.report.brief import Answer, Axis, Mode, make_brief, ranged, span
 from uqsphere.report.cautions import check_words
 from uqsphere.report.contents import read_contents
-from uqsphere.report.page import typeset
 from uqsphere.report.phrases import short_share
 
 STUDY = """
@@ -91,11 +90,6 @@ def test_the_sheet_is_short_and_asks_for_nothing(folder: Path) -> None:
     assert "http" not in page.replace("http-equiv", "")
     assert "<script" not in page
     assert 'class="brief"' in (folder / "report.html").read_text()
-
-
-def test_the_sheet_is_one_sheet_of_paper(folder: Path) -> None:
-    assert (folder / "brief.pdf").read_bytes().startswith(b"%PDF")
-    assert len(typeset((folder / "brief.html").read_text(), "").pages) == 1
 
 
 def test_the_next_measurement_tells_the_ways_apart(folder: Path) -> None:

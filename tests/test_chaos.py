@@ -17,7 +17,6 @@ from tests.campaigns.chaos import MODELS, ChaosModel
 from uqsphere.uq.expansion import (
     chaos_indices,
     chaos_moments,
-    fit_again,
     fit_chaos,
     germ_points,
     judge,
@@ -104,13 +103,6 @@ def test_a_polynomial_is_recovered_exactly() -> None:
     assert validation_error(chaos, other, model(other)) < 1e-24
     assert chaos.cross_validation_error < 1e-24
     assert chaos_moments(chaos) == pytest.approx((2.0, math.sqrt(1.0 + 9.0 + 1.0 / 7.0 + 2.0 / 5.0)), rel=1e-10)
-
-
-def test_never_more_terms_than_half_the_points() -> None:
-    germs = ("uniform",) * 3
-    for n in (10, 33, 100):
-        p = points(3, 0, n, germs)
-        assert fit_chaos(p, ishigami(p), germs).coefficients.size <= n // 2
 
 
 @pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
@@ -274,22 +266,6 @@ def test_few_samples_of_many_inputs() -> None:
         return 3.0 * z[:, 4] + z[:, 11] * z[:, 4]
 
     assert validation_error(fit_chaos(p, model(p), germs), held, model(held)) < 1e-12
-
-
-def test_a_plain_expansion_is_fitted_again_with_the_same_terms() -> None:
-    germs = ("normal",) * 4
-    p, q = points(2, 0, 128, germs), points(2, 1, 128, germs)
-    assert not fit_chaos(p, product(p), germs).plain
-    first = fit_chaos(p, product(p), germs, plain=True)
-    again = fit_again(first, q, product(q))
-    assert again.plain
-    assert (again.multi_indices == first.multi_indices).all()
-    held = points(9, 0, 2000, germs)
-    assert validation_error(again, held, product(held)) < 30.0 * validation_error(first, held, product(held))
-    with pytest.raises(ValueError, match="in one piece"):
-        fit_again(fit_chaos(p, product(p), germs), q, product(q))
-    with pytest.raises(ValueError, match="as many samples"):
-        fit_again(first, q[:3], product(q[:3]))
 
 
 def test_a_kink_is_found_and_taken_in_two_pieces() -> None:

@@ -23,14 +23,7 @@ from uqsphere.uq.expansion import (
 )
 from uqsphere.uq.expansion.choice import deal
 from uqsphere.uq.expansion.expansion import possible_transforms
-from uqsphere.uq.expansion.germs import (
-    germs_of,
-    hyperbolic_indices,
-    jacobi,
-    law_germ,
-    products,
-    stieltjes,
-)
+from uqsphere.uq.expansion.germs import germs_of, hyperbolic_indices, law_germ, products, stieltjes
 from uqsphere.uq.expansion.solvers import SOLVERS, Task, solve_rows
 from uqsphere.uq.law import make_law
 from uqsphere.uq.points import sobol_points
@@ -147,12 +140,6 @@ def test_a_domain_is_split_where_that_helps(model, most: float) -> None:
     assert sd == pytest.approx(truth.std(), rel=0.05)
 
 
-def test_a_smooth_output_is_left_whole() -> None:
-    germs = ("uniform",) * 3
-    p = points(128, germs)
-    assert len(fit_chaos(p, np.exp(p.sum(axis=1)), germs).pieces) == 1
-
-
 # --- many outputs -------------------------------------------------------------------------
 
 
@@ -249,12 +236,6 @@ def test_the_polynomials_of_a_law_of_ones_own_are_orthonormal(
     p = germ_points(scores[:, None], (germ,))[:, 0]
     values = orthonormal_values(germ, p, 10)
     np.testing.assert_allclose((values * weights) @ values.T, np.eye(11), atol=3e-6)
-
-
-def test_the_recurrence_of_a_beta_law_is_that_of_chaospy() -> None:
-    chaospy = pytest.importorskip("chaospy")
-    (a, b), _, _ = chaospy.stieltjes(6, chaospy.Beta(2.5, 4.0, -1.0, 1.0))
-    np.testing.assert_allclose(jacobi(2.5, 4.0, 6), [a[0], b[0]], atol=1e-12)
 
 
 def test_laws_whose_polynomials_are_not_complete_have_none_of_their_own() -> None:

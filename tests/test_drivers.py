@@ -164,13 +164,15 @@ def test_drivers_of_an_independent_line(study_from, tmp_path) -> None:
     assert variance[0]["input"] == "b"
     assert variance[0]["tests"] == pytest.approx(8, abs=1)
     assert [row["tests"] for row in variance if row["input"] == "c"] == [0]
-
-
-def test_delta_and_pawn_of_a_run(study_from, tmp_path) -> None:
-    entry = run_of(study_from, tmp_path, BOX).results.document()["sensitivity"]["y"]
+    entry = run.results.document()["sensitivity"]["y"]
     assert entry["delta"]["b"]["low"] > entry["delta"]["a"]["high"] > 0.05
     assert entry["pawn"]["c"]["value"] < entry["pawn_threshold"] < entry["pawn"]["a"]["low"]
     assert entry["delta"]["c"]["low"] == 0.0
+    assert limit["design_point"]["b"] == pytest.approx(2.0 * limit["design_point"]["a"], rel=1e-2)
+    assert limit["governing_inputs"]["b"] == pytest.approx(4.0 * limit["governing_inputs"]["a"], rel=1e-2)
+    page = build_report(run.folder).read_text(encoding="utf-8")
+    assert "Likeliest miss of" in page
+    assert "importance factor" in page
 
 
 @pytest.mark.parametrize("budget", [2_500, 20_000])
@@ -221,19 +223,6 @@ def test_what_few_tests_leave_open_is_refused_for_another_copula(study_from, tmp
     assert "another than the Gaussian copula" in limit["ignorance"]["reason"]
     tests = {row["input"]: row["observations"] for row in limit["measure_first"]["rows"]}
     assert tests == {"a": None, "b": None, "c": None, "limits.high.strength": 12}
-
-
-def test_the_report_shows_the_design_point(tmp_path: Path) -> None:
-    """Of a linear box the nearest point is known: y = a + 2 b against a normal strength."""
-    path = tmp_path / "box.toml"
-    path.write_text(BOX, encoding="utf-8")
-    done = uqsphere.run(uqsphere.load_study(path), out=tmp_path / "r", model=lambda x: {"y": x["a"] + 2.0 * x["b"]})
-    limit = done.results.document()["limits"]["high"]
-    assert limit["design_point"]["b"] == pytest.approx(2.0 * limit["design_point"]["a"], rel=1e-2)
-    assert limit["governing_inputs"]["b"] == pytest.approx(4.0 * limit["governing_inputs"]["a"], rel=1e-2)
-    page = build_report(tmp_path / "r").read_text(encoding="utf-8")
-    assert "Likeliest miss of" in page
-    assert "importance factor" in page
 
 
 # --- drivers of failure: closed forms of linear limits in normal variables, counted failures, and derivatives

@@ -18,14 +18,7 @@ from uqsphere.runner.api import run
 from uqsphere.study import load_study
 from uqsphere.study.study import Study
 from uqsphere.uq.families.location_scale import weibull_estimates
-from uqsphere.uq.fitting import (
-    LEAST_TESTS,
-    count_tests,
-    fitted_law,
-    possible_laws,
-    possible_tails,
-    series_behind,
-)
+from uqsphere.uq.fitting import LEAST_TESTS, count_tests, fitted_law, possible_laws, possible_tails, series_behind
 from uqsphere.uq.law import LawError
 from uqsphere.uq.weibull import STRENGTHS, fit_strength, fitted_parameters, kaplan_meier, make_tests, unbiasing
 

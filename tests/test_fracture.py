@@ -137,14 +137,6 @@ def test_what_comes_with_the_reload_is_no_first_peak() -> None:
     assert found.time[0] < one.first_echo[0] < late.time[0]
 
 
-def test_specimens_may_share_a_row() -> None:
-    two = Scene(columns={**scene(2).columns, "striker.speed": np.array([1.0, 2.0])})
-    shares = np.array([[0.3], [0.6], [0.6]])
-    together = first_fractures(two, shares, [FORCE], rows=np.array([1, 0, 1]))
-    alone = first_fractures(two, np.array([[0.6], [0.3]]), [FORCE])
-    assert together.time[:2].tolist() == alone.time[::-1].tolist()
-
-
 def test_a_strength_of_zero_breaks_at_first_touch() -> None:
     found = first_fractures(scene(), np.array([[0.0]]), [path_of("core_tension") or FORCE])
     assert 0.0 <= found.time[0] < 1e-6
@@ -154,13 +146,6 @@ def test_rows_outside_the_domain_reach_nothing() -> None:
     two = Scene(columns={**scene(2).columns, "sphere.radius": np.array([0.01, 0.03])})
     found = first_fractures(two, np.full((2, 1), 0.5), [FORCE])
     assert found.first.tolist() == [0, -1]
-
-
-def test_wrong_requests_are_refused() -> None:
-    with pytest.raises(ValueError, match="shares must be"):
-        first_fractures(scene(), np.zeros((2, 1)), [FORCE])
-    with pytest.raises(ValueError, match="full or massless"):
-        first_fractures(scene(), np.zeros((1, 1)), [FORCE], fidelity="linear")
 
 
 def test_every_demand_has_a_path_but_what_breaks_nothing() -> None:

@@ -101,10 +101,7 @@ def test_intervals_of_the_lognormal_curve_cover() -> None:
 
 @pytest.mark.parametrize(
     ("table", "says"),
-    [
-        (np.full((40, 4), 0.3), "too little to fit"),
-        (np.repeat((GRID > 1.0).astype(float)[:, None], 4, axis=1), "step"),
-    ],
+    [(np.full((40, 4), 0.3), "too little to fit"), (np.repeat((GRID > 1.0).astype(float)[:, None], 4, axis=1), "step")],
 )
 def test_no_lognormal_curve_is_said(table: np.ndarray, says: str) -> None:
     assert says in str(fit_lognormal_curve(GRID, table, evaluations=1))

@@ -134,9 +134,7 @@ def test_no_surrogate_tells_indices_where_inputs_depend_on_each_other(tmp_path: 
     text = STUDY.replace("COST", "100 s").replace("RUNS", "64") + '[[dependence]]\nof = ["a", "b"]\nspearman = 0.2\n'
     (tmp_path / "s.toml").write_text(text, "utf-8")
     run = uqsphere.run(
-        load_study(tmp_path / "s.toml"),
-        out=tmp_path / "r",
-        model=lambda rows: {"y": rows["a"] + np.tanh(rows["b"])},
+        load_study(tmp_path / "s.toml"), out=tmp_path / "r", model=lambda rows: {"y": rows["a"] + np.tanh(rows["b"])}
     )
     assert run.results.sensitivity["y"].first["b"].value is None
     assert "depend on each other" in str(run.results.sensitivity["y"].first["b"].reason)

@@ -21,7 +21,7 @@ from uqsphere.report import build_report
 from uqsphere.runner.questions.further import planned_analyses
 from uqsphere.study import Study
 from uqsphere.uq.beyond_variance import delta_estimates, pawn_estimates
-from uqsphere.uq.control import chaos_outputs, chaos_surrogate, expansion_indices, mean_expansion
+from uqsphere.uq.control import chaos_outputs, chaos_surrogate, mean_expansion
 from uqsphere.uq.estimate import Estimate, absent, from_replicates, student
 from uqsphere.uq.expansion import fit_chaos, germ_points
 from uqsphere.uq.indices import (
@@ -161,14 +161,6 @@ def test_an_input_without_effect_is_zero_within_its_interval(estimator: str) -> 
     assert found["total"][5].high < 1e-12
 
 
-def test_small_indices_are_found_better_by_estimators_of_differences() -> None:
-    model = MODELS["linear"]
-    blocks = Blocks(inputs_count=5, second=True)
-    y = outputs(model, blocks, 256)
-    width = {name: index_estimates(y, blocks, name)["first"][4].half_width for name in ESTIMATORS}
-    assert width["azzini_rosati"] < 0.2 * width["saltelli"] < 0.1 * width["janon_monod"]
-
-
 def test_the_size_of_the_total_index_decides_and_the_text_says_so() -> None:
     model = MODELS["ishigami"]
     blocks = Blocks(inputs_count=3)
@@ -198,31 +190,6 @@ def test_constant_outputs_are_absent_and_bad_ones_refused() -> None:
     for shape in ((4, 16), (1, 16, blocks.count), (4, 16, 3)):
         with pytest.raises(ValueError, match="shape"):
             sampled_indices(np.ones(shape), blocks)
-
-
-def test_blocks_that_an_estimator_lacks_and_wrong_groups_are_refused() -> None:
-    y = np.random.default_rng(1).random((2, 8, 4))
-    with pytest.raises(ValueError, match="needs the blocks BA"):
-        index_estimates(y, Blocks(inputs_count=2), "azzini_rosati")
-    for group in ((), (0, 0), (2,)):
-        with pytest.raises(ValueError, match="a group names inputs"):
-            Blocks(inputs_count=2, groups=(group,))
-    with pytest.raises(ValueError, match="two halves"):
-        Blocks(inputs_count=2).mix(np.ones((3, 2)), np.ones((3, 1)))
-
-
-def test_the_first_blocks_are_those_of_the_small_design_and_a_design_continues() -> None:
-    small = Blocks(inputs_count=3)
-    large = Blocks(inputs_count=3, second=True, groups=((1, 2),))
-    a, b = (np.random.default_rng(k).random((4, 3)) for k in range(2))
-    rows = large.mix(a, b)
-    assert rows.shape == (4, large.count, 3) == (4, 9, 3)
-    assert np.array_equal(rows[:, :5], small.mix(a, b))
-    assert np.array_equal(rows[:, 8], np.column_stack([a[:, 0], b[:, 1:]]))
-    assert np.array_equal(rows[:, 6], np.column_stack([b[:, 0], a[:, 1], b[:, 2]]))
-    whole = uniform_halves(large, count=8, seed=1, task="t", replicate=2)
-    more = uniform_halves(large, count=4, start=4, seed=1, task="t", replicate=2)
-    assert all(np.array_equal(x[4:], y) for x, y in zip(whole, more, strict=True))
 
 
 def test_a_first_index_above_the_total_one_leaves_room_for_both() -> None:
@@ -507,30 +474,6 @@ def test_a_surrogate_that_is_off_at_few_points_has_wider_intervals() -> None:
     found = sampled_indices(known + rare, blocks, surrogate)
     for e in (*found.first, *found.total):
         assert "controlled" not in e.method or e.half_width > 1.3 * student(15) * (e.std_error or 0.0)
-
-
-def test_indices_of_an_expansion_are_those_of_its_terms() -> None:
-    degrees = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [1, 1, 0], [1, 1, 3]])
-    blocks = Blocks(inputs_count=3, second=True, groups=((0, 1), (2,)))
-    found = expansion_indices(np.array([9.0, 2.0, 1.0, 2.0, 1.0]), degrees, blocks)
-    assert found["first"] == pytest.approx([0.4, 0.1, 0.0])
-    assert found["total"] == pytest.approx([0.9, 0.6, 0.1])
-    assert found["second"] == pytest.approx([0.4, 0.0, 0.0])
-    assert found["group_first"] == pytest.approx([0.9, 0.0])
-    assert found["group_total"] == pytest.approx([1.0, 0.1])
-
-
-def test_the_mean_of_expansions_is_the_mean_of_their_values() -> None:
-    fits = expansion("borehole", 1, points=128)
-    points = germ_points(np.random.default_rng(1).standard_normal((50, 8)), MODELS["borehole"].germs)
-    from uqsphere.uq.expansion import predict
-
-    each = np.mean([predict(fit, points) for fit in fits], axis=0)
-    assert predict(mean_expansion(fits), points) == pytest.approx(each, rel=1e-10)
-    transformed = fit_chaos(points, np.exp(points[:, 1]), MODELS["borehole"].germs)
-    assert not transformed.plain
-    with pytest.raises(ValueError, match="in one piece"):
-        mean_expansion([transformed])
 
 
 # --- borgonovo's delta and PAWN: integrals of known laws, atoms, coverage, and what does nothing --

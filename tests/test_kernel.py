@@ -170,64 +170,6 @@ def test_infinite_bars_against_scipy(mu: float, theta: float) -> None:
         assert relative(over(found, scene, "contact_time"), lost).max() < SOLVER * tolerance
 
 
-def _by_steps(mu: float, theta: float, trips: tuple[int, int], ends: tuple[float, float], horizon: float,
-              parts: int) -> tuple[float, float]:  # fmt: skip
-    """Largest approach, and time of the first loss, by Runge–Kutta steps of 1/parts that remember their course."""
-    h = 1.0 / parts
-    values, slopes = [np.zeros(3)], []
-
-    def state(s: float) -> Any:
-        n = min(int(s * parts + 1e-9), len(slopes) - 2)
-        t = s * parts - n
-        a, b, da, db = values[n], values[n + 1], h * slopes[n], h * slopes[n + 1]
-        return a + t * (da + t * (3 * (b - a) - 2 * da - db + t * (2 * (a - b) + da + db)))
-
-    def wave(bar: int, s: float, side: int) -> float:
-        """f or h at s; side -1 or 1: just before or after a jump."""
-        pulse = float(0 < 2 * s * parts + 0.5 * side < 2 * theta * parts) if bar == 0 else 0.0
-        if 2 * (s - trips[bar]) * parts + 0.5 * side < 0:
-            return pulse
-        earlier = s - trips[bar]
-        force = max(state(earlier)[bar], 0.0) ** 1.5
-        leaving = wave(bar, earlier, side) - (force if bar == 0 else -force)
-        return pulse + ends[bar] * leaving
-
-    best, k = 0.0, 0
-    touched = np.zeros(2, dtype=bool)
-    while k * h < horizon:
-        s, y = k * h, values[-1]
-        waves = [(wave(0, s + c * h, side), wave(1, s + c * h, side)) for c, side in ((0.0, 1), (0.5, 1), (1.0, -1))]
-        first = np.array(_right_hand_side(s, y, mu, *waves[0]))
-        second = np.array(_right_hand_side(s, y + 0.5 * h * first, mu, *waves[1]))
-        third = np.array(_right_hand_side(s, y + 0.5 * h * second, mu, *waves[1]))
-        fourth = np.array(_right_hand_side(s, y + h * third, mu, *waves[2]))
-        new = y + h / 6.0 * (first + 2.0 * (second + third) + fourth)
-        slopes[k:] = [first, np.array(_right_hand_side(s, new, mu, *waves[2]))]
-        values.append(new)
-        touched |= new[:2] > 1e-6
-        best = max(best, new[:2].max())
-        crossed = touched & (new[:2] <= 0.0)
-        if crossed.any():
-            face = int(np.argmax(crossed))
-            return best, s + h * y[face] / (y[face] - new[face])
-        k += 1
-    return best, np.nan
-
-
-@pytest.mark.parametrize(
-    ("mu", "theta", "trips", "ends"), [(0.1, 1.0, (2, 3), (1.0, 0.5)), (0.5, 2.0, (3, 2), (-0.4, 1.0))]
-)
-def test_finite_bars_against_the_method_of_steps(mu: float, theta: float, trips: tuple[int, int],
-                                                 ends: tuple[float, float]) -> None:  # fmt: skip
-    scene = scaled_scene([mu], [theta], [trips], [ends])
-    found = solve(scene, tolerance=1e-8)
-    best, lost = _by_steps(mu, theta, trips, ends, 24.0, 800)
-    assert over(found, scene, "alpha_max")[0] == pytest.approx(best, rel=3e-5)
-    assert found.censored["contact_time"][0] == np.isnan(lost)
-    if not np.isnan(lost):
-        assert over(found, scene, "contact_time")[0] == pytest.approx(lost, rel=3e-5)
-
-
 # ---- properties
 
 
@@ -319,34 +261,6 @@ def test_change_of_units() -> None:
                         ("force_imbalance", 1.0), ("loading_rate", mass * length / time**3)):  # fmt: skip
         # the wave speed and the mass are rounded anew, and a small mu amplifies it
         assert np.quantile(relative(second.values[name], scale * first.values[name]), 0.95) < 1e3 * EXACT, name
-
-
-def test_swapping_identical_bars() -> None:
-    """Mirrored, x_1 and x_2 change places and u its sign, if the wave that ran towards A runs towards B."""
-    from numba import njit
-
-    from uqsphere.mechanics.integrator.step import expand
-    from uqsphere.mechanics.integrator.tracked import LANES, NUMBERS, PAIR, TERMS
-
-    @njit
-    def run(h: Any, inverse_mu: Any, push: Any, x: Any, u: Any, root: Any, force: Any, half: Any, *law: Any) -> None:
-        expand(0, h, inverse_mu, push, x, u, root, force, half, False, False, *law[:3], False, *law[3:], False, law[1])
-
-    rng = np.random.default_rng(15)
-    h, inverse_mu = rng.uniform(0.01, 0.1, LANES), rng.uniform(1.0, 100.0, LANES)
-    answers = []
-    push = np.zeros((TERMS, PAIR))
-    push[:4] = rng.normal(size=(4, PAIR))
-    approach, velocity = rng.uniform(-0.2, 1.0, PAIR), rng.normal(size=LANES)
-    for mirror in (False, True):
-        swap = np.roll(np.arange(PAIR), LANES) if mirror else np.arange(PAIR)
-        x, u, root, force = (np.zeros((TERMS, columns)) for columns in (PAIR, LANES, PAIR, PAIR))
-        x[0], u[0] = approach[swap], -velocity if mirror else velocity
-        law = np.zeros((NUMBERS, PAIR)), np.zeros((TERMS, PAIR)), np.zeros(PAIR), *np.zeros((2, TERMS, PAIR))
-        run(h, inverse_mu, np.ascontiguousarray(push[:, swap]), x, u, root, force, np.zeros(PAIR), *law)
-        answers.append((x[:, swap], -u if mirror else u))
-    assert np.array_equal(answers[0][0], answers[1][0])
-    assert np.array_equal(answers[0][1], answers[1][1])
 
 
 def test_steps_of_a_motion_join() -> None:

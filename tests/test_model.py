@@ -17,12 +17,7 @@ from uqsphere.errors import AccessError, UqsphereError, UsageError
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.outputs import absent_in
 from uqsphere.mechanics.scene import Scene
-from uqsphere.model import (
-    STATUS_NOT_FINITE,
-    answer_black_box,
-    evaluate,
-    scene_of,
-)
+from uqsphere.model import STATUS_NOT_FINITE, answer_black_box, evaluate, scene_of
 from uqsphere.quantities import OUTPUTS
 from uqsphere.study import Study
 

@@ -14,16 +14,7 @@ from hypothesis import strategies as st
 
 from uqsphere.feed import laws
 from uqsphere.feed.fit import Posterior
-from uqsphere.feed.population import (
-    Blows,
-    Classes,
-    Feed,
-    Sizes,
-    breaking,
-    make_classes,
-    populate,
-    size_at,
-)
+from uqsphere.feed.population import Blows, Classes, Feed, Sizes, breaking, make_classes, populate, size_at
 from uqsphere.feed.product import KNOTS, Curve, Product, drawn_curve, fit_alpha, fit_t10, milin_parameters
 from uqsphere.uq.law import make_law
 

@@ -18,8 +18,6 @@ from uqsphere.store import csv_text, open_store
 from uqsphere.study import load_study
 from uqsphere.units import UNITS, UnitError, parse_value
 from uqsphere.uq.describe import describe
-from uqsphere.uq.law import LawError, make_law
-from uqsphere.uq.tolerance import attained_confidence, least_runs
 
 #: the machine may be busy: an example has no time limit, the number of examples is the cost
 QUIET = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
@@ -229,28 +227,3 @@ PARAMETERS = {
     "frechet": ("shape", "scale"),
     "exponential": ("rate",),
 }
-
-
-@QUIET
-@given(st.sampled_from(sorted(PARAMETERS)), st.floats(0.3, 20.0), st.floats(0.1, 5.0), st.floats(1e-9, 0.5))
-def test_a_law_and_its_inverse(kind: str, first: float, second: float, p: float) -> None:
-    try:
-        law = make_law(kind, dict(zip(PARAMETERS[kind], (first, second), strict=False)), None, None)
-    except LawError:
-        return
-    x = law.ppf(np.array([p]))
-    assert law.cdf(x)[0] == pytest.approx(p, rel=1e-6)
-    y = law.isf(np.array([p]))
-    assert law.sf(y)[0] == pytest.approx(p, rel=1e-6)
-    assert x[0] <= y[0]
-    assert law.cdf(x)[0] + law.sf(x)[0] == pytest.approx(1.0, abs=1e-12)
-
-
-@QUIET
-@given(st.floats(0.5, 0.999), st.floats(0.5, 0.999), st.integers(1, 4), st.sampled_from([1, 2]))
-def test_tolerance_limits_take_the_least_number_of_runs(
-    coverage: float, confidence: float, order: int, sides: int
-) -> None:
-    runs = least_runs(coverage, confidence, order=order, sides=sides)
-    assert attained_confidence(runs, coverage, order=order, sides=sides) >= confidence
-    assert attained_confidence(runs - 1, coverage, order=order, sides=sides) < confidence

@@ -11,14 +11,7 @@ import uqsphere
 from uqsphere.errors import StudyError
 from uqsphere.mechanics import bars
 from uqsphere.mechanics.integrator import solve as dynamics
-from uqsphere.mechanics.pulses import (
-    DEFAULT_VALLEY,
-    PRESETS,
-    Pulse,
-    build_pulse,
-    pulse_value,
-    striker_steps,
-)
+from uqsphere.mechanics.pulses import DEFAULT_VALLEY, PRESETS, Pulse, build_pulse, pulse_value, striker_steps
 from uqsphere.mechanics.scene import Scene
 from uqsphere.quantities import INPUTS
 
@@ -68,8 +61,7 @@ def test_a_trapezoid_is_half_as_high_over_its_width():
 
 
 @pytest.mark.parametrize(
-    ("shape", "numbers"),
-    [("trapezoid", {"rise": [20e-6], "fall": [30e-6]}), ("half_sine", {}), ("two_peak", TWO_PEAK)],
+    ("shape", "numbers"), [("trapezoid", {"rise": [20e-6], "fall": [30e-6]}), ("half_sine", {}), ("two_peak", TWO_PEAK)]
 )
 def test_smooth_shapes_are_continuous(shape, numbers):
     pulse = build_pulse(shape, [100e-6], numbers)

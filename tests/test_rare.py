@@ -22,11 +22,7 @@ from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.rare.active import fit_kriging, learn_probability, predict
 from uqsphere.uq.rare.auto import find_probability
 from uqsphere.uq.rare.form import find_design_points
-from uqsphere.uq.rare.importance import (
-    around_design_points,
-    defended,
-    importance_sampling,
-)
+from uqsphere.uq.rare.importance import around_design_points, defended, importance_sampling
 from uqsphere.uq.rare.problem import Evaluator, FailedEvaluation, LimitFunction
 from uqsphere.uq.rare.subset import subset_simulation
 

@@ -73,17 +73,7 @@ class Reader(HTMLParser):
 def test_sections_stand_in_the_order_of_a_decision(page: str) -> None:
     reader = Reader(page)
     found = [attributes["id"] for tag, attributes in reader.tags if tag == "section"]
-    assert found == [
-        "brief",
-        "rely",
-        "evidence",
-        "inputs",
-        "quantities",
-        "drivers",
-        "computed",
-        "repeat",
-        "words",
-    ]
+    assert found == ["brief", "rely", "evidence", "inputs", "quantities", "drivers", "computed", "repeat", "words"]
     assert reader.open == []
 
 

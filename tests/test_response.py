@@ -28,15 +28,7 @@ from uqsphere.uq.expansion.shares import law_shares
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import make_law
 from uqsphere.uq.points import sobol_points
-from uqsphere.uq.response import (
-    Response,
-    answered,
-    cross_fit,
-    group_shares,
-    half_width,
-    index_shares,
-    pair_shares,
-)
+from uqsphere.uq.response import Response, answered, cross_fit, group_shares, half_width, index_shares, pair_shares
 from uqsphere.uq.surrogate import response_from
 
 MODELS = {model.name: model for model in coverage_models()}
@@ -211,10 +203,7 @@ def test_answers_of_given_tables_reach_inwards_too() -> None:
 # --- runs that are ended early say so, keep what is there, and go on to the same answers; forces over time
 
 
-@pytest.mark.parametrize("after", [1, 2, 3])
-def test_an_early_end_reports_what_is_there_and_goes_on(
-    study_from: Callable[..., Study], tmp_path: Path, after: int
-) -> None:
+def test_an_early_end_reports_what_is_there_and_goes_on(study_from: Callable[..., Study], tmp_path: Path) -> None:
     study = study_from("analysis.accuracy.quantile=0.02", "analysis.accuracy.sobol=0.01", quick=True)
     chunks = 0
 
@@ -222,9 +211,9 @@ def test_an_early_end_reports_what_is_there_and_goes_on(
         nonlocal chunks
         chunks += 1
 
-    run = uqsphere.run(study, out=tmp_path / "r", progress=count, stop=lambda: chunks >= after)
+    run = uqsphere.run(study, out=tmp_path / "r", progress=count, stop=lambda: chunks >= 2)
     assert run.manifest.interrupted is True
-    assert chunks == after
+    assert chunks == 2
     assert "run was interrupted" in build_report(run.folder).read_text(encoding="utf-8")
     assert run.results.quantities["p_max"].mean.value is not None
     assert summary_of(read_contents(run.folder))
@@ -260,10 +249,7 @@ def test_an_end_within_the_first_stage_keeps_its_rows(tmp_path: Path) -> None:
     assert (resumed.folder / "results.json").read_bytes() == (whole.folder / "results.json").read_bytes()
 
 
-@pytest.mark.parametrize(("after", "smooth", "rough"), [(40, 32, 32), (90, 64, 64), (300, 128, 128)])
-def test_an_early_end_of_an_expensive_model_answers_by_the_runs_that_are_there(
-    tmp_path: Path, after: int, smooth: int, rough: int
-) -> None:
+def test_an_early_end_of_an_expensive_model_answers_by_the_runs_that_are_there(tmp_path: Path) -> None:
     """A stage that is cut short is not counted, whether of a surrogate or of runs that none can use."""
     path = tmp_path / "study.toml"
     path.write_text(
@@ -290,11 +276,11 @@ accuracy = { mean = 1e-9, quantile = 1e-9, sobol = 1e-9 }
         wave = np.sin(97.0 * x["x1"]) * np.sin(83.0 * x["x2"])
         return {"smooth": np.exp(x["x1"] * x["x2"]), "rough": np.sign(wave)}
 
-    run = uqsphere.run(study, out=tmp_path / "r", model=box, stop=lambda: rows >= after)
+    run = uqsphere.run(study, out=tmp_path / "r", model=box, stop=lambda: rows >= 90)
     assert run.manifest.interrupted is True
     assert run.results.accuracy.stopped_by["sampling"] == "time"
     means = {name: entry["mean"] for name, entry in run.results.document()["quantities"].items()}
-    assert (means["smooth"]["evaluations"], means["rough"]["evaluations"]) == (smooth, rough)
+    assert (means["smooth"]["evaluations"], means["rough"]["evaluations"]) == (64, 64)
     assert means["smooth"]["method"].startswith("surrogate")
     resumed = uqsphere.run(study, out=tmp_path / "r", model=box)
     whole = uqsphere.run(study, out=tmp_path / "whole", model=box)

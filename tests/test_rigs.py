@@ -390,10 +390,7 @@ def test_indices_of_free_impact_are_those_of_a_product_of_powers(tmp_path: Path)
     """p_max goes with speed^(2/5) density^(1/5): S_i = (exp(a_i^2 s_i^2) - 1)/(exp(sum a^2 s^2) - 1)."""
     (tmp_path / "s.toml").write_text(THROWN, "utf-8")
     found = uqsphere.run(uqsphere.load_study(tmp_path / "s.toml"), out=tmp_path / "r").results.sensitivity["p_max"]
-    parts = {
-        "rig.speed": 0.4**2 * math.log(1.0 + 0.3**2),
-        "sphere.density": 0.2**2 * math.log(1.0 + 0.4**2),
-    }
+    parts = {"rig.speed": 0.4**2 * math.log(1.0 + 0.3**2), "sphere.density": 0.2**2 * math.log(1.0 + 0.4**2)}
     whole = math.expm1(sum(parts.values()))
     for name, part in parts.items():
         first, total = found.first[name], found.total[name]

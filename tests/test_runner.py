@@ -389,12 +389,11 @@ def test_a_power_law_is_forecast_exactly(rate: float) -> None:
     assert evaluations_needed(course, 1e-5) == pytest.approx(exact, rel=1e-9)
 
 
-def test_errors_that_do_not_fall_are_taken_for_random_sampling() -> None:
+def test_courses_of_errors_that_follow_no_power_law_are_forecast() -> None:
+    """Errors that do not fall are taken for random sampling; what is reached needs nothing more; none is no error."""
     assert evaluations_needed([(1000, 0.1), (4000, 0.2)], 0.1) == pytest.approx(16_000)
-
-
-def test_an_accuracy_that_is_reached_needs_nothing_more() -> None:
     assert evaluations_needed([(1000, 0.1), (4000, 0.05)], 0.06) == 4000
+    assert math.isinf(evaluations_needed([(1000, math.inf), (2000, math.inf)], 0.01))
 
 
 def test_nothing_is_given_up_on_one_look_or_within_caution() -> None:
@@ -405,10 +404,6 @@ def test_nothing_is_given_up_on_one_look_or_within_caution() -> None:
     given_up = out_of_reach(course, 0.01, needed / CAUTION * 0.999)
     assert given_up.needed == 100_000
     assert "about 100,000 evaluations" in given_up.text
-
-
-def test_a_hopeless_width_is_forecast_as_infinite_not_as_an_error() -> None:
-    assert math.isinf(evaluations_needed([(1000, math.inf), (2000, math.inf)], 0.01))
 
 
 # --- the loop -----------------------------------------------------------------------------------------

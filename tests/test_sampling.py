@@ -180,13 +180,3 @@ def test_too_few_runs_are_said() -> None:
     assert found.reason == "58 runs are too few: 59 are the fewest"
     assert tolerance_limits(np.arange(60.0), coverage=0.95, confidence=0.95).upper == 59.0
     assert tolerance_limits(np.arange(60.0), coverage=0.95, confidence=0.95).between is None
-
-
-@pytest.mark.parametrize(("coverage", "order", "sides"), [(1.0, 1, 1), (0.0, 1, 1), (0.5, 0, 1), (0.5, 1, 3)])
-def test_senseless_requests_are_refused(coverage: float, order: int, sides: int) -> None:
-    with pytest.raises(ValueError, match="are due"):
-        attained_confidence(10, coverage, order=order, sides=sides)
-    with pytest.raises(ValueError, match="confidence"):
-        least_runs(0.5, 1.0)
-    with pytest.raises(ValueError, match="shape"):
-        tolerance_limits(np.ones((2, 2)), coverage=0.5, confidence=0.5)

@@ -73,15 +73,6 @@ def test_json_that_is_not_there(tmp_path: Path) -> None:
 # --- chunks ---------------------------------------------------------------------------------------
 
 
-def test_a_chunk_comes_back_bit_for_bit(tmp_path: Path) -> None:
-    store = opened(tmp_path / "r")
-    store.save("sampling.0.0", VALUES)
-    assert store.load("sampling.0.0").tobytes() == VALUES.tobytes()
-    assert store.load("sampling.0") is None
-    assert store.load("sampling.0.00") is None
-    store.close()
-
-
 def test_a_truncated_or_linked_chunk_is_not_used(tmp_path: Path) -> None:
     store = opened(tmp_path / "r")
     store.save("k", VALUES)

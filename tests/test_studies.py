@@ -82,11 +82,7 @@ def agree(folder: Path, name: str) -> None:
         if mode.miss is not None
     ]
     page = folder / "report.html"
-    texts = {
-        "brief": read(sheet),
-        "terminal": told,
-        "page": read(page.read_text("utf-8")),
-    }
+    texts = {"brief": read(sheet), "terminal": told, "page": read(page.read_text("utf-8"))}
     document = typeset(sheet, "")
     texts["paper"] = printed(document)
     for where, text in texts.items():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import pickle
-import subprocess
 import sys
 import tomllib
 from collections.abc import Callable
@@ -212,10 +211,7 @@ def test_quantities_of_limits_are_asked_for(load: Load) -> None:
     study = load(BASE, ("[analysis]", more))
     assert study.analysis.quantities == ("p_max", "energy")
     assert study.limits[1] == Limit(name="b", quantity="energy", strength=2e-3)
-    assert load(BASE, ("[analysis]", more), ('quantities = ["p_max"]\n', "")).analysis.quantities == (
-        "p_max",
-        "energy",
-    )
+    assert load(BASE, ("[analysis]", more), ('quantities = ["p_max"]\n', "")).analysis.quantities == ("p_max", "energy")
 
 
 def test_infinite_bars_need_no_lengths(load: Load) -> None:
@@ -425,16 +421,6 @@ def test_schema_refuses_what_an_editor_should_underline() -> None:
 def test_the_schema_has_nothing_that_a_study_cannot_have() -> None:
     text = json.dumps(json_schema())
     assert not any(word in text for word in ("null", "default_is", "dimension", '"due"'))
-
-
-def test_loading_a_study_is_light() -> None:
-    heavy = ["scipy.stats", "pandas", "chaospy", "SALib", "matplotlib", "numba", "tree_sitter", "jsonschema"]
-    code = (
-        "import sys; from uqsphere.study import load_study; load_study(sys.argv[1]); "
-        f"print([name for name in {heavy} if name in sys.modules])"
-    )
-    run = subprocess.run([sys.executable, "-c", code, str(STUDIES / "granite.toml")], capture_output=True, text=True)
-    assert run.stdout.strip() == "[]", run.stderr
 
 
 def test_keys_are_suggested_for_the_table_they_stand_in(load: Load) -> None:

@@ -6,16 +6,7 @@ import numpy as np
 import pytest
 
 from tests.campaigns import sweep
-from tests.campaigns.sweep import (
-    ALLOWED,
-    STRATA,
-    against_itself,
-    against_reference,
-    balances,
-    design,
-    table,
-    with_law,
-)
+from tests.campaigns.sweep import ALLOWED, STRATA, against_itself, against_reference, balances, design, table, with_law
 from uqsphere.mechanics.integrator.solve import solve
 from uqsphere.mechanics.outputs import Answers
 from uqsphere.mechanics.scene import Scene, answered

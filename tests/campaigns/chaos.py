@@ -29,6 +29,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from tests.campaigns import table as markdown
+from tests.campaigns import tell
 from uqsphere.arrays import Array
 from uqsphere.uq.expansion import fit_chaos, germ_points, predict
 from uqsphere.uq.expansion.germs import Germ, GermLike, base_of, germs_of
@@ -190,8 +192,8 @@ def store_rival(
         with threadpool_limits(limits=1, user_api="blas"):
             found = rival_fit(MODELS[name], samples, seed, seconds)
         _write(path, {**stored(path), (name, samples, seed): found})
-        print(f"{name}, N = {samples}, seed {seed}: {found.true:.1e} in {found.seconds:.1f} s, degree {found.degree}, "
-              f"norm {found.norm:g}", file=sys.stderr, flush=True)  # fmt: skip
+        tell(f"{name}, N = {samples}, seed {seed}: {found.true:.1e} in {found.seconds:.1f} s, degree {found.degree}, "
+             f"norm {found.norm:g}")  # fmt: skip
 
 
 #: points on which the true error is counted
@@ -403,120 +405,45 @@ def _quadratic(x: Array) -> Array:
 
 #: name -> model
 MODELS: Final = {
-    model.name: model
-    for model in (
-        ChaosModel(name="Ishigami", laws=_uniform(*[(-math.pi, math.pi)] * 3), function=_ishigami),
-        ChaosModel(
-            name="borehole",
-            laws=_uniform(
-                (0.05, 0.15), (100.0, 50000.0), (63070.0, 115600.0), (990.0, 1110.0), (63.1, 116.0), (700.0, 820.0),
-                (1120.0, 1680.0), (9855.0, 12045.0),
-            ),
-            function=_borehole,
-        ),
-        ChaosModel(
-            name="OTL circuit",
-            laws=_uniform((50.0, 150.0), (25.0, 70.0), (0.5, 3.0), (1.2, 2.5), (0.25, 1.2), (50.0, 300.0)),
-            function=_otl,
-        ),
-        ChaosModel(
-            name="piston",
-            laws=_uniform(
-                (30.0, 60.0), (0.005, 0.020), (0.002, 0.010), (1000.0, 5000.0), (90000.0, 110000.0), (290.0, 296.0),
-                (340.0, 360.0),
-            ),
-            function=_piston,
-        ),
-        ChaosModel(
-            name="wing weight",
-            laws=_uniform(
-                (150.0, 200.0), (220.0, 300.0), (6.0, 10.0), (-10.0, 10.0), (16.0, 45.0), (0.5, 1.0), (0.08, 0.18),
-                (2.5, 6.0), (1700.0, 2500.0), (0.025, 0.08),
-            ),
-            function=_wing,
-        ),
-        ChaosModel(name="g-function", laws=_uniform(*[(0.0, 1.0)] * 8), function=_g_function),
-        ChaosModel(name="Morris", laws=_uniform(*[(0.0, 1.0)] * 20), function=_morris),
-        ChaosModel(
-            name="short column",
-            laws=(_lognormal(5.0, 0.5), _normal(2000.0, 400.0), _normal(500.0, 100.0)),
-            function=_short_column,
-        ),
-        ChaosModel(
-            name="product",
-            laws=tuple(_law("lognormal", log_mean=0.0, log_sd=float(sd)) for sd in _SCATTER),
-            function=_product,
-        ),
-        ChaosModel(
-            name="dyke",
-            laws=(
-                _lognormal(1300.0, 550.0), _lognormal(30.0, 5.0), *_uniform((49.0, 51.0), (54.0, 56.0), (7.0, 9.0),
-                (45.0, 46.0), (4990.0, 5010.0), (295.0, 305.0)),
-            ),
-            function=_dyke,
-        ),
-        ChaosModel(
-            name="flood",
-            laws=(
-                _law("gumbel", 500.0, 3000.0, location=1013.0, scale=558.0), _law("normal", 15.0, mean=30.0, sd=8.0),
-                _law("triangular", 49.0, 51.0, mode=50.0), _law("triangular", 54.0, 56.0, mode=55.0),
-                *_uniform((7.0, 9.0)), _law("triangular", 55.0, 56.0, mode=55.5),
-                _law("triangular", 4990.0, 5010.0, mode=5000.0), _law("triangular", 295.0, 305.0, mode=300.0),
-            ),
-            function=_flood,
-        ),
-        ChaosModel(
-            name="cantilever",
-            laws=(
-                _law("beta", 2.8e7, 4.8e7, alpha=0.9, beta=2.2), _lognormal(30000.0, 9000.0), *_uniform((250.0, 260.0)),
-                _law("beta", 310.0, 450.0, alpha=2.5, beta=1.5),
-            ),
-            function=_cantilever,
-        ),
-        ChaosModel(
-            name="tube",
-            laws=(
-                _normal(1.0, 0.1), _normal(1.5, 0.01), *_uniform((0.7, 1.2)),
-                _law("triangular", 0.75, 0.85, mode=0.8), _law("triangular", 0.09, 0.11, mode=0.1),
-                _normal(2e5, 2e3),
-            ),
-            function=_tube,
-        ),
-        ChaosModel(
-            name="Chaboche",
-            laws=(*_uniform((0.0, 0.07)), _lognormal(750e6, 11e6), _normal(2750e6, 250e6), _normal(10.0, 2.0)),
-            function=_chaboche,
-        ),
-        ChaosModel(name="rod", laws=(_lognormal(300.0, 30.0), _normal(75e3, 5e3)), function=_rod),
-        ChaosModel(
-            name="steel column",
-            laws=(
-                _lognormal(400.0, 35.0), _normal(5e5, 5e4), _law("gumbel", mean=6e5, sd=9e4),
-                _law("gumbel", mean=6e5, sd=9e4), _lognormal(300.0, 3.0), _lognormal(20.0, 2.0), _lognormal(300.0, 5.0),
-                _normal(30.0, 10.0), _law("weibull", mean=2.1e5, modulus=63.4),
-            ),
-            function=_steel_column,
-        ),
-        ChaosModel(
-            name="truss",
-            laws=(
-                *[_law("gumbel", mean=5e4, sd=7.5e3)] * 6, *[_lognormal(2.1e11, 2.1e10)] * 2, _lognormal(2e-3, 2e-4),
-                _lognormal(1e-3, 1e-4),
-            ),
-            function=_truss,
-        ),
-        ChaosModel(name="Friedman", laws=_uniform(*[(0.0, 1.0)] * 10), function=_friedman),
-        ChaosModel(name="robot arm", laws=_uniform(*[(0.0, 2.0 * math.pi)] * 4, *[(0.0, 1.0)] * 4), function=_robot),
-        ChaosModel(name="discontinuous", laws=_uniform(*[(0.0, 1.0)] * 2), function=_discontinuous),
-        ChaosModel(
-            name="damped oscillator",
-            laws=(
-                _lognormal(1.5, 0.15), _lognormal(0.01, 0.001), _lognormal(1.0, 0.2), _lognormal(0.01, 0.002),
-                _lognormal(0.05, 0.02), _lognormal(0.02, 0.01), _lognormal(100.0, 10.0),
-            ),
-            function=_oscillator,
-        ),
-        ChaosModel(name="quadratic form", laws=(_normal(0.0, 1.0),) * 15, function=_quadratic),
+    name: ChaosModel(name=name, laws=laws, function=function)
+    for name, laws, function in (
+        ("Ishigami", _uniform(*[(-math.pi, math.pi)] * 3), _ishigami),
+        ("borehole", _uniform((0.05, 0.15), (100.0, 50000.0), (63070.0, 115600.0), (990.0, 1110.0), (63.1, 116.0),
+         (700.0, 820.0), (1120.0, 1680.0), (9855.0, 12045.0)), _borehole),
+        ("OTL circuit", _uniform((50.0, 150.0), (25.0, 70.0), (0.5, 3.0), (1.2, 2.5), (0.25, 1.2), (50.0, 300.0)),
+         _otl),
+        ("piston", _uniform((30.0, 60.0), (0.005, 0.020), (0.002, 0.010), (1000.0, 5000.0), (90000.0, 110000.0),
+         (290.0, 296.0), (340.0, 360.0)), _piston),
+        ("wing weight", _uniform((150.0, 200.0), (220.0, 300.0), (6.0, 10.0), (-10.0, 10.0), (16.0, 45.0), (0.5, 1.0),
+         (0.08, 0.18), (2.5, 6.0), (1700.0, 2500.0), (0.025, 0.08)), _wing),
+        ("g-function", _uniform(*[(0.0, 1.0)] * 8), _g_function),
+        ("Morris", _uniform(*[(0.0, 1.0)] * 20), _morris),
+        ("short column", (_lognormal(5.0, 0.5), _normal(2000.0, 400.0), _normal(500.0, 100.0)), _short_column),
+        ("product", tuple(_law("lognormal", log_mean=0.0, log_sd=float(sd)) for sd in _SCATTER), _product),
+        ("dyke", (_lognormal(1300.0, 550.0), _lognormal(30.0, 5.0), *_uniform((49.0, 51.0), (54.0, 56.0), (7.0, 9.0),
+         (45.0, 46.0), (4990.0, 5010.0), (295.0, 305.0))), _dyke),
+        ("flood", (_law("gumbel", 500.0, 3000.0, location=1013.0, scale=558.0), _law("normal", 15.0, mean=30.0,
+         sd=8.0), _law("triangular", 49.0, 51.0, mode=50.0), _law("triangular", 54.0, 56.0, mode=55.0), *_uniform((7.0,
+         9.0)), _law("triangular", 55.0, 56.0, mode=55.5), _law("triangular", 4990.0, 5010.0, mode=5000.0),
+         _law("triangular", 295.0, 305.0, mode=300.0)), _flood),
+        ("cantilever", (_law("beta", 2.8e7, 4.8e7, alpha=0.9, beta=2.2), _lognormal(30000.0, 9000.0),
+         *_uniform((250.0, 260.0)), _law("beta", 310.0, 450.0, alpha=2.5, beta=1.5)), _cantilever),
+        ("tube", (_normal(1.0, 0.1), _normal(1.5, 0.01), *_uniform((0.7, 1.2)), _law("triangular", 0.75, 0.85,
+         mode=0.8), _law("triangular", 0.09, 0.11, mode=0.1), _normal(2e5, 2e3)), _tube),
+        ("Chaboche", (*_uniform((0.0, 0.07)), _lognormal(750e6, 11e6), _normal(2750e6, 250e6), _normal(10.0, 2.0)),
+         _chaboche),
+        ("rod", (_lognormal(300.0, 30.0), _normal(75e3, 5e3)), _rod),
+        ("steel column", (_lognormal(400.0, 35.0), _normal(5e5, 5e4), _law("gumbel", mean=6e5, sd=9e4), _law("gumbel",
+         mean=6e5, sd=9e4), _lognormal(300.0, 3.0), _lognormal(20.0, 2.0), _lognormal(300.0, 5.0), _normal(30.0, 10.0),
+         _law("weibull", mean=2.1e5, modulus=63.4)), _steel_column),
+        ("truss", (*[_law("gumbel", mean=5e4, sd=7.5e3)] * 6, *[_lognormal(2.1e11, 2.1e10)] * 2, _lognormal(2e-3,
+         2e-4), _lognormal(1e-3, 1e-4)), _truss),
+        ("Friedman", _uniform(*[(0.0, 1.0)] * 10), _friedman),
+        ("robot arm", _uniform(*[(0.0, 2.0 * math.pi)] * 4, *[(0.0, 1.0)] * 4), _robot),
+        ("discontinuous", _uniform(*[(0.0, 1.0)] * 2), _discontinuous),
+        ("damped oscillator", (_lognormal(1.5, 0.15), _lognormal(0.01, 0.001), _lognormal(1.0, 0.2), _lognormal(0.01,
+         0.002), _lognormal(0.05, 0.02), _lognormal(0.02, 0.01), _lognormal(100.0, 10.0)), _oscillator),
+        ("quadratic form", (_normal(0.0, 1.0),) * 15, _quadratic),
     )
 }  # fmt: skip
 
@@ -631,10 +558,6 @@ def verdicts(found: Sequence[Measured]) -> tuple[int, int, int]:
     return no_worse, better, len(pairs)
 
 
-def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
-
-
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.1e}"
 
@@ -644,7 +567,7 @@ def table(found: Sequence[Measured]) -> str:
     rival = any(one.rival_true is not None for one in found)
     header = ["model", "N", "true error", "reported", "s", "chosen"]
     header += ["OpenTURNS, best", "s"] if rival else []
-    lines = [_line(header), _line(["---"] * len(header))]
+    rows = []
     for name, samples in dict.fromkeys((one.model, one.samples) for one in found):
         group = [one for one in found if (one.model, one.samples) == (name, samples)]
         first = group[0]
@@ -655,9 +578,9 @@ def table(found: Sequence[Measured]) -> str:
         ]  # fmt: skip
         if rival:
             cells += [_number(first.rival_true), f"{first.rival_seconds:.1f}" if first.rival_seconds else "-"]
-        lines.append(_line(cells))
+        rows.append(cells)
     honest = sum(one.honest for one in found)
-    lines += ["", f"Reported within a factor 3 of the true error: {honest} of {len(found)}."]
+    lines = [markdown(header, rows), "", f"Reported within a factor 3 of the true error: {honest} of {len(found)}."]
     no_worse, better, compared = verdicts(found)
     if compared:
         lines.append(f"Against OpenTURNS on the same points: no worse in {no_worse}, better in {better} of {compared}.")
@@ -679,8 +602,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def notice(one: Measured) -> None:
         rival = "" if one.rival_true is None else f", rival {one.rival_true:.1e} in {one.rival_seconds:.1f} s"
-        print(f"{one.model}, N = {one.samples}, seed {one.seed}: true {one.true:.1e}, reported {one.reported:.1e}, "
-              f"{one.seconds:.2f} s, {one.chosen}{rival}", file=sys.stderr, flush=True)  # fmt: skip
+        tell(f"{one.model}, N = {one.samples}, seed {one.seed}: true {one.true:.1e}, reported {one.reported:.1e}, "
+             f"{one.seconds:.2f} s, {one.chosen}{rival}")  # fmt: skip
 
     print(table(measure(asked.models, asked.sizes, asked.seeds, notice=notice)))
     return 0

@@ -17,14 +17,17 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from tests.campaigns import table, tell
 from uqsphere.arrays import Array
 from uqsphere.runner.evaluate import REPLICATES
+from uqsphere.uq.control import chaos_outputs, chaos_surrogate, mean_expansion
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.estimate import Estimate, from_replicates
-from uqsphere.uq.expansion import Chaos, fit_chaos, germ_points
-from uqsphere.uq.indices import Blocks, SampledIndices, sampled_indices, uniform_halves
+from uqsphere.uq.expansion import Chaos, chaos_indices, fit_again, fit_chaos, germ_points, judge, validation_error
+from uqsphere.uq.expansion.shares import error_with_tails
+from uqsphere.uq.indices import Blocks, SampledIndices, index_estimates, sampled_indices, uniform_halves
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.response import Answered, Response, answered, cross_fit, extended, index_shares, joined
 
@@ -40,7 +43,7 @@ _BOREHOLE: Final[dict[str, tuple[float, ...]]] = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class CoverageModel:
     """A model of uniforms (..., d) -> (...), its exact answers, and the germs that suit its inputs."""
 
@@ -60,8 +63,6 @@ class CoverageModel:
 
 
 def _normal_scores(u: Array) -> Array:
-    from scipy.special import ndtri
-
     return np.asarray(ndtri(u))
 
 
@@ -75,16 +76,9 @@ def _ishigami_model() -> CoverageModel:
     v1, v2 = 0.5 * (1.0 + 0.1 * math.pi**4 / 5.0) ** 2, 49.0 / 8.0
     v13 = 0.01 * math.pi**8 * 8.0 / 225.0
     v = v1 + v2 + v13
-    return CoverageModel(
-        name="ishigami",
-        function=_ishigami,
-        mean=3.5,
-        sd=math.sqrt(v),
-        quantiles=dict(zip(QUANTILES, _ISHIGAMI_QUANTILES, strict=True)),
-        first=(v1 / v, v2 / v, 0.0),
-        total=((v1 + v13) / v, v2 / v, v13 / v),
-        germs=("uniform",) * 3,
-    )
+    quantiles = dict(zip(QUANTILES, _ISHIGAMI_QUANTILES, strict=True))
+    first, total = (v1 / v, v2 / v, 0.0), ((v1 + v13) / v, v2 / v, v13 / v)
+    return CoverageModel("ishigami", _ishigami, 3.5, math.sqrt(v), quantiles, first, total, ("uniform",) * 3)
 
 
 #: the last two inputs of the g-function have no effect
@@ -100,16 +94,10 @@ def _g_model() -> CoverageModel:
     """Sobol' (Math. Comput. Simul. 55, 2001, 271): each factor has variance 1/(3 (1 + a)²) about 1."""
     v = 1.0 / (3.0 * (1.0 + _G_WEIGHTS) ** 2)
     every = float(np.prod(1.0 + v))
-    return CoverageModel(
-        name="g-function",
-        function=_g_function,
-        mean=1.0,
-        sd=math.sqrt(every - 1.0),
-        quantiles=dict(zip(QUANTILES, _G_QUANTILES, strict=True)),
-        first=tuple((v / (every - 1.0)).tolist()),
-        total=tuple((v / (1.0 + v) * every / (every - 1.0)).tolist()),
-        germs=("uniform",) * 6,
-    )
+    quantiles = dict(zip(QUANTILES, _G_QUANTILES, strict=True))
+    first, total = v / (every - 1.0), v / (1.0 + v) * every / (every - 1.0)
+    return CoverageModel("g-function", _g_function, 1.0, math.sqrt(every - 1.0), quantiles, tuple(first.tolist()),
+                         tuple(total.tolist()), ("uniform",) * 6)  # fmt: skip
 
 
 _LINEAR: Final = np.array([1.0, 0.7, 0.4, 0.2, 0.05])
@@ -123,16 +111,9 @@ def _linear_model() -> CoverageModel:
     """A sum of normals: a normal."""
     shares = _LINEAR**2 / (_LINEAR @ _LINEAR)
     sd = math.sqrt(float(_LINEAR @ _LINEAR))
-    return CoverageModel(
-        name="linear",
-        function=_linear,
-        mean=3.0,
-        sd=sd,
-        quantiles={p: 3.0 + sd * float(_normal_scores(np.asarray(p))) for p in QUANTILES},
-        first=tuple(shares.tolist()),
-        total=tuple(shares.tolist()),
-        germs=("normal",) * 5,
-    )
+    quantiles = {p: 3.0 + sd * float(_normal_scores(np.asarray(p))) for p in QUANTILES}
+    first = tuple(shares.tolist())
+    return CoverageModel("linear", _linear, 3.0, sd, quantiles, first, first, ("normal",) * 5)
 
 
 def _product(u: Array) -> Array:
@@ -142,8 +123,6 @@ def _product(u: Array) -> Array:
 
 def _product_quantile(p: float) -> float:
     """Given z1 the output is normal with variance z1² + 1/4: bisection of the mean over z1, by the midpoint rule."""
-    from scipy.special import ndtr, ndtri
-
     z = np.asarray(ndtri((np.arange(200_000) + 0.5) / 200_000))
     low, high = -20.0, 20.0
     for _ in range(60):
@@ -155,16 +134,9 @@ def _product_quantile(p: float) -> float:
 
 def _product_model() -> CoverageModel:
     """A product and a term of its own: two first indices are zero beside large totals."""
-    return CoverageModel(
-        name="product",
-        function=_product,
-        mean=0.0,
-        sd=math.sqrt(1.25),
-        quantiles={p: _product_quantile(p) for p in QUANTILES},
-        first=(0.0, 0.0, 0.2),
-        total=(0.8, 0.8, 0.2),
-        germs=("normal",) * 3,
-    )
+    quantiles = {p: _product_quantile(p) for p in QUANTILES}
+    return CoverageModel("product", _product, 0.0, math.sqrt(1.25), quantiles, (0.0, 0.0, 0.2), (0.8, 0.8, 0.2),
+                         ("normal",) * 3)  # fmt: skip
 
 
 _KINKED: Final = np.array([0.8, 0.5, 0.3, 0.1414213562373095])
@@ -186,16 +158,10 @@ def _kinked_model() -> CoverageModel:
         return np.asarray(2.0 / math.pi * (np.sqrt(1.0 - r * r) + r * np.arcsin(r) - 1.0) / v)
 
     norm = math.sqrt(float(_KINKED @ _KINKED))
-    return CoverageModel(
-        name="kinked",
-        function=_kinked,
-        mean=norm * math.sqrt(2.0 / math.pi),
-        sd=norm * math.sqrt(v),
-        quantiles={p: norm * float(_normal_scores(np.asarray(0.5 + 0.5 * p))) for p in QUANTILES},
-        first=tuple(shared(squares).tolist()),
-        total=tuple((1.0 - shared(1.0 - squares)).tolist()),
-        germs=("normal",) * 4,
-    )
+    quantiles = {p: norm * float(_normal_scores(np.asarray(0.5 + 0.5 * p))) for p in QUANTILES}
+    first, total = tuple(shared(squares).tolist()), tuple((1.0 - shared(1.0 - squares)).tolist())
+    mean, sd = norm * math.sqrt(2.0 / math.pi), norm * math.sqrt(v)
+    return CoverageModel("kinked", _kinked, mean, sd, quantiles, first, total, ("normal",) * 4)
 
 
 _SCATTER: Final = np.array([0.4, 0.3, 0.2, 0.1, 0.0])
@@ -211,16 +177,10 @@ def _lognormal_model() -> CoverageModel:
     whole = float(s2.sum())
     every = math.expm1(whole)
     mean = 3e9 * math.exp(0.5 * whole)
-    return CoverageModel(
-        name="lognormal",
-        function=_lognormal,
-        mean=mean,
-        sd=mean * math.sqrt(every),
-        quantiles={p: 3e9 * math.exp(math.sqrt(whole) * float(_normal_scores(np.asarray(p)))) for p in QUANTILES},
-        first=tuple((np.expm1(s2) / every).tolist()),
-        total=tuple(((math.exp(whole) - np.exp(whole - s2)) / every).tolist()),
-        germs=("normal",) * 5,
-    )
+    quantiles = {p: 3e9 * math.exp(math.sqrt(whole) * float(_normal_scores(np.asarray(p)))) for p in QUANTILES}
+    first, total = np.expm1(s2) / every, (math.exp(whole) - np.exp(whole - s2)) / every
+    return CoverageModel("lognormal", _lognormal, mean, mean * math.sqrt(every), quantiles, tuple(first.tolist()),
+                         tuple(total.tolist()), ("normal",) * 5)  # fmt: skip
 
 
 def _borehole(u: Array) -> Array:
@@ -236,29 +196,24 @@ def _borehole(u: Array) -> Array:
 
 def _borehole_model() -> CoverageModel:
     """Water through a borehole (Harper and Gupta 1983; inputs as in Morris, Mitchell, Ylvisaker 1993)."""
-    return CoverageModel(
-        name="borehole",
-        function=_borehole,
-        mean=_BOREHOLE["moments"][0],
-        sd=_BOREHOLE["moments"][1],
-        quantiles=dict(zip(QUANTILES, _BOREHOLE["quantiles"], strict=True)),
-        first=_BOREHOLE["first"],
-        total=_BOREHOLE["total"],
-        germs=("normal", "normal", *("uniform",) * 6),
-    )
+    quantiles = dict(zip(QUANTILES, _BOREHOLE["quantiles"], strict=True))
+    first, total = _BOREHOLE["first"], _BOREHOLE["total"]
+    germs = ("normal", "normal", *("uniform",) * 6)
+    return CoverageModel("borehole", _borehole, *_BOREHOLE["moments"], quantiles, first, total, germs)
 
 
 def coverage_models() -> tuple[CoverageModel, ...]:
     """The seven models of the table."""
-    return (
-        _ishigami_model(),
-        _g_model(),
-        _linear_model(),
-        _product_model(),
-        _kinked_model(),
-        _lognormal_model(),
-        _borehole_model(),
+    makers = (
+        _ishigami_model,
+        _g_model,
+        _linear_model,
+        _product_model,
+        _kinked_model,
+        _lognormal_model,
+        _borehole_model,
     )
+    return tuple(make() for make in makers)
 
 
 def reference(model: CoverageModel, *, count: int, replicates: int = 16) -> dict[str, list[tuple[float, float]]]:
@@ -267,9 +222,6 @@ def reference(model: CoverageModel, *, count: int, replicates: int = 16) -> dict
     Each list holds (value, standard error): "moments" are mean and standard deviation.  The numbers that stand
     in this file came from 2^20 points in each of 16 replicates.
     """
-    from uqsphere.uq.indices import Blocks, index_estimates
-    from uqsphere.uq.points import sobol_points
-
     d = model.dimension
     blocks = Blocks(inputs_count=d, second=True)
     moments, quantiles, outputs = [], [], []
@@ -313,7 +265,7 @@ POOLED: Final = (0.935, 0.97)
 LEAST: Final = 0.91
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Hit:
     """One interval beside the truth; `model` and `answer` say of what, `kind` and `way` with what it is pooled."""
 
@@ -327,7 +279,7 @@ class Hit:
     error: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class CoverageRow:
     """A cell of the table: one answer of one model, or all of a kind together (`model` "all").
 
@@ -351,20 +303,12 @@ class CoverageRow:
 
 def coverage_hit(kind: str, way: str, model: str, answer: str, points: int, estimate: Estimate, truth: float) -> Hit:
     if estimate.value is None or estimate.low is None or estimate.high is None:
-        return Hit(kind=kind, way=way, model=model, answer=answer, points=points,
-                   covered=False, half_width=math.inf, error=math.inf)  # fmt: skip
+        return Hit(kind, way, model, answer, points, covered=False, half_width=math.inf, error=math.inf)
     # An answer that is right to rounding is right; indices are shares of 1.
     slack = 1e-13 if kind.endswith("index") else 1e-12 * max(abs(truth), abs(estimate.value))
-    return Hit(
-        kind=kind,
-        way=way,
-        model=model,
-        answer=answer,
-        points=points,
-        covered=estimate.low - slack <= truth <= estimate.high + slack,
-        half_width=estimate.half_width,
-        error=0.0 if abs(estimate.value - truth) <= slack else estimate.value - truth,
-    )
+    covered = estimate.low - slack <= truth <= estimate.high + slack
+    error = 0.0 if abs(estimate.value - truth) <= slack else estimate.value - truth
+    return Hit(kind, way, model, answer, points, covered, estimate.half_width, error)
 
 
 def _described(model: CoverageModel, uniforms: Array, sizes: Sequence[int]) -> Iterator[Hit]:
@@ -400,21 +344,13 @@ def coverage_rows(
     progress: Callable[[int], None] | None = None,
 ) -> list[CoverageRow]:
     """Cells and pooled rows of moments, quantiles and indices by sampling."""
-    from uqsphere.uq.points import sobol_points
-
     chosen = coverage_models() if models is None else tuple(models)
     inputs = max(model.dimension for model in chosen)
     count = max(*sample_sizes, *index_sizes)
     tally = Tally()
     for repetition in range(repetitions):
-        uniforms = np.stack(
-            [
-                sobol_points(
-                    dimension=2 * inputs, count=count, seed=seed + repetition, task="coverage", replicate=replicate
-                )
-                for replicate in range(REPLICATES)
-            ]
-        )
+        asked = {"dimension": 2 * inputs, "count": count, "seed": seed + repetition, "task": "coverage"}
+        uniforms = np.stack([sobol_points(**asked, replicate=replicate) for replicate in range(REPLICATES)])
         for model in chosen:
             tally.add(_described(model, uniforms, sample_sizes))
             for second in (False, True):
@@ -435,13 +371,6 @@ def surrogate_rows(
     `repetitions` of its rows says how many were given; as control variate it counts all the same, which is harder
     than a run is.
     """
-    from scipy.special import ndtri
-
-    from uqsphere.uq.control import mean_expansion
-    from uqsphere.uq.expansion import chaos_indices, fit_again, germ_points, judge, validation_error
-    from uqsphere.uq.expansion.shares import error_with_tails
-    from uqsphere.uq.points import sobol_points
-
     tally = Tally()
     for model in coverage_models() if models is None else models:
         for repetition in range(repetitions):
@@ -478,10 +407,6 @@ def surrogate_rows(
 
 def _controlled(model: CoverageModel, chaos: Chaos, seed: int) -> SampledIndices:
     """Indices of a design of its own, the expansion as control variate."""
-    from scipy.special import ndtri
-
-    from uqsphere.uq.control import chaos_outputs, chaos_surrogate
-
     blocks = Blocks(inputs_count=model.dimension)
     outputs, others = [], []
     for replicate in range(REPLICATES):
@@ -506,22 +431,11 @@ class Tally:
 
     def rows(self) -> list[CoverageRow]:
         rows = []
-        for (kind, way, model, answer, points), (count, covered, width, square) in sorted(self.cells.items()):
+        for key, (count, covered, width, square) in sorted(self.cells.items()):
             rms = math.sqrt(square / count)
-            rows.append(
-                CoverageRow(
-                    kind=kind,
-                    way=way,
-                    model=model,
-                    answer=answer,
-                    points=points,
-                    repetitions=int(count),
-                    covered=covered / count,
-                    width=width / count / (1.96 * rms) if 0.0 < rms < math.inf else None,
-                    error=rms if math.isfinite(rms) else None,
-                    exact=rms == 0.0 and covered == count,
-                )
-            )
+            wide = width / count / (1.96 * rms) if 0.0 < rms < math.inf else None
+            error, exact = rms if math.isfinite(rms) else None, rms == 0.0 and covered == count
+            rows.append(CoverageRow(*key, int(count), covered / count, wide, error, exact))
         return rows
 
 
@@ -540,19 +454,10 @@ def pooled(rows: Sequence[CoverageRow]) -> list[CoverageRow]:
         widths = [r.width for r in cells if r.width is not None]
         # Every model counts alike, and so every answer of a model with many inputs less.
         shares = [float(np.mean([r.covered for r in cells if r.model == model])) for model in models]
-        found.append(
-            CoverageRow(
-                kind=kind,
-                way=way,
-                model="all",
-                answer="",
-                points=points,
-                repetitions=sum(models.values()),
-                covered=float(np.mean(shares)),
-                width=float(np.median(widths)) if widths else None,
-                error=max((r.error for r in cells if r.error is not None), default=None),
-            )
-        )
+        width = float(np.median(widths)) if widths else None
+        error = max((r.error for r in cells if r.error is not None), default=None)
+        together = sum(models.values()), float(np.mean(shares)), width, error
+        found.append(CoverageRow(kind, way, "all", "", points, *together))
     return found
 
 
@@ -568,8 +473,6 @@ POINTS = 1024
 
 def _large(model: CoverageModel, seed: int) -> Array:
     """Germ points of the large design, another for every repetition: its own error is part of the answer's."""
-    from scipy.special import ndtri
-
     points = [
         sobol_points(dimension=model.dimension, count=POINTS, seed=seed, task="expensive: large", replicate=r)
         for r in range(REPLICATES)
@@ -596,8 +499,6 @@ def _answers(model: CoverageModel, found: Description) -> list[tuple[str, Estima
 
 def _repeat(model: CoverageModel, sizes: Sequence[int], large: Array, seed: int) -> list[Hit]:
     """What one design, enlarged, answers at each size."""
-    from scipy.special import ndtri
-
     uniforms = sobol_points(dimension=model.dimension, count=max(sizes), seed=seed, task="expensive", replicate=0)
     points = germ_points(np.asarray(ndtri(uniforms)), model.germs)
     outputs = model.function(uniforms)

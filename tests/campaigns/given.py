@@ -18,28 +18,21 @@ from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from tests.campaigns import tell
-from tests.campaigns.coverage import (
-    CoverageModel,
-    CoverageRow,
-    Hit,
-    Tally,
-    coverage_hit,
-    coverage_models,
-    summary,
-)
+from tests.campaigns.coverage import CoverageModel, CoverageRow, Hit, Tally, coverage_hit, coverage_models, summary
 from uqsphere.arrays import Array
 from uqsphere.given import Data, analyse_data
 from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.joint import Dependence, Joint, make_joint
+from uqsphere.uq.joint import Dependence, Joint, conditional_scores, make_copula, make_joint
 from uqsphere.uq.law import make_law
 from uqsphere.uq.points import random_generator
 
 _QUANTILES: Final = (0.05, 0.5, 0.95)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class GivenModel:
     """A model of inputs (n, d) -> (n,), the inputs as they are drawn, and its exact answers.
 
@@ -50,11 +43,11 @@ class GivenModel:
     name: str
     inputs: Joint
     function: Callable[[Array], Array]
-    transform: Callable[[Array], Array] | None = None
     mean: float
     sd: float
     quantiles: Mapping[float, float]
     indices: Mapping[str, tuple[float, ...]]
+    transform: Callable[[Array], Array] | None = None
 
 
 def shares_of(closed: Mapping[tuple[int, ...], float], d: int) -> dict[str, tuple[float, ...]]:
@@ -120,20 +113,12 @@ def _linear_tied() -> GivenModel:
                           Dependence(of=("x3", "x4"), spearman=_spearman(-0.5))])  # fmt: skip
     closed = closed_effects(correlation, weights, np.zeros((4, 4)))
     sd = math.sqrt(closed[0, 1, 2, 3])
-    return GivenModel(
-        name="linear, Gaussian ties",
-        inputs=inputs,
-        function=lambda x: np.asarray(10.0 + _scores(x) @ weights),
-        mean=10.0,
-        sd=sd,
-        quantiles={p: 10.0 + sd * _normal_score(p) for p in _QUANTILES},
-        indices=shares_of(closed, 4),
-    )
+    quantiles = {p: 10.0 + sd * _normal_score(p) for p in _QUANTILES}
+    return GivenModel("linear, Gaussian ties", inputs, lambda x: np.asarray(10.0 + _scores(x) @ weights), 10.0, sd,
+                      quantiles, shares_of(closed, 4))  # fmt: skip
 
 
 def _normal_score(p: float) -> float:
-    from scipy.special import ndtri
-
     return float(ndtri(p))
 
 
@@ -155,23 +140,23 @@ def _product_tied() -> GivenModel:
         return np.asarray(z[:, 0] * z[:, 1] + z[:, 2])
 
     closed = closed_effects(correlation, linear, square)
-    return GivenModel(
-        name="product, Gaussian ties",
-        inputs=inputs,
-        function=function,
-        mean=0.6,
-        sd=math.sqrt(closed[0, 1, 2]),
-        quantiles=dict(zip(_QUANTILES, _PRODUCT, strict=True)),
-        indices=shares_of(closed, 3),
-    )
+    quantiles = dict(zip(_QUANTILES, _PRODUCT, strict=True))
+    return GivenModel("product, Gaussian ties", inputs, function, 0.6, math.sqrt(closed[0, 1, 2]), quantiles,
+                      shares_of(closed, 3))  # fmt: skip
+
+
+def _root(below: Callable[[float], float], p: float) -> float:
+    """Where a probability that rises is p, by bisection."""
+    low, high = -20.0, 20.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if below(middle) < p else (low, middle)
+    return 0.5 * (low + high)
 
 
 @lru_cache(maxsize=4)
 def _pair(kind: str, spearman: float, one: float, other: float) -> tuple[Array, Array]:
     """Values and weights (n, n) of one z1 + other z2 on the midpoints of a grid, z1 and z2 tied by a copula."""
-    from scipy.special import ndtri
-
-    from uqsphere.uq.joint import conditional_scores, make_copula
 
     copula = make_copula(kind, 2, spearman=spearman)
     nodes, weights = np.polynomial.legendre.leggauss(160)
@@ -186,7 +171,6 @@ def _linear_archimedean(kind: str) -> GivenModel:
 
     Both are exchangeable, so that a second integral with the weights changed over gives what the other input owns.
     """
-    from scipy.special import ndtr
 
     weights = (1.0, 0.6, 0.7)
     spearman = 0.6
@@ -200,23 +184,13 @@ def _linear_archimedean(kind: str) -> GivenModel:
     closed = {(): 0.0, (0,): variances[0], (1,): variances[1], (2,): rest, (0, 1): both, (0, 2): variances[0] + rest,
               (1, 2): variances[1] + rest, (0, 1, 2): both + rest}  # fmt: skip
 
-    def quantile(p: float) -> float:
-        low, high = -20.0, 20.0
-        for _ in range(50):
-            middle = 0.5 * (low + high)
-            below = float((ndtr((middle - values) / weights[2]) * chance).sum())
-            low, high = (middle, high) if below < p else (low, middle)
-        return 0.5 * (low + high)
+    def below(y: float) -> float:
+        return float((ndtr((y - values) / weights[2]) * chance).sum())
 
-    return GivenModel(
-        name=f"linear, {kind.capitalize()} tie",
-        inputs=_normals(3, [Dependence(of=("x1", "x2"), spearman=spearman, copula=kind)]),
-        function=lambda x: np.asarray(_scores(x) @ weights),
-        mean=0.0,
-        sd=math.sqrt(closed[0, 1, 2]),
-        quantiles={p: quantile(p) for p in _QUANTILES},
-        indices=shares_of(closed, 3),
-    )
+    inputs = _normals(3, [Dependence(of=("x1", "x2"), spearman=spearman, copula=kind)])
+    quantiles = {p: _root(below, p) for p in _QUANTILES}
+    return GivenModel(f"linear, {kind.capitalize()} tie", inputs, lambda x: np.asarray(_scores(x) @ weights), 0.0,
+                      math.sqrt(closed[0, 1, 2]), quantiles, shares_of(closed, 3))  # fmt: skip
 
 
 #: half the distance of two humps, and the standard deviation of each
@@ -225,19 +199,13 @@ _APART, _HUMP = 1.5, 0.4
 
 def _humps() -> GivenModel:
     """A sum of an input with two humps, whose law no family fits, and two normals."""
-    from scipy.special import ndtr
 
     weights = np.array([1.0, 0.7, 0.4])
     own = np.array([_APART**2 + _HUMP**2, 1.0, 1.0]) * weights**2
     rest = math.sqrt(_HUMP**2 + float(own[1:].sum()))
 
-    def quantile(p: float) -> float:
-        low, high = -20.0, 20.0
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            below = 0.5 * float(ndtr((middle - _APART) / rest) + ndtr((middle + _APART) / rest))
-            low, high = (middle, high) if below < p else (low, middle)
-        return 0.5 * (low + high)
+    def below(y: float) -> float:
+        return 0.5 * float(ndtr((y - _APART) / rest) + ndtr((y + _APART) / rest))
 
     def humps(x: Array) -> Array:
         z = _scores(x)
@@ -248,16 +216,10 @@ def _humps() -> GivenModel:
         return np.asarray(weights[0] * x[:, 0] + _scores(x[:, 1:]) @ weights[1:])
 
     shares = tuple((own / own.sum()).tolist())
-    return GivenModel(
-        name="two humps, kernel density",
-        inputs=_normals(4, []),
-        function=function,
-        transform=humps,
-        mean=0.0,
-        sd=math.sqrt(float(own.sum())),
-        quantiles={p: quantile(p) for p in _QUANTILES},
-        indices={"first": shares, "total": shares},
-    )
+    quantiles = {p: _root(below, p) for p in _QUANTILES}
+    indices = {"first": shares, "total": shares}
+    return GivenModel("two humps, kernel density", _normals(4, []), function, 0.0, math.sqrt(float(own.sum())),
+                      quantiles, indices, humps)  # fmt: skip
 
 
 #: every model by its name, made when it is asked for
@@ -296,18 +258,10 @@ def _independent(model: CoverageModel) -> GivenModel:
     inputs = Joint(names=tuple(f"x{j + 1}" for j in range(model.dimension)), laws=tuple(laws))
 
     def function(x: Array) -> Array:
-
         return model.function(np.column_stack([law.cdf(x[:, k]) for k, law in enumerate(laws)]))
 
-    return GivenModel(
-        name=model.name,
-        inputs=inputs,
-        function=function,
-        mean=model.mean,
-        sd=model.sd,
-        quantiles=model.quantiles,
-        indices={"first": model.first, "total": model.total},
-    )
+    indices = {"first": model.first, "total": model.total}
+    return GivenModel(model.name, inputs, function, model.mean, model.sd, model.quantiles, indices)
 
 
 def model_of(name: str) -> GivenModel:
@@ -369,9 +323,8 @@ def _repeat(model: GivenModel, n: int, known: bool, seed: int) -> tuple[list[Hit
     for kind, what, entry, truth in _answers(model, found):
         if entry["value"] is None:
             continue
-        estimate = Estimate(
-            **{key: entry[key] for key in ("value", "low", "high", "std_error", "method", "evaluations")}
-        )
+        keys = ("value", "low", "high", "std_error", "method", "evaluations")
+        estimate = Estimate(**{key: entry[key] for key in keys})
         hits.append(coverage_hit(kind, _way(model, known), model.name, what, n, estimate, truth))
     sensitivity = found["sensitivity"]["y"]
     return hits, bool(sensitivity["chaos"]["usable"]), bool(sensitivity["disagree"])

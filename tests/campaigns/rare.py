@@ -316,10 +316,7 @@ def measure(entry: Problem, *, repetitions: int, seed: int = 1, accuracy: float 
 
 
 def rare_table(
-    *,
-    repetitions: int = 10,
-    problems: Sequence[Problem] = PROBLEMS,
-    notice: Callable[[str], None] = lambda text: None,
+    *, repetitions: int = 10, problems: Sequence[Problem] = PROBLEMS, notice: Callable[[str], None] = lambda text: None
 ) -> list[Row]:
     """Every problem in turn."""
     rows = []
