@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.runner.api import check_range
-from uqsphere.runner.axis_rows import AxisRows, evaluate_at
+from uqsphere.runner.axis_rows import AxisRows, evaluate_along
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.questions.curves import curves_along, find_rows
@@ -71,16 +71,16 @@ def _half_width(curve: npt.NDArray[np.float64], least: float) -> float:
 
 def _straight(work: Work, limit: Limit, value: float, rows: int) -> npt.NDArray[np.float64]:
     """Probability (R,) by so many rows of each replicate at the value itself."""
-    return probability(state_of(work, limit, evaluate_at(work, value, start=0, count=rows)))
+    return probability(state_of(work, limit, evaluate_along(work, {value: (0, rows)})[value]))
 
 
 def _one_point(study: Study, limit: Limit, value: float, accuracy: float) -> tuple[int, float]:
     """Evaluations and seconds after which the point is known, by straight rows."""
     work = _work(study)
     begun = time.perf_counter()
-    rows = evaluate_at(work, value, start=0, count=STEP)
+    rows = evaluate_along(work, {value: (0, STEP)})[value]
     while _half_width(probability(state_of(work, limit, rows))[None, :], 0.0) > accuracy:
-        rows = rows.join(evaluate_at(work, value, start=rows.count, count=STEP))
+        rows = rows.join(evaluate_along(work, {value: (rows.count, STEP)})[value])
     return work.ledger.total, time.perf_counter() - begun
 
 
@@ -115,7 +115,7 @@ def curve_cost(
     chosen = next(one for one in study.limits if limit in (None, one.name))
     work = _work(study)
     # what is compiled on the first call is no part of the cost
-    evaluate_at(_work(study), study.margins.axis.low if study.margins else 1.0, start=0, count=1)
+    evaluate_along(_work(study), {study.margins.axis.low if study.margins else 1.0: (0, 1)})
     begun = time.perf_counter()
     rows = find_rows(work, [chosen], least=0.5 * LEAST, most=10**8).rows
     seconds = time.perf_counter() - begun

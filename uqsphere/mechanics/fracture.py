@@ -107,8 +107,9 @@ def _held(scene: Scene, rows: Places, push: Array, approach: Array, deepest: Arr
             face = partner.face.at(rows)
             with np.errstate(all="ignore"):
                 largest = deepest[..., pole] * unit / face.onset_approach
-                dent = np.where(largest > 1.0, (largest - face.recovery(largest)) * face.onset_approach / unit, 0.0)
-            above = above - dent
+                if (largest > 1.0).any():
+                    dent = (largest - face.recovery(largest)) * face.onset_approach / unit
+                    above = above - np.where(largest > 1.0, dent, 0.0)
         total = total + 0.4 * push[..., pole] * np.maximum(above, 0.0)
     return total
 
@@ -134,7 +135,7 @@ def _course(motion: Motion) -> _Course:
         )  # fmt: skip
     forces = motion.forces[inside] * cut
     push, deepest = _nodes(forces), np.maximum.accumulate(approach, axis=0)
-    held = _held(motion.scene, np.full(len(push), motion.row), push, approach, deepest)
+    held = _held(motion.scene, np.array([motion.row]), push, approach, deepest)
     return _Course(
         start=start, length=length, states=states * cut, times=times, forces=forces, deepest=deepest,
         force=np.maximum.accumulate(push.max(axis=1)), energy=np.maximum.accumulate(held),

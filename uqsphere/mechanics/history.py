@@ -7,7 +7,7 @@ nothing in accuracy.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -233,26 +233,15 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
     )  # fmt: skip
 
 
-def force_courses(scene: Scene, times: Array, *, fidelity: str = "full", tolerance: float = 1e-6) -> Array:
-    """Contact forces of every row at given instants, for bands over many scenes.
+def force_courses(courses: Sequence[Motion], times: Array) -> Array:
+    """Contact forces (n, 2, m) at the faces A and B [N] of n motions at m ascending instants since first touch [s].
 
-    Parameters
-    ----------
-    scene : Scene
-        n rows inside the domain.
-    times : (m,) array
-        Ascending instants since first touch [s]; after the end of a row's motion its forces are nan.
-
-    Returns
-    -------
-    (n, 2, m) array
-        At the faces A and B [N].
+    After the end of a motion its forces are nan.
     """
-    found = np.full((len(scene), 2, len(times)), np.nan)
-    for row in range(len(scene)):
-        course = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
+    found = np.full((len(courses), 2, len(times)), np.nan)
+    for forces, course in zip(found, courses, strict=True):
         known = times <= course.horizon
-        found[row][:, known] = course.forces_at(times[known]).T
+        forces[:, known] = course.forces_at(times[known]).T
     return found
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, reduce
 from typing import Final
@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.model import Answered
 from uqsphere.runner.evaluate import Work, evaluate_points, with_answered
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.schedule import REPLICATES
@@ -55,24 +56,29 @@ def draw_points(work: Work, *, start: int, count: int) -> Sample:
     return Sample.at(work.drawn.names, scores, inputs)
 
 
-def evaluate_at(work: Work, value: float, *, start: int, count: int, tag: str = "") -> Sample:
-    """The points `start` to `start + count` of every replicate, evaluated with the scalar at a value."""
-    axis = axis_of(work)
-    moved = replace(work, study=axis.move(work.study, value))
-    points = draw_points(moved, start=start, count=count)
-    names, rows = axis.place(moved.study, points.inputs[:, :, : len(moved.scene_names)], value)
-    key = f"margins{tag}.{value:.12e}.{start}.{count}".replace("+", "p")
-    flat = rows.reshape(rows.shape[0] * rows.shape[1], rows.shape[2])
-    # without scatter in the scene one row stands for all
-    answered = evaluate_points(moved, key, names, flat if rows.shape[2] else flat[:1])
-    return with_answered(work, points, answered)
-
-
-def limit_state(work: Work, limit: Limit, points: Sample, demands: Array, value: float) -> LimitState:
-    """The state of a limit at a value, with demands (R, n) before its model factor, all of them known."""
-    full = np.ones((*demands.shape, len(work.quantities)))
-    full[:, :, work.quantities.index(limit.quantity)] = demands
-    return at_value(work, limit, state_of(work, limit, points.with_answers(work.quantities, full)), value)
+def evaluate_along(work: Work, wanted: Mapping[float, tuple[int, int]], tag: str = "") -> dict[float, Sample]:
+    """Rows with the scalar at some values, all evaluated together; `wanted` has the points of each replicate at every
+    value: from which, and how many."""
+    axis, fixed, random = axis_of(work), work.study.fixed, bool(work.scene_names)
+    names, points, parts = work.scene_names, {}, []
+    for value, (start, count) in wanted.items():
+        moved = replace(work, study=axis.move(work.study, value))
+        points[value] = draw_points(moved, start=start, count=count)
+        names, rows = axis.place(moved.study, points[value].inputs[:, :, : len(moved.scene_names)], value)
+        flat = rows.reshape(-1, rows.shape[2]) if rows.shape[2] else np.empty((points[value].size, 0))
+        if axis.kind == "number" and axis.path in fixed:
+            names, flat = (*names, axis.path), np.column_stack([flat, np.full(len(flat), value)])
+        # without scatter in the scene one row stands for all
+        parts.append(flat if random else flat[:1])
+    key = f"margins{tag}.{len(parts)}.{sum(map(len, parts))}"
+    answered = evaluate_points(work, key, names, np.concatenate(parts))
+    begin, found = 0, {}
+    for (value, sample), part in zip(points.items(), parts, strict=True):
+        own = slice(begin, begin := begin + len(part))
+        found[value] = with_answered(work, sample, Answered(
+            values=answered.values[own], censored=answered.censored[own], status=answered.status[own]
+        ))  # fmt: skip
+    return found
 
 
 def at_value(work: Work, limit: Limit, state: LimitState, value: float) -> LimitState:
@@ -81,8 +87,18 @@ def at_value(work: Work, limit: Limit, state: LimitState, value: float) -> Limit
 
 
 def judge_of(work: Work, limit: Limit) -> Judge:
-    """Whether demands exceed a limit's strength."""
-    return lambda points, demands, value: limit_state(work, limit, points, demands, value)
+    """Whether demands (R, n) before their model factor, all of them known, exceed a limit's strength at a value."""
+    known: list[tuple[Sample, LimitState]] = []
+
+    def judge(points: Sample, demands: Array, value: float) -> LimitState:
+        state = next((one for own, one in known if own is points), None)
+        if state is None:
+            ones = points.with_answers((limit.quantity,), np.ones((*demands.shape, 1)))
+            state = state_of(work, limit, ones)
+            known.append((points, state))
+        return at_value(work, limit, replace(state, demands=demands * state.demands), value)
+
+    return judge
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +121,8 @@ class Look:
         stack = np.stack([self.samples[value].answer(limit.quantity) for value in self.grid])
         demands = interpolate_rows(self.grid, stack, np.asarray(values))
         points = self.samples[self.grid[0]]
-        return [limit_state(self.work, limit, points, rows, x) for rows, x in zip(demands, values, strict=True)]
+        judge = judge_of(self.work, limit)
+        return [judge(points, rows, x) for rows, x in zip(demands, values, strict=True)]
 
     def curve(self, limit: Limit, values: Sequence[float]) -> Array:
         """Probability of exceeding (K, R) at some values."""
@@ -162,12 +179,13 @@ class AxisRows:
         self._extend({value: self.rows[value].count for value in values})
 
     def _extend(self, more: dict[float, int]) -> None:
-        found, start = dict(self.rows), self.used
+        start, wanted = self.used, {}
         for value, count in more.items():
-            own = evaluate_at(self.work, value, start=start, count=count, tag=self.tag)
-            found[value] = found[value].join(own) if value in found else own
+            wanted[value] = start, count
             start += count
-        self.rows, self.used = found, start
+        found = evaluate_along(self.work, wanted, self.tag)
+        self.rows |= {value: self.rows[value].join(own) if value in self.rows else own for value, own in found.items()}
+        self.used = start
         self._fits.clear()
         self._tables.clear()
 
@@ -214,5 +232,5 @@ class AxisRows:
         """States of a limit at any values within the grid, on the first `count` of the many points."""
         points = self.many.head(count)
         fit = self.fit(limit.quantity)
-        products = fit.products(points.scores)
-        return [limit_state(self.work, limit, points, fit.predict(value, products), value) for value in values]
+        products, judge = fit.products(points.scores), judge_of(self.work, limit)
+        return [judge(points, fit.predict(value, products), value) for value in values]

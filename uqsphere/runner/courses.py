@@ -13,6 +13,7 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.store import Store, csv_text, write_atomically, write_json
 
 if TYPE_CHECKING:
+    from uqsphere.mechanics.integrator.solve import Motion
     from uqsphere.mechanics.scene import Scene
 
 #: scenes that are followed over time, and instants of their courses
@@ -63,13 +64,13 @@ def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
     return None
 
 
-def _follow(work: Work, rows: Array, times: Array) -> Array | None:
-    """Contact forces (n, 2, m) of rows of inputs; None where one is answered by another fidelity alone."""
-    from uqsphere.mechanics.history import force_courses
+def _motions(work: Work, rows: Array) -> list[Motion] | None:
+    """The motions of rows of inputs; None where one is answered by another fidelity alone."""
+    from uqsphere.mechanics.integrator.solve import motion
 
     scene, fidelity = _scene(work, rows)
     try:
-        return force_courses(scene, times, fidelity=fidelity, tolerance=_tolerance(work))
+        return [motion(scene, row, fidelity=fidelity, tolerance=_tolerance(work)) for row in range(len(rows))]
     except ValueError:
         return None
 
@@ -86,15 +87,15 @@ def _tolerance(work: Work) -> float:
 
 def followed(work: Work, rows: Array, instants: int = INSTANTS) -> tuple[Array, Array] | None:
     """Instants (m) of the first loading, and the forces (n, 2, m) of the rows then."""
-    # look first how long the first loading lasts, then follow it finely
+    from uqsphere.mechanics.history import force_courses
+
+    courses = _motions(work, rows)
+    if courses is None:
+        return None
+    # look first how long the first loading lasts
     trial = np.linspace(0.0, _LONGEST * float(np.median(_scene(work, rows)[0].scales.time)), _TRIAL)
-    look = _follow(work, rows, trial)
-    if look is None:
-        return None
-    times = np.linspace(0.0, _end_of_loading(trial, look), instants)
-    forces = _follow(work, rows, times)
-    if forces is None:
-        return None
+    times = np.linspace(0.0, _end_of_loading(trial, force_courses(courses, trial)), instants)
+    forces = force_courses(courses, times)
     whole = np.isfinite(forces).all(axis=(0, 1))
     times, forces = times[whole], forces[:, :, whole]
     return (times, forces) if len(times) >= 20 and forces.max() > 0.0 else None
@@ -106,10 +107,11 @@ _LOOP, _STORED = 2401, 10
 
 def _hardest(work: Work, row: Array, times: Array) -> dict[str, object] | None:
     """The scene of one row of inputs; None where its record ends before those of the others."""
-    from uqsphere.mechanics.history import trace, view_field
+    from uqsphere.mechanics.history import force_courses, trace, view_field
 
-    pair = _follow(work, row[None, :], times)
-    if pair is None or not np.isfinite(pair).all():
+    found = _motions(work, row[None, :])
+    pair = np.full((1, 2, 1), np.nan) if found is None else force_courses(found, times)
+    if not np.isfinite(pair).all():
         return None
     single, fidelity = _scene(work, row[None, :])
     course = trace(single, 0, points=2, fidelity=fidelity, tolerance=_tolerance(work))

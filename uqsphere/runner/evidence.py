@@ -17,7 +17,7 @@ from uqsphere.arrays import Array
 from uqsphere.mechanics.outputs import absent_in, all_with
 from uqsphere.mechanics.yielding import Face
 from uqsphere.model import Answered, is_answered, scene_of, solve_scene
-from uqsphere.runner.axis_rows import evaluate_at
+from uqsphere.runner.axis_rows import evaluate_along
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work, with_answered
 from uqsphere.runner.questions.any_limit import AnyLimit
@@ -162,9 +162,7 @@ def _along(work: Work, left: int) -> dict[float, Sample]:
     if margins is None or not margins.axis.moves_rows or count < 1:
         return {}
     try:
-        return {
-            value: evaluate_at(work, value, start=0, count=count, tag=".ways")
-            for value in spaced(margins.axis.low, margins.axis.high, WAYS_CURVE.most)
-        }
+        values = spaced(margins.axis.low, margins.axis.high, WAYS_CURVE.most)
+        return evaluate_along(work, dict.fromkeys(values, (0, count)), ".ways")
     except OutOfBudget:
         return {}

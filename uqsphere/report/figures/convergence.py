@@ -167,7 +167,7 @@ def _labelled(pursued: list[Series]) -> list[Series]:
 
 def _limits(axes: Axes, series: list[Series], column: int) -> None:
     """Decades around the points, with room for labels on the right."""
-    from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
+    from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
     xs = [p[column] for s in series for p in s.points if p[column] > 0.0]
     ys = [p[2] for s in series for p in s.points] + [1.0]
@@ -177,9 +177,8 @@ def _limits(axes: Axes, series: list[Series], column: int) -> None:
     axes.set_ylim(max(min(ys) / 2.0, _LEAST), max(ys) * 2.0)
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0,), numticks=8))
     axes.xaxis.set_major_locator(FixedLocator(_ticks(low - 0.1 * width, high + 0.1 * width)))
-    axes.xaxis.set_minor_locator(NullLocator())
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_minor_formatter(NullFormatter())
+        axis.set_minor_locator(NullLocator())
         axis.set_major_formatter(FuncFormatter(_thousands))
 
 

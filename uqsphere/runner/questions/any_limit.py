@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.runner.axis_rows import axis_of, evaluate_at
+from uqsphere.runner.axis_rows import axis_of, evaluate_along
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points, with_answered
 from uqsphere.runner.limits import SMALL, state_of
 from uqsphere.runner.questions.margins import MarginAnswer
@@ -116,7 +116,8 @@ class AnyLimit:
         evaluations = len(grid) * FRACTURE_CURVE.first * REPLICATES
         if evaluations > work.study.analysis.budget.evaluations - work.ledger.total:
             return None
-        table = np.array([self._at_value(work, value) for value in grid])
+        rows = evaluate_along(work, dict.fromkeys(grid, (0, FRACTURE_CURVE.first)))
+        table = np.array([self._at_value(work, value, sample) for value, sample in rows.items()])
         usable = np.isfinite(table).all(axis=1)
         if usable.sum() < 2:
             return None
@@ -125,10 +126,10 @@ class AnyLimit:
             evaluations=evaluations,
         )  # fmt: skip
 
-    def _at_value(self, work: Work, value: float) -> Array:
+    def _at_value(self, work: Work, value: float, sample: Sample) -> Array:
         """Probability of any in every replicate (R,), the same random numbers at every value."""
         moved = replace(work, study=axis_of(work).move(work.study, value))
-        state = union_state(self.at(moved, evaluate_at(work, value, start=0, count=FRACTURE_CURVE.first)))
+        state = union_state(self.at(moved, sample))
         found = [exceedance(pick_replicates(state, [r, r])).value for r in range(REPLICATES)]
         return np.array([np.nan if p is None else p for p in found])
 

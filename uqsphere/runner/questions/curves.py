@@ -19,7 +19,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.quantities import format_value, lookup
 from uqsphere.results import SpeedRow
-from uqsphere.runner.axis_rows import AxisRows, Look, at_value, axis_of, evaluate_at, judge_of
+from uqsphere.runner.axis_rows import AxisRows, Look, at_value, axis_of, evaluate_along, judge_of
 from uqsphere.runner.campaign import Accuracy, Cost, Course, campaign, cost_of, rounded, speed_rows_of
 from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.limits import state_of
@@ -166,7 +166,7 @@ def find_rows(
     cost = REPLICATES * SCAN_POINTS * SCAN_VALUES + FIRST_POINTS[-1] * each
     if cost > left:
         return Found(reason=_shortage(work, cost))
-    found = {v: evaluate_at(work, v, start=0, count=SCAN_POINTS, tag=tag) for v in axis.grid(SCAN_VALUES)}
+    found = evaluate_along(work, dict.fromkeys(axis.grid(SCAN_VALUES), (0, SCAN_POINTS)), tag)
     look = Look(work=work, samples=found)
     limits = [limit for limit in limits if look.fits(limit)]
     if not limits:
@@ -379,7 +379,7 @@ def _sampled(
                 if work.ledger.total + count * each > budget:
                     return found, "the budget of evaluations was used up"
                 try:
-                    sample = evaluate_at(work, value, start=0, count=count, tag=tag)
+                    sample = evaluate_along(work, {value: (0, count)}, tag)[value]
                 except OutOfBudget:
                     return found, "the time was over, or the run was stopped"
             states = {limit.name: at_value(work, limit, state_of(work, limit, sample), value) for limit in limits}
