@@ -539,6 +539,23 @@ def test_a_margin_that_no_surrogate_shows_is_learned(ask, monkeypatch: pytest.Mo
     assert found.high - found.low < 0.2 * MARGIN_TRUTH
 
 
+def test_runs_of_a_margin_serve_the_study_itself(ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ishigami's function with a = 7 free from 3 to 12: of 96 runs a third lies along a."""
+    inputs = "".join(f'x{k} = {{ dist = "uniform", lower = -3.14159, upper = 3.14159 }}\n' for k in (1, 2, 3))
+    text = (
+        f'seed = 4\n[inputs]\n{inputs}a = 7.0\n[outputs]\nnames = ["y"]\n[limits.high]\nquantity = "y"\n'
+        'strength = 12.0\naim = "survive"\n[margins]\nsolve = "a"\nbetween = [3.0, 12.0]\n'
+        'for_probability = [0.1]\n[analysis]\ncost = "10 s"\nbudget = { evaluations = 96, time = "9 h" }\n'
+    )
+    monkeypatch.setitem(globals(), "EXPENSIVE", text)
+    box = Counted(lambda x: np.sin(x["x1"]) * (1.0 + 0.1 * x["x3"] ** 4) + x["a"] * np.sin(x["x2"]) ** 2)
+    results = ask(box).results
+    assert box.rows <= 97
+    mean = results.quantities["y"].mean
+    assert holds(mean.model_dump(), 3.5)
+    assert 0.5 * (mean.high - mean.low) < 0.12
+
+
 def test_a_family_that_no_surrogate_draws_is_told(
     ask, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -23,7 +23,8 @@ from uqsphere.report.contents import read_contents
 from uqsphere.report.terminal import summary_of
 from uqsphere.study import Study
 from uqsphere.uq.estimate import Estimate, absent
-from uqsphere.uq.expansion import chaos_indices, fit_chaos, germ_points
+from uqsphere.uq.expansion import Chaos, Piece, chaos_indices, fit_chaos, germ_points, held, predict
+from uqsphere.uq.expansion.expansion import Border
 from uqsphere.uq.expansion.shares import law_shares
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import make_law
@@ -62,6 +63,36 @@ def test_the_error_of_a_response_is_that_of_runs_left_out() -> None:
     smooth = cross_fit(points, outputs.mean() + points[:, 0] + points[:, 1] ** 2, model.germs)[0]
     assert smooth.usable
     assert smooth.error < 1e-20
+
+
+def test_rows_elsewhere_fit_a_response_that_its_own_rows_correct() -> None:
+    """y = (1 + s) x + s, s in [-1, 1]: of rows along s and rows at s = 0.5, the response at 0.5."""
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-1.0, 1.0, (48, 2))
+    points[:24, 1] = 0.5
+    outputs = (1.0 + points[:, 1]) * points[:, 0] + points[:, 1]
+    own = np.arange(48) < 24
+    section = cross_fit(points, outputs, ("uniform",) * 2)[0].of_rows(own).held(0.5)
+    assert section.germs == ("uniform",)
+    assert section.count == 24
+    assert section.error < 1e-20
+    x = np.linspace(-1.0, 1.0, 5)[:, None]
+    np.testing.assert_allclose(section.at(x), 1.5 * x[:, 0] + 0.5, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["axis", "score", "upper", "lower"])
+def test_two_pieces_keep_their_border_where_an_input_is_held(kind: str) -> None:
+    rng = np.random.default_rng(2)
+    terms = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 1], [0, 0, 2], [1, 0, 1]])
+    pieces = tuple(Piece(coefficients=rng.normal(size=5), multi_indices=terms, transform=None) for _ in range(2))
+    germs = ("uniform", "normal", "uniform")
+    axis, count = (2, 0) if kind == "axis" else (0, 10)
+    border = Border(kind=kind, axis=axis, at=0.1, weights=rng.normal(size=count) if kind == "score" else None)
+    whole = Chaos(pieces=pieces, border=border, germs=germs, cross_validation_error=0.0, samples=9, solver="")
+    x = rng.uniform(-1.0, 1.0, (200, 2))
+    for value in (-0.6, 0.4):
+        there = np.column_stack([x, np.full(200, value)])
+        np.testing.assert_allclose(predict(held(whole, value), x), predict(whole, there), atol=1e-12)
 
 
 def test_an_interval_that_few_rows_carry_knows_that_they_are_few() -> None:

@@ -32,7 +32,7 @@ from uqsphere.runner.questions.probabilities import (
     with_surrogate_design,
 )
 from uqsphere.runner.remote import Watch
-from uqsphere.runner.schedule import FIRST_SAMPLE, LEARNED, REPLICATES, SURROGATE
+from uqsphere.runner.schedule import ALONG, FIRST_SAMPLE, LEARNED, REPLICATES, SURROGATE
 from uqsphere.runner.surrogate_answers import (
     Answers,
     answers_of,
@@ -221,6 +221,24 @@ class Surrogates:
             for quantity in work.quantities
             if quantity in made
         }
+        self._ask()
+
+    def take(self, others: Mapping[str, Response]) -> None:
+        """Answer with other responses, which more runs than the design's have helped to fit, where they leave less."""
+        have = self.responses
+        better = {
+            quantity: replace(one, noise=self.noise.get(quantity, 0.0))
+            for quantity, one in others.items()
+            if quantity not in have or one.error < have[quantity].error
+        }
+        if any(one.usable for one in better.values()):
+            self.responses = {q: (have | better)[q] for q in self.work.quantities if q in have | better}
+            self._ask()
+
+    def _ask(self) -> None:
+        """What the responses that may be used say, and the runs alone of the other quantities."""
+        assert self.design is not None
+        work = self.work
         self.found = answers_of(work, self.size, self.usable)
         # a limit may be followed by learning although its quantity is too rough for a response
         self.alone = answers_of_runs(work, blocks_of_runs(self.design), self.rough)
@@ -346,11 +364,15 @@ class _End:
     def conclude(self) -> Expensive:
         """Everything the run answers: by surrogates, and what is too rough for one by the runs themselves."""
         work, affordable = self.work, self.priced.way.affordable
-        alone = self.question.alone
         if not self.question.begun:
-            alone = answers_of_runs(work, blocks_of_runs(self.design), self.question.rough)
+            self.question.alone = answers_of_runs(work, blocks_of_runs(self.design), self.question.rough)
+        known = self.question.found.limits | self.question.alone.limits
+        margins, sections = surrogate_margins(
+            work, self.question.usable, affordable - self._to_learn(known), self.design
+        )
+        self.question.take(sections)
+        alone = self.question.alone
         before = self.question.found.limits | alone.limits
-        margins = surrogate_margins(work, self.question.usable, affordable - self._to_learn(before), self.design)
         limits, learned = before, Learned(limits={})
         if self.course.stopped != "time":
             learned = learn_limits(work, limits, self.design)
@@ -381,12 +403,15 @@ class _End:
                          sampled=sampled, sensitivity=sensitivity, margins=margins)  # fmt: skip
 
     def _to_learn(self, limits: Mapping[str, LimitAnswer]) -> int:
-        """Evaluations that margins leave to the limits that are to be learned: enough to begin, or half of the rest."""
+        """Evaluations that margins leave to the limits that are to be learned: enough to begin, or half of the rest.
+
+        A design along the scalar goes before: what it tells of the study itself serves these limits too.
+        """
         left = max(self.priced.way.affordable - self.work.ledger.total, 0)
         wanted = sum(
             learnable(self.work, one, limits[one.name]) for one in self.work.study.limits if one.name in limits
         )
-        return min(LEARNED.least * wanted, left // 2)
+        return min(LEARNED.least * wanted, left // 2, max(left - min(margin_runs(self.work), ALONG.first), 0))
 
     def _with_all_runs(self) -> None:
         """Runs that no surrogate can use still sharpen what sampling says: as far as the budget goes."""
@@ -558,7 +583,7 @@ def keep_margins(work: Work, found: Mapping[str, MarginAnswer], one: Expensive) 
     if not usable:
         return dict(found)
     assert one.question.design is not None
-    answers = surrogate_margins(work, usable, work.study.analysis.budget.evaluations, one.question.design)
+    answers, _ = surrogate_margins(work, usable, work.study.analysis.budget.evaluations, one.question.design)
     return {**found, **{name: answers[name] for name in without if answers[name].curve}}
 
 

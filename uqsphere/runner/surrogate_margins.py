@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import ndtri
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.model import Answered, is_answered
 from uqsphere.runner.axis_rows import axis_of
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_points
@@ -28,19 +28,18 @@ from uqsphere.runner.questions.margins import MarginAnswer, unmoved_margins
 from uqsphere.runner.questions.probabilities import (
     MOST_VARIABLES,
     LimitSpace,
-    known_points,
     limit_space,
     tied_strength,
 )
 from uqsphere.runner.schedule import ALONG
-from uqsphere.study import Limit
+from uqsphere.study import Axis, Limit
 from uqsphere.uq.curve import Fragility, fit_lognormal_curve, fragility
 from uqsphere.uq.estimate import Estimate, absent
-from uqsphere.uq.expansion import germ_points
+from uqsphere.uq.expansion import fit_outputs, germ_points
 from uqsphere.uq.families import LawError
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.problem import REACH, Evaluator, LimitFunction
-from uqsphere.uq.response import METHOD, Response, cross_fit, joined, with_residuals
+from uqsphere.uq.response import FOLDS, METHOD, Response, cross_fit, joined, with_residuals
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.whatif import probability
 
@@ -60,20 +59,36 @@ _Exceeding = Callable[[float], Array]
 
 @dataclass(frozen=True, kw_only=True)
 class _Wide:
-    """Runs over inputs and the free scalar, normal scores (N, D) and values (N,), and the surrogates of both.
+    """Runs over inputs and the free scalar, those of the study's own design among them, and surrogates of both.
 
-    `normals`, `values`, `answers` (N, q) and `censored` have the runs; `reason` says why there are none.
+    Normal scores (N, D), values of the scalar (N,), outputs (N, q), nan where there is none, and which of these are
+    censored; the first `own` are the design's.  `responses` answer along the scalar, `sections` where the study has it.
+    Both are polynomials of the scalar or of its logarithm, whichever leaves less: `steps`.  `reason` says why there are
+    none.
     """
 
+    normals: Array
+    values: Array
+    outputs: Array
+    censored: Flags
+    own: int
     responses: Mapping[str, Response] = field(default_factory=dict)
-    normals: Array = field(default_factory=lambda: np.empty((0, 0)))
-    values: Array = field(default_factory=lambda: np.empty(0))
-    run: Answered | None = None
+    sections: Mapping[str, Response] = field(default_factory=dict)
+    steps: bool = False
     reason: str = ""
 
     @property
     def runs(self) -> int:
-        return len(self.values)
+        """Those along the scalar."""
+        return len(self.values) - self.own
+
+    def with_runs(self, normals: Array, values: Array, run: Answered) -> _Wide:
+        """With more of them."""
+        outputs = np.where(is_answered(run.status)[:, None], run.values, np.nan)
+        return replace(self, normals=np.concatenate([self.normals, normals]),
+                       values=np.concatenate([self.values, values]),
+                       outputs=np.concatenate([self.outputs, outputs]),
+                       censored=np.concatenate([self.censored, run.censored]))  # fmt: skip
 
 
 def margin_runs(work: Work) -> int:
@@ -84,14 +99,15 @@ def margin_runs(work: Work) -> int:
 
 def surrogate_margins(
     work: Work, usable: Mapping[str, Response], affordable: int, design: Sample
-) -> dict[str, MarginAnswer]:
+) -> tuple[dict[str, MarginAnswer], Mapping[str, Response]]:
     """Curves and values of the free scalar for every limit; those that cannot be given say why.
 
-    Runs of the model are spent only where the free scalar is no strength, and no more than `affordable` in all.
+    Runs of the model are spent only where the free scalar is no strength, and no more than `affordable` in all.  Last,
+    what these runs make of the study itself: a response of every quantity, corrected by the design's own runs.
     """
     margins = work.study.margins
     if margins is None:
-        return {}
+        return {}, {}
     axis, found = margins.axis, unmoved_margins(work)
     limits = [limit for limit in work.study.limits if limit.name not in found]
     if not axis.moves_rows:
@@ -102,21 +118,21 @@ def surrogate_margins(
                 if one is None
                 else _answer(work, limit, _of_strength(work, limit, one), one.count)
             )
-        return found
-    wide = _over_scalar(work, affordable)
+        return found, {}
+    wide = _over_scalar(work, affordable, design)
     left: list[Limit] = []
     for limit in limits:
         response = wide.responses.get(limit.quantity)
         if response is not None and response.usable:
-            found[limit.name] = _answer(work, limit, _of_scalar(work, limit, response), wide.runs)
+            found[limit.name] = _answer(work, limit, _of_scalar(work, limit, response, wide.steps), wide.runs)
         elif wide.reason:
             found[limit.name] = _nothing(wide.reason)
         if not wide.reason and not _settled(work, limit, found.get(limit.name)):
             left.append(limit)
     for at, limit in enumerate(left):
         room = (affordable - work.ledger.total) // (len(left) - at)
-        found[limit.name] = _learned(work, limit, wide, design, room, found.get(limit.name))
-    return {limit.name: found[limit.name] for limit in work.study.limits}
+        found[limit.name] = _learned(work, limit, wide, room, found.get(limit.name))
+    return {limit.name: found[limit.name] for limit in work.study.limits}, wide.sections
 
 
 def _settled(work: Work, limit: Limit, answer: MarginAnswer | None) -> bool:
@@ -143,13 +159,13 @@ def _of_strength(work: Work, limit: Limit, one: Response) -> _Exceeding:
     return lambda value: _exceeding(work, limit, large, centre * factor(limit, value), reach * factor(limit, value))
 
 
-def _of_scalar(work: Work, limit: Limit, one: Response) -> _Exceeding:
+def _of_scalar(work: Work, limit: Limit, one: Response, steps: bool) -> _Exceeding:
     """Demands of the surrogate over the free scalar: the same normal scores and residuals' numbers at every value."""
     d, large = len(work.scene_names), _large(work)
     points = germ_points(large.scores[:, :, :d].reshape(-1, d), work.germs)
 
     def exceeding(value: float) -> Array:
-        rows = np.column_stack([points, np.full(len(points), axis_of(work).germ(value))])
+        rows = np.column_stack([points, _places(axis_of(work), np.full(len(points), value), steps)])
         rng = random_generator(seed=work.study.seed, task=f"surrogate.margins.{limit.name}")
         centre, reach = with_residuals(one, one.at(rows).reshape(large.scores.shape[:2]), rng)
         return _exceeding(work, limit, large, centre, reach)
@@ -157,23 +173,33 @@ def _of_scalar(work: Work, limit: Limit, one: Response) -> _Exceeding:
     return exceeding
 
 
-def _over_scalar(work: Work, affordable: int) -> _Wide:
-    """Runs over inputs and free scalar together, and the surrogates of all quantities fitted to them.
+def _over_scalar(work: Work, affordable: int, design: Sample) -> _Wide:
+    """Runs over inputs and free scalar together, and the surrogates of all quantities fitted to them and the design.
 
     Half of the room at first, and all of it where every surrogate can use more.
     """
-    axis = axis_of(work)
+    axis, wide = axis_of(work), _begun(work, design)
     room = min(ALONG.most, affordable - work.ledger.total)
     if room < ALONG.first:
         reason = f"not searched for: a design over {axis.path} takes {ALONG.first} to {ALONG.most} more evaluations"
-        return _Wide(reason=reason)
-    count, wide = max(ALONG.first, 2 ** int(math.log2(room / 2))), _Wide()
+        return replace(wide, reason=reason)
+    count = max(ALONG.first, 2 ** int(math.log2(room / 2)))
     while count <= room:
         wide = _wider(work, wide, count)
         count *= 2
         if wide.reason or not all(wide.responses[limit.quantity].usable for limit in work.study.limits):
             break
     return wide
+
+
+def _begun(work: Work, design: Sample) -> _Wide:
+    """The runs of the study itself, where it has the scalar at a value within its range."""
+    axis = axis_of(work)
+    nominal = work.study.at_means().get(axis.path)
+    own = design.count if nominal is not None and axis.low <= nominal <= axis.high else 0
+    outputs = np.where(np.stack([design.lost(q)[0] for q in work.quantities], axis=1), np.nan, design.answers[0])
+    return _Wide(normals=design.scores[0][:own], values=np.full(own, nominal or 0.0), outputs=outputs[:own],
+                 censored=design.censored[0][:own], own=own)  # fmt: skip
 
 
 def _wider(work: Work, wide: _Wide, count: int) -> _Wide:
@@ -186,19 +212,34 @@ def _wider(work: Work, wide: _Wide, count: int) -> _Wide:
     try:
         run = evaluate_along(work, f"margins-surrogate.{start}", normals, values)
     except LawError as error:
-        return _Wide(reason=f"{axis.path} cannot be moved over the whole range: {error}")
+        return replace(wide, reason=f"{axis.path} cannot be moved over the whole range: {error}")
     except OutOfBudget:
-        return _Wide(reason="no curve could be computed: the time was over, or the run was stopped")
-    if wide.run is not None:
-        run, normals, values = (joined_runs(wide.run, run), np.concatenate([wide.normals, normals]),
-                                np.concatenate([wide.values, values]))  # fmt: skip
+        return replace(wide, reason="no curve could be computed: the time was over, or the run was stopped")
+    wide = wide.with_runs(normals, values, run)
+    whole = np.asarray(np.isfinite(wide.outputs).all(axis=1))
+    if not whole[wide.own :].all() and work.study.analysis.on_failure != "drop":
+        return replace(wide, responses={}, sections={})
     germs, m = (*work.germs, "uniform"), len(work.scene_names)
-    whole = is_answered(run.status)
-    responses = {}
-    if whole.all() or work.study.analysis.on_failure == "drop":
-        points = np.column_stack([germ_points(normals[:, :m], germs[:m]), [axis.germ(float(x)) for x in values]])
-        responses = dict(zip(work.quantities, cross_fit(points[whole], run.values[whole], germs), strict=True))
-    return _Wide(responses=responses, normals=normals, values=values, run=run)
+    inputs, outputs = germ_points(wide.normals[:, :m], germs[:m]), wide.outputs[whole]
+    found = []
+    for steps in (False, True) if axis.logarithmic else (True,):
+        points = np.column_stack([inputs, _places(axis, wide.values, steps)])[whole]
+        left = (
+            sum(fit.cross_validation_error for fit in fit_outputs(points, outputs, germs)) if axis.logarithmic else 0.0
+        )
+        found.append((left, steps, points))
+    _, steps, points = min(found, key=lambda one: one[:2])
+    made = dict(zip(work.quantities, cross_fit(points, outputs, germs), strict=True))
+    own = (np.arange(len(whole)) < wide.own)[whole]
+    sections = {q: one.of_rows(own).held(float(points[0, m])) for q, one in made.items()} if own.sum() >= FOLDS else {}
+    return replace(wide, responses={q: one.of_rows(~own) for q, one in made.items()}, sections=sections, steps=steps)
+
+
+def _places(axis: Axis, values: Array, steps: bool) -> Array:
+    """Values of the scalar as numbers in [-1, 1], in equal steps or as the axis has them."""
+    if steps:
+        return np.asarray(2.0 * (values - axis.low) / (axis.high - axis.low) - 1.0)
+    return np.array([axis.germ(float(x)) for x in values])
 
 
 def evaluate_along(work: Work, key: str, normals: Array, values: Array) -> Answered:
@@ -215,26 +256,13 @@ def evaluate_along(work: Work, key: str, normals: Array, values: Array) -> Answe
     return evaluate_points(replace(work, spare=True), key, names, np.column_stack([rows, values]))
 
 
-def joined_runs(first: Answered, then: Answered) -> Answered:
-    """Answers of two designs, one after the other."""
-    return replace(
-        first,
-        values=np.concatenate([first.values, then.values]),
-        censored=np.concatenate([first.censored, then.censored]),
-        status=np.concatenate([first.status, then.status]),
-        route=None,
-    )
-
-
 # --- by active learning -----------------------------------------------------------------------------------
 
 
-def _learned(
-    work: Work, limit: Limit, wide: _Wide, design: Sample, room: int, before: MarginAnswer | None
-) -> MarginAnswer:
+def _learned(work: Work, limit: Limit, wide: _Wide, room: int, before: MarginAnswer | None) -> MarginAnswer:
     """The values that no surrogate gives, each learned with an equal part of the room; the others as they were."""
     axis = axis_of(work)
-    if len(work.drawn.names) >= MOST_VARIABLES or tied_strength(work, limit) or wide.run is None:
+    if len(work.drawn.names) >= MOST_VARIABLES or tied_strength(work, limit) or not wide.runs:
         return before or _nothing(f"{limit.quantity} has no surrogate over {axis.path}, and cannot be learned")
     targets = [p for p in asked_probabilities(work, limit) if before is None or before.values[p].value is None]
     if room < ALONG.least:
@@ -244,7 +272,7 @@ def _learned(
     inner = LimitFunction(function=_along(work, space), dimension=len(work.drawn.names) + 1,
                           integrated=space.function.integrated, on_failure="bound")  # fmt: skip
     evaluator = Evaluator(limit=inner, budget=0)
-    search = _searched(work, limit, evaluator, _known_along(work, space, wide, design), targets, room)
+    search = _searched(work, limit, evaluator, _known_along(work, space, wide), targets, room)
     if isinstance(search, str):
         return before or _nothing(search)
     large = _large(work)
@@ -254,7 +282,7 @@ def _learned(
         miss = search.bounds(points, REACH * axis.germ(value)).reshape(3, *large.scores.shape[:2]).mean(axis=2)
         return np.asarray(miss if limit.aim == "survive" else 1.0 - miss)
 
-    told = _answer(work, limit, exceeding, wide.runs + design.count + evaluator.count, METHOD_LEARNED)
+    told = _answer(work, limit, exceeding, len(wide.values) + evaluator.count, METHOD_LEARNED)
     kept = {} if before is None else {p: e for p, e in before.values.items() if e.value is not None}
     return replace(told, values={p: kept.get(p, told.values[p]) for p in told.values})
 
@@ -272,20 +300,11 @@ def _along(work: Work, space: LimitSpace) -> Callable[[Array], Array]:
     return function
 
 
-def _known_along(work: Work, space: LimitSpace, wide: _Wide, design: Sample) -> tuple[Array, Array]:
-    """Points of such a function that have been evaluated, and its values: those of both designs."""
-    assert wide.run is not None
+def _known_along(work: Work, space: LimitSpace, wide: _Wide) -> tuple[Array, Array]:
+    """Points of such a function that have been evaluated, and its values."""
     axis, k = axis_of(work), work.quantities.index(space.limit.quantity)
-    quantity = np.where(is_answered(wide.run.status), wide.run.values[:, k], np.nan)
     points = np.column_stack([wide.normals, [REACH * axis.germ(float(x)) for x in wide.values]])
-    values = space.value(wide.normals, quantity, wide.run.censored[:, k])
-    nominal = work.study.at_means().get(axis.path)
-    if nominal is None or not axis.low <= nominal <= axis.high:
-        return points, values
-    # the runs of the study itself lie at one value of the scalar
-    scores, own = known_points(work, space, design)
-    here = np.column_stack([scores, np.full(len(scores), REACH * axis.germ(nominal))])
-    return np.concatenate([points, here]), np.concatenate([values, own])
+    return points, space.value(wide.normals, wide.outputs[:, k], wide.censored[:, k])
 
 
 def _searched(

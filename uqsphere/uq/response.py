@@ -31,7 +31,7 @@ import numpy.typing as npt
 from uqsphere.arrays import Array, Flags
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.estimate import Absent, Estimate, Why, absent, none_of
-from uqsphere.uq.expansion import Chaos, Piece, fit_outputs, predict
+from uqsphere.uq.expansion import Chaos, Piece, fit_outputs, held, predict
 from uqsphere.uq.expansion.choice import deal
 from uqsphere.uq.expansion.germs import GermLike, rows_of
 from uqsphere.uq.expansion.shares import Companion, active_inputs, chaos_moments, law_points, law_shares
@@ -177,6 +177,23 @@ class Response:
         """The largest number of terms among the folds."""
         return max(int(fit.coefficients.size) for fit in self.fits)
 
+    def of_rows(self, rows: Flags) -> Response:
+        """The same fits, corrected and judged by these rows (N,) alone: those drawn by the law that is asked about.
+
+        The others have helped to fit it.
+        """
+        part = replace(self, folds=self.folds[rows], points=self.points[rows], outputs=self.outputs[rows],
+                       levels=self.levels[rows], residuals=self.residuals[rows])  # fmt: skip
+        spread = spread_of(part.outputs)
+        if not spread > 0.0:
+            return replace(part, error=1.0)
+        reported = _reported(self.fits) * (spread_of(self.outputs) / spread) ** 2
+        return replace(part, error=min(max((_rms(part.residuals) / spread) ** 2, reported), 1.0))
+
+    def held(self, value: float) -> Response:
+        """The response in the other germs where the last one has a value, as all of its rows do."""
+        return replace(self, fits=tuple(held(fit, value) for fit in self.fits), points=self.points[:, :-1])
+
     def at(self, points: Array) -> Array:
         """The mean of the folds (n,) at germ points (n, d)."""
         return np.asarray(np.mean([predict(fit, points) for fit in self.fits], axis=0))
@@ -217,10 +234,14 @@ def _response(fits: tuple[Chaos, ...], folds: Folds, points: Array, outputs: Arr
         levels[folds == k] = predict(fit, points[folds == k])
     residuals = outputs - levels
     seen = (_rms(residuals) / spread) ** 2
-    reported = float(np.median([fit.cross_validation_error for fit in fits]))
-    error = min(max(seen, reported), 1.0) if math.isfinite(seen) else 1.0
+    error = min(max(seen, _reported(fits)), 1.0) if math.isfinite(seen) else 1.0
     return Response(fits=fits, folds=folds, points=points, outputs=outputs, levels=levels, residuals=residuals,
                     error=error)  # fmt: skip
+
+
+def _reported(fits: Sequence[Chaos]) -> float:
+    """Share of the variance that most of the expansions say they leave."""
+    return float(np.median([fit.cross_validation_error for fit in fits]))
 
 
 # --- the law of the output ---------------------------------------------------------------------------

@@ -8,7 +8,7 @@ reads moments and Sobol' indices off it.
 
 from __future__ import annotations
 
-from uqsphere.uq.expansion.expansion import Chaos, Piece, predict
+from uqsphere.uq.expansion.expansion import Chaos, Piece, held, predict
 from uqsphere.uq.expansion.fit import (
     Verdict,
     fit_again,
@@ -38,6 +38,7 @@ __all__ = [
     "fit_chaos",
     "fit_outputs",
     "germ_points",
+    "held",
     "hyperbolic_indices",
     "judge",
     "orthonormal_values",

@@ -8,14 +8,14 @@ input, along a score, or where the two cross (`Border`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.expansion.germs import GermLike, Indices, products, tables_of
+from uqsphere.uq.expansion.germs import GermLike, Indices, products, rows_of, tables_of
 
 #: how far beyond the range of its samples a transformed output may go, over that range
 _MARGIN: Final = 1.0
@@ -269,3 +269,41 @@ def predict(chaos: Chaos, points: Array) -> Array:
         else:
             result[first : first + _BLOCK] = np.where(chaos.border.side(block, found), found[1], found[0])
     return result
+
+
+def held(chaos: Chaos, value: float) -> Chaos:
+    """The expansion with its last germ at a value: one in the other germs, whose values are the same there.
+
+    >>> squares = np.array([[0, 0], [1, 1]])
+    >>> piece = Piece(coefficients=np.array([1.0, 2.0]), multi_indices=squares, transform=None)
+    >>> whole = Chaos(pieces=(piece,), border=None, germs=("normal", "normal"), cross_validation_error=0.0, samples=9,
+    ...               solver="")
+    >>> x = np.array([[0.3], [-1.2]])
+    >>> np.allclose(predict(held(whole, 0.7), x), predict(whole, np.column_stack([x, [0.7, 0.7]])), atol=1e-14)
+    True
+    """
+    last, pieces = len(chaos.germs) - 1, []
+    for piece in chaos.pieces:
+        factors = rows_of(chaos.germs[last:], np.array([[value]]), piece.multi_indices[:, last:])[:, 0]
+        terms, place = np.unique(piece.multi_indices[:, :last], axis=0, return_inverse=True)  # the constant first
+        coefficients = np.zeros(len(terms))
+        np.add.at(coefficients, place.ravel(), piece.coefficients * factors)
+        pieces.append(replace(piece, coefficients=coefficients, multi_indices=terms))
+    border = chaos.border
+    if border is not None and border.kind == "axis" and border.axis == last:
+        pieces, border = [pieces[int(value > border.at)]], None
+    elif border is not None and border.weights is not None:
+        border = replace(border, weights=_held_weights(border.weights, last, value))
+    return replace(chaos, pieces=tuple(pieces), border=border, germs=chaos.germs[:last])
+
+
+def _held_weights(weights: Array, last: int, value: float) -> Array:
+    """Weights of `score_features` of the inputs but the last, which has a value."""
+    linear, squares = weights[: last + 2].copy(), weights[last + 2 :]
+    linear[0] += value * linear[last + 1]
+    if not squares.size:
+        return linear[:-1]
+    across = np.triu_indices(last + 1)[1] == last
+    linear[1 : last + 1] += value * squares[across][:last]
+    linear[0] += value**2 * squares[-1]
+    return np.concatenate([linear[:-1], squares[~across]])
