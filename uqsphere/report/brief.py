@@ -32,7 +32,6 @@ from uqsphere.report.phrases import (
 )
 from uqsphere.results import NO_RIG, LimitEntry, Results
 from uqsphere.results.margins import MarginEntry
-from uqsphere.results.verdicts import JudgedEntry
 from uqsphere.study.axis import limit_of, strength_name
 
 #: the ways of breaking by the place where each begins, `uqsphere.quantities.Quantity.place`, as `study.ways` calls them
@@ -179,7 +178,10 @@ class Brief:
     @property
     def legend(self) -> tuple[str, ...]:
         """What the signs of the ways mean, as far as they are used."""
-        used = ((f"* {self.asked}", self.forces), ("† strength assumed", any(mode.assumed for mode in self.modes)))
+        used = (
+            (f"* {self.asked}", self.forces),
+            ("† strength assumed", any(mode.assumed for mode in self.modes)),
+        )
         return tuple(text for text, seen in used if seen)
 
     @property
@@ -223,15 +225,14 @@ def given(axis: Axis) -> str:
     return f"{axis.planned * axis.factor:.3g}\u00a0{axis.unit}".rstrip()
 
 
-def share_span(values: Sequence[float], target: float | None) -> tuple[str, str]:
-    """A range of shares as a number and its unit."""
+def share_span(values: Sequence[float], target: float | None) -> str:
+    """A range of shares in per cent."""
     low, high = min(values), max(values)
     if high < 1e-3 or low > 0.999:
-        return share(high if high < 1e-3 else low)[:-2], "%"
+        return share(high if high < 1e-3 else low)[:-2]
     if low > 0.0 and high <= _SAME * low:
-        return share(values[0], target)[:-2], "%"
-    ends = ["0" if low < 1e-3 else share(low)[:-2], "100" if high > 0.999 else share(high)[:-2]]
-    return "–".join(ends), "%"
+        return share(values[0], target)[:-2]
+    return f"{'0' if low < 1e-3 else share(low)[:-2]}–{'100' if high > 0.999 else share(high)[:-2]}"
 
 
 # --- from the results -----------------------------------------------------------------------------------------
@@ -239,53 +240,31 @@ def share_span(values: Sequence[float], target: float | None) -> tuple[str, str]
 
 def make_brief(contents: Contents) -> Brief:
     """The brief of a finished run."""
-    results, parts = contents.results, _parts(contents)
-    answers = _told_once(tuple(_all_answers(parts))[:_ANSWERS])
+    results, manifest = contents.results, contents.manifest
+    own = {} if results.rig == NO_RIG else {"": contents}
+    parts = {**own, **contents.services}
+    answers = tuple(_answers(parts))[:_ANSWERS]
     called = {(answer.service, mode.limit): mode.name for answer in answers for mode in answer.modes if mode.limit}
     drivers, driven = next((found for part in parts.values() if (found := _drivers(part.results))[0]), ((), ""))
-    manifest = contents.manifest
-    measure = _next_measurement(parts, answers)
-    if measure is None and answers and all(answer.verdict == "met" for answer in answers):
-        measure = ("None needed", "The target is met.")
+    words = shorten(next((name for (_, limit), name in called.items() if limit == driven), driven), 40).lower()
+    rivals = len(next((a.modes for a in answers if any(m.limit == driven for m in a.modes)), ())) > 1
     rows = sum(sum(part.results.model.evaluations.values()) for part in parts.values())
     chosen = ", ".join(dict.fromkeys(part.results.model.chosen for part in parts.values()))
     kind = "user’s model" if contents.black_box else f"impact model ({chosen})"
-    model = [kind, f"{rows:,} rows".replace(",", "\u202f")]
+    model = f"{kind} · {rows:,} rows".replace(",", "\u202f")
     version = f"uqsphere {results.versions.get('uqsphere', '')}".strip()
-    footer = [str(results.study.hash)[:8], str(manifest.finished)[:10], version, *model]
+    footer = (str(results.study.hash)[:8], str(manifest.finished)[:10], version, model)
     return Brief(
-        title=shorten(str(results.study.title), 200) or "Untitled study",
-        answers=answers,
-        drivers=drivers,
-        driven=shorten(next((name for (_, limit), name in called.items() if limit == driven), driven), 40).lower(),
-        measure=measure,
-        cautions=tuple(cautions(parts, called)),
-        model=" · ".join(model),
-        footer=" · ".join(text for text in footer if text),
-    )
-
-
-def _told_once(answers: tuple[Answer, ...]) -> tuple[Answer, ...]:
-    """The answers without reasons that one before them gives in the same words, as far as another one is left."""
-    said: set[str] = set()
-    found = []
-    for answer in answers:
-        fresh = tuple(reason for reason in answer.reasons if reason not in said)
-        said |= set(answer.reasons)
-        found.append(replace(answer, reasons=fresh or answer.reasons))
-    return tuple(found)
+        title=shorten(str(results.study.title), 200) or "Untitled study", answers=answers, drivers=drivers,
+        driven=f"{words} alone" if rivals else words, measure=_next_measurement(parts, answers),
+        cautions=tuple(cautions(parts, called)), model=model, footer=" · ".join(text for text in footer if text),
+    )  # fmt: skip
 
 
 def _parts(contents: Contents) -> dict[str, Contents]:
     """The rig's own answers, where it has one, and those of the services by their names."""
     own = {} if contents.results.rig == NO_RIG else {"": contents}
     return {**own, **contents.services}
-
-
-def _all_answers(parts: dict[str, Contents]) -> Iterator[Answer]:
-    for name, part in parts.items():
-        with reading_units(units_of(part.results)):
-            yield from _answers(part, name, several=len(parts) > 1)
 
 
 def _leading(results: Results) -> str | None:
@@ -295,17 +274,23 @@ def _leading(results: Results) -> str | None:
     return max(known, key=lambda name: known[name]) if known else next(iter(names), None)
 
 
-def _answers(contents: Contents, service: str, *, several: bool) -> Iterator[Answer]:
-    """One answer for every aim of the limits; a quantity each where there are none."""
-    limits = contents.results.limits
-    if not limits:
-        yield from _quantity_answers(contents)
-        return
-    groups: dict[str, dict[str, LimitEntry]] = {}
-    for name, limit in limits.items():
-        groups.setdefault(limit.aim, {})[name] = limit
-    for group in groups.values():
-        yield _limit_answer(contents, group, service, several=several or len(groups) > 1)
+def _answers(parts: dict[str, Contents]) -> Iterator[Answer]:
+    """One answer for every aim of the limits of every part, a quantity each where there are none.
+
+    Reasons that an answer before has given in the same words are not told again, as far as another one is left.
+    """
+    said: set[str] = set()
+    for service, contents in parts.items():
+        groups: dict[str, dict[str, LimitEntry]] = {}
+        for name, limit in contents.results.limits.items():
+            groups.setdefault(limit.aim, {})[name] = limit
+        several = len(parts) > 1 or len(groups) > 1
+        with reading_units(units_of(contents.results)):
+            found = [_limit_answer(contents, group, service, several=several) for group in groups.values()]
+            for answer in found or _quantity_answers(contents):
+                fresh = tuple(reason for reason in answer.reasons if reason not in said)
+                said |= set(answer.reasons)
+                yield replace(answer, reasons=fresh or answer.reasons)
 
 
 def _quantity_answers(contents: Contents) -> Iterator[Answer]:
@@ -335,77 +320,86 @@ def _axis(contents: Contents, entry: MarginEntry | None) -> Axis | None:
     return Axis(path=path, words=words, unit=unit_text(unit), factor=factor, planned=contents.at_mean(path))
 
 
-def _mode(contents: Contents, name: str, limit: LimitEntry, margin: MarginEntry | None) -> Mode:
-    quantity = OUTPUTS.get(limit.quantity.partition(".")[0])
+def _mode(contents: Contents, name: str, limit: LimitEntry) -> Mode:
+    """The way of breaking that a limit of the study is on."""
     criterion = limit.quantity.partition(".")[0]
-    place = quantity.place if quantity is not None else "core" if "tension" in criterion or "link" in criterion else ""
-    assumed = [e.miss.value for e in limit.assumed if e.miss.value is not None]
-    if limit.ignorance.known:
-        assumed += [float(end) for end in limit.ignorance.miss]
-    around = [v for v in (limit.miss.value, *assumed) if v is not None]
-    broken = limit.exceedance.value
-    words = PLACES.get(place, "") if quantity is not None else name
-    if quantity is not None and quantity.follows == "energy":
-        place, words = "", PLACES[""]
-    return Mode(
-        limit=name,
-        name=words or shorten(name, 40),
-        place=place,
-        miss=limit.miss.value,
-        low=min(around) if around else None,
-        high=max(around) if around else None,
-        broken=broken,
-        curve=() if margin is None else tuple((float(p.value), float(p.probability)) for p in margin.curve),
-        at_target=None if margin is None or not margin.value else margin.value.value,
-        sure=None if margin is None else margin.ignorance.sure,
-        force=None if margin is None else margin.validity.medians.get("P_max"),
-        energy=None if margin is None else margin.validity.medians.get("specific_energy"),
-        asked=None if margin is None else margin.probability,
+    quantity, margin = OUTPUTS.get(criterion), contents.results.margins.get(name)
+    if quantity is None:
+        place, words = "core" if "tension" in criterion or "link" in criterion else "", name
+    else:
+        place = "" if quantity.follows == "energy" else quantity.place
+        words = PLACES.get(place, "")
+    around = [limit.miss.value, *(entry.miss.value for entry in limit.assumed)]
+    around += list(limit.ignorance.miss) if limit.ignorance.known else []
+    known = [float(value) for value in around if value is not None]
+    mode = Mode(
+        limit=name, name=words or shorten(name, 40), place=place, miss=limit.miss.value,
+        low=min(known, default=None), high=max(known, default=None), broken=limit.exceedance.value,
         reason="" if limit.miss.value is not None else shorten(str(limit.miss.reason or ""), 120),
-    )
+    )  # fmt: skip
+    if margin is None:
+        return mode
+    medians = margin.validity.medians
+    return replace(
+        mode, curve=tuple((float(p.value), float(p.probability)) for p in margin.curve), at_target=margin.value.value,
+        sure=margin.ignorance.sure, force=medians.get("P_max"), energy=medians.get("specific_energy"),
+        asked=margin.probability,
+    )  # fmt: skip
+
+
+def _modes(contents: Contents, deciding: dict[str, LimitEntry], first: LimitEntry) -> Iterator[Mode]:
+    """The ways of breaking of the study's own limits at the share of the target, and those that are judged beside."""
+    survive, target = first.aim == "survive", first.target
+    own = [_mode(contents, name, limit) for name, limit in deciding.items()]
+    names = [mode.name for mode in own]
+    for mode in own:
+        if names.count(mode.name) > 1:
+            mode = replace(mode, name=f"{mode.name}, {shorten(mode.limit, 30)}")
+        level = mode.asked if target is None else target if survive else 1.0 - target
+        if mode.asked is not None and level is not None and not math.isclose(mode.asked, level):
+            # read off its curve where it was solved for another share
+            mode = replace(mode, at_target=crossing(mode.curve, level), sure=None, force=None, energy=None)
+        yield mode
+    judged = next((v for v in contents.results.verdicts if (v.aim, v.target) == (first.aim, target)), None)
+    for way in judged.judged if judged is not None else ():
+        if way.assumed:
+            low, high = way.range or (None, None)
+            name, miss = capital(way.name), way.miss.value
+            yield Mode(
+                limit="", name=name, place=next((p for p, n in PLACES.items() if n == name), "rim"), miss=miss,
+                low=low, high=high, broken=miss if miss is None or survive else 1.0 - miss, at_target=way.answer,
+                assumed=True, curve=tuple((float(x), float(p)) for x, p in way.curve),
+            )  # fmt: skip
+    for name, why in judged.not_judged.items() if judged is not None else ():
+        yield Mode(limit="", name=capital(name), place="", miss=None, reason=f"not judged: {why}")
 
 
 def _limit_answer(contents: Contents, group: dict[str, LimitEntry], service: str, *, several: bool) -> Answer:
     """The answer of limits with one aim: their ways of breaking are its rivals."""
     results = contents.results
-    margins = results.margins
     deciding = {name: limit for name, limit in group.items() if name in deciding_limits(results)} or group
     # the target of one limit holds for all that stand beside it without one
     first = next((limit for limit in deciding.values() if limit.target is not None), next(iter(deciding.values())))
-    level = None if first.target is None else first.target if first.aim == "survive" else 1.0 - first.target
-    modes = _told_apart([_mode(contents, name, limit, margins.get(name)) for name, limit in deciding.items()])
-    modes = [mode if level is None else _at_level(mode, level) for mode in modes]
-    carried = tuple(value for limit in deciding.values() for value in _carried(limit))
-    judged = next((v for v in results.verdicts if (v.aim, v.target) == (first.aim, first.target)), None)
-    modes += (
-        [_assumed(way, survive=first.aim == "survive") for way in judged.judged if way.assumed]
-        if judged is not None
-        else []
-    )
-    if judged is not None:
-        modes += [
-            Mode(limit="", name=capital(n), place="", miss=None, reason=f"not judged: {why}")
-            for n, why in judged.not_judged.items()
-        ]
-    modes.sort(key=lambda mode: -(mode.miss if mode.miss is not None else -1.0))
+    modes = sorted(_modes(contents, deciding, first), key=lambda mode: -(-1.0 if mode.miss is None else mode.miss))
     verdict, reasons = _judged(deciding)
+    carriers = [e for limit in deciding.values() if limit.carried and limit.carried.solve
+                for e in limit.carried.by_carrier().values()]  # fmt: skip
+    checks = []
+    for name, limit in group.items():
+        if name not in deciding:
+            often = "not known" if limit.miss.value is None else share(limit.miss.value, limit.target)
+            word = "" if limit.target is None else f" ({limit.word}: at most {plain_percent(limit.target)})"
+            checks.append(f"{limit_name(name, 30)} {'missed' if limit.aim == 'break' else 'exceeded'}: {often}{word}")
     answer = Answer(
-        question="", big="", unit="", note="", second=None, verdict=verdict, reasons=reasons,
+        question="", big="", unit="", note="", verdict=verdict, reasons=reasons,
         vetoed=verdict == "not established" and all(limit.met for limit in deciding.values()),
-        target=first.target, aim=first.aim, modes=tuple(modes), service=service, carried=carried,
-        axis=_axis(contents, next((margins[n] for n in deciding if n in margins), None)),
-        checks=tuple(_check(name, limit) for name, limit in group.items() if name not in deciding),
+        target=first.target, aim=first.aim, modes=tuple(modes), service=service, checks=tuple(checks),
+        carried=tuple(float(e.value) for e in carriers if e.value is not None),
+        axis=_axis(contents, next((results.margins[n] for n in deciding if n in results.margins), None)),
+        fracture=any(breaks(results, name) for name in deciding),
     )  # fmt: skip
-    answer = replace(answer, fracture=any(breaks(results, name) for name in deciding))
-    return _with_tests(contents, _worded(answer, several=several))
-
-
-def _at_level(mode: Mode, level: float) -> Mode:
-    """A mode at the share broken that the target allows, read off its curve where it was solved for another share."""
-    if mode.asked is None or math.isclose(mode.asked, level):
-        return mode
-    there = crossing(mode.curve, level)
-    return replace(mode, at_target=there, sure=None, force=None, energy=None)
+    solved = several and answer.target is not None and answer.axis is not None and solved_for(answer)
+    return _with_tests(contents, _solved(answer) if solved else _shares(answer))
 
 
 def crossing(curve: Sequence[tuple[float, float]], probability: float) -> float | None:
@@ -416,76 +410,69 @@ def crossing(curve: Sequence[tuple[float, float]], probability: float) -> float 
     return None
 
 
-def _check(name: str, limit: LimitEntry) -> str:
-    """A limit that does not mean fracture, with how often it is exceeded, and its verdict where it has a target."""
-    often = "not known" if limit.miss.value is None else share(limit.miss.value, limit.target)
-    word = "" if limit.target is None else f" ({limit.word}: at most {plain_percent(limit.target)})"
-    return f"{limit_name(name, 30)} {'missed' if limit.aim == 'break' else 'exceeded'}: {often}{word}"
+def _solved(answer: Answer) -> Answer:
+    """The answer with the number solved for as what is set large."""
+    axis, target, survive = answer.axis, answer.target, answer.aim == "survive"
+    assert axis is not None
+    assert target is not None
+    must = f"{plain_percent(target)} may break" if survive else f"{plain_percent(1.0 - target)} must break"
+    told, of = ranged(answer), f", {answer.service}" if answer.service else ""
+    # a range of what may be is no range of what is allowed
+    within = ", somewhere in" if "–" in told else ""
+    note = f"Planned: {given(axis)}. " if axis.planned else ""
+    best = next((m for m in answer.modes if m.at_target is not None and not m.assumed), None)
+    if survive and best is not None and best.at_target is not None and len(answer.modes) > 1:
+        note += f"By {best.name.lower()} alone: {two(best.at_target * axis.factor)} {axis.unit}."
+    reasons, misses = answer.reasons, [m.miss for m in answer.modes if m.miss is not None]
+    if not reasons and answer.verdict == "not met" and misses:
+        reasons = (f"As planned, {share(max(misses), target)} {'break' if survive else 'are left whole'}.",)
+    question = f"{'Highest' if survive else 'Least'} {axis.words}{of} ({must}){within}"
+    return replace(answer, question=question, big=told, unit=axis.unit, note=note, reasons=reasons)
 
 
-def _worded(answer: Answer, *, several: bool) -> Answer:
-    """The answer with its question, its large number and what stands beside it."""
-    axis, target, survive, service = answer.axis, answer.target, answer.aim == "survive", answer.service
-    solved = [v * axis.factor for v in solved_for(answer)] if axis else []
-    of, allowed = (f", {service}" if service else ""), "No target was set."
-    if target is not None:
-        allowed = f"Target: at most {plain_percent(target)}."
+def _shares(answer: Answer) -> Answer:
+    """The answer with the share broken as what is set large, and the number solved for beside it."""
+    axis, target, survive = answer.axis, answer.target, answer.aim == "survive"
+    question = "Share broken" if survive else "Share left whole"
+    if not answer.fracture:
+        question = f"Share {'beyond' if survive else 'short of'} the limit"
+    question += f" at the planned {given(axis)}" if axis and axis.planned else ""
+    question += f", {answer.service}" if answer.service else ""
     misses = [m.miss for m in answer.modes if m.miss is not None]
-    if several and axis is not None and solved and target is not None:
-        must = f"{plain_percent(target)} may break" if survive else f"{plain_percent(1.0 - target)} must break"
-        planned = f"Planned: {given(axis)}. " if axis.planned else ""
-        told = ranged(answer)
-        # a range of what may be is no range of what is allowed
-        within = ", somewhere in" if "–" in told else ""
-        best = next((m for m in answer.modes if m.at_target is not None and not m.assumed), None)
-        alone = ""
-        if survive and best is not None and best.at_target is not None and len(answer.modes) > 1:
-            alone = f"By {best.name.lower()} alone: {two(best.at_target * axis.factor)} {axis.unit}."
-        why = f"As planned, {share(max(misses, default=0.0), target)} {'break' if survive else 'are left whole'}."
-        return replace(
-            answer,
-            question=f"{'Highest' if survive else 'Least'} {axis.words}{of} ({must}){within}",
-            big=told,
-            unit=axis.unit,
-            note=planned + alone,
-            reasons=answer.reasons or ((why,) if answer.verdict == "not met" and misses else ()),
-        )
-    broken = (
-        ("Share broken" if survive else "Share left whole")
-        if answer.fracture
-        else f"Share {_beyond(answer.aim)} the limit"
-    )
-    at = f" at the planned {given(axis)}" if axis and axis.planned else ""
-    big, unit = share_span(misses, target) if misses else ("not known", "")
-    second = None
-    asked = {mode.asked for mode in answer.modes if mode.asked is not None}
-    if axis is not None and solved and (target is not None or len(asked) == 1):
+    big, unit = (share_span(misses, target), "%") if misses else ("not known", "")
+    note = "No target was set." if target is None else f"Target: at most {plain_percent(target)}."
+    second, asked = None, {mode.asked for mode in answer.modes if mode.asked is not None}
+    if axis is not None and solved_for(answer) and (target is not None or len(asked) == 1):
         where = "at the target" if target is not None else f"where {plain_percent(next(iter(asked)))} break"
-        words = f"{axis.words[:1].upper()}{axis.words[1:]} {where}"
-        value = f"{ranged(answer)}\u00a0{axis.unit}"
-        second = (words, value, _by(answer))
-    return replace(answer, question=f"{broken}{at}{of}", big=big, unit=unit, note=allowed, second=second)
+        # by which ways, where not all that are judged have a number
+        known = [mode.name.lower() for mode in answer.modes if mode.at_target is not None]
+        by = "by way of breaking" if len(known) > 1 else ""
+        if _ends_without(answer) and beyond_reach(answer) is None:
+            by = f"by {listed(known)} alone"
+        second = (f"{capital(axis.words)} {where}", f"{ranged(answer)}\u00a0{axis.unit}", by)
+    return replace(answer, question=question, big=big, unit=unit, note=note, second=second)
 
 
-def _beyond(aim: str) -> str:
-    return "beyond" if aim == "survive" else "short of"
+def _ends_without(answer: Answer) -> list[float | None]:
+    """Bounds of the number that ways would need which miss the target as planned and for which none was solved.
 
-
-def _without(answer: Answer) -> list[Mode]:
-    """The ways of breaking that miss the target as planned, and for which no number was solved."""
-    return [m for m in answer.modes if m.at_target is None and m.miss is not None and m.miss > (answer.target or 0.0)]
+    The end of the curve of such a way, which misses the target even there, or what is planned where it has none.
+    """
+    planned = answer.axis.planned if answer.axis else None
+    lacking = [
+        m for m in answer.modes if m.at_target is None and m.miss is not None and m.miss > (answer.target or 0.0)
+    ]
+    return [m.curve[0 if answer.aim == "survive" else -1][0] if m.curve else planned for m in lacking]
 
 
 def beyond_reach(answer: Answer) -> float | None:
     """A bound (SI) of the number that some way of breaking would need, where none was solved for it; else None.
 
-    To survive the number lies below, to break above: the end of the curve of that way, which misses the target even
-    there, or what is planned where its curve is not known.
+    To survive the number lies below, to break above.
     """
-    survive, planned = answer.aim == "survive", answer.axis.planned if answer.axis else None
-    ends = [m.curve[0 if survive else -1][0] if m.curve else planned for m in _without(answer)]
+    ends = _ends_without(answer)
     known = [end for end in ends if end is not None] + (solved_for(answer) if ends else [])
-    return None if not known else min(known) if survive else max(known)
+    return None if not known else min(known) if answer.aim == "survive" else max(known)
 
 
 def ranged(answer: Answer) -> str:
@@ -502,42 +489,9 @@ def ranged(answer: Answer) -> str:
     return f"over {bound}" if other == bound else f"{other}–over {bound}"
 
 
-def _by(answer: Answer) -> str:
-    """By which ways the number was solved for, where not all that are judged have one."""
-    known = [mode.name.lower() for mode in answer.modes if mode.at_target is not None]
-    if _without(answer) and beyond_reach(answer) is None:
-        return f"by {listed(known)} alone"
-    return "by way of breaking" if len(known) > 1 else ""
-
-
 def solved_for(answer: Answer) -> list[float]:
     """The numbers solved for, by every way of breaking, what is 95 % sure, and every carrier (SI)."""
     return [*(v for mode in answer.modes for v in (mode.at_target, mode.sure) if v is not None), *answer.carried]
-
-
-def _carried(limit: LimitEntry) -> list[float]:
-    """What is solved for with the same strength carried from its test by force, energy and tension at the centre."""
-    if not limit.carried or not limit.carried.solve:
-        return []
-    return [float(e.value) for e in limit.carried.by_carrier().values() if e.value is not None]
-
-
-def _assumed(way: JudgedEntry, *, survive: bool) -> Mode:
-    """A way of breaking whose strength is the library's."""
-    low, high = way.range or (None, None)
-    miss = way.miss.value
-    broken = miss if miss is None or survive else 1.0 - miss
-    return Mode(
-        limit="", name=capital(way.name), place=next((p for p, n in PLACES.items() if n == capital(way.name)), "rim"),
-        miss=miss, low=low, high=high, broken=broken, at_target=way.answer, assumed=True,
-        curve=tuple((float(x), float(p)) for x, p in way.curve),
-    )  # fmt: skip
-
-
-def _told_apart(modes: list[Mode]) -> list[Mode]:
-    """Modes of one name go by their limits."""
-    names = [mode.name for mode in modes]
-    return [replace(m, name=f"{m.name}, {shorten(m.limit, 30)}") if names.count(m.name) > 1 else m for m in modes]
 
 
 #: verdicts from the one that stops everything
@@ -575,19 +529,14 @@ def _with_tests(contents: Contents, answer: Answer) -> Answer:
 def _drivers(results: Results) -> tuple[tuple[tuple[str, float], ...], str]:
     """The two inputs with the largest shares in what decides, and of what."""
     name = _leading(results)
+    shares = {n: float(v) for n, v in (results.limits[name].governing_inputs or {}).items()} if name else {}
     if name is None:
-        for quantity, entry in results.sensitivity.items():
-            shares = {n: e.value for n, e in entry.first.items() if e.value is not None}
-            if shares:
-                return _largest(shares), quantity
-        return (), ""
-    found = results.limits[name].governing_inputs or {}
-    return _largest({n: float(v) for n, v in found.items()}), name
-
-
-def _largest(shares: dict[str, float]) -> tuple[tuple[str, float], ...]:
+        tables = {q: {n: e.value for n, e in entry.first.items() if e.value is not None}
+                  for q, entry in results.sensitivity.items()}  # fmt: skip
+        name, shares = next((found for found in tables.items() if found[1]), ("", {}))
     order = sorted(shares, key=lambda n: -shares[n])[:2]
-    return tuple((_driver(n), float(shares[n])) for k, n in enumerate(order) if shares[n] > (0.02 if k else 0.005))
+    kept = ((_driver(n), shares[n]) for k, n in enumerate(order) if shares[n] > (0.02 if k else 0.005))
+    return tuple(kept), name
 
 
 def _driver(name: str) -> str:
@@ -599,44 +548,36 @@ def _driver(name: str) -> str:
 
 def _next_measurement(parts: dict[str, Contents], answers: Sequence[Answer]) -> tuple[str, str] | None:
     """The one measurement that can change the verdict."""
-    for answer in answers:
-        found = _between_rivals(answer)
-        if found is not None:
-            return found
-    for part in parts.values():
-        found = _of_strength(part.results)
-        if found is not None:
-            return found
-    return None
+    found = (*(_between_rivals(answer) for answer in answers), *(_of_strength(p.results) for p in parts.values()))
+    if any(found):
+        return next(one for one in found if one)
+    met = answers and all(answer.verdict == "met" for answer in answers)
+    return ("None needed", "The target is met.") if met else None
 
 
 def _of_strength(results: Results) -> tuple[str, str] | None:
     """How many tests settle a target or give the value, or what to measure for a probability."""
-    deciding = deciding_limits(results)
+    deciding, found = deciding_limits(results), list[tuple[str, str]]()
     for name in deciding:
-        limit = results.limits[name]
-        settle = limit.tests_to_settle
+        limit, settle, called = results.limits[name], results.limits[name].tests_to_settle, limit_name(name, 30)
         if settle and settle.tests and limit.met is not False and limit.word != "met":
-            said = f"They settle the target of {limit_name(name, 30)} ({plain_percent(float(settle.confidence))} sure)."
-            return f"{counted(settle.tests, 'test')} of strength", said
+            said = f"They settle the target of {called} ({plain_percent(float(settle.confidence))} sure)."
+            found.append((f"{counted(settle.tests, 'test')} of strength", said))
     for name in [name for name in deciding if name in results.margins]:
-        more = results.margins[name].more_tests
-        if more and more.to_settle:
-            said = f"They settle the target of {limit_name(name, 30)}, if they fall as those before."
-            return f"{counted(int(more.to_settle), 'more test')} of strength", said
-        if more and more.to_know_the_value and more.known_to and more.to_know_the_value <= _MOST_TESTS:
-            solve = results.margins[name].solve
-            of = f" of {limit_name(name, 30)}" if len(deciding) > 1 else ""
-            said = f"They give the {_AXES.get(solve, 'answer')}{of} to within {plain_percent(float(more.known_to))}."
-            return f"{counted(int(more.to_know_the_value), 'test')} of strength", said
+        margin, more, called = results.margins[name], results.margins[name].more_tests, limit_name(name, 30)
+        if more.to_settle:
+            said = f"They settle the target of {called}, if they fall as those before."
+            found.append((f"{counted(int(more.to_settle), 'more test')} of strength", said))
+        if more.to_know_the_value and more.known_to and more.to_know_the_value <= _MOST_TESTS:
+            what = _AXES.get(margin.solve, "answer") + (f" of {called}" if len(deciding) > 1 else "")
+            said = f"They give the {what} to within {plain_percent(float(more.known_to))}."
+            found.append((f"{counted(int(more.to_know_the_value), 'test')} of strength", said))
     leading = _leading(results)
-    entry = None if leading is None else results.limits[leading].measure_first
-    if not entry or not entry.rows:
-        return None
-    row = entry.rows[0]
-    if row.tests > _MOST_TESTS:
-        return None
-    return f"{counted(row.tests, 'test')} of {_driver(row.input)}", "What is assumed of it moves the answer most."
+    rows = results.limits[leading].measure_first.rows if leading is not None else ()
+    if not found and rows and rows[0].tests <= _MOST_TESTS:
+        said = "What is assumed of it moves the answer most."
+        found.append((f"{counted(rows[0].tests, 'test')} of {_driver(rows[0].input)}", said))
+    return found[0] if found else None
 
 
 def _between_rivals(answer: Answer) -> tuple[str, str] | None:
@@ -650,30 +591,31 @@ def _between_rivals(answer: Answer) -> tuple[str, str] | None:
     if axis is None or answer.aim != "survive" or not own:
         return None
     mild = min(own, key=lambda mode: mode.broken or 0.0)
-    rivals = [mode for mode in known if mode is not mild]
     places = sorted({x for mode in known for x, _ in mode.curve} | ({axis.planned} if axis.planned else set()))
-    best: tuple[tuple[float, float, float], float, list[Mode]] | None = None
-    for x in places:
-        base = _broken_at(mild, axis, x)
-        harsh = {m.name: p for m in rivals if (p := _broken_at(m, axis, x)) is not None and p > _SAME * (base or 0.0)}
-        for least in sorted(set(harsh.values())) if base is not None else ():
-            count = max(math.ceil(math.log(_RULED_OUT) / math.log1p(-min(least, 1.0 - 1e-12))), _FEWEST)
-            chance = (1.0 - (base or 0.0)) ** count
-            if count > _MOST_SPHERES or chance < _FAIR:
-                continue
-            out = [m for m in rivals if harsh.get(m.name, 0.0) >= least]
-            score = (float(len(out)), -float(count), chance)
-            if best is None or score > best[0]:
-                best = score, x, out
-    if best is None:
+    rivals = [mode for mode in known if mode is not mild]
+    found = [one for x in places for one in _ruled_out(mild, rivals, axis, x)]
+    if not found:
         return None
-    (_, fewest, _), where, out = best
-    names = listed([mode.name.lower() for mode in out[:3]])
-    said = f"None broken rules out {names} (95 % sure)."
-    place = (
-        f"the planned {given(axis)}" if where == axis.planned else f"{two(where * axis.factor)} {axis.unit}".rstrip()
-    )
+    (_, fewest, _), where, names = max(found, key=lambda one: one[0])
+    place = f"{two(where * axis.factor)} {axis.unit}".rstrip()
+    place = f"the planned {given(axis)}" if where == axis.planned else place
+    stands = "the lower number" if solved_for(answer) else "the larger share"
+    said = f"None broken rules out {listed(names[:3])} (95 % sure); if one breaks, {stands} holds."
     return f"{-fewest:.0f} spheres at {place}", said
+
+
+def _ruled_out(
+    mild: Mode, rivals: Sequence[Mode], axis: Axis, x: float
+) -> Iterator[tuple[tuple[float, float, float], float, list[str]]]:
+    """At one place: how many ways some spheres rule out, with how few, how sure none breaks by the mildest; by name."""
+    base = _broken_at(mild, axis, x)
+    harsh = {m.name: p for m in rivals if (p := _broken_at(m, axis, x)) is not None and p > _SAME * (base or 0.0)}
+    for least in sorted(set(harsh.values())) if base is not None else ():
+        count = max(math.ceil(math.log(_RULED_OUT) / math.log1p(-min(least, 1.0 - 1e-12))), _FEWEST)
+        chance = (1.0 - (base or 0.0)) ** count
+        if count <= _MOST_SPHERES and chance >= _FAIR:
+            out = [m.name.lower() for m in rivals if harsh.get(m.name, 0.0) >= least]
+            yield (float(len(out)), -float(count), chance), x, out
 
 
 def _broken_at(mode: Mode, axis: Axis, x: float) -> float | None:

@@ -235,8 +235,7 @@ def _curve(answers: Sequence[Answer], sheet: Sheet, number: int) -> str:
     parts += _planned(paper, answers)
     for answer in answers:
         parts += _cross(paper, answer)
-    if number == 1 or len(shown) > 1:
-        parts += _names(paper, lines, shown)
+    parts += _names(paper, lines, shown)
     if answers[0].service:
         parts.append(_text(paper.left, paper.bottom + 2.9 * size, answers[0].service, kind="strong"))
     title = f"Share broken over {paper.axis.words}"
