@@ -250,7 +250,7 @@ def _pulse(chosen: argparse.Namespace, path: Path, record: Record, study: Study 
         rows.append(("striker speed that it stands for", format_value(speed, "striker.speed")))
 
     def files() -> dict[str, str | bytes]:
-        from uqsphere.report.figures.records import pulse_figure
+        from uqsphere.report.lab import pulse_figure
 
         return {"record.svg": pulse_figure(record, cut, pulse)}
 
@@ -292,8 +292,7 @@ def _test(chosen: argparse.Namespace, path: Path, record: Record, study: Study, 
     header = ("what", "value", "95 % interval")
 
     def files() -> dict[str, str | bytes]:
-        from uqsphere.report.figures.records import forces_figure, pulse_figure
-        from uqsphere.report.lab_sheet import lab_sheet
+        from uqsphere.report.lab import forces_figure, lab_sheet, pulse_figure
         from uqsphere.store import csv_text
 
         force = read.forces
@@ -406,7 +405,7 @@ def _of_the_sphere(read: Reading, columns: Mapping[str, float]) -> tuple[dict[st
 def _folder(chosen: argparse.Namespace, study: Study | None, shot: Calibration | None) -> int:
     """Every record of a folder: a table that the tests of a study read, and a page with a sheet of each."""
     from uqsphere.records.table import RecordError
-    from uqsphere.report.lab_sheet import tests_page
+    from uqsphere.report.lab import tests_page
     from uqsphere.store import csv_text
 
     paths = sorted(path for path in chosen.record.iterdir() if path.suffix.lower() in _ENDINGS)

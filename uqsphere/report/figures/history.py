@@ -29,12 +29,16 @@ from uqsphere.report.figures.canvas import (
     PURPLE,
     RED,
     Picture,
+    legend_above,
+    mark,
     new_figure,
+    note,
     render,
     style,
+    time_unit,
     wrap,
 )
-from uqsphere.report.figures.scene import draw_field, field_rows, stress_colours, stress_figure
+from uqsphere.report.figures.scene import draw_field, field_rows, stress_image, stress_picture
 from uqsphere.report.phrases import number_text
 from uqsphere.store import csv_text, write_outputs
 from uqsphere.study import Study
@@ -73,10 +77,6 @@ def xt_figure(scene: Scene, history: History, row: int = 0) -> str:
     return render(draw_xt(scene, history, row))
 
 
-def _time_unit(horizon: float) -> tuple[str, float]:
-    return ("ms", 1e3) if horizon >= 2e-3 else ("µs", 1e6)
-
-
 def _thinned(history: History) -> npt.NDArray[np.int64]:
     """Instants to draw: an even choice, and every jump, which stands in two instants of one time."""
     time = history.time
@@ -88,11 +88,10 @@ def _thinned(history: History) -> npt.NDArray[np.int64]:
 
 def draw_history(history: History) -> Picture:
     """The picture of `history_figure`."""
-    unit, factor = _time_unit(history.horizon)
-    (force_unit, force), (pressure_unit, pressure) = display_unit("P_max"), display_unit("p_max")
+    unit, factor = time_unit(history.horizon)
     keep = _thinned(history)
-    t = history.time[keep] * factor
-    panels = _panels(history, force, force_unit, pressure, pressure_unit)
+    t, end = history.time[keep] * factor, history.record_end
+    panels = _panels(history)
     with style():
         figure, axes = new_figure(8.4, rows=len(panels), sharex=True)
         for place, (label, courses) in zip(axes, panels, strict=True):
@@ -101,47 +100,46 @@ def draw_history(history: History) -> Picture:
             place.set_ylabel(label)
             place.axhline(0.0, color=GREY, linewidth=0.6)
             place.grid()
-            _events(place, history, factor)
-            if len(courses) > 1 and label[:9] != "contact p":
-                place.legend(
-                    loc="lower left",
-                    bbox_to_anchor=(0.0, 1.0),
-                    ncols=len(courses),
-                    borderaxespad=0.1,
-                    borderpad=0.0,
-                    columnspacing=1.2,
-                    handlelength=2.2,
-                )
+            for change in history.changes[:_CHANGES]:
+                colour, line = (RED, ":") if change.kind == "lost" else (GREY, "-.")
+                place.axvline(change.time * factor, color=colour, linewidth=0.8, linestyle=line)
+            if end < history.horizon:
+                place.axvspan(end * factor, history.horizon * factor, color=GREY, alpha=0.10, linewidth=0.0)
+            if len(courses) > 1 and "pressure" not in label:
+                legend_above(place, len(courses))
         _peaks(axes[1], history, factor)
         axes[-1].set_xlim(0.0, history.horizon * factor)
         axes[-1].set_xlabel(f"time since first touch [{unit}]")
-        _record_label(figure, axes[0], history, factor, unit)
+        text = f"grey: after the record, which ends at {end * factor:.4g} {unit}"
+        if history.changes:
+            text += ";  dotted: contact lost,  dash-dotted: found again"
+        elif end >= history.horizon:
+            text = f"in contact up to the end of the record at {end * factor:.4g} {unit}"
+        figure.suptitle(text, x=0.02, ha="left", fontsize=8.5)
     return Picture(name="history", title="One scene over time", finding=history_finding(history), figure=figure)
 
 
-def _panels(
-    history: History, force: float, force_unit: str, pressure: float, pressure_unit: str
-) -> list[tuple[str, list[tuple[str, Array, str, str]]]]:
+def _panels(history: History) -> list[tuple[str, list[tuple[str, Array, str, str]]]]:
     """What is drawn over time, by panel: label and courses, each with name, values, colour and line."""
     rig = RIGS[history.motion.scene.rig]
+    (force_unit, force), (pressure_unit, pressure) = display_unit("P_max"), display_unit("p_max")
     a, b = ("incident face A", "receiving face B") if rig.name == "bars" else (f"A, {rig.behind}", f"B, {rig.ahead}")
-    faces = [("A", a, BLUE, "-", "a"), ("B", b, ORANGE, "--", "b")]
-    faces = faces[1:] if rig.contacts == 1 else faces
+    faces = [("a", a, BLUE, "-"), ("b", b, ORANGE, "--")][1 if rig.contacts == 1 else 0 :]
     kind = "mean pressure, ○ centre" if _yields(history) else "contact pressure"
-    forces = [(name, force * getattr(history, f"force_{key}"), c, line) for _, name, c, line, key in faces]
-    pressures = [(name, pressure * getattr(history, f"pressure_{key}"), c, line) for name, _, c, line, key in faces]
     speeds = [("sphere", history.velocity, GREEN, "-")]
     if rig.name != "bars" and history.balance is not None:
-        tables = [("A", rig.behind, BLUE, "-"), ("B", rig.ahead, ORANGE, "--")]
-        speeds += [(t, history.balance.partner["AB".index(k)], c, line) for k, t, c, line in tables if t]
+        tables = [(rig.behind, BLUE, "-"), (rig.ahead, ORANGE, "--")]
+        partners = zip(tables, history.balance.partner, strict=True)
+        speeds += [(table, speed, colour, line) for (table, colour, line), speed in partners if table]
     found = [
-        (f"contact force [{force_unit}]", forces),
-        (f"{kind}\n[{pressure_unit}]", pressures),
+        (f"contact force [{force_unit}]", [(n, force * getattr(history, f"force_{k}"), c, s) for k, n, c, s in faces]),
+        (f"{kind}\n[{pressure_unit}]",
+         [(k.upper(), pressure * getattr(history, f"pressure_{k}"), c, s) for k, _, c, s in faces]),
         ("velocity\n[m/s]" if len(speeds) > 1 else "sphere velocity\n[m/s]", speeds),
-    ]
+    ]  # fmt: skip
     if rig.name == "load_cell" and history.gauges:
-        signals = [(record.name, 1e6 * record.strain, PURPLE, "-") for record in history.gauges[:1]]
-        found.append(("strain at the gauge\n[µm/m]", signals))
+        gauge = history.gauges[0]
+        found.append(("strain at the gauge\n[µm/m]", [(gauge.name, 1e6 * gauge.strain, PURPLE, "-")]))
     if rig.name == "bars":
         waves = [
             ("towards A", history.incident, BLUE, "-"),
@@ -157,55 +155,49 @@ def _yields(history: History) -> bool:
     return history.balance is not None and bool(history.balance.dent.max() > 0.0)
 
 
-def draw_balance(history: History) -> Picture:
-    """Force over approach with the loop of what yields, Hertz beside it, and where the energy is over time."""
-    assert history.balance is not None
-    partners, row = history.motion.scene.partners, history.motion.row
-    hertz = [0.0 if partner is None else float(partner.hertz_constant[row]) for partner in partners]
-    return balance_picture(history.balance, hertz)
-
-
 def balance_picture(balance: Balance, hertz: Sequence[float]) -> Picture:
-    """The same from the energies of a scene; `hertz` are the Hertz constants of the faces, 0 where nothing stands."""
+    """Force over approach with the loop of what yields, Hertz beside it, and where the energy is over time.
+
+    `hertz` are the Hertz constants of the faces, 0 where nothing stands.
+    """
     force_unit, force = display_unit("P_max")
     energy_unit = unit_that_reads("energy", [float(balance.stored.sum(axis=0).max())])
-    unit, factor = _time_unit(float(balance.time[-1]))
+    with reading_units({"energy": energy_unit}):
+        scale = display_unit("energy")[1]
+    unit, factor = time_unit(float(balance.time[-1]))
+    columns: dict[str, Array] = {"time [s]": balance.time}
+    parts = [
+        ("stored", balance.stored.sum(axis=0), BLUE, "-"),
+        ("plastic", balance.plastic.sum(axis=0), RED, "-."),
+        ("sphere's motion", balance.kinetic, GREEN, "--"),
+        ("passed on at B", balance.passed[1], ORANGE, ":"),
+    ]
     with style():
         figure, (loop, over) = new_figure(7.0, rows=2)
         for pole, (name, colour, line) in enumerate((("A", BLUE, "-"), ("B", ORANGE, "--"))):
             if not hertz[pole] > 0.0:
                 continue
-            loop.plot(balance.approach[pole] * 1e6, balance.force[pole] * force, color=colour, linestyle=line,
-                      linewidth=1.2, label=f"face {name}")  # fmt: skip
-            x = np.linspace(0.0, float(balance.approach[pole].max()), 100)
+            approach, pressed = balance.approach[pole], balance.force[pole]
+            columns |= {f"approach {name} [m]": approach, f"force {name} [N]": pressed}
+            own: dict[str, Any] = {"linestyle": line, "linewidth": 1.2, "label": f"face {name}"}
+            loop.plot(approach * 1e6, pressed * force, color=colour, **own)
             if pole == 1:
-                loop.plot(x * 1e6, hertz[pole] * x**1.5 * force, color=GREY, linestyle=":", linewidth=1.2,
-                          label="Hertz")  # fmt: skip
+                x = np.linspace(0.0, float(approach.max()), 100)
+                y = hertz[pole] * x**1.5 * force
+                loop.plot(x * 1e6, y, color=GREY, linestyle=":", linewidth=1.2, label="Hertz")
         loop.set_xlim(left=min(0.0, 1.05e6 * float(balance.approach.max()) * -0.02))
         loop.set_ylim(0.0, 1.15 * force * float(balance.force.max()))
         loop.set_xlabel("approach [µm]")
         loop.set_ylabel(f"force [{force_unit}]")
         loop.legend(loc="upper left")
-        with reading_units({"energy": energy_unit}):
-            scale = display_unit("energy")[1]
-        parts = [
-            ("stored", balance.stored.sum(axis=0), BLUE, "-"),
-            ("plastic", balance.plastic.sum(axis=0), RED, "-."),
-            ("sphere's motion", balance.kinetic, GREEN, "--"),
-            ("passed on at B", balance.passed[1], ORANGE, ":"),
-        ]
         for name, course, colour, line in parts:
             if np.abs(course).max() > 0.0:
                 over.plot(balance.time * factor, course * scale, color=colour, linestyle=line, label=name)
         over.set_xlabel(f"time since first touch [{unit}]")
         over.set_ylabel(f"energy [{energy_unit}]")
-        over.legend(loc="upper left", bbox_to_anchor=(0.0, 1.22), ncols=4, borderpad=0.0)
+        legend_above(over, 4)
         over.grid()
         loop.grid()
-    columns: dict[str, Array] = {"time [s]": balance.time}
-    for pole, name in enumerate("AB"):
-        if hertz[pole] > 0.0:
-            columns |= {f"approach {name} [m]": balance.approach[pole], f"force {name} [N]": balance.force[pole]}
     columns |= {f"{name} [J]": course for name, course, _, _ in parts}
     rows = tuple(zip(*(column.tolist() for column in columns.values()), strict=True))
     return Picture(name="balance", title="Force over approach, and where the energy is", header=tuple(columns),
@@ -235,14 +227,6 @@ def _balance_finding(balance: Balance) -> str:
     return text + "."
 
 
-def _events(axes: Axes, history: History, factor: float) -> None:
-    for change in history.changes[:_CHANGES]:
-        lost = change.kind == "lost"
-        axes.axvline(change.time * factor, color=RED if lost else GREY, linewidth=0.8, linestyle=":" if lost else "-.")
-    if history.record_end < history.horizon:
-        axes.axvspan(history.record_end * factor, history.horizon * factor, color=GREY, alpha=0.10, linewidth=0.0)
-
-
 def _record_label(figure: Figure, axes: Axes, history: History, factor: float, unit: str) -> None:
     text = f"grey: after the record, which ends at {history.record_end * factor:.4g} {unit}"
     if history.changes:
@@ -256,25 +240,18 @@ def _peaks(axes: Axes, history: History, factor: float) -> None:
     """The largest pressures before and after the first loss of contact."""
     peaks = [peak for peak in (history.first_peak, history.later_peak) if peak is not None]
     scale = display_unit("p_max")[1]
-    top = max((peak.pressure for peak in peaks), default=1.0) * scale
-    axes.set_ylim(top=1.3 * top)
+    axes.set_ylim(top=1.3 * scale * max((peak.pressure for peak in peaks), default=1.0))
     for peak in peaks:
-        x, y = peak.time * factor, peak.pressure * scale
-        axes.plot(x, y, marker="o", color=INK, markerfacecolor=PAPER, markersize=5)
+        at = peak.time * factor, peak.pressure * scale
+        axes.plot(*at, marker="o", color=INK, markerfacecolor=PAPER, markersize=5)
         right = peak.time > 0.7 * history.horizon
-        axes.annotate(
-            f"{format_value(peak.pressure, 'p_max')} at {peak.face}",
-            (x, y),
-            xytext=(-6 if right else 6, 5),
-            textcoords="offset points",
-            ha="right" if right else "left",
-            fontsize=8.5,
-        )
+        words = f"{format_value(peak.pressure, 'p_max')} at {peak.face}"
+        note(axes, words, at, (-6 if right else 6, 5), ha="right" if right else "left", fontsize=8.5)
 
 
 def history_finding(history: History) -> str:
     """What happens, in sentences."""
-    unit, factor = _time_unit(history.horizon)
+    unit, factor = time_unit(history.horizon)
     if history.first_peak is None:
         return "The sphere is never pressed."
     first = history.first_peak
@@ -303,49 +280,48 @@ def draw_xt(scene: Scene, history: History, row: int = 0) -> Picture:
     """The picture of `xt_figure`: fronts solid, tails of the pulse dashed, paler the weaker the reflection."""
     c0 = float(bars.wave_speed(scene.columns["bars.E"][row], scene.columns["bars.density"][row]))
     trips = [float(trip) for trip in scene.round_trips[row]]
-    ends = [float(end) for end in scene.reflections[row]]
-    last = _last_time(history, trips, ends)
-    if scene.infinite and math.isfinite(scene.pulse.end[row]):
+    ends, pulse = [float(end) for end in scene.reflections[row]], float(scene.pulse.end[row])
+    # as long as the record, with at least one round trip where something comes back
+    finite = [trip for trip in trips if math.isfinite(trip)]
+    echoes = [trip for trip, end in zip(trips, ends, strict=True) if end != 0.0 and math.isfinite(trip)]
+    last = max(1.15 * history.record_end, 1.1 * max(echoes, default=0.0), 0.5 * max(finite, default=history.record_end))
+    if scene.infinite and math.isfinite(pulse):
         # nothing comes back: the arrival is all there is to see
-        last = min(last, 6.0 * float(scene.pulse.end[row]))
+        last = min(last, 6.0 * pulse)
     lengths = [0.5 * c0 * trip if math.isfinite(trip) else 0.6 * c0 * last for trip in trips]
-    pulse = float(scene.pulse.end[row])
-    unit, factor = _time_unit(last)
+    unit, factor = time_unit(last)
     with style():
         figure, (axes,) = new_figure(5.6)
         for delay, line in ((0.0, "-"), (pulse, "--")):
             if math.isfinite(delay):
-                _fronts(axes, c0, lengths, trips, ends, last, delay, factor, line)
-        axes.plot(
-            [0.0, 0.0], [0.0, min(history.record_end, last) * factor], color=RED, linewidth=3.5, solid_capstyle="butt"
-        )
-        _bars(axes, scene, lengths, ends)
+                _fronts(axes, [length / c0 for length in lengths], (c0, factor), trips, ends, last, delay, line)
+        touching = [0.0, min(history.record_end, last) * factor]
+        axes.plot([0.0, 0.0], touching, color=RED, linewidth=3.5, solid_capstyle="butt")
+        axes.set_xlim(-1.04 * lengths[0], 1.04 * lengths[1])
+        for x, end, name in ((-lengths[0], ends[0], "incident bar"), (lengths[1], ends[1], "receiving bar")):
+            words = {1.0: "free", -1.0: "fixed", 0.0: "absorbing"}.get(end, number_text(f"R = {end:.3g}"))
+            axes.axvline(x, color=GREY, linewidth=0.0 if scene.infinite else 2.0)
+            note(axes, f"{name}, {'no' if scene.infinite else words} end", (0.0 if x < 0.0 else 1.0, 1.0), (0, 4),
+                 xycoords="axes fraction", ha="left" if x < 0.0 else "right")  # fmt: skip
         for gauge in history.gauges:
             place = -gauge.position if gauge.bar == "incident" else gauge.position
             axes.axvline(place, color=GREEN, linewidth=0.9, linestyle=":")
-            axes.annotate("gauge", (place, 0.02), xycoords=("data", "axes fraction"), xytext=(3, 2), va="bottom",
-                          textcoords="offset points", rotation=90, fontsize=7.5, color=GREEN)  # fmt: skip
+            note(axes, "gauge", (place, 0.02), (3, 2), xycoords=("data", "axes fraction"), va="bottom", rotation=90,
+                 fontsize=7.5, color=GREEN)  # fmt: skip
         axes.set_ylim(-lengths[0] / c0 * factor, last * factor)
         axes.set_xlabel("place along the bars, sphere at 0 [m]")
         axes.set_ylabel(f"time since first touch [{unit}]")
         axes.grid()
-        _xt_legend(axes, math.isfinite(pulse))
+        handles = [mark(INK, "front"), mark(RED, "in contact", linewidth=3.5)]
+        handles[1:1] = [mark(INK, "tail of the pulse", linestyle="--")] if math.isfinite(pulse) else []
+        axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3, borderpad=0.0)
         if history.record_end < last:
-            axes.annotate(
-                f"{_ending(history)} at {history.record_end * factor:.4g} {unit}",
-                (0.0, history.record_end * factor),
-                xytext=(6, 3),
-                textcoords="offset points",
-                fontsize=9.0,
-                color=INK,
-                bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 1.0, "alpha": 0.85},
-            )
-    return Picture(
-        name="xt",
-        title="Wave fronts in both bars over place and time",
-        finding=_xt_finding(history, trips, ends, pulse),
-        figure=figure,
-    )
+            lost = any(change.kind == "lost" for change in history.changes)
+            ending = f"{'contact lost' if lost else 'end of the record'} at {history.record_end * factor:.4g} {unit}"
+            box = {"facecolor": PAPER, "edgecolor": "none", "pad": 1.0, "alpha": 0.85}
+            note(axes, ending, (0.0, history.record_end * factor), (6, 3), color=INK, bbox=box)
+    return Picture(name="xt", title="Wave fronts in both bars over place and time", figure=figure,
+                   finding=_xt_finding(history, trips, ends, pulse))  # fmt: skip
 
 
 def draw_rod(history: History, length: float) -> Picture:
@@ -356,122 +332,62 @@ def draw_rod(history: History, length: float) -> Picture:
     times = np.linspace(0.0, shown_time(history), _PLACES)
     strain = np.stack([rod_record(motion, float(place), times).strain for place in places], axis=1)
     stress = 1e-6 * strain * float(motion.scene.columns[f"{table.table}.E"][motion.row])
-    top = max(float(np.abs(stress).max()), 1e-12)
     with style():
         figure, (axes,) = new_figure(4.6)
-        image = axes.imshow(
-            stress, origin="lower", aspect="auto", cmap=stress_colours(), vmin=-top, vmax=top, interpolation="nearest",
-            extent=(0.0, length, 0.0, times[-1] * 1e6),
-        )  # fmt: skip
-        figure.colorbar(image, ax=axes, label="axial stress [MPa], tension positive", pad=0.02)
+        stress_image(axes, stress, (0.0, length, 0.0, times[-1] * 1e6), "MPa")
         for gauge in history.gauges:
             axes.axvline(gauge.position, color=INK, linestyle="--", linewidth=0.9)
         axes.set_xlabel("place along the rod, sphere at 0 [m]")
-        axes.set_ylabel("time since first touch [µs]")
-    pressed = f"The wave carries up to {-float(stress.min()):.3g} MPa of compression"
-    pulled = f", and {float(stress.max()):.3g} MPa of tension comes back" if stress.max() > 0.01 * top else ""
+    finding = f"The wave carries up to {-float(stress.min()):.3g} MPa of compression"
+    if stress.max() > 0.01 * np.abs(stress).max():
+        finding += f", and {float(stress.max()):.3g} MPa of tension comes back"
     return Picture(name="xt", title="Stress in the rod over place and time", figure=figure,
-                   finding=f"{pressed}{pulled}; dashed: gauge.")  # fmt: skip
-
-
-def _last_time(history: History, trips: list[float], ends: list[float]) -> float:
-    """As long as the record, with at least one round trip where something comes back."""
-    echoes = [trip for trip, end in zip(trips, ends, strict=True) if end != 0.0 and math.isfinite(trip)]
-    longest = max((trip for trip in trips if math.isfinite(trip)), default=history.record_end)
-    return max(1.15 * history.record_end, 1.1 * max(echoes, default=0.0), 0.5 * longest)
-
-
-def _ending(history: History) -> str:
-    """Why the record ends."""
-    return "contact lost" if any(change.kind == "lost" for change in history.changes) else "end of the record"
+                   finding=f"{finding}; dashed: gauge.")  # fmt: skip
 
 
 def _fronts(
     axes: Axes,
-    c0: float,
-    lengths: list[float],
+    runs: list[float],
+    scale: tuple[float, float],
     trips: list[float],
     ends: list[float],
     last: float,
     delay: float,
-    factor: float,
     line: str,
 ) -> None:
-    """The fronts that leave the sphere's faces and come back, the one that arrives first, and what passes through."""
-    run = lengths[0] / c0
-    axes.plot([-lengths[0], 0.0], [(delay - run) * factor, delay * factor], color=INK, linestyle=line, linewidth=1.6)
+    """The fronts that leave the sphere's faces and come back, the one that arrives first, and what passes through.
+
+    `runs` are the times that a front takes through each bar; `scale` the speed of waves, and a second as it is drawn.
+    """
+    c0, factor = scale
+
+    def draw(side: int, times: tuple[float, float], colour: str, width: float, strength: float) -> None:
+        """A front between the sphere and the far end of a bar, from or to which it goes at these times."""
+        begin, end = times
+        far = (-1.0 if side == 0 else 1.0) * c0 * runs[side]
+        ways = [0.0, far] if begin >= 0.0 else [far, 0.0]
+        axes.plot(ways, [abs(begin) * factor, end * factor], color=colour, linestyle=line, linewidth=width,
+                  alpha=max(0.25, strength))  # fmt: skip
+
+    axes.plot([-c0 * runs[0], 0.0], [(delay - runs[0]) * factor, delay * factor], color=INK, linestyle=line)
     for side, colour in ((0, BLUE), (1, ORANGE)):
-        sign = -1.0 if side == 0 else 1.0
         strength, start = 1.0, delay
         for _ in range(_MOST_TRIPS):
             if strength < _FAINT or start > last:
                 break
-            time = lengths[side] / c0
-            faint = max(0.25, strength)
-            axes.plot(
-                [0.0, sign * lengths[side]],
-                [start * factor, (start + time) * factor],
-                color=colour,
-                linestyle=line,
-                linewidth=1.4,
-                alpha=faint,
-            )
+            draw(side, (start, start + runs[side]), colour, 1.4, strength)
             strength *= abs(ends[side])
             if strength < _FAINT or not math.isfinite(trips[side]):
                 break
-            axes.plot(
-                [sign * lengths[side], 0.0],
-                [(start + time) * factor, (start + 2.0 * time) * factor],
-                color=colour,
-                linestyle=line,
-                linewidth=1.4,
-                alpha=max(0.25, strength),
-            )
+            draw(side, (-(start + runs[side]), start + 2.0 * runs[side]), colour, 1.4, strength)
             start += trips[side]
-            if strength >= _FAINT and start < last:
+            if start < last:
                 # each wave that comes back sends a part of itself through the sphere
-                other = 1 - side
-                axes.plot(
-                    [0.0, -sign * lengths[other]],
-                    [start * factor, (start + lengths[other] / c0) * factor],
-                    color=GREY,
-                    linestyle=line,
-                    linewidth=0.9,
-                    alpha=max(0.25, 0.6 * strength),
-                )
-
-
-def _bars(axes: Axes, scene: Scene, lengths: list[float], ends: list[float]) -> None:
-    words = {1.0: "free", -1.0: "fixed", 0.0: "absorbing"}
-    axes.set_xlim(-1.04 * lengths[0], 1.04 * lengths[1])
-    for x, end, side, name in (
-        (-lengths[0], ends[0], "left", "incident bar"),
-        (lengths[1], ends[1], "right", "receiving bar"),
-    ):
-        text = "no end" if scene.infinite else words.get(end, number_text(f"R = {end:.3g}")) + " end"
-        axes.axvline(x, color=GREY, linewidth=2.0 if not scene.infinite else 0.0)
-        axes.annotate(
-            f"{name}, {text}",
-            (0.0 if side == "left" else 1.0, 1.0),
-            xycoords="axes fraction",
-            xytext=(0, 4),
-            textcoords="offset points",
-            ha=side,
-            fontsize=9.0,
-        )
-
-
-def _xt_legend(axes: Axes, finite: bool) -> None:
-    from matplotlib.lines import Line2D
-
-    handles = [Line2D([], [], color=INK, label="front"), Line2D([], [], color=RED, linewidth=3.5, label="in contact")]
-    if finite:
-        handles.insert(1, Line2D([], [], color=INK, linestyle="--", label="tail of the pulse"))
-    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3, borderpad=0.0)
+                draw(1 - side, (start, start + runs[1 - side]), GREY, 0.9, 0.6 * strength)
 
 
 def _xt_finding(history: History, trips: list[float], ends: list[float], pulse: float) -> str:
-    unit, factor = _time_unit(history.horizon)
+    unit, factor = time_unit(history.horizon)
     text = "The pulse reaches the sphere at time zero"
     text += f" and lasts {pulse * factor:.4g} {unit}." if math.isfinite(pulse) else " and never ends."
     for name, trip, end in zip(("incident", "receiving"), trips, ends, strict=True):
@@ -489,10 +405,6 @@ _PANELS: Final = 5
 #: instants of the tables
 _ROWS: Final = 4000
 _LEVEL: Final = 0.05
-
-
-def _micro(value: float) -> str:
-    return f"{value * 1e6:.4g} us"
 
 
 # --- gauges -------------------------------------------------------------------------------------------
@@ -532,34 +444,30 @@ def gauges_finding(history: History) -> str:
     parts = []
     for record in history.gauges:
         low, high = record.strain.min() * 1e6, record.strain.max() * 1e6
-        text = f"The gauge on the {record.bar} bar, {record.position:.4g} m from the sphere, shows {low:.4g} to "
-        text += f"{high:.4g} microstrain."
+        where = f"The gauge on the {record.bar} bar, {record.position:.4g} m from the sphere,"
+        parts.append(f"{where} shows {low:.4g} to {high:.4g} microstrain.")
         for overlap in record.overlaps:
-            text += f" From {_micro(overlap.begin)} to {_micro(overlap.end)} it sees the {overlap.first} wave and "
-            text += ("the reflected one" if overlap.second == "reflected" else overlap.second) + " at once."
-        parts.append(text)
+            second = "the reflected one" if overlap.second == "reflected" else overlap.second
+            span = f"From {overlap.begin * 1e6:.4g} us to {overlap.end * 1e6:.4g} us"
+            parts.append(f"{span} it sees the {overlap.first} wave and {second} at once.")
     return " ".join(parts)
 
 
 def _arrivals(axes: Axes, history: History, record: GaugeRecord, begin: float, end: float) -> None:
     """When which wave comes first, as words along the top."""
-    motion = history.motion
-    number = BARS.index(record.bar)
+    motion, number = history.motion, BARS.index(record.bar)
     delay, trip = record.position / motion.wave_speed, motion.round_trip(number)
-    marks = [(-delay, "incident")] if number == 0 else []
-    marks.append((delay, "reflected" if number == 0 else "transmitted"))
-    if motion.echoes(number):
-        marks.append((trip - delay, "its return"))
+    marks = [(-delay, "incident"), (delay, "reflected")] if number == 0 else [(delay, "transmitted")]
+    marks += [(trip - delay, "its return")] if motion.echoes(number) else []
     before, line = -math.inf, 0
     for time, word in marks:
-        if not begin <= time < end:
-            continue
-        # words of waves that come close upon one another go below each other
-        line = line + 1 if time - before < 0.13 * (end - begin) else 0
-        before = time
-        axes.axvline(time * 1e6, color=GREY, linewidth=0.7, linestyle=":")
-        axes.annotate(word, (time * 1e6, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -3 - 11 * line),
-                      textcoords="offset points", va="top", fontsize=8.5, color=INK)  # fmt: skip
+        if begin <= time < end:
+            # words of waves that come close upon one another go below each other
+            line = line + 1 if time - before < 0.13 * (end - begin) else 0
+            before = time
+            axes.axvline(time * 1e6, color=GREY, linewidth=0.7, linestyle=":")
+            note(axes, word, (time * 1e6, 1.0), (3, -3 - 11 * line), xycoords=("data", "axes fraction"), va="top",
+                 fontsize=8.5, color=INK)  # fmt: skip
 
 
 def gauge_rows(history: History) -> tuple[list[str], list[list[Any]]]:
@@ -578,9 +486,7 @@ def gauge_rows(history: History) -> tuple[list[str], list[list[Any]]]:
 
 def wave_forces(history: History) -> tuple[BarForces | None, str]:
     """Forces from the first gauge of each bar; None with the reason where they cannot be had."""
-    first: dict[str, float] = {}
-    for record in history.gauges:
-        first.setdefault(record.bar, record.position)
+    first = {record.bar: record.position for record in reversed(history.gauges)}
     missing = [bar for bar in BARS if bar not in first]
     if missing:
         return None, f"no gauge on the {' and the '.join(missing)} bar"
@@ -597,19 +503,18 @@ def draw_forces(history: History) -> Picture:
     times = np.linspace(0.0, end, 1500)
     exact = history.motion.forces_at(times)
     unit, scale = display_unit("P_max")
-    balance = equilibrium(history, _LEVEL)
+    balance, finding = equilibrium(history, _LEVEL), _forces_finding(history, found, reason)
     with style():
         figure, (above, below) = new_figure(5.2, rows=2, sharex=True, height_ratios=[2, 1])
-        above.plot(times * 1e6, exact[:, 0] * scale, color=GREY, linewidth=4.0, alpha=0.5, label="contact A")
-        above.plot(times * 1e6, exact[:, 1] * scale, color=ORANGE, linewidth=4.0, alpha=0.4, label="contact B")
+        for k, (colour, name) in enumerate(((GREY, "contact A"), (ORANGE, "contact B"))):
+            above.plot(times * 1e6, exact[:, k] * scale, color=colour, linewidth=4.0, alpha=0.5 - 0.1 * k, label=name)
         if found is not None:
             for course, colour, line, name in ((found.two_wave, BLUE, "-", "two waves"),
                                                (found.one_wave, RED, "--", "one wave"),
                                                (found.three_wave, GREEN, ":", "three waves")):  # fmt: skip
                 above.plot(found.time * 1e6, course * scale, color=colour, linestyle=line, linewidth=1.3, label=name)
         above.set_ylabel(f"force [{unit}]")
-        above.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderpad=0.0, columnspacing=1.0,
-                     handlelength=1.8)  # fmt: skip
+        legend_above(above, 5)
         above.grid()
         below.semilogy(times[1:] * 1e6, np.maximum(force_imbalance(exact[1:, 0], exact[1:, 1]), 1e-5), color=PURPLE)
         below.axhline(_LEVEL, color=INK, linewidth=0.8, linestyle="--")
@@ -623,22 +528,24 @@ def draw_forces(history: History) -> Picture:
         below.set_xlabel("time at the faces since first touch [µs]")
         below.grid()
         below.set_xlim(0.0, end * 1e6)
-        figure.suptitle(wrap(_forces_finding(history, found, reason), 105, lines=3), x=0.02, ha="left",
-                        fontsize=8.5)  # fmt: skip
-    return Picture(name="forces", title="Forces at both faces as the gauges give them",
-                   finding=_forces_finding(history, found, reason), figure=figure)  # fmt: skip
+        figure.suptitle(wrap(finding, 105, lines=3), x=0.02, ha="left", fontsize=8.5)
+    title = "Forces at both faces as the gauges give them"
+    return Picture(name="forces", title=title, finding=finding, figure=figure)
 
 
 def _forces_finding(history: History, found: BarForces | None, reason: str) -> str:
-    text = f"Records are clean up to {_micro(found.end)} at the faces." if found else f"No wave analysis: {reason}."
-    balance = equilibrium(history, _LEVEL)
-    share = f"{_LEVEL:.0%} of their mean"
+    """Up to where records are clean, and from when on the two forces agree."""
+    text = f"No wave analysis: {reason}."
+    if found is not None:
+        text = f"Records are clean up to {1e6 * found.end:.4g} us at the faces."
+    balance, share = equilibrium(history, _LEVEL), f"{_LEVEL:.0%} of their mean"
+    until = f"up to the first loading's largest force at {1e6 * balance.until:.4g} us"
     if balance.first is None:
-        return f"{text} Up to the first loading's largest force the two forces never agree within {share}."
-    text += f" The two forces agree within {share} first after {_micro(balance.first)}"
+        return f"{text} The two forces never agree within {share} {until}."
+    text += f" The two forces agree within {share} first after {1e6 * balance.first:.4g} us"
     if balance.lasting is None:
-        return f"{text}, but not for good up to the first loading's largest force at {_micro(balance.until)}."
-    return f"{text}, and from {_micro(balance.lasting)} on up to the first loading's largest force (grey: after it)."
+        return f"{text}, but not for good {until}."
+    return f"{text}, and from {1e6 * balance.lasting:.4g} us on {until} (grey: after it)."
 
 
 def force_rows(history: History) -> tuple[list[str], list[list[Any]]] | None:
@@ -679,8 +586,25 @@ def write_history(found: History, study: Study, folder: Path) -> list[Path]:
     history.csv, history.svg, xt.svg; field.csv, field.svg; forces.svg and, where the gauges allow it, bar_forces.csv;
     gauges.csv, gauges.svg where there are gauges; stress.svg within the range of its tables.
     """
+    scene, motion = found.motion.scene, found.motion
+    ratio, pressure = found.hardest_contact
+    nu = float(scene.columns["sphere.nu"][motion.row])
     with reading_units(units_of_history(found)):
-        return _write(found, study, folder)
+        names, columns = _columns(found)
+        contents = {
+            "history.csv": csv_text(names, np.stack(columns, axis=1).tolist()),
+            "history.svg": history_figure(found),
+        }
+        if scene.rig == "bars":
+            contents |= {"xt.svg": xt_figure(scene, found), **_bar_pictures(found)}
+        elif math.isfinite(length := rod_length(motion)) and length > 0.0:
+            contents["xt.svg"] = render(draw_rod(found, length))
+        if found.balance is not None and (scene.rig != "bars" or _yields(found)):
+            hertz = [0.0 if one is None else float(one.hertz_constant[motion.row]) for one in scene.partners]
+            contents["balance.svg"] = render(balance_picture(found.balance, hertz))
+        if not outside(ratio, nu):
+            contents["stress.svg"] = render(stress_picture(ratio, nu, pressure))
+        return write_outputs(folder, contents)
 
 
 def units_of_history(found: History) -> dict[str, str]:
@@ -695,40 +619,20 @@ def units_of_history(found: History) -> dict[str, str]:
     }
 
 
-def _write(found: History, study: Study, folder: Path) -> list[Path]:
-    scene = found.motion.scene
-    bars_rig = scene.rig == "bars"
+def _columns(found: History) -> tuple[list[str], list[Array]]:
+    """Heads and columns of history.csv."""
+    bars_rig, balance = found.motion.scene.rig == "bars", found.balance
     names = [name for name in _COLUMNS if bars_rig or "wave" not in name]
     columns = [getattr(found, _COLUMNS[name]) for name in names]
-    balance = found.balance
     if balance is not None and (not bars_rig or _yields(found)):
-        extra = {
-            "dent": balance.dent,
-            "plastic": balance.plastic,
-            "stored": balance.stored,
-            "velocity": balance.partner,
-        }
-        units = {"dent": "m", "plastic": "J", "stored": "J", "velocity": "m/s"}
-        names += [f"{name}_{face} [{units[name]}]" for name in extra for face in "ab"]
-        columns += [course for pair in extra.values() for course in pair]
+        pairs = {"dent": (balance.dent, "m"), "plastic": (balance.plastic, "J"), "stored": (balance.stored, "J"),
+                 "velocity": (balance.partner, "m/s")}  # fmt: skip
+        names += [f"{name}_{face} [{unit}]" for name, (_, unit) in pairs.items() for face in "ab"]
+        columns += [course for pair, _ in pairs.values() for course in pair]
     if not bars_rig:
         names += [f"strain, {record.name} [1]" for record in found.gauges]
         columns += [record.strain for record in found.gauges]
-    contents = {
-        "history.csv": csv_text(names, np.stack(columns, axis=1).tolist()),
-        "history.svg": history_figure(found),
-    }
-    if bars_rig:
-        contents |= {"xt.svg": xt_figure(scene, found), **_bar_pictures(found)}
-    elif math.isfinite(length := rod_length(found.motion)) and length > 0.0:
-        contents["xt.svg"] = render(draw_rod(found, length))
-    if len(names) > len(_COLUMNS) or not bars_rig:
-        contents["balance.svg"] = render(draw_balance(found))
-    ratio, pressure = found.hardest_contact
-    nu = float(scene.columns["sphere.nu"][found.motion.row])
-    if not outside(ratio, nu):
-        contents["stress.svg"] = stress_figure(ratio, nu, pressure)
-    return write_outputs(folder, contents)
+    return names, columns
 
 
 def _bar_pictures(found: History) -> dict[str, str]:

@@ -26,17 +26,19 @@ from uqsphere.report.figures.canvas import (
     PAPER,
     RED,
     Picture,
+    band,
     legend_above,
+    mark,
     new_figure,
-    render,
+    note,
     style,
+    time_unit,
 )
 from uqsphere.report.phrases import input_name, value_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LinearSegmentedColormap
 
     from uqsphere.mechanics.history import History
 
@@ -45,19 +47,19 @@ _FACES: Final = (("force_a", "incident face A", BLUE), ("force_b", "receiving fa
 
 def force_band_figure(contents: Contents) -> Picture | None:
     """Median and 5 to 95 % of the force at both faces, one above the other; None where no scene was followed."""
+    from matplotlib.patches import Patch
+
     courses = contents.courses
     if courses is None:
         return None
     seconds = np.array(courses["time"], dtype=float)
-    unit, factor = ("ms", 1e3) if seconds[-1] >= 2e-3 else ("µs", 1e6)
-    largest = max(max(courses["hardest"][face]) for face, _, _ in _FACES)
-    force_unit, scale = display_unit("P_max")
+    (unit, factor), (force_unit, scale) = time_unit(float(seconds[-1])), display_unit("P_max")
+    t, largest = seconds * factor, max(max(courses["hardest"][face]) for face, _, _ in _FACES)
     with style():
         figure, axes = new_figure(5.0, rows=2, sharex=True, sharey=True)
         for place, (face, words, colour) in zip(axes, _FACES, strict=True):
             low, middle, high = (np.array(courses[face][level]) * scale for level in ("0.05", "0.5", "0.95"))
-            t = seconds * factor
-            place.fill_between(t, low, high, color=colour, alpha=0.30, linewidth=0.0)
+            band(place, t, low, high, colour, 0.30)
             place.plot(t, middle, color=colour)
             place.plot(t, np.array(courses["hardest"][face]) * scale, color=RED, linestyle="--", linewidth=1.2)
             place.set_ylabel(f"force [{force_unit}]")
@@ -66,20 +68,9 @@ def force_band_figure(contents: Contents) -> Picture | None:
             place.set_xlim(0.0, t[-1])
             place.set_ylim(0.0, 1.12 * largest * scale)
         axes[-1].set_xlabel(f"time since first touch [{unit}]")
-        _legend(axes[0])
+        hardest = mark(RED, "the hardest row", linestyle="--", linewidth=1.2)
+        legend_above(axes[0], 3, [mark(BLUE, "median"), Patch(facecolor=BLUE, alpha=0.30, label="5 to 95 %"), hardest])
     return Picture(name="force-band", title="Contact force over time", figure=figure)
-
-
-def _legend(axes: Axes) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    handles = [
-        Line2D([], [], color=BLUE, label="median"),
-        Patch(facecolor=BLUE, alpha=0.30, label="5 to 95 %"),
-        Line2D([], [], color=RED, linestyle="--", linewidth=1.2, label="the hardest row"),
-    ]
-    legend_above(axes, 3, handles)
 
 
 def hardest_table(contents: Contents) -> Table | None:
@@ -182,11 +173,9 @@ def stress_picture(contact_ratio: float, nu: float, pressure: float) -> Picture:
     with style():
         figure, (axes,) = new_figure(4.7)
         right, left = _draw_halves(axes, contact_ratio, (across, along), (tension / value, shear), 1.0 - depth)
-        axes.annotate(
-            f"core tension {format_value(value * pressure, 'core_tension', 3)}", (0.0, 1.0 - depth), xytext=(14, -4),
-            textcoords="offset points", fontsize=9.0, color=INK,
-            bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 1.5, "alpha": 0.9},
-        )  # fmt: skip
+        words = f"core tension {format_value(value * pressure, 'core_tension', 3)}"
+        box = {"facecolor": PAPER, "edgecolor": "none", "pad": 1.5, "alpha": 0.9}
+        note(axes, words, (0.0, 1.0 - depth), (14, -4), color=INK, bbox=box)
         axes.set_aspect("equal")
         axes.set_xlim(-1.08, 1.08)
         axes.set_ylim(-1.08, 1.08)
@@ -211,20 +200,17 @@ def stress_picture(contact_ratio: float, nu: float, pressure: float) -> Picture:
         finding=finding,
         figure=figure,
         header=("across, over r", "along the axis, over r", "largest principal stress [Pa]", "largest shear [Pa]"),
-        rows=_rows(across, along, tension * pressure, shear * pressure),
+        # every third point of the upper quarter: the others are its mirror images
+        rows=tuple(
+            zip(
+                *(
+                    column[::3, along[0] >= 0.0][:, ::3].ravel().tolist()
+                    for column in (across, along, tension * pressure, shear * pressure)
+                ),
+                strict=True,
+            )
+        ),
     )
-
-
-def _rows(*columns: Array) -> tuple[tuple[float, ...], ...]:
-    """Every third point of the upper quarter: the others are its mirror images."""
-    quarter = columns[1][0] >= 0.0
-    kept = [column[::3, quarter][:, ::3].ravel().tolist() for column in columns]
-    return tuple(zip(*kept, strict=True))
-
-
-def stress_figure(contact_ratio: float, nu: float, pressure: float) -> str:
-    """The same as the text of an SVG file."""
-    return render(stress_picture(contact_ratio, nu, pressure))
 
 
 # --- Stress in both bars over place and time as a picture with its fronts and regions, and as a table.
@@ -237,34 +223,36 @@ _ROOM: Final = 0.012
 _LABEL: Final = {"boxstyle": "round,pad=0.2", "facecolor": LIGHT, "edgecolor": "none", "alpha": 0.7}
 
 
-def stress_colours() -> LinearSegmentedColormap:
-    """From compression to tension."""
+def stress_image(axes: Axes, stress: Array, extent: tuple[float, float, float, float], unit: str) -> None:
+    """Stress over place and time [µs] from compression to tension, with its scale beside it."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    return LinearSegmentedColormap.from_list("stress", [BLUE, "#b9d9ec", PAPER, "#f3d9a4", RED])
+    colours = LinearSegmentedColormap.from_list("stress", [BLUE, "#b9d9ec", PAPER, "#f3d9a4", RED])
+    top = max(float(np.abs(stress).max()), 1e-12)
+    image = axes.imshow(stress, origin="lower", aspect="auto", cmap=colours, vmin=-top, vmax=top, extent=extent,
+                        interpolation="nearest")  # fmt: skip
+    axes.figure.colorbar(image, ax=axes, label=f"axial stress [{unit}], tension positive", pad=0.02)
+    axes.set_ylabel("time since first touch [µs]")
 
 
 def draw_field(view: FieldView) -> Picture:
     """Stress in both bars over place and time, with the regions that the fronts bound, as in the paper's Fig. 3."""
     (left, right), begin, last = view.reach, view.begin, view.last
     unit, factor = _stress_unit(view)
-    stress = view.stress * factor
-    top = max(float(np.abs(stress).max()), 1e-12)
     with style():
         figure, (axes,) = new_figure(6.2)
-        image = axes.imshow(
-            stress, origin="lower", aspect="auto", cmap=stress_colours(), vmin=-top, vmax=top, interpolation="nearest",
-            extent=(-left, right, begin * 1e6, last * 1e6),
-        )  # fmt: skip
-        figure.colorbar(image, ax=axes, label=f"axial stress [{unit}], tension positive", pad=0.02)
+        stress_image(axes, view.stress * factor, (-left, right, begin * 1e6, last * 1e6), unit)
         _fronts(axes, view)
         axes.plot([0.0, 0.0], [0.0, min(view.record_end, last) * 1e6], color=ON_LIGHT, linewidth=3.0)
         _names(axes, view)
-        _tensions(axes, view)
+        for found in view.tensions:
+            if found.time < last:
+                place = -found.position if found.bar == BARS[0] else found.position
+                axes.plot(place, found.time * 1e6, marker="o", markersize=6, color=ON_LIGHT, markerfacecolor=LIGHT,
+                          clip_on=False, zorder=5)  # fmt: skip
         axes.set_xlim(-left, right)
         axes.set_ylim(begin * 1e6, last * 1e6)
         axes.set_xlabel("place along the bars, sphere at 0 [m]")
-        axes.set_ylabel("time since first touch [µs]")
         axes.set_title("incident bar  |  receiving bar", fontsize=9.5)
     return Picture(name="field", title="Stress in both bars over place and time", finding=_field_finding(view),
                    figure=figure)  # fmt: skip
@@ -313,14 +301,6 @@ def _names(axes: Axes, view: FieldView) -> None:
         if inside.mean() > _ROOM:
             axes.text(float(x[inside].mean()), float(t[inside].mean()) * 1e6, name.strip(), ha="center", va="center",
                       fontsize=9.0, color=ON_LIGHT, bbox=_LABEL)  # fmt: skip
-
-
-def _tensions(axes: Axes, view: FieldView) -> None:
-    for found in view.tensions:
-        if found.time < view.last:
-            place = -found.position if found.bar == BARS[0] else found.position
-            axes.plot(place, found.time * 1e6, marker="o", markersize=6, color=ON_LIGHT, markerfacecolor=LIGHT,
-                      clip_on=False, zorder=5)  # fmt: skip
 
 
 def _field_finding(view: FieldView) -> str:

@@ -1,0 +1,205 @@
+"""A test of the laboratory on one page, many on another: the record, what was made of it, the forces, its doubts."""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.mechanics.pulses import pulse_value
+from uqsphere.report.figures.canvas import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PURPLE,
+    RED,
+    Picture,
+    band,
+    inline,
+    legend_above,
+    new_figure,
+    render,
+    style,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from uqsphere.mechanics.pulses import MeasuredPulse
+    from uqsphere.records.laboratory import Reading
+    from uqsphere.records.pulse import CutPulse
+    from uqsphere.records.record import Record
+
+#: points of a course; of more, each stretch shows its lowest and its highest
+_POINTS: Final = 1600
+
+
+def _course(axes: Axes, time: Array, values: Array, scale: float, colour: str, label: str, **line: object) -> None:
+    """A course with few points and all its peaks."""
+    if len(values) > _POINTS:
+        block = -(-2 * len(values) // _POINTS)
+        pieces = values[: len(values) // block * block].reshape(-1, block)
+        first = np.arange(len(pieces)) * block
+        at = np.sort(np.stack([first + pieces.argmin(axis=1), first + pieces.argmax(axis=1)], axis=1), axis=1).ravel()
+        time, values = time[at], values[at]
+    axes.plot(time, values * scale, color=colour, label=label, **{"linewidth": 0.9, **line})  # type: ignore[arg-type]
+
+
+def _frame(axes: Sequence[Axes], columns: Sequence[int]) -> None:
+    """Zero, grid and legend of every panel."""
+    for place, count in zip(axes, columns, strict=True):
+        place.axhline(0.0, color=GREY, linewidth=0.6)
+        place.grid()
+        legend_above(place, count)
+
+
+def pulse_figure(record: Record, cut: CutPulse, pulse: MeasuredPulse | None) -> str:
+    """SVG text: the record with the window of its pulse, and the pulse with the cubics that stand for it."""
+    with style():
+        figure, (whole, part) = new_figure(5.6, rows=2)
+        time = record.time * 1e6
+        _course(whole, time, record.strain[:, 0], 1e6, BLUE, "record, baseline taken off")
+        begin, end = cut.begin * 1e6, (cut.begin + cut.step * (len(cut.strain) - 1)) * 1e6
+        whole.axvspan(begin, end, color=ORANGE, alpha=0.18, linewidth=0.0, label="window of the pulse")
+        for k, colour in zip(range(1, record.strain.shape[1]), (PURPLE, GREEN), strict=False):
+            _course(whole, time, record.strain[:, k], 1e6, colour, "other bar", linewidth=0.7)
+        if record.held[:, 0].any():
+            held = np.where(record.held[:, 0], record.strain[:, 0], np.nan) * 1e6
+            whole.plot(time, held, color=RED, linewidth=2.0, label="missing")
+        whole.set_ylabel("strain [µm/m]\ntension positive")
+        whole.set_xlabel("time of the record [µs]")
+        whole.set_xlim(time[0], time[-1])
+        own = np.asarray(cut.step * np.arange(len(cut.strain)), dtype=float)
+        _course(part, own * 1e6, cut.strain, 1e6, GREY, "samples")
+        if pulse is not None:
+            fine = np.linspace(0.0, pulse.duration, 1001)
+            curve = pulse.peak * pulse_value(pulse.pulse(1, {}), 0, np.minimum(fine, pulse.duration * (1.0 - 1e-12)))
+            part.plot(fine * 1e6, curve * 1e6, color=INK, linewidth=1.2, label=f"{len(pulse.breaks) - 1} cubics")
+            joints = np.asarray(pulse.breaks)
+            part.plot(joints * 1e6, np.interp(joints, fine, curve) * 1e6, linestyle="none", marker="|", color=ORANGE,
+                      markersize=7, label="joints")  # fmt: skip
+        part.set_ylabel("strain [µm/m]\ncompression positive")
+        part.set_xlabel("time since the begin of the pulse [µs]")
+        part.set_xlim(0.0, own[-1] * 1e6)
+        _frame((whole, part), (3, 3))
+    finding = f"The pulse reaches {cut.strain.max() * 1e6:.4g} microstrain and lasts {own[-1] * 1e6:.4g} µs."
+    return render(Picture(name="record", title="Record and pulse", finding=finding, figure=figure))
+
+
+def forces_figure(read: Reading) -> str:
+    """SVG text: waves at the faces, forces with intervals and, pale, the model that fits; what is left between them, or
+    between the faces."""
+    faces, forces, found = read.faces, read.forces, read.inverse
+    time, end = forces.time * 1e6, None if read.inverse is None else read.inverse.departure
+    with style():
+        figure, axes = new_figure(7.6, rows=3, sharex=True)
+        waves, above, below = axes
+        _course(waves, time, faces.incident, 1e6, BLUE, "incident", linewidth=1.1)
+        _course(waves, time, faces.reflected, 1e6, PURPLE, "reflected", linestyle=":", linewidth=1.1)
+        _course(waves, time, faces.transmitted, 1e6, ORANGE, "transmitted", linestyle="--", linewidth=1.1)
+        for face, force, colour, line in (("A", forces.force_a, BLUE, "-"), ("B", forces.force_b, ORANGE, "--")):
+            low, high = forces.interval(face)
+            band(above, time, low * 1e-3, high * 1e-3, colour, 0.2)
+            _course(above, time, force, 1e-3, colour, f"force at {face}, 95 %", linestyle=line, linewidth=1.8)
+            if found is not None:
+                fitted = found.fitted_a if face == "A" else found.fitted_b
+                above.plot(time, fitted * 1e-3, color=colour, linestyle=line, linewidth=0.9, alpha=0.55,
+                           label=f"model at {face}")  # fmt: skip
+                _course(below, time, force - fitted, 1e-3, colour, f"record less model at {face}", linestyle=line)
+        if found is None:
+            _course(below, time, forces.force_a - forces.force_b, 1e-3, INK, "force at A less force at B")
+        waves.set_ylabel("strain at the faces\n[µm/m]")
+        above.set_ylabel("contact force\n[kN]")
+        below.set_ylabel("difference\n[kN]")
+        below.set_xlabel("time since the wave reached the sphere [µs]")
+        if end is not None:
+            for place in axes:
+                place.axvspan(end.earliest * 1e6, end.latest * 1e6, color=RED, alpha=0.15, linewidth=0.0)
+                place.axvline(end.time * 1e6, color=RED, linewidth=1.0, linestyle="-.")
+            above.plot([], [], color=RED, linestyle="-.", label="elastic contact ends")
+        elif found is not None:
+            above.plot([], [], color=GREEN, label="elastic throughout")
+        _frame(axes, (3, 3, 2))
+        waves.set_xlim(0.0, time[-1])
+    peak = read.peaks["B"]
+    finding = f"The largest force at B is {peak.value * 1e-3:.4g} kN" + (", which is doubted." if peak.doubts else ".")
+    finding += "" if end is None else f" The elastic contact ends at {end.time * 1e6:.4g} µs."
+    return render(Picture(name="forces", title="Forces of a test", finding=finding, figure=figure))
+
+
+# --- sheets ---------------------------------------------------------------------------------------------------
+
+#: one sheet of paper, figures side by side below the table
+_STYLE = """
+body { font: 10pt/1.35 "DejaVu Sans", sans-serif; max-width: 190mm; margin: 6mm auto; padding: 0 4mm; }
+h1 { font-size: 14pt; margin: 0 0 2mm; } h2 { font-size: 10.5pt; margin: 3mm 0 1mm; }
+table { border-collapse: collapse; font-size: 8.5pt; } td, th { padding: 1px 8px 1px 0; text-align: left; }
+th { border-bottom: 1px solid #666; } ul { margin: 0; padding-left: 5mm; font-size: 7.5pt; }
+.figures { display: flex; gap: 3mm; } .figures div { width: 50%; } svg { width: 100%; height: auto; }
+@page { size: A4; margin: 10mm; }
+"""
+#: a colour of the theme, and what it is on paper
+_THEMED: Final = re.compile(r"var\(--[a-z]+, (#[0-9a-f]{6})\)")
+#: notes that fit on the sheet
+_NOTES = 16
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]], links: Sequence[str] = ()) -> str:
+    cells = "".join(f"<th>{html.escape(cell)}</th>" for cell in header)
+    lines = [f"<tr>{cells}</tr>"]
+    for k, row in enumerate(rows):
+        texts = [html.escape(cell) for cell in row]
+        wide = len(texts) == 3 and not texts[2] and " " in texts[1]
+        if k < len(links) and links[k]:
+            texts[0] = f'<a href="{html.escape(links[k])}">{texts[0]}</a>'
+        if wide:
+            lines.append(f'<tr><td>{texts[0]}</td><td colspan="2">{texts[1]}</td></tr>')
+            continue
+        lines.append("<tr>" + "".join(f"<td>{text}</td>" for text in texts) + "</tr>")
+    return "<table>" + "\n".join(lines) + "</table>"
+
+
+def _page(title: str, body: str) -> str:
+    name = html.escape(title)
+    return (
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{name}</title><style>{_STYLE}</style>'
+        f"</head><body><h1>{name}</h1>\n{body}\n</body></html>\n"
+    )
+
+
+def lab_sheet(
+    name: str, header: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[str], figures: Sequence[str]
+) -> str:
+    """HTML text: the sheet of one test.
+
+    Parameters
+    ----------
+    name : str
+        Of the record.
+    header, rows : sequences of str
+        The table of answers.
+    notes : sequence of str
+        What was read and mended.
+    figures : sequence of str
+        SVG texts.
+    """
+    said = [f"<li>{html.escape(note)}</li>" for note in notes[:_NOTES]]
+    if len(notes) > _NOTES:
+        said.append(f"<li>and {len(notes) - _NOTES} more</li>")
+    # a sheet is paper: it has the colours of paper, not of a theme
+    papers = [_THEMED.sub(r"\1", inline(svg, f"figure{k}")) for k, svg in enumerate(figures)]
+    drawn = "".join(f"<div>{svg}</div>" for svg in papers)
+    body = [_table(header, rows), f'<div class="figures">{drawn}</div>', "<h2>Read and mended</h2>"]
+    return _page(f"Test {name}", "\n".join([*body, "<ul>", *said, "</ul>"]))
+
+
+def tests_page(name: str, header: Sequence[str], rows: Sequence[Sequence[str]], stems: Sequence[str]) -> str:
+    """HTML text: the tests of a folder, each with its sheet."""
+    links = ["" if row[1] in ("", "refused") else f"{stem}/sheet.html" for row, stem in zip(rows, stems, strict=True)]
+    return _page(f"Tests of {name}", _table(header, rows, links))
