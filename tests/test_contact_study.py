@@ -9,7 +9,7 @@ from uqsphere.errors import StudyError, UsageError
 from uqsphere.mechanics.carried import in_the_test
 from uqsphere.mechanics.outputs import at_force, columns_of
 from uqsphere.model import cheaper_fidelities, evaluate, scene_of, solve_scene
-from uqsphere.runner.analyse import compare_with_paper
+from uqsphere.runner.deterministic import compare_with_paper
 from uqsphere.runner.fidelity import out_of_reach
 from uqsphere.study import load_study
 

@@ -16,9 +16,8 @@ import uqsphere
 from uqsphere.cli import main
 from uqsphere.cli.verify import verify_folder, verify_text
 from uqsphere.errors import FolderError, UsageError
-from uqsphere.runner.datafiles import kept_data, named_files
+from uqsphere.runner.kept import kept_data, named_files, read_sums
 from uqsphere.runner.rehearsal import stored_study
-from uqsphere.runner.sums import read_sums
 
 MODEL = "def f(x):\n    return {'y': x['x1'] + 0.1 * x['x2']}\n"
 STUDY = """\

@@ -119,7 +119,7 @@ def verify_folder(folder: Path, *, chunks: int = 3, seed: int = 0, model: str | 
 
 def _look(found: Verification) -> None:
     """Checksums of files and chunks."""
-    from uqsphere.runner.sums import compare_sums, read_sums
+    from uqsphere.runner.kept import compare_sums, read_sums
 
     for path in plain_files(found.folder):
         if path.parent.name != "evaluations" or path.suffix != ".npy" or path.name.startswith("."):
@@ -160,8 +160,8 @@ def _whole_chunk(path: Path) -> str | None:
 def _repeat(found: Verification, chunks: int, seed: int, model: str | None) -> None:
     """Tables against results, results against evaluations, evaluations against the model."""
     from uqsphere.results.tables import tables
-    from uqsphere.runner.datafiles import kept_data
     from uqsphere.runner.finished import open_run
+    from uqsphere.runner.kept import kept_data
     from uqsphere.runner.rehearsal import private_folder, rehearse, stored_study
     from uqsphere.runner.workers import Engine
 

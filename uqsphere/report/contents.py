@@ -19,7 +19,7 @@ from uqsphere.results import NO_RIG, Results, read_results
 from uqsphere.results.entries import LawTable, Manifest, Resolved, read_entry, read_manifest, read_resolved
 from uqsphere.results.fields import Stored, read_fields
 from uqsphere.results.sliders import Sliders
-from uqsphere.runner.samples import read_points
+from uqsphere.runner.export import read_points
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.store import read_json
 from uqsphere.study.axis import quantity_of, strength_name

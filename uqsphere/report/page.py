@@ -27,7 +27,7 @@ from uqsphere.report.tables import commands, repeat_rows
 from uqsphere.report.whatif import panels
 from uqsphere.results import NO_RIG
 from uqsphere.results.entries import Manifest
-from uqsphere.runner.sums import write_sums
+from uqsphere.runner.kept import write_sums
 from uqsphere.store import csv_text, write_atomically
 
 if TYPE_CHECKING:

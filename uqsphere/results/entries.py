@@ -7,8 +7,9 @@ that what is read and written again keeps its keys; keys that nothing here names
 from __future__ import annotations
 
 import re
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -30,6 +31,9 @@ from pydantic import (
 from uqsphere.errors import FolderError
 from uqsphere.store import read_json
 from uqsphere.uq.estimate import Estimate
+
+if TYPE_CHECKING:
+    from uqsphere.mechanics.validity import Check
 
 #: an entry while it is made, before its fields are checked
 Fields: TypeAlias = dict[str, object]
@@ -181,6 +185,11 @@ class CheckEntry(Part):
     share_failure: Share = 0.0
     worst: Number | None = None
     text: StrictStr = ""
+
+    @classmethod
+    def of(cls, row: Check) -> Self:
+        """A check of the mechanics."""
+        return cls(share=row.share_warning + row.share_failure, **asdict(row))
 
 
 class CarriedEntry(Part):

@@ -8,6 +8,9 @@ from pydantic import Field, StrictBool, StrictStr, model_validator
 
 from uqsphere.results.entries import Aim, Count, Entry, Name, Number, Part, Probability, Share
 
+Code = Literal["a", "b", "c", "d", "e", "f", "together"]
+Word = Literal["met", "not met", "undecided", "not established"]
+
 
 class ReasonEntry(Entry):
     """Why a verdict is what it is, in a clause.
@@ -16,11 +19,8 @@ class ReasonEntry(Entry):
     open, `e` a check of the model that fails, `f` tests that are made up.  `together`: the limit by itself has another.
     """
 
-    code: Literal["a", "b", "c", "d", "e", "f", "together"]
+    code: Code
     text: StrictStr
-
-
-Word = Literal["met", "not met", "undecided", "not established"]
 
 
 class JudgedEntry(Entry):

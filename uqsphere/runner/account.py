@@ -1,71 +1,86 @@
-"""The account of a run: beside each part what was planned and what it took, and why they differ where they do much."""
+"""What a run found, and its account: beside each part what was planned and what it took, and why they differ."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from uqsphere.quantities import format_value
-from uqsphere.results import FractureEntry, GivenFailureEntry, PartEntry, QuestionRow, Results, SpeedRow
-from uqsphere.results.entries import Curve, Est
-from uqsphere.results.margins import MarginEntry, MemberEntry
+from uqsphere.results import (
+    AnalysisEntry,
+    FractureEntry,
+    GivenFailureEntry,
+    PartEntry,
+    QuestionRow,
+    Results,
+    SpeedRow,
+    ToleranceEntry,
+)
+from uqsphere.results.entries import CarriedEntry, Curve, Est
 from uqsphere.runner.campaign import INDEX_KIND, MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, Missed, rounded
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.forecast import forecast
 from uqsphere.uq.estimate import Estimate
 
 if TYPE_CHECKING:
+    from uqsphere.runner.drivers import Drivers
+    from uqsphere.runner.evidence import Evidence
+    from uqsphere.runner.fidelity import Pilot
+    from uqsphere.runner.questions.distributions import Sampled
+    from uqsphere.runner.questions.indices import Sensitivity
     from uqsphere.runner.questions.margins import MarginAnswer
-    from uqsphere.runner.results import Findings
-    from uqsphere.study.document import Accuracy as Accuracies
-    from uqsphere.uq.describe import Description
+    from uqsphere.runner.similarity import Tabled
+
+
+@dataclass(frozen=True, kw_only=True)
+class Findings:
+    """All that a run found, before it is written down."""
+
+    pilot: Pilot
+    sampled: Sampled
+    sensitivity: dict[str, Sensitivity]
+    drivers: Drivers
+    tabled: Tabled
+    margins: dict[str, MarginAnswer] = field(default_factory=dict)
+    tolerance: dict[str, ToleranceEntry] = field(default_factory=dict)
+    analyses: dict[str, AnalysisEntry] = field(default_factory=dict)
+    stops: dict[str, str] = field(default_factory=dict)
+    evidence: Evidence | None = None
+    fracture: FractureEntry | None = None
+    carried: Mapping[str, CarriedEntry] = field(default_factory=dict)
+
 
 #: factor between planned and taken from which on a reason is given
 FACTOR: Final = 2.0
 #: what sampling answers, by how the names of its errors begin
 _ANSWERS: Final = {QUANTILE_KIND: "The worst quantile", MEAN_KIND: "The mean", MISS_KIND: "The probability"}
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Part:
-    """What a part was likely to evaluate and what it took, of a run that found this."""
-
-    name: str
-    likely: int
-    taken: int
-    found: Findings
-    planned: bool
-    surrogate: bool
-
-    @property
-    def more(self) -> bool:
-        return self.taken > self.likely
-
-    @property
-    def ended(self) -> str:
-        """Why its stages ended before the accuracy was reached."""
-        stop = self.found.stops.get("sensitivity" if self.name == "sensitivity" else "sampling", "")
-        return {
-            "evaluations": "the next stage would have passed the budget",
-            "time": "the time was over, or the run was stopped",
-            "out of reach": "what is left was seen to be out of the budget's reach and given up",
-            "failures": "rows without an answer ended it",
-        }.get(stop, "")
-
-    def why(self) -> str:
-        """Why it took much more or less than was likely, in a sentence; nothing where it did not."""
-        if max(self.likely, 1) <= FACTOR * max(self.taken, 1) and max(self.taken, 1) <= FACTOR * max(self.likely, 1):
-            return ""
-        if self.planned and not self.surrogate and self.name != "surrogate" and not self.likely:
-            return "A surrogate was not good enough, and the model was sampled."
-        if self.name in _WHY:
-            return _WHY[self.name](self)
-        return "Nothing was left for it." if not self.taken else ""
+#: why stages end before the accuracy is reached
+_ENDED: Final = {
+    "evaluations": "the next stage would have passed the budget",
+    "time": "the time was over, or the run was stopped",
+    "out of reach": "what is left was seen to be out of the budget's reach and given up",
+    "failures": "rows without an answer ended it",
+}
+_SEARCHES: Final = ("importance sampling", "subset simulation")
+_MOMENT: Final = "The moment of fracture takes rows of the full model, at the value planned or along the load."
+#: why a part takes less than was likely, and why it takes more
+_REASONS: Final = {
+    "pilot": ("Fewer models were compared than there are.", "The first runs of the model were timed."),
+    "sampling": ("The quantities are smoother than was assumed, and their errors fell faster.", ""),
+    "sensitivity": ("Fewer runs were paired for the indices than was assumed.", ""),
+    "surrogate": ("The model is smoother than was assumed, and fewer runs gave the accuracy.",
+                  "The model is less smooth than was assumed, and the surrogate needed more runs."),
+    "rare events": ("Sampling had the probabilities well enough already.",
+                    "The search for the design points took more than the least that it can."),
+    "margins": ("The first rows were enough.",
+                "The bands, or the values asked for, took more rows than the first ones, or a demand jumps."),
+    "fracture": (_MOMENT, _MOMENT),
+}  # fmt: skip
 
 
 def account(work: Work, found: Findings, *, planned: bool, surrogate: bool, affordable: int) -> tuple[PartEntry, ...]:
@@ -83,29 +98,38 @@ def account(work: Work, found: Findings, *, planned: bool, surrogate: bool, affo
     rows = []
     for name in [*parts, *(name for name in taken if name not in parts and taken[name])]:
         likely, most = (parts[name].likely, parts[name].most) if name in parts else (0, 0)
-        part = _Part(name=name, likely=likely, taken=taken.get(name, 0), found=found, planned=planned,
-                     surrogate=surrogate)  # fmt: skip
-        rows.append(PartEntry(part=name, likely=likely, most=most, taken=part.taken, why=part.why()))
+        spent, why = taken.get(name, 0), ""
+        if max(likely, spent, 1) > FACTOR * max(min(likely, spent), 1):
+            left = planned and not surrogate and not likely and name != "surrogate"
+            why = "A surrogate was not good enough, and the model was sampled." if left else ""
+            why = why or _why(name, work, found, more=spent > likely, surrogate=surrogate)
+            why = why or ("" if spent else "Nothing was left for it.")
+        rows.append(PartEntry(part=name, likely=likely, most=most, taken=spent, why=why))
     return tuple(rows)
 
 
-def _of_stages(part: _Part) -> str:
-    if part.more:
-        late = f"; it ended since {part.ended}" if part.ended else ""
-        return f"{_slowest(part)} took more points than a smooth, nearly normal quantity does{late}."
-    if part.ended:
-        return f"It ended early: {part.ended}."
-    if not part.taken:
-        return "No runs were paired for the indices." if part.name == "sensitivity" else "Nothing was sampled."
-    return "The quantities are smoother than was assumed, and their errors fell faster."
+def _why(part: str, work: Work, found: Findings, *, more: bool, surrogate: bool) -> str:
+    """Why a part took much more or less than was likely, in a sentence; nothing where that is not known."""
+    ended = _ENDED.get(found.stops.get("sensitivity" if part == "sensitivity" else "sampling", ""), "")
+    staged = part in ("sampling", "sensitivity")
+    if staged and more:
+        late = f"; it ended since {ended}" if ended else ""
+        return f"{_slowest(part, work.ledger.rows)} took more points than a smooth, nearly normal quantity does{late}."
+    if part == "surrogate" and not surrogate:
+        return "The surrogate was found too rough, and no more runs were made for it."
+    if (staged or part == "surrogate") and not more and ended:
+        return f"It ended early: {ended}."
+    if part == "rare events" and more and any(row.method in _SEARCHES for row in work.ledger.rows):
+        return "A probability was too small for plain sampling, and its failures were searched for."
+    return _REASONS.get(part, ("", ""))[more]
 
 
-def _slowest(part: _Part) -> str:
+def _slowest(part: str, history: Sequence[SpeedRow]) -> str:
     """The answer of a part with the largest error over its standard deviation, as it is called."""
-    told = {INDEX_KIND: "The indices"} if part.name == "sensitivity" else _ANSWERS
+    told = {INDEX_KIND: "The indices"} if part == "sensitivity" else _ANSWERS
     last = {
         (row.quantity, head): float(row.error or 0.0)
-        for row in part.found.history
+        for row in history
         for head in told
         if row.error_kind.startswith(head)
     }
@@ -113,45 +137,6 @@ def _slowest(part: _Part) -> str:
         return "It"
     quantity, head = max(last, key=lambda key: last[key])
     return f"{told[head]} of {quantity.removeprefix('limits.')}"
-
-
-def _of_rare_events(part: _Part) -> str:
-    if not part.more:
-        return "Sampling had the probabilities well enough already."
-    if any(row.method in ("importance sampling", "subset simulation") for row in part.found.history):
-        return "A probability was too small for plain sampling, and its failures were searched for."
-    return "The search for the design points took more than the least that it can."
-
-
-def _of_surrogate(part: _Part) -> str:
-    if not part.surrogate:
-        return "The surrogate was found too rough, and no more runs were made for it."
-    if not part.more:
-        early = f"It ended early: {part.ended}." if part.ended else ""
-        return early or "The model is smoother than was assumed, and fewer runs gave the accuracy."
-    if any(one.kind == "surrogate" for one in part.found.sampled.missed):
-        return "What is too rough for a surrogate took the runs that the budget had room for."
-    return "The model is less smooth than was assumed, and the surrogate needed more runs."
-
-
-def _of_margins(part: _Part) -> str:
-    if part.more:
-        return "The bands, or the values asked for, took more rows than the first ones, or a demand jumps."
-    return "The first rows were enough." if part.taken else "No curve was computed."
-
-
-_WHY: Final[dict[str, Callable[[_Part], str]]] = {
-    "pilot": lambda part: "The first runs of the model were timed." if part.more else _FEWER_MODELS,
-    "sampling": _of_stages,
-    "sensitivity": _of_stages,
-    "rare events": _of_rare_events,
-    "surrogate": _of_surrogate,
-    "margins": _of_margins,
-    "fracture": lambda _: (
-        "The moment of fracture takes rows of the full model, at the value planned or along the load."
-    ),
-}
-_FEWER_MODELS: Final = "Fewer models were compared than there are."
 
 
 # --- Every accuracy that a run was asked for: what was reached, and what the rest would take.
@@ -171,21 +156,29 @@ def questions(work: Work, found: Findings, missed: Sequence[Missed]) -> tuple[Qu
         told[one.subject, one.kind].append(one)
     asked = work.study.analysis.accuracy
     rows: list[QuestionRow] = []
+
+    def add(
+        name: str, question: str, kind: str, wanted: float, of: Sequence[Estimate], scale: float, exempt: str = ""
+    ) -> None:
+        if math.isfinite(wanted):
+            rows.append(_row(name, question, wanted, _worst(of, scale), told[name, kind], exempt))
+
     for name, described in found.sampled.descriptions.items():
-        rows += _of_description(name, described, asked, told)
-    for name, indices in found.sensitivity.items() if math.isfinite(asked.sobol) else ():
-        refused = indices.text if not indices.missed else ""
-        reached = _worst(indices.estimates(), 1.0)
-        rows.append(_row(name, "worst index", asked.sobol, reached, told[name, "indices"], refused))
-    for name, limit in found.sampled.limits.items() if math.isfinite(asked.probability) else ():
+        scale, counted = described.scale, [e for p, e in described.quantiles.items() if p not in described.exempt]
+        if scale > 0.0 and described.mean.value is not None:
+            add(name, f"mean, over {described.scale_name}", "mean", asked.mean, [described.mean], scale)
+        if scale > 0.0 and counted:
+            add(name, f"worst quantile, over {described.scale_name}", "quantile", asked.quantile, counted, scale)
+    for name, indices in found.sensitivity.items():
+        refused = "" if indices.missed else indices.text
+        add(name, "worst index", "indices", asked.sobol, list(indices.estimates()), 1.0, refused)
+    for name, limit in found.sampled.limits.items():
         for which in ("exceedance", "miss") if limit.aim == "break" else ("miss",):
             estimate: Estimate = getattr(limit, which)
             said = "of missing the aim" if which == "miss" else "of exceedance"
-            reached = _worst([estimate], estimate.value or math.nan)
-            late, exempt = told[f"limits.{name}", which], NO_MATTER if limit.beneath(which) else ""
-            rows.append(
-                _row(f"limits.{name}", f"probability {said}, over itself", asked.probability, reached, late, exempt)
-            )
+            exempt = NO_MATTER if limit.beneath(which) else ""
+            add(f"limits.{name}", f"probability {said}, over itself", which, asked.probability, [estimate],
+                estimate.value or math.nan, exempt)  # fmt: skip
     for name, margin in found.margins.items():
         rows += _of_curves(name, margin)
     return tuple(rows)
@@ -215,39 +208,30 @@ def _row(
     )
 
 
-def _of_description(
-    name: str, described: Description, asked: Accuracies, told: Mapping[tuple[str, str], list[Missed]]
-) -> Iterator[QuestionRow]:
-    if not described.scale > 0.0:
-        return
-    scale, over = described.scale, described.scale_name
-    if described.mean.value is not None and math.isfinite(asked.mean):
-        reached = _worst([described.mean], scale)
-        yield _row(name, f"mean, over {over}", asked.mean, reached, told.get((name, "mean"), []))
-    counted = [e for p, e in described.quantiles.items() if p not in described.exempt]
-    if counted and math.isfinite(asked.quantile):
-        reached = _worst(counted, scale)
-        yield _row(name, f"worst quantile, over {over}", asked.quantile, reached, told.get((name, "quantile"), []))
-
-
 def _of_curves(name: str, margin: MarginAnswer) -> Iterator[QuestionRow]:
+    """The bands of the curve of a limit and of those of its family, and their steps."""
     for at, band in {"": margin.band, **margin.bands}.items():
         if band is not None:
-            curve = _curve(name, at, "band", band.missed(), band.table()["needed"])
-            reached = band.half_width, band.evaluations
+            told = [(band.missed(), band.table()["needed"])] if band.missed() else []
             text = "band of the curve, over the smaller side"
-            yield _row(curve.subject, text, band.asked, reached, [curve] * bool(band.missed()))
+            yield _of_curve(name, at, "band", text, band.asked, (band.half_width, band.evaluations), told)
     for at, steps in {"": margin.coarse, **margin.steps}.items():
         if steps is not None:
-            curve = _curve(name, at, "steps", steps.missed(), rounded(steps.needed))
+            told = [(steps.missed(), rounded(steps.needed))]
             text = "largest step of the curve, in normal scores"
-            yield _row(curve.subject, text, steps.asked, (steps.step, steps.evaluations), [curve])
+            yield _of_curve(name, at, "steps", text, steps.asked, (steps.step, steps.evaluations), told)
 
 
-def _curve(name: str, at: str, kind: str, text: str, needed: int | None) -> Missed:
-    """What is said of the curve of a limit, or of one of its family."""
+def _of_curve(
+    name: str, at: str, kind: str, question: str, asked: float, reached: tuple[float, int],
+    told: Sequence[tuple[str, int | None]],
+) -> QuestionRow:  # fmt: skip
     subject, head = (f"margins.{name} at {at}", f"{name}: at {at}") if at else (f"margins.{name}", name)
-    return Missed(subject=subject, kind=kind, said=f"margins {head}: {text}", cost=Cost(needed=needed))
+    missed = [
+        Missed(subject=subject, kind=kind, said=f"margins {head}: {text}", cost=Cost(needed=needed))
+        for text, needed in told
+    ]
+    return _row(subject, question, asked, reached, missed)
 
 
 def _worst(estimates: Sequence[Estimate], scale: float) -> tuple[float | None, int | None]:
@@ -277,65 +261,53 @@ _LOW, _HIGH, _APART = 0.1587, 0.8413, 3.29
 
 def further_rows(results: Results) -> list[tuple[str, SpeedRow]]:
     """(part of the run, row) for every answer of results.json that has an interval and no course."""
-    rows: list[tuple[str, SpeedRow]] = []
-
-    def add(part: str, quantity: str, kind: str, estimates: Iterable[Est], scale: float | None = 1.0) -> None:
+    rows = []
+    for part, quantity, kind, estimates, scale in _further(results):
         known = [e for e in estimates if e.value is not None and e.low is not None]
-        if not known or not scale or not scale > 0.0:
-            return
-        worst = max(known, key=_half)
-        if _half(worst) > 0.0:
-            row = SpeedRow(
-                method=worst.method,
-                quantity=quantity,
-                evaluations=int(worst.evaluations),
-                error=_half(worst) / scale,
-                error_kind=kind,
-            )
-            rows.append((part, row))
-
-    for name, margin in results.margins.items():
-        for at, curve in _curves(margin):
-            add("margins", f"margins.{name}{at}", _VALUE, curve.values.values(), _spread(curve.curve))
-    _add_fracture(add, results.fracture)
-    for name, entry in results.sensitivity.items():
-        add("drivers", name, _DELTA, entry.delta.values())
-        add("drivers", name, _PAWN, entry.pawn.values())
-    for name, limit in results.limits.items():
-        drivers = limit.drivers
-        add("drivers", f"limits.{name}", _MISSING, [*drivers.first.values(), *drivers.total.values()])
-        add("drivers", f"limits.{name}", _MISSING, [drivers.explained])
-        means = [_over(one) for one in (drivers.given_failure or {}).values()]
-        add("drivers", f"limits.{name}", _THERE, means)
+        worst = max(known, key=_half, default=None)
+        if worst is not None and scale and scale > 0.0 and _half(worst) > 0.0:
+            error, evaluations = _half(worst) / scale, int(worst.evaluations)
+            rows.append((part, SpeedRow(method=worst.method, quantity=quantity, evaluations=evaluations, error=error,
+                                        error_kind=kind)))  # fmt: skip
     return rows
 
 
-def _add_fracture(add: Callable[..., None], fracture: FractureEntry) -> None:
-    """The rows of fracture by any limit; of one limit its probability and its curve are the limit's own."""
+def _further(results: Results) -> Iterator[tuple[str, str, str, Iterable[Est], float | None]]:
+    """Part, quantity, kind, the estimates whose worst tells the error, and its scale."""
+    for name, margin in results.margins.items():
+        yield "margins", f"margins.{name}", _VALUE, margin.values.values(), _spread(margin.curve)
+        path = margin.family.path
+        for member in margin.family.members:
+            called = f"margins.{name} at {path} {format_value(member.value, path)}"
+            yield "margins", called, _VALUE, member.values.values(), _spread(member.curve)
+    yield from _of_fracture(results.fracture)
+    for name, entry in results.sensitivity.items():
+        yield "drivers", name, _DELTA, entry.delta.values(), 1.0
+        yield "drivers", name, _PAWN, entry.pawn.values(), 1.0
+    for name, limit in results.limits.items():
+        drivers = limit.drivers
+        means = [_over(one) for one in (drivers.given_failure or {}).values()]
+        of_limit = ((_MISSING, [*drivers.first.values(), *drivers.total.values()]), (_MISSING, [drivers.explained]),
+                    (_THERE, means))  # fmt: skip
+        yield from (("drivers", f"limits.{name}", kind, estimates, 1.0) for kind, estimates in of_limit)
+
+
+def _of_fracture(fracture: FractureEntry) -> Iterator[tuple[str, str, str, Iterable[Est], float | None]]:
+    """The same of fracture by any limit; of one limit its probability and its curve are the limit's own."""
     several = len(fracture.limits) > 1
     for key, estimate in (("union", fracture.union if several else Est()), ("first_loading", fracture.first_loading)):
-        if estimate:
-            add("fracture", f"fracture.{key}", _FRACTURE, [estimate], estimate.value)
-    if fracture.curve:
-        add("fracture", "fracture.curve", _VALUE, fracture.values.values(), _spread(fracture.curve))
+        yield "fracture", f"fracture.{key}", _FRACTURE, [estimate], estimate.value
+    yield "fracture", "fracture.curve", _VALUE, fracture.values.values(), _spread(fracture.curve)
     if several:
-        add("fracture", "fracture.governed_by", _SHARE, fracture.governed_by.values())
+        yield "fracture", "fracture.governed_by", _SHARE, fracture.governed_by.values(), 1.0
     for name, found in fracture.states().items():
         low, high = (found.quantiles[p].value if p in found.quantiles else None for p in ("0.05", "0.95"))
         if name != "specific_energy" and low is not None and high is not None:
-            add("fracture", f"fracture.{name}", _MEDIAN, [found.median], (float(high) - float(low)) / _APART)
+            yield "fracture", f"fracture.{name}", _MEDIAN, [found.median], (float(high) - float(low)) / _APART
 
 
 def _half(estimate: Est) -> float:
     return 0.5 * float((estimate.high or 0.0) - (estimate.low or 0.0))
-
-
-def _curves(entry: MarginEntry) -> Iterator[tuple[str, MarginEntry | MemberEntry]]:
-    """The curve of a limit, and those of its family, by what is added to its name."""
-    yield "", entry
-    family = entry.family
-    for member in family.members:
-        yield f" at {family.path} {format_value(member.value, family.path)}", member
 
 
 def _spread(curve: Curve) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from uqsphere.black_box import BlackBox, model_digest
 from uqsphere.errors import ModelError, UsageError
 from uqsphere.model import NO_DAMPER, scene_of
 from uqsphere.quantities import INPUTS, format_value
+from uqsphere.results import Results
 from uqsphere.store import open_store
 from uqsphere.study import Study
 
@@ -84,7 +86,6 @@ def run(
     from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work
     from uqsphere.runner.finished import Keeper
     from uqsphere.runner.log import logged
-    from uqsphere.runner.services import run_services
     from uqsphere.runner.workers import Engine
 
     _check_usage(study, model, executor)
@@ -120,7 +121,12 @@ def run(
             extension=why_not_extended if extend else None,
         )
         opened.callback(store.close)
-        services, left = run_services(study, folder, seconds, one)
+        # the seconds are shared evenly among the parts to come, the rig's own run among them
+        end, services = time.monotonic() + seconds, dict[str, Results]()
+        for name, service in study.services.items():
+            left = max(end - time.monotonic(), 0.0) / (len(study.parts) - len(services))
+            services[name] = one(service, folder / "services" / name, left).results
+        left = end - time.monotonic() if services else seconds
         work = Work(
             study=study,
             store=store,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
@@ -57,6 +57,21 @@ def history_of(study: Study, values: Mapping[str, float] | None = None, *, point
         return replace(found, gauges=tuple(gauges))
     except ValueError as error:
         raise UsageError(str(error)) from None
+
+
+def compare_with_paper(study: Study) -> list[Fields]:
+    """Rows of as printed, corrected and full answers at the means, where the study asks for them.
+
+    Raises UsageError where the scene at the means has no answer.
+    """
+    if study.black_box or not study.model.compare_with_paper:
+        return []
+    from uqsphere.mechanics.as_printed import compare
+
+    try:
+        return [asdict(row) for row in compare(scene_of(study, {}), tolerance=study.model.tolerance)]
+    except ValueError as error:
+        raise UsageError(f"model.compare_with_paper: leave it out; at the means of all inputs {error}") from None
 
 
 def _with_damper(study: Study, scene: Scene) -> tuple[Scene, Damper | None]:

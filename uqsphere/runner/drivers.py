@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -67,8 +67,8 @@ _PROBABILITY = (
 class Drivers:
     """Tables by quantity and by limit, as results.json has them."""
 
-    quantities: dict[str, Fields]
-    limits: dict[str, Fields]
+    quantities: dict[str, Fields] = field(default_factory=dict)
+    limits: dict[str, Fields] = field(default_factory=dict)
 
 
 def find_drivers(work: Work, sampled: Sampled, shared: Shared) -> Drivers:
@@ -78,7 +78,7 @@ def find_drivers(work: Work, sampled: Sampled, shared: Shared) -> Drivers:
     """
     names = work.scene_names
     if not names:
-        return Drivers(quantities={}, limits={})
+        return Drivers()
     sample = sampled.rows.head(POINTS).whole()
     quantities = {
         quantity: {

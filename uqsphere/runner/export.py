@@ -1,4 +1,4 @@
-"""Samples and tables of a finished run in formats that other tools read."""
+"""Samples and tables of a run: stored, read again, and in formats that other tools read."""
 
 from __future__ import annotations
 
@@ -7,16 +7,125 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from uqsphere.arrays import Array
 from uqsphere.errors import AccessError, FolderError, UsageError
-from uqsphere.files import LARGEST_ARRAY, read_whole
+from uqsphere.files import LARGEST_ARRAY, array_of, read_whole
 from uqsphere.results import NO_RIG
+from uqsphere.results.entries import SampleNames, read_entry
 from uqsphere.results.tables import table_cells
-from uqsphere.store import plain_cell, write_outputs
+from uqsphere.runner.evaluate import Work
+from uqsphere.store import Store, plain_cell, read_json, write_atomically, write_json, write_outputs
+from uqsphere.uq.sample import Sample
 
 if TYPE_CHECKING:
     import pandas as pd
+    from xarray import Dataset
 
+    from uqsphere.results.entries import Manifest
     from uqsphere.runner.finished import Run
+    from uqsphere.uq.surrogate import Surrogate
+
+#: rows kept for figures: the first ones of every replicate
+KEPT = 16_384
+
+
+def save_points(work: Work, store: Store, sample: Sample) -> None:
+    """Store the first rows of the sample: inputs, answers, status, censored flags."""
+    sample = sample.head(max(1, KEPT // sample.replicates))
+    d, q = len(work.drawn.names), len(work.quantities)
+    parts = [
+        sample.inputs.reshape(sample.size, d),
+        sample.answers.reshape(sample.size, q),
+        sample.censored.reshape(sample.size, q).astype(float),
+        sample.status.reshape(sample.size, 1).astype(float),
+    ]
+    buffer = io.BytesIO()
+    np.save(buffer, np.concatenate(parts, axis=1), allow_pickle=False)
+    write_atomically(store.folder / "samples.npy", buffer.getvalue())
+    names = SampleNames(inputs=tuple(work.drawn.names), quantities=work.quantities)
+    write_json(store.folder / "samples.json", names.document())
+
+
+def read_points(folder: Path) -> tuple[list[str], list[str], Array]:
+    """Names of inputs and of quantities, and the rows: inputs, quantities, censored flags, status.
+
+    Raises
+    ------
+    FolderError
+        When they are missing or damaged.
+    """
+    names = read_entry(folder / "samples.json", SampleNames)
+    inputs, quantities = list(names.inputs), list(names.quantities)
+    try:
+        rows = array_of(read_whole(folder / "samples.npy", LARGEST_ARRAY))
+    except (AccessError, ValueError) as error:
+        raise FolderError(f"the samples in {folder} are damaged: {error}") from error
+    if rows.ndim != 2 or rows.shape[1] != len(inputs) + 2 * len(quantities) + 1:
+        raise FolderError(f"the samples in {folder} are damaged: found an array of shape {rows.shape}")
+    if not np.isfinite(rows[rows[:, -1] == 0.0]).all() or not np.isfinite(rows[:, -1]).all():
+        raise FolderError(f"the samples in {folder} are damaged: a row without fault holds no numbers")
+    return inputs, quantities, rows
+
+
+def load_samples(folder: Path) -> pd.DataFrame:
+    """The stored rows as a table: a column per input and quantity (SI), `status`, `censored_NAME`."""
+    import pandas as pd
+
+    inputs, quantities, rows = read_points(folder)
+    d, q = len(inputs), len(quantities)
+    frame = pd.DataFrame(rows[:, : d + q], columns=[*inputs, *quantities])
+    frame["status"] = rows[:, -1].astype(int)
+    for k, name in enumerate(quantities):
+        frame[f"censored_{name}"] = rows[:, d + q + k] > 0.0
+    return frame
+
+
+def surrogate_of(folder: Path, output: str | None, *, rows: int, plain: bool) -> Surrogate:
+    """A surrogate of a quantity, fitted to stored rows that have an answer; `Run.surrogate`."""
+    from threadpoolctl import threadpool_limits
+
+    from uqsphere.study import load_study
+    from uqsphere.uq.points import random_generator
+    from uqsphere.uq.surrogate import fit_surrogate
+
+    frame = load_samples(folder)
+    known = [name.removeprefix("censored_") for name in frame.columns if name.startswith("censored_")]
+    name = known[0] if output is None and known else str(output)
+    if name not in known:
+        raise UsageError(f"there is no quantity {name!r} (there are: {', '.join(known) or 'none'})")
+    mark = read_json(folder / "study.resolved.json")
+    study = load_study(folder / "study.toml", tuple(mark.get("overrides", ())) if isinstance(mark, dict) else ())
+    if not study.random:
+        raise UsageError("no input of the model is random: there is nothing to fit a surrogate over")
+    good = frame[(frame["status"] == 0) & ~frame[f"censored_{name}"] & np.isfinite(frame[name])]
+    chosen = random_generator(seed=study.seed, task=f"surrogate {name}").permutation(len(good))[:rows]
+    inputs = study.inputs().only(tuple(study.random))
+    with threadpool_limits(limits=1, user_api="blas"):
+        x = good[list(inputs.names)].to_numpy()[chosen]
+        return fit_surrogate(x, good[name].to_numpy()[chosen], inputs, output=name, plain=plain)
+
+
+def dataset_of(frame: pd.DataFrame, manifest: Manifest) -> Dataset:
+    """Stored rows as xarray has them; `Run.to_xarray`."""
+    try:
+        import xarray
+    except ImportError as error:
+        raise UsageError('xarray is missing: pip install "uqsphere[xarray]"') from error
+    import uqsphere
+    from uqsphere.quantities import lookup
+
+    columns = {}
+    for name in frame.columns:
+        unit = "" if name == "status" or name.startswith("censored_") else lookup(name).unit
+        columns[name] = (("chain", "draw"), frame[name].to_numpy()[None, :], {"units": unit} if unit else {})
+    own = {"inference_library": "uqsphere", "inference_library_version": uqsphere.__version__}
+    coordinates = {"chain": [0], "draw": np.arange(len(frame))}
+    return xarray.Dataset(columns, coords=coordinates, attrs={"created_at": manifest.finished, **own})
+
+
+# --- tables ----------------------------------------------------------------------------------------------
 
 
 def read_table(folder: Path, name: str) -> pd.DataFrame:
@@ -47,15 +156,10 @@ def _frames(run: Run) -> dict[str, pd.DataFrame]:
     for name, (header, rows) in sorted(table_cells(run.results).items()):
         if not (run.folder / "tables" / f"{name}.csv").is_file():
             raise FolderError(f"{run.folder} has no tables/{name}.csv: it is damaged; run the study again")
-        frames[name] = pd.DataFrame([[_cell(value) for value in row] for row in rows], columns=list(header))
+        cells = [[plain_cell(cell) or None if isinstance(cell, str) else cell for cell in row] for row in rows]
+        frames[name] = pd.DataFrame(cells, columns=list(header))
     own = {} if run.results.rig == NO_RIG else {"samples": run.samples()}
     return {**own, **frames}
-
-
-def _cell(value: object) -> object:
-    if isinstance(value, str):
-        return plain_cell(value) or None
-    return value
 
 
 def _content(frame: pd.DataFrame, form: str) -> bytes:

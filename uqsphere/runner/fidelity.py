@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,10 +13,12 @@ from uqsphere.mechanics.fidelity import Fallback, fit_error_law
 from uqsphere.mechanics.outputs import all_with
 from uqsphere.mechanics.yielding import Face
 from uqsphere.model import cheaper_fidelities, is_answered, scene_of, solve_scene
-from uqsphere.results.entries import CheckEntry
+from uqsphere.results import CandidateEntry
+from uqsphere.results.entries import CheckEntry, Fields
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import Work, draw
 from uqsphere.runner.schedule import PILOT, pilot_points
+from uqsphere.runner.similarity import Tabled, table_entry, table_saved
 from uqsphere.study import Limit, Study
 from uqsphere.uq.estimate import finite
 from uqsphere.uq.law import Law
@@ -24,7 +26,6 @@ from uqsphere.uq.law import Law
 if TYPE_CHECKING:
     from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
-    from uqsphere.mechanics.validity import Check
 
 #: a cheaper fidelity is taken if its error is below this share of the tightest accuracy asked for
 SHARE = 0.2
@@ -84,6 +85,34 @@ class Pilot:
     evaluations: dict[str, int] = field(default_factory=dict)
     candidates: tuple[Candidate, ...] = ()
     fallback: Fallback | None = None
+
+    def entry(self, work: Work, *tables: Tabled) -> Fields:
+        """Which model answered, what it took, and what cheaper ones, or the tables of sampling and indices, saved."""
+        ledger, share, saved = work.ledger, None, table_saved(*tables)
+        if self.fallback is not None:
+            spared = ledger.evaluations.get(self.chosen, 0) - self.evaluations.get(self.chosen, 0)
+            rows, cut, text = spared + ledger.fallback, 0.0, "nothing was evaluated after the pilot"
+            if rows:
+                cost = {c.fidelity: c.cost for c in self.candidates}[self.chosen]
+                share, cut = ledger.fallback / rows, 1.0 - (ledger.fallback + spared * cost) / rows
+                text = f"{spared:,} evaluations of full are spared, {100.0 * cut:.0f} % of the cost after the pilot"
+            saved = {"full_evaluations": spared if rows else 0, "cost_share": cut, "text": text}
+        return {
+            "chosen": self.chosen,
+            "why": self.why,
+            "measured_error": self.measured_error,
+            "evaluations": dict(ledger.evaluations),
+            "failures": sum(ledger.failures.values()),
+            "failure_reasons": {str(code): number for code, number in sorted(ledger.failures.items())},
+            "numbers": self.numbers,
+            "considered": {
+                c.fidelity: {name: getattr(c, name) for name in CandidateEntry.model_fields} for c in self.candidates
+            },
+            "fallback_share": share,
+            "control": table_entry(*tables),
+            "saved": saved,
+            "undecided": ledger.undecided,
+        }
 
 
 #: share of the strengths above the hardness that is told, and beyond which breaking is doubtful, and out of reach
@@ -354,7 +383,7 @@ def check_table(scene: Scene, answers: Answers, quantities: tuple[str, ...]) -> 
     """Every validity check of a batch."""
     from uqsphere.mechanics.validity import check_ranges, check_validity
 
-    return [check_entry(row) for row in (*check_validity(scene, answers), *check_ranges(scene, answers, quantities))]
+    return [CheckEntry.of(row) for row in (*check_validity(scene, answers), *check_ranges(scene, answers, quantities))]
 
 
 def out_of_reach(study: Study, scene: Scene) -> list[CheckEntry]:
@@ -379,8 +408,3 @@ def out_of_reach(study: Study, scene: Scene) -> list[CheckEntry]:
     said = f"{100.0 * share:.3g} % of the strengths of {worst.name} lie above the hardness, which no pressure exceeds"
     return [CheckEntry(check="reachable", share=shares[1] + shares[2], share_information=shares[0],
                        share_warning=shares[1], share_failure=shares[2], worst=share, text=said)]  # fmt: skip
-
-
-def check_entry(row: Check) -> CheckEntry:
-    """A validity check as results.json has it."""
-    return CheckEntry(share=row.share_warning + row.share_failure, **asdict(row))

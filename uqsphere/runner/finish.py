@@ -4,27 +4,27 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from uqsphere.results import PlanEntry
+from uqsphere.results import PlanEntry, Results
 from uqsphere.results.entries import PricesEntry
-from uqsphere.runner.account import account, further_rows
+from uqsphere.runner.account import Findings, account, further_rows
 from uqsphere.runner.courses import save_courses
-from uqsphere.runner.datafiles import keep_data
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.evidence import gather
 from uqsphere.runner.expensive import Expensive, Priced
+from uqsphere.runner.export import save_points
 from uqsphere.runner.finished import Run
 from uqsphere.runner.forecast import JUDGED
-from uqsphere.runner.results import Findings, bare_results, build_manifest, build_results, write_results
-from uqsphere.runner.samples import save_points
+from uqsphere.runner.kept import keep_data
+from uqsphere.runner.results import bare_results, build_manifest, build_results, write_results
 from uqsphere.runner.sliders import save_sliders
 from uqsphere.store import Store
 
 
 def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None, found: Findings) -> Run:
     """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""
-    way = priced.way
+    way, ledger = priced.way, work.ledger
     found = replace(found, evidence=gather(work, found.sampled.sample))
-    work.ledger.close(JUDGED)
+    ledger.close(JUDGED)
     taken = "surrogate" if expensive is not None and expensive.surrogate else "sampling"
     plan = PlanEntry(
         way=taken,
@@ -33,32 +33,31 @@ def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None
         surrogate_evaluations=way.runs,
         parts=account(work, found, planned=way.surrogate, surrogate=taken == "surrogate", affordable=way.affordable),
     )
-    found = replace(found, plan=plan)
     store.take_over()
-    save_points(work, store, found.sampled)
+    save_points(work, store, found.sampled.sample)
     save_courses(work, store, found.sampled)
     save_sliders(work, store, found.evidence, found.margins)
-    keep_data(work.study, store.folder)
-    results = build_results(work, found)
+    results = build_results(work, found, plan)
     further = further_rows(results)
     results = results.model_copy(update={"speed_error": (*results.speed_error, *(row for _, row in further))})
-    ends = [work.ledger.seconds.get(part, work.ledger.elapsed) for part, _ in further]
+    ends = [ledger.seconds.get(part, ledger.elapsed) for part, _ in further]
     prices = PricesEntry(
         cost_seconds_per_evaluation=priced.cost,
         crossover_seconds_per_evaluation=way.crossover,
         balance_seconds_per_evaluation=way.balance,
         affordable_evaluations=way.affordable,
     )
-    manifest = build_manifest(work, work.ledger, [*work.ledger.times, *ends], prices)
-    write_results(store, results, manifest)
-    return Run(folder=store.folder, results=results, manifest=manifest)
+    return _written(work, store, results, [*ledger.times, *ends], prices)
 
 
 def finish_bare(work: Work, store: Store) -> Run:
     """Write what the services of a study without a rig of its own have found."""
     store.take_over()
+    return _written(work, store, bare_results(work.study, work.services), [], PricesEntry())
+
+
+def _written(work: Work, store: Store, results: Results, seconds: list[float], prices: PricesEntry) -> Run:
     keep_data(work.study, store.folder)
-    results = bare_results(work.study, work.services)
-    manifest = build_manifest(work, work.ledger, [], PricesEntry())
+    manifest = build_manifest(work, seconds, prices)
     write_results(store, results, manifest)
     return Run(folder=store.folder, results=results, manifest=manifest)

@@ -107,7 +107,7 @@ class Run:
 
     def samples(self) -> pd.DataFrame:
         """Rows that were sampled: inputs (SI), quantities (SI), status, censored flags."""
-        from uqsphere.runner.samples import load_samples
+        from uqsphere.runner.export import load_samples
 
         return load_samples(self.folder)
 
@@ -125,7 +125,7 @@ class Run:
         UsageError
             For a name that the run does not have, and where the rows are too few.
         """
-        from uqsphere.runner.samples import surrogate_of
+        from uqsphere.runner.export import surrogate_of
 
         return surrogate_of(self.folder, output, rows=rows, plain=plain)
 
@@ -134,7 +134,7 @@ class Run:
 
         Raises UsageError where xarray is not installed.
         """
-        from uqsphere.runner.samples import dataset_of
+        from uqsphere.runner.export import dataset_of
 
         return dataset_of(self.samples(), self.manifest)
 

@@ -9,6 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.quantities import format_estimate
+from uqsphere.results import LimitEntry
+from uqsphere.results.entries import Fields
 from uqsphere.runner.campaign import Missed
 from uqsphere.runner.evaluate import Work
 from uqsphere.study import Limit
@@ -82,19 +85,30 @@ class LimitAnswer:
         return f"{which}: half-width {told_apart(relative, asked)} of the probability, asked {asked:g}"
 
     @property
-    def reliability_index(self) -> float | None:
-        """That of missing the aim."""
-        return reliability_index(self.miss.value)
-
-    @property
-    def reliability_interval(self) -> tuple[float | None, float | None]:
-        """Its 95 % interval."""
-        return reliability_index(self.miss.high), reliability_index(self.miss.low)
-
-    @property
     def met(self) -> bool | None:
         """Whether the target is met; None: undecided, or no target."""
         return None if self.target is None else target_met(self.miss, self.target)
+
+    @property
+    def told(self) -> str:
+        """The probability of missing the aim with its interval, for people; empty where it is not known."""
+        value, low, high = self.miss.value, self.miss.low, self.miss.high
+        if value is None or low is None or high is None:
+            return ""
+        return format_estimate(value, low, high, most=5)
+
+    def entry(self) -> Fields:
+        """The same as results.json has it, before its verdict."""
+        return {
+            **{key: value for key, value in vars(self).items() if key in LimitEntry.model_fields},
+            "reliability_index": reliability_index(self.miss.value),
+            "reliability_index_interval": (reliability_index(self.miss.high), reliability_index(self.miss.low)),
+            "met": self.met,
+            "design_point": self.design,
+            "design_point_reason": None if self.design else self.design_reason,
+            "governing_inputs": self.governing,
+            "governing_inputs_method": self.governing_method,
+        }
 
     def with_check(self, text: str) -> LimitAnswer:
         """The same with one remark more."""

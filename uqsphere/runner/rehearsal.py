@@ -112,7 +112,7 @@ def stored_study(text: str, resolved: Mapping[str, Any], place: Path, data: Mapp
     ----------
     text, resolved : content of study.toml and of study.resolved.json.
     place : a private folder.
-    data : content of the data files that are kept, by name (`uqsphere.runner.datafiles.kept_data`): they go there.
+    data : content of the data files that are kept, by name (`uqsphere.runner.kept.kept_data`): they go there.
 
     Raises
     ------

@@ -239,6 +239,13 @@ def reliability_index(probability: float | None) -> float | None:
     return -float(ndtri(probability))
 
 
+def complement(e: Estimate) -> Estimate:
+    """The probability of the opposite."""
+    if e.value is None or e.low is None or e.high is None:
+        return e
+    return replace(e, value=1.0 - e.value, low=1.0 - e.high, high=1.0 - e.low)
+
+
 def target_met(missed: Estimate, target: float) -> bool | None:
     """True if the interval lies below the target, False if above, None (undecided) if it straddles.
 

@@ -10,17 +10,17 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.runner.axis_rows import axis_of, evaluate_along
+from uqsphere.runner.axis_rows import evaluate_along
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points, with_answered
 from uqsphere.runner.limits import SMALL, state_of
 from uqsphere.runner.questions.margins import MarginAnswer
 from uqsphere.runner.questions.probabilities import DOUBTFUL, search_failures
 from uqsphere.runner.schedule import FRACTURE_CURVE, RARE, REPLICATES
 from uqsphere.study import Limit
-from uqsphere.uq.curve import Fragility, fragility
+from uqsphere.uq.curve import fragility
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.law import Law
-from uqsphere.uq.limit_state import LimitState, exceedance, pick_replicates
+from uqsphere.uq.limit_state import exceedance, pick_replicates
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.union import Union, make_union, residual_correlation, union_state
@@ -97,7 +97,13 @@ class AnyLimit:
             sample = with_answered(work, points, answered)
             states = [state_of(work, limit, sample) for limit in self.limits]
             if fixed:
-                value = np.log(np.min([_ratio(state) for state in states], axis=0))
+                # a fixed strength over the demand is 1 at the limit, and never 0
+                ratios = [
+                    np.maximum(state.strength, 1e-300) / np.maximum(state.demands[0], 1e-300)
+                    for state in states
+                    if not isinstance(state.strength, Law)
+                ]
+                value = np.log(np.min(ratios, axis=0))
             else:
                 together = make_union(states, self.factor, random_generator(seed=0, task="fracture.unused"))
                 value = -union_state(together).demands[0]
@@ -105,39 +111,30 @@ class AnyLimit:
 
         return g
 
-    def curve(self, work: Work, margins: Mapping[str, MarginAnswer]) -> Fragility | None:
-        """Probability of any over the free scalar of the margins; None where there is no such curve."""
+    def curve(self, work: Work, margins: Mapping[str, MarginAnswer]) -> dict[str, object]:
+        """Probability of any over the free scalar of the margins, as results.json has it; empty where there is no such
+        curve."""
         asked = work.study.margins
         grid = _grid([margins[limit.name].curve for limit in self.limits if limit.name in margins])
         if asked is None or len(grid) < 2 or len(self.limits) < 2 or not asked.axis.moves_rows:
-            return None
+            return {}
         if len(grid) > FRACTURE_CURVE.most:
             grid = [grid[k] for k in np.unique(np.linspace(0, len(grid) - 1, FRACTURE_CURVE.most).round().astype(int))]
         evaluations = len(grid) * FRACTURE_CURVE.first * REPLICATES
         if evaluations > work.study.analysis.budget.evaluations - work.ledger.total:
-            return None
-        rows = evaluate_along(work, dict.fromkeys(grid, (0, FRACTURE_CURVE.first)))
-        table = np.array([self._at_value(work, value, sample) for value, sample in rows.items()])
+            return {}
+        rows, table = evaluate_along(work, dict.fromkeys(grid, (0, FRACTURE_CURVE.first))), []
+        for value, sample in rows.items():
+            # the same random numbers at every value
+            state = union_state(self.at(replace(work, study=asked.axis.move(work.study, value)), sample))
+            found = [exceedance(pick_replicates(state, [r, r])).value for r in range(REPLICATES)]
+            table.append([np.nan if p is None else p for p in found])
         usable = np.isfinite(table).all(axis=1)
         if usable.sum() < 2:
-            return None
-        return fragility(
-            np.array(grid)[usable], table[usable], asked.for_probability, samples=FRACTURE_CURVE.first,
-            evaluations=evaluations,
-        )  # fmt: skip
-
-    def _at_value(self, work: Work, value: float, sample: Sample) -> Array:
-        """Probability of any in every replicate (R,), the same random numbers at every value."""
-        moved = replace(work, study=axis_of(work).move(work.study, value))
-        state = union_state(self.at(moved, sample))
-        found = [exceedance(pick_replicates(state, [r, r])).value for r in range(REPLICATES)]
-        return np.array([np.nan if p is None else p for p in found])
-
-
-def _ratio(state: LimitState) -> Array:
-    """A fixed strength over the demand, (n,): 1 at the limit, never 0."""
-    assert not isinstance(state.strength, Law)
-    return np.asarray(np.maximum(state.strength, 1e-300) / np.maximum(state.demands[0], 1e-300))
+            return {}
+        curve = fragility(np.array(grid)[usable], np.array(table)[usable], asked.for_probability,
+                          samples=FRACTURE_CURVE.first, evaluations=evaluations)  # fmt: skip
+        return {"solve": asked.axis.path, "values": curve.values, "curve": [list(point) for point in curve.curve]}
 
 
 def _grid(curves: Sequence[list[list[float]]]) -> list[float]:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from uqsphere.errors import UsageError
 from uqsphere.model import Answered
-from uqsphere.results import SpeedRow
+from uqsphere.quantities import lookup
+from uqsphere.results import SpeedRow, ToleranceEntry
+from uqsphere.results.entries import Fields
 from uqsphere.runner.campaign import (
     MEAN_KIND,
     MISS_KIND,
@@ -22,6 +25,7 @@ from uqsphere.runner.campaign import (
     speed_rows_of,
 )
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_sample, with_answered
+from uqsphere.runner.forecast import more_to_come
 from uqsphere.runner.limits import LimitAnswer, controlled_limits, judge_limits, limits_missed, takes_over
 from uqsphere.runner.schedule import REPLICATES, SAMPLING, TABLE
 from uqsphere.runner.similarity import CUT_SHORT, Tabled, begin_table
@@ -58,6 +62,20 @@ class Sampled:
     def rows(self) -> Sample:
         """The rows for what rests on few of them: the sample, or those of the table where it was asked for more."""
         return self.sample if self.many is None else self.many.head(min(self.many.count, ROWS_AT_MOST))
+
+    def entries(self, tolerance: Mapping[str, ToleranceEntry]) -> dict[str, Fields]:
+        """The quantities as results.json has them, with their tolerance limits."""
+        return {
+            name: {
+                "unit": lookup(name).unit,
+                "mean": found.mean,
+                "sd": found.sd,
+                "quantiles": found.quantiles,
+                "censored_share": found.censored_share,
+                **({"tolerance": tolerance[name]} if name in tolerance else {}),
+            }
+            for name, found in self.descriptions.items()
+        }
 
 
 def _describe_one(work: Work, sample: Sample, quantity: str) -> Description:
@@ -315,7 +333,7 @@ class Distributions:
         )
 
 
-def sample_distributions(work: Work, *, more_to_come: bool) -> Sampled:
+def sample_distributions(work: Work) -> Sampled:
     """Sample until the accuracy is reached, or the budget ends it; a study without scatter is evaluated once."""
-    question = Distributions(work=work, share=SAMPLING.share if more_to_come else 1.0)
+    question = Distributions(work=work, share=SAMPLING.share if more_to_come(work.study) else 1.0)
     return question.answer(campaign(work, question, question.share))

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from typing import Final
 
@@ -19,12 +19,10 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.model import scene_of
-from uqsphere.results import FractureEntry, LimitsOrder, SpeedRow, StateEntry
-from uqsphere.results.entries import Est
-from uqsphere.runner.campaign import Accuracy, campaign
+from uqsphere.results import FractureEntry, LimitsOrder
+from uqsphere.results.entries import CheckEntry, Est
 from uqsphere.runner.chunks import remembered_fractures
-from uqsphere.runner.evaluate import Work, evaluate_sample
-from uqsphere.runner.fidelity import check_entry
+from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_sample
 from uqsphere.runner.forecast import fracture_limits, reflected
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.questions.any_limit import AnyLimit, tied_otherwise
@@ -33,7 +31,6 @@ from uqsphere.runner.questions.margins import MarginAnswer
 from uqsphere.runner.schedule import FRACTURE, REPLICATES, SPECIMENS
 from uqsphere.study import Limit
 from uqsphere.uq.estimate import Estimate, absent, student
-from uqsphere.uq.limit_state import LimitState
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.union import Breaking, Union, draw_breaking, make_union, share_of, weighted_quantile
@@ -44,138 +41,91 @@ ORDERS: Final = 8
 MOST_LOST: Final = 0.05
 _QUANTILES: Final = (0.05, 0.5, 0.95)
 _UNITS: Final = {"time": "s", "force": "N", "energy": "J", "specific_energy": "J/kg", "imbalance": "", "t10": "1"}
+LATE: Final = "the time was over, or the run was stopped"
 _METHOD: Final = "spheres that break, on the loading path of the full model"
 
 
-@dataclass(kw_only=True)
-class Fracture:
-    """Fracture by any of several limits, in three stages: how likely, when and in what state, along the free scalar
-    (a `Question`)."""
-
-    work: Work
-    sampled: Sampled
-    margins: Mapping[str, MarginAnswer]
-    limits: tuple[Limit, ...]
-    together: AnyLimit
-    answer: dict[str, object] = field(default_factory=dict)
-    union: Estimate | None = None
-    done: int = 0
-    size: int = 0
-    judged: int = 0
-
-    def advance(self, room: float) -> bool:
-        """The next stage."""
-        if self.done == len(_STAGES):
-            return False
-        _STAGES[self.done](self)
-        self.done += 1
-        return True
-
-    def lacking(self) -> dict[Accuracy, float]:
-        """The stages that are left."""
-        return {Accuracy("fracture", stage.__name__.strip("_")): math.inf for stage in _STAGES[self.done :]}
-
-    def errors(self) -> list[SpeedRow]:
-        """None: what is found has the error that it comes out with."""
-        return []
-
-    def _probability(self) -> None:
-        """The probability of any; one limit's own where there is but one."""
-        if len(self.limits) == 1:
-            union = self.sampled.limits[self.limits[0].name].exceedance
-        else:
-            union = self.together.probability(self.work, self.sampled.sample)
-        self.union = union
-        self.answer |= {"union": union, "over_record": union}
-
-    def _moments(self) -> None:
-        """What is governing, the order, and the state at fracture; a reason where nothing can be said."""
-        work, pool = self.work, self._pool()
-        specimens = _affordable(work, SPECIMENS)
-        if pool is None or specimens == 0:
-            self.answer["reason"] = "the budget of evaluations leaves nothing for the loading of spheres"
-            return
-        if find_spec("numba") is None:
-            self.answer["reason"] = "the loading over time needs the compiled integrator (numba)"
-            return
-        full = replace(work, fidelity="full", fallback=None, spare=True)
-        over_record = self.together.at(full, pool)
-        drawn = draw_breaking(over_record, specimens, random_generator(seed=work.study.seed, task="fracture.specimens"))
-        if work.study.rig == "bars":
-            self.answer["first_loading"] = self._first_loading(full, pool, over_record)
-        self.answer |= {"reason": "no sample breaks"} if drawn is None else _at_fracture(full, pool, self.limits, drawn)
-
-    def _pool(self) -> Sample | None:
-        """Some of the sampled rows, answered by the full model."""
-        work, sample = self.work, self.sampled.sample
-        count = min(FRACTURE.first, sample.count)
-        if work.fidelity == "full":
-            return sample.head(count)
-        count = _affordable(work, count)
-        full = replace(work, fidelity="full", fallback=None, spare=True)
-        return evaluate_sample(full, "fracture.full", sample.head(count)) if count else None
-
-    def _first_loading(self, work: Work, pool: Sample, over_record: Union) -> Estimate:
-        """Probability of fracture before the first reflected wave is back: the union's, times what share of it that is.
-
-        The demands of the first loading are no larger than those of the record, also where the rate differs.
-        """
-        study, union = work.study, self.union
-        assert union is not None
-        if not reflected(study):
-            return union
-        method = "common random numbers, the record ended by the first reflected wave"
-        if union.value is None:
-            return absent(union.reason or "the union is not known", method, 0)
-        count = _affordable(work, pool.count)
-        if count == 0:
-            return absent("the budget of evaluations leaves nothing for the first loading", method, 0)
-        whole = pool.head(count)
-        moved = replace(work, study=replace(study, model=replace(study.model, first_loading_only=True)))
-        early = evaluate_sample(moved, "fracture.first", whole)
-        states = [_no_larger(state_of(work, one, early), state_of(work, one, whole)) for one in self.limits]
-        rng = random_generator(seed=study.seed, task="fracture.holding")
-        if over_record.factor.any() and count != over_record.chances.shape[2]:
-            over_record = self.together.at(work, whole)
-        p, q = make_union(states, self.together.factor, rng).any.mean(axis=1), over_record.any.mean(axis=1)
-        if not q.sum() > 0.0:
-            return replace(union, method=method)
-        share = min(float(p.sum() / q.sum()), 1.0)
-        spread = math.sqrt(float(np.square(p - share * q).sum()) / (REPLICATES * (REPLICATES - 1))) / float(q.mean())
-        return _times(union, share, spread, method, union.evaluations + REPLICATES * count)
-
-    def _curve(self) -> None:
-        """The probability of any over the free scalar of the margins."""
-        found, margins = self.together.curve(self.work, self.margins), self.work.study.margins
-        if found is not None and margins is not None:
-            self.answer |= {
-                "solve": margins.axis.path,
-                "values": found.values,
-                "curve": [list(point) for point in found.curve],
-            }
-
-
-_STAGES: Final[tuple[Callable[[Fracture], None], ...]] = (Fracture._probability, Fracture._moments, Fracture._curve)
-
-
 def find_fracture(work: Work, sampled: Sampled, margins: Mapping[str, MarginAnswer]) -> FractureEntry | None:
-    """Fracture by any limit; None where no limit of the study means fracture."""
+    """Fracture by any limit: how likely, when and in what state, along the free scalar of the margins; None where no
+    limit of the study means fracture."""
     limits = fracture_limits(work.study)
     if not limits:
         return None
     names = [limit.name for limit in limits]
     left_out = [limit.name for limit in work.study.limits if limit.name not in names]
-    answer: dict[str, object] = {"limits": names, "left_out": left_out}
+    answer: dict[str, object] = {"limits": names, "left_out": left_out, "union": absent(LATE, _METHOD, 0)}
     if tied := tied_otherwise(work, names):
         reason = f"the strengths of {' and '.join(tied)} depend on each other by a copula that is not Gaussian"
         return FractureEntry.model_validate({**answer, "union": absent(reason, _METHOD, 0), "reason": reason})
-    question = Fracture(
-        work=work, sampled=sampled, margins=margins, limits=limits, together=AnyLimit.of(work, limits), answer=answer
-    )
-    if campaign(work, question).stopped == "time" and question.done < len(_STAGES):
+    together = AnyLimit.of(work, limits)
+    try:
+        union = sampled.limits[names[0]].exceedance if len(names) == 1 else together.probability(work, sampled.sample)
+        answer |= {"union": union, "over_record": union}
+        _in_time(work)
+        answer |= _moments(work, sampled.sample, together, union)
+        _in_time(work)
+        answer |= together.curve(work, margins)
+    except OutOfBudget:
         work.ledger.stopped_by_time = True
-        question.answer["reason"] = "the time was over, or the run was stopped"
-    return FractureEntry.model_validate(question.answer)
+        answer["reason"] = LATE
+    return FractureEntry.model_validate(answer)
+
+
+def _in_time(work: Work) -> None:
+    if work.out_of_time:
+        raise OutOfBudget
+
+
+def _moments(work: Work, sample: Sample, together: AnyLimit, union: Estimate) -> dict[str, object]:
+    """What is governing, the order, and the state at fracture; a reason where nothing can be said."""
+    full = replace(work, fidelity="full", fallback=None, spare=True)
+    count = min(FRACTURE.first, sample.count)
+    pool = sample.head(count) if work.fidelity == "full" else None
+    if pool is None and (count := _affordable(work, count)):
+        pool = evaluate_sample(full, "fracture.full", sample.head(count))
+    specimens = _affordable(work, SPECIMENS)
+    if pool is None or specimens == 0:
+        return {"reason": "the budget of evaluations leaves nothing for the loading of spheres"}
+    if find_spec("numba") is None:
+        return {"reason": "the loading over time needs the compiled integrator (numba)"}
+    over_record = together.at(full, pool)
+    drawn = draw_breaking(over_record, specimens, random_generator(seed=work.study.seed, task="fracture.specimens"))
+    first = (
+        {"first_loading": _first_loading(full, pool, together, over_record, union)} if work.study.rig == "bars" else {}
+    )
+    return {**first, **({"reason": "no sample breaks"} if drawn is None else _at_fracture(full, pool, together, drawn))}
+
+
+def _first_loading(work: Work, pool: Sample, together: AnyLimit, over_record: Union, union: Estimate) -> Estimate:
+    """Probability of fracture before the first reflected wave is back: the union's, times what share of it that is.
+
+    The demands of the first loading are no larger than those of the record, also where the rate differs.
+    """
+    study, method = work.study, "common random numbers, the record ended by the first reflected wave"
+    if not reflected(study):
+        return union
+    if union.value is None:
+        return absent(union.reason or "the union is not known", method, 0)
+    count = _affordable(work, pool.count)
+    if count == 0:
+        return absent("the budget of evaluations leaves nothing for the first loading", method, 0)
+    whole = pool.head(count)
+    moved = replace(work, study=replace(study, model=replace(study.model, first_loading_only=True)))
+    early = evaluate_sample(moved, "fracture.first", whole)
+    states = []
+    for limit in together.limits:
+        first, record = state_of(work, limit, early), state_of(work, limit, whole)
+        demands = np.where(first.broken | record.broken, np.nan, np.minimum(first.demands, record.demands))
+        states.append(replace(first, demands=demands, censored=None))
+    rng = random_generator(seed=study.seed, task="fracture.holding")
+    if over_record.factor.any() and count != over_record.chances.shape[2]:
+        over_record = together.at(work, whole)
+    p, q = make_union(states, together.factor, rng).any.mean(axis=1), over_record.any.mean(axis=1)
+    if not q.sum() > 0.0:
+        return replace(union, method=method)
+    share = min(float(p.sum() / q.sum()), 1.0)
+    spread = math.sqrt(float(np.square(p - share * q).sum()) / (REPLICATES * (REPLICATES - 1))) / float(q.mean())
+    return _times(union, share, spread, method, union.evaluations + REPLICATES * count)
 
 
 def _affordable(work: Work, most: int) -> int:
@@ -188,13 +138,13 @@ def _affordable(work: Work, most: int) -> int:
 # --- the moment of fracture ---------------------------------------------------------------------------
 
 
-def _at_fracture(work: Work, pool: Sample, limits: Sequence[Limit], drawn: Breaking) -> dict[str, object]:
+def _at_fracture(work: Work, pool: Sample, together: AnyLimit, drawn: Breaking) -> dict[str, object]:
     """Shares, order and quantiles over the specimens drawn."""
     from uqsphere.mechanics.fracture import first_fractures
     from uqsphere.mechanics.outputs import path_of
     from uqsphere.mechanics.validity import check_at_fracture
 
-    shape = drawn.rows.shape
+    limits, shape = together.limits, drawn.rows.shape
     flat = (np.arange(shape[0])[:, None] * pool.count + drawn.rows).ravel()
     distinct, rows = np.unique(flat, return_inverse=True)
     names, d = work.scene_names, len(work.scene_names)
@@ -227,22 +177,21 @@ def _at_fracture(work: Work, pool: Sample, limits: Sequence[Limit], drawn: Break
         # of the energy of the whole record: what a sphere takes that has broken is not followed
         known["t10"] = np.take_along_axis(pool.answer("t10"), drawn.rows, axis=1).ravel()
     graded = np.repeat(weights, shape[1]) * (result.first >= 0)
+    states = {}
+    for name, column in known.items():
+        quantiles = {p: weighted_quantile(column.reshape(shape), weights, p, _METHOD, evaluations) for p in _QUANTILES}
+        states[name] = {"unit": _UNITS[name], "median": quantiles[0.5], "quantiles": quantiles}
     governing = [share_of(first == k, weights, _METHOD, evaluations) for k in range(len(limits))]
     return {
         "governed_by": dict(zip((limit.name for limit in limits), governing, strict=True)),
         "order": _orders(result.times, weights, shape, limits, evaluations),
-        **{name: _state(name, values.reshape(shape), weights, evaluations) for name, values in known.items()},
+        **states,
         "share_in_first_loading": share_of(result.early.reshape(shape), weights, _METHOD, evaluations),
         "specimens": evaluations,
         "distinct_rows": len(distinct),
         "lost_share": lost,
-        **({"check": check_entry(check_at_fracture(result.imbalance, graded))} if two else {}),
+        **({"check": CheckEntry.of(check_at_fracture(result.imbalance, graded))} if two else {}),
     }
-
-
-def _state(name: str, values: Array, weights: Array, evaluations: int) -> StateEntry:
-    found = {p: weighted_quantile(values, weights, p, _METHOD, evaluations) for p in _QUANTILES}
-    return StateEntry.model_validate({"unit": _UNITS[name], "median": found[0.5], "quantiles": found})
 
 
 def _orders(
@@ -256,26 +205,15 @@ def _orders(
     for order, weight in zip(orders, np.repeat(weights, shape[1]), strict=True):
         mass[order] += float(weight)
     listed = [order for order, _ in sorted(mass.items(), key=lambda item: (-item[1], item[0])) if order][:ORDERS]
-    return [
-        LimitsOrder(
-            limits=tuple(limits[k].name for k in order),
-            share=Est.model_validate(
-                share_of(np.array([other == order for other in orders]).reshape(shape), weights, _METHOD, evaluations)
-            ),
-        )
-        for order in listed
-    ]
+    found = []
+    for order in listed:
+        same = np.array([other == order for other in orders]).reshape(shape)
+        share = Est.model_validate(share_of(same, weights, _METHOD, evaluations))
+        found.append(LimitsOrder(limits=tuple(limits[k].name for k in order), share=share))
+    return found
 
 
 # --- first loading ------------------------------------------------------------------------------------
-
-
-def _no_larger(early: LimitState, whole: LimitState) -> LimitState:
-    return replace(
-        early,
-        demands=np.where(early.broken | whole.broken, np.nan, np.minimum(early.demands, whole.demands)),
-        censored=None,
-    )
 
 
 def _times(union: Estimate, share: float, spread: float, method: str, evaluations: int) -> Estimate:

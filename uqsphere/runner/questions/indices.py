@@ -14,6 +14,7 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.model import is_answered
 from uqsphere.results import SpeedRow
+from uqsphere.results.entries import Fields
 from uqsphere.runner.campaign import (
     INDEX_KIND,
     Accuracy,
@@ -257,6 +258,24 @@ class Sensitivity:
         """Every index that is given."""
         rows = (self.first, self.total, self.second, self.group_first, self.group_total, self.shapley)
         return [e for row in (*rows, *self.kucherenko.values()) for e in row.values()]
+
+    def entry(self, names: Sequence[str]) -> Fields:
+        """The same as results.json has it, without what drives the quantity beside it; of the inputs by these names."""
+
+        def named(rows: Mapping[str, Sequence[Estimate]]) -> dict[str, dict[str, Estimate]]:
+            return {order: dict(zip(names, row, strict=True)) for order, row in rows.items()}
+
+        check = {"agree": self.agree, "text": self.text, "sampled": named(self.sampled), "chaos": named(self.expanded)}
+        return {
+            "first": self.first,
+            "total": self.total,
+            **({"second": self.second} if self.second else {}),
+            **({"groups": {"first": self.group_first, "total": self.group_total}} if self.group_first else {}),
+            **({"shapley": self.shapley, "kucherenko": self.kucherenko} if self.shapley else {}),
+            "estimators": self.estimators,
+            "surrogate": self.surrogate,
+            "check": check,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)

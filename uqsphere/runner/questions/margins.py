@@ -14,6 +14,7 @@ import numpy as np
 
 from uqsphere.errors import UqsphereError
 from uqsphere.model import scene_of, solve_scene
+from uqsphere.quantities import lookup
 from uqsphere.results.entries import Fields
 from uqsphere.results.margins import ValidityAtEntry
 from uqsphere.runner.axis_rows import axis_of
@@ -31,11 +32,13 @@ from uqsphere.runner.questions.curves import (
     curves_along,
     energy_curve,
     family_curves,
+    lognormal_table,
     member_values,
 )
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.margin_parts import Where, describe_margin, study_at
-from uqsphere.study import Limit
+from uqsphere.study import Limit, Study
+from uqsphere.study.axis import quantity_of
 from uqsphere.uq.curve import LognormalCurve
 from uqsphere.uq.estimate import Estimate, absent
 
@@ -75,6 +78,23 @@ class MarginAnswer:
         """The free scalar at the probability that the margin is told for."""
         value = self.about.get("value")
         return value.value if isinstance(value, Estimate) else None
+
+    def entry(self, study: Study) -> Fields:
+        """The same as results.json has it."""
+        assert study.margins is not None
+        path, family = study.margins.axis.path, study.margins.family
+        own = quantity_of(path, {limit.name: limit.quantity for limit in study.limits})
+        parts = {"against": self.against, "band": self.band, "steps": self.coarse}
+        return {
+            "solve": path,
+            "unit": lookup(own).unit,
+            "values": self.values,
+            "curve": [list(point) for point in self.curve],
+            "lognormal": lognormal_table(self.lognormal),
+            **({"family": {"path": family.path, "members": self.family}} if family and self.family else {}),
+            **{key: part.table() for key, part in parts.items() if part is not None},
+            **self.about,
+        }
 
 
 def unmoved_margins(work: Work) -> dict[str, MarginAnswer]:

@@ -34,7 +34,7 @@ from uqsphere.study.axis import strength_name
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.failure_indices import linear_shares
 from uqsphere.uq.law import Law
-from uqsphere.uq.limit_state import score_of, shifted_score, strength_tails
+from uqsphere.uq.limit_state import complement, score_of, shifted_score, strength_tails
 from uqsphere.uq.rare.auto import RareAnswer, find_probability
 from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction
@@ -330,12 +330,6 @@ def chance_of(old: Estimate, own: Estimate) -> float:
     if own.high < old.value:
         return float(gammainc(seen, seen * own.high / old.value))
     return float(gammaincc(seen + 1.0, seen * own.low / old.value))
-
-
-def complement(e: Estimate) -> Estimate:
-    if e.value is None or e.low is None or e.high is None:
-        return e
-    return replace(e, value=1.0 - e.value, low=1.0 - e.high, high=1.0 - e.low)
 
 
 def with_design(work: Work, answer: LimitAnswer, design: FormAnswer, space: LimitSpace) -> LimitAnswer:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.model import is_answered
-from uqsphere.results import SpeedRow
+from uqsphere.results import AnalysisEntry, SpeedRow
 from uqsphere.runner.campaign import INDEX_KIND, Accuracy, Cost, campaign, indices_missed, speed_rows_of
 from uqsphere.runner.evaluate import Work, evaluate_points
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Pairs, Sensitivity, Shared, dependent_names, find_sensitivity, share_heavy
+from uqsphere.runner.questions.replicates import without_noise
 from uqsphere.runner.schedule import REPLICATES, SHAPLEY
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.shapley import (
@@ -120,13 +122,15 @@ class ShapleyEffects:
         ]
 
 
-def share_variance(work: Work, sampled: Sampled) -> Shared:
-    """How the variance is shared out: Sobol' indices, or Shapley effects where inputs depend on each other."""
+def share_variance(work: Work, sampled: Sampled, first: Mapping[str, AnalysisEntry] | None) -> Shared:
+    """How the variance is shared out: Sobol' indices, or Shapley effects where inputs depend on each other; without the
+    model's own scatter where replicates, asked `first`, tell it."""
     shared = find_sensitivity(work, sampled)
     if dependent_names(work) and shared.stopped != "failures" and work.study.analysis.pursues("indices"):
         shared = _share_dependent(work, shared.sensitivity)
     own = shared.pairs if shared.subsets is None else None
-    return replace(shared, sensitivity=share_heavy(work, sampled, shared.sensitivity, own))
+    held = share_heavy(work, sampled, shared.sensitivity, own)
+    return replace(shared, sensitivity=without_noise(held, (first or {}).get("replicates")))
 
 
 def _share_dependent(work: Work, refused: dict[str, Sensitivity]) -> Shared:
