@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Final, TypedDict
+from typing import Final, TypedDict
 
 from uqsphere.errors import UsageError
 from uqsphere.mechanics.carried import CARRIERS
@@ -45,9 +45,6 @@ from uqsphere.study.document import FURTHER
 from uqsphere.study.faults import one_of
 from uqsphere.study.ways import means_fracture
 from uqsphere.uq.law import Law
-
-if TYPE_CHECKING:
-    from uqsphere.mechanics.scene import Scene
 
 #: Student's t of sixteen replicates
 _T: Final = 2.13
@@ -89,59 +86,46 @@ def base_rows(study: Study) -> int:
     return 2**d if d <= 10 else 3 * d - 1
 
 
-def _finer(asked: float) -> float:
-    """How much finer than 1 % is asked for; beyond any budget it is all the same."""
-    return 0.01 / max(asked, 1e-50)
+def _counted(study: Study) -> float:
+    """Points that a limit of fixed strength takes, of which a row tells only on which side it lies."""
+    return (_T / max(study.analysis.accuracy.probability, 1e-50)) ** 2 * (1.0 - _CHANCE) / _CHANCE
 
 
-def _points(study: Study, budget: float) -> tuple[float, float]:
-    """Points that sampling takes for its quantiles, likely and by plain Monte Carlo, for an output near normal.
+def _sampling(study: Study, budget: float) -> tuple[float, float]:
+    """Points that sampling takes for its quantiles, for an output near normal, in its stages; the most where the model
+    is rough, or the accuracy is pursued as far as the budget goes.
 
-    n = (t sqrt(p (1 - p))/(phi(z_p) e))^2 for the half-width e over the standard deviation.
+    n = (t sqrt(p (1 - p))/(phi(z_p) e))^2 for the half-width e over the standard deviation by plain Monte Carlo.
     """
-    analysis = study.analysis
-    normal = NormalDist()
-    plain = 1.0
+    analysis, normal, plain = study.analysis, NormalDist(), 1.0
     for p in analysis.quantiles:
-        density = normal.pdf(normal.inv_cdf(p))
-        plain = max(plain, p * (1.0 - p) / density**2)
+        plain = max(plain, p * (1.0 - p) / normal.pdf(normal.inv_cdf(p)) ** 2)
     plain *= (_T / max(analysis.accuracy.quantile, 1e-50)) ** 2
     # n = plain/gain with a gain that is itself a multiple of the root of n
     first = _GAIN[1] if study.black_box else _GAIN[0]
     smooth = (plain * math.sqrt(FIRST_SAMPLE) / first) ** (2.0 / 3.0)
     # the mean of smooth outputs is known long before its quantiles, the root of the points ahead
     mean = (_T / max(analysis.accuracy.mean, 1e-50)) ** (4.0 / 3.0)
-    counted = _counted(study) if any(not isinstance(limit.strength, Law) for limit in study.limits) else 0.0
+    counted = _counted(study) if _fixed(study) else 0.0
     # what the budget has too few rows to count is searched for
     counted = 0.0 if "auto" in analysis.methods and counted > budget else counted
-    return max(min(smooth, plain), mean, counted), max(plain, counted)
-
-
-def _counted(study: Study) -> float:
-    """Points that a limit of fixed strength takes, of which a row tells only on which side it lies."""
-    return (_T / max(study.analysis.accuracy.probability, 1e-50)) ** 2 * (1.0 - _CHANCE) / _CHANCE
-
-
-def _stage(points: float, room: float) -> int:
-    """The stage of sampling nearest to a number of points, within room for it; the first at the least."""
-    if not math.isfinite(points):
-        points = 1e18
-    steps = max(0, round(math.log2(max(points, 1.0) / FIRST_SAMPLE)))
-    while steps and FIRST_SAMPLE * 2**steps > room:
-        steps -= 1
-    return int(FIRST_SAMPLE * 2**steps)
-
-
-def _sampling(study: Study, budget: int | None) -> tuple[float, float]:
-    """Sampling; the most where the model is rough, or the accuracy is pursued as far as the budget goes."""
-    likely, plain = _points(study, math.inf if budget is None else budget)
-    if budget is None:
-        return _stage(likely, math.inf), _stage(2.0 * plain, math.inf)
+    likely, most = max(min(smooth, plain), mean, counted), 2.0 * max(plain, counted)
     room = (SAMPLING.share if more_to_come(study) else 1.0) * budget
-    if likely > CAUTION * room and not study.analysis.budget.exhaust:
+    if likely > CAUTION * room and not analysis.budget.exhaust:
         # the accuracy is given up as soon as it is seen to be out of reach
-        return _stage(REPLICATES * SAMPLING.judged, room), _stage(room, room)
-    return _stage(likely, room), _stage(2.0 * plain, room)
+        likely, most = REPLICATES * SAMPLING.judged, room
+    stages = []
+    for points in (likely, most):
+        steps = max(0, round(math.log2(max(points, 1.0) / FIRST_SAMPLE))) if math.isfinite(points) else 49
+        while steps and FIRST_SAMPLE * 2**steps > room:
+            steps -= 1
+        stages.append(FIRST_SAMPLE * 2.0**steps)
+    return stages[0], stages[1]
+
+
+def _fixed(study: Study) -> bool:
+    """Whether a limit has a strength that does not scatter."""
+    return any(not isinstance(limit.strength, Law) for limit in study.limits)
 
 
 def more_to_come(study: Study) -> bool:
@@ -162,9 +146,10 @@ def rough_quantities(study: Study) -> tuple[str, ...]:
 def _sensitivity(study: Study) -> tuple[float, float]:
     """Evaluations of the indices, likely and most: with a surrogate as control variate their first stage is enough."""
     analysis, blocks, first = study.analysis, base_rows(study), REPLICATES * INDICES.first
-    if not analysis.samples_indices:
+    if not analysis.samples_indices or not study.random:
         return 0.0, 0.0
-    finer = _finer(analysis.accuracy.sobol)
+    # how much finer than 1 % is asked for; beyond any budget it is all the same
+    finer = 0.01 / max(analysis.accuracy.sobol, 1e-50)
     most = max(first, _ROUGHEST * finer**2)
     if rough := max((lookup(name).rough for name in rough_quantities(study)), default=0):
         # a table of the scaled numbers takes the place of so many pairs, where the inputs act through few
@@ -176,16 +161,19 @@ def _sensitivity(study: Study) -> tuple[float, float]:
     return blocks * max(float(first), base), blocks * most
 
 
+def _curves(study: Study) -> int:
+    """Curves of every limit: the study's own, and those of a family."""
+    margins = study.margins
+    return 0 if margins is None else 1 + (len(margins.family.values) if margins.family else 0)
+
+
 def _margins(study: Study, budget: float) -> tuple[float, float]:
     """Evaluations of the curves: the look, rows at forty values, and what is found out at the answers."""
-    margins = study.margins
-    if margins is None or not study.limits:
+    curves, still = _curves(study), not _moves(study)
+    if not curves or not study.limits:
         return 0.0, 0.0
-    curves = 1 + (len(margins.family.values) if margins.family else 0)
-    still = not margins.axis.moves_rows
-    fixed = any(not isinstance(limit.strength, Law) for limit in study.limits)
     answers = float(_ANSWER * len(study.limits))
-    likely = curves * (1_536 if still else _CURVE_FIXED if fixed else _CURVE) + answers
+    likely = curves * (1_536 if still else _CURVE_FIXED if _fixed(study) else _CURVE) + answers
     # a curve takes its first rows whatever the share
     least = curves * (1_024 if still else _CURVE_MOST) + answers
     if not math.isfinite(budget):
@@ -270,59 +258,44 @@ def _moves(study: Study) -> bool:
     return study.margins is not None and study.margins.axis.moves_rows
 
 
-def _timed(study: Study) -> int:
-    """Runs of a black box that are timed, for its cost to decide."""
-    return (
-        SURROGATE.first if study.black_box and "auto" in study.analysis.methods and study.analysis.cost is None else 0
-    )
-
-
 def _ways(study: Study) -> tuple[float, float]:
     """Evaluations on which all ways to break are judged, here and along the free scalar."""
     if study.black_box or not any(means_fracture(limit) for limit in study.limits):
         return 0.0, 0.0
     rows, along = float(REPLICATES * WAYS.first if study.random else 1), 0.0
-    if study.margins is not None and study.margins.axis.moves_rows:
+    if _moves(study):
         along = float(REPLICATES * WAYS_CURVE.first * WAYS_CURVE.most)
     # where contacts yield the rows are answered a second time
     return rows + along, 2.0 * rows + along
 
 
-def _surrogate(study: Study, first: float) -> tuple[float, float]:
-    """Runs of one design, the `first` of which are those that were timed."""
-    runs = _RUNS if len(study.random) <= 5 else _RUNS_MANY
-    wide = _moves(study)
-    return (2 * runs if wide else runs) - first, SURROGATE.most + (ALONG.most if wide else 0)
-
-
-def _begins(study: Study) -> bool:
-    """Whether a run may begin with what everything else rests on: replicates, or a screening of many inputs."""
-    return study.black_box and (study.model.stochastic or len(study.random) >= MANY)
-
-
-def _planned(study: Study, budget: int | None, surrogate: bool) -> Iterator[tuple[str, float, float]]:
+def _planned(study: Study, budget: float, surrogate: bool) -> Iterator[tuple[str, float, float]]:
     """Name, likely and most evaluations of every part, as if nothing had been spent before it."""
-    end, analysis = math.inf if budget is None else float(budget), study.analysis
-    first = (_timed(study), _timed(study)) if study.black_box else _pilot(study, end)
+    analysis = study.analysis
+    # runs of a black box are timed, for its cost to decide
+    timed = SURROGATE.first if "auto" in analysis.methods and analysis.cost is None else 0
+    first = (timed, timed) if study.black_box else _pilot(study, budget)
     yield "pilot", *first
     if surrogate:
-        yield "surrogate", *_surrogate(study, first[0])
+        runs, wide = (_RUNS if len(study.random) <= 5 else _RUNS_MANY), _moves(study)
+        # of one design, the first of which are those that were timed
+        yield "surrogate", (2 * runs if wide else runs) - first[0], SURROGATE.most + (ALONG.most if wide else 0)
     else:
-        likely, most = _sampling(study, budget)
-        yield "sampling", likely, most
-        yield "rare events", *_rare(study, end)
+        yield "sampling", *_sampling(study, budget)
+        yield "rare events", *_rare(study, budget)
     if analysis.tolerance_intervals:
         yield "tolerance intervals", analysis.tolerance_intervals.runs, analysis.tolerance_intervals.runs
-    if set(analysis.methods) & set(FURTHER) or analysis.fields or _begins(study):
+    # a run may begin with what everything else rests on: replicates, or a screening of many inputs
+    begins = study.black_box and (study.model.stochastic or len(study.random) >= MANY)
+    if set(analysis.methods) & set(FURTHER) or analysis.fields or begins:
         from uqsphere.runner.questions.further import planned_analyses
 
         yield from ((name, count, count) for name, count in planned_analyses(study))
     if not surrogate:
-        yield "margins", *_margins(study, end)
-        yield "carriers", *_carriers(study, end)
-        yield "fracture", *_fracture(study, end)
-        likely, most = _sensitivity(study) if study.random else (0.0, 0.0)
-        yield "sensitivity", likely, most
+        yield "margins", *_margins(study, budget)
+        yield "carriers", *_carriers(study, budget)
+        yield "fracture", *_fracture(study, budget)
+        yield "sensitivity", *_sensitivity(study)
         yield JUDGED, *_ways(study)
 
 
@@ -340,7 +313,7 @@ def forecast(study: Study, budget: int | None = None, surrogate: bool = False) -
     end = math.inf if budget is None else float(budget)
     found: list[Part] = []
     left = end
-    for name, likely, most in _planned(study, budget, surrogate):
+    for name, likely, most in _planned(study, end, surrogate):
         affordable = round(min(likely, max(left, 0.0)))
         highest = round(min(most, end, 1e18))
         left -= affordable
@@ -410,7 +383,8 @@ def choose_way(study: Study, cost: float | None = None, seconds: float | None = 
 
     def way(surrogate: bool, why: str) -> Way:
         if surrogate and affordable < analysis.budget.evaluations:
-            why += f"; {_short_of_time(seconds, affordable, analysis.budget.evaluations)}"
+            why += (f"; budget.time, {_two(seconds)} s, has room for {affordable:,} of the "
+                    f"{analysis.budget.evaluations:,} evaluations of the budget")  # fmt: skip
         return Way(surrogate=surrogate, why=why, sampling=planned, runs=runs, crossover=crossover,
                    balance=balance, affordable=affordable)  # fmt: skip
 
@@ -430,11 +404,6 @@ def choose_way(study: Study, cost: float | None = None, seconds: float | None = 
     if cost > balance:
         return way(False, f"{told}, but a model of a millisecond or less is sampled, which answers more, in any case")
     return way(False, f"{told}, but its fits take longer than sampling so cheap a model")
-
-
-def _short_of_time(seconds: float, affordable: int, evaluations: int) -> str:
-    return (f"budget.time, {_two(seconds)} s, has room for {affordable:,} of the {evaluations:,} evaluations of the "
-            "budget")  # fmt: skip
 
 
 def room_of(study: Study, way: Way) -> list[str]:
@@ -472,13 +441,22 @@ _TOLD = 3
 
 
 def _scene_numbers(study: Study) -> dict[str, float | None]:
-    """mu, theta and the steps an evaluation takes, at the means."""
+    """mu, theta and the steps an evaluation takes, at the means; of a blow without bars the speed at which the bodies
+    close square to the face [m/s]."""
+    from uqsphere.mechanics.scene import STATUS
+
     scene = scene_of(study, {}, 1)
+    mu, theta, time = (
+        float(column[0]) for column in (scene.scales.mass_number, scene.scales.pulse_number, scene.scales.time)
+    )
     if study.rig != "bars":
-        return _blow_numbers(study, scene)
-    mu = float(scene.scales.mass_number[0])
-    theta = float(scene.scales.pulse_number[0])
-    time = float(scene.scales.time[0])
+        if code := int(scene.status[0]):
+            raise UsageError(f"the scene at its means cannot be computed: {STATUS[code]}")
+        rig = RIGS[study.rig]
+        # closed forms take as long as a few steps; a light sphere rattles between its two contacts
+        steps = _STEPS_CLOSED if rig.contacts == 1 or not rig.blow else 60.0 + _TOUCHES * math.sqrt(3.0 / mu)
+        speed = float(scene.closing_speed[0]) if rig.blow else None
+        return {"mu": mu, "theta": None, "steps": steps, "speed": speed}
     record = float(scene.record_end[0]) / time
     # contact is usually lost after about two round trips; infinite bars are followed for about 7 t_c
     if study.options["bars.infinite"]:
@@ -489,20 +467,6 @@ def _scene_numbers(study: Study) -> dict[str, float | None]:
         raise UsageError("the scene at its means cannot be computed: its numbers are beyond floating point")
     phase = record * math.sqrt(3.0 * math.sqrt(min(1.0, theta)) / mu)
     return {"mu": mu, "theta": theta if math.isfinite(theta) else None, "steps": 60.0 + phase}
-
-
-def _blow_numbers(study: Study, scene: Scene) -> dict[str, float | None]:
-    """The same of another rig than `bars`, and the speed at which the bodies close square to the face [m/s]."""
-    from uqsphere.mechanics.scene import STATUS
-
-    code = int(scene.status[0])
-    if code:
-        raise UsageError(f"the scene at its means cannot be computed: {STATUS[code]}")
-    mu = float(scene.scales.mass_number[0])
-    rig = RIGS[study.rig]
-    # closed forms take as long as a few steps; a light sphere rattles between its two contacts
-    steps = _STEPS_CLOSED if rig.contacts == 1 or not rig.blow else 60.0 + _TOUCHES * math.sqrt(3.0 / mu)
-    return {"mu": mu, "theta": None, "steps": steps, "speed": float(scene.closing_speed[0]) if rig.blow else None}
 
 
 class PlannedPart(TypedDict, total=False):
@@ -557,38 +521,27 @@ def plan_run(study: Study) -> Plan:
         plan["room"] = room
     if study.services:
         plan["services"] = {name: plan_run(service) for name, service in study.services.items()}
-    if study.black_box:
-        _time_black_box(study, plan, way)
-    else:
+    if not study.black_box:
         numbers = _scene_numbers(study)
         plan["scene"] = {name: number for name, number in numbers.items() if name != "steps"}
-        _time_parts(plan, (numbers["steps"] or 0.0) * _STEP_SECONDS / processors, _beside(study))
+        beside = {
+            "rare events": _LIMIT * len(study.limits),
+            "margins": _CURVE_PLAN * len(study.limits) * _curves(study),
+        }
+        each = (numbers["steps"] or 0.0) * _STEP_SECONDS / processors
+        for part in plan["parts"]:
+            part["seconds"] = round(part["likely"] * each + beside.get(part["part"], 0.0), 1)
         plan["seconds"] = round(_START + sum(part["seconds"] for part in plan["parts"]), 1)
-    return plan
-
-
-def _time_black_box(study: Study, plan: Plan, way: Way) -> None:
-    """Give the plan of a black box where the choice turns, and its seconds where the cost of an evaluation is given."""
+        return plan
     plan["crossover_seconds_per_evaluation"] = float(f"{way.crossover:.2g}")
     plan["balance_seconds_per_evaluation"] = float(f"{way.balance:.2g}")
     cost = study.analysis.cost
     if cost is not None:
         overhead = OVERHEAD + FITS * len(study.analysis.quantities) if way.surrogate else OVERHEAD
         plan["seconds"] = round(plan["evaluations"] * cost + overhead, 1)
-        _time_parts(plan, cost, {})
-
-
-def _beside(study: Study) -> dict[str, float]:
-    """Seconds that parts take beside their evaluations."""
-    limits, margins = len(study.limits), study.margins
-    curves = 0 if margins is None else 1 + (len(margins.family.values) if margins.family else 0)
-    return {"rare events": _LIMIT * limits, "margins": _CURVE_PLAN * limits * curves}
-
-
-def _time_parts(plan: Plan, each: float, beside: Mapping[str, float]) -> None:
-    """Give every part its seconds, at so many for an evaluation."""
-    for part in plan["parts"]:
-        part["seconds"] = round(part["likely"] * each + beside.get(part["part"], 0.0), 1)
+        for part in plan["parts"]:
+            part["seconds"] = round(part["likely"] * cost, 1)
+    return plan
 
 
 def _three(number: int) -> int:
@@ -619,28 +572,20 @@ def plan_text(study: Study, plan: Plan) -> str:
     ]
     if len(told) > 1:
         lines.append(f"of which: {'; '.join(told)}")
-    lines.append(f"time: {_time_text(study, plan)}")
+    time = "depends on the model that is given with --model"
+    if plan["seconds"] is not None and study.black_box:
+        time = f"about {plan['seconds']:,.0f} s, one evaluation after the other"
+    elif plan["seconds"] is not None:
+        time = f"about {plan['seconds']:.0f} s on {plan['processors']} processors (20 s more to compile at first)"
+    lines.append(f"time: {time}")
     longest = sorted((p for p in plan["parts"] if p.get("seconds")), key=lambda p: -p["seconds"])[:_TOLD]
     if longest:
         lines.append("most of it: " + ", ".join(f"{p['part']} {_two(p['seconds'])} s" for p in longest))
     lines.append(f"way: {plan['way'] or 'not known yet'}: {plan['why']}")
     lines += [f"room: {one}" for one in plan.get("room", ())]
-    return "\n".join([*lines, *_crossover_text(study, plan)])
-
-
-def _time_text(study: Study, plan: Plan) -> str:
-    if plan["seconds"] is None:
-        return "depends on the model that is given with --model"
     if study.black_box:
-        return f"about {plan['seconds']:,.0f} s, one evaluation after the other"
-    return f"about {plan['seconds']:.0f} s on {plan['processors']} processors (20 s more to compile at first)"
-
-
-def _crossover_text(study: Study, plan: Plan) -> list[str]:
-    if not study.black_box:
-        return []
-    crossover, balance = plan["crossover_seconds_per_evaluation"], plan["balance_seconds_per_evaluation"]
-    text = f"crossover: above {crossover:g} s an evaluation a surrogate is taken, below it sampling"
-    if balance < crossover:
-        text += f" (it takes less time above {balance:g} s already, but answers less)"
-    return [text]
+        crossover, balance = plan["crossover_seconds_per_evaluation"], plan["balance_seconds_per_evaluation"]
+        text = f"crossover: above {crossover:g} s an evaluation a surrogate is taken, below it sampling"
+        sooner = f" (it takes less time above {balance:g} s already, but answers less)" if balance < crossover else ""
+        lines.append(text + sooner)
+    return "\n".join(lines)

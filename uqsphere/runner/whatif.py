@@ -8,8 +8,8 @@ tests would settle what these leave undecided.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -63,6 +63,7 @@ FIFTH: Final = 0.2
 #: confidence with which a value is sure, and the half-width of the 95 % range, relative, within which it is known
 SURE: Final = 0.95
 KNOWN: Final = 0.05
+TOO_CLOSE: Final = f"more than {MOST_TESTS} tests: it is too close to call"
 
 
 def _generator(work: Work, name: str) -> np.random.Generator:
@@ -70,7 +71,7 @@ def _generator(work: Work, name: str) -> np.random.Generator:
     return random_generator(seed=work.study.seed, task=f"ignorance {name}")
 
 
-def laws_of(work: Work, limit: Limit, strength: Law, count: int = FEW_LAWS) -> list[Law]:
+def _laws_of(work: Work, limit: Limit, strength: Law, count: int) -> list[Law]:
     """Laws that the tests behind a strength allow.  Raises LawError where it is not known which."""
     return possible_laws(strength, count, _generator(work, strength_name(limit.name)))
 
@@ -83,7 +84,7 @@ def probabilities_by_tests(work: Work, limit: Limit, states: Sequence[LimitState
     if not (isinstance(limit.strength, Law) and is_fitted(limit.strength)):
         return None
     try:
-        laws = laws_of(work, limit, limit.strength, TRIED)
+        laws = _laws_of(work, limit, limit.strength, TRIED)
     except LawError:
         return None
     # one law in fifty may leave the range
@@ -102,15 +103,17 @@ def find_ignorance(work: Work, sampled: Sampled) -> tuple[dict[str, LimitOpenEnt
 
     Each is a table ready for results.json: 95 % ranges over the laws that the tests allow, or a reason.
     """
+    laws = zip(work.all_inputs.names, work.all_inputs.laws, strict=True)
+    every = {name: law for name, law in laws if is_fitted(law)}
     sample = sampled.sample.head(max(1, ROWS // sampled.sample.replicates)).whole()
     limits = {}
     for limit in work.study.limits:
         own = (*work.scene_names, f"limits.{limit.name}.model_factor", strength_name(limit.name))
-        fitted = _fitted(work, own)
+        fitted = {name: every[name] for name in own if name in every}
         if fitted and sampled.limits[limit.name].exceedance.value is not None:
             opened = _limit_left_open(work, limit, sampled.limits[limit.name], sample, fitted)
-            limits[limit.name] = LimitOpenEntry.model_validate(opened)
-    fitted = _fitted(work, work.scene_names)
+            limits[limit.name] = LimitOpenEntry.model_validate({"from": _about(fitted), **opened})
+    fitted = {name: every[name] for name in work.scene_names if name in every}
     if not fitted:
         return limits, {}
     try:
@@ -123,15 +126,9 @@ def find_ignorance(work: Work, sampled: Sampled) -> tuple[dict[str, LimitOpenEnt
         values = sample.answer(quantity)
         known = (np.isfinite(values) & ~sample.late(quantity)).ravel()
         if known.sum() > 1:
-            about = {"from": _about(fitted), "laws": LAWS}
-            quantities[quantity] = {**about, **_quantity_left_open(work, together[:, known], values.ravel()[known])}
+            open_ = _quantity_left_open(work, together[:, known], values.ravel()[known])
+            quantities[quantity] = {"from": _about(fitted), "laws": LAWS, **open_}
     return limits, quantities
-
-
-def _fitted(work: Work, names: Iterable[str]) -> dict[str, Law]:
-    """Those of the variables whose laws were fitted to tests."""
-    laws = dict(zip(work.all_inputs.names, work.all_inputs.laws, strict=True))
-    return {name: laws[name] for name in names if is_fitted(laws.get(name))}
 
 
 def _about(fitted: dict[str, Law]) -> list[Fields]:
@@ -171,37 +168,34 @@ def _quantity_left_open(work: Work, weight: Array, values: Array) -> Fields:
     return {"mean": _spread(weight @ values), "quantiles": quantiles}
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Others:
-    """One limit on its rows, and what each of the laws does to them that may take the place of the fitted ones.
+def _limit_left_open(work: Work, limit: Limit, answer: LimitAnswer, sample: Sample, fitted: dict[str, Law]) -> Fields:
+    """Where the probability of one limit may lie, all fitted laws together and each alone."""
+    try:
+        exceedance = _under_laws(work, limit, answer, sample, fitted)
+    except LawError as error:
+        return {"reason": str(error)}
+    together = exceedance(list(fitted))
+    missed, met = _missing(together, limit), None
+    if limit.target is not None and is_decided(missed, limit.target):
+        met = _spread(missed)[1] < limit.target
+    return {
+        "laws": LAWS,
+        "exceedance": _spread(together),
+        "miss": _spread(missed),
+        "miss_mean": float(missed.mean()),
+        "alone": {name: _spread(_missing(exceedance([name]), limit)) for name in (fitted if len(fitted) > 1 else ())},
+        "met": met,
+    }
 
-    `weights` and `shifts` (laws, R, n) by input, `tails` (laws, R, n) in place of the strength's; `offset` puts the
-    logit on these rows right by what all rows gave.
+
+def _under_laws(
+    work: Work, limit: Limit, answer: LimitAnswer, sample: Sample, fitted: dict[str, Law]
+) -> Callable[[Sequence[str]], Array]:
+    """Probability of exceeding (LAWS,) with the laws of some variables replaced by those that their tests allow.
+
+    Rows are weighted for the laws of inputs, and moved where a strength hangs on one; another strength has tails of its
+    own.  The logit on these rows is put right by what all rows gave.  Raises LawError where the rows cannot tell.
     """
-
-    state: LimitState
-    weights: dict[str, Array]
-    shifts: dict[str, Array]
-    tails: tuple[Array, Array] | None
-    offset: float
-
-    def exceedance(self, names: Iterable[str], *, with_strength: bool) -> Array:
-        """Probability of exceeding (LAWS,) with the laws of some inputs, and of the strength, replaced."""
-        inputs = [name for name in names if name in self.weights]
-        moved = [name for name in inputs if name in self.shifts]
-        whatifs = (
-            WhatIf(
-                strength=(self.tails[0][k], self.tails[1][k]) if with_strength and self.tails else None,
-                weights=np.prod([self.weights[name][k] for name in inputs], axis=0) if inputs else None,
-                shift=np.sum([self.shifts[name][k] for name in moved], axis=0) if moved else None,
-            )
-            for k in range(LAWS)
-        )
-        return np.array([probability_of_logit(logit(*sides(self.state, one)) + self.offset) for one in whatifs])
-
-
-def _others(work: Work, limit: Limit, answer: LimitAnswer, sample: Sample, fitted: dict[str, Law]) -> _Others:
-    """Raises LawError where the rows cannot tell."""
     from scipy.special import ndtri
 
     key = strength_name(limit.name)
@@ -209,7 +203,7 @@ def _others(work: Work, limit: Limit, answer: LimitAnswer, sample: Sample, fitte
     if state.tie is not None:
         raise LawError("another than the Gaussian copula ties the strength to inputs", key)
     inputs = {name: law for name, law in fitted.items() if name != key}
-    weights, shifts = _weights(work, inputs, sample), {}
+    weights, shifts = _weights(work, inputs, sample), dict[str, Array]()
     if state.shift is not None:
         ties = dict(zip(work.drawn.names, work.all_inputs.regression(key, work.drawn.names)[0], strict=True))
         for name in (name for name in inputs if ties[name]):
@@ -226,34 +220,21 @@ def _others(work: Work, limit: Limit, answer: LimitAnswer, sample: Sample, fitte
     value = answer.exceedance.value
     offset = 0.0 if value is None else logit(value, 1.0 - value) - logit(*sides(state))
     offset = offset if math.isfinite(offset) else 0.0
-    return _Others(state=state, weights=weights, shifts=shifts, tails=tails, offset=offset)
 
+    def exceedance(names: Sequence[str]) -> Array:
+        weighted = [weights[name] for name in names if name in weights]
+        moved = [shifts[name] for name in names if name in shifts]
+        found = np.empty(LAWS)
+        for k in range(LAWS):
+            whatif = WhatIf(
+                strength=(tails[0][k], tails[1][k]) if tails and key in names else None,
+                weights=np.prod([one[k] for one in weighted], axis=0) if weighted else None,
+                shift=np.sum([one[k] for one in moved], axis=0) if moved else None,
+            )
+            found[k] = probability_of_logit(logit(*sides(state, whatif)) + offset)
+        return found
 
-def _limit_left_open(work: Work, limit: Limit, answer: LimitAnswer, sample: Sample, fitted: dict[str, Law]) -> Fields:
-    """Where the probability of one limit may lie, all fitted laws together and each alone."""
-    key, about = strength_name(limit.name), _about(fitted)
-    try:
-        others = _others(work, limit, answer, sample, fitted)
-    except LawError as error:
-        return {"from": about, "reason": str(error)}
-    together = others.exceedance(fitted, with_strength=key in fitted)
-    missed = _missing(together, limit)
-    met = None
-    if limit.target is not None and is_decided(missed, limit.target):
-        met = _spread(missed)[1] < limit.target
-    single = {}
-    if len(fitted) > 1:
-        for name in fitted:
-            single[name] = _spread(_missing(others.exceedance([name], with_strength=name == key), limit))
-    return {
-        "from": about,
-        "laws": LAWS,
-        "exceedance": _spread(together),
-        "miss": _spread(missed),
-        "miss_mean": float(missed.mean()),
-        "alone": single,
-        "met": met,
-    }
+    return exceedance
 
 
 # --- other laws of a strength that is given -----------------------------------------------------------------
@@ -315,27 +296,21 @@ def _against(answer: Estimate, same: Estimate, other: Estimate) -> Estimate:
 
     The uncertainty of the answer and that of the rows are then added.
     """
-    logits = [_logits(e) for e in (answer, same, other)]
-    if answer.value == same.value or not np.isfinite(logits).all():
+    if answer.value == same.value:
         return other
-    if logits[0][2] - logits[0][0] >= logits[1][2] - logits[1][0]:
+    rows = []
+    for one in (answer, same, other):
+        ends = [math.nan if end is None else end for end in (one.low, one.value, one.high)]
+        if not all(0.0 < end < 1.0 for end in ends):
+            return other
+        rows.append([math.log(end) - math.log1p(-end) for end in ends])
+    if rows[0][2] - rows[0][0] >= rows[1][2] - rows[1][0]:
         return other
-    value = logits[2][1] + logits[0][1] - logits[1][1]
-    half = [math.hypot(*(abs(row[end] - row[1]) for row in logits)) for end in (0, 2)]
+    value = rows[2][1] + rows[0][1] - rows[1][1]
+    half = [math.hypot(*(abs(row[end] - row[1]) for row in rows)) for end in (0, 2)]
     low, middle, high = (probability_of_logit(x) for x in (value - half[0], value, value + half[1]))
     return replace(other, value=middle, low=low, high=high, std_error=0.25 * (high - low),
                    method=f"{other.method}, put right by the answer's own method")  # fmt: skip
-
-
-def _logits(estimate: Estimate) -> list[float]:
-    """Logits of the low end, the value and the high end; nan where there are none."""
-    if estimate.value is None or estimate.low is None or estimate.high is None:
-        return [math.nan] * 3
-    return [_logit_of(p) for p in (estimate.low, estimate.value, estimate.high)]
-
-
-def _logit_of(p: float) -> float:
-    return math.inf if p >= 1.0 else -math.inf if p <= 0.0 else math.log(p) - math.log1p(-p)
 
 
 # --- how many tests would settle the target -----------------------------------------------------------------
@@ -349,13 +324,10 @@ def _tests_to_settle(work: Work, limit: Limit, law: Law, sample: Sample) -> Fiel
     if is_fitted(law) or limit.target is None or law.parameters.get("threshold", 0.0) != 0.0:
         return None
     try:
-        tests = fewest_tests(_simulated(work, limit, law, sample, f"tests {limit.name}"), 3)
+        tests = _fewest(work, limit, law, sample, "tests", 3)
     except LawError:
         return None
-    if tests is None:
-        reason = f"more than {MOST_TESTS} tests: it is too close to call"
-        return {"tests": None, "confidence": SURE, "reason": reason}
-    return {"tests": tests, "confidence": SURE}
+    return {"tests": tests, "confidence": SURE, **({"reason": TOO_CLOSE} if tests is None else {})}
 
 
 def _decided(work: Work, limit: Limit, sample: Sample) -> Callable[[Sequence[Law]], bool]:
@@ -365,18 +337,18 @@ def _decided(work: Work, limit: Limit, sample: Sample) -> Callable[[Sequence[Law
     return lambda laws: is_decided(_missing(curves_under([state], laws)[:, 0], limit), target)
 
 
-def _simulated(work: Work, limit: Limit, law: Law, sample: Sample, task: str) -> Callable[[int], bool]:
-    """Whether a number of tests that come out as a law says decides the target."""
+def _fewest(work: Work, limit: Limit, law: Law, sample: Sample, task: str, known: int) -> int | None:
+    """The least number of tests above those known that decide the target if they come out as a law says."""
     decided = _decided(work, limit, sample)
 
     def simulated(tests: int) -> bool:
-        generator = random_generator(seed=work.study.seed, task=f"{task} {tests}")
+        generator = random_generator(seed=work.study.seed, task=f"{task} {limit.name} {tests}")
         return decided(laws_of_more_tests(law, tests, FEW_LAWS, generator))
 
-    return simulated
+    return fewest_tests(simulated, known)
 
 
-def more_tests(work: Work, sampled: Sampled, limit: Limit, strength: Law, spread: float | None) -> Fields:
+def _more_tests(work: Work, sampled: Sampled, limit: Limit, strength: Law, spread: float | None) -> Fields:
     """How many more tests decide the target as planned, and how many give a value with this spread to within `KNOWN`.
 
     Both take it that further tests come out as those so far: the answer is the size of the effort, no promise.
@@ -388,11 +360,11 @@ def more_tests(work: Work, sampled: Sampled, limit: Limit, strength: Law, spread
         found["to_know_the_value"] = max(0, math.ceil(tests * (1.96 * spread / KNOWN) ** 2) - tests)
     if limit.target is None:
         return found
-    if _decided(work, limit, sampled.sample)(laws_of(work, limit, strength)):
+    if _decided(work, limit, sampled.sample)(_laws_of(work, limit, strength, FEW_LAWS)):
         return {**found, "to_settle": 0}
-    in_all = fewest_tests(_simulated(work, limit, strength, sampled.sample, f"more tests {limit.name}"), tests)
+    in_all = _fewest(work, limit, strength, sampled.sample, "more tests", tests)
     if in_all is None:
-        return {**found, "to_settle": None, "reason": f"more than {MOST_TESTS} tests: it is too close to call"}
+        return {**found, "to_settle": None, "reason": TOO_CLOSE}
     return {**found, "to_settle": in_all - tests}
 
 
@@ -423,64 +395,47 @@ def margin_left_open(
             reason = "the demands are not known in full, so that no rows serve all values"
             left = MarginOpenEntry(tests=count_tests(strength), reason=reason)
         else:
-            known = rows
-            left = value_range(
-                strength, laws_of(work, limit, strength, MANY_LAWS),
-                lambda values, count: known.states(limit, values, count),
-                (rows.grid[0], rows.grid[-1]), probability=probability, value=value.value, rising=rising,
-                survive=limit.aim == "survive",
-            )  # fmt: skip
-        return {"ignorance": left, "more_tests": more_tests(work, sampled, limit, strength, left.sd_log)}
+            laws = _laws_of(work, limit, strength, MANY_LAWS)
+            left = _value_range(limit, strength, laws, rows, value.value, probability, rising)
+        return {"ignorance": left, "more_tests": _more_tests(work, sampled, limit, strength, left.sd_log)}
     except LawError as error:
         return {"ignorance": MarginOpenEntry(reason=str(error))}
 
 
-def value_range(
-    strength: Law,
-    laws: Sequence[Law],
-    states_at: Callable[[Sequence[float], int], Sequence[LimitState]],
-    ends: tuple[float, float],
-    *,
-    probability: float,
-    value: float | None,
-    rising: bool,
-    survive: bool,
+def _value_range(
+    limit: Limit, strength: Law, laws: Sequence[Law], rows: AxisRows, value: float, probability: float, rising: bool
 ) -> MarginOpenEntry:
-    """Where the value at a probability may lie over laws that the tests allow, the value that is sure, the mean law's.
-
-    `states_at` gives the states at some values between the ends, on so many rows of each replicate.
-    """
-    logarithmic = ends[0] > 0.0
-    values = spaced(*ends, VALUES)
+    """Where the value at a probability may lie over laws that the tests allow, which is sure, and the mean law's."""
+    low, high = rows.grid[0], rows.grid[-1]
+    logarithmic, values = low > 0.0, spaced(low, high, VALUES)
     places = np.log(values) if logarithmic else np.array(values)
-    states = states_at(values, FEW_ROWS)
+    states = rows.states(limit, values, FEW_ROWS)
 
     def under(some: Sequence[Law]) -> float:
         return root(places, lambda j: float(curves_under([states[j]], some).mean()), probability, rising)
 
-    # on these few rows the law itself answers a little differently: what is known better is kept
-    own = under([strength])
-    shift = 0.0 if value is None or not math.isfinite(own) else (math.log(value) if logarithmic else value) - own
-    found = np.array([under([law]) for law in laws])
-    low, high = np.quantile(found, [0.025, 0.975], method="nearest") + shift
-    sure = float(np.quantile(found, 1.0 - SURE if survive == rising else SURE, method="nearest")) + shift
-    mean_law = under(laws) + shift
-    known = found[np.isfinite(found)]
-
     def told(place: float) -> float | None:
+        place += shift
         if not math.isfinite(place):
             return None
         return math.exp(place) if logarithmic else float(place)
 
+    # on these few rows the law itself answers a little differently: what is known better is kept
+    own = under([strength])
+    shift = 0.0 if not math.isfinite(own) else (math.log(value) if logarithmic else value) - own
+    found = np.array([under([law]) for law in laws])
+    safe = 1.0 - SURE if (limit.aim == "survive") == rising else SURE
+    ends = np.quantile(found, [0.025, 0.975, safe], method="nearest").tolist()
+    known = found[np.isfinite(found)]
     return MarginOpenEntry(
         tests=count_tests(strength),
         stopped=len(strength.censored),
         laws=len(laws),
-        low=told(low),
-        high=told(high),
-        sure=told(sure),
+        low=told(ends[0]),
+        high=told(ends[1]),
+        sure=told(ends[2]),
         confidence=SURE,
-        mean_law=told(mean_law),
+        mean_law=told(under(laws)),
         sd_log=float(np.std(known, ddof=1)) if logarithmic and known.size > 0.9 * len(laws) else None,
         beyond=float(1.0 - known.size / len(laws)),
     )
