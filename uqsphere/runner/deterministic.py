@@ -90,18 +90,6 @@ def _with_damper(study: Study, scene: Scene) -> tuple[Scene, Damper | None]:
     return replace(scene, columns=columns), damper
 
 
-def _yield_lines(found: History, pressure: float) -> list[tuple[str, str]]:
-    """What is said of an elastic contact beyond the onset of yield of what stands at the poles."""
-    from uqsphere.mechanics.partners import softest_partner
-
-    scene = found.motion.scene
-    onset = float(softest_partner(scene).onset[0])
-    if scene.contact_law != "hertz" or not pressure > onset:
-        return []
-    said = f"{pressure / onset:.3g} times the {format_value(onset, 'p_max', 4)} at which the faces beside it yield"
-    return [("NOTE", f"{said}: an elastic contact overstates pressure and force from there on")]
-
-
 class Summary(TypedDict, total=False):
     """The findings of a history, as `history --json` prints them; `lines` are (what, value)."""
 
@@ -118,29 +106,34 @@ class Summary(TypedDict, total=False):
 
 def history_summary(found: History) -> Summary:
     """The findings of a history as (what, value) lines, for the terminal and for JSON."""
-    rig = found.motion.scene.rig
+    from uqsphere.mechanics.partners import softest_partner
+
+    scene = found.motion.scene
     lines = [("mu (mass of the sphere)", f"{found.mass_number:.4g}")]
-    if rig == "bars":
+    if scene.rig == "bars":
         lines.append(("theta (length of the pulse)", f"{found.pulse_number:.4g}"))
-    if found.first_peak is not None:
-        peak = found.first_peak
-        lines.append(("largest contact pressure before contact is lost", format_value(peak.pressure, "p_max", 6)))
-        lines.append(("  at", f"{peak.time * 1e6:.4g} us, face {peak.face}"))
-        lines.append(("  force there", format_value(peak.force, "P_max", 6)))
-        lines += _yield_lines(found, peak.pressure)
+    if (peak := found.first_peak) is not None:
+        lines += [
+            ("largest contact pressure before contact is lost", format_value(peak.pressure, "p_max", 6)),
+            ("  at", f"{_when(peak.time)}, face {peak.face}"),
+            ("  force there", format_value(peak.force, "P_max", 6)),
+        ]
+        onset = float(softest_partner(scene).onset[0])
+        if scene.contact_law == "hertz" and peak.pressure > onset:
+            beyond = f"{peak.pressure / onset:.3g} times the {format_value(onset, 'p_max', 4)}"
+            said = "at which the faces beside it yield: an elastic contact overstates pressure and force from there on"
+            lines.append(("NOTE", f"{beyond} {said}"))
     for change in found.changes:
         word = "lost" if change.kind == "lost" else "found again"
         lines.append((f"contact {word} at face {change.face}", f"{change.time * 1e6:.6g} us"))
-    if found.later_peak is not None:
-        peak = found.later_peak
+    if (peak := found.later_peak) is not None:
         lines.append(("largest contact pressure afterwards", format_value(peak.pressure, "p_max", 6)))
-        lines.append(("  at", f"{peak.time * 1e6:.4g} us, face {peak.face}"))
+        lines.append(("  at", f"{_when(peak.time)}, face {peak.face}"))
     if found.later_peak_is_larger:
-        lines.append(
-            ("NOTE", "the later peak is the larger one: quantities of interest end at the first loss of contact")
-        )
+        said = "the later peak is the larger one: quantities of interest end at the first loss of contact"
+        lines.append(("NOTE", said))
     bars: Summary = {}
-    if rig == "bars":
+    if scene.rig == "bars":
         told, bars = _bars(found)
         lines += told
     lines += _balance_lines(found)
@@ -158,21 +151,21 @@ def history_summary(found: History) -> Summary:
 
 def _balance_lines(found: History) -> list[tuple[str, str]]:
     """Dents and plastic work that are left, and with which velocities the bodies part."""
-    balance, lines = found.balance, []
+    balance = found.balance
     if balance is None:
         return []
-    for k, face in enumerate("AB"):
-        if balance.dent[k, -1] > 0.0:
-            lines.append((f"dent left at face {face}", f"{1e6 * float(balance.dent[k, -1]):.4g} um"))
+    dents = [("AB"[k], float(dent[-1])) for k, dent in enumerate(balance.dent) if dent[-1] > 0.0]
+    lines = [(f"dent left at face {face}", f"{1e6 * dent:.4g} um") for face, dent in dents]
     if (plastic := float(balance.plastic[:, -1].sum())) > 0.0:
         lines.append(("plastic work", format_value(plastic, "energy")))
     if found.motion.scene.rig != "bars":
-        lines.append(("velocity of the sphere at the end", f"{float(balance.sphere[-1]):.6g} m/s"))
-        lines += [
-            (f"velocity of the partner at {face} at the end", f"{float(balance.partner[k, -1]):.6g} m/s")
-            for k, face in enumerate("AB")
-            if np.abs(balance.partner[k]).max() > 1e-9
+        ends = [("the sphere", float(balance.sphere[-1]))]
+        ends += [
+            (f"the partner at {face}", float(speed[-1]))
+            for face, speed in zip("AB", balance.partner, strict=True)
+            if np.abs(speed).max() > 1e-9
         ]
+        lines += [(f"velocity of {body} at the end", f"{speed:.6g} m/s") for body, speed in ends]
     return lines
 
 
@@ -182,35 +175,30 @@ def _bars(found: History) -> tuple[list[tuple[str, str]], Summary]:
     from uqsphere.mechanics.history import equilibrium
 
     balance = equilibrium(found)
-    level = f"{100.0 * balance.level:.0f} %"
     lines = [
-        (f"forces first within {level} of their mean", _when(balance.first)),
+        (f"forces first within {100.0 * balance.level:.0f} % of their mean", _when(balance.first)),
         ("  for good, up to the first loading's largest", _when(balance.lasting)),
     ]
     tensions: Fields = {}
     for bar in BARS:
         tension = first_tension(found.motion, bar)
         tensions[bar] = None if tension is None else {"time": tension.time, "position": tension.position}
-        text = "none" if tension is None else f"{tension.time * 1e6:.4g} us, {tension.position:.4g} m from the sphere"
+        text = "none" if tension is None else f"{_when(tension.time)}, {tension.position:.4g} m from the sphere"
         lines.append((f"first tension in the {bar} bar", text))
     if found.motion.scene.record is not None:
         share = f"above {100.0 * tension_level(found.motion):.1f} % of the pulse: less is the noise of its record"
         lines.append(("  counted as tension", share))
     gauges: list[Fields] = []
     for record in found.gauges:
-        overlaps = [
-            {"first": one.first, "second": one.second, "begin": one.begin, "end": one.end} for one in record.overlaps
-        ]
+        keys = ("first", "second", "begin", "end")
+        overlaps = [{key: getattr(one, key) for key in keys} for one in record.overlaps]
         gauges.append({"bar": record.bar, "position": record.position, "overlaps": overlaps})
-        for one in record.overlaps:
-            text = f"{one.first} wave and {one.second}, {one.begin * 1e6:.4g} to {one.end * 1e6:.4g} us"
-            lines.append((f"overlap at the gauge {record.name}", text))
-    equilibria: Fields = {
-        "level": balance.level,
-        "first": balance.first,
-        "lasting": balance.lasting,
-        "until": balance.until,
-    }
+        lines += [
+            (f"overlap at the gauge {record.name}",
+             f"{one.first} wave and {one.second}, {one.begin * 1e6:.4g} to {one.end * 1e6:.4g} us")
+            for one in record.overlaps
+        ]  # fmt: skip
+    equilibria: Fields = {key: getattr(balance, key) for key in ("level", "first", "lasting", "until")}
     return lines, {"equilibrium": equilibria, "first_tension": tensions, "gauges": gauges}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -76,8 +75,7 @@ def find_drivers(work: Work, sampled: Sampled, shared: Shared) -> Drivers:
 
     `shared` has the pairs of runs of the indices.
     """
-    names = work.scene_names
-    if not names:
+    if not work.scene_names:
         return Drivers()
     sample = sampled.rows.head(POINTS).whole()
     quantities = {
@@ -87,16 +85,19 @@ def find_drivers(work: Work, sampled: Sampled, shared: Shared) -> Drivers:
         }
         for quantity in work.quantities
     }
-    limits = {}
-    for limit in work.study.limits:
-        if sample.count < 2:
-            continue
-        limits[limit.name] = _of_limit(work, limit, sample, shared)
+    limits: dict[str, Fields] = {}
+    for limit in work.study.limits if sample.count > 1 else ():
+        state = state_of(work, limit, sample)
+        chance = _missing(limit, state)
+        driving: Fields = {
+            "probability": float(chance.mean()),
+            **_indices(work, limit, shared),
+            "explained": explained_share(chance),
+            "given_failure": _given_failure(work, limit, sample, state, chance),
+        }
+        measured = _measure_probability(work, limit, sample, state, chance)
+        limits[limit.name] = {"drivers": driving, "measure_first": measured}
     return Drivers(quantities=quantities, limits=limits)
-
-
-def _json(names: Sequence[str], estimates: Sequence[Estimate]) -> Fields:
-    return dict(zip(names, estimates, strict=True))
 
 
 def _distances(work: Work, sample: Sample, quantity: str) -> Fields:
@@ -105,8 +106,8 @@ def _distances(work: Work, sample: Sample, quantity: str) -> Fields:
     x, y = sample.inputs[:, :, : len(names)], sample.answer(quantity)
     delta = delta_estimates(x[:, :DELTA_POINTS], y[:, :DELTA_POINTS])
     pawn = pawn_estimates(x[:, :PAWN_POINTS], y[:, :PAWN_POINTS], seed=work.study.seed)
-    threshold = pawn.threshold if math.isfinite(pawn.threshold) else None
-    return {"delta": _json(names, delta), "pawn": _json(names, pawn.inputs), "pawn_threshold": threshold}
+    tables = {"delta": dict(zip(names, delta, strict=True)), "pawn": dict(zip(names, pawn.inputs, strict=True))}
+    return {**tables, "pawn_threshold": finite(pawn.threshold)}
 
 
 def _observed(law: Law | float) -> int | None:
@@ -117,15 +118,15 @@ def _observed(law: Law | float) -> int | None:
 def _measure_variance(work: Work, found: Sensitivity) -> Fields:
     """Inputs by what the variance would fall if they were known, with the tests that make their share small."""
     first = found.kucherenko.get("first") or found.first
-    known = {name: e for name, e in first.items() if e.value is not None}
+    known = {name: (e, e.value) for name, e in first.items() if e.value is not None}
     rows = [
         {
             "input": name,
             "share": e,
-            "tests": specimens_for_share(max(0.0, e.value or 0.0), WANTED),
+            "tests": specimens_for_share(max(0.0, value), WANTED),
             "observations": _observed(work.study.random[name]),
         }
-        for name, e in sorted(known.items(), key=lambda item: -(item[1].value or 0.0))
+        for name, (e, value) in sorted(known.items(), key=lambda item: -item[1][1])
     ]
     reason = "" if rows else next((e.reason for e in first.values() if e.reason), "no index is known")
     return {"of": "variance", "wanted": WANTED, "method": _VARIANCE, "rows": rows, "reason": reason}
@@ -138,20 +139,6 @@ def _missing(limit: Limit, state: LimitState) -> Array:
     """Probability of missing the aim given the inputs, (R, n)."""
     below, above = tails(state)
     return above if limit.aim == "break" else below
-
-
-def _of_limit(work: Work, limit: Limit, sample: Sample, shared: Shared) -> Fields:
-    state = state_of(work, limit, sample)
-    chance = _missing(limit, state)
-    p = float(chance.mean())
-    driving: Fields = {"probability": p, **_indices(work, limit, shared)}
-    driving["explained"] = explained_share(chance)
-    driving["given_failure"] = _given_failure(work, limit, sample, state, chance)
-    return {"drivers": driving, "measure_first": _measure_probability(work, limit, sample, state, chance)}
-
-
-def _depends(work: Work, name: str) -> bool:
-    return name in work.all_inputs.tied()
 
 
 def _chances(work: Work, limit: Limit, values: Array, scores: Array | None) -> Array:
@@ -173,52 +160,46 @@ def _chances(work: Work, limit: Limit, values: Array, scores: Array | None) -> A
 def _indices(work: Work, limit: Limit, shared: Shared) -> Fields:
     """First and total indices of missing the aim, or Shapley effects and Kucherenko's where inputs are tied."""
     names, k = work.scene_names, work.quantities.index(limit.quantity)
-    method = "pairs of runs, strength integrated"
-    if isinstance(limit.model_factor, Law) and _depends(work, f"limits.{limit.name}.model_factor"):
-        reason = "the model factor depends on other variables, and its share cannot be told from theirs"
-        return _no_indices(names, reason, method)
+
+    def named(*orders: str, **found: Sequence[Estimate]) -> dict[str, dict[str, Estimate]]:
+        return {order: dict(zip(every, found[order], strict=False)) for order in orders}
+
+    def refused(reason: str) -> Fields:
+        nothing = [absent(reason, "pairs of runs, strength integrated", 0)] * len(names)
+        return {"of": "missing the aim", **named("first", "total", first=nothing, total=nothing)}
+
+    every, depends = names, work.all_inputs.tied()
+    if isinstance(limit.model_factor, Law) and f"limits.{limit.name}.model_factor" in depends:
+        return refused("the model factor depends on other variables, and its share cannot be told from theirs")
     design, runs = shared.subsets, shared.pairs
     if runs is None:
-        return _no_indices(names, "no pairs of runs were evaluated, which these indices rest on", method)
+        return refused("no pairs of runs were evaluated, which these indices rest on")
     values, failed = runs.values[:, :PAIRS, :, k], runs.failed[:, :PAIRS]
     count = failed.shape[1]
-    tied = isinstance(limit.strength, Law) and _depends(work, strength_name(limit.name))
+    tied = isinstance(limit.strength, Law) and strength_name(limit.name) in depends
     scores = without(_scores(work, design, count), failed) if tied else None
     chance = _chances(work, limit, without(values, failed), scores)
-    about = "the probability of missing the aim given the inputs"
+    about: Fields = {"of": "the probability of missing the aim given the inputs"}
     if design is not None:
         from uqsphere.uq.shapley import shapley_estimates
 
         reason = too_few(chance if chance.mean() <= 0.5 else 1.0 - chance)
         if reason:
-            refused = _no_indices(names, reason, method)
-            return {
-                **refused,
-                "shapley": refused["first"],
-                "kucherenko": dict.fromkeys(("first", "total"), refused["first"]),
-            }
+            nothing = refused(reason)
+            kucherenko = dict.fromkeys(("first", "total"), nothing["first"])
+            return {**nothing, "shapley": nothing["first"], "kucherenko": kucherenko}
         orders = orders_at(work, design, count)
         if orders is not None:
             orders = np.asarray(without(orders.astype(float), failed)).astype(np.int64)
         found = shapley_estimates(design, chance, orders)
-        refused = _no_indices(names, "inputs depend on each other: read the Shapley effects", method)
-        return {
-            **refused,
-            "of": about,
-            "shapley": _json(names, found["shapley"]),
-            "kucherenko": {order: _json(names, found[order]) for order in ("first", "total")},
-        }
+        nothing = refused("inputs depend on each other: read the Shapley effects")
+        return {**nothing, **about, **named("shapley", **found), "kucherenko": named("first", "total", **found)}
     if tied or isinstance(limit.model_factor, Law):
         plain = sampled_indices(chance, Blocks(inputs_count=len(names)))
-        return {"of": about, "first": _json(names, plain.first), "total": _json(names, plain.total)}
-    found = indicator_indices(chance)
-    every = (*names, strength_name(limit.name)) if isinstance(limit.strength, Law) else names
-    return {"of": "missing the aim", **{o: _json(every, found[o][: len(every)]) for o in ("first", "total")}}
-
-
-def _no_indices(names: Sequence[str], reason: str, method: str) -> Fields:
-    nothing = _json(names, [absent(reason, method, 0)] * len(names))
-    return {"of": "missing the aim", "first": nothing, "total": dict(nothing)}
+        return {**about, **named("first", "total", first=plain.first, total=plain.total)}
+    if isinstance(limit.strength, Law):
+        every = (*names, strength_name(limit.name))
+    return {"of": "missing the aim", **named("first", "total", **indicator_indices(chance))}
 
 
 def _scores(work: Work, subsets: SubsetDesign | None, count: int) -> Array:
