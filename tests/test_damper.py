@@ -89,22 +89,6 @@ def test_a_table_that_foresees_is_refused():
         trace(scene_with(), damper=mass_and_dashpot(-1.0))
 
 
-@pytest.mark.parametrize(
-    ("frequency", "coefficient", "words"),
-    [
-        ([1.0], [0.0], "at least 2"),
-        ([1.0, 2.0], [0.0], "one length"),
-        ([2.0, 1.0], [0.0, 0.0], "ascend"),
-        ([0.0, 1.0], [0.0, 0.0], "positive"),
-        ([1.0, 2.0], [0.0, np.nan], "finite"),
-        ([1.0, 2.0], [0.0, 1.1], "more than it gets"),
-    ],
-)
-def test_wrong_tables_are_refused(frequency, coefficient, words):
-    with pytest.raises(ValueError, match=words):
-        Damper(frequency=np.array(frequency), coefficient=np.array(coefficient, dtype=complex))
-
-
 def test_what_a_damper_does_not_go_with():
     with pytest.raises(ValueError, match="must not be negative"):
         damper_from_impedance([1.0, 2.0], [-1.0, 1.0], Z)
@@ -284,16 +268,3 @@ def test_impulse_is_kept_and_a_sharp_edge_rings() -> None:
     seen = disperse(wave, 1e-6, 1.0, surface=False, **STEEL)
     assert abs(seen.sum() - wave.sum()) < EXACT
     assert np.abs(seen).max() > 1.05e-4
-
-
-@pytest.mark.parametrize("nu", [-0.1, 0.5, float("nan")])
-def test_a_ratio_without_meaning_is_refused(nu: float) -> None:
-    with pytest.raises(ValueError, match="Poisson"):
-        phase_speed([1.0], nu)
-
-
-def test_a_bar_without_meaning_is_refused() -> None:
-    with pytest.raises(ValueError, match="positive"):
-        correct(np.zeros(8), 0.0, 1.0, **STEEL)
-    with pytest.raises(ValueError, match="between 0 and 60"):
-        phase_speed([61.0], 0.3)

@@ -469,7 +469,7 @@ def test_probabilities_whose_squares_are_beneath_all_numbers_have_no_shares() ->
 def test_tied_inputs_share_alike_in_any_order(strength: str, tmp_path: Path) -> None:
     lines = {name: f'{name} = {{ dist = "normal", mean = 0.0, sd = 1.0 }}' for name in "abc"}
     found = []
-    for order in ("abc", "bac", "cab"):
+    for order in ("abc", "cba"):
         path = tmp_path / f"{order}.toml"
         path.write_text(f"""\
 seed = 3

@@ -282,20 +282,20 @@ def test_runs_made_for_a_rough_output_serve_the_surrogates_of_the_others(
 
 
 def test_a_step_is_answered_within_its_interval(ask) -> None:
-    results = ask(
-        Counted(lambda x: np.where(x["x1"] + 0.3 * x["x2"] > 0.5, 5.0, 0.0) + 0.1 * x["x3"])
-    ).results.document()
+    box = Counted(lambda x: np.where(x["x1"] + 0.3 * x["x2"] > 0.5, 5.0, 0.0) + 0.1 * x["x3"])
+    results = ask(box, "analysis.budget.evaluations=250").results.document()
     # P(x1 + 0.3 x2 > 0.5) of x uniform on (-pi, pi): the offset alone counts, by symmetry
     assert holds(results["quantities"]["y"]["mean"], 5.0 * (0.5 - 0.5 / (2.0 * np.pi)))
 
 
 def test_two_runs_agree_and_one_that_is_resumed_evaluates_nothing(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("uqsphere.uq.response.fit_outputs", fit_outputs)
-    first, again = ask(Counted(ishigami)), ask(Counted(ishigami), out="other")
+    few = "analysis.budget.evaluations=64"
+    first, again = ask(Counted(ishigami), few), ask(Counted(ishigami), few, out="other")
     assert first.results.document() == again.results.document()
     box = Counted(ishigami)
     box.function = ishigami
-    resumed = ask(box)
+    resumed = ask(box, few)
     assert box.rows == 1  # a stored row, to see that it is the same
     assert resumed.results.document() == first.results.document()
 

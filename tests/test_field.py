@@ -142,14 +142,6 @@ def test_endless_bars_have_a_field_at_any_distance():
     assert field_at(history.motion, "receiving", 50.0, np.array([0.99 * 50.0 / C0])).stress[0] == 0.0
 
 
-def test_wrong_places_are_refused():
-    history = history_with()
-    with pytest.raises(ValueError, match="not on the receiving bar"):
-        field_at(history.motion, "receiving", [0.1, 1.3], [0.0, 0.0])
-    with pytest.raises(ValueError, match="unknown bar"):
-        first_tension(history.motion, "left")
-
-
 # --- what is stored of the bars over place and time, and read again for the report ----------------
 
 

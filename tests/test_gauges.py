@@ -192,27 +192,3 @@ def test_records_show_jumps_and_say_what_overlaps(granite):
     assert record.clean_until == pytest.approx(1.5 / C0)
     assert default_positions(granite.motion) == (("incident", pytest.approx(0.75)), ("receiving", pytest.approx(0.6)))
     assert default_positions(history_with(fidelity="massless", infinite=True, bars_incident_length=1e9).motion)[0][0]
-
-
-@pytest.mark.parametrize(
-    ("bar", "position", "times", "words"),
-    [
-        ("middle", 0.5, [0.0], "allowed: incident, receiving"),
-        ("incident", 1.6, [0.0], "not on the incident bar"),
-        ("receiving", -0.1, [0.0], "not on the receiving bar"),
-        ("incident", float("nan"), [0.0], "not on the incident bar"),
-        ("incident", 0.5, [[0.0]], "one row"),
-        ("incident", 0.5, [float("nan")], "finite"),
-        ("incident", 0.5, [1.0], "longer horizon"),
-    ],
-)
-def test_wrong_gauges_are_refused(granite, bar, position, times, words):
-    with pytest.raises(ValueError, match=words):
-        gauge_strain(granite.motion, bar, position, times)
-
-
-def test_wrong_levels_and_times_are_refused(granite):
-    with pytest.raises(ValueError, match="between 0 and 2"):
-        equilibrium(granite, 2.5)
-    with pytest.raises(ValueError, match="no time is left"):
-        bar_forces(granite.motion, 0.75, 1.2)

@@ -79,7 +79,7 @@ def test_extrapolation_is_believed_as_far_as_the_fit_is_exact(kind: str) -> None
     """tanh(c) of a Cauchy c levels off where a polynomial goes on; a straight line goes on as it should."""
     hits, shares, widths = [], [], []
     germs = ("normal", "normal")
-    for seed in range(24):
+    for seed in range(12):
         points = _normals(32, seed, "design")
         outputs = _output(kind, points)
         response = cross_fit(points, outputs, germs)[0]
@@ -92,7 +92,7 @@ def test_extrapolation_is_believed_as_far_as_the_fit_is_exact(kind: str) -> None
         hits.append(_holds(sd, truths[0]))
         shares.append(_holds(index, truths[1]))
         widths.append(max(sd.half_width, index.half_width))
-    assert len(hits) >= 8
+    assert len(hits) >= 4
     assert np.mean(hits) >= 0.85 if kind == "levels off" else max(widths) < 0.005
     assert np.mean(shares) >= 0.85
 

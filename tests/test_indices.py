@@ -103,27 +103,6 @@ def test_a_group_is_worth_its_inputs_and_what_they_do_together() -> None:
     assert not found.second
 
 
-def test_salib_agrees_on_the_same_outputs() -> None:
-    from SALib.analyze import sobol
-
-    model = MODELS["g-function"]
-    d = model.dimension
-    blocks = Blocks(inputs_count=d, second=True)
-    y = outputs(model, blocks, 1024, replicates=4)
-    mine = index_estimates(y, blocks, "saltelli")
-    pairs = sampled_indices(y, blocks).second
-    # SALib's order: A, AB_1 ... AB_d, BA_1 ... BA_d, B for each base point
-    order = [*range(d + 1), *range(d + 2, 2 * d + 2), d + 1]
-    problem = {"num_vars": d, "names": [f"x{j}" for j in range(d)], "bounds": [[0.0, 1.0]] * d}
-    theirs = sobol.analyze(problem, y[:, :, order].reshape(-1), calc_second_order=True, num_resamples=2, seed=1)
-    for j in range(d):
-        # the same sums, about means and variances that differ in the last digits of the sample's
-        assert mine["first"][j].value == pytest.approx(theirs["S1"][j], abs=2e-3)
-        assert mine["total"][j].value == pytest.approx(theirs["ST"][j], abs=2e-3)
-    for (i, j), estimate in pairs.items():
-        assert estimate.value == pytest.approx(theirs["S2"][i, j], abs=0.02)
-
-
 def test_indices_do_not_depend_on_unit_offset_or_order_of_inputs() -> None:
     model = MODELS["ishigami"]
     blocks = Blocks(inputs_count=3, second=True, groups=((0, 2),))
@@ -441,7 +420,7 @@ def test_intervals_with_a_surrogate_that_is_wrong_still_cover() -> None:
 
     model, blocks = MODELS["ishigami"], Blocks(inputs_count=3)
     hits = []
-    for seed in range(40):
+    for seed in range(16):
         fits = []
         for fit in expansion("ishigami", seed, fits=1):
             alone = (fit.multi_indices > 0).sum(axis=1) <= 1
@@ -450,8 +429,8 @@ def test_intervals_with_a_surrogate_that_is_wrong_still_cover() -> None:
         _, found = controlled("ishigami", seed, blocks, fits=fits)
         for order in ("first", "total"):
             hits += [e.low <= t <= e.high for e, t in zip(getattr(found, order), getattr(model, order), strict=True)]
-    # 240 answers of 40 repetitions
-    assert 0.95 - 4.0 * math.sqrt(0.95 * 0.05 / 120) <= np.mean(hits) <= 1.0
+    # 96 answers of 16 repetitions
+    assert 0.95 - 4.0 * math.sqrt(0.95 * 0.05 / 48) <= np.mean(hits) <= 1.0
 
 
 def test_a_surrogate_that_is_off_at_few_points_has_wider_intervals() -> None:

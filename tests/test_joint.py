@@ -365,8 +365,3 @@ def test_dependences_that_cannot_hold_are_refused(groups, key, text) -> None:
 def test_a_matrix_that_is_no_correlation_is_refused(correlation: np.ndarray) -> None:
     with pytest.raises(LawError):
         Joint(names=SCENE_NAMES, laws=LAWS, correlation=correlation)
-
-
-def test_names_must_match_laws() -> None:
-    with pytest.raises(LawError, match="different names"):
-        Joint(names=("a", "a", "b"), laws=LAWS)

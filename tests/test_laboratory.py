@@ -8,6 +8,7 @@ import json
 import math
 import os
 import zipfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import pytest
 from report_folders import html_errors
 
 from tests.campaigns.inverse import Made, make_test, peak_coverage, rig_of, scene_of_test
+from uqsphere.arrays import Array
 from uqsphere.cli import main
 from uqsphere.records.inverse import Rig
 from uqsphere.records.laboratory import Reading, calibrate, read_test
@@ -27,6 +29,9 @@ from uqsphere.study import load_study
 
 REAL = os.environ.get("UQSPHERE_RECORDS", "")
 real = pytest.mark.skipif(not REAL, reason="UQSPHERE_RECORDS names no folder of real records")
+#: what the Rae and others bars are, as their authors published them
+TITANIUM = {"bars.E": 110e9, "bars.density": 4430.0, "bars.nu": 0.33, "bars.diameter": 0.05}
+ROCK = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.018, "sphere.density": 2650.0}
 
 
 @pytest.fixture(scope="module")
@@ -407,6 +412,74 @@ def test_real_records_agree_with_what_their_authors_published(
     assert found["essai80.txt"]["largest_force"]["B"]["doubts"]
     for name in ("shpbcalc.CSV", "tektronix_ch1.csv", "lanl_cu.raw", "essai80.txt"):
         assert len(read_table(Path(REAL) / name).values) > 600
+
+
+def put(first: int, samples: int, size: float) -> Callable[[Array, int], Array]:
+    def change(values: Array, peak: int) -> Array:
+        values[peak + first : peak + first + samples] += size * abs(values[peak])
+        return values
+
+    return change
+
+
+#: of a gauge in volts and the sample of its wave's peak; gauges 1 and 2 are on the incident bar
+REAL_FAULTS: dict[str, tuple[int, Callable[[Array, int], Array]]] = {
+    "spike on the incident peak": (1, put(0, 1, -3.0)),
+    "three samples beside it": (2, put(-30, 3, 0.5)),
+    "spike on the reflected wave": (1, put(600, 2, 0.6)),
+    "spike on the force": (3, put(0, 1, -0.8)),
+    "five samples on the rise": (3, put(-20, 5, 2.0)),
+    "spike at the foot": (2, put(-250, 1, 0.2)),
+    "trigger": (1, put(-1000, 3, 0.8)),
+    "offset": (2, lambda v, k: v + 0.05 * abs(v[k])),
+    "drift": (3, lambda v, k: v + 0.1 * abs(v[k]) * np.arange(len(v)) / len(v)),
+    "drift of the incident bar": (1, lambda v, k: v - 0.2 * abs(v[k]) * np.arange(len(v)) / len(v)),
+    "turned": (2, lambda v, k: -v),
+    "turned at the other bar": (4, lambda v, k: -v),
+    "dead": (1, lambda v, k: 5e-3 * np.random.default_rng(1).normal(size=len(v))),
+    "dead, without noise": (4, lambda v, k: 0.0 * v),
+    "weak": (3, lambda v, k: 0.1 * v),
+    "gaps": (3, lambda v, k: np.where(np.arange(len(v)) % 200 < 5, np.nan, v)),
+    "clipped": (3, lambda v, k: np.clip(v, -0.7 * abs(v).max(), 0.7 * abs(v).max())),
+    "clipped at the incident bar": (1, lambda v, k: np.clip(v, -0.8 * abs(v).max(), 0.8 * abs(v).max())),
+    "came off": (
+        3,
+        lambda v, k: np.where(np.arange(len(v)) < k - 40, v, np.where(np.arange(len(v)) % 300 < 150, -5.12, 3.0)),
+    ),
+    "at the end of its range": (4, lambda v, k: np.where(np.arange(len(v)) < k - 60, v, 5.12)),
+}
+
+
+@real
+@pytest.mark.parametrize("fault", REAL_FAULTS)
+def test_no_fault_in_a_real_record_is_wrong_and_silent(fault: str) -> None:
+    volts = Wiring(gauge_factor=1.99, excitation=5.0, amplification=400.0)
+    bar = Bar(radius=0.025, wave_speed=math.sqrt(110e9 / 4430.0), nu=0.33)
+    rig = Rig(bar=bar, incident_gauge=1.25, receiving_gauge=1.0, incident_length=2.5, receiving_length=2.5,
+              correct_dispersion=True)  # fmt: skip
+    column, change = REAL_FAULTS[fault]
+    for name in ("TaQu_006", "TaQu_001", "CaMa_SHPB_003", "SeeSst_SHPB_002", "SaLi_SHPB_003"):
+        table = read_table(next(Path(REAL).glob(f"{name}*")))
+        clean = read_test(mend(make_record(table, 2, wiring=volts)), rig, TITANIUM, sphere=False)
+        first = clean.faces.pulse.begin - table.values[0, 0] + float(clean.faces.step * np.argmax(clean.faces.incident))
+        later = (rig.incident_gauge + rig.receiving_gauge) / bar.wave_speed
+        at = first if column < 3 else first + later
+        values = table.values.copy()
+        values[:, column] = change(values[:, column].copy(), round(at / clean.faces.step))
+        read = read_test(mend(make_record(replace(table, values=values), 2, wiring=volts)), rig, TITANIUM, sphere=False)
+        peak, true = read.peaks["B"], clean.peaks["B"].value
+        assert peak.doubts or peak.low < true < peak.high or abs(peak.value / true - 1.0) < 0.07, name
+
+
+@real
+def test_a_rock_cylinder_is_no_elastic_sphere() -> None:
+    volts = Wiring(gauge_factor=1.99, excitation=5.0, amplification=400.0)
+    record = mend(make_record(read_table(Path(REAL) / "TaQu_003_Ti25_40b_Al12b_0_001.txt"), 2, wiring=volts))
+    bar = Bar(radius=0.025, wave_speed=math.sqrt(110e9 / 4430.0), nu=0.33)
+    rig = Rig(bar=bar, incident_gauge=1.25, receiving_gauge=1.0, incident_length=2.5, receiving_length=2.5)
+    read = read_test(record, rig, TITANIUM | ROCK)
+    assert read.inverse is None
+    assert not read.broke
 
 
 def test_an_elastic_contact_beyond_yield_is_told_of(tmp_path: Path) -> None:

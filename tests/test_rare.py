@@ -222,15 +222,6 @@ def test_nan_is_refused_or_widens_the_interval() -> None:
     assert "failed" in e.method
 
 
-def test_a_wrong_shape_is_refused() -> None:
-    with pytest.raises(ValueError, match="must return shape"):
-        evaluator(lambda u: u, 2).values(np.zeros((3, 2)))
-    with pytest.raises(ValueError, match=r"points must be \(n, 2\)"):
-        evaluator(plane(1.0), 2).values(np.zeros((3, 3)))
-    with pytest.raises(ValueError, match="at least one variable"):
-        LimitFunction(function=plane(1.0), dimension=0)
-
-
 # --- the public problems --------------------------------------------------------------------------
 
 

@@ -193,12 +193,6 @@ def test_reliability_index_and_target() -> None:
     assert target_met(absent("why", "m", 1), 1e-2) is None
 
 
-def test_limit_states_are_validated() -> None:
-    for bad in ({"demands": np.zeros(4)}, {"on_failure": "abort"}, {"remaining_sd": 1.5}):
-        with pytest.raises(ValueError, match="must"):
-            LimitState(**({"demands": np.zeros((2, 4)), "strength": 1.0} | bad))
-
-
 # --- several limits at once: the union in closed form, dependent strengths, and what is drawn where something breaks
 
 
@@ -281,12 +275,6 @@ def test_samples_without_an_answer_widen_the_interval() -> None:
     p = 1.0 - ndtr(1.0) ** 2
     assert found.low <= p * (1.0 - 1.0 / N) * (1.0 + 1e-9)
     assert found.high >= p * (1.0 - 1.0 / N) + 1.0 / N - 1e-9
-
-
-def test_different_samples_are_refused() -> None:
-    other = LimitState(demands=np.zeros((R, 2)), strength=STANDARD)
-    with pytest.raises(ValueError, match="the same samples"):
-        make_union([constant(0.0), other], np.eye(2), np.random.default_rng(0))
 
 
 # --- what is drawn where something breaks ----------------------------------------------------------------

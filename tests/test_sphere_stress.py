@@ -218,17 +218,6 @@ def test_weakest_link_against_a_plain_sum() -> None:
     assert surface_integrals(field, nu, moduli) == pytest.approx(plain, rel=5e-4)
 
 
-def test_broken_loads() -> None:
-    with pytest.raises(ValueError, match="between 0 and 1"):
-        Load.balanced(1.2)
-    with pytest.raises(ValueError, match="finite and not negative"):
-        Load(contact_ratio=(0.1, 0.1), pressure=(1.0, -1.0))
-    with pytest.raises(ValueError, match="nu must lie"):
-        series_stress(0.5, 0.5, Load.balanced(0.1), 0.6)
-    with pytest.raises(ValueError, match="radius"):
-        series_stress(1.5, 0.5, Load.balanced(0.1), 0.2)
-
-
 # --- the tables against the series they were made from, at random points, and the way they are read
 
 

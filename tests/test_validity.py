@@ -176,8 +176,3 @@ def test_an_endless_step_has_no_infinite_number():
     found = checks(scene_with(shape="step", infinite=True, horizon=1e-3))["force_level"]
     assert (found.grade, found.worst) == (0, None)
     assert "inf" not in found.text
-
-
-def test_answers_of_another_batch_are_refused():
-    with pytest.raises(ValueError, match="do not belong"):
-        check_validity(scene_with(), dynamics.solve(scene_with(rows=2)))
