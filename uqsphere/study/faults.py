@@ -140,6 +140,16 @@ def suggestion(found: str, allowed: Iterable[str]) -> str:
     return f"; did you mean '{near}'?" if near else ""
 
 
+def unknown(what: str, found: object, known: Iterable[str], most: int | None = None) -> str:
+    """That a name is none of those known, which are listed, with the one that was meant.
+
+    >>> unknown("rig", "bar", ["bars", "impact"])
+    "unknown rig \"bar\", known: bars or impact; did you mean 'bars'?"
+    """
+    names = list(known)
+    return f"unknown {what} {shown(found)}, known: {one_of(names[:most])}{suggestion(str(found), names)}"
+
+
 def nearest(found: str, allowed: Iterable[str]) -> str | None:
     """The allowed name that is most like what was found, if one is near enough."""
     from difflib import get_close_matches

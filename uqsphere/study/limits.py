@@ -13,7 +13,7 @@ from uqsphere.mechanics.outputs import PATHS, follows_force
 from uqsphere.quantities import OUTPUTS, lookup
 from uqsphere.study.contact import compared_pressure
 from uqsphere.study.document import LimitTable
-from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
+from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, unknown
 from uqsphere.study.fit_strength import is_fit, read_fit_strength
 from uqsphere.study.numbers import Reading, read_number
 from uqsphere.study.particle_tables import ENERGY_OF
@@ -94,130 +94,115 @@ def read_limits(
         return []
     found: list[LimitReading] = []
     for name, table in tables.items():
-        place: Place = ("limits", name)
-        if not valid_name(name):
-            findings.add(place, "a name takes up to 64 letters, digits, _ and -, and begins with a letter")
-            continue
-        if table.criterion is None:
-            demand = _plain_demand(table, place, outputs, findings)
+        if valid_name(name):
+            found.append(_read_limit(name, table, outputs, scene, findings))
         else:
-            demand = _criterion_demand(table, name, outputs is not None, scene, findings)
-        strength = _read_strength(table, (*place, "strength"), demand, outputs is not None, scene, findings)
-        if demand is not None and outputs is None:
-            demand = replace(demand, quantity=compared_pressure(demand.quantity, table, name, scene, findings))
-        if demand is not None:
-            demand = _with_modulus_of(strength, demand, name, findings)
-        factor = None
-        if table.model_factor is not None:
-            factor = read_number(table.model_factor, (*place, "model_factor"), _FACTOR, findings)
-        elif findings.clean((*place, "model_factor")):
-            factor = Reading(value=1.0)
-        quantity = None if demand is None else demand.quantity
-        if table.fracture and quantity is not None and table.criterion is None and quantity not in PATHS:
-            due = f"fracture = true is for a criterion or one of {one_of(sorted(PATHS))}"
-            findings.add((*place, "fracture"), f"exceeding {quantity} breaks no sphere: {due}")
-        platens = None if demand is None else _platens_of(table, demand, place, scene, findings)
-        found.append(
-            LimitReading(name=name, table=table, demand=demand, strength=strength, model_factor=factor, platens=platens)
-        )
+            said = "a name takes up to 64 letters, digits, _ and -, and begins with a letter"
+            findings.add(("limits", name), said)
     return found
 
 
-def _platens_of(
-    table: LimitTable, demand: Demand, place: Place, scene: Scene, findings: Findings
-) -> tuple[float, float] | None:
-    """What a strength was measured between, where it is carried to a rig that is not its test."""
-    base = demand.criterion or demand.quantity
-    carried = CRITERIA[base].follows != "" if base in CRITERIA else follows_force(base)
-    if scene.options.get("rig.kind", "bars") in ("bars", "none") or not carried:
-        return None
-    if is_sphere_tests(table.strength):
-        raw = table.strength.get("platens", "bars")
-        return read_platens(raw, (*place, "strength", "platens"), scene, findings)
-    return None if table.platens is None else read_platens(table.platens, (*place, "platens"), scene, findings)
+def _read_limit(
+    name: str, table: LimitTable, outputs: Sequence[str] | None, scene: Scene, findings: Findings
+) -> LimitReading:
+    """A limit with its parts as far as they can be understood."""
+    place: Place = ("limits", name)
+    demand = _demand(table, name, outputs, scene, findings)
+    strength = None
+    if table.strength is not None and demand is None:
+        # without its quantity the strength has no unit to be read in: neither right nor wrong
+        findings.spoiled.add((*place, "strength"))
+    elif table.strength is not None and demand is not None:
+        strength = _read_strength(table.strength, (*place, "strength"), demand, outputs is not None, scene, findings)
+    if demand is not None and outputs is None:
+        demand = replace(demand, quantity=compared_pressure(demand.quantity, table, name, scene, findings))
+    if demand is not None:
+        demand = _with_modulus_of(strength, demand, name, findings)
+    factor = None
+    if table.model_factor is not None:
+        factor = read_number(table.model_factor, (*place, "model_factor"), _FACTOR, findings)
+    elif findings.clean((*place, "model_factor")):
+        factor = Reading(value=1.0)
+    if table.fracture and demand is not None and table.criterion is None and demand.quantity not in PATHS:
+        due = f"fracture = true is for a criterion or one of {one_of(sorted(PATHS))}"
+        findings.add((*place, "fracture"), f"exceeding {demand.quantity} breaks no sphere: {due}")
+    platens, base = None, "" if demand is None else demand.criterion or demand.quantity
+    # what a strength was measured between, where it is carried to a rig that is not its test
+    carried = base and (CRITERIA[base].follows != "" if base in CRITERIA else follows_force(base))
+    if carried and scene.options.get("rig.kind", "bars") not in ("bars", "none"):
+        if not is_sphere_tests(table.strength):
+            raw, at = table.platens, (*place, "platens")
+        else:
+            raw, at = table.strength.get("platens", "bars"), (*place, "strength", "platens")
+        platens = None if raw is None or not findings.clean(at) else read_platens(raw, at, scene, findings)
+    return LimitReading(name=name, table=table, demand=demand, strength=strength, model_factor=factor, platens=platens)
 
 
 def _read_strength(
-    table: LimitTable,
-    place: Place,
-    demand: Demand | None,
-    black_box: bool,
-    scene: Scene,
-    findings: Findings,
+    raw: Raw, place: Place, demand: Demand, black_box: bool, scene: Scene, findings: Findings
 ) -> Reading | None:
-    if table.strength is None:
-        return None
-    if demand is None:
-        # Without its quantity the strength has no unit to be read in: neither right nor wrong.
-        findings.spoiled.add(place)
-        return None
-    if not black_box and is_sphere_tests(table.strength):
-        return read_sphere_tests(table.strength, place, demand, scene, findings)
-    if not black_box and is_fit(table.strength):
-        return read_fit_strength(table.strength, place, demand.quantity, scene, findings)
+    """A strength: a number or law in the unit of the demand, or what tests or a fit tell of it."""
+    if not black_box and is_sphere_tests(raw):
+        return read_sphere_tests(raw, place, demand, scene, findings)
+    if not black_box and is_fit(raw):
+        return read_fit_strength(raw, place, demand.quantity, scene, findings)
     entry = lookup(demand.quantity)
     plausible = _STRONG if entry.dimension == "pressure" else (0.0, math.inf)
     due = replace(entry, meaning=f"the strength against {demand.quantity}", plausible=plausible, closed=False)
-    return read_number(table.strength, place, due, findings)
-
-
-def _plain_demand(table: LimitTable, place: Place, outputs: Sequence[str] | None, findings: Findings) -> Demand | None:
-    """The demand of a limit that names a quantity."""
-    for key in PARAMETERS:
-        if getattr(table, key) is not None:
-            findings.add((*place, key), f"{key} belongs to a criterion: add criterion = … (uqsphere list criteria)")
-    if table.quantity is None:
-        if findings.clean((*place, "quantity")):
-            findings.add((*place, "quantity"), f'quantity is missing: add quantity = "{(outputs or ["p_max"])[0]}"')
-        return None
-    known = known_quantity(table.quantity, (*place, "quantity"), outputs, findings)
-    return Demand(quantity=table.quantity) if known else None
+    return read_number(raw, place, due, findings)
 
 
 def known_quantity(name: str, place: Place, outputs: Sequence[str] | None, findings: Findings) -> bool:
     """Whether the model answers a quantity; noted where it does not."""
     known = list(OUTPUTS) if outputs is None else list(outputs)
-    if name in known:
-        return True
-    if known:
-        findings.add(place, f"unknown quantity {shown(name)}, known: {one_of(known[:40])}{suggestion(name, known)}")
-    return False
+    if name not in known and known:
+        findings.add(place, unknown("quantity", name, known, 40))
+    return name in known
 
 
-# --- criteria ---------------------------------------------------------------------------------------
+# --- what is held against the strength --------------------------------------------------------------------
 
 
-def _criterion_demand(table: LimitTable, name: str, black_box: bool, scene: Scene, findings: Findings) -> Demand | None:
-    """The demand of a limit that names a criterion; None, with the faults noted, where it cannot be understood."""
+def _demand(
+    table: LimitTable, name: str, outputs: Sequence[str] | None, scene: Scene, findings: Findings
+) -> Demand | None:
+    """The demand of a limit by its quantity or criterion; None, with the faults noted, where it has none."""
     place: Place = ("limits", name)
-    key = table.criterion
+    key, black_box = table.criterion, outputs is not None
+    if key is None:
+        for part in PARAMETERS:
+            if getattr(table, part) is not None:
+                due = "add criterion = … (uqsphere list criteria)"
+                findings.add((*place, part), f"{part} belongs to a criterion: {due}")
+        if table.quantity is None:
+            if findings.clean((*place, "quantity")):
+                due = f'add quantity = "{(outputs or ["p_max"])[0]}"'
+                findings.add((*place, "quantity"), f"quantity is missing: {due}")
+            return None
+        known = known_quantity(table.quantity, (*place, "quantity"), outputs, findings)
+        return Demand(quantity=table.quantity) if known else None
     if black_box:
         findings.add((*place, "criterion"), "a criterion belongs to the impact model: name a quantity instead")
-        return None
-    if key not in CRITERIA:
-        near = suggestion(str(key), list(CRITERIA))
-        findings.add((*place, "criterion"), f"unknown criterion {shown(key)}, known: {one_of(list(CRITERIA))}{near}")
-        return None
-    if table.quantity is not None:
+    elif key not in CRITERIA:
+        findings.add((*place, "criterion"), unknown("criterion", key, CRITERIA))
+    elif table.quantity is not None:
         findings.add((*place, "quantity"), "quantity and criterion both say what is compared: leave one of them out")
-        return None
-    key = _energy_meant(key, table, place, scene, findings)
-    entry = CRITERIA[key]
-    parameters = _parameters(table, entry, place, findings)
-    if parameters is None:
-        return None
-    if not parameters and entry.quantity is not None:
-        return Demand(quantity=entry.quantity)
-    return Demand(quantity=f"{key}.{name}", criterion=key, parameters=parameters)
+    else:
+        key = _energy_meant(key, table, place, scene, findings)
+        entry = CRITERIA[key]
+        parameters = _parameters(table, entry, place, findings)
+        if parameters is not None and not parameters and entry.quantity is not None:
+            return Demand(quantity=entry.quantity)
+        if parameters is not None:
+            return Demand(quantity=f"{key}.{name}", criterion=key, parameters=parameters)
+    return None
 
 
 def _energy_meant(key: str, table: LimitTable, place: Place, scene: Scene, findings: Findings) -> str:
     """The criterion with the energy that the strength means, which another rig than bars leaves open."""
     meant = table.energy_is
-    if key not in ENERGY_OF.values():
-        if meant is not None:
-            findings.add((*place, "energy_is"), "energy_is belongs to the criterion specific_energy: leave it out")
-        return key
+    if key not in ENERGY_OF.values() and meant is not None:
+        findings.add((*place, "energy_is"), "energy_is belongs to the criterion specific_energy: leave it out")
     if key != ENERGY_OF["contact"]:
         return key
     if meant is None and scene.options.get("rig.kind", "bars") != "bars" and findings.clean((*place, "energy_is")):

@@ -25,6 +25,14 @@ _WIDE: Final = 3.0
 _TOO_WIDE: Final = 1000.0
 #: fewer observations than these are worth a warning, and leave open what cannot be told
 _FEW: Final = 10
+_HARDLY: Final = (
+    "a law can be laid through any so few, and how far it is off cannot be told (the standard deviation of a normal "
+    f"law by more than a factor of 30); the intervals take it for exact: {_FEW} observations are a start"
+)
+_OPEN: Final = (
+    "what so few leave open is told beside the answers where the evaluations reach it, and is not in their intervals; "
+    f"{_FEW} and more leave less"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,11 +112,18 @@ def _read_law(raw: Mapping[str, Raw], place: Place, quantity: Quantity, findings
             else:
                 law = _observed_law(table, quantity, bounds, findings)
         except LawError as error:
-            raise Misplaced(_with_unit(error.message, quantity, error.key, family), error.key) from None
+            # the law's own message speaks in SI
+            spoken = (error.key == "" or error.key in family.dimensional) and any(map(str.isdigit, error.message))
+            unit = f" (numbers in {quantity.unit})" if spoken and quantity.unit else ""
+            raise Misplaced(f"{error.message}{unit}", error.key) from None
         if not _sensible_scatter(law, place, raw, findings):
             return None
         if table is not None:
-            _warn_of_few(law, (*place, "file"), findings)
+            # a law fitted to few observations enters the answers as if it were known
+            count = count_tests(law)
+            told = _HARDLY if count < LEAST_TESTS else _OPEN if count < _FEW else ""
+            if told:
+                findings.warn((*place, "file"), f"found {count} observations: {told}")
         _warn_of_bounds(law, given, place, quantity, findings)
         found = Reading(value=law, given=given, made_up=table is not None and table.made_up)
         return found if _inside(law, place, quantity, findings) else None
@@ -177,27 +192,12 @@ def _warn_of_bounds(law: Law, given: Mapping[str, float], place: Place, quantity
     )
 
 
-def _warn_of_few(law: Law, place: Place, findings: Findings) -> None:
-    """A law fitted to few observations enters the answers as if it were known."""
-    count = count_tests(law)
-    if count < LEAST_TESTS:
-        findings.warn(
-            place,
-            f"found {count} observations: a law can be laid through any so few, and how far it is off cannot be told "
-            "(the standard deviation of a normal law by more than a factor of 30); the intervals take it "
-            f"for exact: {_FEW} observations are a start",
-        )
-    elif count < _FEW:
-        findings.warn(
-            place,
-            f"found {count} observations: what so few leave open is told beside the answers where the evaluations "
-            f"reach it, and is not in their intervals; {_FEW} and more leave less",
-        )
-
-
 def _sensible_scatter(law: Law, place: Place, raw: Mapping[str, Raw], findings: Findings) -> bool:
     """Whether the scatter of a law of positive numbers lets moments be computed; a large one is warned of."""
-    cov = _variation(law)
+    try:
+        cov = law.family.variation(law.parameters)
+    except (OverflowError, ZeroDivisionError, ValueError):
+        cov = math.inf
     if cov <= _WIDE:
         return True
     said = f"the standard deviation is {cov:.3g} times the mean"
@@ -212,33 +212,16 @@ def _sensible_scatter(law: Law, place: Place, raw: Mapping[str, Raw], findings: 
     return False
 
 
-def _variation(law: Law) -> float:
-    """Standard deviation over mean before truncation, where it is known without special functions; else 0."""
-    try:
-        return law.family.variation(law.parameters)
-    except (OverflowError, ZeroDivisionError, ValueError):
-        return math.inf
-
-
 def _refuse_unknown(raw: Mapping[str, Raw], family: Family, place: Place, findings: Findings) -> None:
+    """Note every key of a law that its distribution does not take."""
     allowed = ("dist", *family.keys, "lower", "upper")
     others = {key for other in FAMILIES.values() for key in other.keys} | set(declared(EmpiricalTable))
-    for key in raw:
-        if key in allowed:
-            continue
-        near = suggestion(key, allowed)
+    takes = f"{family.name} takes {one_of(allowed[1:])}"
+    for key in (key for key in raw if key not in allowed):
+        said = f"unknown key {shown(key)}{suggestion(key, allowed) or f'; {takes}'}"
         if key in others:
-            said = f"{shown(key)} does not belong to the distribution {family.name}, which takes {one_of(allowed[1:])}"
-        else:
-            said = f"unknown key {shown(key)}{near or f'; {family.name} takes {one_of(allowed[1:])}'}"
+            said = f"{shown(key)} does not belong to the distribution {takes.replace(' takes', ', which takes', 1)}"
         findings.add((*place, key), said)
-
-
-def _with_unit(message: str, quantity: Quantity, key: str, family: Family) -> str:
-    """The law's own message, which speaks in SI."""
-    dimensional = key == "" or key in family.dimensional
-    spoken = dimensional and any(character.isdigit() for character in message)
-    return f"{message} (numbers in {quantity.unit})" if spoken and quantity.unit else message
 
 
 def _inside(law: Law, place: Place, quantity: Quantity, findings: Findings) -> bool:
@@ -254,7 +237,14 @@ def _inside(law: Law, place: Place, quantity: Quantity, findings: Findings) -> b
                 findings.add((*place, key), f"{format_value(bound, quantity.name)}: {bounds_in_words(quantity)}")
                 return False
         return True
-    share = _share_outside(law, quantity)
+    import numpy as np
+
+    # mass of the law in force below and above the bounds of meaning
+    share = 0.0
+    if max(law.lower, law.family.least(law.parameters, law.lower, law.upper)) < quantity.lower:
+        share += float(law.cdf(np.array([quantity.lower]))[0])
+    if law.upper > quantity.upper:
+        share += float(law.sf(np.array([quantity.upper]))[0])
     if share > SHARE_WORTH_A_WORD:
         # A strength below nothing is exceeded by anything; a scene of such numbers cannot be computed at all.
         effect = "these samples count as failed evaluations: " if quantity.name in INPUTS else ""
@@ -264,15 +254,3 @@ def _inside(law: Law, place: Place, quantity: Quantity, findings: Findings) -> b
             f"({bounds_in_words(quantity)}); {effect}truncate it with lower or upper, or take another one",
         )
     return True
-
-
-def _share_outside(law: Law, quantity: Quantity) -> float:
-    """Mass of the law in force below and above the bounds of meaning."""
-    import numpy as np
-
-    share = 0.0
-    if max(law.lower, law.family.least(law.parameters, law.lower, law.upper)) < quantity.lower:
-        share += float(law.cdf(np.array([quantity.lower]))[0])
-    if law.upper > quantity.upper:
-        share += float(law.sf(np.array([quantity.upper]))[0])
-    return share

@@ -9,34 +9,28 @@ from pathlib import Path
 from typing import Final
 
 from uqsphere.errors import StudyError
-from uqsphere.quantities import INPUTS
-from uqsphere.study.axis import strength_name
 from uqsphere.study.contact import check_contact, read_contact
 from uqsphere.study.document import (
     SCENE,
     Analysis,
-    Dependence,
     Document,
     Gauge,
+    ModelChoice,
     ToleranceRequest,
 )
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
 from uqsphere.study.feed import read_feed, read_particles, readable, without_scene
 from uqsphere.study.limits import LimitReading, known_quantity, read_limits, share_fracture_energy, valid_name
-from uqsphere.study.margins import check_moved_mean, read_margins
-from uqsphere.study.numbers import Reading, plain_quantity, read_number
+from uqsphere.study.numbers import plain_quantity, read_number
+from uqsphere.study.relations import check_groups, check_moved_mean, named_numbers, read_dependence, read_margins
 from uqsphere.study.rigs import model_of, read_rig, refuse_other_tables
 from uqsphere.study.scene import Scene, check_scene, read_damper, read_gauges, read_scene
 from uqsphere.study.services import split
-from uqsphere.study.study import Margins, Study, tie_of
+from uqsphere.study.study import Study
 from uqsphere.study.tables import read_table
 from uqsphere.study.text import apply_overrides, drop_unusable_numbers, locate, parse_text, read_text, toml_text
-from uqsphere.uq.families import LawError
-from uqsphere.uq.law import Law, make_law
 
 MOST_INPUTS: Final = 1000
-MOST_DEPENDENCES: Final = 100
-MOST_GROUPS: Final = 50
 #: independent runs for tolerance limits
 MOST_RUNS: Final = 1_000_000
 #: columns of result tables that are no outputs
@@ -98,13 +92,12 @@ def _refuse_parts_of_no_limit(
     """Note what was set of a limit that the file does not have, unless it makes a limit of its own."""
     limits = data.get("limits")
     limits = limits if isinstance(limits, dict) else {}
+    known = [other for other in declared if other in limits]
     for name in dict.fromkeys(place[1] for place in overridden if place[0] == "limits" and len(place) > 2):
         table = limits.get(name)
-        if name in declared or not isinstance(table, dict) or {"quantity", "criterion"} & set(table):
-            continue
-        known = [other for other in declared if other in limits]
-        there = f"known: {one_of(known)}{suggestion(str(name), known)}" if known else "which has none"
-        findings.add(("limits", name), f"no limit {shown(name)} in the file, {there}; one more needs a quantity")
+        if name not in declared and isinstance(table, dict) and not {"quantity", "criterion"} & set(table):
+            there = f"known: {one_of(known)}{suggestion(str(name), known)}" if known else "which has none"
+            findings.add(("limits", name), f"no limit {shown(name)} in the file, {there}; one more needs a quantity")
 
 
 def _resolve(data: dict[str, Raw], findings: Findings, path: Path, text: str) -> Study | None:
@@ -143,29 +136,24 @@ def _resolve_part(data: dict[str, Raw], findings: Findings, path: Path, text: st
     elif black_box is not None and without_scene(data):
         scene.options["rig.kind"] = "none"
     elif black_box is not None:
-        scene = read_scene(document, data, findings)
-        refuse_other_tables(document, data, findings)
-        read_contact(document, scene, findings)
-        if document.rig_kind == "bars":
-            check_scene(scene, model, findings)
-        else:
-            read_rig(document, scene, findings)
-        if document.rig_kind != "none":
-            check_contact(scene, model, findings)
+        scene = _read_rig(document, data, model, findings)
     limits = read_limits(document.limits, outputs, findings, scene)
     if document.contact is not None:
         share_fracture_energy(document.contact.fracture_energy, limits, scene, findings)
     analysis = _as_asked(_read_analysis(document, outputs, limits, findings), data)
     parts: dict[str, Raw] = {}
+    named = named_numbers(document, scene, limits, black_box=bool(black_box))
     if black_box is not None:
-        parts = _read_relations(document, scene, limits, analysis, black_box, findings)
+        check_groups(analysis.groups, named, findings)
+        parts = {"dependence": read_dependence(document.dependence, named, findings)}
+        parts["margins"] = margins = read_margins(document, named, findings)
+        if margins is not None:
+            needed = ["p_max"] * margins.bars_elastic + ([margins.against] if margins.against else [])
+            analysis = replace(analysis, quantities=tuple(dict.fromkeys([*analysis.quantities, *needed])))
     if black_box is False:
         parts["receiving_damper"] = read_damper(document.bars, findings)
-        rod = (
-            ()
-            if document.rod is None or document.rod.gauge is None
-            else (Gauge(bar="rod", position=document.rod.gauge),)
-        )
+        on_rod = None if document.rod is None else document.rod.gauge
+        rod = () if on_rod is None else (Gauge(bar="rod", position=on_rod),)
         parts["gauges"] = read_gauges((*rod, *document.gauges), scene, findings)
     if findings.faults:
         return None
@@ -177,14 +165,14 @@ def _resolve_part(data: dict[str, Raw], findings: Findings, path: Path, text: st
         black_box=bool(black_box),
         fixed=scene.fixed(),
         random=scene.random(),
-        given={name: reading.given for name, reading in _random(scene, limits).items()},
-        made_up=tuple(name for name, reading in _random(scene, limits).items() if reading.made_up),
+        given={name: reading.given for name, reading in named.random.items()},
+        made_up=tuple(name for name, reading in named.random.items() if reading.made_up),
         options=scene.options,
         materials=scene.materials,
         sources=scene.sources,
         model=model,
         limits=tuple(noun for limit in limits if (noun := limit.limit()) is not None),
-        analysis=_with_margins(analysis, parts["margins"]),
+        analysis=analysis,
         outputs=tuple(outputs or ()),
         warnings=tuple(findings.warnings),
         record=scene.record,
@@ -194,32 +182,17 @@ def _resolve_part(data: dict[str, Raw], findings: Findings, path: Path, text: st
     return None if findings.faults else study
 
 
-def _read_relations(
-    document: Document,
-    scene: Scene,
-    limits: Sequence[LimitReading],
-    analysis: Analysis,
-    black_box: bool,
-    findings: Findings,
-) -> dict[str, Raw]:
-    """What names the numbers of the study: dependence and margins, and the groups, which are only looked at."""
-    if document.margins is not None and not document.limits and findings.clean(("limits",)):
-        findings.add(("margins",), "margins need a limit to be asked of: add a table [limits.NAME]")
-    numbers = _places(document, black_box)
-    _check_groups(analysis.groups, scene, numbers, findings)
-    strengths = {strength_name(limit.name): limit.quantity for limit in limits if limit.quantity is not None}
-    return {
-        "dependence": _read_dependence(document.dependence, list(_random(scene, limits)), numbers, findings),
-        "margins": read_margins(document.margins, scene, black_box, numbers, findings, strengths),
-    }
-
-
-def _with_margins(analysis: Analysis, margins: Margins | None) -> Analysis:
-    """The analysis with the quantities that the margins need."""
-    if margins is None:
-        return analysis
-    more = [*(["p_max"] if margins.bars_elastic else []), *([margins.against] if margins.against else [])]
-    return replace(analysis, quantities=tuple(dict.fromkeys([*analysis.quantities, *more])))
+def _read_rig(document: Document, data: Mapping[str, Raw], model: ModelChoice, findings: Findings) -> Scene:
+    """The scene of a rig."""
+    scene = read_scene(document, data, findings)
+    refuse_other_tables(document, data, findings)
+    read_contact(document, scene, findings)
+    if document.rig_kind == "bars":
+        check_scene(scene, model, findings)
+        check_contact(scene, model, findings)
+    else:
+        read_rig(document, scene, findings)
+    return scene
 
 
 def _kind(data: Mapping[str, Raw], findings: Findings) -> bool | None:
@@ -360,112 +333,3 @@ def _tolerance(asked: ToleranceRequest | None, findings: Findings) -> ToleranceR
         findings.add((*place, "runs"), said)
         return None
     return replace(asked, runs=runs)
-
-
-# --- random inputs by name --------------------------------------------------------------------------
-
-
-def _random(scene: Scene, limits: Sequence[LimitReading]) -> dict[str, Reading]:
-    """Everything that scatters by its name: inputs in order, then strengths and model factors."""
-    readings: dict[str, Reading | None] = dict(scene.readings)
-    for limit in limits:
-        readings |= limit.parts
-    return {name: item for name, item in readings.items() if item is not None and isinstance(item.value, Law)}
-
-
-def _places(document: Document, black_box: bool) -> dict[str, Place]:
-    """Every number of the study, faulty ones too, with the place where it stands."""
-    places: dict[str, Place] = {}
-    for name in document.limits:
-        for part in ("strength", "model_factor"):
-            places[f"limits.{name}.{part}"] = ("limits", name, part)
-    if black_box:
-        return places | {name: ("inputs", name) for name in document.inputs or {}}
-    # A value that could not even be taken in is gone from the document, but not from the file.
-    return places | {name: tuple(name.split(".")) for name in INPUTS}
-
-
-def _is_random(name: str, place: Place, random: Sequence[str], fixed: Mapping[str, Place], findings: Findings) -> bool:
-    """Whether a name is that of a random input; noted where not, but for a number that is faulty itself."""
-    if name in random:
-        return True
-    if name in fixed:
-        if findings.clean(fixed[name]):
-            findings.add(place, f"{shown(name)} is a fixed number here: give it a distribution, or leave it out")
-    else:
-        listed = one_of(list(random[:20])) if random else "none"
-        findings.add(place, f"unknown random input {shown(name)}, random here: {listed}{suggestion(name, random)}")
-    return False
-
-
-def _check_groups(
-    groups: Mapping[str, Sequence[str]], scene: Scene, numbers: Mapping[str, Place], findings: Findings
-) -> None:
-    """Every group is one of inputs of the model that scatter."""
-    place: Place = ("analysis", "groups")
-    if len(groups) > MOST_GROUPS:
-        findings.add(place, f"found {len(groups)} groups, at most {MOST_GROUPS} are allowed")
-        return
-    scattering = list(scene.random())
-    for group, names in groups.items():
-        for index, name in enumerate(names):
-            _is_random(name, (*place, group, index), scattering, numbers, findings)
-
-
-def _read_dependence(
-    tables: Sequence[Dependence], random: Sequence[str], fixed: Mapping[str, Place], findings: Findings
-) -> tuple[Dependence, ...]:
-    """The dependences between random variables, checked one by one and then together.
-
-    `random` are the names that scatter, in order; `fixed` the other numbers of the study, with their places.
-    """
-    if len(tables) > MOST_DEPENDENCES:
-        findings.add(("dependence",), f"found {len(tables)} dependences, at most {MOST_DEPENDENCES} are allowed")
-        return ()
-    usable = True
-    for index, table in enumerate(tables):
-        place: Place = ("dependence", index)
-        for at, name in enumerate(table.of):
-            usable &= _is_random(name, (*place, "of", at), random, fixed, findings)
-        _check_strength(table, place, findings)
-        usable &= findings.clean(place)
-    if usable:
-        _check_together(tables, random, findings)
-    return tuple(tables)
-
-
-def _check_strength(table: Dependence, place: Place, findings: Findings) -> None:
-    """One rank correlation, and the degrees of freedom where they belong."""
-    if table.spearman is not None and table.kendall is not None:
-        findings.add((*place, "kendall"), "spearman is given too: one of them says how strong the dependence is")
-    sound = findings.clean((*place, "spearman")) and findings.clean((*place, "kendall"))
-    if table.spearman is None and table.kendall is None and sound:
-        findings.add(
-            (*place, "spearman"),
-            "spearman is missing: add a rank correlation between -1 and 1, or kendall in its place",
-        )
-    if not findings.clean((*place, "copula")):
-        return
-    if table.copula == "student_t" and table.dof is None and findings.clean((*place, "dof")):
-        findings.add((*place, "dof"), "dof is missing: a Student t copula needs its degrees of freedom, 4 say")
-    elif table.copula != "student_t" and table.dof is not None:
-        findings.add((*place, "dof"), f'dof belongs to copula = "student_t", the copula here is {shown(table.copula)}')
-
-
-def _check_together(tables: Sequence[Dependence], random: Sequence[str], findings: Findings) -> None:
-    """Refuse the first dependence that contradicts those before it."""
-    from uqsphere.uq.joint import make_joint
-
-    # Only the names that are tied matter, and a study can have many more.
-    tied = [name for name in random if any(name in table.of for table in tables)]
-    ties = [tie_of(table) for table in tables]
-    unit = make_law("normal", {"mean": 0.0, "sd": 1.0})
-    for count in range(1, len(ties) + 1):
-        try:
-            make_joint(tied, [unit] * len(tied), ties[:count])
-        except LawError as error:
-            key = error.key
-            if key == "spearman" and ties[count - 1].spearman is None:
-                key = "kendall"
-            findings.add(("dependence", count - 1, *((key,) if key else ())), error.message)
-            return

@@ -6,8 +6,6 @@ that are asked of it.  It is read as every study is, and what is wrong with it i
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -20,6 +18,7 @@ from uqsphere.study.limits import valid_name
 from uqsphere.study.particle_tables import ENERGY_OF
 from uqsphere.study.sphere_tests import is_sphere_tests
 from uqsphere.study.tables import declared
+from uqsphere.study.text import toml_text
 
 #: tables that every service has as the study has them, and their keys that speak of the study's own rig
 _SHARED: Final = ("seed", "sphere", "product", "contact", "model", "analysis")
@@ -33,7 +32,6 @@ _ASKED: Final = ("solve", "between")
 _FOR_ALL: Final = ("for_probability", "for_survival", "for_fracture")
 _BEGINNING: Final = "service."
 _SAME: Final = "same_as"
-_BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +71,7 @@ class Service:
     @property
     def text(self) -> str:
         """The study file."""
-        return as_toml(self.data)
+        return toml_text(self.data)
 
 
 def split(data: Mapping[str, Raw], findings: Findings) -> tuple[dict[str, Raw], list[Service]]:
@@ -93,10 +91,16 @@ def split(data: Mapping[str, Raw], findings: Findings) -> tuple[dict[str, Raw], 
             del own["limits"]
     margins = _table(own, "margins")
     if str(margins.get("solve", "")).startswith(_BEGINNING) or ("solve" not in margins and tables):
-        if "feed" not in data or margins:
-            _check_named(margins, tables, findings)
+        path = str(margins.get("solve", ""))
+        named = path.removeprefix(_BEGINNING).partition(".")[0]
+        if path and named not in tables:
+            known = f"known: {one_of(list(tables))}{suggestion(named, tables)}" if tables else "the study has none"
+            findings.add(("margins", "solve"), f"found {shown(path)}: no service {shown(named)}, {known}")
+        elif not path and ("feed" not in data or margins) and not any("solve" in table for table in tables.values()):
+            findings.add(("margins", "solve"), "solve is missing: add the number that is free, here or in a service")
         own.pop("margins", None)
-    _share_dependence(own, made, _list(own, "dependence"), findings)
+    ties = own.get("dependence")
+    _share_dependence(own, made, ties if isinstance(ties, list) else [], findings)
     _share_budget(made, own)
     return own, made
 
@@ -104,11 +108,6 @@ def split(data: Mapping[str, Raw], findings: Findings) -> tuple[dict[str, Raw], 
 def _table(data: Mapping[str, Raw], key: str) -> dict[str, Raw]:
     found = data.get(key)
     return dict(found) if isinstance(found, Mapping) else {}
-
-
-def _list(data: Mapping[str, Raw], key: str) -> list[Raw]:
-    found = data.get(key)
-    return list(found) if isinstance(found, list) else []
 
 
 def _home_of(name: str, table: Raw, services: Mapping[str, Raw], findings: Findings) -> str | None:
@@ -132,10 +131,9 @@ def _home_of(name: str, table: Raw, services: Mapping[str, Raw], findings: Findi
 
 def _without_references(data: Mapping[str, Raw], findings: Findings) -> dict[str, Raw]:
     """The file with every strength written out where it is needed."""
-    own = dict(data)
     limits = {name: dict(t) if isinstance(t, Mapping) else t for name, t in _table(data, "limits").items()}
     for name, table in limits.items():
-        if not isinstance(table, dict) or not _is_reference(table.get("strength")):
+        if not isinstance(table, dict) or _SAME not in _table(table, "strength"):
             continue
         source = _source_of(name, _table(data, "limits"), findings)
         if source is None:
@@ -145,13 +143,7 @@ def _without_references(data: Mapping[str, Raw], findings: Findings) -> dict[str
         table["strength"] = deepcopy(source["strength"])
         if "platens" in source:
             table.setdefault("platens", source["platens"])
-    if limits:
-        own["limits"] = limits
-    return own
-
-
-def _is_reference(raw: Raw) -> bool:
-    return isinstance(raw, Mapping) and _SAME in raw
+    return {**data, "limits": limits} if limits else dict(data)
 
 
 def _source_of(name: str, limits: Mapping[str, Raw], findings: Findings) -> dict[str, Raw] | None:
@@ -164,7 +156,7 @@ def _source_of(name: str, limits: Mapping[str, Raw], findings: Findings) -> dict
         if strength is None:
             findings.add(place, f"limit {shown(seen[-1])} has no strength: give one, or name another limit")
             return None
-        if not _is_reference(strength):
+        if not isinstance(strength, Mapping) or _SAME not in strength:
             return table
         path = str(strength[_SAME])
         other = path.removeprefix("limits.").removesuffix(".strength")
@@ -258,17 +250,6 @@ def _path(path: str) -> str:
     return path if "." in path else f"rig.{path}"
 
 
-def _check_named(margins: Mapping[str, Raw], services: Mapping[str, Raw], findings: Findings) -> None:
-    """Note a [margins] that names no service, or that says what a service is to say."""
-    path = str(margins.get("solve", ""))
-    name = path.removeprefix(_BEGINNING).partition(".")[0]
-    if path and name not in services:
-        known = f"known: {one_of(list(services))}{suggestion(name, services)}" if services else "the study has none"
-        findings.add(("margins", "solve"), f"found {shown(path)}: no service {shown(name)}, {known}")
-    if not path and not any("solve" in table for table in services.values()):
-        findings.add(("margins", "solve"), "solve is missing: add the number that is free, here or in a service")
-
-
 # --- what the parts share -----------------------------------------------------------------------------------
 
 
@@ -341,38 +322,3 @@ def _share_budget(made: Sequence[Service], own: Mapping[str, Raw]) -> None:
             share["evaluations"] = max(most // parts, 1)
         analysis = _table(service.data, "analysis")
         service.data["analysis"] = {**analysis, "budget": share}
-
-
-# --- writing ------------------------------------------------------------------------------------------------
-
-
-def as_toml(data: Mapping[str, Raw]) -> str:
-    """Plain values as a TOML text: a table for each table at the top, everything below in one line.
-
-    >>> print(as_toml({"seed": 1, "sphere": {"E": {"dist": "normal", "sd": 0.5}}}), end="")
-    seed = 1
-    <BLANKLINE>
-    [sphere]
-    E = {dist = "normal", sd = 0.5}
-    """
-    lines = [f"{_key(name)} = {_value(value)}" for name, value in data.items() if not isinstance(value, Mapping)]
-    for name, table in data.items():
-        if isinstance(table, Mapping):
-            lines += ["", f"[{_key(name)}]", *(f"{_key(key)} = {_value(value)}" for key, value in table.items())]
-    return "\n".join(lines) + "\n"
-
-
-def _key(name: str) -> str:
-    return name if _BARE.fullmatch(name) else _value(name)
-
-
-def _value(value: Raw) -> str:
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_key(name)} = {_value(part)}" for name, part in value.items()) + "}"
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(map(_value, value)) + "]"
-    return repr(value) if isinstance(value, (int, float)) else str(value)
