@@ -16,7 +16,8 @@ import uqsphere
 from uqsphere.black_box import model_digest
 from uqsphere.cli import main
 from uqsphere.errors import AccessError, FolderError, ModelError
-from uqsphere.store import open_store, read_json, write_atomically, write_json
+from uqsphere.files import load_document
+from uqsphere.store import open_store, write_atomically, write_json
 from uqsphere.study import Study
 
 VALUES = np.array([[1.0, 2.0], [np.nan, -0.0]])
@@ -67,7 +68,7 @@ def test_json_takes_no_number_that_is_not_finite(tmp_path: Path, number: float) 
 
 def test_json_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(FolderError, match=r"no x\.json"):
-        read_json(tmp_path / "x.json")
+        load_document(tmp_path / "x.json")
 
 
 # --- chunks ---------------------------------------------------------------------------------------

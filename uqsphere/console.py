@@ -9,7 +9,8 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import zip_longest
 from typing import Any, TextIO, cast
 
@@ -38,6 +39,15 @@ def print_document(content: object) -> None:
     if not narrow and not text.replace("\n", "").isprintable():
         text = "".join(c if c == "\n" or c.isprintable() else json.dumps(c)[1:-1] for c in text)
     print(text)
+
+
+def answer(chosen: Namespace, document: object, text: str | Callable[[], str], written: Iterable[str] = ()) -> int:
+    """What a command has found, as one document with `--json`, else as a text and the files that were written; 0."""
+    if chosen.json:
+        print_document(document)
+    else:
+        print("\n".join([text if isinstance(text, str) else text(), *(f"wrote {plain(path)}" for path in written)]))
+    return 0
 
 
 def plain_lines(text: str) -> str:

@@ -179,15 +179,25 @@ def _cell(value: object) -> object:
     return repr(value) if isinstance(value, float) else value
 
 
-def read_json(path: Path) -> Json:
-    """Read a JSON file of a result folder.
+def read_chunk(path: Path) -> Stored | None:
+    """The array of a stored chunk; None where its content is not what its name says.
 
     Raises
     ------
-    FolderError
-        When it is missing, damaged or not JSON.
+    AccessError
+        Where the system refuses, or there is no such file; a place of the disk that cannot be read holds no chunk.
     """
-    return load_document(path)
+    match = CHUNK_NAME.fullmatch(path.name)
+    try:
+        data = read_whole(path, LARGEST_ARRAY)
+    except AccessError as error:
+        if not isinstance(error.__cause__, OSError) or error.__cause__.errno != errno.EIO:
+            raise
+        return None
+    if match is not None and hashlib.sha256(data).hexdigest()[:16] == match["digest"]:
+        with contextlib.suppress(ValueError):
+            return chunk_of(data)
+    return None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,16 +245,13 @@ class Store:
             if path.is_symlink():
                 continue
             try:
-                data = read_whole(path, LARGEST_ARRAY)
+                found = read_chunk(path)
             except AccessError as error:
                 if isinstance(error.__cause__, FileNotFoundError):
                     continue
-                if not isinstance(error.__cause__, OSError) or error.__cause__.errno != errno.EIO:
-                    raise
-                data = b""  # a place of the disk that cannot be read holds no chunk
-            if hashlib.sha256(data).hexdigest()[:16] == name[-20:-4]:
-                with contextlib.suppress(ValueError):
-                    return chunk_of(data)
+                raise
+            if found is not None:
+                return found
             if name not in self.damaged:
                 self.damaged.append(name)
         return None
@@ -287,18 +294,19 @@ class Store:
                 path.unlink()
 
 
-def _leftover(path: Path) -> bool:
-    """Whether a file is what a run leaves that was killed before it had put its mark into the folder."""
-    return path.name == ".lock" or path.name.startswith((f".{_MARK}.", ".study.toml."))
-
-
-def _in_use(folder: Path) -> bool:
-    """Whether a marked folder has anything to lose: a model that failed at its first row leaves nothing there."""
-    with _system_errors(folder):
-        if (folder / "results.json").exists():
-            return True
-        place = folder / "evaluations"
-        return place.is_dir() and any(CHUNK_NAME.fullmatch(name) for name in os.listdir(place))
+def _check_extension(folder: Path, found: Json, resolved: dict[str, Json], extension: Extension | None) -> None:
+    """Refuse the folder of another study unless that may be extended."""
+    if extension is None or not isinstance(found, dict):
+        raise FolderError(
+            f"{folder} holds the run of another study: choose another folder with --out, or remove it; a study "
+            "that asks more of the same inputs goes on with --extend"
+        )
+    if why := extension(found, resolved):
+        raise FolderError(f"{folder} holds a run that this study cannot extend: {why}")
+    if found.get("written_by") != uqsphere.__version__:
+        raise FolderError(
+            f"{folder} was written by another version, whose run cannot be extended: choose another --out"
+        )
 
 
 def _check_owner(
@@ -310,45 +318,30 @@ def _check_owner(
     extension: Extension | None,
 ) -> bool:
     """Refuse a folder whose evaluations are of no use to this study and this model; whether it is to be extended."""
+    # what a run leaves that was killed before it had put its mark into the folder
+    begun = (".lock", f".{_MARK}.", ".study.toml.")
     with _system_errors(folder):
         marked = (folder / _MARK).is_file()
-        foreign = folder.is_dir() and not marked and not all(_leftover(path) for path in folder.iterdir())
+        foreign = folder.is_dir() and not marked and not all(path.name.startswith(begun) for path in folder.iterdir())
     if foreign:
         raise FolderError(f"{folder} exists and is not a result folder: choose another with --out")
     if not marked:
         return False
-    found = read_json(folder / _MARK)
+    found = load_document(folder / _MARK)
     another = not isinstance(found, dict) or found.get("hash") != study_hash
     if another:
         _check_extension(folder, found, resolved, extension)
-    if found.get("model_digest") != model and not fresh and _in_use(folder):
-        raise FolderError(
-            f"{folder} holds evaluations of another model than the one given now, or of an earlier state of it: "
-            "run with --fresh to evaluate again, or choose another folder with --out"
-        )
+    if found.get("model_digest") != model and not fresh:
+        with _system_errors(folder):  # a model that failed at its first row leaves nothing to lose
+            place = folder / "evaluations"
+            names = os.listdir(place) if place.is_dir() else []
+            in_use = (folder / "results.json").exists() or any(map(CHUNK_NAME.fullmatch, names))
+        if in_use:
+            raise FolderError(
+                f"{folder} holds evaluations of another model than the one given now, or of an earlier state of it: "
+                "run with --fresh to evaluate again, or choose another folder with --out"
+            )
     return another
-
-
-def _check_extension(folder: Path, found: Json, resolved: dict[str, Json], extension: Extension | None) -> None:
-    """Refuse the folder of another study unless that may be extended."""
-    if extension is None or not isinstance(found, dict):
-        raise FolderError(
-            f"{folder} holds the run of another study: choose another folder with --out, or remove it; a study that "
-            "asks more of the same inputs goes on with --extend"
-        )
-    if why := extension(found, resolved):
-        raise FolderError(f"{folder} holds a run that this study cannot extend: {why}")
-    if found.get("written_by") != uqsphere.__version__:
-        raise FolderError(
-            f"{folder} was written by another version, whose run cannot be extended: choose another --out"
-        )
-
-
-def _written_by(folder: Path) -> str | None:
-    """The version that began the run of a marked folder."""
-    if not (folder / _MARK).is_file():
-        return None
-    return str(read_json(folder / _MARK).get("written_by", ""))
 
 
 def open_store(
@@ -398,7 +391,8 @@ def open_store(
     try:
         # once more, now that nobody else can change it
         extended = _check_owner(folder, study_hash, resolved, model, fresh, extension)
-        if fresh or _written_by(folder) not in (None, uqsphere.__version__):
+        mark = load_document(folder / _MARK) if (folder / _MARK).is_file() else None
+        if fresh or (mark and mark.get("written_by") != uqsphere.__version__):
             # what another version computed is not mixed with what this one will
             store.forget()
         store.look()

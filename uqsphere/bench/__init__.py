@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from uqsphere.console import print_document
+from uqsphere.console import answer
 
 __all__ = ["command_bench"]
 
@@ -23,9 +23,4 @@ def command_bench(chosen: argparse.Namespace) -> int:
         else run_bench(folder, quick=chosen.quick, notice=lambda text: print(text, file=sys.stderr, flush=True))
     )
     text = content.pop("text")
-    if chosen.json:
-        print_document(content)
-    else:
-        print(text)
-        print(f"\nwritten to {folder}")
-    return 0
+    return answer(chosen, content, f"{text}\n\nwritten to {folder}")

@@ -6,7 +6,7 @@ import argparse
 import json
 import tomllib
 
-from uqsphere.console import print_document, screen_width, table
+from uqsphere.console import answer, screen_width, table
 from uqsphere.quantities import INPUTS, OUTPUTS, format_value
 from uqsphere.study import shipped_studies
 from uqsphere.units import UNITS
@@ -37,14 +37,9 @@ def command_analyse(chosen: argparse.Namespace) -> int:
                for k, name in enumerate(data.outputs) if name in surrogates},
         }  # fmt: skip
         write_outputs(chosen.out, files)
-    if chosen.json:
-        print_document(found)
-    else:
-        print(analysis_text(found))
-        if chosen.out is not None:
-            kept = " surrogates," if surrogates else ""
-            print(f"\nwritten to {chosen.out}: report.html, analysis.json,{kept} and inputs.toml to begin a study with")
-    return 0
+    kept = " surrogates," if surrogates else ""
+    where = f"\n\nwritten to {chosen.out}: report.html, analysis.json,{kept} and inputs.toml to begin a study with"
+    return answer(chosen, found, lambda: analysis_text(found) + ("" if chosen.out is None else where))
 
 
 def _materials() -> tuple[Rows, str]:
@@ -56,22 +51,12 @@ def _materials() -> tuple[Rows, str]:
         for name, material in materials.items():
             rows.append(f"{kind}: {name}")
             for key, entry in material.properties.items():
-                content.append(
-                    {
-                        "kind": kind,
-                        "material": name,
-                        "property": key,
-                        "value": entry.value,
-                        "cov": entry.cov,
-                        **({} if entry.range is None else {"low": entry.range[0], "high": entry.range[1]}),
-                        **entry.further,
-                        "source": entry.source,
-                        "source_seen": entry.seen,
-                    }
-                )
+                ends = {} if entry.range is None else {"low": entry.range[0], "high": entry.range[1]}
+                content.append({"kind": kind, "material": name, "property": key, "value": entry.value, "cov": entry.cov,
+                                **ends, **entry.further, "source": entry.source,
+                                "source_seen": entry.seen})  # fmt: skip
                 path = f"{kind}.{key}"
-                stress = "p_max" if key.endswith("strength") else ""
-                known = path if path in INPUTS else stress
+                known = path if path in INPUTS else "p_max" if key.endswith("strength") else ""
                 shown = format_value(entry.value, known) if known else f"{entry.value:.4g}"
                 scatter = f"{100.0 * entry.cov:.0f} %" if entry.cov is not None else "-"
                 rows.append((key, shown, scatter, entry.source + ("" if entry.seen else " (not seen)")))
@@ -86,21 +71,15 @@ def _models() -> tuple[Rows, str]:
         ("full", "Hertz contact at both faces, mass of the sphere, waves and reflections in the bars"),
         ("auto", "the cheapest of these whose measured error is small against the accuracy asked for"),
     ]
-    return [{"fidelity": name, "meaning": text} for name, text in rows], table(
-        ("fidelity", "meaning"), rows, screen_width()
-    )
+    content: Rows = [{"fidelity": name, "meaning": text} for name, text in rows]
+    return content, table(("fidelity", "meaning"), rows, screen_width())
 
 
-def _quantity_rows(names: list[str]) -> tuple[Rows, str]:
-    entries = [OUTPUTS[name] for name in names]
-    content: Rows = [
-        {"name": e.name, "unit": e.unit, "shown_in": e.display or e.unit, "meaning": e.meaning} for e in entries
-    ]
-    return content, table(
-        ("quantity", "unit", "meaning"),
-        [(e.name, e.display or e.unit or "-", e.meaning) for e in entries],
-        screen_width(),
-    )
+def _quantities() -> tuple[Rows, str]:
+    content: Rows = [{"name": e.name, "unit": e.unit, "shown_in": e.display or e.unit, "meaning": e.meaning}
+                     for e in OUTPUTS.values()]  # fmt: skip
+    rows = [(e.name, e.display or e.unit or "-", e.meaning) for e in OUTPUTS.values()]
+    return content, table(("quantity", "unit", "meaning"), rows, screen_width())
 
 
 def _criteria() -> tuple[Rows, str]:
@@ -132,18 +111,7 @@ def _templates() -> tuple[Rows, str]:
 
 def command_list(chosen: argparse.Namespace) -> int:
     """What there is to choose from."""
-    if chosen.what == "materials":
-        content, text = _materials()
-    elif chosen.what == "models":
-        content, text = _models()
-    elif chosen.what == "quantities":
-        content, text = _quantity_rows(list(OUTPUTS))
-    elif chosen.what == "criteria":
-        content, text = _criteria()
-    else:
-        content, text = _templates()
-    if chosen.json:
-        print_document(content)
-    else:
-        print(text)
-    return 0
+    lists = {"materials": _materials, "models": _models, "quantities": _quantities, "criteria": _criteria,
+             "templates": _templates}  # fmt: skip
+    content, text = lists[chosen.what]()
+    return answer(chosen, content, text)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import shutil
 import sys
 import tempfile
@@ -11,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from uqsphere.console import print_document, screen_width, table
+from uqsphere.console import answer, screen_width, table
 from uqsphere.files import Json
 
 #: a compiler and Python's headers, by the name of the system; numpoly, which chaospy needs, is built from source
@@ -27,13 +26,10 @@ _LEAST_ROOM: Final = 1 << 30
 def command_doctor(chosen: argparse.Namespace) -> int:
     """Check this installation."""
     found = examine()
-    if chosen.json:
-        print_document(found)
-    else:
-        print(table(("package", "version"), list(found["versions"].items()), screen_width()))
-        print()
-        rows = [(entry["check"], "ok" if entry["ok"] else "FAULT", entry["text"]) for entry in found["checks"]]
-        print(table(("check", "", "found"), rows, screen_width()))
+    rows = [(entry["check"], "ok" if entry["ok"] else "FAULT", entry["text"]) for entry in found["checks"]]
+    tables = (table(("package", "version"), list(found["versions"].items()), screen_width()),
+              table(("check", "", "found"), rows, screen_width()))  # fmt: skip
+    answer(chosen, found, "\n\n".join(tables))
     return 0 if all(entry["ok"] for entry in found["checks"]) else 1
 
 
@@ -41,44 +37,30 @@ def examine() -> Json:
     """Versions, the machine, and checks: each with `check`, `ok` and what was found as `text`."""
     from uqsphere.mechanics.integrator.compiled import cache_folder
     from uqsphere.runner.results import versions
+    from uqsphere.runner.workers import processors
 
     found = versions()
     missing = [name for name, version in found.items() if version == "missing"]
-    lacking = f"missing: {', '.join(missing)}"
+    lacking = f"missing: {', '.join(missing)}" if missing else "all there"
     if "chaospy" in missing:
         how = COMPILER.get(sys.platform, "install one, with the headers of Python")
         lacking += f"; chaospy needs a C compiler: {how}; then pip install chaospy. Every run works without it"
     folder = cache_folder()
-    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    checks = [
-        _entry("packages", not missing, lacking if missing else "all there"),
-        _entry("processors", True, f"{processors}"),
-        _entry("cache of compiled code", True,
-               str(folder) if folder else "none that is private and writable, so every process compiles"),
-        _checked("result folders", _folders),
-        _checked("free space", _room),
-        _checked("integration", _integration),
-    ]  # fmt: skip
-    return {
-        "versions": found,
-        "processors": processors,
-        "missing": missing,
-        "compiled_code_cache": str(folder) if folder else None,
-        "checks": checks,
-    }
-
-
-def _entry(check: str, ok: bool, text: str) -> Json:
-    return {"check": check, "ok": ok, "text": text}
-
-
-def _checked(check: str, look: Callable[[], tuple[bool, str]]) -> Json:
-    """A check that may fail in any way: that is what it is there to find."""
-    try:
-        ok, text = look()
-    except Exception as error:
-        ok, text = False, f"{type(error).__name__}: {error}"
-    return _entry(check, ok, text)
+    cached = str(folder) if folder else "none that is private and writable, so every process compiles"
+    looks: dict[str, Callable[[], tuple[bool, str]]] = {
+        "packages": lambda: (not missing, lacking), "processors": lambda: (True, f"{processors()}"),
+        "cache of compiled code": lambda: (True, cached), "result folders": _folders, "free space": _room,
+        "integration": _integration,
+    }  # fmt: skip
+    checks = []
+    for check, look in looks.items():
+        try:
+            ok, text = look()
+        except Exception as error:  # a check may fail in any way: that is what it is there to find
+            ok, text = False, f"{type(error).__name__}: {error}"
+        checks.append({"check": check, "ok": ok, "text": text})
+    return {"versions": found, "processors": processors(), "missing": missing,
+            "compiled_code_cache": str(folder) if folder else None, "checks": checks}  # fmt: skip
 
 
 def _folders() -> tuple[bool, str]:

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from uqsphere.cli.run import MISSED
-from uqsphere.cli.studies import warn
-from uqsphere.console import print_document, screen_width, table, wrap
+from uqsphere.cli.studies import number_of, study_of
+from uqsphere.console import answer, screen_width, table, wrap
 from uqsphere.errors import UsageError
-from uqsphere.study import load_study
 
 if TYPE_CHECKING:
     from uqsphere.feed.answers import Answer, FeedEntry
@@ -49,20 +48,15 @@ def command_fit(chosen: argparse.Namespace) -> int:
     from uqsphere.report.feed import fit_page
     from uqsphere.store import write_outputs
 
-    study = load_study(chosen.study, chosen.overrides)
-    warn(study)
+    study = study_of(chosen)
     posterior, entry = fitted(study)
     assert study.tests is not None
     folder = chosen.out or Path(f"{study.path.stem}-fit")
     files = {DRAWS_FILE: posterior.csv(), FIT_FILE: entry.model_dump_json(indent=1) + "\n",
              **fit_page(entry, posterior, study.tests.specimens)}  # fmt: skip
     written = [str(path) for path in write_outputs(folder, files)]
-    if chosen.json:
-        print_document({**entry.model_dump(mode="json"), "written": written})
-    else:
-        print(fit_text(entry))
-        print(f"\nreport: {folder / 'report.html'}")
-    return 0
+    page = folder / "report.html"
+    return answer(chosen, {**entry.model_dump(mode="json"), "written": written}, f"{fit_text(entry)}\n\nreport: {page}")
 
 
 def command_plan_tests(chosen: argparse.Namespace) -> int:
@@ -73,17 +67,13 @@ def command_plan_tests(chosen: argparse.Namespace) -> int:
 
     if not 0.0 < chosen.precision < 10.0:
         raise UsageError(f"--precision {chosen.precision:g}: a number above 0 is due, such as 0.2")
-    study = load_study(chosen.study, chosen.overrides)
-    warn(study)
+    study = study_of(chosen)
     fixed = {n: {sigma: complete(n, sigma) for sigma in (0.5, 0.7, 0.9)} for n in (10, 20, 30, 50, 100)}
     offered = {name: go_no_go(levels) for name, levels in DESIGNS.items()}
     plan = None if study.tests is None else _next_tests(study, chosen)
-    if chosen.json:
-        known = {name: [None if math.isinf(part) else part for part in both] for name, both in offered.items()}
-        print_document({"next": None if plan is None else asdict(plan), "complete": fixed, "go_no_go": known})
-    else:
-        print(plan_text(plan, fixed, offered))
-    return 0
+    known = {name: [None if math.isinf(part) else part for part in both] for name, both in offered.items()}
+    document = {"next": None if plan is None else asdict(plan), "complete": fixed, "go_no_go": known}
+    return answer(chosen, document, lambda: plan_text(plan, fixed, offered))
 
 
 def _next_tests(study: Study, chosen: argparse.Namespace) -> TestPlan:
@@ -91,7 +81,6 @@ def _next_tests(study: Study, chosen: argparse.Namespace) -> TestPlan:
     import numpy as np
 
     from uqsphere.feed.plan import grid_of_sizes, plan_tests
-    from uqsphere.units import UnitError, parse_value
 
     posterior, about = fitted(study)
     low, high = posterior.tested
@@ -102,12 +91,7 @@ def _next_tests(study: Study, chosen: argparse.Namespace) -> TestPlan:
         sizes = posterior.classes or grid_of_sizes(low, high)
         words = "share broken of the feed"
         return plan_tests(posterior.at(found.rows), found.broken, words, chosen.precision, sizes, relative=False)
-    try:
-        at = high if chosen.at is None else parse_value(chosen.at, "length")
-    except UnitError as error:
-        raise UsageError(f"--at: {error}") from None
-    if at <= 0.0:
-        raise UsageError(f"--at {chosen.at}: a size above 0 is due")
+    at = high if chosen.at is None else number_of(chosen.at, "length", "--at", above=0.0)
     target = np.log(posterior.energy_at(0.5, at))
     if not np.isfinite(target).all():
         raise UsageError(f'--at {chosen.at}: no size class of the tests is near; take size = "tavares"')
@@ -123,8 +107,7 @@ def command_feed(chosen: argparse.Namespace) -> int:
     from uqsphere.report.feed import feed_page
     from uqsphere.store import csv_text, write_outputs
 
-    study = load_study(chosen.study, chosen.overrides)
-    warn(study)
+    study = study_of(chosen)
     plan = study.feed
     if plan is None:
         raise UsageError(f"{chosen.study} has no [feed]: add one, or see uqsphere new limestone_feed")
@@ -143,11 +126,8 @@ def command_feed(chosen: argparse.Namespace) -> int:
         **feed_page(entry, about, posterior, None if tests is None else tests.specimens),
     }  # fmt: skip
     written = [str(path) for path in write_outputs(folder, files)]
-    if chosen.json:
-        print_document({**entry.model_dump(mode="json"), "written": written})
-    else:
-        print(feed_text(entry))
-        print(f"\nreport: {folder / 'report.html'}")
+    page = folder / "report.html"
+    answer(chosen, {**entry.model_dump(mode="json"), "written": written}, f"{feed_text(entry)}\n\nreport: {page}")
     return 0 if entry.goal is None or entry.goal.verdict == "met" else MISSED
 
 
@@ -165,13 +145,9 @@ def command_export_dem(chosen: argparse.Namespace) -> int:
     except NotThere as error:
         raise UsageError(str(error)) from None
     written = [str(path) for path in write_outputs(chosen.out or chosen.folder / "dem", files)]
-    if chosen.json:
-        print_document({"written": written})
-    else:
-        print("\n".join([f"wrote {path}" for path in written]))
-        notes = [line[2:] for line in files["draws.csv"].splitlines() if line.startswith("# ")]
-        print("\n".join(wrap(f"note: {note}", screen_width()) for note in notes))
-    return 0
+    notes = [f"note: {line[2:]}" for line in files["draws.csv"].splitlines() if line.startswith("# ")]
+    said = [*(f"wrote {path}" for path in written), *(wrap(note, screen_width()) for note in notes)]
+    return answer(chosen, {"written": written}, "\n".join(said))
 
 
 # --- what is printed ------------------------------------------------------------------------------------------

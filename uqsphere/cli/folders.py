@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from uqsphere.console import plain, print_document
+from uqsphere.console import answer, plain
 from uqsphere.errors import FolderError, ModelError, UsageError
 
 #: what reading entries that do not fit together raises; a fault of ours would look the same, so that the
@@ -41,19 +41,11 @@ def command_report(chosen: argparse.Namespace) -> int:
         check_pdf()
     with _believed(chosen.folder):
         folder = open_run(chosen.folder).folder
-        if chosen.brief:
-            written = {"brief": str(build_brief(folder))}
-            if chosen.pdf:
-                written["pdf"] = str(build_brief(folder, pdf=True))
-        else:
-            written = {"report": str(build_report(folder))}
-            if chosen.pdf:
-                written["pdf"] = str(build_pdf(folder, full=chosen.full))
-    if chosen.json:
-        print_document(written)
-    else:
-        print("\n".join(f"{name}: {plain(path)}" for name, path in written.items()))
-    return 0
+        written = {"brief": build_brief(folder)} if chosen.brief else {"report": build_report(folder)}
+        if chosen.pdf:
+            written["pdf"] = build_brief(folder, pdf=True) if chosen.brief else build_pdf(folder, full=chosen.full)
+    named = {name: str(path) for name, path in written.items()}
+    return answer(chosen, named, "\n".join(f"{name}: {plain(path)}" for name, path in named.items()))
 
 
 def command_show(chosen: argparse.Namespace) -> int:
@@ -64,12 +56,7 @@ def command_show(chosen: argparse.Namespace) -> int:
 
     with _believed(chosen.folder):
         found = open_run(chosen.folder)
-        text = "" if chosen.json else summary_of(read_contents(found.folder))
-    if chosen.json:
-        print_document(found.results.document())
-    else:
-        print(text)
-    return 0
+        return answer(chosen, found.results.document(), lambda: summary_of(read_contents(found.folder)))
 
 
 def command_export(chosen: argparse.Namespace) -> int:
@@ -78,13 +65,9 @@ def command_export(chosen: argparse.Namespace) -> int:
     from uqsphere.runner.finished import open_run
 
     with _believed(chosen.folder):
-        found = open_run(chosen.folder)
-        written = export_run(found, chosen.format, chosen.out or chosen.folder / "export")
-    if chosen.json:
-        print_document({"written": [str(path) for path in written]})
-    else:
-        print("\n".join(plain(str(path)) for path in written))
-    return 0
+        written = export_run(open_run(chosen.folder), chosen.format, chosen.out or chosen.folder / "export")
+    paths = [str(path) for path in written]
+    return answer(chosen, {"written": paths}, "\n".join(map(plain, paths)))
 
 
 def command_verify(chosen: argparse.Namespace) -> int:
@@ -97,10 +80,7 @@ def command_verify(chosen: argparse.Namespace) -> int:
         raise UsageError(f"--seed takes 0 and more, found {chosen.seed}")
     with _believed(chosen.folder):
         found = verify_folder(chosen.folder, chunks=chosen.chunks, seed=chosen.seed, model=chosen.model)
-    if chosen.json:
-        print_document(found.document())
-    else:
-        print(verify_text(found))
+    answer(chosen, found.document(), lambda: verify_text(found))
     if found.verdict == DAMAGED:
         raise FolderError(f"{chosen.folder} is damaged")
     if found.verdict == FICKLE:
@@ -110,17 +90,11 @@ def command_verify(chosen: argparse.Namespace) -> int:
 
 def command_compare(chosen: argparse.Namespace) -> int:
     """Two runs side by side."""
-    from uqsphere.report.compare import compare_folders, comparison_text
+    from uqsphere.report.compare import compare_folders, comparison_text, write_page
 
     with _believed(chosen.before, chosen.after):
         found = compare_folders(chosen.before, chosen.after)
         if chosen.out is not None:
-            from uqsphere.report.compare import write_page
-
             page = write_page(chosen.before, chosen.after, found, chosen.out)
             found = found.model_copy(update={"page": str(page)})
-    if chosen.json:
-        print_document(found.document())
-    else:
-        print(comparison_text(found))
-    return 0
+    return answer(chosen, found.document(), lambda: comparison_text(found))

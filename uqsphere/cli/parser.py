@@ -1,19 +1,204 @@
-"""The parser of all commands and their options; nothing heavy is imported for it."""
+"""All commands and their arguments as one table, and the parser made of it; nothing heavy is imported for it."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
+from typing import Final, NamedTuple
 
 import uqsphere
 from uqsphere.errors import UsageError
 
-_EPILOG = """exit codes: 0 ok, 1 internal error, 2 invalid study or usage, 3 a target was not met, 4 too many failed
-evaluations, 5 result folder locked, foreign or damaged, 6 input/output, 130 or 143 interrupted"""
+_EPILOG: Final = """exit codes: 0 ok, 1 internal error, 2 invalid study or usage, 3 a target was not met, 4 too many
+failed evaluations, 5 result folder locked, foreign or damaged, 6 input/output, 130 or 143 interrupted"""
 
-#: adds a command: its name, what it does, and the module that does it in its function `command_NAME`
-Command = Callable[[str, str, str], argparse.ArgumentParser]
+
+class Argument(NamedTuple):
+    """An argument as `argparse` takes it; of those with the same `group` in a command one may be given."""
+
+    flags: tuple[str, ...]
+    options: dict[str, object]
+    group: str = ""
+
+
+class Command(NamedTuple):
+    """A command: what it does, the module that does it in its function `command_NAME`, and its arguments."""
+
+    text: str
+    module: str
+    arguments: tuple[Argument, ...]
+
+
+def _flag(name: str, text: str, group: str = "") -> Argument:
+    return Argument((name,), {"action": "store_true", "help": text}, group)
+
+
+def _word(name: str, metavar: str | None, text: str | None = None, **more: object) -> Argument:
+    """An argument with a value: a text unless `type` says otherwise."""
+    return Argument((name,), {"metavar": metavar, "help": text, **more})
+
+
+def _path(name: str, metavar: str, text: str | None = None, **more: object) -> Argument:
+    return _word(name, metavar, text, type=Path, **more)
+
+
+_JSON: Final = _flag("--json", "print one JSON document on stdout")
+_SET: Final = _word("--set", "PATH=VALUE", 'replace a value of the study, such as striker.speed.mean="0.6 m/s"; '
+                    "margins=null takes it out", dest="overrides", action="append", default=[])  # fmt: skip
+_STUDY: Final = (_path("study", "FILE"), _SET)
+_FOLDER: Final = _path("folder", "DIR")
+_MODEL: Final = "FILE.py:FUNCTION"
+
+COMMANDS: Final = {
+    # --- that begin with a study
+    "new": Command("write a commented study to start from", "studies", (
+        _word("template", "TEMPLATE", "a name of `uqsphere list templates` (default: granite)", nargs="?",
+              default="granite"),
+        Argument(("-o", "--output"), {"required": True, "metavar": "FILE", "type": Path}),
+    )),
+    "check": Command("validate a study; print the resolved scene and what a run will cost", "studies", _STUDY),
+    "run": Command("run a study and write its report", "run", (
+        *_STUDY,
+        _path("--out", "DIR", "result folder (default: the study's name + -results)"),
+        Argument(("-j", "--jobs"), {"type": int, "metavar": "N", "help": "processors to use (default: all)"}),
+        _word("--budget", "TIME", 'time budget in place of the study\'s, such as "10min"'),
+        _flag("--resume", "go on with what is stored (the default)", "again"),
+        _flag("--fresh", "drop what is stored and begin again", "again"),
+        _flag("--extend", "let a study that asks more of the same inputs go on with what DIR holds", "again"),
+        _word("--dask", "ADDRESS", 'evaluate on a Dask cluster: "tcp://HOST:8786" of its scheduler, or "local" for one '
+              "of this machine's processes (-j of them)"),
+        _word("--model", _MODEL, "the model of a black-box study, or FILE.toml that names a program; THIS RUNS IT"),
+    )),
+    "history": Command("one deterministic scene over time, all numbers at their means", "studies", (
+        *_STUDY, _path("--out", "DIR", "write history.csv and the figures here"),
+    )),
+    # --- that look at the folder of a run
+    "report": Command("build the report again from what is stored", "folders", (
+        _FOLDER,
+        _flag("--pdf", "also as report.pdf (needs the extra: uqsphere[pdf])"),
+        _flag("--brief", "the one sheet alone, as brief.html (with --pdf as brief.pdf)"),
+        _flag("--full", "with --pdf: methods, tables and words in print too"),
+    )),
+    "show": Command("the answers of a run as a table", "folders", (_FOLDER,)),
+    "export": Command("samples and tables of a run in another format", "folders", (
+        _FOLDER,
+        _word("--format", None, required=True, choices=("csv", "parquet", "json")),
+        _path("--out", "DIR", "where to write (default: DIR/export)"),
+    )),
+    "verify": Command("checksums of everything stored, and some of it evaluated again", "folders", (
+        _FOLDER,
+        _word("--chunks", "N", "chunks to evaluate again (default 3)", type=int, default=3),
+        _word("--seed", None, "which of them (default 0)", type=int, default=0),
+        _word("--model", _MODEL, "the model of a black box; THIS RUNS THE FILE"),
+    )),
+    "compare": Command("two runs side by side: what changed, by how much, and whether that is significant", "folders", (
+        _path("before", "DIR"), _path("after", "DIR"), _path("--out", "FILE.html", "write a page with figures"),
+    )),
+    # --- that begin with data, or with the design of a test
+    "analyse": Command("laws, dependence and drivers from a table of runs that were made already", "data", (
+        _path("data", "DATA.csv"),
+        _word("--inputs", "A,B", "columns that went in, divided by commas", required=True),
+        _word("--outputs", "Y,Z", "columns that came out", required=True),
+        _path("--laws", "STUDY.toml", "the laws that the runs were drawn from, if known"),
+        _path("--out", "DIR", "write analysis.json and inputs.toml here"),
+    )),
+    "records": Command("pulse, contact forces and stiffness from records of strain gauges", "records", (
+        _path("record", "FILE", "time and one signal, two gauges or three waves, or two gauges a bar; or a folder of "
+              "such files"),
+        _path("--study", "STUDY", "sphere and bars; needed for forces"),
+        _SET,
+        _word("--columns", "T,A,B", "columns that count, by name or number: time, then signals; gauges of a bar as "
+              "A+B"),
+        _path("--with", "FILE", "further channels of the same shot, in a file of their own", dest="beside",
+              action="append", default=[]),
+        _word("--unit", None, "unit of the signals, such as microstrain or mV", default=""),
+        _word("--time-unit", None, "unit of the time, such as us", default=""),
+        _word("--sample-interval", "TIME", "for a file without a time", default=""),
+        _word("--gauge-factor", "K[,K]", "one, or one for each bar", default="2"),
+        _word("--excitation", "V[,V]", "supply of the bridge, volts", default="0"),
+        _word("--amplification", "A[,A]", default="1"),
+        _word("--active-arms", "N[,N]", "1 quarter, 2 half bridge", default="1"),
+        _word("--incident-gauge", "LENGTH", "its distance from the sphere", default="0 m"),
+        _word("--receiving-gauge", "LENGTH", "its distance from the sphere", default="0 m"),
+        _word("--window", "BEGIN,END", 'times of the incident wave, such as "100 us,420 us"'),
+        _word("--polarity", None, "what is positive in the record (default: the first wave presses)",
+              choices=("auto", "tension", "compression"), default="auto"),
+        _flag("--correct-dispersion", "carry the waves from gauges to faces"),
+        _word("--receiving-bar", "KEYS", 'where it is another: "E=72 GPa, density=2810 kg/m3"'),
+        _word("--specimen", None, "other: forces and energies alone, no elastic sphere is fitted",
+              choices=("sphere", "other"), default="sphere"),
+        _word("--bound", "FORCE", "more than such a specimen can bear is doubted", default=""),
+        _path("--calibration", "FILE", "a shot without a specimen, wired alike: it gives bar speed and gains"),
+        _word("--striker-speed", "SPEED", "of the calibration shot", default=""),
+        _flag("--pdf", "the sheet on paper too, with --out"),
+        _word("--gain-sd", "SD", "of each gauge, relative (default 0.01)", type=float, default=0.01),
+        _path("--out", "DIR", "write tables and figures here"),
+    )),
+    "fit-contact": Command("onset, hardness and pile-up from a slow test on a sphere between two platens", "records", (
+        _path("record", "FILE.csv", "displacement and force, loaded and let go"),
+        _word("--diameter", "LENGTH", 'of the sphere, such as "20 mm"', required=True),
+        _word("--platens", "NAME", "a material of the bars, or rigid; E of the sphere follows", default="rigid"),
+        _word("--nu", None, "Poisson ratio of the sphere (default 0.25)", type=float, default=0.25),
+        _word("--columns", "D,F", "columns that count: displacement, force"),
+        _word("--displacement-unit", "UNIT", "such as um", default=""),
+        _word("--force-unit", "UNIT", "such as kN", default=""),
+        _word("--machine-stiffness", "K", 'such as "100 kN/mm" (default: rigid)'),
+        _word("--pile-up", "C", "where it is known, 1 to 3: it is not fitted then", type=float),
+    )),
+    "fit": Command("the law of fracture energy that tests of single particles leave open", "feed", (
+        _path("study", "FILE", "with a table [tests]"), _SET,
+        _path("--out", "DIR", "where to write (default: the study's name + -fit)"),
+    )),
+    "plan-tests": Command("how many more tests of single particles, and which tells most", "feed", (
+        *_STUDY,
+        _word("--precision", "X", "95 %% half-width that is wanted: of an energy relative, of a share as it is "
+              "(default 0.2)", type=float, default=0.2),
+        _word("--at", "SIZE", 'aim at the energy that breaks half at this size, such as "20 mm" (default: the share '
+              "broken of [feed], else the largest tested size)"),
+    )),
+    "feed": Command("what becomes of a feed under its blows, from tests of its particles", "feed", (
+        *_STUDY,
+        _path("--fit", "DIR", "a posterior of `uqsphere fit`, in place of [tests]"),
+        _path("--out", "DIR", "where to write (default: the study's name + -feed)"),
+    )),
+    "export-dem": Command("draws of a feed's parameters for a DEM program, as it names them", "feed", (
+        _path("folder", "DIR", "what `uqsphere feed` wrote"),
+        _word("--to", None, required=True, choices=("rocky", "liggghts", "edem", "csv")),
+        _word("--draws", "N", "spread over the share broken (default 20)", type=int, default=20),
+        _word("--rig-factor", "X", "E_inf is multiplied by it: 1 + k_p/k_s of the test rig, where the program divides "
+              "(default: not)", type=float),
+        _path("--out", "DIR", "where to write (default: DIR/dem)"),
+    )),
+    "plan": Command("what breaks a sphere as wanted: speeds, ramps and lengths between bars, the one number of another "
+                    "rig", "plan", (
+        *_STUDY,
+        _word("--speed", "LOW,HIGH", "striker speeds, m/s unless a unit stands there (default: those of the margins, "
+              "or a decade about the study's)"),
+        _word("--rise", "LOW,HIGH", "ramps of the pulse, us unless a unit stands there (default: 0 up to the length of "
+              "the pulse)"),
+        _word("--length", "L[,L]", "striker lengths, m unless a unit stands there (default: the study's)"),
+        _word("--imbalance", "X", "largest |P_A - P_B| at fracture over the larger force (default 0.1)", type=float,
+              default=0.1),
+        _word("--quantile", "P", "the specimen that is shown: quantile of the strength (default 0.5)", type=float,
+              default=0.5),
+        _word("--grid", "NxM", "speeds and ramps of the map (default 60x41)", default="60x41"),
+        _path("--out", "DIR", "write plan.csv, windows.csv and the figure here"),
+    )),
+    # --- what there is, and this installation
+    "list": Command("what there is to choose from", "data", (
+        _word("what", None, choices=("materials", "models", "quantities", "criteria", "templates")),
+    )),
+    "bench": Command("speed against error on this machine", "bench", (
+        _flag("--quick", "fewer of everything: a minute instead of ten or more"),
+        _flag("--measured", "the model beside published measurements instead"),
+        _path("--out", "DIR", "where to write (default: bench-results)"),
+    )),
+    "serve": Command("the impact model of a study as an UM-Bridge server on this machine", "serve", (
+        *_STUDY, _word("--port", None, "where it listens (default: 4242)", type=int, default=4242),
+    )),
+    "schema": Command("print the JSON schema of study files, for editors", "studies", ()),
+    "doctor": Command("check this installation", "doctor", ()),
+}  # fmt: skip
 
 
 class _Parser(argparse.ArgumentParser):
@@ -32,244 +217,13 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"uqsphere {uqsphere.__version__}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
-
-    def command(name: str, text: str, module: str) -> argparse.ArgumentParser:
-        made = commands.add_parser(name, help=text, description=text)
-        made.set_defaults(module=module)
-        return made
-
-    _add_studies(command)
-    _add_folders(command)
-    _add_data(command)
-    _add_others(command)
+    made = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
+    for name, command in COMMANDS.items():
+        own = made.add_parser(name, help=command.text, description=command.text)
+        own.set_defaults(module="uqsphere.bench" if command.module == "bench" else f"uqsphere.cli.{command.module}")
+        groups: dict[str, argparse._MutuallyExclusiveGroup] = {}
+        for flags, options, group in (*command.arguments, _JSON):
+            if group and group not in groups:
+                groups[group] = own.add_mutually_exclusive_group()
+            (groups[group] if group else own).add_argument(*flags, **options)  # type: ignore[arg-type]
     return parser
-
-
-def _json(parser: argparse.ArgumentParser, text: str = "print one JSON document on stdout") -> None:
-    parser.add_argument("--json", action="store_true", help=text)
-
-
-def _set(parser: argparse.ArgumentParser) -> None:
-    text = 'replace a value of the study, such as striker.speed.mean="0.6 m/s"; margins=null takes it out'
-    parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="PATH=VALUE", help=text)
-
-
-def _add_studies(command: Command) -> None:
-    """Commands that begin with a study."""
-    new = command("new", "write a commented study to start from", "uqsphere.cli.studies")
-    new.add_argument(
-        "template",
-        nargs="?",
-        default="granite",
-        metavar="TEMPLATE",
-        help="a name of `uqsphere list templates` (default: granite)",
-    )
-    new.add_argument("-o", "--output", required=True, metavar="FILE", type=Path)
-    _json(new)
-
-    check = command(
-        "check", "validate a study; print the resolved scene and what a run will cost", "uqsphere.cli.studies"
-    )
-    run = command("run", "run a study and write its report", "uqsphere.cli.run")
-    history = command(
-        "history", "one deterministic scene over time, all numbers at their means", "uqsphere.cli.studies"
-    )
-    for study in (check, run, history):
-        study.add_argument("study", metavar="FILE", type=Path)
-        _set(study)
-        _json(study)
-    history.add_argument("--out", type=Path, metavar="DIR", help="write history.csv and the figures here")
-    run.add_argument("--out", type=Path, metavar="DIR", help="result folder (default: the study's name + -results)")
-    run.add_argument("-j", "--jobs", type=int, metavar="N", help="processors to use (default: all)")
-    run.add_argument("--budget", metavar="TIME", help='time budget in place of the study\'s, such as "10min"')
-    again = run.add_mutually_exclusive_group()
-    again.add_argument("--resume", action="store_true", help="go on with what is stored (the default)")
-    again.add_argument("--fresh", action="store_true", help="drop what is stored and begin again")
-    more = "let a study that asks more of the same inputs go on with what DIR holds"
-    again.add_argument("--extend", action="store_true", help=more)
-    where = '"tcp://HOST:8786" of its scheduler, or "local" for one of this machine\'s processes (-j of them)'
-    run.add_argument("--dask", metavar="ADDRESS", help=f"evaluate on a Dask cluster: {where}")
-    run.add_argument(
-        "--model",
-        metavar="FILE.py:FUNCTION",
-        help="the model of a black-box study, or FILE.toml that names a program; THIS RUNS IT",
-    )
-
-
-def _add_folders(command: Command) -> None:
-    """Commands that look at the folder of a run."""
-    home = "uqsphere.cli.folders"
-    report = command("report", "build the report again from what is stored", home)
-    show = command("show", "the answers of a run as a table", home)
-    export = command("export", "samples and tables of a run in another format", home)
-    verify = command("verify", "checksums of everything stored, and some of it evaluated again", home)
-    for folder in (report, show, export, verify):
-        folder.add_argument("folder", metavar="DIR", type=Path)
-        _json(folder)
-    report.add_argument("--pdf", action="store_true", help="also as report.pdf (needs the extra: uqsphere[pdf])")
-    report.add_argument(
-        "--brief", action="store_true", help="the one sheet alone, as brief.html (with --pdf as brief.pdf)"
-    )
-    report.add_argument("--full", action="store_true", help="with --pdf: methods, tables and words in print too")
-    export.add_argument("--format", required=True, choices=("csv", "parquet", "json"))
-    export.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: DIR/export)")
-    verify.add_argument("--chunks", type=int, default=3, metavar="N", help="chunks to evaluate again (default 3)")
-    verify.add_argument("--seed", type=int, default=0, help="which of them (default 0)")
-    verify.add_argument("--model", metavar="FILE.py:FUNCTION", help="the model of a black box; THIS RUNS THE FILE")
-    compare = command(
-        "compare", "two runs side by side: what changed, by how much, and whether that is significant", home
-    )
-    compare.add_argument("before", metavar="DIR", type=Path)
-    compare.add_argument("after", metavar="DIR", type=Path)
-    compare.add_argument("--out", type=Path, metavar="FILE.html", help="write a page with figures")
-    _json(compare)
-
-
-def _add_data(command: Command) -> None:
-    """Commands that begin with data, or with the design of a test."""
-
-    given = command("analyse", "laws, dependence and drivers from a table of runs that were made already",
-                    "uqsphere.cli.data")  # fmt: skip
-    given.add_argument("data", metavar="DATA.csv", type=Path)
-    given.add_argument("--inputs", required=True, metavar="A,B", help="columns that went in, divided by commas")
-    given.add_argument("--outputs", required=True, metavar="Y,Z", help="columns that came out")
-    given.add_argument(
-        "--laws", type=Path, metavar="STUDY.toml", help="the laws that the runs were drawn from, if known"
-    )
-    given.add_argument("--out", type=Path, metavar="DIR", help="write analysis.json and inputs.toml here")
-    _json(given)
-    records = "pulse, contact forces and stiffness from records of strain gauges"
-    _add_records(command("records", records, "uqsphere.cli.records"))
-    _add_fit(command("fit-contact", "onset, hardness and pile-up from a slow test on a sphere between two platens",
-                     "uqsphere.cli.records"))  # fmt: skip
-    _add_feed(command)
-    plan = "what breaks a sphere as wanted: speeds, ramps and lengths between bars, the one number of another rig"
-    _add_plan(command("plan", plan, "uqsphere.cli.plan"))
-
-
-def _add_feed(command: Command) -> None:
-    """Commands of single particles, feeds and DEM."""
-    home = "uqsphere.cli.feed"
-    fit = command("fit", "the law of fracture energy that tests of single particles leave open", home)
-    fit.add_argument("study", metavar="FILE", type=Path, help="with a table [tests]")
-    _set(fit)
-    fit.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: the study's name + -fit)")
-    _json(fit)
-    tests = command("plan-tests", "how many more tests of single particles, and which tells most", home)
-    tests.add_argument("study", metavar="FILE", type=Path)
-    _set(tests)
-    wanted = "95 %% half-width that is wanted: of an energy relative, of a share as it is (default 0.2)"
-    tests.add_argument("--precision", type=float, default=0.2, metavar="X", help=wanted)
-    tests.add_argument("--at", metavar="SIZE", help='aim at the energy that breaks half at this size, such as "20 mm" '
-                       "(default: the share broken of [feed], else the largest tested size)")  # fmt: skip
-    _json(tests)
-    feed = command("feed", "what becomes of a feed under its blows, from tests of its particles", home)
-    feed.add_argument("study", metavar="FILE", type=Path)
-    _set(feed)
-    feed.add_argument("--fit", type=Path, metavar="DIR", help="a posterior of `uqsphere fit`, in place of [tests]")
-    feed.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: the study's name + -feed)")
-    _json(feed)
-    export = command("export-dem", "draws of a feed's parameters for a DEM program, as it names them", home)
-    export.add_argument("folder", metavar="DIR", type=Path, help="what `uqsphere feed` wrote")
-    export.add_argument("--to", required=True, choices=("rocky", "liggghts", "edem", "csv"))
-    export.add_argument("--draws", type=int, default=20, metavar="N", help="spread over the share broken (default 20)")
-    factor = "E_inf is multiplied by it: 1 + k_p/k_s of the test rig, where the program divides (default: not)"
-    export.add_argument("--rig-factor", type=float, metavar="X", help=factor)
-    export.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: DIR/dem)")
-    _json(export)
-
-
-def _add_plan(parser: argparse.ArgumentParser) -> None:
-    """The options of `uqsphere plan`."""
-    parser.add_argument("study", metavar="FILE", type=Path)
-    _set(parser)
-    parser.add_argument("--speed", metavar="LOW,HIGH", help="striker speeds, m/s unless a unit stands there "
-                        "(default: those of the margins, or a decade about the study's)")  # fmt: skip
-    parser.add_argument("--rise", metavar="LOW,HIGH", help="ramps of the pulse, us unless a unit stands there "
-                        "(default: 0 up to the length of the pulse)")  # fmt: skip
-    parser.add_argument("--length", metavar="L[,L]", help="striker lengths, m unless a unit stands there "
-                        "(default: the study's)")  # fmt: skip
-    parser.add_argument("--imbalance", type=float, default=0.1, metavar="X",
-                        help="largest |P_A - P_B| at fracture over the larger force (default 0.1)")  # fmt: skip
-    parser.add_argument("--quantile", type=float, default=0.5, metavar="P",
-                        help="the specimen that is shown: quantile of the strength (default 0.5)")  # fmt: skip
-    parser.add_argument("--grid", default="60x41", metavar="NxM", help="speeds and ramps of the map (default 60x41)")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write plan.csv, windows.csv and the figure here")
-    _json(parser)
-
-
-def _add_records(parser: argparse.ArgumentParser) -> None:
-    """The options of `uqsphere records`."""
-    parser.add_argument("record", metavar="FILE", type=Path, help="time and one signal, two gauges or three waves, or "
-                        "two gauges a bar; or a folder of such files")  # fmt: skip
-    parser.add_argument("--study", type=Path, metavar="STUDY", help="sphere and bars; needed for forces")
-    _set(parser)
-    parser.add_argument(
-        "--columns",
-        metavar="T,A,B",
-        help="columns that count, by name or number: time, then signals; gauges of a bar as A+B",
-    )
-    parser.add_argument("--with", dest="beside", action="append", default=[], type=Path, metavar="FILE",
-                        help="further channels of the same shot, in a file of their own")  # fmt: skip
-    parser.add_argument("--unit", default="", help="unit of the signals, such as microstrain or mV")
-    parser.add_argument("--time-unit", default="", help="unit of the time, such as us")
-    parser.add_argument("--sample-interval", default="", metavar="TIME", help="for a file without a time")
-    parser.add_argument("--gauge-factor", default="2", metavar="K[,K]", help="one, or one for each bar")
-    parser.add_argument("--excitation", default="0", metavar="V[,V]", help="supply of the bridge, volts")
-    parser.add_argument("--amplification", default="1", metavar="A[,A]")
-    parser.add_argument("--active-arms", default="1", metavar="N[,N]", help="1 quarter, 2 half bridge")
-    parser.add_argument("--incident-gauge", default="0 m", metavar="LENGTH", help="its distance from the sphere")
-    parser.add_argument("--receiving-gauge", default="0 m", metavar="LENGTH", help="its distance from the sphere")
-    parser.add_argument("--window", metavar="BEGIN,END", help='times of the incident wave, such as "100 us,420 us"')
-    parser.add_argument("--polarity", choices=("auto", "tension", "compression"), default="auto",
-                        help="what is positive in the record (default: the first wave presses)")  # fmt: skip
-    parser.add_argument("--correct-dispersion", action="store_true", help="carry the waves from gauges to faces")
-    parser.add_argument("--receiving-bar", metavar="KEYS", help='where it is another: "E=72 GPa, density=2810 kg/m3"')
-    parser.add_argument("--specimen", choices=("sphere", "other"), default="sphere",
-                        help="other: forces and energies alone, no elastic sphere is fitted")  # fmt: skip
-    parser.add_argument("--bound", default="", metavar="FORCE", help="more than such a specimen can bear is doubted")
-    parser.add_argument("--calibration", type=Path, metavar="FILE",
-                        help="a shot without a specimen, wired alike: it gives bar speed and gains")  # fmt: skip
-    parser.add_argument("--striker-speed", default="", metavar="SPEED", help="of the calibration shot")
-    parser.add_argument("--pdf", action="store_true", help="the sheet on paper too, with --out")
-    parser.add_argument(
-        "--gain-sd", type=float, default=0.01, metavar="SD", help="of each gauge, relative (default 0.01)"
-    )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write tables and figures here")
-    _json(parser)
-
-
-def _add_fit(parser: argparse.ArgumentParser) -> None:
-    """The options of `uqsphere fit-contact`."""
-    parser.add_argument("record", metavar="FILE.csv", type=Path, help="displacement and force, loaded and let go")
-    parser.add_argument("--diameter", required=True, metavar="LENGTH", help='of the sphere, such as "20 mm"')
-    parser.add_argument("--platens", default="rigid", metavar="NAME",
-                        help="a material of the bars, or rigid; E of the sphere follows")  # fmt: skip
-    parser.add_argument("--nu", type=float, default=0.25, help="Poisson ratio of the sphere (default 0.25)")
-    parser.add_argument("--columns", metavar="D,F", help="columns that count: displacement, force")
-    parser.add_argument("--displacement-unit", default="", metavar="UNIT", help="such as um")
-    parser.add_argument("--force-unit", default="", metavar="UNIT", help="such as kN")
-    parser.add_argument("--machine-stiffness", metavar="K", help='such as "100 kN/mm" (default: rigid)')
-    parser.add_argument("--pile-up", type=float, metavar="C", help="where it is known, 1 to 3: it is not fitted then")
-    _json(parser)
-
-
-def _add_others(command: Command) -> None:
-    """What there is, and this installation."""
-    listing = command("list", "what there is to choose from", "uqsphere.cli.data")
-    listing.add_argument("what", choices=("materials", "models", "quantities", "criteria", "templates"))
-    _json(listing)
-    bench = command("bench", "speed against error on this machine", "uqsphere.bench")
-    bench.add_argument("--quick", action="store_true", help="fewer of everything: a minute instead of ten or more")
-    bench.add_argument("--measured", action="store_true", help="the model beside published measurements instead")
-    bench.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: bench-results)")
-    _json(bench)
-    serve = command("serve", "the impact model of a study as an UM-Bridge server on this machine", "uqsphere.cli.serve")
-    serve.add_argument("study", type=Path)
-    serve.add_argument("--port", type=int, default=4242, help="where it listens (default: 4242)")
-    _set(serve)
-    _json(serve)
-    schema = command("schema", "print the JSON schema of study files, for editors", "uqsphere.cli.studies")
-    _json(schema, "the same: a schema is a JSON document")
-    _json(command("doctor", "check this installation", "uqsphere.cli.doctor"))

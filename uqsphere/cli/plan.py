@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
+import re
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from uqsphere.console import plain, print_document, table
+from uqsphere.cli.studies import number_of, study_of
+from uqsphere.console import answer, plain, table
 from uqsphere.errors import UsageError
 from uqsphere.quantities import format_value
-from uqsphere.units import UnitError, parse_value
 
 if TYPE_CHECKING:
     from uqsphere.planning.window import Chart, Plan, Window
@@ -27,29 +27,12 @@ _RANGE: Final = "range"
 _LISTED: Final = 12
 
 
-def _numbers(text: str, dimension: str, unit: str, option: str) -> list[float]:
-    """Values in SI of a list with commas; a bare number has the unit."""
-    found = []
-    for part in (piece.strip() for piece in text.split(",")):
-        try:
-            float(part)
-        except ValueError:
-            bare = False
-        else:
-            bare = True
-        try:
-            found.append(parse_value(f"{part} {unit}" if bare else part, dimension))
-        except UnitError as error:
-            raise UsageError(f"{option}: {error}") from None
-    return found
-
-
 def _range(text: str | None, dimension: str, unit: str, option: str, *, zero: bool) -> tuple[float, float] | None:
     if text is None:
         return None
-    found = _numbers(text, dimension, unit, option)
-    least = "0" if zero else "above 0"
+    found = [number_of(part, dimension, option, unit=unit) for part in text.split(",")]
     if len(found) != 2 or not found[0] < found[1] or found[0] < 0.0 or (found[0] == 0.0 and not zero):
+        least = "0" if zero else "above 0"
         raise UsageError(f"{option} takes two values, the lower {least} and first, found {text!r}")
     return found[0], found[1]
 
@@ -57,17 +40,17 @@ def _range(text: str | None, dimension: str, unit: str, option: str, *, zero: bo
 def _lengths(text: str | None) -> list[float] | None:
     if text is None:
         return None
-    found = sorted(set(_numbers(text, "length", "m", "--length")))
+    found = sorted({number_of(part, "length", "--length", unit="m") for part in text.split(",")})
     if not 1 <= len(found) <= _MOST_LENGTHS or found[0] <= 0.0:
         raise UsageError(f"--length takes 1 to {_MOST_LENGTHS} lengths above 0, found {text!r}")
     return found
 
 
 def _grid(text: str) -> tuple[int, int]:
-    parts = text.lower().split("x")
-    if len(parts) != 2 or not all(part.isascii() and part.isdigit() and len(part) < 5 for part in parts):
+    found = re.fullmatch(r"(\d{1,4})x(\d{1,4})", text.lower(), re.ASCII)
+    if found is None:
         raise UsageError(f"--grid takes speeds x ramps, such as 60x41, found {text!r}")
-    speeds, ramps = (int(part) for part in parts)
+    speeds, ramps = int(found[1]), int(found[2])
     if not (2 <= speeds <= _MOST_POINTS and 2 <= ramps <= _MOST_POINTS):
         raise UsageError(f"--grid takes 2 to {_MOST_POINTS} points in each direction, found {text!r}")
     return speeds, ramps
@@ -81,28 +64,20 @@ def command_plan(chosen: argparse.Namespace) -> int:
     for name, value in (("--imbalance", chosen.imbalance), ("--quantile", chosen.quantile)):
         if not 0.0 < value < 1.0:
             raise UsageError(f"{name} must lie between 0 and 1, found {value:g}")
-    from uqsphere.study import load_study
-
-    study = load_study(chosen.study, chosen.overrides)
+    study = study_of(chosen)
     if not study.black_box and study.rig != "bars":
         return _plan_blow(study, chosen, grid[0])
     from uqsphere.planning.window import plan_test, request_of
 
     request = request_of(study, speeds=speeds, rises=rises, lengths=lengths, level=chosen.imbalance,
                          quantile=chosen.quantile, grid=grid)  # fmt: skip
-    for text in study.warnings:
-        print(f"warning: {plain(text)}", file=sys.stderr)
     try:
         found = plan_test(study, request)
     except ValueError as error:
         raise UsageError(str(error)) from None
-    content = plan_document(found, study.title)
     written = _write(chosen.out, found, study.title) if chosen.out is not None else []
-    if chosen.json:
-        print_document({**content, "written": written})
-    else:
-        print("\n".join([_text(found), *(f"wrote {path}" for path in written)]))
-    return 0
+    document = {**plan_document(found, study.title), "written": written}
+    return answer(chosen, document, lambda: _text(found), written)
 
 
 def _plan_blow(study: Study, chosen: argparse.Namespace, count: int) -> int:
@@ -127,9 +102,6 @@ def _plan_blow(study: Study, chosen: argparse.Namespace, count: int) -> int:
         rows = [[*map(float, row), check] for *row, check in zip(*columns, found.check, strict=True)]
         head = [f"{found.path} [SI]", "P_max [N]", "share_of_strengths", "grade", "check"]
         written = [str(path) for path in write_outputs(chosen.out, {"plan.csv": csv_text(head, rows)})]
-    if chosen.json:
-        print_document({**content, "written": written})
-        return 0
     said = {name: "nowhere in the range" if value is None else f"from {format_value(value, found.path)}"
             for name, value in starts.items()}  # fmt: skip
     lines = [("the sphere breaks by", ", ".join(limit.name for limit in found.limits)),
@@ -142,8 +114,7 @@ def _plan_blow(study: Study, chosen: argparse.Namespace, count: int) -> int:
     ]  # fmt: skip
     blocks = [f"{plain(study.title)}: what breaks the sphere, all else at its mean", table(("what", "value"), lines),
               table((found.path, "force", "spheres that break", "the model warns of"), points)]  # fmt: skip
-    print("\n".join(["\n\n".join(blocks), *(f"wrote {path}" for path in written)]))
-    return 0
+    return answer(chosen, {**content, "written": written}, "\n\n".join(blocks), written)
 
 
 # --- what is found, as JSON and text --------------------------------------------------------------

@@ -4,19 +4,19 @@ a calibration shot."""
 from __future__ import annotations
 
 import argparse
+import contextlib
 import hashlib
-import json
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
-from uqsphere.console import plain, table
+from uqsphere.cli.studies import number_of
+from uqsphere.console import answer, plain, table
 from uqsphere.errors import UsageError
 from uqsphere.quantities import format_value
-from uqsphere.units import UnitError, parse_value
 
 if TYPE_CHECKING:
     from uqsphere.records.inverse import Rig
@@ -26,17 +26,22 @@ if TYPE_CHECKING:
     from uqsphere.records.record import Record, Wiring
     from uqsphere.study import Study
 
+
+class Found(Protocol):
+    """A number with its 95 % interval."""
+
+    @property
+    def value(self) -> float: ...
+    @property
+    def low(self) -> float: ...
+    @property
+    def high(self) -> float: ...
+
+
 #: ends of the names of records, in a folder
 _ENDINGS: Final = (".csv", ".txt", ".tsv", ".dat", ".asd", ".raw", ".xlsx")
 #: records of a folder, and notes on one that are printed
 _MOST, _NOTES = 1000, 12
-
-
-def _value(text: str, dimension: str, option: str) -> float:
-    try:
-        return parse_value(text.strip(), dimension)
-    except UnitError as error:
-        raise UsageError(f"{option}: {error}") from None
 
 
 def _window(text: str | None) -> tuple[float | None, float | None]:
@@ -45,7 +50,7 @@ def _window(text: str | None) -> tuple[float | None, float | None]:
     parts = text.split(",")
     if len(parts) != 2:
         raise UsageError(f'--window takes begin and end, such as "100 us,420 us", found {text!r}')
-    begin, end = (_value(part, "time", "--window") for part in parts)
+    begin, end = (number_of(part, "time", "--window") for part in parts)
     return begin, end
 
 
@@ -69,9 +74,24 @@ def _wirings(chosen: argparse.Namespace, signals: int) -> list[Wiring]:
     ]
 
 
+@contextlib.contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """What is wrong with a record, as what is wrong with the command."""
+    from uqsphere.records.table import RecordError
+
+    try:
+        yield
+    except RecordError as error:
+        text = str(error).removeprefix(f"{path.name}: ")
+        raise UsageError(f"{path}: {text}") from None
+
+
+def _columns(chosen: argparse.Namespace) -> list[str]:
+    return [name.strip() for name in chosen.columns.split(",")] if chosen.columns else []
+
+
 def command_records(chosen: argparse.Namespace) -> int:
     """The pulse of a record, or forces, energies, stiffness and the end of the elastic contact of a test or of many."""
-    from uqsphere.records.table import RecordError
     from uqsphere.study import load_study
 
     if not 0.0 <= chosen.gain_sd < 1.0:
@@ -86,24 +106,17 @@ def command_records(chosen: argparse.Namespace) -> int:
     path = chosen.record
     if chosen.beside and (path.is_dir() or chosen.calibration is not None):
         raise UsageError("--with adds channels to one record: it goes with no folder and no --calibration")
-    try:
+    with _told(path):
         shot = _calibration(chosen, study)
         if path.is_dir():
             return _folder(chosen, study, shot)
         said = _said(chosen, path, study, shot)
-    except RecordError as error:
-        text = str(error).removeprefix(f"{path.name}: ")
-        raise UsageError(f"{path}: {text}") from None
     written = _write(chosen.out, said.files()) if chosen.out is not None else []
-    if chosen.json:
-        print(json.dumps({**said.content, "written": written}, indent=2, allow_nan=False))
-        return 0
-    for note in said.notes[:_NOTES]:
-        print(f"note: {plain(note)}", file=sys.stderr)
-    if len(said.notes) > _NOTES:
-        print(f"note: and {len(said.notes) - _NOTES} more, in --json and on the sheet", file=sys.stderr)
-    print("\n".join([table(said.header, said.rows), *(f"wrote {path}" for path in written)]))
-    return 0
+    if not chosen.json:
+        more = len(said.notes) - _NOTES
+        notes = [*said.notes[:_NOTES], *[f"and {more} more, in --json and on the sheet"] * (more > 0)]
+        print("".join(f"note: {plain(note)}\n" for note in notes), end="", file=sys.stderr)
+    return answer(chosen, {**said.content, "written": written}, lambda: table(said.header, said.rows), written)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,8 +141,8 @@ def _read(chosen: argparse.Namespace, path: Path, study: Study | None) -> Record
     from uqsphere.records.record import make_record, mend
     from uqsphere.records.table import beside, read_table
 
-    columns = [name.strip() for name in chosen.columns.split(",")] if chosen.columns else []
-    interval = _value(chosen.sample_interval, "time", "--sample-interval") if chosen.sample_interval else 0.0
+    columns = _columns(chosen)
+    interval = number_of(chosen.sample_interval, "time", "--sample-interval") if chosen.sample_interval else 0.0
     read = read_table(path, interval)
     for other in chosen.beside:
         read = beside(read, read_table(other, interval))
@@ -171,7 +184,7 @@ def _other_bar(text: str | None, columns: Mapping[str, float]) -> tuple[Bar, flo
         key, _, value = (piece.strip() for piece in part.partition("="))
         if key not in units:
             raise UsageError('--receiving-bar takes E, density and diameter, such as "E=72 GPa, density=2810 kg/m3"')
-        given[key] = _value(value, units[key], "--receiving-bar")
+        given[key] = number_of(value, units[key], "--receiving-bar")
         if not given[key] > 0.0:
             raise UsageError(f"--receiving-bar: {key} must be above zero")
     bar = _bar({f"bars.{key}": value for key, value in given.items()} | {"bars.nu": columns["bars.nu"]})
@@ -183,10 +196,9 @@ def _rig(chosen: argparse.Namespace, columns: Mapping[str, float], study: Study)
     from uqsphere.records.inverse import Rig
 
     infinite = bool(study.options["bars.infinite"])
-    gauges = {bar: _value(getattr(chosen, f"{bar}_gauge"), "length", f"--{bar}-gauge") for bar in
-              ("incident", "receiving")}  # fmt: skip
-    lengths, silent = {}, math.inf
-    for bar in gauges:
+    gauges, lengths, silent = {}, {}, math.inf
+    for bar in ("incident", "receiving"):
+        gauges[bar] = number_of(getattr(chosen, f"{bar}_gauge"), "length", f"--{bar}-gauge")
         length = columns.get(f"bars.{bar}_length", math.inf)
         # an end that sends nothing back leaves the record undisturbed
         absorbs = columns.get(f"bars.{bar}_end", 1.0) == 0.0
@@ -212,7 +224,7 @@ def _calibration(chosen: argparse.Namespace, study: Study | None) -> Calibration
     rig, other = _rig(chosen, _numbers(study), study)
     if other is not None:
         raise UsageError("--calibration is for two equal bars: it goes without --receiving-bar")
-    speed = _value(chosen.striker_speed, "speed", "--striker-speed") if chosen.striker_speed else 0.0
+    speed = number_of(chosen.striker_speed, "speed", "--striker-speed") if chosen.striker_speed else 0.0
     return calibrate(_read(chosen, chosen.calibration, study), rig, speed)
 
 
@@ -228,7 +240,7 @@ def _pulse(chosen: argparse.Namespace, path: Path, record: Record, study: Study 
     from uqsphere.records.table import read_bytes
 
     begin, end = _window(chosen.window)
-    distance = _value(chosen.incident_gauge, "length", "--incident-gauge")
+    distance = number_of(chosen.incident_gauge, "length", "--incident-gauge")
     columns = None if study is None else _numbers(study)
     bar = None
     if chosen.correct_dispersion:
@@ -279,7 +291,7 @@ def _test(chosen: argparse.Namespace, path: Path, record: Record, study: Study, 
         record = replace(record, strain=record.strain * gains, noise=record.noise * gains,
                          offset=record.offset * gains, spread=record.spread * gains)  # fmt: skip
     rig, receiving = _rig(chosen, columns, study)
-    bound = _value(chosen.bound, "force", "--bound") if chosen.bound else math.inf
+    bound = number_of(chosen.bound, "force", "--bound") if chosen.bound else math.inf
     read = read_test(record, rig, columns, gain_sd=chosen.gain_sd, window=_window(chosen.window), receiving=receiving,
                      sphere=chosen.specimen == "sphere", bound=bound)  # fmt: skip
     content, rows = _answers(read, columns)
@@ -322,6 +334,15 @@ def _paper(page: str) -> bytes:
     return bytes(typeset(page, "").write_pdf())
 
 
+def _three(found: Found) -> Sequence[float]:
+    """Value and the ends of its interval."""
+    return found.value, found.low, found.high
+
+
+def _ends(numbers: Sequence[float]) -> dict[str, float]:
+    return dict(zip(("value", "low", "high"), numbers, strict=True))
+
+
 def _row(what: str, unit: str, factor: float, numbers: Sequence[float]) -> tuple[str, ...]:
     """A row of the table: value, low and high (SI) in a unit of 1/factor."""
     value, low, high = (f"{number * factor:.4g}" for number in numbers)
@@ -330,14 +351,12 @@ def _row(what: str, unit: str, factor: float, numbers: Sequence[float]) -> tuple
 
 def _answers(read: Reading, columns: Mapping[str, float]) -> tuple[dict[str, object], list[tuple[str, ...]]]:
     """The numbers of the JSON document and the rows of the table."""
-    keys, rows = ("value", "low", "high"), []
-    largest = {}
+    largest, rows = {}, []
     waves = {"A": "largest force at A, two waves", "B": "largest force at B, one wave",
              "mean": "largest mean of both, three waves"}  # fmt: skip
     for face, peak in read.peaks.items():
-        numbers = (peak.value, peak.low, peak.high)
-        largest[face] = {"time": peak.time, **dict(zip(keys, numbers, strict=True)), "doubts": list(peak.doubts)}
-        rows.append(_row(f"{waves[face]}, at {peak.time * 1e6:.4g} us", "kN", 1e-3, numbers))
+        largest[face] = {"time": peak.time, **_ends(_three(peak)), "doubts": list(peak.doubts)}
+        rows.append(_row(f"{waves[face]}, at {peak.time * 1e6:.4g} us", "kN", 1e-3, _three(peak)))
         rows += [("  doubted", doubt, "") for doubt in peak.doubts]
     energies = dict(zip(("to_largest", "whole"), read.energies or (), strict=False))
     for what, energy in energies.items():
@@ -364,7 +383,7 @@ def _answers(read: Reading, columns: Mapping[str, float]) -> tuple[dict[str, obj
 
 def _of_the_sphere(read: Reading, columns: Mapping[str, float]) -> tuple[dict[str, object], list[tuple[str, ...]]]:
     """Stiffness and the end of the elastic contact, where an elastic sphere explains the record."""
-    found, keys = read.inverse, ("value", "low", "high")
+    found = read.inverse
     if found is None:
         names = ("reduced_modulus", "sphere_modulus", "gains", "misfit", "elastic_throughout", "departure")
         return dict.fromkeys(names), []
@@ -376,7 +395,7 @@ def _of_the_sphere(read: Reading, columns: Mapping[str, float]) -> tuple[dict[st
     modulus = None
     if min(rest) > 0.0:
         young = [(1.0 - columns["sphere.nu"] ** 2) / value for value in rest]
-        modulus = dict(zip(keys, young, strict=True))
+        modulus = _ends(young)
         rows.append(_row("E of the sphere that gives it", "GPa", 1e-9, young))
     rows.append(("misfit over noise", f"{stiff.misfit:.3g}", ""))
     departure = None
@@ -389,11 +408,11 @@ def _of_the_sphere(read: Reading, columns: Mapping[str, float]) -> tuple[dict[st
                  for face, force in (("A", end.force_a), ("B", end.force_b))]  # fmt: skip
         departure = {
             "time": end.time, "earliest": end.earliest, "latest": end.latest, "excess": end.excess,
-            "force_a": dict(zip(keys, end.force_a, strict=True)), "force_b": dict(zip(keys, end.force_b, strict=True)),
+            "force_a": _ends(end.force_a), "force_b": _ends(end.force_b),
             "candidate": read.broke,
         }  # fmt: skip
     return {
-        "reduced_modulus": {**dict(zip(keys, reduced, strict=True)), "std_error": stiff.std_error},
+        "reduced_modulus": {**_ends(reduced), "std_error": stiff.std_error},
         "sphere_modulus": modulus, "gains": {"incident": stiff.gain_a, "receiving": stiff.gain_b},
         "misfit": stiff.misfit, "elastic_throughout": found.held, "departure": departure,
     }, rows  # fmt: skip
@@ -438,11 +457,8 @@ def _folder(chosen: argparse.Namespace, study: Study | None, shot: Calibration |
         stems = [path.stem for path in paths]
         page = tests_page(chosen.record.name, header, rows, stems)
         written += _write(chosen.out, {"tests.csv": csv_text(head, lines), "index.html": page})
-    if chosen.json:
-        print(json.dumps({"kind": "folder", "tests": tests, "written": written}, indent=2, allow_nan=False))
-    else:
-        print("\n".join([table(header, rows), *(f"wrote {path}" for path in written[-2:])]))
-    return 0
+    document = {"kind": "folder", "tests": tests, "written": written}
+    return answer(chosen, document, lambda: table(header, rows), written[-2:])
 
 
 def _line(content: Mapping[str, object]) -> tuple[list[object], tuple[str, ...]]:
@@ -479,62 +495,47 @@ def command_fit_contact(chosen: argparse.Namespace) -> int:
     from uqsphere.materials import library
     from uqsphere.mechanics.yielding import metal_onset
     from uqsphere.records.loading import fit_contact, read_loading
-    from uqsphere.records.table import RecordError
 
-    diameter = _value(chosen.diameter, "length", "--diameter")
-    stiffness = math.inf
-    if chosen.machine_stiffness is not None:
-        stiffness = _value(chosen.machine_stiffness, "stiffness", "--machine-stiffness")
-    if not diameter > 0.0 or not stiffness > 0.0:
-        raise UsageError("--diameter and --machine-stiffness must be above zero")
+    diameter = number_of(chosen.diameter, "length", "--diameter", above=0.0)
+    machine = chosen.machine_stiffness
+    stiffness = math.inf if machine is None else number_of(machine, "stiffness", "--machine-stiffness", above=0.0)
     if not 0.0 <= chosen.nu < 0.5 or (chosen.pile_up is not None and not 1.0 <= chosen.pile_up <= 3.0):
         raise UsageError("--nu must lie from 0 to below 0.5, --pile-up from 1 to 3")
     known = library()["bars"]
     if chosen.platens != "rigid" and chosen.platens not in known:
         raise UsageError(f"--platens: found {chosen.platens!r}, allowed: rigid, {', '.join(known)}")
-    columns = [name.strip() for name in chosen.columns.split(",")] if chosen.columns else []
-    try:
-        loading = read_loading(chosen.record, columns=columns, units=(chosen.displacement_unit, chosen.force_unit))
+    with _told(chosen.record):
+        units = (chosen.displacement_unit, chosen.force_unit)
+        loading = read_loading(chosen.record, columns=_columns(chosen), units=units)
         fit = fit_contact(loading, diameter=diameter, compliance=1.0 / stiffness, pile_up=chosen.pile_up)
-    except RecordError as error:
-        text = str(error).removeprefix(f"{chosen.record.name}: ")
-        raise UsageError(f"{chosen.record}: {text}") from None
     notes, soft = list(loading.notes), 0.0
     if chosen.platens != "rigid":
         bar = {key: entry.value for key, entry in known[chosen.platens].properties.items()}
         soft = (1.0 - bar["nu"] ** 2) / bar["E"]
         if fit.onset.high > (onset := float(metal_onset(bar["yield_strength"], bar["nu"]))) / 1.3:
             notes.append(f"the platens yield from {onset / 1e9:.3g} GPa on: what was fitted may be theirs")
-    _print_fit(chosen, fit, soft, notes)
-    return 0
+    return _answer_fit(chosen, fit, soft, notes)
 
 
-def _print_fit(chosen: argparse.Namespace, fit: ContactFit, soft: float, notes: Sequence[str]) -> None:
+def _answer_fit(chosen: argparse.Namespace, fit: ContactFit, soft: float, notes: list[str]) -> int:
     """The numbers of a fit with their intervals; `soft` [1/Pa] is what the platens add to the compliance."""
     named = {"onset_pressure": fit.onset, "hardness": fit.hardness, "pile_up": fit.pile_up}
-    keys = ("value", "low", "high")
-    rest = [1.0 / number - soft for number in (fit.modulus.value, fit.modulus.low, fit.modulus.high)]
+    rest = [1.0 / number - soft for number in _three(fit.modulus)]
     young = [(1.0 - chosen.nu**2) / number for number in rest] if min(rest) > 0.0 else None
-    if chosen.json:
-        content = {name: {key: getattr(part, key) for key in keys} for name, part in named.items()}
-        reduced = {key: getattr(fit.modulus, key) for key in keys}
-        print(json.dumps({
-            "kind": "contact", "file": chosen.record.name, **content, "reduced_modulus": reduced,
-            "sphere_modulus": None if young is None else dict(zip(keys, young, strict=True)),
-            "depth": fit.depth, "dent": fit.dent, "misfit": fit.misfit, "samples": fit.samples, "notes": list(notes),
-        }, indent=2, allow_nan=False))  # fmt: skip
-        return
-    for note in notes:
-        print(f"note: {plain(note)}", file=sys.stderr)
-    rows = [_row(name.replace("_", " "), "GPa", 1e-9, [getattr(named[name], key) for key in keys]) for name in
-            ("onset_pressure", "hardness")]  # fmt: skip
-    rows.append(_row("pile-up", "", 1.0, [getattr(fit.pile_up, key) for key in keys]))
-    rows.append(_row("reduced modulus E*", "GPa", 1e-9, [getattr(fit.modulus, key) for key in keys]))
-    if young is not None:
-        rows.append(_row("E of the sphere that gives it", "GPa", 1e-9, young))
-    rows.append(("pressed to, over first yield", f"{fit.depth:.3g}", ""))
-    rows.append(("dent", f"{1e6 * fit.dent:.3g} um", ""))
-    rows.append(("misfit of the displacement", f"{1e6 * fit.misfit:.2g} um", f"{fit.samples} samples"))
-    print(table(("what", "value", "95 % interval"), rows))
-    print(f'\n[contact]\nlaw = "plastic"\nonset_pressure = "{fit.onset.value / 1e9:.4g} GPa"')
-    print(f'hardness = "{fit.hardness.value / 1e9:.4g} GPa"\npile_up = {fit.pile_up.value:.4g}')
+    document = {
+        "kind": "contact", "file": chosen.record.name, **{name: _ends(_three(part)) for name, part in named.items()},
+        "reduced_modulus": _ends(_three(fit.modulus)), "sphere_modulus": None if young is None else _ends(young),
+        "depth": fit.depth, "dent": fit.dent, "misfit": fit.misfit, "samples": fit.samples, "notes": notes,
+    }  # fmt: skip
+    if not chosen.json:
+        print("".join(f"note: {plain(note)}\n" for note in notes), end="", file=sys.stderr)
+    rows = [
+        _row("onset pressure", "GPa", 1e-9, _three(fit.onset)), _row("hardness", "GPa", 1e-9, _three(fit.hardness)),
+        _row("pile-up", "", 1.0, _three(fit.pile_up)), _row("reduced modulus E*", "GPa", 1e-9, _three(fit.modulus)),
+        *([] if young is None else [_row("E of the sphere that gives it", "GPa", 1e-9, young)]),
+        ("pressed to, over first yield", f"{fit.depth:.3g}", ""), ("dent", f"{1e6 * fit.dent:.3g} um", ""),
+        ("misfit of the displacement", f"{1e6 * fit.misfit:.2g} um", f"{fit.samples} samples"),
+    ]  # fmt: skip
+    lines = ["", "[contact]", 'law = "plastic"', f'onset_pressure = "{fit.onset.value / 1e9:.4g} GPa"',
+             f'hardness = "{fit.hardness.value / 1e9:.4g} GPa"', f"pile_up = {fit.pile_up.value:.4g}"]  # fmt: skip
+    return answer(chosen, document, "\n".join([table(("what", "value", "95 % interval"), rows), *lines]))

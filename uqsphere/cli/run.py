@@ -10,12 +10,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uqsphere.cli.studies import warn
+from uqsphere.cli.studies import number_of, study_of
 from uqsphere.cli.watch import STOPPING, Patience, Progress, Silence, limit_text
-from uqsphere.console import print_document, say
+from uqsphere.console import answer, say
 from uqsphere.errors import UsageError
-from uqsphere.study import Study, load_study
-from uqsphere.units import UnitError, parse_value
+from uqsphere.study import Study
 
 if TYPE_CHECKING:
     from uqsphere.runner.finished import Run
@@ -24,39 +23,23 @@ if TYPE_CHECKING:
 MISSED = 3
 
 
-def _seconds(text: str | None) -> float | None:
-    if text is None:
-        return None
-    try:
-        seconds = parse_value(text, "time")
-    except UnitError as error:
-        raise UsageError(f"--budget: {error}") from error
-    if seconds <= 0.0:
-        raise UsageError(f"--budget must be positive, found {text}")
-    return seconds
-
-
 def command_run(chosen: argparse.Namespace) -> int:
     """Run a study and write its report."""
     from uqsphere.report import build_report
     from uqsphere.report.contents import read_contents
     from uqsphere.report.terminal import summary_of
 
-    study = load_study(chosen.study, chosen.overrides)
-    warn(study)
+    study = study_of(chosen)
     if chosen.jobs is not None and chosen.jobs < 1:
         raise UsageError(f"--jobs must be at least 1, found {chosen.jobs}")
-    found, interrupted = _watched_run(study, chosen, _seconds(chosen.budget))
+    seconds = None if chosen.budget is None else number_of(chosen.budget, "time", "--budget", above=0.0)
+    found, interrupted = _watched_run(study, chosen, seconds)
     if sys.stderr.isatty():
         say("writing the report")
     page = build_report(found.folder)
     if missed := len(found.results.accuracy.missed):
         say(f"accuracy not reached in {missed} {'place' if missed == 1 else 'places'}: the report has what was asked")
-    if chosen.json:
-        print_document(found.results.document())
-    else:
-        print(summary_of(read_contents(found.folder)))
-        print(f"\nreport: {page}")
+    answer(chosen, found.results.document(), lambda: f"{summary_of(read_contents(found.folder))}\n\nreport: {page}")
     if interrupted:
         # what is there has been told; the command line says how to go on
         raise KeyboardInterrupt

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.console import print_document
+from uqsphere.console import answer
 from uqsphere.errors import UqsphereError, UsageError, told
 from uqsphere.files import Json
 from uqsphere.model import evaluate
@@ -35,16 +35,9 @@ def command_serve(chosen: argparse.Namespace) -> int:
     study = load_study(chosen.study, chosen.overrides)
     with server_of(study, chosen.port) as server:
         address = f"http://localhost:{server.server_address[1]}"
-        served = {
-            "model": NAME,
-            "server": address,
-            "inputs": [*inputs_of(study)],
-            "outputs": [*study.analysis.quantities],
-        }
-        if chosen.json:
-            print_document(served)
-        else:
-            print(f"model {NAME!r} at {address}: {', '.join(served['inputs'])} give {', '.join(served['outputs'])}")
+        inputs, outputs = [*inputs_of(study)], [*study.analysis.quantities]
+        answer(chosen, {"model": NAME, "server": address, "inputs": inputs, "outputs": outputs},
+               f"model {NAME!r} at {address}: {', '.join(inputs)} give {', '.join(outputs)}")  # fmt: skip
         print("end it with Ctrl-C", file=sys.stderr, flush=True)
         server.serve_forever()
     return 0

@@ -3,21 +3,48 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from uqsphere.console import plain, print_document, say, screen_width, table, wrap
+from uqsphere.console import answer, plain, print_document, say, screen_width, table, wrap
 from uqsphere.errors import AccessError, UsageError
 from uqsphere.quantities import OUTPUTS, format_value, lookup, reading_units
 from uqsphere.study import Study, json_schema, load_study, shipped_studies
+from uqsphere.units import UnitError, parse_value
 
 if TYPE_CHECKING:
     from uqsphere.runner.forecast import Plan
 
+#: characters of a source that are shown
+_LONGEST: Final = 60
 
-def warn(study: Study) -> None:
-    """Say what a user should know of a study, and of its services what was not said yet."""
+
+def number_of(text: str, dimension: str, option: str, *, unit: str = "", above: float | None = None) -> float:
+    """The value of an option in SI; a bare number has the `unit`.
+
+    Raises
+    ------
+    UsageError
+        Where it is none of that dimension, or not above a number.
+    """
+    bare = False
+    with contextlib.suppress(ValueError):
+        bare = bool(unit) and math.isfinite(float(text))
+    try:
+        value = parse_value(f"{text.strip()} {unit}" if bare else text.strip(), dimension)
+    except UnitError as error:
+        raise UsageError(f"{option}: {error}") from None
+    if above is not None and not value > above:
+        raise UsageError(f"{option} must be above {above:g}, found {text}")
+    return value
+
+
+def study_of(chosen: argparse.Namespace) -> Study:
+    """The study of a command, once said what a user should know of it, and of its services what was not said yet."""
+    study = load_study(chosen.study, chosen.overrides)
     for text in study.warnings:
         say(f"warning: {text}")
     said = set(study.warnings)
@@ -26,6 +53,7 @@ def warn(study: Study) -> None:
             if text not in said:
                 say(f"warning: service {plain(name)}: {text}")
         said |= set(service.warnings)
+    return study
 
 
 def command_new(chosen: argparse.Namespace) -> int:
@@ -35,6 +63,7 @@ def command_new(chosen: argparse.Namespace) -> int:
         raise UsageError(f"unknown template {chosen.template!r} (allowed: {', '.join(found)})")
     _write_new(chosen.output, found[chosen.template])
     written = [str(chosen.output)]
+    said = [f"wrote {chosen.output}; next: uqsphere check {chosen.output}"]
     study = found[chosen.template]
     # a study may have a model of its own, and tests of its own
     for source in (study.with_suffix(".py"), *sorted(study.parent.glob(f"{study.stem}_*.csv"))):
@@ -42,13 +71,8 @@ def command_new(chosen: argparse.Namespace) -> int:
         if source.is_file() and not target.exists():
             _write_new(target, source)
             written.append(str(target))
-    if chosen.json:
-        print_document({"written": written})
-        return 0
-    print(f"wrote {written[0]}; next: uqsphere check {written[0]}")
-    for path in written[1:]:
-        print(f"wrote {path}, {'its model' if path.endswith('.py') else 'its data'}")
-    return 0
+            said.append(f"wrote {target}, {'its model' if target.suffix == '.py' else 'its data'}")
+    return answer(chosen, {"written": written}, "\n".join(said))
 
 
 def _write_new(path: Path, source: Path) -> None:
@@ -68,49 +92,35 @@ def _write_new(path: Path, source: Path) -> None:
         raise AccessError(f"{path}: {error.strerror}") from error
 
 
-def _short(text: str, longest: int = 60) -> str:
-    return text if len(text) <= longest else text[: longest - 1].rstrip() + "…"
-
-
 def command_check(chosen: argparse.Namespace) -> int:
     """Validate a study; print the resolved scene and what a run will cost, and the same of its services."""
     from uqsphere.runner.forecast import plan_run
 
-    study = load_study(chosen.study, chosen.overrides)
-    warn(study)
+    study = study_of(chosen)
     plan = plan_run(study)
     plans = plan.pop("services", {})
-    if chosen.json:
-        services = {
-            name: {**own.resolved(), "hash": own.hash, "plan": plans[name]} for name, own in study.services.items()
-        }
-        nested = {"services": services} if services else {}
-        print_document({**study.resolved(), "hash": study.hash, "plan": plan, **nested})
-        return 0
-    print(wrap(f"{study.title}: the study is valid", screen_width()))
-    for name, part in study.parts.items():
-        if name:
-            print(f"\nservice {plain(name)}")
-        _show_part(part, plans[name] if name else plan)
-    return 0
+    services = {name: {**own.resolved(), "hash": own.hash, "plan": plans[name]} for name, own in study.services.items()}
+    document = {**study.resolved(), "hash": study.hash, "plan": plan, **({"services": services} if services else {})}
+    texts = [wrap(f"{study.title}: the study is valid", screen_width())]
+    for name, part in study.parts.items() if not chosen.json else ():
+        texts += [f"\nservice {plain(name)}"] * bool(name) + [_part_text(part, plans[name] if name else plan)]
+    return answer(chosen, document, "\n".join(texts))
 
 
-def _show_part(study: Study, plan: Plan) -> None:
+def _part_text(study: Study, plan: Plan) -> str:
     """The numbers of one rig, and its plan."""
     from uqsphere.runner.forecast import plan_text
 
-    width = screen_width()
-    rows = []
+    width, rows = screen_width(), []
     for name, value in study.at_means().items():
         law = study.random.get(name)
         text = format_value(value, name) if not study.black_box else f"{value:.6g}"
-        source = study.sources.get(name)
-        rows.append((name, text, law.family.name if law else "fixed", _short(source.text) if source else "study"))
-    print("\n" + table(("number", "mean", "law", "source"), rows, width))
-    print()
-    if plan["scene"] is not None:
-        print("\n".join(wrap(line, width) for line in _scene_lines(study, plan["scene"])))
-    print("\n".join(wrap(line, width) for line in plan_text(study, plan).split("\n")))
+        source = study.sources[name].text if name in study.sources else "study"
+        short = source if len(source) <= _LONGEST else f"{source[: _LONGEST - 1].rstrip()}…"
+        rows.append((name, text, law.family.name if law else "fixed", short))
+    scene = [] if plan["scene"] is None else _scene_lines(study, plan["scene"])
+    lines = "\n".join(wrap(line, width) for line in [*scene, *plan_text(study, plan).split("\n")])
+    return "\n" + table(("number", "mean", "law", "source"), rows, width) + "\n\n" + lines
 
 
 def _scene_lines(study: Study, numbers: Mapping[str, float | None]) -> list[str]:
@@ -131,8 +141,7 @@ def command_history(chosen: argparse.Namespace) -> int:
     from uqsphere.report.figures.history import units_of_history, write_history
     from uqsphere.runner.deterministic import history_of, history_summary
 
-    study = load_study(chosen.study, chosen.overrides)
-    warn(study)
+    study = study_of(chosen)
     if study.black_box:
         raise UsageError("history shows an impact scene; this study is a black box")
     if study.rig == "none":
@@ -142,15 +151,9 @@ def command_history(chosen: argparse.Namespace) -> int:
         summary = history_summary(trace)
     if chosen.out is not None:
         summary["written"] = [str(path) for path in write_history(trace, study, chosen.out)]
-    if chosen.json:
-        print_document(summary)
-        return 0
-    print(f"{plain(study.title)}: one scene, every number at its mean\n")
     rows = [(lookup(name).meaning if name in OUTPUTS else name, text) for name, text in summary["lines"]]
-    print(table(("what", "value"), rows))
-    for path in summary.get("written", []):
-        print(f"wrote {path}")
-    return 0
+    text = f"{plain(study.title)}: one scene, every number at its mean\n\n{table(('what', 'value'), rows)}"
+    return answer(chosen, summary, text, summary.get("written", ()))
 
 
 def command_schema(chosen: argparse.Namespace) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import platform
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -13,10 +12,9 @@ import uqsphere
 from uqsphere.black_box import model_digest
 from uqsphere.console import plain, table
 from uqsphere.errors import FolderError, UsageError
-from uqsphere.files import LARGEST_ARRAY, chunk_of, plain_files, read_whole, refuse_links
-from uqsphere.results import Results
+from uqsphere.files import LARGEST_ARRAY, plain_files, read_whole, refuse_links
 from uqsphere.results.entries import Resolved, read_resolved
-from uqsphere.store import CHUNK_NAME, PART_END, Store
+from uqsphere.store import PART_END, Store, read_chunk
 
 if TYPE_CHECKING:
     from uqsphere.runner.finished import Run
@@ -125,11 +123,10 @@ def _look(found: Verification) -> None:
         if path.parent.name != "evaluations" or path.suffix != ".npy" or path.name.startswith("."):
             continue
         found.chunks += 1
-        key = _whole_chunk(path)
-        if key is None:
+        if read_chunk(path) is None:
             found.faults.append(f"evaluations/{path.name} is damaged: run the study again, which evaluates it anew")
         else:
-            found.keys.append(key)
+            found.keys.append(path.stem.rpartition("_")[0])
     found.keys.sort()
     stored = read_sums(found.folder)
     if stored is not None:
@@ -137,21 +134,6 @@ def _look(found: Verification) -> None:
         found.faults += compare_sums(found.folder, stored)
     elif found.finished:
         found.notes.append("there are no checksums of files (SHA256SUMS): only chunks and results were looked at")
-
-
-def _whole_chunk(path: Path) -> str | None:
-    """The key of a chunk whose content matches its name."""
-    match = CHUNK_NAME.fullmatch(path.name)
-    if match is None:
-        return None
-    data = read_whole(path, LARGEST_ARRAY)
-    if hashlib.sha256(data).hexdigest()[:16] != match["digest"]:
-        return None
-    try:
-        chunk_of(data)
-    except ValueError:
-        return None
-    return match["key"]
 
 
 # --- once more --------------------------------------------------------------------------------------
@@ -173,7 +155,9 @@ def _repeat(found: Verification, chunks: int, seed: int, model: str | None) -> N
         path = folder / "tables" / name
         if not path.is_file() or read_whole(path).decode("utf-8", "replace") != text:
             found.faults.append(f"tables/{name} is not what results.json says")
-    resolved = _resolved(folder, run.results)
+    resolved = read_resolved(folder)
+    if resolved.hash != run.results.study.hash:
+        raise FolderError("results.json and study.resolved.json belong to different studies")
     if resolved.written_by != uqsphere.__version__:
         made = f"the run was made by uqsphere {resolved.written_by}, and this is {uqsphere.__version__}"
         found.notes.append(f"{made}: nothing was evaluated again")
@@ -210,77 +194,44 @@ def _repeat(found: Verification, chunks: int, seed: int, model: str | None) -> N
 
 def _compare(found: Verification, run: Run, tolerance: float, missing: str | None, unused: int, again: Path) -> None:
     """Whether the run made once more in the folder `again` says the same; `missing` is what it lacked to get there."""
-    same_place = _same_place(run, found.notes)
+    manifest, moved = run.manifest, _moved(run)
+    if moved:
+        found.notes.append(
+            f"made with another {', '.join(moved)}: answers are compared within the study's tolerance, and results are "
+            "not repeated bit for bit"
+        )
     for entry in found.repeated:
-        _judge(entry, same_place, tolerance, found)
+        if not entry.same and entry.chunk not in found.fickle:
+            text = (
+                f"the evaluations {entry.chunk} come out differently now, by up to {entry.difference:.2g} of a number"
+            )
+            if moved and entry.difference <= _SLACK * tolerance:
+                found.notes.append(f"{text}, within the tolerance of the study")
+            else:
+                found.faults.append(text)
     if found.fickle:
         found.notes.append(
             "the model gives other answers to the same rows each time, so that no run of it can be repeated: give it a "
             "generator with a seed of its own, made in every call"
         )
-    manifest = run.manifest
     if missing and (manifest.stopped_by_time or manifest.interrupted):
         who = "the time budget" if manifest.stopped_by_time else "the user"
         found.notes.append(f"{who} stopped this run, so that its results cannot be repeated from the start")
     elif missing:
         found.faults.append(f"the evaluations {missing} are missing: run the study again")
-    elif same_place:
+    elif not moved:
         _compare_files(found, again)
     if unused and not missing:
         found.notes.append(f"{unused} stored chunks are not used by the results")
 
 
-def _resolved(folder: Path, results: Results) -> Resolved:
-    resolved = read_resolved(folder)
-    if resolved.hash != results.study.hash:
-        raise FolderError("results.json and study.resolved.json belong to different studies")
-    return resolved
-
-
-def _reference(needed: bool, resolved: Resolved, model: str | None) -> str | None:
-    """The model that was given, once it is known to be the one of the run."""
-    if model is None:
-        return None
-    if not needed:
-        raise UsageError("--model serves black-box studies; this run is one of an impact scene")
-    if model_digest(model) != resolved.model_digest:
-        raise UsageError(f"{model} is not the model of this run, or was changed since: it was not run")
-    return model
-
-
-def _draw(keys: list[str], count: int, seed: int) -> frozenset[str]:
-    import numpy as np
-
-    from uqsphere.runner.expensive import COST
-
-    whole = [key for key in keys if key != COST and not PART_END.search(key)]
-    order = np.random.default_rng(seed).permutation(len(whole))
-    return frozenset(whole[k] for k in order[:count])
-
-
-def _same_place(run: Run, notes: list[str]) -> bool:
-    """Whether the run was made by these packages on a machine of this kind, so that every bit must be the same."""
+def _moved(run: Run) -> list[str]:
+    """In what the packages and the machine of a run differ from these; where in nothing, every bit must be the same."""
     from uqsphere.runner.results import versions
 
     now = {"system": platform.system(), "machine": platform.machine()}
-    moved = [key for key, value in now.items() if run.manifest.platform.get(key) != value]
-    changed = [name for name, version in versions().items() if run.results.versions.get(name) != version]
-    if moved or changed:
-        notes.append(
-            f"made with another {', '.join([*changed, *moved])}: answers are compared within the study's tolerance, "
-            "and results are not repeated bit for bit"
-        )
-    return not moved and not changed
-
-
-def _judge(entry: Repeated, same_place: bool, tolerance: float, found: Verification) -> None:
-    if entry.same or entry.chunk in found.fickle:
-        return
-    text = f"the evaluations {entry.chunk} come out differently now, by up to {entry.difference:.2g} of a number"
-    if not same_place and entry.difference <= _SLACK * tolerance:
-        found.notes.append(f"{text}, within the tolerance of the study")
-    else:
-        found.faults.append(text)
+    moved = [name for name, version in versions().items() if run.results.versions.get(name) != version]
+    return moved + [key for key, value in now.items() if run.manifest.platform.get(key) != value]
 
 
 def _compare_files(found: Verification, again: Path) -> None:
@@ -294,6 +245,25 @@ def _compare_files(found: Verification, again: Path) -> None:
         if stored != made:
             found.faults.append(f"{name} does not follow from the stored evaluations")
             found.results = "different"
+
+
+def _reference(needed: bool, resolved: Resolved, model: str | None) -> str | None:
+    """The model that was given, once it is known to be the one of the run."""
+    if model is not None and not needed:
+        raise UsageError("--model serves black-box studies; this run is one of an impact scene")
+    if model is not None and model_digest(model) != resolved.model_digest:
+        raise UsageError(f"{model} is not the model of this run, or was changed since: it was not run")
+    return model
+
+
+def _draw(keys: list[str], count: int, seed: int) -> frozenset[str]:
+    import numpy as np
+
+    from uqsphere.runner.expensive import COST
+
+    whole = [key for key in keys if key != COST and not PART_END.search(key)]
+    order = np.random.default_rng(seed).permutation(len(whole))
+    return frozenset(whole[k] for k in order[:count])
 
 
 # --- for people -------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.errors import FolderError
+from uqsphere.files import load_document
 from uqsphere.quantities import lookup, unit_that_reads
 from uqsphere.results import NO_RIG, Results, read_results
 from uqsphere.results.entries import LawTable, Manifest, Resolved, read_entry, read_manifest, read_resolved
@@ -21,7 +22,6 @@ from uqsphere.results.fields import Stored, read_fields
 from uqsphere.results.sliders import Sliders
 from uqsphere.runner.export import read_points
 from uqsphere.runner.schedule import REPLICATES
-from uqsphere.store import read_json
 from uqsphere.study.axis import quantity_of, strength_name
 from uqsphere.uq.families import Family, LawError, family_stored
 from uqsphere.uq.law import Law, make_law
@@ -166,7 +166,7 @@ def read_contents(folder: Path, tests: Mapping[str, str] | None = None) -> Conte
     }
     failed = float(1.0 - good.mean()) if len(good) else 0.0
     points = {name: rows[good, k] for k, name in enumerate(inputs)}
-    courses = read_json(folder / "courses.json") if (folder / "courses.json").is_file() else None
+    courses = load_document(folder / "courses.json") if (folder / "courses.json").is_file() else None
     if courses is not None and not (isinstance(courses, dict) and {"time", "force_a", "hardest"} <= courses.keys()):
         raise FolderError(f"{folder / 'courses.json'} is not what a run writes")
     return Contents(

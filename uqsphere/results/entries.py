@@ -29,7 +29,7 @@ from pydantic import (
 )
 
 from uqsphere.errors import FolderError
-from uqsphere.store import read_json
+from uqsphere.files import load_document
 from uqsphere.uq.estimate import Estimate
 
 if TYPE_CHECKING:
@@ -388,7 +388,7 @@ def read_entry(path: Path, kind: type[_Entry]) -> _Entry:
     FolderError
         When it is missing, damaged or not what a run writes.
     """
-    return checked_entry(path, read_json(path), kind)
+    return checked_entry(path, load_document(path), kind)
 
 
 def checked_entry(path: Path, content: object, kind: type[_Entry]) -> _Entry:

@@ -21,7 +21,7 @@ from uqsphere.study import Study
 
 if TYPE_CHECKING:
     from uqsphere.runner.finished import Run
-    from uqsphere.runner.workers import Executor
+    from uqsphere.runner.workers import Executor, Workers
 
 
 def run(
@@ -29,7 +29,7 @@ def run(
     model: str | BlackBox | None = None,
     *,
     out: str | Path | None = None,
-    executor: Executor | None = None,
+    executor: Executor | Workers | None = None,
     threads: int | None = None,
     fresh: bool = False,
     extend: bool = False,
@@ -82,7 +82,7 @@ def run(
     from threadpoolctl import threadpool_limits
 
     from uqsphere.runner.analyse import analyse
-    from uqsphere.runner.cluster import as_executor
+    from uqsphere.runner.cluster import workers_of
     from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work
     from uqsphere.runner.finished import Keeper
     from uqsphere.runner.log import logged
@@ -97,8 +97,8 @@ def run(
     folder = keeper.folder if keeper is not None else Path(str(out))
     digest = None if model is None else model_digest(model)
     engine = Engine(
-        executor=as_executor(executor),
-        workers=threads,
+        given=workers_of(executor),
+        most=threads,
         model=reference,
         limited=study.analysis.time_limit is not None,
     )
@@ -162,7 +162,7 @@ def run(
         return replace(found, keeper=keeper)
 
 
-def _check_usage(study: Study, model: str | BlackBox | None, executor: Executor | None) -> None:
+def _check_usage(study: Study, model: str | BlackBox | None, executor: object) -> None:
     """Refuse a study that cannot be run, or not with such a model or executor."""
     if study.receiving_damper is not None:
         raise UsageError(NO_DAMPER)

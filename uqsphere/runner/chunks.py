@@ -12,9 +12,9 @@ import contextlib
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -24,13 +24,11 @@ from uqsphere.black_box import BlackBox
 from uqsphere.errors import AccessError
 from uqsphere.model import STATUS_NOT_FINITE, Answered
 from uqsphere.runner.remote import Task, evaluate_rows
-from uqsphere.runner.workers import Engine, Silent, gather
+from uqsphere.runner.workers import Engine
 from uqsphere.store import PART_END, Store
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
-    from uqsphere.mechanics.fracture import Fractures
-    from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
 
 
@@ -164,30 +162,94 @@ class _Chunk:
 
 
 class _Sheet:
-    """The answers of all rows as they come in."""
+    """The answers of all rows as they come in, and the chunks that they are stored in."""
 
-    def __init__(self, rows: int, columns: int) -> None:
-        self.values = np.full((rows, columns), np.nan)
-        self.censored = np.zeros((rows, columns), dtype=bool)
-        self.status = np.zeros(rows, dtype=np.int64)
-        self.route = np.zeros(rows, dtype=np.uint8)
+    def __init__(self, task: Task, rows: Array, key: str, store: Store | None) -> None:
+        total, self.store = len(rows), store
+        self.values = np.full((total, len(task.columns)), np.nan)
+        self.censored = np.zeros(self.values.shape, dtype=bool)
+        self.status, self.route = np.zeros(total, dtype=np.int64), np.zeros(total, dtype=np.uint8)
         self.note = ""
+        meaning = meaning_of(task, total)
+        self.chunks = []
+        for number, start in enumerate(range(0, total, CHUNK)):
+            stop = min(start + CHUNK, total)
+            name = f"{key}.{number}.{fingerprint(meaning, rows[start:stop])}"
+            self.chunks.append(_Chunk(name=name, start=start, stop=stop, done=np.zeros(stop - start, dtype=bool)))
+            if store is not None:
+                self._load(store, self.chunks[-1])
 
-    def put(self, start: int, stop: int, found: Answered) -> None:
+    @property
+    def done(self) -> int:
+        """Rows that are answered."""
+        return sum(int(chunk.done.sum()) for chunk in self.chunks)
+
+    def _load(self, store: Store, chunk: _Chunk) -> None:
+        """Put what is stored of a chunk, or of its parts, in its place."""
+        size = len(chunk.done)
+        parts = [(chunk.name, 0, size)]
+        for key in store.keys(f"{chunk.name}.p"):
+            if match := PART_END.fullmatch(key.removeprefix(chunk.name)):
+                parts.append((key, int(match[1]), int(match[2])))
+        for key, start, stop in parts:
+            found = unpacked(store.load(key), stop - start, self.values.shape[1]) if start < stop <= size else None
+            if found is not None:
+                self._put(chunk, chunk.start + start, chunk.start + stop, found)
+                if key == chunk.name:
+                    return
+                chunk.parts.append(key)
+
+    def _put(self, chunk: _Chunk, start: int, stop: int, found: Answered) -> None:
         self.values[start:stop], self.censored[start:stop] = found.values, found.censored
         self.status[start:stop], self.route[start:stop] = found.status, found.routes
         self.note = self.note or found.note
+        chunk.done[start - chunk.start : stop - chunk.start] = True
+
+    def take(self, start: int, stop: int, found: Answered) -> _Chunk:
+        """Put new answers in their place; the chunk that they belong to."""
+        chunk = self.chunks[start // CHUNK]
+        self._put(chunk, start, stop, found)
+        chunk.unsaved.append((start, stop))
+        return chunk
 
     def part(self, start: int, stop: int) -> Answered:
+        """The answers of some rows."""
         some = slice(start, stop)
-        route = self.route[some]
-        return Answered(
-            values=self.values[some],
-            censored=self.censored[some],
-            status=self.status[some],
-            route=route.astype(np.int64) if route.any() else None,
-            note=self.note,
-        )
+        route = self.route[some].astype(np.int64) if self.route[some].any() else None
+        return Answered(values=self.values[some], censored=self.censored[some], status=self.status[some], route=route,
+                        note=self.note)  # fmt: skip
+
+    def missing(self, size: int) -> list[tuple[int, int]]:
+        """Blocks of at most `size` rows that are still to be evaluated, cut where something of them is stored."""
+        blocks = []
+        for chunk in self.chunks:
+            for start in range(chunk.start, chunk.stop, size):
+                done = chunk.done[start - chunk.start : min(start + size, chunk.stop) - chunk.start]
+                edges = np.flatnonzero(np.diff(np.concatenate([[True], done, [True]]).astype(np.int8)))
+                blocks += [(start + int(a), start + int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        return blocks
+
+    def save(self, *, durable: bool = True, whole: _Chunk | None = None) -> None:
+        """Store a chunk that is whole, or else what is finished of all, rows that lie together in one file."""
+        for chunk in () if self.store is None else self.chunks if whole is None else (whole,):
+            assert self.store is not None
+            if chunk.done.all():
+                if chunk.unsaved or chunk.parts:
+                    # parts that were waited for are given up only for what is as safe
+                    content = packed(self.part(chunk.start, chunk.stop))
+                    self.store.save(chunk.name, content, durable=durable or whole is None or bool(chunk.parts))
+                    self.store.drop(chunk.parts)
+                    chunk.parts.clear()
+            else:
+                spans: list[tuple[int, int]] = []
+                for start, stop in sorted(chunk.unsaved):
+                    joins = bool(spans) and spans[-1][1] == start
+                    spans.append((spans.pop()[0] if joins else start, stop))
+                for start, stop in spans:
+                    key = f"{chunk.name}.p{start - chunk.start}-{stop - chunk.start}"
+                    self.store.save(key, packed(self.part(start, stop)), durable=durable)
+                    chunk.parts.append(key)
+            chunk.unsaved.clear()
 
 
 def collect(
@@ -207,135 +269,37 @@ def collect(
     Chunks are stored when they are whole; parts of a chunk that takes long, as they are finished.  `go_on` is asked
     before every block, and `tell` is told how many rows are done.
     """
-    sheet = _Sheet(len(rows), len(task.columns))
-    meaning = meaning_of(task, len(rows))
-    chunks = []
-    for number, start in enumerate(range(0, len(rows), CHUNK)):
-        stop = min(start + CHUNK, len(rows))
-        name = f"{key}.{number}.{fingerprint(meaning, rows[start:stop])}"
-        chunks.append(_Chunk(name=name, start=start, stop=stop, done=np.zeros(stop - start, dtype=bool)))
-    if store is not None:
-        for chunk in chunks:
-            _load(store, chunk, sheet)
-    reused = sum(int(chunk.done.sum()) for chunk in chunks)
-    done, waiting, loose = reused, 0.0, 0.0
-    blocks = _missing(task, rows, chunks, engine)
-    finished = _evaluated(task, rows, blocks, engine=engine, box=box, threads=threads, go_on=go_on)
+    sheet = _Sheet(task, rows, key, store)
+    done = reused = sheet.done
+    waiting = loose = 0.0
+    blocks = sheet.missing(block_size(task.study, len(rows), alone=engine.here))
+
+    def here() -> Iterator[tuple[int, int, Answered, float]]:
+        for start, stop in blocks:
+            if not go_on():
+                return
+            began = time.perf_counter()
+            answered = evaluate_rows(task, rows[start:stop], box, threads)
+            yield start, stop, answered, time.perf_counter() - began
+
     try:
-        for start, stop, answered, seconds in finished:
-            sheet.put(start, stop, answered)
-            chunk = chunks[start // CHUNK]
-            chunk.done[start - chunk.start : stop - chunk.start] = True
-            chunk.unsaved.append((start, stop))
+        for start, stop, answered, seconds in here() if engine.here else engine.evaluated(task, rows, blocks, go_on):
+            chunk = sheet.take(start, stop, answered)
             done, waiting, loose = done + stop - start, waiting + seconds, loose + seconds
-            if store is not None and chunk.done.all():
-                _save_whole(store, chunk, sheet, durable=loose >= DURABLE)
+            engine.note(answered, seconds, left=len(rows) - done)
+            if chunk.done.all():
+                sheet.save(whole=chunk, durable=loose >= DURABLE)
                 loose = 0.0 if loose >= DURABLE else loose
-            elif store is not None and waiting >= UNSAVED:
-                _save_parts(store, chunks, sheet, durable=waiting >= DURABLE)
+            elif waiting >= UNSAVED:
+                sheet.save(durable=waiting >= DURABLE)
                 waiting = 0.0
             tell(done)
     except BaseException:
-        if store is not None:
-            with contextlib.suppress(AccessError):
-                _save_parts(store, chunks, sheet)
+        with contextlib.suppress(AccessError):
+            sheet.save()
         raise
-    if store is not None:
-        _save_parts(store, chunks, sheet)
+    sheet.save()
     return Gathered(answered=sheet.part(0, len(rows)), reused=reused, complete=done == len(rows))
-
-
-def _missing(task: Task, rows: Array, chunks: list[_Chunk], engine: Engine) -> list[tuple[int, int]]:
-    """Blocks that are still to be evaluated, cut where something of them is stored."""
-    size = block_size(task.study, len(rows), alone=engine.executor is None)
-    blocks = []
-    for chunk in chunks:
-        if chunk.done.all():
-            continue
-        for start in range(chunk.start, chunk.stop, size):
-            done = chunk.done[start - chunk.start : min(start + size, chunk.stop) - chunk.start]
-            edges = np.flatnonzero(np.diff(np.concatenate([[True], done, [True]]).astype(np.int8)))
-            blocks += [(start + int(a), start + int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return blocks
-
-
-def _evaluated(
-    task: Task,
-    rows: Array,
-    blocks: list[tuple[int, int]],
-    *,
-    engine: Engine,
-    box: BlackBox | None,
-    threads: int | None,
-    go_on: Callable[[], bool],
-) -> Iterator[tuple[int, int, Answered, float]]:
-    """Blocks as they are finished: here one after the other, or by workers in any order."""
-    left = sum(stop - start for start, stop in blocks)
-    executor = engine.executor_for(left)
-    for start, stop in blocks:
-        if not go_on() or engine.silent:
-            return
-        if executor is not None:
-            with contextlib.suppress(Silent):
-                for found in gather(executor, task, rows, blocks, go_on=go_on, give_up=engine.give_up):
-                    engine.note(*found[2:])
-                    left -= found[1] - found[0]
-                    engine.executor_for(left)  # it may be worth more processes by now
-                    yield found
-            return
-        began = time.perf_counter()
-        answered = evaluate_rows(task, rows[start:stop], box, threads)
-        seconds = time.perf_counter() - began
-        engine.note(answered, seconds)
-        yield start, stop, answered, seconds
-
-
-def _load(store: Store, chunk: _Chunk, sheet: _Sheet) -> None:
-    columns = sheet.values.shape[1]
-    whole = unpacked(store.load(chunk.name), chunk.stop - chunk.start, columns)
-    if whole is not None:
-        sheet.put(chunk.start, chunk.stop, whole)
-        chunk.done[:] = True
-        return
-    for key in store.keys(f"{chunk.name}.p"):
-        match = PART_END.fullmatch(key.removeprefix(chunk.name))
-        if match is None:
-            continue
-        start, stop = int(match[1]), int(match[2])
-        part = unpacked(store.load(key), stop - start, columns) if start < stop <= len(chunk.done) else None
-        if part is not None:
-            sheet.put(chunk.start + start, chunk.start + stop, part)
-            chunk.done[start:stop] = True
-            chunk.parts.append(key)
-
-
-def _save_whole(store: Store, chunk: _Chunk, sheet: _Sheet, *, durable: bool = True) -> None:
-    # parts that were waited for are given up only for what is as safe
-    store.save(chunk.name, packed(sheet.part(chunk.start, chunk.stop)), durable=durable or bool(chunk.parts))
-    store.drop(chunk.parts)
-    chunk.parts.clear()
-    chunk.unsaved.clear()
-
-
-def _save_parts(store: Store, chunks: list[_Chunk], sheet: _Sheet, *, durable: bool = True) -> None:
-    """Store what is finished of chunks that are not whole, rows that lie together in one file."""
-    for chunk in chunks:
-        if chunk.done.all() and not chunk.parts and not chunk.unsaved:
-            continue
-        if chunk.done.all():
-            _save_whole(store, chunk, sheet)
-            continue
-        spans: list[tuple[int, int]] = []
-        for start, stop in sorted(chunk.unsaved):
-            if spans and spans[-1][1] == start:
-                spans[-1] = (spans[-1][0], stop)
-            else:
-                spans.append((start, stop))
-        for start, stop in spans:
-            key = f"{chunk.name}.p{start - chunk.start}-{stop - chunk.start}"
-            store.save(key, packed(sheet.part(start, stop)), durable=durable)
-            chunk.parts.append(key)
-        chunk.unsaved.clear()
 
 
 # --- Answers of the pilot, and what breaks first along a loading, stored like all others.
@@ -348,105 +312,76 @@ Found = TypeVar("Found")
 LONGEST_NAMES: Final = 1000
 
 
-def remembered(store: Store | None, key: str, scene: Scene, about: object, solve: Callable[[], Answers]) -> Answers:
-    """What `solve` answers to a scene, from the store if it was asked before.
-
-    about : plain values that the answers depend on beside the scene's columns.
-    """
-    return _remembered(store, key, scene, about, solve, _columns, lambda table: _unpacked(table, len(scene)))
-
-
-def remembered_rows(store: Store | None, key: str, scene: Scene, about: object, solve: Callable[[], Array]) -> Array:
-    """The same of plain numbers (n, c)."""
-    if store is None or sum(map(len, scene.demands)) > LONGEST_NAMES:
-        return solve()
-    name = _name(key, scene, about)
-    stored = store.load(name)
-    if stored is not None and stored.dtype == np.dtype("<f8") and len(stored) == len(scene):
-        return stored
-    found = np.ascontiguousarray(solve())  # by rows: as columns a chunk is not read again
-    store.save(name, found)
-    return found
-
-
-def remembered_fractures(
-    store: Store | None, key: str, scene: Scene, about: object, given: Sequence[Table], solve: Callable[[], Fractures]
-) -> Fractures:
-    """What `solve` finds along the loading of specimens, from the store if it was asked before.
-
-    about, given : plain values and arrays that it depends on beside the scene's columns.
-    """
-    from uqsphere.mechanics.fracture import Fractures
-
-    names = [part.name for part in fields(Fractures)]
-
-    def unpack(table: Table) -> Fractures | None:
-        if list(table.dtype.names or ()) != names:
-            return None
-        return Fractures(**{name: np.ascontiguousarray(table[name]) for name in names})
-
-    digest = hashlib.blake2b(b"".join(np.ascontiguousarray(array).tobytes() for array in given), digest_size=8)
-    return _remembered(
-        store, key, scene, [about, digest.hexdigest()], solve,
-        lambda found: {name: np.asarray(getattr(found, name)) for name in names}, unpack,
-    )  # fmt: skip
-
-
-def _remembered(
+def remembered(
     store: Store | None,
     key: str,
     scene: Scene,
     about: object,
     solve: Callable[[], Found],
-    columns: Callable[[Found], dict[str, Table]],
-    unpack: Callable[[Table], Found | None],
+    kind: type[Found] | None = None,
+    rows: int | None = None,
 ) -> Found:
-    """What `solve` finds of a scene, kept as a table with a name for each of its columns."""
+    """What `solve` finds of a scene, from the store if it was asked before: a table with a name for each column.
+
+    about : plain values and arrays that it depends on beside the scene's columns.
+    kind, rows : a dataclass of arrays and of mappings of names to arrays, or numpy.ndarray, and its rows; `Answers`, as
+        many as the scene has, if None.
+    """
+    from uqsphere.mechanics.outputs import Answers
+
     if store is None or sum(map(len, scene.demands)) > LONGEST_NAMES:
         return solve()
-    name = _name(key, scene, about)
+    numbers = np.stack([np.broadcast_to(column, (len(scene),)) for column in scene.columns.values()], axis=1)
+    flags = [scene.shape, scene.infinite, scene.rigid_contact, scene.first_loading_only, scene.horizon]
+    record = None if scene.record is None else asdict(scene.record)
+    demands = {name: [demand, dict(values)] for name, (demand, values) in scene.demands.items()}
+    meaning = json.dumps([list(scene.columns), flags, record, demands, about], default=_plain).encode()
+    name = f"{key}.0.{fingerprint(meaning, np.asarray(numbers, dtype=float))}"
     stored = store.load(name)
-    found = None if stored is None else unpack(stored)
-    if found is not None:
-        return found
+    if stored is not None and stored.shape == (len(scene) if rows is None else rows,):
+        known = _found(stored, kind or cast("type[Found]", Answers))
+        if known is not None:
+            return known
     found = solve()
-    parts = columns(found)
-    length = len(next(iter(parts.values())))
-    table = np.empty(length, dtype=[(part, column.dtype, column.shape[1:]) for part, column in parts.items()])
-    for part, column in parts.items():
-        table[part] = column
+    columns = {name: np.asarray(column) for name, column in _columns(found)}
+    table = np.empty(len(next(iter(columns.values()))), dtype=[(n, c.dtype, c.shape[1:]) for n, c in columns.items()])
+    for column in columns:
+        table[column] = columns[column]
     store.save(name, table)
     return found
 
 
-def _name(key: str, scene: Scene, about: object) -> str:
-    """The name of the one chunk of a question: its key, and the fingerprint of all that its answers depend on."""
-    numbers = np.stack([np.broadcast_to(column, (len(scene),)) for column in scene.columns.values()], axis=1)
-    flags = [scene.shape, scene.infinite, scene.rigid_contact, scene.first_loading_only, scene.horizon]
-    record = None if scene.record is None else asdict(scene.record)
-    demands = {name: [kind, dict(values)] for name, (kind, values) in scene.demands.items()}
-    meaning = json.dumps([list(scene.columns), flags, record, demands, about], default=float).encode()
-    return f"{key}.0.{fingerprint(meaning, np.asarray(numbers, dtype=float))}"
+def _plain(value: npt.ArrayLike) -> str | float:
+    """A value that JSON does not know: an array by its digest, any other as a number."""
+    if not isinstance(value, np.ndarray):
+        return float(value)  # type: ignore[arg-type]
+    return hashlib.blake2b(np.ascontiguousarray(value).tobytes(), digest_size=8).hexdigest()
 
 
-def _columns(answers: Answers) -> dict[str, Table]:
-    tables = {"v": answers.values, "c": answers.censored, "o": answers.others}
-    columns = {f"{kind}:{name}": column for kind, table in tables.items() for name, column in table.items()}
-    return {**columns, "status": answers.status, "record": answers.record, "steps": answers.steps}
+def _columns(found: object) -> Iterator[tuple[str, Table]]:
+    """Names and columns of what was found; those of a mapping begin with its first letter."""
+    if isinstance(found, np.ndarray):
+        yield "rows", found
+        return
+    for part in fields(found):  # type: ignore[arg-type]
+        value = getattr(found, part.name)
+        if isinstance(value, Mapping):
+            yield from ((f"{part.name[0]}:{name}", column) for name, column in value.items())
+        else:
+            yield part.name, value
 
 
-def _unpacked(table: Table, rows: int) -> Answers | None:
-    from uqsphere.mechanics.outputs import Answers
-
-    names = table.dtype.names or ()
-    if len(table.shape) == 0 or len(table) != rows or not {"status", "record", "steps"} <= set(names):
-        return None
-    parts = {kind: {name[2:]: table[name].copy() for name in names if name.startswith(f"{kind}:")} for kind in "vco"}
-    return Answers(
-        values=parts["v"],
-        censored=parts["c"],
-        status=table["status"].copy(),
-        record=table["record"].copy(),
-        steps=table["steps"].copy(),
-        others=parts["o"],
-    )
+def _found(table: Table, kind: type[Found]) -> Found | None:
+    """What a table holds; None where it lacks a column."""
+    own = {name: np.ascontiguousarray(table[name]) for name in table.dtype.names or ()}
+    if kind is np.ndarray:
+        return cast("Found | None", own.get("rows"))
+    parts: dict[str, object] = {}
+    for part in fields(kind):  # type: ignore[arg-type]
+        if str(part.type).startswith("Mapping"):
+            parts[part.name] = {name[2:]: own[name] for name in own if name.startswith(f"{part.name[0]}:")}
+        elif part.name in own:
+            parts[part.name] = own[part.name]
+        else:
+            return None
+    return kind(**parts)

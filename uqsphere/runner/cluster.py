@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import logging
 import sys
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
-from typing import Any, Final, TypeVar
+from collections.abc import Iterator
+from typing import Any, Final
 
 from uqsphere.errors import AccessError, UsageError
+from uqsphere.runner.workers import LocalWorkers, Pool, Workers, processors
 
 #: seconds to wait for the scheduler to answer
 CONNECT: Final = 20.0
@@ -17,28 +17,20 @@ CONNECT: Final = 20.0
 DEATHS: Final = 3
 
 
-T = TypeVar("T")
-
-
-def as_executor(given: Any) -> Any:
-    """What a user gave as an executor, with a Dask client dressed as one."""
-    if given is not None and type(given).__module__.split(".")[0] == "distributed":
-        return DaskExecutor(given)
-    return given
-
-
-class DaskExecutor:
-    """A client of Dask with the futures of the standard library; work of workers that die is done by others."""
-
-    kind = "dask"
+class DaskWorkers(Pool):
+    """A client of Dask; work of workers that die is done by others."""
 
     def __init__(self, client: Any, *, own: int | None = None) -> None:
+        super().__init__(client.get_executor(pure=False), "dask")  # the same call twice is two evaluations
         self.client = client
-        # the same call twice is two evaluations
-        self._pool = client.get_executor(pure=False)
         #: workers of a cluster that was started for this run, and is looked after here
         self.own = own
         self._told = False
+
+    @property
+    def count(self) -> int:
+        """Workers there are at the moment, at least one: they may still be on their way."""
+        return max(1, len(self.client.scheduler_info(n_workers=-1)["workers"]))
 
     def look_after(self) -> None:
         """Bring workers of a cluster of our own back; tell once if there is none.
@@ -61,19 +53,16 @@ class DaskExecutor:
             print("the Dask cluster has no workers at the moment: waiting for some", file=sys.stderr, flush=True)
         self._told = missing
 
-    @property
-    def count(self) -> int:
-        """Workers there are at the moment, at least one: they may still be on their way."""
-        return max(1, len(self.client.scheduler_info(n_workers=-1)["workers"]))
 
-    def submit(self, function: Callable[..., T], /, *args: object) -> Future[T]:
-        """Have `function(*args)` done by some worker of the cluster."""
-        future: Future[T] = self._pool.submit(function, *args)
-        return future
+def workers_of(executor: Any) -> Workers | None:
+    """What a user gave as an executor, as workers."""
+    if executor is None or isinstance(executor, (Pool, LocalWorkers)):
+        return executor
+    return DaskWorkers(executor) if type(executor).__module__.split(".")[0] == "distributed" else Pool(executor)
 
 
 @contextlib.contextmanager
-def dask_cluster(address: str, workers: int | None) -> Iterator[DaskExecutor]:
+def dask_cluster(address: str, workers: int | None) -> Iterator[DaskWorkers]:
     """A running cluster by the address of its scheduler, or one of this machine's processes for `local`.
 
     Raises
@@ -91,45 +80,23 @@ def dask_cluster(address: str, workers: int | None) -> Iterator[DaskExecutor]:
         import distributed
     except ImportError as error:
         raise UsageError('--dask needs Dask: pip install "uqsphere[dask]"') from error
-    from uqsphere.runner.workers import processors
-
-    make_cluster: Any = distributed.LocalCluster
-    make_client: Any = distributed.Client
+    kit: Any = distributed
+    loggers = [logging.getLogger(f"distributed{part}") for part in ("", ".nanny", ".scheduler", ".client")]
     own = (workers or processors()) if address == "local" else None
-    with contextlib.ExitStack() as opened, _quiet():
+    with contextlib.ExitStack() as opened:
+        for logger in loggers:  # Dask's own log of what it survives is not the user's business
+            opened.callback(logger.setLevel, logger.level)
+            logger.setLevel(logging.CRITICAL)
         opened.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": DEATHS}))
+        where: Any = address
         try:
-            if address == "local":
-                cluster = opened.enter_context(
-                    make_cluster(
-                        n_workers=own,
-                        threads_per_worker=1,
-                        processes=True,
-                        host="127.0.0.1",
-                        dashboard_address="127.0.0.1:0",  # None would take port 8787, on every interface
-                        silence_logs=logging.CRITICAL,
-                    )
-                )
-                client = opened.enter_context(make_client(cluster, timeout=CONNECT))
-            else:
-                client = opened.enter_context(make_client(address, timeout=CONNECT))
+            if own is not None:
+                # no dashboard_address would take port 8787, on every interface
+                where = opened.enter_context(
+                    kit.LocalCluster(n_workers=own, threads_per_worker=1, processes=True, host="127.0.0.1",
+                                             dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL)
+                )  # fmt: skip
+            client = opened.enter_context(kit.Client(where, timeout=CONNECT))
         except (OSError, TimeoutError) as error:
             raise AccessError(f"no Dask scheduler answers at {address}: {error}") from error
-        yield DaskExecutor(client, own=own)
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Dask's own log of what it survives is not the user's business."""
-    loggers = [
-        logging.getLogger(name)
-        for name in ("distributed", "distributed.nanny", "distributed.scheduler", "distributed.client")
-    ]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.setLevel(level)
+        yield DaskWorkers(client, own=own)

@@ -11,12 +11,12 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.errors import AccessError, FolderError, UsageError
-from uqsphere.files import LARGEST_ARRAY, array_of, read_whole
+from uqsphere.files import LARGEST_ARRAY, array_of, load_document, read_whole
 from uqsphere.results import NO_RIG
 from uqsphere.results.entries import SampleNames, read_entry
 from uqsphere.results.tables import table_cells
 from uqsphere.runner.evaluate import Work
-from uqsphere.store import Store, plain_cell, read_json, write_atomically, write_json, write_outputs
+from uqsphere.store import Store, plain_cell, write_atomically, write_json, write_outputs
 from uqsphere.uq.sample import Sample
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def surrogate_of(folder: Path, output: str | None, *, rows: int, plain: bool) ->
     name = known[0] if output is None and known else str(output)
     if name not in known:
         raise UsageError(f"there is no quantity {name!r} (there are: {', '.join(known) or 'none'})")
-    mark = read_json(folder / "study.resolved.json")
+    mark = load_document(folder / "study.resolved.json")
     study = load_study(folder / "study.toml", tuple(mark.get("overrides", ())) if isinstance(mark, dict) else ())
     if not study.random:
         raise UsageError("no input of the model is random: there is nothing to fit a surrogate over")

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uqsphere.errors import FolderError
-from uqsphere.files import refuse_links
+from uqsphere.files import load_document, refuse_links
 from uqsphere.quantities import format_estimate
 from uqsphere.results import Results, read_results
 from uqsphere.results.entries import Manifest, read_manifest
-from uqsphere.store import read_json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -166,7 +165,7 @@ def open_run(folder: str | Path) -> Run:
     if not (path / "results.json").is_file() and (path / "study.resolved.json").is_file():
         raise FolderError(f"the run in {path} has not finished: run the study again to go on with it")
     results = read_results(path)
-    mark = read_json(path / "study.resolved.json") if (path / "study.resolved.json").is_file() else {}
+    mark = load_document(path / "study.resolved.json") if (path / "study.resolved.json").is_file() else {}
     if isinstance(mark, dict) and mark.get("hash", results.study.hash) != results.study.hash:
         raise FolderError(f"the run in {path} that extends another has not finished: run the study again")
     return Run(folder=path, results=results, manifest=read_manifest(path))

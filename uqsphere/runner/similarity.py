@@ -20,7 +20,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.model import as_integrated, scene_of
 from uqsphere.runner.campaign import rounded
-from uqsphere.runner.chunks import remembered_rows
+from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_points
 from uqsphere.runner.schedule import TABLE
 from uqsphere.uq.table import Table, make_table
@@ -276,7 +276,7 @@ def make_similarity(work: Work) -> Similarity | str:
 
         work.ledger.evaluations[work.fidelity] = work.ledger.evaluations.get(work.fidelity, 0) + len(scene)
         about = [fidelity, work.study.model.tolerance, work.quantities]
-        got = remembered_rows(work.store, f"similarity.{len(scene)}", scene, about, solve)
+        got = remembered(work.store, f"similarity.{len(scene)}", scene, about, solve, np.ndarray)
         values = np.full((len(points), len(tracked)), np.nan)
         values[there] = got
         return values

@@ -45,6 +45,8 @@ PATIENCE: Final = 5.0
 _ROUNDS: Final = 10
 #: seconds between the end of a pipe and that of its process, more than the system takes to clear up
 _REAPED: Final = 1.0
+#: the name under which a process has its mark in its environment
+_MARK: Final = "UQSPHERE_WORKER"
 _START: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from uqsphere.runner.remote import serve; serve()"
 )
@@ -57,16 +59,39 @@ class Executor(Protocol):
         """Have `function(*args)` done."""
 
 
+class Waiting(Protocol):
+    """An answer that is on its way."""
+
+    def result(self) -> tuple[Answered, float]:
+        """The answer and the seconds that it took, waited for."""
+
+    def cancel(self) -> object:
+        """Call it off."""
+
+
+class Workers(Protocol):
+    """Who evaluates rows: `LocalWorkers`, `Pool` around an executor that was given, or a Dask cluster.
+
+    `count`: how many are at work, 0 if that is not known; `look_after` is called where nothing is heard for a while.
+    """
+
+    kind: str
+
+    @property
+    def count(self) -> int: ...
+    def ask(self, packed: bytes, rows: Array, limit: Callable[[], float] | None) -> Waiting:
+        """Answers of rows for a packed task; `limit`: seconds that they may take, asked for when they are begun."""
+        ...
+
+    def look_after(self) -> None: ...
+
+
 class WorkerDied(Exception):
     """The process that was at work ended before it answered."""
 
 
 class TimeOver(Exception):
     """An evaluation took longer than its limit, and its process was ended."""
-
-
-class Silent(Exception):
-    """The time budget is over, and what was begun before does not come back."""
 
 
 def processors() -> int:
@@ -90,19 +115,27 @@ class LocalWorkers:
     has started ends with it, daemons too where the system tells who they are (/proc).
     """
 
+    kind = "local processes"
+
     def __init__(self, count: int) -> None:
         self.count = count
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._threads: list[threading.Thread] = []
-        self._processes: set[subprocess.Popen[bytes]] = set()
-        self._marks: dict[int, bytes] = {}
+        self._processes: dict[subprocess.Popen[bytes], str] = {}  # with the marks that they leave on what they start
         self._numbers = itertools.count()
-        self._token = f"UQSPHERE_WORKER={uuid.uuid4().hex}"
+        self._token = uuid.uuid4().hex
         self._closed = False
 
     def submit(self, function: Callable[..., T], /, *args: object) -> Future[T]:
         """Have `function(*args)` done by the next free process."""
         return self.submit_limited(function, *args)
+
+    def ask(self, packed: bytes, rows: Array, limit: Callable[[], float] | None) -> Waiting:
+        """Answers of rows; loading what they need is not counted by the limit."""
+        return self.submit_limited(evaluate_remote, packed, rows, first=prepare if limit else None, limit=limit)
+
+    def look_after(self) -> None:
+        """Nothing: a process that ends is noticed at once."""
 
     def submit_limited(
         self,
@@ -118,9 +151,8 @@ class LocalWorkers:
         future: Future[T] = Future()
         self._jobs.put(_Job(future=future, first=first, function=function, arguments=args, limit=limit))
         if len(self._threads) < self.count:
-            thread = threading.Thread(target=self._attend, daemon=True)
-            self._threads.append(thread)
-            thread.start()
+            self._threads.append(threading.Thread(target=self._attend, daemon=True))
+            self._threads[-1].start()
         return future
 
     def close(self) -> None:
@@ -150,11 +182,10 @@ class LocalWorkers:
                         process = None
                     process = process or self._spawn()
                     result = self._ask(process, job)
-                except (WorkerDied, TimeOver) as error:
-                    self._bury(process)
-                    process = None
-                    job.future.set_exception(error)
                 except Exception as error:
+                    if isinstance(error, (WorkerDied, TimeOver)):
+                        self._bury(process)
+                        process = None
                     job.future.set_exception(error)
                 else:
                     job.future.set_result(result)
@@ -163,23 +194,16 @@ class LocalWorkers:
 
     def _spawn(self) -> subprocess.Popen[bytes]:
         single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-        number = next(self._numbers)
-        name, _, token = self._token.partition("=")
+        mark = f"{self._token}-{next(self._numbers)}."
+        places = json.dumps([os.path.abspath(part) for part in sys.path])
         process = subprocess.Popen(
-            [
-                sys.executable,
-                "-IB" if sys.dont_write_bytecode else "-I",
-                "-c",
-                _START,
-                json.dumps([os.path.abspath(part) for part in sys.path]),
-            ],
+            [sys.executable, "-IB" if sys.dont_write_bytecode else "-I", "-c", _START, places],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env={**os.environ, **single, name: f"{token}-{number}."},
+            env={**os.environ, **single, _MARK: mark},
             start_new_session=True,  # what the model starts ends with it, and Ctrl-C is for the run
         )
-        self._marks[process.pid] = f"{self._token}-{number}.".encode()
-        self._processes.add(process)
+        self._processes[process] = mark
         if self._closed:
             _end(process)
         return process
@@ -193,20 +217,18 @@ class LocalWorkers:
                 if stream is not None:
                     stream.close()
         process.wait()
-        self._processes.discard(process)
-        _end_marked(self._marks.pop(process.pid))
+        _end_marked(f"{_MARK}={self._processes.pop(process)}".encode())
 
     def _ask(self, process: subprocess.Popen[bytes], job: _Job) -> object:
         assert process.stdin is not None
         assert process.stdout is not None
-        over = threading.Event()
+        over, limit = threading.Event(), math.inf
 
         def end() -> None:
             over.set()
             _end(process)
 
         timer: threading.Timer | None = None
-        limit = math.inf
         try:
             number = next(self._numbers)
             send(process.stdin, (number, job.first, job.function, job.arguments))
@@ -246,15 +268,15 @@ def _ending(process: subprocess.Popen[bytes]) -> str:
         return "no answer: it has closed its pipe"
     if code >= 0:
         return f"exit code {code}"
-    memory = ", as where memory runs out" if -code == getattr(signal, "SIGKILL", None) else ""
-    return f"signal {-code}{_signal_name(-code)}{memory}"
+    names = {int(one): f" ({one.name})" for one in signal.Signals}
+    memory = ", as where memory runs out" if names.get(-code) == " (SIGKILL)" else ""
+    return f"signal {-code}{names.get(-code, '')}{memory}"
 
 
 def _end_marked(mark: bytes) -> None:
     """End the processes that have a worker's mark in their environment: what it has started and let go of."""
-    if not hasattr(os, "pidfd_open"):
-        return
-    for _ in range(_ROUNDS):
+    found = hasattr(os, "pidfd_open")
+    for _ in range(_ROUNDS if found else 0):
         found = False
         for entry in Path("/proc").glob("[0-9]*/environ"):
             with contextlib.suppress(OSError):
@@ -271,18 +293,33 @@ def _end_marked(mark: bytes) -> None:
 
 def _end(process: subprocess.Popen[bytes]) -> None:
     """End a process and what it has started, a solver that hangs among it."""
-    if process.poll() is None:
-        with contextlib.suppress(OSError, AttributeError):
+    with contextlib.suppress(OSError, AttributeError):
+        if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
     with contextlib.suppress(OSError):
         process.kill()
 
 
-def _signal_name(number: int) -> str:
-    try:
-        return f" ({signal.Signals(number).name})"
-    except ValueError:
-        return ""
+class Pool:
+    """An executor that the user gave, whatever it is: all that is asked of it is `submit`."""
+
+    def __init__(self, executor: Executor, kind: str = "") -> None:
+        self.executor, self.kind = executor, kind or type(executor).__name__
+
+    @property
+    def count(self) -> int:
+        """How many it has, where it says so."""
+        found = getattr(self.executor, "count", None) or getattr(self.executor, "_max_workers", None)
+        return found if isinstance(found, int) else 0
+
+    def ask(self, packed: bytes, rows: Array, limit: Callable[[], float] | None) -> Waiting:
+        """Answers of rows; an executor knows no limit of time, so that one is kept by a process of the worker's own."""
+        if limit is None:
+            return self.executor.submit(evaluate_remote, packed, rows)
+        return self.executor.submit(evaluate_guarded, packed, rows, limit())
+
+    def look_after(self) -> None:
+        """Nothing: it is the user's."""
 
 
 _guard: dict[int, LocalWorkers] = {}
@@ -290,26 +327,12 @@ _guard_lock = threading.Lock()
 
 
 def evaluate_guarded(packed: bytes, rows: Array, limit: float) -> tuple[Answered, float]:
-    """`evaluate_remote` under a limit of time where the executor knows none: in a process of the worker's own."""
+    """`evaluate_remote` under a limit of time, in a process of the worker's own."""
     with _guard_lock:
-        workers = _guard.setdefault(os.getpid(), LocalWorkers(1))
-        found: tuple[Answered, float] = workers.submit_limited(
-            evaluate_remote, packed, rows, first=prepare, limit=lambda: limit
-        ).result()
-    return found
+        return _guard.setdefault(os.getpid(), LocalWorkers(1)).ask(packed, rows, lambda: limit).result()
 
 
 # --- handing out and gathering --------------------------------------------------------------------
-
-
-class Waiting(Protocol):
-    """An answer that is on its way."""
-
-    def result(self) -> tuple[Answered, float]:
-        """The answer, waited for."""
-
-    def cancel(self) -> object:
-        """Call it off."""
 
 
 @dataclass(kw_only=True)
@@ -327,65 +350,52 @@ class _Piece:
 
 
 class _Pieces:
-    """Blocks of rows on their way through an executor: waiting, handed out, answered."""
+    """Blocks of rows on their way: waiting, handed out, answered."""
 
-    def __init__(self, executor: Executor, task: Task, rows: Array, blocks: list[tuple[int, int]]) -> None:
-        limit = task.study.analysis.time_limit
-        self.executor, self.task, self.rows = executor, task, rows
-        self.packed = pack_task(task)
-        self.pace = None if limit is None else _Pace(limit=limit)
-        #: rows that were answered; times that a worker ended at work; rows in a row without an answer for that or time
+    def __init__(self, workers: Workers, task: Task, rows: Array, blocks: list[tuple[int, int]]) -> None:
+        self.workers, self.task, self.rows = workers, task, rows
+        self.packed, self.limit = pack_task(task), task.study.analysis.time_limit
+        #: rows that were answered, and their seconds where not all had passed the limit; times that a worker ended at
+        #: work; rows in a row without an answer for that or time
         self.answered = self.died = self.lost = 0
-        self.heard = time.monotonic()
+        self.timed, self.seconds = 0, 0.0
         self.todo = deque(_Piece(start=start, stop=stop) for start, stop in blocks)
         self.out: dict[int, _Piece] = {}
         self.ready: queue.SimpleQueue[int] = queue.SimpleQueue()
         self.numbers = itertools.count()
 
     def hand_out(self) -> None:
-        """As many pieces as keep the workers busy."""
-        while self.todo and len(self.out) < _window(self.executor):
+        """As many pieces as keep the workers busy while answers travel."""
+        while self.todo and len(self.out) < (2 * self.workers.count + 2 if self.workers.count else WINDOW):
             piece = self.todo.popleft()
-            if not self.answered and not piece.single and (self.pace is not None or self.died):
+            if not self.answered and not piece.single and (self.limit is not None or self.died):
                 # what a row takes, or does, is not known: single ones tell, before many are waited for in one call
                 if self.out and not self.lost:
                     self.todo.appendleft(piece)
                     return
                 self.todo.appendleft(replace(piece, start=piece.start + 1))
                 piece = replace(piece, stop=piece.start + 1)
+            allowed = None if self.limit is None else partial(self._allowed, piece.stop - piece.start, self.limit)
             try:
-                piece.future = _submit(self.executor, self.packed, self.rows[piece.start : piece.stop], self.pace)
+                piece.future = self.workers.ask(self.packed, self.rows[piece.start : piece.stop], allowed)
             except Exception as error:
                 raise _broken(error) from error
             number = next(self.numbers)
             self.out[number] = piece
-            tell = getattr(piece.future, "add_done_callback", None)
-            if tell is not None:
-                tell(partial(self._came_back, number))
+
+            def back(_: object, number: int = number) -> None:
+                self.ready.put(number)
+
+            if isinstance(piece.future, Future):
+                piece.future.add_done_callback(back)
             else:
                 self.ready.put(number)  # it has to be waited for in its turn
 
-    def _came_back(self, number: int, _: object) -> None:
-        self.ready.put(number)
-
-    def finished(self, give_up: Callable[[float], bool]) -> _Piece | None:
-        """A piece that has come back; None where none has for a while, or it was called off.
-
-        Raises
-        ------
-        Silent
-            When `give_up` says so of the seconds without an answer.
-        """
-        try:
-            piece = self.out.pop(self.ready.get(timeout=PATIENCE), None)
-        except queue.Empty:
-            if hasattr(self.executor, "look_after"):
-                self.executor.look_after()
-            if give_up(time.monotonic() - self.heard):
-                raise Silent from None
-            return None
-        self.heard = time.monotonic()
-        return piece
+    def _allowed(self, count: int, limit: float) -> float:
+        """Seconds that a call of so many rows may take, as far as is known now."""
+        if self.timed == 0:
+            return count * limit
+        return min(count * limit, _SLOW_ROWS * limit + _SLOWER * count * self.seconds / self.timed)
 
     def answer(self, piece: _Piece) -> tuple[Answered, float] | None:
         """The answers of a piece and their seconds; None where it is handed out again."""
@@ -393,51 +403,64 @@ class _Pieces:
         try:
             answered, seconds = piece.future.result()
         except Exception as error:
-            self.died += not isinstance(error, TimeOver)
-            if isinstance(error, TimeOver) or not self.answered:
-                self._take_back()
-            found = _after(error, piece, self.task, self.rows, self.todo, self.lost > 0)
+            found, seconds = self._after(error, piece), 0.0
             if found is None:
                 return None
-            answered, seconds = found, 0.0
-        if self.pace is not None:
-            self.pace.note(answered, seconds)
-        self._count_lost(answered)
-        return answered, seconds
-
-    def _count_lost(self, answered: Answered) -> None:
-        """Take note of rows that took too long or ended their process; no more is tried after `HUNG` in a row."""
+            answered = found
+        if not (answered.status == STATUS_TIME).all():
+            self.timed, self.seconds = self.timed + len(answered.status), self.seconds + seconds
         gone = (answered.status == STATUS_TIME) | (answered.status == STATUS_DIED)
         if not gone.all():
             self.answered, self.lost = self.answered + len(gone), 0
-            return
+            return answered, seconds
         self.lost += len(gone)
         if self.lost >= HUNG:
-            limit = self.task.study.analysis.time_limit
-            took = "" if limit is None else f"took longer than analysis.time_limit, {limit:g} s, or "
+            took = "" if self.limit is None else f"took longer than analysis.time_limit, {self.limit:g} s, or "
             raise TooManyFailures(
                 f"{self.lost} evaluations in a row {took}ended their process, and no more is tried; the last: "
                 f"{answered.note}. What was evaluated before is kept: mend the model"
-                + (", or raise analysis.time_limit" if limit is not None else "")
+                + (", or raise analysis.time_limit" if took else "")
             )
+        return answered, seconds
 
     def _take_back(self) -> None:
-        """Calls of many rows that no worker has begun wait until rows of one that took too long are known."""
+        """Calls of many rows that no worker has begun wait until the rows of one that came to nothing are known."""
         for number in sorted(self.out, reverse=True):
             piece = self.out[number]
             if not piece.single and isinstance(piece.future, Future) and piece.future.cancel():
                 self.todo.appendleft(self.out.pop(number))
 
-    def cancel(self) -> None:
-        """Call off what is out."""
-        for piece in self.out.values():
-            with contextlib.suppress(Exception):
-                if piece.future is not None:
-                    piece.future.cancel()
+    def _after(self, error: Exception, piece: _Piece) -> Answered | None:
+        """What becomes of a piece without an answer: None if it is handed out again, else its row has failed."""
+        late = isinstance(error, TimeOver)
+        if isinstance(error, UqsphereError):
+            raise error
+        if not late and not isinstance(error, WorkerDied) and type(error).__name__ != "KilledWorker":
+            raise _broken(error) from error
+        self.died += not late
+        if late or not self.answered:
+            self._take_back()
+        if not late:
+            piece.deaths += 1
+            # where the row before was the cause of its end, this one is believed at once to be of its own
+            if piece.deaths < LIVES and not (self.lost and piece.single):
+                self.todo.appendleft(piece)
+                return None
+            if self.task.model is None:
+                raise AccessError(f"the workers died {piece.deaths} times on the same rows: {error}") from error
+        if not piece.single:
+            cut = (_Piece(start=k, stop=k + 1, deaths=LIVES - 2) for k in reversed(range(piece.start, piece.stop)))
+            self.todo.extendleft(cut)
+            return None
+        where = where_of(self.task.names, self.rows[piece.start])
+        note = f"the model {told(Path(self.task.model or '').name, 80)}: {error}, {where}"
+        if not self.task.go_on:
+            raise ModelError(note)
+        return failed_rows(1, len(self.task.columns), STATUS_TIME if late else STATUS_DIED, note)
 
 
 def gather(
-    executor: Executor,
+    workers: Workers,
     task: Task,
     rows: Array,
     blocks: list[tuple[int, int]],
@@ -447,101 +470,39 @@ def gather(
 ) -> Iterator[tuple[int, int, Answered, float]]:
     """Have blocks of rows evaluated, and yield (start, stop, answers, seconds) as they come back, in any order.
 
-    No more is handed out than keeps the workers busy; once `go_on()` is false, nothing is.  `give_up` is asked after
-    seconds without an answer.  A block whose worker died
-    is handed out again; one that goes on to do so, or passes its limit of time, is cut into rows, and a row that does
-    fails.  Under a limit, rows go out one by one until one of them is answered.
+    No more is handed out than keeps the workers busy; once `go_on()` is false, nothing is, and once `give_up` of the
+    seconds without an answer is true, nothing is waited for.  A block whose worker died is handed out again; one that
+    goes on to do so, or passes its limit of time, is cut into rows, and a row that does fails.  Under a limit, rows go
+    out one by one until one of them is answered.
 
     Raises
     ------
     TooManyFailures
         When `HUNG` rows in a row have passed the limit, or ended their process.
-    Silent
-        When it is given up.
     """
-    pieces = _Pieces(executor, task, rows, blocks)
+    pieces, heard = _Pieces(workers, task, rows, blocks), time.monotonic()
     try:
         while True:
             if go_on():
                 pieces.hand_out()
             if not pieces.out:
                 return
-            piece = pieces.finished(give_up)
+            try:
+                piece = pieces.out.pop(pieces.ready.get(timeout=PATIENCE), None)
+            except queue.Empty:
+                workers.look_after()
+                if give_up(time.monotonic() - heard):
+                    return
+                continue
+            heard = time.monotonic()
             found = None if piece is None else pieces.answer(piece)
             if piece is not None and found is not None:
                 yield piece.start, piece.stop, *found
     finally:
-        pieces.cancel()
-
-
-def _window(executor: Executor) -> int:
-    """Pieces that keep the workers busy while answers travel."""
-    count = getattr(executor, "count", None) or getattr(executor, "_max_workers", None)
-    return 2 * int(count) + 2 if count else WINDOW
-
-
-@dataclass(kw_only=True)
-class _Pace:
-    """What rows have taken so far, each of which may take `limit` seconds."""
-
-    limit: float
-    rows: int = 0
-    seconds: float = 0.0
-
-    def allowance(self, count: int) -> float:
-        """Seconds that a call of so many rows may take, as far as is known now."""
-        if self.rows == 0:
-            return count * self.limit
-        return min(count * self.limit, _SLOW_ROWS * self.limit + _SLOWER * count * self.seconds / self.rows)
-
-    def note(self, answered: Answered, seconds: float) -> None:
-        """Take down an answer."""
-        if not (answered.status == STATUS_TIME).all():
-            self.rows, self.seconds = self.rows + len(answered.status), self.seconds + seconds
-
-
-def _submit(executor: Executor, packed: bytes, rows: Array, pace: _Pace | None) -> Waiting:
-    if pace is None:
-        return executor.submit(evaluate_remote, packed, rows)
-    if isinstance(executor, LocalWorkers):
-        allowance = partial(pace.allowance, len(rows))
-        return executor.submit_limited(evaluate_remote, packed, rows, first=prepare, limit=allowance)
-    return executor.submit(evaluate_guarded, packed, rows, pace.allowance(len(rows)))
-
-
-def _after(
-    error: Exception, piece: _Piece, task: Task, rows: Array, todo: deque[_Piece], lost: bool
-) -> Answered | None:
-    """What becomes of a piece without an answer: None if it is handed out again, else failed rows.
-
-    lost : whether the row before was the cause of its end; this one is then believed at once to be of its own.
-    """
-    if isinstance(error, UqsphereError):
-        raise error
-    if isinstance(error, TimeOver):
-        if piece.single:
-            return _fail(task, STATUS_TIME, error, rows[piece.start])
-    elif isinstance(error, WorkerDied) or type(error).__name__ == "KilledWorker":
-        piece.deaths += 1
-        if piece.deaths < LIVES and not (lost and piece.single):
-            todo.appendleft(piece)
-            return None
-        if task.model is None:
-            raise AccessError(f"the workers died {piece.deaths} times on the same rows: {error}") from error
-        if piece.single:
-            return _fail(task, STATUS_DIED, error, rows[piece.start])
-    else:
-        raise _broken(error) from error
-    todo.extendleft(_Piece(start=k, stop=k + 1, deaths=LIVES - 2) for k in reversed(range(piece.start, piece.stop)))
-    return None
-
-
-def _fail(task: Task, status: int, error: Exception, row: Array) -> Answered:
-    """A row (d,) that has failed; the end of the run where no row may."""
-    note = f"the model {told(Path(task.model or '').name, 80)}: {error}, {where_of(task.names, row)}"
-    if not task.go_on:
-        raise ModelError(note)
-    return failed_rows(1, len(task.columns), status, note)
+        for piece in pieces.out.values():
+            with contextlib.suppress(Exception):
+                if piece.future is not None:
+                    piece.future.cancel()
 
 
 #: names of the errors by which pools and clusters say that they are gone
@@ -571,7 +532,7 @@ LOADING: Final = 60.0
 
 @dataclass(kw_only=True)
 class Engine:
-    """Evaluations go to `executor` if there is one, those of a user's own model to processes, all others stay here.
+    """Evaluations go to `given` if there is one, those of a user's own model to processes, all others stay here.
 
     A model may end its process, print, hang and fork: none of that is to be the run's.  One process is enough until it
     proves expensive.  Where evaluations are made changes no answer: rows are cut into the same calls of the model
@@ -579,8 +540,8 @@ class Engine:
 
     Attributes
     ----------
-    executor : what the user gave
-    workers : processes that may be started; processors of this machine if None
+    given : whom the user gave
+    most : processes that may be started; processors of this machine if None
     model : reference of a user's own model, which another process can load; None if there is none
     limited : whether evaluations have a limit of time
     over : whether the time budget is over
@@ -589,36 +550,31 @@ class Engine:
     answered : rows with an answer; `failed` is what was said of the first without
     """
 
-    executor: Executor | None = None
-    workers: int | None = None
+    given: Workers | None = None
+    most: int | None = None
     model: str | None = None
     limited: bool = False
     over: Callable[[], bool] = lambda: False
-    kind: str = "this process"
     why: str = ""
     seconds: float = 0.0
     slowest: float = 0.0
     rows: int = 0
     answered: int = 0
     failed: str = ""
-    count: int = 1
     silent: bool = False
     _own: LocalWorkers | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        if self.executor is not None:
-            self.kind = getattr(self.executor, "kind", type(self.executor).__name__)
-            self.count = int(getattr(self.executor, "count", None) or getattr(self.executor, "_max_workers", None) or 0)
+        if self.given is not None:
             self.why = "it was asked for"
         elif self.model is not None:
-            self.kind, self.why = "local processes", "it has a limit of time" if self.limited else "it is a model's own"
-            self.count = (self.workers or processors()) if self.limited else 1
-            self._own = LocalWorkers(self.count)
+            self.why = "it has a limit of time" if self.limited else "it is a model's own"
+            self._own = LocalWorkers((self.most or processors()) if self.limited else 1)
 
     @property
     def here(self) -> bool:
         """Whether evaluations are made in this process."""
-        return self.executor is None and self._own is None
+        return self.given is None and self._own is None
 
     def load(self, digest: str, seconds: float) -> None:
         """Have a model of one's own loaded, in at most so many seconds, or `LOADING` where those are fewer.
@@ -638,31 +594,34 @@ class Engine:
         except (WorkerDied, TimeOver) as error:
             raise ModelError(f"{told(self.model, 120)} on loading: {error}") from error
 
-    def executor_for(self, left: int) -> Executor | None:
-        """Who is to evaluate the next `left` rows: None for this process."""
-        if self._own is not None and self._own.count == 1 and self._expensive(left):
-            self._own.count = self.count = self.workers or processors()
-        return self.executor if self.executor is not None else self._own
+    def evaluated(
+        self, task: Task, rows: Array, blocks: list[tuple[int, int]], go_on: Callable[[], bool]
+    ) -> Iterator[tuple[int, int, Answered, float]]:
+        """Blocks as they are finished by the workers, as `gather` yields them; none where the model was given up."""
+        workers = self.given or self._own
+        assert workers is not None
+        self._grow(sum(stop - start for start, stop in blocks))
+        return iter(()) if self.silent else gather(workers, task, rows, blocks, go_on=go_on, give_up=self._give_up)
 
-    def _expensive(self, left: int) -> bool:
-        if (self.workers or processors()) < 2 or self.seconds < EXPENSIVE:
-            return False
-        each = self.seconds / self.rows
-        if each * left < WORTH:
-            return False
-        self.why = f"an evaluation takes {each:.2g} s"
-        return True
+    def _grow(self, left: int) -> None:
+        """Start more processes where the model has proved so expensive that the rows that are left are worth it."""
+        most = self.most or processors()
+        if self._own is not None and self._own.count == 1 < most and self.seconds >= EXPENSIVE:
+            each = self.seconds / self.rows
+            if each * left >= WORTH:
+                self._own.count, self.why = most, f"an evaluation takes {each:.2g} s"
 
-    def note(self, answered: Answered, seconds: float) -> None:
-        """Take down what rows have cost, and whether they were answered."""
+    def note(self, answered: Answered, seconds: float, left: int) -> None:
+        """Take down what rows have cost, and whether they were answered; so many are left of the question."""
         whole = is_answered(answered.status)
         self.rows += len(whole)
         self.answered += int(whole.sum())
         self.seconds += seconds
         self.slowest = max(self.slowest, seconds)
         self.failed = self.failed or answered.note
+        self._grow(left)
 
-    def give_up(self, silent: float) -> bool:
+    def _give_up(self, silent: float) -> bool:
         """Whether nothing is waited for any more after so many seconds without an answer: not before time is over."""
         self.silent = self.over() and silent > _SLOW_ROWS * self.slowest
         return self.silent
@@ -678,11 +637,11 @@ class Engine:
 
     def record(self) -> dict[str, str | int | float | None]:
         """What manifest.json says of it."""
-        each = self.seconds / self.rows if self.rows else None
-        return {"kind": self.kind, "workers": self.count, "why": self.why, "seconds_per_evaluation": each}
+        workers, each = self.given or self._own, self.seconds / self.rows if self.rows else None
+        kind, count = ("this process", 1) if workers is None else (workers.kind, workers.count)
+        return {"kind": kind, "workers": count, "why": self.why, "seconds_per_evaluation": each}
 
     def close(self) -> None:
-        """End what was started here; an executor that was given stays open."""
+        """End what was started here; workers that were given stay."""
         if self._own is not None:
             self._own.close()
-            self._own = None

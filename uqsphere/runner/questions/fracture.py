@@ -21,7 +21,7 @@ from uqsphere.mechanics.rigs import RIGS
 from uqsphere.model import scene_of
 from uqsphere.results import FractureEntry, LimitsOrder
 from uqsphere.results.entries import CheckEntry, Est
-from uqsphere.runner.chunks import remembered_fractures
+from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_sample
 from uqsphere.runner.forecast import fracture_limits, reflected
 from uqsphere.runner.limits import state_of
@@ -140,7 +140,7 @@ def _affordable(work: Work, most: int) -> int:
 
 def _at_fracture(work: Work, pool: Sample, together: AnyLimit, drawn: Breaking) -> dict[str, object]:
     """Shares, order and quantiles over the specimens drawn."""
-    from uqsphere.mechanics.fracture import first_fractures
+    from uqsphere.mechanics.fracture import Fractures, first_fractures
     from uqsphere.mechanics.outputs import path_of
     from uqsphere.mechanics.validity import check_at_fracture
 
@@ -154,9 +154,9 @@ def _at_fracture(work: Work, pool: Sample, together: AnyLimit, drawn: Breaking) 
     scene = scene_of(work.study, {name: physical[:, k] for k, name in enumerate(names)}, len(distinct))
     paths = [path for limit in limits if (path := path_of(limit.quantity, work.study.demands)) is not None]
     shares = drawn.shares.reshape(len(limits), -1).T
-    result = remembered_fractures(
-        work.store, "fracture.loading", scene, [limit.quantity for limit in limits], [shares, rows],
-        lambda: first_fractures(scene, shares, paths, rows=rows, threads=work.threads),
+    result = remembered(
+        work.store, "fracture.loading", scene, [[limit.quantity for limit in limits], shares, rows],
+        lambda: first_fractures(scene, shares, paths, rows=rows, threads=work.threads), Fractures, len(shares),
     )  # fmt: skip
     work.ledger.evaluations["full"] = work.ledger.evaluations.get("full", 0) + len(distinct)
     lost = float((result.first < 0).mean())
