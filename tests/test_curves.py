@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -12,10 +14,12 @@ from scipy.special import ndtr
 
 import uqsphere
 from tests.campaigns.fragility import straight_value, value_coverage
+from uqsphere.arrays import Array
 from uqsphere.cli import main
+from uqsphere.runner.axis_rows import AxisRows, Look
 from uqsphere.runner.evaluate import Ledger, Work
-from uqsphere.runner.questions.curves import curves_along, family_curves
-from uqsphere.study import Study
+from uqsphere.runner.questions.curves import _with_outer, curves_along, family_curves
+from uqsphere.study import Limit, Study
 from uqsphere.uq.curve import fit_axis
 
 STUDIES = Path(uqsphere.__file__).parent.parent / "studies"
@@ -149,3 +153,15 @@ def test_the_design_point_at_a_margin_keeps_to_the_budget(study_from: Callable[.
     assert results["margins"]["own"]["curve"]
     assert "the budget has no room" in results["margins"]["own"]["lost_to"]["reason"]
     assert sum(results["model"]["evaluations"].values()) <= 4600
+
+
+def test_the_curve_goes_on_beyond_its_rows_without_a_step() -> None:
+    def odds(x: Sequence[float], times: float) -> Array:
+        o = times * np.asarray(x)[:, None] ** 3.0 * np.ones(4)
+        return np.asarray(o / (1.0 + o))
+
+    rows = SimpleNamespace(free="", grid=(0.5, 0.6), table=lambda limit: odds((0.5, 0.6), 1.0))
+    look = SimpleNamespace(grid=(0.1, 0.4, 0.55, 2.0), curve=lambda limit, x: odds(x, 3.0))
+    grid, table = _with_outer(cast("Limit", None), cast("AxisRows", rows), cast("Look", look))
+    assert grid.tolist() == [0.1, 0.4, 0.5, 0.6, 2.0]
+    assert table == pytest.approx(odds(grid.tolist(), 1.0))

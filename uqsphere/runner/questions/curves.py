@@ -546,14 +546,29 @@ def curves_along(
 
 
 def _with_outer(limit: Limit, rows: AxisRows, look: Look | None) -> tuple[Array, Array]:
-    """The curve on its grid, and what was looked at beyond its ends."""
+    """The curve on its grid, and what was looked at beyond its ends.
+
+    There the few rows of the look tell how the odds go on from the end of the grid, and the rows what they are at that
+    end: the look's odds times what it is off by there, so that the curve has no step.
+    """
     outer = [] if look is None or rows.free else [x for x in look.grid if not rows.grid[0] <= x <= rows.grid[-1]]
     if look is None or not outer:
         return np.array(rows.grid), rows.table(limit)
-    grid = np.array([*outer, *rows.grid])
-    table = np.concatenate([look.curve(limit, outer), rows.table(limit)])
+    inner = rows.table(limit)
+    ends = [0 if x < rows.grid[0] else -1 for x in outer]
+    off = np.array([_odds(inner[k]) / _odds(look.curve(limit, [rows.grid[k]])) for k in ends])[:, None]
+    seen = look.curve(limit, outer)
+    known = np.isfinite(off) & (off > 0.0)
+    told = np.where(known, seen * off / (1.0 - seen + seen * off), seen)
+    grid, table = np.array([*outer, *rows.grid]), np.concatenate([told, inner])
     order = np.argsort(grid)
     return grid[order], table[order]
+
+
+def _odds(probabilities: Array) -> float:
+    """Odds of the mean of some probabilities; NaN where they are nought or infinite."""
+    p = float(np.mean(probabilities))
+    return p / (1.0 - p) if 0.0 < p < 1.0 else math.nan
 
 
 def family_curves(work: Work, limits: Sequence[Limit], most: int) -> dict[float, dict[str, CurveFound | str]]:
