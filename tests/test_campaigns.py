@@ -17,7 +17,7 @@ from reports import publish
 from tests.campaigns import chaos, coverage, given, links, mutate
 from tests.campaigns.coverage import LEAST, POOLED, QUANTILES, coverage_models, coverage_rows, pooled, reference
 from uqsphere.errors import UsageError
-from uqsphere.given import analyse_data
+from uqsphere.given import analyse_runs
 from uqsphere.mechanics.stress import tables
 from uqsphere.model import answer_scene
 from uqsphere.report.figures.canvas import style
@@ -98,7 +98,7 @@ def test_models_with_ties_have_the_answers_that_they_state(name: str) -> None:
 
 def test_an_expansion_over_a_kernel_density_is_refused() -> None:
     """Of 11 tables whose laws were kernel densities the sd of the expansion held in 5."""
-    found = analyse_data(given._runs(given.model_of("two humps, kernel density"), 200, 3))
+    found, _ = analyse_runs(given._runs(given.model_of("two humps, kernel density"), 200, 3))
     assert "kde" in {entry["chosen"] for entry in found["inputs"].values()}
     expansion = found["sensitivity"]["y"]["chaos"]
     assert not expansion["usable"]

@@ -16,7 +16,7 @@ from uqsphere.feed.infer import Request, fit
 from uqsphere.feed.tests import make_specimens
 from uqsphere.runner.api import run
 from uqsphere.study import load_study
-from uqsphere.uq.families.drawn import DRAWN, LOGNORMAL, WEIBULL
+from uqsphere.uq.families.observed import DRAWN, LOGNORMAL, WEIBULL
 from uqsphere.uq.fitting import count_tests, is_fitted, laws_of_more_tests, possible_laws
 from uqsphere.uq.law import Law, make_law
 

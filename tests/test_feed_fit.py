@@ -25,7 +25,6 @@ from uqsphere.feed.likelihood import (
     log_likelihood,
     maximise,
     split_r_hat,
-    stacked,
 )
 from uqsphere.feed.tests import (
     RIGS,
@@ -78,7 +77,7 @@ def rows_of(energy: list[float], outcome: list[int], **columns: object) -> Rows:
 
 
 def test_one_complete_size_by_likelihood() -> None:
-    model, told = one_size(), evidence_of(make_specimens(np.full(30, 0.01), G1), None)
+    model, told = one_size(), evidence_of([make_specimens(np.full(30, 0.01), G1)], None)
     at, _, settled = maximise(lambda x: log_likelihood(model, told, x), np.array([[4.0, -0.1]]))
     assert settled.all()
     np.testing.assert_allclose(np.exp(at[0]), G1_MLE, rtol=1e-6)
@@ -90,7 +89,7 @@ def test_intervals_and_survivors_by_hand() -> None:
 
     law = stats.lognorm(s=0.6, scale=100.0)
     tests = make_specimens(np.full(3, 0.01), [80.0, 60.0, 150.0], broke=[True, False, True], exact=[True, True, False])
-    found = log_likelihood(one_size(), evidence_of(tests, None), np.log([[[100.0, 0.6]]]))
+    found = log_likelihood(one_size(), evidence_of([tests], None), np.log([[[100.0, 0.6]]]))
     assert float(found[0, 0]) == pytest.approx(law.logpdf(80.0) + law.logsf(60.0) + law.logcdf(150.0), rel=1e-12)
 
 
@@ -103,8 +102,8 @@ def test_thresholds_between_the_nodes_of_gamma() -> None:
                   priors={"e50_1": Prior(), "sigma": Prior(), "gamma": Prior()})  # fmt: skip
     for gamma in (1.3, 2.7, 4.0, 9.1):
         x = np.log([[[120.0, 0.6, gamma]]])
-        free = log_likelihood(model, evidence_of(tests, None), x)
-        given = log_likelihood(model, evidence_of(tests, gamma), x)
+        free = log_likelihood(model, evidence_of([tests], None), x)
+        given = log_likelihood(model, evidence_of([tests], gamma), x)
         assert float(free[0, 0]) == pytest.approx(float(given[0, 0]), abs=1e-7)
 
 
@@ -112,10 +111,10 @@ def test_rows_alike_and_series_side_by_side() -> None:
     tests = make_specimens([0.01, 0.01, 0.02], [50.0, 50.0, 80.0], broke=[True, True, False], exact=False)
     more = make_specimens([0.01], [70.0])
     model, x = one_size(), np.log(np.array([[[90.0, 0.5]]]))
-    alone = [float(log_likelihood(model, evidence_of(one, None), x)[0, 0]) for one in (tests, more)]
-    assert float(log_likelihood(model, evidence_of(tests.gathered(), None), x)[0, 0]) == pytest.approx(alone[0])
+    alone = [float(log_likelihood(model, evidence_of([one], None), x)[0, 0]) for one in (tests, more)]
+    assert float(log_likelihood(model, evidence_of([tests.gathered()], None), x)[0, 0]) == pytest.approx(alone[0])
     assert len(tests.gathered()) == 2
-    together = log_likelihood(model, stacked([tests, more], None), np.repeat(x, 2, axis=0))[:, 0]
+    together = log_likelihood(model, evidence_of([tests, more], None), np.repeat(x, 2, axis=0))[:, 0]
     np.testing.assert_allclose(together, alone, rtol=1e-12)
 
 
@@ -123,7 +122,7 @@ def test_vogel_and_peukert_add_excess_energies() -> None:
     tests = specimens_of(rows_of([40.0, 30.0, 60.0], [0, 0, 1], specimen=[0, 0, 0]))
     model = Model(law="vogel_peukert", size="power", ratio=math.inf, priors={"f_mat": Prior(), "threshold": Prior()})
     f_mat, least = 0.9, 12.0
-    found = log_likelihood(model, evidence_of(tests, None), np.log([[[f_mat, least * 0.01]]]))
+    found = log_likelihood(model, evidence_of([tests], None), np.log([[[f_mat, least * 0.01]]]))
     before, last = 28.0 + 18.0, 48.0
     expected = math.log(math.exp(-f_mat * 0.01 * before) - math.exp(-f_mat * 0.01 * (before + last)))
     assert float(found[0, 0]) == pytest.approx(expected, rel=1e-12)
@@ -143,7 +142,7 @@ def test_one_size_keeps_the_exact_pivots() -> None:
 
 def test_the_ensemble_agrees_with_the_pivots() -> None:
     """Under the pivots' prior 1/sigma: flat in both logarithms."""
-    model, told = one_size(), evidence_of(make_specimens(np.full(30, 0.01), G1), None)
+    model, told = one_size(), evidence_of([make_specimens(np.full(30, 0.01), G1)], None)
     rng = RNG(7)
     mode, curved, _ = maximise(lambda x: log_likelihood(model, told, x), np.log([G1_MLE]))
     hill = hill_at(np.repeat(mode, 4, axis=0), np.repeat(curved, 4, axis=0))
@@ -165,7 +164,7 @@ def test_go_and_no_go_against_a_grid() -> None:
     posterior, entry = fit(tests, request)
     assert entry.method == "ensemble"
     assert entry.converged
-    model, told = model_of(tests.gathered(), request), evidence_of(tests.gathered(), None, (0.01,))
+    model, told = model_of(tests.gathered(), request), evidence_of([tests.gathered()], None, (0.01,))
     grid = np.meshgrid(np.linspace(math.log(50.0), math.log(250.0), 401), np.linspace(-2.5, 1.5, 401), indexing="ij")
     x = np.stack(grid, axis=-1)
     heights = log_likelihood(model, told, x) + model.log_prior(x)
@@ -251,7 +250,7 @@ def test_a_hundred_thousand_rows() -> None:
     assert few.particles == 100_000
     assert cell < 0.06
     request = Request(law="lognormal")
-    model, told = model_of(few, request), evidence_of(few, None)
+    model, told = model_of(few, request), evidence_of([few], None)
     x = np.log(np.array([list(TRUTH.values())]))
     at, _, settled = maximise(lambda x: log_likelihood(model, told, x), x)
     assert settled.all()
@@ -273,7 +272,7 @@ def test_the_right_law_is_chosen_as_often_as_it_can_be(n: int, least: float) -> 
     }  # fmt: skip
     for truth in names:
         series = [make_specimens(np.full(n, 0.01), laws.LAWS[truth].quantile(rng.random(n), p)) for _ in range(100)]
-        told, score = stacked(series, None), {}
+        told, score = evidence_of(series, None), {}
         for name, model in models.items():
             start = np.tile([math.log(100.0), math.log(p[laws.LAWS[name].keys[0]])], (100, 1))
             at, _, _ = maximise(lambda x, model=model, told=told: log_likelihood(model, told, x), start)

@@ -6,6 +6,7 @@ import json
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +16,21 @@ from scipy import stats
 from uqsphere.arrays import Array
 from uqsphere.cli import main
 from uqsphere.errors import UsageError
-from uqsphere.given import Data, analyse_data, analysis, analysis_text, known_laws, read_data, study_text
+from uqsphere.given import Data, analyse_runs, analysis, known_laws, read_data
 from uqsphere.given.analysis import quantile_interval
-from uqsphere.given.answers import _answer, reach, spanned
+from uqsphere.given.answers import (
+    _answer,
+    left_open,
+    rank_correlations,
+    rank_influence,
+    reach,
+    spanned,
+    tied,
+    ties_of,
+    with_ties,
+)
+from uqsphere.given.page import analysis_page, analysis_text, study_text
 from uqsphere.given.table import combinations
-from uqsphere.given.ties import left_open, rank_correlations, rank_influence, tied, ties_of, with_ties
 from uqsphere.uq.beyond_variance import rank_indices
 from uqsphere.uq.estimate import Estimate, sd_alone
 from uqsphere.uq.fitting import fit_marginal, fitted_law, plausible, plausible_laws
@@ -504,6 +515,12 @@ def test_every_copula_that_is_left_open_is_held_by_itself() -> None:
 
 # --- Columns of a table that others give exactly are named, and no expansion is fitted to them.
 
+
+def analyse_data(data: Data, **options: Any) -> dict[str, Any]:
+    """The analysis without its surrogates."""
+    return analyse_runs(data, **options)[0]
+
+
 RNG = np.random.default_rng(5)
 X = RNG.normal(size=(120, 3))
 A, B, C = X.T
@@ -549,8 +566,6 @@ def test_the_analysis_says_so() -> None:
 
 
 def test_the_page_of_an_analysis_has_its_numbers_and_no_text_of_the_table_as_markup(tmp_path: Path) -> None:
-    from uqsphere.given.page import analysis_page
-
     rng = np.random.default_rng(4)
     x = rng.normal(size=(200, 2))
     name = "<b>load</b>"

@@ -21,17 +21,21 @@ from uqsphere.report import build_report
 from uqsphere.runner.questions.further import planned_analyses
 from uqsphere.study import Study
 from uqsphere.uq.beyond_variance import delta_estimates, pawn_estimates
-from uqsphere.uq.control import chaos_outputs, chaos_surrogate, mean_expansion
 from uqsphere.uq.estimate import Estimate, absent, from_replicates, student
 from uqsphere.uq.expansion import fit_chaos, germ_points
 from uqsphere.uq.indices import (
     ESTIMATORS,
     Blocks,
     Surrogate,
+    _estimates,
+    _method,
+    _rows,
     agree,
+    chaos_outputs,
+    chaos_surrogate,
     choice_text,
     cross_check,
-    index_estimates,
+    mean_expansion,
     ordered,
     sampled_indices,
     uniform_halves,
@@ -47,6 +51,16 @@ def outputs(model: CoverageModel, blocks: Blocks, count: int, seed: int = 1, rep
         for r in range(replicates)
     ]
     return model.function(np.stack(rows))
+
+
+def index_estimates(y: np.ndarray, blocks: Blocks, estimator: str) -> dict[str, list[Estimate]]:
+    """First and total indices by one estimator alone."""
+    parts = blocks.split(y)
+    arguments = (parts.a, parts.b, parts.ab, *((parts.ba,) if estimator == "azzini_rosati" else ()))
+    return {
+        order: _estimates(_rows(ratio(*arguments)), [_method(estimator, order)] * blocks.inputs_count, y.size)
+        for order, ratio in ESTIMATORS[estimator].items()
+    }
 
 
 def within(estimate, truth: float, errors: float = 4.0) -> bool:

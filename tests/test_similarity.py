@@ -18,7 +18,7 @@ from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work, draw, evaluate_p
 from uqsphere.runner.questions import indices as questions
 from uqsphere.runner.similarity import Tabled, find_numbers, integrated, make_similarity
 from uqsphere.study import Study
-from uqsphere.uq.control import describe_controlled, probability
+from uqsphere.uq.describe import controlled_probability, describe_controlled
 from uqsphere.uq.estimate import corrected
 from uqsphere.uq.indices import Blocks, Surrogate, sampled_indices, uniform_halves
 from uqsphere.uq.points import sobol_points
@@ -156,7 +156,7 @@ def test_intervals_cover_the_truth() -> None:
         rows = sample(seed)
         described = describe_controlled(*rows, quantiles=SHARES, method="controlled")
         shares = [(part > RARE).mean(axis=1) for part in rows]
-        rare = probability(*shares, sizes=(256, 2048), counted=True, method="controlled")
+        rare = controlled_probability(*shares, sizes=(256, 2048), counted=True, method="controlled")
         assert rare is not None
         found = {"mean": described.mean, "sd": described.sd, "rare": rare}
         found |= {f"{p:g}": estimate for p, estimate in described.quantiles.items()}
@@ -171,10 +171,10 @@ def test_intervals_cover_the_truth() -> None:
 def test_models_that_agree_on_every_row_may_still_disagree_on_one() -> None:
     # shares that the points hit exactly leave nothing to see: the error is that of one row and of the cells
     same = np.full(16, 0.25) + 1e-9 * np.arange(16)
-    found = probability(same, same, np.full(16, 0.25), sizes=(256, 25600), counted=True, method="x")
+    found = controlled_probability(same, same, np.full(16, 0.25), sizes=(256, 25600), counted=True, method="x")
     assert found.std_error >= 1.0 / (16 * 256)
     nothing = np.zeros(16)
-    assert probability(nothing, nothing, nothing, sizes=(256, 512), counted=True, method="x") is None
+    assert controlled_probability(nothing, nothing, nothing, sizes=(256, 512), counted=True, method="x") is None
     assert describe_controlled(*sample(4), quantiles=(1e-4,), method="x").quantiles[1e-4].value is None
 
 

@@ -26,10 +26,10 @@ from uqsphere.feed.likelihood import (
     Prior,
     effective_size,
     ensemble,
+    evidence_of,
     hill_at,
     log_likelihood,
     maximise,
-    stacked,
 )
 from uqsphere.feed.tests import Specimens, make_specimens
 
@@ -124,7 +124,7 @@ def coverage(series: int, seed: int) -> None:
     for title, make, at in (("sizes, censored", sizes, (0.002, 0.005, 0.01, 0.02)),
                             ("go/no-go, repeated blows", blows, (0.005, 0.01, 0.02))):  # fmt: skip
         model = _model(make is blows)
-        told = stacked([make(TRUTH, rng) for _ in range(series)], None if make is blows else TRUTH["gamma"])
+        told = evidence_of([make(TRUTH, rng) for _ in range(series)], None if make is blows else TRUTH["gamma"])
         start = np.log([TRUTH[name] for name in model.names])
         found = quantities(model, posterior(model, told, start, rng), at)
         right = quantities(model, start[None, None], at)
@@ -156,7 +156,7 @@ def calibration(series: int, seed: int) -> None:
         priors = list(model.priors.values())
         x = np.array([[p.centre + p.sd * rng.standard_normal() for p in priors] for _ in range(series)])
         drawn = [{"gamma": 4.0, **dict(zip(model.names, np.exp(row).tolist(), strict=True))} for row in x]
-        told = stacked([make(p, rng) for p in drawn], None if make is blows else 4.0)
+        told = evidence_of([make(p, rng) for p in drawn], None if make is blows else 4.0)
         found = quantities(model, posterior(model, told, np.array([p.centre for p in priors]), rng), at)
         right = quantities(model, x[:, None], at)
         for name, values in found.items():
@@ -175,7 +175,7 @@ def choice(series: int, seed: int) -> None:
         for truth in names:
             made = [make_specimens(np.full(n, 0.01), laws.LAWS[truth].quantile(rng.random(n), p))
                     for _ in range(series // 2)]  # fmt: skip
-            told, score = stacked(made, None), {}
+            told, score = evidence_of(made, None), {}
             for name in names:
                 key = laws.LAWS[name].keys[0]
                 model = Model(law=name, size="class", ratio=math.inf, classes=(0.01,),

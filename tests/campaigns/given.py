@@ -23,7 +23,7 @@ from scipy.special import ndtr, ndtri
 from tests.campaigns import tell
 from tests.campaigns.coverage import CoverageModel, CoverageRow, Hit, Tally, coverage_hit, coverage_models, summary
 from uqsphere.arrays import Array
-from uqsphere.given import Data, analyse_data
+from uqsphere.given import Data, analyse_runs
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.joint import Dependence, Joint, conditional_scores, make_copula, make_joint
 from uqsphere.uq.law import make_law
@@ -318,7 +318,7 @@ def _repeat(model: GivenModel, n: int, known: bool, seed: int) -> tuple[list[Hit
     The analysis draws anew for every table: with one seed its designs would be off by the same amount in all of them,
     and a cell would count that one draw many times.
     """
-    found = analyse_data(_runs(model, n, seed), known=model.inputs if known else None, seed=seed)
+    found = analyse_runs(_runs(model, n, seed), known=model.inputs if known else None, seed=seed)[0]
     hits = []
     for kind, what, entry, truth in _answers(model, found):
         if entry["value"] is None:

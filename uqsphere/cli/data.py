@@ -17,7 +17,8 @@ Rows = list[dict[str, object]]
 
 def command_analyse(chosen: argparse.Namespace) -> int:
     """Analyse a table of runs."""
-    from uqsphere.given import analyse_runs, analysis_text, known_laws, read_data, study_text
+    from uqsphere.given import analyse_runs, known_laws, read_data
+    from uqsphere.given.page import analysis_page, analysis_text, study_text
 
     def names(text: str) -> list[str]:
         return [name.strip() for name in text.split(",") if name.strip()]
@@ -26,7 +27,6 @@ def command_analyse(chosen: argparse.Namespace) -> int:
     known = None if chosen.laws is None else known_laws(chosen.laws, data.inputs)
     found, surrogates = analyse_runs(data, known=known)
     if chosen.out is not None:
-        from uqsphere.given.page import analysis_page
         from uqsphere.store import write_outputs
 
         files: dict[str, bytes | str] = {

@@ -82,7 +82,7 @@ def command_plan(chosen: argparse.Namespace) -> int:
 
 def _plan_blow(study: Study, chosen: argparse.Namespace, count: int) -> int:
     """The plan of a rig that is moved by one number."""
-    from uqsphere.planning.blow import plan_blow
+    from uqsphere.planning.window import plan_blow
     from uqsphere.store import csv_text, write_outputs
 
     for name in ("speed", "rise", "length"):

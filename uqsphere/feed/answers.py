@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.errors import FolderError
 from uqsphere.feed import laws
-from uqsphere.feed.fit import Entry, FitEntry, Interval, Posterior
+from uqsphere.feed.fit import Entry, FitEntry, Interval, Posterior, read_entry
 from uqsphere.feed.population import Feed, Outcome, breaking, draws_for, populate
 from uqsphere.feed.product import Fineness, Product, ProductPlan, draw_product
-from uqsphere.files import Json, load_document, read_whole
+from uqsphere.files import Json, read_whole
 from uqsphere.mechanics.criteria import DIAMETERS, ENERGIES
 from uqsphere.uq.points import random_generator
 
@@ -28,6 +28,7 @@ FEED_FILE, TABLE_FILE = "feed.json", "feed-draws.csv"
 _ENDS: Final = (0.025, 0.975)
 #: sizes within this factor of the tested ones are theirs: half a root-two class
 _NEAR: Final = 2.0**0.25
+_NO_SIZE: Final = "no law of size"
 #: standard errors of a probability that leave a target undecided
 _ERRORS: Final = 2.0
 #: a product without one, so that the shares broken can be computed
@@ -176,7 +177,8 @@ def answer_feed(
     drawn, missing = draw_product(plan.product, tests, len(posterior), rng)
     if drawn is None and feed.progeny == "again":
         raise ValueError(f'progeny = "again" hits the fragments, and {missing}')
-    rows = _thinned(len(posterior), draws_for(drawn or _NO_PRODUCT, feed, len(posterior)))
+    wanted = draws_for(drawn or _NO_PRODUCT, feed, len(posterior))
+    rows = np.unique(np.linspace(0, len(posterior) - 1, wanted).astype(np.int64))
     some, product = posterior.at(rows), (drawn or _NO_PRODUCT).drawn(rows)
     _refuse_what_is_not_told(some, feed)
     broken = breaking(some, product, feed)
@@ -184,11 +186,13 @@ def answer_feed(
     if math.isfinite(feed.lot):
         lots = populate(broken, product, feed, random_generator(seed=feed.seed, task="feed.lots"))
     finds = _finding(mean, lots, feed, missing)
+    # the class that half of the feed's mass is coarser than: where laws of one kind stand for those of another
+    middle = float(feed.classes.sizes[int(np.searchsorted(np.cumsum(feed.classes.mass), 0.5))])
     entry = FeedEntry(
         title=title, seed=feed.seed, made_up=fitted.made_up, draws=len(rows), blows=feed.blows.count,
         progeny=feed.progeny, of=dict(plan.of), particles=dict(plan.particles), share=feed.blows.share,
         lot=feed.lot if math.isfinite(feed.lot) else None, spectrum_error=broken.error, tested=posterior.tested,
-        classes=_classes(some, mean, lots, feed), reference_size=_middle(feed), form=product.form,
+        classes=_classes(some, mean, lots, feed), reference_size=middle, form=product.form,
         curve_law=product.curve.law, fines_sieve=feed.fines,
         goal=None if plan.goal is None else _judge(plan.goal, mean, lots, feed, fitted),
         warnings=tuple(_warnings(fitted, mean, feed, product=drawn is not None)),
@@ -197,18 +201,19 @@ def answer_feed(
     )  # fmt: skip
     if drawn is None:
         return Answered(entry=entry, rows=rows, broken=mean.broken, product=None)
-    told = {"curve": _curve(mean, lots, feed), "product": _numbers(product), "sources": dict(product.sources)}
+    # the product on every sieve, its band over draws and, where there is one, over lots
+    low, high = np.quantile(mean.passing if lots is None else lots.passing, _ENDS, axis=0)
+    columns = (mean.sieves, feed.classes.passing(mean.sieves), mean.passing.mean(axis=0), low, high)
+    curve = tuple(
+        SieveEntry(sieve=x, feed=finer, value=value, low=least, high=most)
+        for x, finer, value, least, most in np.column_stack(columns).tolist()
+    )
+    parts = {"A": product.A, "b": product.b, "A b": np.asarray(product.A) * product.b}
+    if product.curve.law == "trr":
+        parts["alpha"] = product.curve.alpha
+    numbers = {name: Interval.of(np.atleast_1d(np.asarray(v, dtype=float)), "") for name, v in parts.items()}
+    told = {"curve": curve, "product": numbers, "sources": dict(product.sources)}
     return Answered(entry=entry.model_copy(update=told), rows=rows, broken=mean.broken, product=product)
-
-
-def _middle(feed: Feed) -> float:
-    """The class [m] that half of the feed's mass is coarser than: where laws of one kind stand for those of another."""
-    return float(feed.classes.sizes[int(np.searchsorted(np.cumsum(feed.classes.mass), 0.5))])
-
-
-def _thinned(count: int, wanted: int) -> Places:
-    """Places of `wanted` draws of `count`, evenly."""
-    return np.unique(np.linspace(0, count - 1, wanted).astype(np.int64))
 
 
 def _refuse_what_is_not_told(posterior: Posterior, feed: Feed) -> None:
@@ -245,14 +250,6 @@ def answer(mean: Array, lots: Array | None = None, particles: float | None = Non
     return Answer.model_validate(found)
 
 
-def interval(values: Array) -> Interval:
-    """Median and 95 % interval of draws; null where they are not finite."""
-    if not np.isfinite(values).all():
-        return Interval(reason="no law of size")
-    low, middle, high = (float(v) for v in np.quantile(values, (_ENDS[0], 0.5, _ENDS[1])))
-    return Interval(value=middle, low=low, high=high)
-
-
 def _finding(mean: Outcome, lots: Outcome | None, feed: Feed, missing: str) -> dict[str, Answer]:
     def one(name: str, *, product: bool = False) -> Answer:
         of_lots = None if lots is None else getattr(lots, name)
@@ -267,7 +264,6 @@ def _finding(mean: Outcome, lots: Outcome | None, feed: Feed, missing: str) -> d
 
 
 def _beyond(feed: Feed, tested: tuple[float, float]) -> Flags:
-    """Classes beyond the tested sizes."""
     sizes, (low, high) = feed.classes.sizes, tested
     return np.asarray((sizes * _NEAR < low) | (sizes > high * _NEAR))
 
@@ -292,30 +288,13 @@ def _classes(posterior: Posterior, mean: Outcome, lots: Outcome | None, feed: Fe
                 mass=float(classes.mass[k]),
                 particles=count,
                 extrapolated=bool(beyond[k]),
-                E50=interval(median[:, k]),
-                slope=interval(slope[:, k]),
+                E50=Interval.of(median[:, k], _NO_SIZE),
+                slope=Interval.of(slope[:, k], _NO_SIZE),
                 broken=answer(*broken, particles=count),
                 blows=answer(*blows),
             )
         )
     return tuple(found)
-
-
-def _curve(mean: Outcome, lots: Outcome | None, feed: Feed) -> tuple[SieveEntry, ...]:
-    """The product on every sieve, its band over draws and, where there is one, over lots."""
-    drawn = mean.passing if lots is None else lots.passing
-    low, high = np.quantile(drawn, _ENDS, axis=0)
-    finer = feed.classes.passing(mean.sieves)
-    columns = (mean.sieves, finer, mean.passing.mean(axis=0), low, high)
-    keys = ("sieve", "feed", "value", "low", "high")
-    return tuple(SieveEntry(**dict(zip(keys, map(float, row), strict=True))) for row in zip(*columns, strict=True))
-
-
-def _numbers(product: Product) -> dict[str, Interval]:
-    parts = {"A": product.A, "b": product.b, "A b": np.asarray(product.A) * product.b}
-    if product.curve.law == "trr":
-        parts["alpha"] = product.curve.alpha
-    return {name: interval(np.atleast_1d(np.asarray(values, dtype=float))) for name, values in parts.items()}
 
 
 # --- the target, and what to be careful about -------------------------------------------------------------------
@@ -377,12 +356,7 @@ def _warnings(fitted: FitEntry, mean: Outcome, feed: Feed, *, product: bool) -> 
 
 def read_feed(folder: Path) -> FeedEntry:
     """feed.json of a folder; raises FolderError where it is missing or damaged."""
-    try:
-        return FeedEntry.model_validate(load_document(folder / FEED_FILE))
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        raise FolderError(f"{folder / FEED_FILE} is damaged: {place}: {first['msg']}") from error
+    return read_entry(FeedEntry, folder / FEED_FILE)
 
 
 def read_draws(folder: Path, draws: int) -> dict[str, Array]:

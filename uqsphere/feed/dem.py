@@ -100,13 +100,13 @@ def choose(
     with_medians = {name: np.append(np.nanmedian(values), values) for name, values in columns.items()}
     return Draws(
         columns=with_medians, units={name: units.get(name, "J/kg") for name in columns},
-        laws=tuple(some.which.tolist()), numbers=numbers, notes=tuple(_notes(posterior, entry, rig_factor)),
+        laws=tuple(some.which.tolist()), numbers=numbers, notes=_notes(posterior, entry, rig_factor),
     )  # fmt: skip
 
 
-def _notes(posterior: Posterior, entry: FeedEntry, rig_factor: float | None) -> list[str]:
-    found = ["THE TESTS ARE MADE UP: these are no numbers of a rock"] if entry.made_up else []
-    found += [
+def _notes(posterior: Posterior, entry: FeedEntry, rig_factor: float | None) -> tuple[str, ...]:
+    notes = ["THE TESTS ARE MADE UP: these are no numbers of a rock"] if entry.made_up else []
+    notes += [
         f"study {entry.hash[:12] or 'unknown'}, seed {entry.seed}, size law {posterior.size}, law {posterior.law}",
         "draw 0 holds the median of each parameter and is no draw; the others weigh the same",
         f"sizes tested {1e3 * posterior.tested[0]:.4g} to {1e3 * posterior.tested[1]:.4g} mm",
@@ -114,11 +114,11 @@ def _notes(posterior: Posterior, entry: FeedEntry, rig_factor: float | None) -> 
         "sigma_squared is the square of sigma; A is a share here and per cent in Rocky",
     ]
     if posterior.ratio == 4.0:
-        found.append("E_max/E50 = 4 is called Rocky's default from memory, not checked at the source")
+        notes.append("E_max/E50 = 4 is called Rocky's default from memory, not checked at the source")
     if "e_inf" in posterior.draws:
         said = "none applied: e_inf is the particle's energy" if rig_factor is None else f"{rig_factor:g}: e_inf_rig"
-        found.append(f"rig factor 1 + k_p/k_s of the test rig, where a program multiplies by it itself: {said}")
-    return found
+        notes.append(f"rig factor 1 + k_p/k_s of the test rig, where a program multiplies by it itself: {said}")
+    return tuple(notes)
 
 
 def draws_csv(draws: Draws) -> str:

@@ -11,7 +11,7 @@ import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from uqsphere.arrays import Array, Values
 from uqsphere.errors import FolderError
 from uqsphere.feed import laws
 from uqsphere.files import load_document, read_whole
-from uqsphere.uq.families.drawn import LOGNORMAL, WEIBULL, WIDTH
+from uqsphere.uq.families.observed import LOGNORMAL, WEIBULL, WIDTH
 
 #: draws that go on to populations and exports
 DRAWS: Final = 4000
@@ -33,6 +33,9 @@ UNITS: Final = {
 #: a size class answers for diameters within this factor of its own: half a root-two class on either side
 _CLASS: Final = 2.0**0.25
 DRAWS_FILE, FIT_FILE = "draws.csv", "fit.json"
+
+
+E = TypeVar("E", bound="Entry")
 
 
 class Entry(BaseModel):
@@ -48,6 +51,15 @@ class Interval(Entry):
     low: float | None = None
     high: float | None = None
     reason: str = ""
+
+    @classmethod
+    def of(cls, values: Array, reason: str) -> Interval:
+        """Of draws; those that are nan are left out, and the reason is given where none is left."""
+        known = values[np.isfinite(values)]
+        if known.size == 0:
+            return cls(reason=reason)
+        low, middle, high = np.quantile(known, [0.025, 0.5, 0.975])
+        return cls(value=float(middle), low=float(low), high=float(high))
 
 
 class ParameterEntry(Entry):
@@ -207,7 +219,7 @@ class Posterior:
         return laws.force_of_energy(scale / share, reference, stiffness, density)
 
     def as_laws(self, diameter: float, count: int) -> tuple[tuple[float, ...], ...]:
-        """Draws at one diameter [m] as `uqsphere.uq.families.drawn` takes them; none between size classes."""
+        """Draws at one diameter [m] as `uqsphere.uq.families.observed` takes them; none between size classes."""
         rows = np.linspace(0, len(self) - 1, min(count, len(self))).astype(int)
         some, found = self.at(rows), np.empty((len(rows), WIDTH))
         for name, where, p in some.by_law(np.asarray(diameter)):
@@ -276,11 +288,15 @@ class Posterior:
         )  # fmt: skip
 
 
-def read_fit(folder: Path) -> FitEntry:
-    """fit.json of a folder; raises FolderError where it is missing or damaged."""
+def read_entry(kind: type[E], path: Path) -> E:
+    """A document of a result folder; raises FolderError where it is missing or damaged."""
     try:
-        return FitEntry.model_validate(load_document(folder / FIT_FILE))
+        return kind.model_validate(load_document(path))
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        raise FolderError(f"{folder / FIT_FILE} is damaged: {place}: {first['msg']}") from error
+        raise FolderError(f"{path} is damaged: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+
+
+def read_fit(folder: Path) -> FitEntry:
+    """fit.json of a folder; raises FolderError where it is missing or damaged."""
+    return read_entry(FitEntry, folder / FIT_FILE)

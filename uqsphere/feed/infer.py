@@ -35,6 +35,7 @@ from uqsphere.feed.likelihood import (
     Hill,
     Model,
     Prior,
+    bounds,
     effective_size,
     ensemble,
     evidence_of,
@@ -44,7 +45,6 @@ from uqsphere.feed.likelihood import (
     log_likelihood,
     maximise,
     split_r_hat,
-    stacked,
     terms,
 )
 from uqsphere.feed.tests import Specimens
@@ -114,6 +114,12 @@ class Drawn:
     r_hat: Mapping[str, float]
     effective: Mapping[str, float]
 
+    @property
+    def settled(self) -> bool:
+        """Whether its chains may be believed."""
+        few = min(self.effective.values(), default=math.inf) <= EFFECTIVE
+        return max(self.r_hat.values(), default=1.0) < R_HAT and not few
+
 
 def fit(tests: Specimens, request: Request, draws: int = DRAWS) -> tuple[Posterior, FitEntry]:
     """Posterior of a law and its size effect, and what is to be said of it.
@@ -132,29 +138,28 @@ def fit(tests: Specimens, request: Request, draws: int = DRAWS) -> tuple[Posteri
     drawn = [draw(few, replace(request, law=name), draws) for name in names]
     compared = compare(few, request)
     weights = _weights(names, compared)
-    compared = [replace_entry(entry, weights) if entry.law in names and _is_asked(entry, request) else entry
-                for entry in compared]  # fmt: skip
+    # a lognormal law that was compared is the one asked for by its bound
+    compared = [
+        entry.model_copy(update={"weight": weights[entry.law]})
+        if entry.law in names and (entry.law != "lognormal" or (entry.ratio or math.inf) == request.ratio)
+        else entry
+        for entry in compared
+    ]
     posterior = _joined(drawn, [weights[name] for name in names], tests, request, draws)
+    counted = CountsEntry(
+        specimens=len(tests), particles=tests.particles, broke=int(tests.weight[tests.broke].sum()),
+        exact=int(tests.weight[tests.exact & tests.broke].sum()), repeated=int(tests.repeated.sum()), cell=cell,
+    )  # fmt: skip
     entry = FitEntry(
         law=request.law, size=request.size, ratio=None if math.isinf(request.ratio) else request.ratio,
         tested=posterior.tested, classes=posterior.classes, title=request.title, seed=request.seed,
-        made_up=request.made_up, tests=_counts(tests, cell), method=drawn[0].method,
-        converged=all(_is_settled(one) for one in drawn),
+        made_up=request.made_up, tests=counted, method=drawn[0].method,
+        converged=all(one.settled for one in drawn),
         parameters={one.model.law: _parameters(one, few, request) for one in drawn},
         sizes=tuple(_size(posterior, tests, size) for size in tests.sizes[:200]), laws=tuple(compared),
         goodness=_goodness(few, drawn[int(np.argmax([weights[name] for name in names]))], request),
     )  # fmt: skip
     return posterior, entry.model_copy(update={"warnings": tuple(_warnings(entry, tests))})
-
-
-def replace_entry(entry: LawEntry, weights: Mapping[str, float]) -> LawEntry:
-    """The entry with its share in the average."""
-    return entry.model_copy(update={"weight": weights[entry.law]})
-
-
-def _is_asked(entry: LawEntry, request: Request) -> bool:
-    """Whether a law that was compared is the one asked for: a lognormal law by its bound."""
-    return entry.law != "lognormal" or (entry.ratio or math.inf) == request.ratio
 
 
 # --- the model of a request -------------------------------------------------------------------------------
@@ -220,7 +225,7 @@ def draw(tests: Specimens, request: Request, draws: int) -> Drawn:
     model = model_of(tests, request)
     if _is_exact(tests, model, request):
         return _by_pivots(tests, model, request, draws)
-    told = evidence_of(tests, request.gamma, model.classes)
+    told = evidence_of([tests], request.gamma, model.classes)
 
     def value(x: Array) -> Array:
         return log_likelihood(model, told, x) + model.log_prior(x)
@@ -276,16 +281,11 @@ def _is_exact(tests: Specimens, model: Model, request: Request) -> bool:
     return plain and not own and alone and few and bool((tests.exact | ~tests.broke).all()) and distinct
 
 
-def _series(tests: Specimens) -> tuple[list[float], list[bool]]:
-    """Energies of one size, and which were stopped, a particle each."""
-    times = tests.weight.astype(int)
-    return np.repeat(tests.last, times).tolist(), np.repeat(~tests.broke, times).tolist()
-
-
 def _by_pivots(tests: Specimens, model: Model, request: Request, draws: int) -> Drawn:
     """Exact draws at one size; what a size law has beside E50 comes from its priors."""
     strength = STRENGTHS[model.law]
-    series = make_tests(*_series(tests))
+    times = tests.weight.astype(int)
+    series = make_tests(np.repeat(tests.last, times), np.repeat(~tests.broke, times))
     best = fitted_parameters(series, strength)
     rng = random_generator(seed=request.seed, task=f"fit {model.law}")
     centre, inverse = pivots(strength, series.failed, draws, rng)
@@ -344,22 +344,12 @@ def _joined(drawn: list[Drawn], weights: list[float], tests: Specimens, request:
 # --- what the tests tell ----------------------------------------------------------------------------------
 
 
-def interval(values: Array) -> Interval:
-    """Median and 95 % interval of draws; those that are nan are left out."""
-    known = values[np.isfinite(values)]
-    if known.size == 0:
-        return Interval(reason="the law of the draws has no such number")
-    low, middle, high = np.quantile(known, [0.025, 0.5, 0.975])
-    return Interval(value=float(middle), low=float(low), high=float(high))
-
-
-def _is_settled(one: Drawn) -> bool:
-    return max(one.r_hat.values(), default=1.0) < R_HAT and min(one.effective.values(), default=math.inf) > EFFECTIVE
+def _interval(values: Array) -> Interval:
+    return Interval.of(values, "the law of the draws has no such number")
 
 
 def _parameters(one: Drawn, tests: Specimens, request: Request) -> dict[str, ParameterEntry]:
-    """Every parameter of one law."""
-    told = evidence_of(tests, request.gamma, one.model.classes)
+    told = evidence_of([tests], request.gamma, one.model.classes)
     top, _, settled = maximise(lambda x: log_likelihood(one.model, told, x), one.mode[None])
     found = {}
     for k, (name, prior) in enumerate(one.model.priors.items()):
@@ -368,7 +358,7 @@ def _parameters(one: Drawn, tests: Specimens, request: Request) -> dict[str, Par
         sure = r_hat is None or (r_hat < R_HAT and (effective or 0.0) > EFFECTIVE)
         said = f"the chains have not settled: R-hat {r_hat:.3f}, effective size {effective:.0f}" if not sure else ""
         found[name] = ParameterEntry(
-            unit=UNITS.get(name, "J/kg"), posterior=interval(np.exp(one.x[:, k])) if sure else Interval(reason=said),
+            unit=UNITS.get(name, "J/kg"), posterior=_interval(np.exp(one.x[:, k])) if sure else Interval(reason=said),
             likelihood=float(np.exp(top[0, k])) if settled[0] else None, sd=sd,
             prior=(math.exp(prior.centre), prior.sd) if math.isfinite(prior.sd) else None,
             told=not math.isfinite(prior.sd) or sd <= _UNTOLD * prior.sd, r_hat=r_hat, effective=effective,
@@ -377,44 +367,32 @@ def _parameters(one: Drawn, tests: Specimens, request: Request) -> dict[str, Par
 
 
 def _size(posterior: Posterior, tests: Specimens, size: float) -> SizeEntry:
-    """What is known at one tested size."""
     near = np.abs(np.log(tests.diameter / size)) <= 0.01
     tail = posterior.energy_at(0.01, size)
-    tails = {name: interval(tail[posterior.which == name]) for name in dict.fromkeys(posterior.which.tolist())}
+    tails = {name: _interval(tail[posterior.which == name]) for name in dict.fromkeys(posterior.which.tolist())}
     sized = any(laws.LAWS[name].sized for name in tails)
     return SizeEntry(
         diameter=size, tests=int(tests.weight[near].sum()), broke=int(tests.weight[near & tests.broke].sum()),
-        E50=interval(posterior.median(size)) if sized else Interval(reason="the law has no E50 of its own"),
-        half=interval(posterior.energy_at(0.5, size)),
-        slope=interval(posterior.slope(size)) if sized else Interval(value=1.0, low=1.0, high=1.0), low_tail=tails,
-    )  # fmt: skip
-
-
-def _counts(tests: Specimens, cell: float) -> CountsEntry:
-    return CountsEntry(
-        specimens=len(tests), particles=tests.particles, broke=int(tests.weight[tests.broke].sum()),
-        exact=int(tests.weight[tests.exact & tests.broke].sum()), repeated=int(tests.repeated.sum()), cell=cell,
+        E50=_interval(posterior.median(size)) if sized else Interval(reason="the law has no E50 of its own"),
+        half=_interval(posterior.energy_at(0.5, size)),
+        slope=_interval(posterior.slope(size)) if sized else Interval(value=1.0, low=1.0, high=1.0), low_tail=tails,
     )  # fmt: skip
 
 
 def _warnings(entry: FitEntry, tests: Specimens) -> list[str]:
     """What a reader must know, one sentence each."""
-    found = [said for law, parameters in entry.parameters.items() for said in _untold(law, parameters)]
+    found = []
+    for law, parameters in entry.parameters.items():
+        found += [f"{name} ({law}): {one.posterior.reason}" for name, one in parameters.items() if one.posterior.reason]
+        untold = " and ".join(name for name, one in parameters.items() if not one.told)
+        if untold:
+            found.append(f"these tests do not tell {untold} ({law}): the posterior is about as wide as the prior")
+        if any(one.likelihood is None for one in parameters.values()):
+            found.append(f"the largest likelihood of the {law} law runs away: without priors the tests do not bound it")
     if tests.particles < FEW:
         found += _few(entry, tests.particles)
     if entry.tests is not None and entry.tests.cell:
         found.append(f"{len(tests):,} specimens were gathered in cells of {entry.tests.cell:.1%} of size and energy")
-    return found
-
-
-def _untold(law: str, parameters: Mapping[str, ParameterEntry]) -> list[str]:
-    """What the tests do not tell of one law."""
-    found = [f"{name} ({law}): {one.posterior.reason}" for name, one in parameters.items() if one.posterior.reason]
-    untold = " and ".join(name for name, one in parameters.items() if not one.told)
-    if untold:
-        found.append(f"these tests do not tell {untold} ({law}): the posterior is about as wide as the prior")
-    if any(one.likelihood is None for one in parameters.values()):
-        found.append(f"the largest likelihood of the {law} law runs away: without priors the tests do not bound it")
     return found
 
 
@@ -448,22 +426,19 @@ def compare(tests: Specimens, request: Request) -> list[LawEntry]:
     for name, law, ratio in candidates:
         one = replace(request, law=law, ratio=ratio, size=request.size if law == "weibull" else size)
         model = model_of(tests, one)
-        told = evidence_of(tests, request.gamma, model.classes)
-        best, loo = _scores(model, told, start_of(model, tests, told), request.seed)
+        told = evidence_of([tests], request.gamma, model.classes)
+        reached, loo = _scores(model, told, start_of(model, tests, told), request.seed)
         bound = ratio if law == "lognormal" and math.isfinite(ratio) else None
-        found.append(LawEntry(name=name, law=law, ratio=bound, log_likelihood=best, loo=loo))
-    top = max(one.log_likelihood for one in found)
-    told_by = [one.loo for one in found if one.loo is not None]
-    return [one.model_copy(update={"words": _words(one, top, max(told_by, default=math.nan))}) for one in found]
-
-
-def _words(one: LawEntry, top: float, best: float) -> str:
-    """What a difference of scores is worth saying; nothing up to `_WORTH_WORDS`."""
-    behind, lost = top - one.log_likelihood, math.inf if one.loo is None else best - one.loo
-    if behind <= _WORTH_WORDS or lost <= _WORTH_WORDS:
-        return ""
-    score = f" and {lost:.1f} in leave-one-out score" if one.loo is not None else ""
-    return f"{one.name} fits worse by {behind:.1f} in ln likelihood{score}"
+        found.append(LawEntry(name=name, law=law, ratio=bound, log_likelihood=reached, loo=loo))
+    top = max(entry.log_likelihood for entry in found)
+    best = max((entry.loo for entry in found if entry.loo is not None), default=math.nan)
+    for k, entry in enumerate(found):
+        behind, lost = top - entry.log_likelihood, math.inf if entry.loo is None else best - entry.loo
+        if behind > _WORTH_WORDS and lost > _WORTH_WORDS:
+            score = f" and {lost:.1f} in leave-one-out score" if entry.loo is not None else ""
+            words = f"{entry.name} fits worse by {behind:.1f} in ln likelihood{score}"
+            found[k] = entry.model_copy(update={"words": words})
+    return found
 
 
 def _largest(model: Model, told: Evidence, start: Array) -> float:
@@ -524,9 +499,11 @@ def _goodness(tests: Specimens, one: Drawn, request: Request) -> GoodnessEntry:
         gamma = float(np.exp(one.mode[one.model.names.index("gamma")]))
     model, mode = replace(one.model, priors=priors), one.mode[keep]
     rng = random_generator(seed=request.seed, task="goodness of fit")
-    whole = _single_particles(tests)
+    times, whole = tests.weight.astype(int), tests
+    if times.sum() <= 2 * _MOST:  # every particle a specimen: the scatter of a made-up series is that of particles
+        whole = replace(tests.at(np.repeat(np.arange(len(tests)), times)), weight=np.ones(int(times.sum())))
     drawn = _again(model, mode, whole, 4.0 if gamma is None else gamma, _SERIES, rng)
-    told = stacked([whole, *drawn], 4.0 if gamma is None else gamma, model.classes)
+    told = evidence_of([whole, *drawn], 4.0 if gamma is None else gamma, model.classes)
 
     def value(x: Array) -> Array:
         return log_likelihood(model, told, x) + model.log_prior(x)
@@ -535,14 +512,6 @@ def _goodness(tests: Specimens, one: Drawn, request: Request) -> GoodnessEntry:
     distances = _distances(model, told, places)
     p_value = (1 + int((distances[1:] >= distances[0]).sum())) / (_SERIES + 1)
     return GoodnessEntry(distance=float(distances[0]), p_value=p_value, series=_SERIES)
-
-
-def _single_particles(tests: Specimens) -> Specimens:
-    """Every particle a specimen, up to `_MOST`: the scatter of a made-up series is that of particles."""
-    times = tests.weight.astype(int)
-    if times.sum() > 2 * _MOST:
-        return tests
-    return replace(tests.at(np.repeat(np.arange(len(tests)), times)), weight=np.ones(int(times.sum())))
 
 
 def _again(
@@ -574,14 +543,8 @@ def _distances(model: Model, told: Evidence, x: Array) -> Array:
     p, law = model.parameters(x[:, None, :]), laws.LAWS[model.law]
     exact = np.exp(law.below(told.exact[:, None], model.at(told.exact_at[:, None], p)))[:, 0]
     at = model.at(told.at[:, None], p)
-    low, high = told.low[:, None], told.high[:, None]
-    if not law.sized:
-        least = at["threshold"] / at["diameter"]
-        low = least + laws.excess_after(told.blows[:, None], told.before[:, None], least)
-        high = np.where(told.survived[:, None], np.inf,
-                        least + laws.excess_after(told.blows[:, None], told.after[:, None], least))  # fmt: skip
     with np.errstate(divide="ignore", invalid="ignore"):
-        ends = [np.exp(law.below(part, at))[:, 0] for part in (low, high)]
+        ends = [np.exp(law.below(part, at))[:, 0] for part in bounds(model, told, at)]
     first = np.concatenate([exact, ends[0]], axis=1)
     last = np.concatenate([exact, np.where(told.survived, 1.0, ends[1])], axis=1)
     weight = np.concatenate([told.exact_weight, told.weight], axis=1)

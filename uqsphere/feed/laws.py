@@ -33,9 +33,6 @@ from uqsphere.mechanics.damage import damage_of, energy_share
 Parameters = Mapping[str, Values]
 #: E_max over E50 of the truncated law, Rocky's default (from memory)
 RATIO: Final = 4.0
-#: sd of ln(-ln(1 - P)) of a Weibull law over 1/m_E, pi/sqrt 6; Euler's constant
-_GUMBEL_SD: Final = math.pi / math.sqrt(6.0)
-_EULER: Final = 0.5772156649015329
 #: Newton's steps that find a damage to 1e-15, from a start that is exact at both ends; what counts as nothing left
 _STEPS: Final = 7
 _LEAST: Final = 1e-30
@@ -75,10 +72,6 @@ def _weibull_density(energy: Values, p: Parameters) -> Array:
         return np.asarray(np.log(0.6 * np.asarray(p["modulus"]) * h / energy) - h)
 
 
-def _weibull_quantile(share: Values, p: Parameters) -> Array:
-    return np.asarray(p["median"] * (-np.log1p(-np.asarray(share)) / math.log(2.0)) ** (1.0 / (0.6 * p["modulus"])))
-
-
 def _excess(energy: Values, p: Parameters) -> Array:
     """-ln(1 - P) of Vogel and Peukert's law."""
     least = np.asarray(p["threshold"]) / p["diameter"]
@@ -89,10 +82,6 @@ def _excess_density(energy: Values, p: Parameters) -> Array:
     least, slope = np.asarray(p["threshold"]) / p["diameter"], np.asarray(p["f_mat"]) * p["diameter"]
     with np.errstate(divide="ignore"):
         return np.where(np.asarray(energy) > least, np.log(slope) - _excess(energy, p), -np.inf)
-
-
-def _excess_quantile(share: Values, p: Parameters) -> Array:
-    return np.asarray(p["threshold"] / p["diameter"] - np.log1p(-np.asarray(share)) / (p["f_mat"] * p["diameter"]))
 
 
 def _log_rest(hazard: Array) -> Array:
@@ -145,13 +134,17 @@ LAWS: Final = {
             between=_lognormal_between,
         ),
         FractureLaw(
-            name="weibull", keys=("modulus",), density=_weibull_density, quantile=_weibull_quantile,
+            name="weibull", keys=("modulus",), density=_weibull_density,
+            quantile=lambda q, p: p["median"]
+            * (-np.log1p(-np.asarray(q)) / math.log(2.0)) ** (1.0 / (0.6 * p["modulus"])),
             below=lambda e, p: _log_rest(_hazard(e, p)), above=lambda e, p: -_hazard(e, p),
             between=lambda low, high, p: _between_hazards(_hazard(low, p), _hazard(high, p)),
         ),
         FractureLaw(
             name="vogel_peukert", keys=("f_mat", "threshold"), sized=False,
-            density=_excess_density, quantile=_excess_quantile,
+            density=_excess_density,
+            quantile=lambda q, p: p["threshold"] / p["diameter"]
+            - np.log1p(-np.asarray(q)) / (p["f_mat"] * p["diameter"]),
             below=lambda e, p: _log_rest(_excess(e, p)), above=lambda e, p: -_excess(e, p),
             between=lambda low, high, p: _between_hazards(_excess(low, p), _excess(high, p)),
         ),
@@ -166,11 +159,6 @@ def broken_share(law: str, energy: Values, p: Parameters) -> Array:
     0.5
     """
     return np.asarray(np.exp(LAWS[law].below(energy, p)))
-
-
-def log_between(law: str, low: Values, high: Values, p: Parameters) -> Array:
-    """ln(P(high) - P(low)), from the tail that both lie in; low 0 and high inf are the ends."""
-    return LAWS[law].between(low, high, p)
 
 
 # --- size -------------------------------------------------------------------------------------------------
@@ -314,24 +302,3 @@ def particle_share(E: Values, nu: Values, partner_E: Values, partner_nu: Values)
     """
     modulus = contact.reduced_modulus(E, nu, partner_E, partner_nu)
     return np.asarray(modulus * (1.0 - np.square(nu)) / np.asarray(E, dtype=float))
-
-
-def weakest_link(force: Values, diameter: Values, f_s: Values, modulus: Values, reference: Values) -> Array:
-    """P = 1 - exp(-(d/d_r)^(3 - 2m) (F/Fs)^m), flaws in the volume and stress as F/d², (F6).
-
-    The first fracture energy of the same particles is Weibull's: m_E = 3m/5, and at equal P it goes as d^(-5/m), (F7).
-    """
-    m = np.asarray(modulus, dtype=float)
-    size = (np.asarray(diameter) / reference) ** (3.0 - 2.0 * m)
-    return np.asarray(-np.expm1(-size * (np.asarray(force) / f_s) ** m))
-
-
-def lognormal_like(modulus: Values, median: Values) -> tuple[Array, Array]:
-    """E50 and sigma that a lognormal fit takes of many Weibull energies: sigma = pi/sqrt(6)/m_E, its low tail is not.
-
-    >>> [round(float(part), 3) for part in lognormal_like(5.0, 1.0)]
-    [0.932, 0.428]
-    """
-    m_e = 0.6 * np.asarray(modulus, dtype=float)
-    scale = np.asarray(median) * math.log(2.0) ** (-1.0 / m_e)
-    return scale * np.exp(-_EULER / m_e), _GUMBEL_SD / m_e

@@ -13,7 +13,7 @@ invariant ensemble of J. Goodman and J. Weare, Commun. Appl. Math. Comput. Sci. 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
@@ -83,13 +83,9 @@ class Evidence:
         return self.low.ndim == 3
 
 
-def evidence_of(tests: Specimens, gamma: float | None, classes: tuple[float, ...] = ()) -> Evidence:
-    """The likelihood's view of tests; gamma None leaves it open where a specimen was hit twice."""
-    return stacked([tests], gamma, classes)
-
-
-def stacked(series: list[Specimens], gamma: float | None, classes: tuple[float, ...] = ()) -> Evidence:
-    """Series as one `Evidence`, the shorter ones filled up with specimens of no weight."""
+def evidence_of(series: Sequence[Specimens], gamma: float | None, classes: tuple[float, ...] = ()) -> Evidence:
+    """The likelihood's view of series of tests, the shorter ones filled up with specimens of no weight; gamma None
+    leaves it open where a specimen was hit twice."""
     exact = _filled([(one, np.flatnonzero(one.exact & one.broke)) for one in series])
     rest = _filled([(one, np.flatnonzero(~(one.exact & one.broke))) for one in series])
     blows, after, before, weight = (
@@ -205,17 +201,21 @@ def terms(model: Model, told: Evidence, x: Array) -> tuple[Array, Array]:
         if told.at.shape[1] == 0:
             return exact, np.zeros((*x.shape[:2], 0))
         at = model.at(told.at[:, None, :], p)
-        if not law.sized:
-            least = at["threshold"] / at["diameter"]
-            low = least + laws.excess_after(told.blows[:, None], told.before[:, None], least)
-            high = least + laws.excess_after(told.blows[:, None], told.after[:, None], least)
-            high = np.where(told.survived[:, None, :], np.inf, high)
-        elif told.depends_on_gamma:
+        if law.sized and told.depends_on_gamma:
             log_gamma = x[..., model.names.index("gamma")]
             low, high = _at_gamma(told.low, log_gamma), _at_gamma(told.high, log_gamma)
         else:
-            low, high = told.low[:, None, :], told.high[:, None, :]
-        return exact, laws.log_between(model.law, low, high, at)
+            low, high = bounds(model, told, at)
+        return exact, law.between(low, high, at)
+
+
+def bounds(model: Model, told: Evidence, at: Mapping[str, Values]) -> tuple[Array, Array]:
+    """Energies (R, W, k) that every first fracture energy lies between, where no gamma is open."""
+    if laws.LAWS[model.law].sized:
+        return told.low[:, None], told.high[:, None]
+    least = at["threshold"] / at["diameter"]
+    low, high = (least + laws.excess_after(told.blows[:, None], n[:, None], least) for n in (told.before, told.after))
+    return low, np.where(told.survived[:, None], np.inf, high)
 
 
 def log_likelihood(model: Model, told: Evidence, x: Array) -> Array:
@@ -410,12 +410,8 @@ def in_cells(tests: Specimens) -> tuple[Specimens, float]:
             break
         width *= 1.4
     place = place.ravel()
-    weight = np.bincount(place, weights=one.weight)
+    weight = np.bincount(place, weights=one.weight).astype(float)
     centre = np.exp([np.bincount(place, weights=one.weight * part) / weight for part in logs.T])
     energies = np.zeros((len(first), found.energies.shape[1]))
     energies[:, 0] = centre[1]
-    return Specimens(
-        diameter=np.concatenate([centre[0], rest.diameter]), energies=np.concatenate([energies, rest.energies]),
-        counts=np.concatenate([one.counts[first], rest.counts]), broke=np.concatenate([one.broke[first], rest.broke]),
-        exact=np.concatenate([one.exact[first], rest.exact]), weight=np.concatenate([weight, rest.weight]),
-    ), width  # fmt: skip
+    return replace(one.at(first), diameter=centre[0], energies=energies, weight=weight).join(rest), width

@@ -118,7 +118,7 @@ def options(posterior: Posterior, target: Array, sizes: Sequence[float], *, rigs
     for size in sizes:
         middle = float(np.median(posterior.energy_at(0.5, size)))
         if "measured" in rigs:
-            found.append(replace(Option(size=size, energy=None), sd=_after_measured(posterior, target, size)))
+            found.append(Option(size=size, energy=None, sd=_after_measured(posterior, target, size)))
         for energy in [level * middle for level in _LEVELS] if "go" in rigs else []:
             for blows in _BLOWS:
                 broken = posterior.broken(energy, size, blows)
@@ -128,7 +128,6 @@ def options(posterior: Posterior, target: Array, sizes: Sequence[float], *, rigs
 
 
 def _variance(target: Array, weight: Array) -> float:
-    """Variance of draws by their weights."""
     total = float(weight.sum())
     if total <= 0.0:
         return 0.0
@@ -271,21 +270,17 @@ def plan_tests(
     sds = {1: min(go.sd, measured.sd), **{count: scale * long[count] for count in (10, 30)}}
     shares = {size: sum(one.size == size for one in taken) / max(len(taken), 1) for size in sizes}
     middle = float(np.median(target))
+    # by what each adds to the precision of the target
+    before = about.sd(np.zeros_like(about.covariance)) ** -2
+    gains = [about.sd(information(about, one)) ** -2 - before for one in (measured, go)]
     return TestPlan(
         target=words, relative=relative, value=math.exp(middle) if relative else middle,
         now=_NINETY_FIVE * now, go=go, measured=measured,
         after={count: _NINETY_FIVE * sd for count, sd in sds.items()},
         needed=len(taken) if path[-1] <= aim / scale else None,
         sizes={size: share for size, share in shares.items() if share > 0.0},
-        worth=_worth(about, measured, go), practice=_practice(about, sizes, scale),
+        worth=gains[0] / gains[1] if gains[1] > 0.0 else math.inf, practice=_practice(about, sizes, scale),
     )  # fmt: skip
-
-
-def _worth(about: Normal, measured: Option, go: Option) -> float:
-    """How many tests of one kind one of the other is worth: by what each adds to the precision of the target."""
-    before = about.sd(np.zeros_like(about.covariance)) ** -2
-    gains = [about.sd(information(about, one)) ** -2 - before for one in (measured, go)]
-    return gains[0] / gains[1] if gains[1] > 0.0 else math.inf
 
 
 def _practice(about: Normal, sizes: Sequence[float], scale: float) -> dict[str, float]:

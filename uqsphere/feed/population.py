@@ -405,7 +405,9 @@ def populate(broken: Breaking, product: Product, feed: Feed, rng: np.random.Gene
         whole, finer, energy, t10 = _again(broken, product, feed, counts, rng, sieves, mean)
     else:
         whole, finer = unbroken, _fragments(product, broken.t10, at_blow, sieves)
-        energy, t10 = struck @ mean, _mean_t10(at_blow, broken.t10)
+        total = at_blow.sum(axis=(1, 2, 3))
+        fineness = (at_blow * broken.t10).sum(axis=(1, 2, 3))
+        energy, t10 = struck @ mean, fineness / np.where(total > 0.0, total, np.nan)
     passing = np.minimum(whole @ _whole_finer(classes, sieves) + finer, 1.0)
     passing = np.maximum.accumulate(passing, axis=1)
     p80, p50 = (size_at(p, sieves, passing) for p in (0.8, 0.5))
@@ -422,13 +424,6 @@ def populate(broken: Breaking, product: Product, feed: Feed, rng: np.random.Gene
         by_class=by_class, broken=first.sum(axis=(1, 2)), blows_by_class=blows_by_class, blows=struck.sum(axis=1),
         t10=t10, sieves=sieves, passing=passing, p80=p80, p50=p50, fines=fines, energy=energy, reduction=f80 / p80,
     )  # fmt: skip
-
-
-def _mean_t10(mass: Array, t10: Array) -> Array:
-    """t10 of what broke, by mass, (D,); nan where nothing did."""
-    total = mass.sum(axis=(1, 2, 3))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray((mass * t10).sum(axis=(1, 2, 3)) / np.where(total > 0.0, total, np.nan))
 
 
 def _again(

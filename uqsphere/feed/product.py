@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -142,7 +142,6 @@ class Product:
 
     def drawn(self, rows: Places) -> Product:
         """The same with those of its draws alone."""
-        from dataclasses import replace
 
         def pick(values: Values) -> Values:
             values = np.asarray(values, dtype=float)
@@ -291,6 +290,4 @@ def fit_alpha(
 
 def drawn_curve(curve: Curve, draws: int, rng: np.random.Generator, sd: float = DISCREPANCY) -> Curve:
     """The curve with a discrepancy in every draw: `sd` of t_n at t_n = 0.5."""
-    from dataclasses import replace
-
     return replace(curve, shift=_SCORE * sd * rng.standard_normal(draws))

@@ -8,7 +8,7 @@ below it (broke) or above it (survived).  Rows of the same specimen are blows on
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
@@ -108,8 +108,12 @@ class Specimens:
 
     def at(self, rows: npt.NDArray[np.int64] | Flags) -> Specimens:
         """Some of the specimens."""
-        return Specimens(diameter=self.diameter[rows], energies=self.energies[rows], counts=self.counts[rows],
-                     broke=self.broke[rows], exact=self.exact[rows], weight=self.weight[rows])  # fmt: skip
+        return Specimens(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
+
+    def join(self, other: Specimens) -> Specimens:
+        """These specimens and others, of as many blows at the most."""
+        pairs = ((field.name, getattr(self, field.name), getattr(other, field.name)) for field in fields(self))
+        return Specimens(**{name: np.concatenate([own, more]) for name, own, more in pairs})
 
     def gathered(self) -> Specimens:
         """Specimens that are alike taken together, by their weights."""
@@ -117,9 +121,7 @@ class Specimens:
         _, first, place = np.unique(table, axis=0, return_index=True, return_inverse=True)
         weight = np.bincount(place.ravel(), weights=self.weight)
         order = np.argsort(first)
-        found = self.at(first[order])
-        return Specimens(diameter=found.diameter, energies=found.energies, counts=found.counts, broke=found.broke,
-                     exact=found.exact, weight=np.asarray(weight[order], dtype=float))  # fmt: skip
+        return replace(self.at(first[order]), weight=np.asarray(weight[order], dtype=float))
 
 
 def make_specimens(diameter: Values, energy: Values, *, broke: Values = True, exact: Values = True) -> Specimens:
@@ -139,8 +141,11 @@ def specimens_of(rows: Rows) -> Specimens:
     _, first, place = np.unique(rows.specimen, return_index=True, return_inverse=True)
     order = np.argsort(place, kind="stable")
     parts = np.split(order, np.flatnonzero(np.diff(place[order])) + 1)
+    at_failure = np.isin(rows.rig, [rig for rig, known in RIGS.items() if known])
     if all(len(part) == 1 for part in parts):
-        return _single(rows)
+        base = Specimens(diameter=rows.diameter, energies=rows.energy[:, None], counts=rows.blows[:, None],
+                         broke=rows.broken > 0, exact=at_failure, weight=rows.particles.astype(float))  # fmt: skip
+        return _with_both(base, rows.broken, rows.particles)
     longest = max(len(part) for part in parts)
     shape = (len(parts), longest)
     energies, counts = np.zeros(shape), np.zeros(shape, dtype=np.int64)
@@ -150,34 +155,18 @@ def specimens_of(rows: Rows) -> Specimens:
     alone = np.array([len(part) == 1 for part in parts])
     base = Specimens(
         diameter=rows.diameter[first], energies=energies, counts=counts, broke=rows.broken[last] > 0,
-        exact=np.array([RIGS[str(rig)] for rig in rows.rig[last]]) & (alone | (rows.broken[last] == 0)),
+        exact=at_failure[last] & (alone | (rows.broken[last] == 0)),
         weight=rows.particles[last].astype(float),
     )  # fmt: skip
     return _with_both(base, rows.broken[last], rows.particles[last])
 
 
-def _single(rows: Rows) -> Specimens:
-    """Every row a specimen of its own."""
-    known = {rig: RIGS[rig] for rig in dict.fromkeys(rows.rig.tolist())}
-    exact = np.isin(rows.rig, [rig for rig, at_failure in known.items() if at_failure])
-    base = Specimens(diameter=rows.diameter, energies=rows.energy[:, None], counts=rows.blows[:, None],
-                 broke=rows.broken > 0, exact=exact, weight=rows.particles.astype(float))  # fmt: skip
-    return _with_both(base, rows.broken, rows.particles)
-
-
 def _with_both(tests: Specimens, broken: npt.NDArray[np.int64], particles: npt.NDArray[np.int64]) -> Specimens:
     """Of particles alike those that broke and those that did not, each by its weight."""
     mixed = (broken > 0) & (broken < particles)
-    rest = tests.at(mixed)
-    weight = np.where(broken > 0, broken, particles).astype(float)
-    return Specimens(
-        diameter=np.concatenate([tests.diameter, rest.diameter]),
-        energies=np.concatenate([tests.energies, rest.energies]),
-        counts=np.concatenate([tests.counts, rest.counts]),
-        broke=np.concatenate([tests.broke, np.zeros(len(rest), dtype=bool)]),
-        exact=np.concatenate([tests.exact, rest.exact]),
-        weight=np.concatenate([weight, (particles - broken)[mixed].astype(float)]),
-    )
+    survived = replace(tests.at(mixed), broke=np.zeros(int(mixed.sum()), dtype=bool),
+                       weight=(particles - broken)[mixed].astype(float))  # fmt: skip
+    return replace(tests, weight=np.where(broken > 0, broken, particles).astype(float)).join(survived)
 
 
 def faults_of(rows: Rows) -> list[RowFault]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from uqsphere.given.analysis import analyse_data, analyse_runs, known_laws
+from uqsphere.given.analysis import analyse_runs, known_laws
 from uqsphere.given.table import Data, read_data
-from uqsphere.given.text import analysis_text, study_text
 
-__all__ = ["Data", "analyse_data", "analyse_runs", "analysis_text", "known_laws", "read_data", "study_text"]
+__all__ = ["Data", "analyse_runs", "known_laws", "read_data"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -12,10 +12,18 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
-from uqsphere.given.answers import given_answers, odd_pairs
+from uqsphere.given.answers import (
+    TiedPair,
+    given_answers,
+    left_open,
+    odd_pairs,
+    rank_correlations,
+    tied,
+    ties_of,
+    with_ties,
+)
 from uqsphere.given.table import Data, Document, combinations
-from uqsphere.given.ties import TiedPair, left_open, rank_correlations, tied, ties_of, with_ties
-from uqsphere.uq.estimate import Estimate, absent
+from uqsphere.uq.estimate import Estimate, absent, mean_alone, sd_alone
 from uqsphere.uq.expansion.germs import germs_of
 from uqsphere.uq.families import LawError
 from uqsphere.uq.joint import Joint
@@ -66,14 +74,10 @@ def known_laws(path: Path, names: Sequence[str]) -> Joint:
     return study.inputs().only(tuple(names))
 
 
-def analyse_data(data: Data, *, known: Joint | None = None, seed: int = 0) -> Document:
-    """Everything that the table tells, ready for JSON: `analyse_runs` without the surrogates."""
-    return analyse_runs(data, known=known, seed=seed)[0]
-
-
 def analyse_runs(data: Data, *, known: Joint | None = None, seed: int = 0) -> tuple[Document, dict[str, Surrogate]]:
     """Marginal laws with their fit and what it leaves open, rank correlations, distributions of the outputs,
-    first-order indices by ranks, and what an expansion tells; and the surrogates that may be used, by output.
+    first-order indices by ranks, and what an expansion tells, ready for JSON; and the surrogates that may be used, by
+    output.
 
     `known`: laws that the runs were drawn from, in the order of the inputs; they are fitted to the runs otherwise.
     """
@@ -81,18 +85,14 @@ def analyse_runs(data: Data, *, known: Joint | None = None, seed: int = 0) -> tu
 
     # one thread of linear algebra: the same bytes on every machine, and no threads that wait for each other
     with threadpool_limits(limits=1, user_api="blas"):
-        return _analysed(data, known, seed)
-
-
-def _analysed(data: Data, known: Joint | None, seed: int) -> tuple[Document, dict[str, Surrogate]]:
-    marginals, laws = _fitted(data, seed) if known is None else _given(data, known)
-    ties, dependence = _dependence(data, fitted=known is None)
-    if known is None:
-        laws = _tied(data, laws, ties)
-    combined = [one.text(data.inputs) for one in combinations(data.x)]
-    if combined:
-        laws = replace(laws, inputs=None, others=(), reason=combined[0])
-    answers = {name: _answered(data, k, laws, ties, seed) for k, name in enumerate(data.outputs)}
+        marginals, laws = _fitted(data, seed) if known is None else _given(data, known)
+        ties, dependence = _dependence(data, fitted=known is None)
+        if known is None:
+            laws = _tied(data, laws, ties)
+        combined = [one.text(data.inputs) for one in combinations(data.x)]
+        if combined:
+            laws = replace(laws, inputs=None, others=(), reason=combined[0])
+        answers = {name: _answered(data, k, laws, ties, seed) for k, name in enumerate(data.outputs)}
     document = {
         "schema_version": SCHEMA_VERSION,
         "rows": len(data.x),
@@ -129,7 +129,6 @@ def _dependence(data: Data, *, fitted: bool) -> tuple[tuple[TiedPair, ...], list
 
 
 def _fitted(data: Data, seed: int) -> tuple[Document, _Laws]:
-    """Laws fitted to the runs."""
     from uqsphere.uq.points import random_generator
 
     marginals: Document = {}
@@ -189,17 +188,21 @@ def _marginal(values: Array, generator: np.random.Generator) -> tuple[Document, 
     else:
         others = plausible_laws(fits, _LAWS, generator)
     entry["mean"], entry["sd"] = law.mean(), law.sd()
-    for what, of in (("mean", Law.mean), ("sd", Law.sd)):
-        # of a sum of kernels both are closed forms
-        found = np.array([_of_kernels(other)[what] if law.family.observed else of(other) for other in others])
-        found = found[np.isfinite(found)]
-        entry[f"{what}_left_open"] = [float(e) for e in np.quantile(found, [0.025, 0.975])] if found.size else None
+    entry["mean_left_open"], entry["sd_left_open"] = _left_open(law, others)
     return entry, law, others
 
 
-def _of_kernels(law: Law) -> dict[str, float]:
-    data = np.asarray(law.data)
-    return {"mean": float(data.mean()), "sd": math.hypot(float(data.std()), law.parameters["bandwidth"])}
+def _left_open(law: Law, others: Sequence[Law]) -> Iterator[list[float] | None]:
+    """Between which mean and standard deviation lie under the laws that the observations leave open."""
+    for what in ("mean", "sd"):
+        if not law.family.observed:
+            found = np.array([getattr(other, what)() for other in others])
+        elif what == "mean":  # of a sum of kernels both are closed forms
+            found = np.array([np.mean(other.data) for other in others])
+        else:
+            found = np.array([math.hypot(float(np.std(other.data)), other.parameters["bandwidth"]) for other in others])
+        found = found[np.isfinite(found)]
+        yield [float(end) for end in np.quantile(found, [0.025, 0.975])] if found.size else None
 
 
 def _kernels(values: Array) -> Law:
@@ -217,21 +220,17 @@ def _kernels(values: Array) -> Law:
 
 
 def _parameters(law: Law) -> dict[str, float]:
-    """The keys of the law in a study."""
     bounds = {"lower": law.lower, "upper": law.upper} if law.family.bounded else {}
     return {**dict(law.parameters), **bounds}
 
 
 def _given(data: Data, known: Joint) -> tuple[Document, _Laws]:
     """Laws that the runs were drawn from, and whether the runs look like it."""
-    from uqsphere.uq.fitting import kolmogorov_p_value
+    from uqsphere.uq.fitting import goodness
 
     marginals: Document = {}
-    n = len(data.x)
     for k, (name, law) in enumerate(zip(known.names, known.laws, strict=True)):
-        below = np.sort(law.cdf(data.x[:, k]))
-        distance = float(max((below - np.arange(n) / n).max(), ((np.arange(n) + 1.0) / n - below).max()))
-        p_value = kolmogorov_p_value(distance, n)
+        distance, p_value = goodness(law, data.x[:, k])
         doubt = f"its runs do not look drawn from its law (p-value {p_value:.2g})" if p_value < _DOUBT else None
         marginals[name] = {
             "chosen": law.family.name,
@@ -280,7 +279,10 @@ def _answered(
     largest = float(np.abs(y).max())
     unit = 2.0 ** min(max(math.frexp(largest)[1], -1000), 1000) if largest > 0.0 else 1.0
     generator = random_generator(seed=seed, task=f"analyse ranks {name}")
-    output = _output(y / unit)
+    n, quantiles = y.size, {}
+    for p in _QUANTILES:
+        reason = f"{n} runs are too few for an interval of the {p:g} quantile"
+        quantiles[f"{p:g}"] = quantile_interval(y / unit, p) or absent(reason, "order statistics", n)
     ranks = dict(zip(data.inputs, rank_indices(data.x, y / unit, generator), strict=True))
     found, chaos, surrogate = _expansion(data, y / unit, laws, ties, (seed, name))
     told = None
@@ -295,9 +297,9 @@ def _answered(
         }
         chaos |= found
     scaled: Document = {
-        "mean": _scaled(output["mean"], unit),
-        "sd": _scaled(output["sd"], unit),
-        "quantiles": {p: _scaled(e, unit) for p, e in output["quantiles"].items()},
+        "mean": _scaled(mean_alone(y / unit).as_dict(), unit),
+        "sd": _scaled(sd_alone(y / unit).as_dict(), unit),
+        "quantiles": {p: _scaled(e.as_dict(), unit) for p, e in quantiles.items()},
         "expansion": told,
         "notes": _looks(y / unit, unit),
     }
@@ -336,23 +338,6 @@ def _scaled(entry: Document, unit: float) -> Document:
     return absent(
         "beyond what floating point can hold: change the unit", entry["method"], entry["evaluations"]
     ).as_dict()
-
-
-def _output(values: Array) -> Document:
-    """Mean, standard deviation and quantiles of independent runs."""
-    from uqsphere.uq.estimate import mean_alone, sd_alone
-
-    n = values.size
-    quantiles = {}
-    for p in _QUANTILES:
-        found = quantile_interval(values, p)
-        reason = f"{n} runs are too few for an interval of the {p:g} quantile"
-        quantiles[f"{p:g}"] = (found or absent(reason, "order statistics", n)).as_dict()
-    return {
-        "mean": mean_alone(values).as_dict(),
-        "sd": sd_alone(values).as_dict(),
-        "quantiles": quantiles,
-    }
 
 
 # --- the expansion ---------------------------------------------------------------------------------------------

@@ -1,14 +1,18 @@
-"""The analysis of a table of runs as a page with figures: what drives each output, how it and the inputs are spread."""
+"""The analysis of a table of runs for the terminal, as a page with figures, and as the beginning of a study."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.console import screen_width, table, wrap, writable
+from uqsphere.errors import told as safe
 from uqsphere.given.table import Data, Document
-from uqsphere.given.text import dependence_lines, expansion_line
+from uqsphere.quantities import format_estimate
 from uqsphere.report.blocks import Block, Chapter, Table, cell, index_cell
 from uqsphere.report.brief import Answer, Brief
 from uqsphere.report.feed import page_files, told_cautions
@@ -16,26 +20,192 @@ from uqsphere.report.figures.canvas import BLUE, GREY, INK, Picture, new_figure,
 from uqsphere.report.figures.distributions import draw_indices
 from uqsphere.report.phrases import two
 from uqsphere.results.entries import Est
+from uqsphere.study.limits import valid_name
+from uqsphere.study.resolve import RESERVED
 
 #: outputs whose mean is set large, inputs of a figure, bars of a histogram
 _LARGE, _ROWS, _BINS = 3, 24, 40
-_CALLED: Final = {"mean": "mean", "sd": "standard deviation"}
+#: pairs from which on a list of all would say nothing to anybody
+_MANY: Final = 30
+#: a unit behind a name; characters of a name that is made; the largest rank correlation that is written
+_UNIT: Final = re.compile(r"\s*[\[(][^\])]*[\])]\s*$")
+_LONGEST: Final = 40
+_STRONGEST: Final = 0.9999
+#: what is called by which name
+_ORDERS: Final = {"shapley": "Shapley effect", "first": "first", "total": "total"}
+
+Show = Callable[[Document], str]
+Rows = list[tuple[str, ...]]
 
 
-def analysis_page(found: Document, data: Data) -> dict[str, str]:
-    """report.html of an analysis with the files of its figures: name -> text."""
-    outputs = tuple(_output(found, data, k, name) for k, name in enumerate(data.outputs))
-    parts = [
-        Chapter(anchor="drivers", heading="What drives the outputs",
-                blocks=tuple(_drivers(found, k, name) for k, name in enumerate(data.outputs))),
-        Chapter(anchor="outputs", heading="The outputs", blocks=outputs),
-        Chapter(anchor="inputs", heading="The inputs", blocks=(_inputs(found),)),
-    ]  # fmt: skip
-    return page_files("analysis of given data", _brief(found, data), parts)
+def _shown(estimate: Document) -> str:
+    if estimate["value"] is None:
+        reason = "too few runs" if "too few" in estimate["reason"] else estimate["reason"]
+        return f"- ({reason})"
+    return format_estimate(estimate["value"], estimate["low"], estimate["high"])
+
+
+def _share(estimate: Document) -> str:
+    """A share of 1: what is known beyond six decimals is of no use to anybody."""
+    if estimate["value"] is None or estimate["high"] - estimate["low"] > 2e-6:
+        return _shown(estimate)
+    return f"{estimate['value'] + 0.0:.6f}"
 
 
 def _est(entry: Document) -> Est:
     return Est.model_validate(entry)
+
+
+# --- the tables -----------------------------------------------------------------------------------------------
+
+
+def _inputs(found: Document) -> tuple[tuple[str, ...], Rows, list[str]]:
+    """Header and rows of the laws, and what is to be said of them."""
+    rows: Rows = []
+    said = []
+    for name, entry in found["inputs"].items():
+        if entry["chosen"] is None:
+            same = entry["fixed"]
+            row = ("-", "", "", "", "", "") if same is None else ("fixed", "", f"{same:.5g}", "", "", "")
+        else:
+            others = [f"{kind} {weight:.0%}" for kind, weight in entry["weights"].items() if kind != entry["chosen"]]
+            said += [f"{name} may also be {', '.join(others[:3])}"] * bool(others)
+            ends = [entry[f"{what}_left_open"] for what in ("mean", "sd")]
+            opened = [f"{end[0]:.4g} to {end[1]:.4g}" if end else "-" for end in ends]
+            row = (entry["chosen"], f"{entry['fits'][0]['p_value']:.2g}", f"{entry['mean']:.5g}", opened[0],
+                   f"{entry['sd']:.4g}", opened[1])  # fmt: skip
+        rows.append((name, *row))
+    header: tuple[str, ...] = ("input", "law", "fit (p)", "mean", "left open (95 %)", "sd: scatter", "left open (95 %)")
+    if found["laws"] == "known":
+        header, rows = ("input", "law", "fit (p)", "mean", "sd: scatter"), [(*row[:4], row[5]) for row in rows]
+        said = ["fit (p): how often runs drawn from the law would lie as far from it"]
+    else:
+        said += [
+            "fit (p): how often runs of the law itself would lie as far from it; below 0.01 it is refused",
+            f"left open: what {found['rows']:,} runs do not know of the law, its family included; more runs narrow it, "
+            "not the scatter",
+        ]
+    return header, rows, said + [f"{name}: {one['reason']}" for name, one in found["inputs"].items() if one["reason"]]
+
+
+def _dependence(found: Document) -> list[str]:
+    """Which inputs depend on each other, or are given by others."""
+    parts, tied = [], [pair for pair in found["dependence"] if pair["dependent"]]
+    for pair in tied[:_MANY]:
+        copula = pair.get("copula")
+        taken = "" if copula in (None, "gaussian") else f", taken for a {copula.capitalize()} copula"
+        said = f"{' and '.join(pair['of'])} depend on each other: rank correlation {_share(pair['spearman'])}{taken}"
+        parts.append(said)
+    if len(tied) > _MANY:
+        parts.append(f"and {len(tied) - _MANY} pairs more")
+    parts += found["combinations"][:_MANY]
+    if not tied and found["dependence"]:
+        parts.append("no two inputs depend on each other beyond chance")
+    return parts
+
+
+def _statistics(entry: Document, show: Show) -> Rows:
+    """Statistics of one output: by the runs alone, and by the expansion."""
+    alone = {"mean": ("mean", entry["mean"]), "sd": ("standard deviation", entry["sd"])}
+    alone |= {p: (f"{100.0 * float(p):g} % quantile", e) for p, e in entry["quantiles"].items()}
+    more = entry["expansion"]
+    return [
+        (label, show(one), "-" if more is None else show(more[key]["whole"])) for key, (label, one) in alone.items()
+    ]
+
+
+def _indices(entry: Document, show: Show, share: Show) -> Rows:
+    """Shares of the variance of one output: by ranks, and every kind that the expansion has."""
+    chaos = entry["chaos"]
+    kinds = [chaos[order] for order in _ORDERS if order in chaos]
+    # an expansion knows inputs that vary alone
+    return [
+        (source, show(estimate), *(share(kind[source]["whole"]) if source in kind else "-" for kind in kinds))
+        for source, estimate in entry["ranks"].items()
+    ]
+
+
+def _index_header(entry: Document) -> tuple[str, ...]:
+    orders = (f"{called}, by expansion" for order, called in _ORDERS.items() if order in entry["chaos"])
+    return ("drivers", "first, by ranks (95 %)", *orders)
+
+
+def _expansion(found: Document, name: str) -> str:
+    """What the intervals of an expansion hold."""
+    chaos = found["sensitivity"][name]["chaos"]
+    entries = [e for order in _ORDERS for e in chaos.get(order, {}).values() if e["surrogate"]["value"] is not None]
+    text = f"expansion: {chaos['reason']}"
+    if not entries:
+        return text
+    own = max(0.5 * (e["surrogate"]["high"] - e["surrogate"]["low"]) for e in entries)
+    text = f"{text}; its own error moves no index by more than {own:.1g}"
+    if found["laws"] == "known":
+        return text
+    opened = max(e["left_open"] for e in entries)
+    return (
+        f"{text}, what the runs leave open of the laws by up to {opened:.1g}, and the intervals hold both. Where the "
+        "laws are known, give them: --laws STUDY.toml"
+    )
+
+
+# --- the terminal ---------------------------------------------------------------------------------------------
+
+
+def analysis_text(found: Document, width: int | None = None) -> str:
+    """The analysis for the terminal: no line is longer than `width` columns, those of the terminal where it is None."""
+    columns = screen_width() if width is None else width
+    header, laws, said = _inputs(found)
+    parts = [f"{found['rows']:,} rows", "", table(header, laws, columns), *said, *_dependence(found), ""]
+    expanded = any(entry["expansion"] is not None for entry in found["outputs"].values())
+    statistics: list[tuple[str, ...] | str] = []
+    for name, entry in found["outputs"].items():
+        statistics += [name, *(row if expanded else row[:2] for row in _statistics(entry, _shown))]
+    ways = ("by the runs alone (95 %)", "by the expansion (95 %)") if expanded else ("value (95 % interval)",)
+    parts += [table(("output", *ways), statistics, columns), ""]
+    parts.append(_drivers_text(found, columns))
+    for name, entry in found["sensitivity"].items():
+        chaos = entry["chaos"]
+        parts += ["", f"{name}: {_expansion(found, name)}"]
+        parts += [f"{name}: {note}" for note in [*found["outputs"][name]["notes"], *chaos.get("notes", ())]]
+        if entry["disagree"]:
+            parts.append(
+                f"{name}: WARNING: runs and expansion disagree by more than chance: {'; '.join(entry['disagree'])}. "
+                "The laws, or what is said of the dependence, are wrong, or the runs were not drawn independently; "
+                "believe neither before that is settled"
+            )
+    # a text of one line is a sentence, one of several a table
+    return writable("\n".join(text if "\n" in text else wrap(text, columns) for text in parts))
+
+
+def _drivers_text(found: Document, columns: int) -> str:
+    """Indices of every output; tables of those without an expansion have columns less."""
+    texts = []
+    tables: dict[tuple[str, ...], list[tuple[str, ...] | str]] = {}
+    for name, entry in found["sensitivity"].items():
+        reasons = {estimate.get("reason") for estimate in entry["ranks"].values()}
+        if len(reasons) == 1 and None not in reasons:
+            texts.append(wrap(f"{name}: no index by ranks: {reasons.pop()}", columns))
+        else:
+            tables.setdefault(_index_header(entry), []).extend([name, *_indices(entry, _shown, _share)])
+    return "\n\n".join([*texts, *(table(header, rows, columns) for header, rows in tables.items())])
+
+
+# --- the page -------------------------------------------------------------------------------------------------
+
+
+def analysis_page(found: Document, data: Data) -> dict[str, str]:
+    """report.html of an analysis with the files of its figures: name -> text."""
+    header, laws, said = _inputs(found)
+    table = Table(caption="Laws", header=header, rows=tuple(laws))
+    inputs = Block(heading="Laws and dependence", table=table, remarks=(*said, *_dependence(found)))
+    parts = [
+        Chapter(anchor="drivers", heading="What drives the outputs",
+                blocks=tuple(_drivers(found, k, name) for k, name in enumerate(data.outputs))),
+        Chapter(anchor="outputs", heading="The outputs",
+                blocks=tuple(_output(found, data, k, name) for k, name in enumerate(data.outputs))),
+        Chapter(anchor="inputs", heading="The inputs", blocks=(inputs,)),
+    ]  # fmt: skip
+    return page_files("analysis of given data", _brief(found, data), parts)
 
 
 def _shares(found: Document, name: str) -> tuple[dict[str, Est], dict[str, Est], tuple[str, str]]:
@@ -95,21 +265,16 @@ def _drivers(found: Document, number: int, name: str) -> Block:
             header=("input", *(f"{word}, {end}" for word in words for end in ("value", "low", "high"))),
             rows=tuple((s, *(v for e in (one[s], other[s]) for v in (e.value, e.low, e.high))) for s in drawn),
         )  # fmt: skip
-    ranks = found["sensitivity"][name]["ranks"]
-    rows = tuple((source, index_cell(_est(ranks[source])), index_cell(one[source]), index_cell(other[source]))
-                 for source in names)  # fmt: skip
-    table = Table(caption=f"Shares of the variance of {name}", header=("input", "by ranks", *words), rows=rows)
-    return Block(heading=name, picture=picture, table=table, remarks=(expansion_line(found, name),))
+    entry = found["sensitivity"][name]
+    rows = _indices(entry, lambda estimate: index_cell(_est(estimate)), lambda estimate: index_cell(_est(estimate)))
+    rows.sort(key=lambda row: names.index(row[0]) if row[0] in names else len(names))
+    table = Table(caption=f"Shares of the variance of {name}", header=_index_header(entry), rows=tuple(rows))
+    return Block(heading=name, picture=picture, table=table, remarks=(_expansion(found, name),))
 
 
 def _output(found: Document, data: Data, number: int, name: str) -> Block:
-    entry, values = found["outputs"][name], data.y[:, number]
-    told = entry["expansion"]
-    estimates = {**{key: entry[key] for key in _CALLED}, **entry["quantiles"]}
-    rows = []
-    for key, estimate in estimates.items():
-        label = _CALLED.get(key) or f"{100.0 * float(key):g} % quantile"
-        rows.append((label, cell(_est(estimate)), "–" if told is None else cell(_est(told[key]["whole"]))))
+    values = data.y[:, number]
+    rows = _statistics(found["outputs"][name], lambda estimate: cell(_est(estimate)))
     header = ("number", "by the runs alone", "by the expansion")
     table = Table(caption=f"{name}, with 95 % intervals", header=header, rows=tuple(rows))
     return Block(heading=name, picture=_histogram(values[np.isfinite(values)], number, name), table=table)
@@ -134,15 +299,54 @@ def _histogram(values: Array, number: int, name: str) -> Picture | None:
     )  # fmt: skip
 
 
-def _inputs(found: Document) -> Block:
-    rows = []
-    for name, entry in found["inputs"].items():
-        if entry["chosen"] is None:
-            fixed = entry.get("fixed")
-            rows.append((name, "–" if fixed is None else "fixed", "", "–" if fixed is None else f"{fixed:.5g}", ""))
+# --- a study --------------------------------------------------------------------------------------------------
+
+
+def study_text(found: Document) -> str:
+    """The inputs as a black-box study would have them, to go on with; names that a study cannot have are changed."""
+    called = _study_names([*found["inputs"], *found["outputs"]])
+    lines = ["# laws fitted to given data; a study with these inputs runs with --model FILE.py:FUNCTION"]
+    lines += [f"# {name} stands for the column {safe(column, 80)}" for column, name in called.items() if name != column]
+    lines += ["", "[inputs]"]
+    given = set()
+    for column, entry in found["inputs"].items():
+        name = called[column]
+        if entry.get("fixed") is not None:
+            lines.append(f"{name} = {entry['fixed']!r}")
             continue
-        fit = f"{entry['fits'][0]['p_value']:.2g}"
-        rows.append((name, entry["chosen"], fit, f"{entry['mean']:.5g}", f"{entry['sd']:.4g}"))
-    header = ("input", "law", "fit (p)", "mean", "standard deviation")
-    table = Table(caption="Laws", header=header, rows=tuple(rows), note="A fit below 0.01 is refused.")
-    return Block(heading="Laws and dependence", table=table, remarks=tuple(dependence_lines(found)))
+        if entry["chosen"] in (None, "kde", "empirical"):
+            lines.append(f"# {name}: {safe(entry['reason'])}; give it as an empirical law with its own CSV")
+            continue
+        given.add(column)
+        keys = ", ".join(f"{key} = {value!r}" for key, value in entry["parameters"].items())
+        lines.append(f'{name} = {{ dist = "{entry["chosen"]}", {keys} }}')
+    for pair in found["dependence"]:
+        if pair["dependent"] and given.issuperset(pair["of"]):
+            names = ", ".join(f'"{called[column]}"' for column in pair["of"])
+            # a study refuses inputs that give each other
+            rank = min(max(pair["spearman"]["value"], -_STRONGEST), _STRONGEST)
+            lines += ["", "[[dependence]]", f"of = [{names}]", f"spearman = {rank:.4f}"]
+            if pair.get("copula") not in (None, "gaussian"):
+                lines.append(f'copula = "{pair["copula"]}"')
+    names = ", ".join(f'"{called[column]}"' for column in found["outputs"])
+    return "\n".join([*lines, "", "[outputs]", f"names = [{names}]", ""])
+
+
+def _study_names(columns: Sequence[str]) -> dict[str, str]:
+    """Names that a study takes, each once, for columns: their own where they are such, else without unit and signs.
+
+    >>> _study_names(["E [GPa]", "b", "E", "%"])
+    {'b': 'b', 'E': 'E', 'E [GPa]': 'E_2', '%': 'column'}
+    """
+    called = {column: column for column in columns if valid_name(column) and column not in RESERVED}
+    for column in columns:
+        if column in called:
+            continue
+        name = "".join(c if valid_name(f"a{c}") else "_" for c in _UNIT.sub("", column)[:_LONGEST])
+        stem = name if name.strip("_-") and valid_name(name) and name not in RESERVED else "column"
+        name, number = stem, 1
+        while name in called.values():
+            number += 1
+            name = f"{stem}_{number}"
+        called[column] = name
+    return called

@@ -72,7 +72,11 @@ def _place(path: Path, header: Sequence[str], name: str) -> int:
     """Where a column stands; raises UsageError where it is not, or more than once."""
     if header.count(name) != 1:
         said = "twice or more" if name in header else "not"
-        hint = " (the first line is taken for their names)" if all(map(_is_number, header)) else ""
+        hint = (
+            " (the first line is taken for their names)"
+            if np.isfinite([_number(cell) for cell in header]).all()
+            else ""
+        )
         raise UsageError(f"{path}: the column {name!r} is {said} there; columns: {', '.join(header[:30])}{hint}")
     return header.index(name)
 
@@ -105,14 +109,6 @@ def _number(cell: str) -> float:
         return float(cell)
     except ValueError:
         return math.nan
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 # --- Columns of a table that others give exactly: copies and linear combinations, which no analysis can tell apart.

@@ -54,6 +54,7 @@ def plan_figure(found: Plan, which: int, title: str) -> str:
     speed, rise = found.speeds, found.rises * 1e6
     with style():
         from matplotlib.collections import PolyCollection
+        from matplotlib.colors import to_rgb
         from matplotlib.patches import Patch
 
         figure, (axes,) = new_figure(4.9)
@@ -71,7 +72,9 @@ def plan_figure(found: Plan, which: int, title: str) -> str:
         for where, colour, hatch, alpha, words in fields:
             if not where.any():
                 continue
-            fill = _paler(colour, alpha)
+            # on white and solid, so that neighbours leave no seam
+            red, green, blue = (alpha * part + 1.0 - alpha for part in to_rgb(colour))
+            fill = red, green, blue
             cells = _cells(np.asarray(where), edges_v, edges_r)
             axes.add_collection(PolyCollection(cells, facecolors=fill, edgecolors=fill, linewidths=0.3))
             if hatch:
@@ -98,16 +101,19 @@ def plan_figure(found: Plan, which: int, title: str) -> str:
             f"|P_A \u2212 P_B| at fracture at most {found.request.level:.3g} of the larger force"
         )
         figure.legend(handles=handles, loc="outside lower left", ncols=2)
-    return render(Picture(name="plan", title=f"Plan of a test: {title}", finding=_finding(found, which),
-                                 figure=figure))  # fmt: skip
+    picture = Picture(name="plan", title=f"Plan of a test: {title}", finding=_finding(found, which), figure=figure)
+    return render(picture)
 
 
-def _paler(colour: str, share: float) -> tuple[float, float, float]:
-    """A colour on white, of which `share` is left: solid, so that neighbours leave no seam."""
-    from matplotlib.colors import to_rgb
-
-    red, green, blue = (share * part + 1.0 - share for part in to_rgb(colour))
-    return red, green, blue
+def _finding(found: Plan, which: int) -> str:
+    """The widest window in a sentence."""
+    kind = "batch" if len(found.subject.batch) > 1 else "quantile"
+    windows = [window for window in found.charts[which].windows if window.kind == kind]
+    if not windows:
+        return "No listed ramp has a speed at which every constraint is kept."
+    best = max(windows, key=lambda window: window.high / window.low)
+    return (f"The widest window is {best.low:.3g} to {best.high:.3g} m/s, under a ramp of {best.rise * 1e6:.4g} µs; "
+            "dashed lines are the least lengths of the striker.")  # fmt: skip
 
 
 def _cells(where: Flags, edges_v: Array, edges_r: Array) -> list[Array]:
@@ -148,15 +154,3 @@ def _plain_ticks(axes: Axes, low: float, high: float) -> None:
     if ticks:
         axes.xaxis.set_major_locator(FixedLocator(ticks))
     axes.xaxis.set_major_formatter(lambda value, place: f"{value:g}")
-
-
-def _finding(found: Plan, which: int) -> str:
-    """The widest window in a sentence."""
-    chart = found.charts[which]
-    kind = "batch" if len(found.subject.batch) > 1 else "quantile"
-    windows = [window for window in chart.windows if window.kind == kind]
-    if not windows:
-        return "No listed ramp has a speed at which every constraint is kept."
-    best = max(windows, key=lambda window: window.high / window.low)
-    return (f"The widest window is {best.low:.3g} to {best.high:.3g} m/s, under a ramp of {best.rise * 1e6:.4g} µs; "
-            "dashed lines are the least lengths of the striker.")  # fmt: skip

@@ -1,4 +1,4 @@
-"""The window of a test: a map over striker speed and ramp, its edges, and the constraint that binds at every point.
+"""The plan of a test: a map over striker speed and ramp, its edges, and the constraint that binds at every point.
 
 The scene of a study stands at its means; what scatters is the strength.  Nineteen specimens stand for the batch, at
 every twentieth of the strength's distribution from the 5 % to the 95 % fractile: a weak one breaks early, a strong one
@@ -30,8 +30,9 @@ from uqsphere.mechanics.design import (
     usages,
 )
 from uqsphere.mechanics.outputs import Path, path_of
-from uqsphere.mechanics.scene import STATUS, Scene
-from uqsphere.model import scene_of
+from uqsphere.mechanics.scene import STATUS, Scene, answered
+from uqsphere.mechanics.validity import grades_of
+from uqsphere.model import scene_of, solve_scene
 from uqsphere.study import Limit, Study
 from uqsphere.study.axis import SPEED
 from uqsphere.uq.law import Law
@@ -263,12 +264,11 @@ def judge_points(
     scene = ramp_scene(columns, rises, rigid_contact=subject.rigid_contact, demands=subject.demands)
     names = [limit.quantity for limit in subject.limits]
     breaks = break_on_ramp(scene, names, subject.paths, subject.strengths, fidelity=subject.fidelity)
-    return scene, breaks, [usages(scene, breaks, _rig(subject, request, length)) for length in request.lengths]
-
-
-def _rig(subject: Subject, request: Request, length: float) -> Rig:
-    return Rig(length=length, fall=subject.fall, level=request.level, first_return=subject.first_return,
-               round_trip=subject.round_trip, dents=subject.dents)  # fmt: skip
+    rigs = (
+        Rig(length=length, fall=subject.fall, level=request.level, first_return=subject.first_return,
+            round_trip=subject.round_trip, dents=subject.dents) for length in request.lengths
+    )  # fmt: skip
+    return scene, breaks, [usages(scene, breaks, rig) for rig in rigs]
 
 
 def plan_test(study: Study, request: Request) -> Plan:
@@ -285,31 +285,21 @@ def plan_test(study: Study, request: Request) -> Plan:
     every_rise, every_speed = (axis.ravel() for axis in np.meshgrid(rises, speeds, indexing="ij"))
     scene, breaks, used = judge_points(subject, request, every_speed, every_rise)
     shape = (ramps, count, len(subject.fractiles))
-
-    def gridded(flat: Array) -> Array:
-        return flat.reshape(shape)
-
     c = subject.columns
     transit = 2.0 * c["sphere.radius"] / wave_speed(c["sphere.E"], c["sphere.density"])
-    maps = [{name: gridded(values) for name, values in one.items()} for one in used]
+    maps = [{name: values.reshape(shape) for name, values in one.items()} for one in used]
     places = np.unique(np.linspace(0, ramps - 1, min(LISTED, ramps)).round().astype(int))
     listed = rises[places]
     windows, nearest = _windows(subject, request, np.geomspace(*request.speeds, _FINER * (count - 1) + 1), listed)
     charts = []
-    for k, (length, one) in enumerate(zip(request.lengths, maps, strict=True)):
+    for length, one, own, near in zip(request.lengths, maps, windows, nearest, strict=True):
         binds, kept = binding(one)
-        charts.append(
-            Chart(length=length, used=one, binds=binds, kept=kept, windows=tuple(windows[k]), nearest=nearest[k])
-        )
+        charts.append(Chart(length=length, used=one, binds=binds, kept=kept, windows=tuple(own), nearest=near))
     return Plan(
-        request=request,
-        subject=subject,
-        speeds=speeds,
-        rises=rises,
-        listed=tuple(listed.tolist()),
+        request=request, subject=subject, speeds=speeds, rises=rises, listed=tuple(listed.tolist()),
         breaks=Breaks(**{field.name: getattr(breaks, field.name).reshape(shape) for field in fields(breaks)}),
-        transits=gridded(breaks.time / transit),
-        shortest=gridded(shortest_striker(scene, breaks, subject.fall)),
+        transits=(breaks.time / transit).reshape(shape),
+        shortest=shortest_striker(scene, breaks, subject.fall).reshape(shape),
         charts=tuple(charts),
     )  # fmt: skip
 
@@ -336,18 +326,6 @@ def _in_the_way(used: Mapping[str, Array], at: list[int]) -> str:
     return _name(int(binding(used)[0][s, at[int(worst[s].argmax())]]))
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Edge:
-    """A change between two speeds of the map, under one ramp, for one length and kind; `opens` upwards."""
-
-    chart: int
-    kind: str
-    rise: float
-    low: float
-    high: float
-    opens: bool
-
-
 def _windows(
     subject: Subject, request: Request, speeds: Array, rises: Array
 ) -> tuple[list[list[Window]], list[dict[tuple[str, float], str]]]:
@@ -366,11 +344,9 @@ def _windows(
                 if not whole[chart, kind, rise].any():
                     nearest[chart][kind, rise] = _in_the_way({name: values[r] for name, values in used.items()}, at)
     edges = [
-        _Edge(
-            chart=chart, kind=kind, rise=rise, low=float(speeds[s]), high=float(speeds[s + 1]), opens=bool(all_[s + 1])
-        )
+        _Edge(chart=chart, kind=kind, rise=rise, inner=float(speeds[s + opens]), outer=float(speeds[s + 1 - opens]))
         for (chart, kind, rise), all_ in whole.items()
-        for s in np.flatnonzero(np.diff(all_))
+        for s, opens in ((s, bool(all_[s + 1])) for s in np.flatnonzero(np.diff(all_)))
     ]
     return _between(whole, edges, _place(subject, request, edges), speeds, len(judged)), nearest
 
@@ -378,24 +354,35 @@ def _windows(
 def _between(
     whole: Mapping[tuple[int, str, float], Flags],
     edges: Sequence[_Edge],
-    placed: Sequence[tuple[float, str]],
+    places: Sequence[tuple[float, str]],
     speeds: Array,
     charts: int,
 ) -> list[list[Window]]:
     """Windows of every chart, between an edge that opens and the one that closes, or where the speeds end."""
     ends: dict[tuple[int, str, float, bool], list[tuple[float, str | None]]] = defaultdict(list)
-    for edge, place in zip(edges, placed, strict=True):
-        ends[edge.chart, edge.kind, edge.rise, edge.opens].append(place)
-    windows: list[list[Window]] = [[] for _ in range(charts)]
     for key, all_ in whole.items():
-        lowest: list[tuple[float, str | None]] = [(float(speeds[0]), None)] if all_[0] else []
-        highest: list[tuple[float, str | None]] = [(float(speeds[-1]), None)] if all_[-1] else []
-        pairs = zip(lowest + ends[*key, True], ends[*key, False] + highest, strict=True)
-        windows[key[0]] += _settable([
-            Window(kind=key[1], rise=key[2], low=low, high=high, below=below, above=above)
-            for (low, below), (high, above) in pairs
+        ends[*key, True] += [(float(speeds[0]), None)] * bool(all_[0])
+    for edge, place in zip(edges, places, strict=True):
+        ends[edge.chart, edge.kind, edge.rise, edge.inner > edge.outer].append(place)
+    windows: list[list[Window]] = [[] for _ in range(charts)]
+    for (chart, kind, rise), all_ in whole.items():
+        highest = ends[chart, kind, rise, False] + [(float(speeds[-1]), None)] * bool(all_[-1])
+        windows[chart] += _settable([
+            Window(kind=kind, rise=rise, low=low, high=high, below=below, above=above)
+            for (low, below), (high, above) in zip(ends[chart, kind, rise, True], highest, strict=True)
         ])  # fmt: skip
     return windows
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Edge:
+    """A change between two speeds of the map, under one ramp, for one length and kind; all is kept at the inner one."""
+
+    chart: int
+    kind: str
+    rise: float
+    inner: float
+    outer: float
 
 
 def _settable(windows: list[Window]) -> list[Window]:
@@ -414,9 +401,7 @@ def _place(subject: Subject, request: Request, edges: Sequence[_Edge]) -> list[t
     """The speed of every edge, on its inner side, and the constraint that is broken beyond it."""
     if not edges:
         return []
-    rises = np.array([edge.rise for edge in edges])
-    inner = np.array([edge.high if edge.opens else edge.low for edge in edges])
-    outer = np.array([edge.low if edge.opens else edge.high for edge in edges])
+    rises, inner, outer = np.array([(edge.rise, edge.inner, edge.outer) for edge in edges]).T
     names = [""] * len(edges)
     for turn in range(HALVINGS + 1):
         # the last turn asks what is broken just outside
@@ -432,3 +417,69 @@ def _place(subject: Subject, request: Request, edges: Sequence[_Edge]) -> list[t
         if turn < HALVINGS:
             inner, outer = np.where(held, middle, inner), np.where(held, outer, middle)
     return [(float(speed), name) for speed, name in zip(inner, names, strict=True)]
+
+
+# --- a rig other than bars ----------------------------------------------------------------------------------
+#
+# Its speed, drop, force or displacement is moved: where along this one number the sphere breaks, and what checks say.
+
+#: the one number of a rig, the first that it has
+_NUMBERS: Final = ("rig.speed", "rig.drop_height", "hammer.speed", "hammer.drop_height", "platens.force",
+                   "platens.displacement")  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blow:
+    """Values (S,) [SI] of the number at `path`, and what comes of each.
+
+    `force` is the largest [N], `breaks` whether the sphere at the quantile asked for breaks, `share` how much of those
+    at 5 to 95 % of the strength does, `grade` the worst of the checks (-1: no answer) and `check` which one that is.
+    """
+
+    path: str
+    limits: tuple[Limit, ...]
+    quantile: float
+    values: Array
+    force: Array
+    breaks: Flags
+    share: Array
+    grade: Places
+    check: tuple[str, ...]
+
+    def first(self, where: Flags) -> float | None:
+        """The least value from which on something holds to the end; None where it does not."""
+        return float(self.values[np.flatnonzero(~where)[-1] + 1 if not where.all() else 0]) if where[-1] else None
+
+
+def plan_blow(study: Study, *, quantile: float = 0.5, count: int = 60) -> Blow:
+    """What breaks the sphere of a study in its rig, over the range of its margins or a decade to either side.
+
+    Raises
+    ------
+    UsageError
+        For a study without a rig of its own, or without a limit that means fracture.
+    """
+    if study.rig == "none":
+        raise UsageError("a test is planned in the study's own rig, and this study has none but its services")
+    found = fracture_limits(study)
+    columns = scene_of(study, {}, 1).columns
+    path = next(name for name in _NUMBERS if name in columns)
+    own, asked = float(columns[path][0]), study.margins
+    ends = (asked.axis.low, asked.axis.high) if asked is not None and asked.axis.path == path else (0.1 * own, 10 * own)
+    values = np.geomspace(*ends, count)
+    scene = scene_of(study, {path: values}, count)
+    answers = solve_scene(scene, "full", tolerance=study.model.tolerance, threads=None, quantities=None)
+    scatter = any(isinstance(limit.strength, Law) for limit, _ in found)
+    fractiles = np.array([quantile, *(FRACTILES if scatter else ())])
+    with np.errstate(invalid="ignore"):
+        over = [answers.values[limit.quantity][:, None] > strength_at(limit, fractiles) for limit, _ in found]
+    broken = np.any(over, axis=0)
+    graded = grades_of(scene, answers)
+    good, names, stacked = answered(answers.status), list(graded), np.stack(list(graded.values()))
+    worst = np.where(good, stacked.max(axis=0), -1)
+    check = [names[k] if grade > 1 else "" for k, grade in zip(stacked.argmax(axis=0), worst, strict=True)]
+    return Blow(
+        path=path, limits=tuple(limit for limit, _ in found), quantile=quantile, values=values,
+        force=answers.values["P_max"], breaks=broken[:, 0] & good,
+        share=broken[:, 1 if scatter else 0 :].mean(axis=1), grade=worst, check=tuple(check),
+    )  # fmt: skip

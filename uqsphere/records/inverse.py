@@ -324,6 +324,9 @@ _TOLERANCE: Final = 1e-7
 # baselines of the three waves
 _MODULUS, _GAIN_A, _GAIN_B, _SHIFT_A, _SHIFT_B, _NOISE = range(6)
 _BASE: Final = _NOISE + NOISE_MODES
+#: numbers of the scene that the model takes
+_NEEDED: Final = ("sphere.E", "sphere.nu", "sphere.radius", "sphere.density", "bars.E", "bars.nu", "bars.density",
+                  "bars.diameter")  # fmt: skip
 _COUNT: Final = _BASE + 3
 
 
@@ -437,7 +440,7 @@ def forces_of(faces: Faces, columns: Mapping[str, float], gain_sd: float = 0.0,
 class _Fit:
     """The model of one test over its parameters; motions are kept, for shifts and gauge gains need no new one."""
 
-    def __init__(self, faces: Faces, columns: Mapping[str, float], gain_sd: float, shift_sd: float) -> None:
+    def __init__(self, faces: Faces, columns: Mapping[str, float], gain_sd: float) -> None:
         self.faces, self.columns = faces, dict(columns)
         self.pulse = fit_pulse(faces.pulse)
         self.speed = float(bars.wave_speed(columns["bars.E"], columns["bars.density"]))
@@ -450,7 +453,7 @@ class _Fit:
         self.sd = np.sqrt(np.square(faces.noise[1:]) * np.maximum(faces.memory[1:], 1e-3) + missed)
         self.prior = np.full(_COUNT, np.inf)
         self.prior[[_GAIN_A, _GAIN_B]] = max(gain_sd, 1e-9)
-        self.prior[[_SHIFT_A, _SHIFT_B]] = max(shift_sd, 1e-12)
+        self.prior[[_SHIFT_A, _SHIFT_B]] = max(faces.step, 1e-12)
         self.prior[_NOISE:] = 1.0
         self.start = np.zeros(_COUNT)
         self.start[_MODULUS] = math.log(float(contact.reduced_modulus(
@@ -571,12 +574,6 @@ class _Fit:
         return min(trials, key=lambda pair: pair[0])[1]
 
 
-def _blocks(length: int, loaded: int) -> Places:
-    """Borders of blocks from `loaded` to the end."""
-    width = max(_FEWEST_INVERSE, (length - loaded) // _BLOCKS)
-    return np.arange(loaded, length - width + 1, width, dtype=np.int64)
-
-
 def _unforeseen(fit: _Fit, parameters: Array, covariance: Array, borders: Places, width: int) -> list[float]:
     """Mean residuals of blocks behind the fit over their standard deviations, the larger of both waves."""
     count = len(fit.faces.incident)
@@ -591,14 +588,6 @@ def _unforeseen(fit: _Fit, parameters: Array, covariance: Array, borders: Places
             worst = max(worst, abs(float(residual[part].mean())) / math.sqrt(spread))
         found.append(worst)
     return found
-
-
-def _all_blocks(fit: _Fit, parameters: Array, borders: Places, width: int) -> float:
-    """The largest mean residual of a block over the scatter of its noise, fitted to all of them."""
-    count = len(fit.faces.incident)
-    residual = fit.residual(parameters, count).reshape(2, count)
-    means = [np.abs(residual[:, first : first + width].mean(axis=1)).max() for first in borders]
-    return float(max(means) * math.sqrt(width))
 
 
 def _departure(fit: _Fit, forces: Forces, borders: Places,
@@ -638,7 +627,7 @@ def _departure(fit: _Fit, forces: Forces, borders: Places,
     return None, parameters, covariance, length
 
 
-def invert(faces: Faces, columns: Mapping[str, float], *, gain_sd: float = 0.01, shift_sd: float | None = None,
+def invert(faces: Faces, columns: Mapping[str, float], *, gain_sd: float = 0.01,
            departure: bool = True) -> Inverse:  # fmt: skip
     """Forces, contact stiffness and the end of the elastic contact of one test.
 
@@ -650,8 +639,6 @@ def invert(faces: Faces, columns: Mapping[str, float], *, gain_sd: float = 0.01,
         begins, from an eighth to eight times its E*.
     gain_sd : float
         Relative standard deviation of the gain of each gauge.
-    shift_sd : float, optional
-        Standard deviation of the times of the reflected and the transmitted wave [s]; a sample if not given.
     departure : bool
         Look for the end of the elastic contact.
 
@@ -660,23 +647,25 @@ def invert(faces: Faces, columns: Mapping[str, float], *, gain_sd: float = 0.01,
     RecordError
         Where the model cannot follow the record or no force rises above its noise.
     """
-    needed = [f"sphere.{key}" for key in ("E", "nu", "radius", "density")]
-    needed += [f"bars.{key}" for key in ("E", "nu", "density", "diameter")]
-    scene = {name: float(columns[name]) for name in needed}
+    scene = {name: float(columns[name]) for name in _NEEDED}
     if "bars.end_radius" in columns:
         scene["bars.end_radius"] = float(columns["bars.end_radius"])
     forces = forces_of(faces, scene, gain_sd)
-    fit = _Fit(faces, scene, gain_sd, faces.step if shift_sd is None else shift_sd)
+    fit = _Fit(faces, scene, gain_sd)
     largest = float(forces.force_b.max())
     if not largest > 3.0 * _Z * float(forces.sd_b[0]):
         raise RecordError("no force at the receiving face rises above the noise of the record")
     length = len(forces.time)
-    borders = _blocks(length, int(np.argmax(forces.force_b > _LOADED * largest)))
-    width = int(borders[1] - borders[0]) if len(borders) > 1 else 0
+    loaded = int(np.argmax(forces.force_b > _LOADED * largest))
+    width = max(_FEWEST_INVERSE, (length - loaded) // _BLOCKS)
+    borders = np.arange(loaded, length - width + 1, width, dtype=np.int64)
     parameters, covariance = fit.solve(length, fit.scan(length))
     found, used = None, length
     notes = [*faces.notes, *fit.pulse.notes[len(faces.pulse.notes) :]]
-    if departure and len(borders) > 6 and _all_blocks(fit, parameters, borders, width) > _ODD:
+    # the largest mean residual of a block over the scatter of its noise
+    residual = fit.residual(parameters, length).reshape(2, length)
+    means = [np.abs(residual[:, first : first + width].mean(axis=1)).max() for first in borders]
+    if departure and len(borders) > 6 and max(means) * math.sqrt(width) > _ODD:
         found, before, spread, used = _departure(fit, forces, borders, width)
         if found is None:
             notes.append("the model does not explain the record to its noise, yet no single moment stands out")
@@ -687,9 +676,14 @@ def invert(faces: Faces, columns: Mapping[str, float], *, gain_sd: float = 0.01,
         notes.append(
             f"the misfit is {stiffness.misfit:.3g} times the noise: the interval of E* is too narrow by as much"
         )
-    fitted_a, fitted_b = _fitted_forces(fit, parameters)
-    return Inverse(forces=forces, departure=found, pulse=fit.pulse, notes=tuple(notes), stiffness=stiffness,
-                   fitted_a=fitted_a, fitted_b=fitted_b)  # fmt: skip
+    reflected, transmitted = fit.waves(parameters)
+    scale, moved = _stiffness_of_bar(fit.columns), fit.motion(parameters)
+    incident = -waves_at(moved, np.minimum(faces.time, moved.scene.record_end[0])).incident / fit.speed
+    return Inverse(
+        forces=forces, departure=found, pulse=fit.pulse, notes=tuple(notes), stiffness=stiffness,
+        fitted_a=-scale * (incident + reflected * math.exp(parameters[_GAIN_A])),
+        fitted_b=-scale * transmitted * math.exp(parameters[_GAIN_B]),
+    )  # fmt: skip
 
 
 def _stiffness(fit: _Fit, parameters: Array, covariance: Array, used: int) -> Stiffness:
@@ -708,12 +702,3 @@ def _stiffness(fit: _Fit, parameters: Array, covariance: Array, used: int) -> St
         std_error=modulus * spread, gain_a=math.exp(parameters[_GAIN_A]), gain_b=math.exp(parameters[_GAIN_B]),
         misfit=math.sqrt(float(np.square(scaled).mean())), samples=used,
     )  # fmt: skip
-
-
-def _fitted_forces(fit: _Fit, parameters: Array) -> tuple[Array, Array]:
-    """Forces of the model at both faces, (n,), (n,) [N]."""
-    reflected, transmitted = fit.waves(parameters)
-    scale, moved = _stiffness_of_bar(fit.columns), fit.motion(parameters)
-    incident = -waves_at(moved, np.minimum(fit.faces.time, moved.scene.record_end[0])).incident / fit.speed
-    force_a = -scale * (incident + reflected * math.exp(parameters[_GAIN_A]))
-    return force_a, -scale * transmitted * math.exp(parameters[_GAIN_B])

@@ -13,6 +13,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.ndimage import median_filter
+from scipy.signal import savgol_filter
+from scipy.special import ndtri
 
 from uqsphere.arrays import Array
 from uqsphere.mechanics import bars
@@ -103,13 +106,11 @@ def _follow(force: Array) -> tuple[Array, int]:
     before, behind = low[low < at], low[low > at]
     top = (int(behind[0]) if len(behind) else len(force)) - (int(before[-1]) if len(before) else 0)
     width = min(max(5, 2 * (top // (2 * _PART)) + 1), len(force) - 1 + len(force) % 2)
-    return _savgol(force, width), width
+    return savgol_filter(force, width, 2), width
 
 
 def _peak(forces: Forces, faces: Faces, face: str, scales: tuple[float, float]) -> Peak:
     """The largest force at a face, or of their mean, from its top and not from its highest sample."""
-    from scipy.special import ndtri
-
     own = [part * one for part, one in zip((scales[0], scales[0], scales[1]), faces.noise, strict=True)]
     force, sd, noises = {
         "A": (forces.force_a, forces.sd_a, own[:2]),
@@ -119,8 +120,8 @@ def _peak(forces: Forces, faces: Faces, face: str, scales: tuple[float, float]) 
     }[face]  # fmt: skip
     memory = float({"A": faces.memory[:2], "B": faces.memory[2:], "mean": faces.memory}[face].max())
     # a single sample that no step of mending took out must not set the width of the top
-    curve, width = _follow(_median(force))
-    curve = _savgol(force, width)
+    curve, width = _follow(median_filter(force, 5, mode="nearest"))
+    curve = savgol_filter(force, width, 2)
     at = int(np.argmax(curve))
     value = float(curve[at])
     noise = math.hypot(*noises)
@@ -146,18 +147,6 @@ def _peak(forces: Forces, faces: Faces, face: str, scales: tuple[float, float]) 
     if face == "B" and (bent > _DOUBT * value or faces.alone[1]):
         low, high = low - bent, high + bent
     return Peak(time=float(forces.time[at]), value=value, low=low, high=high, doubts=tuple(doubts))
-
-
-def _median(force: Array) -> Array:
-    from scipy.ndimage import median_filter
-
-    return np.asarray(median_filter(force, 5, mode="nearest"))
-
-
-def _savgol(force: Array, width: int) -> Array:
-    from scipy.signal import savgol_filter
-
-    return np.asarray(savgol_filter(force, width, 2))
 
 
 def _doubted(peaks: dict[str, Peak], incident: float, bound: float) -> dict[str, Peak]:
@@ -243,8 +232,8 @@ def read_test(record: Record, rig: Rig, columns: Mapping[str, float], *, gain_sd
 
 def _balance(forces: Forces, largest: float, top: int) -> tuple[float | None, float, float]:
     """Time from which the forces first agree [s], share of the rise in which they do, and loading rate [N/s]."""
-    width = _follow(_median(forces.force_b))[1]
-    curve_a, curve_b = _savgol(forces.force_a, width), _savgol(forces.force_b, width)
+    width = _follow(median_filter(forces.force_b, 5, mode="nearest"))[1]
+    curve_a, curve_b = savgol_filter(forces.force_a, width, 2), savgol_filter(forces.force_b, width, 2)
     half = min(int(np.argmax(curve_b > 0.5 * largest)), top)
     mean = 0.5 * (curve_a + curve_b)
     even = (np.abs(curve_a - curve_b) <= 2.0 * _BALANCE * np.abs(mean)) & (mean > 0.1 * largest)
@@ -272,7 +261,7 @@ def _fitted(faces: Faces, forces: Forces, columns: Mapping[str, float],
                         "the study")  # fmt: skip
     if withheld or end is None:
         return (None if withheld else found), False, tuple(withheld)
-    later = float(_median(forces.force_b)[forces.time > end.time].max(initial=0.0))
+    later = float(median_filter(forces.force_b, 5, mode="nearest")[forces.time > end.time].max(initial=0.0))
     if later <= _AFTER * end.force_b[2]:
         return found, True, ()
     said = f"behind the end of its elastic contact the specimen bears {later * 1e-3:.4g} kN: it did not break there"

@@ -16,11 +16,14 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+from scipy.optimize import least_squares, nnls
+from scipy.special import stdtrit
 
 from uqsphere.arrays import Array
 from uqsphere.mechanics.contact import hertz_constant, pressure_at_force
 from uqsphere.mechanics.yielding import CAP_PILE_UP, Face
-from uqsphere.records.table import RecordError, Table, read_table
+from uqsphere.records.table import RecordError, place_of, read_table
 from uqsphere.units import UNITS
 
 #: samples without which no law is fitted, and the most that are used: more are thinned evenly
@@ -87,8 +90,12 @@ def read_loading(path: str | Path, *, columns: Sequence[str] = (), units: Sequen
         was not pressed.
     """
     table = read_table(path)
-    at = _pick(table, list(columns))
-    found = []
+    if not columns and len(table.names) == 2:
+        columns = table.names
+    if len(columns) != 2:
+        listed = ", ".join(table.names)
+        raise RecordError(f"name two columns, displacement and force, by --columns D,F; the file has {listed}")
+    at, found = [place_of(table, name) for name in columns], []
     for place, dimension, unit, what in zip(at, ("length", "force"), units, ("displacement", "force"), strict=True):
         used = unit or table.units[place]
         if used not in UNITS[dimension]:
@@ -104,19 +111,6 @@ def read_loading(path: str | Path, *, columns: Sequence[str] = (), units: Sequen
             raise RecordError(f"row {row} has no number in {table.names[place]!r}: take it out")
         found.append(values * UNITS[dimension][used])
     return Loading(displacement=found[0], force=found[1], notes=table.notes)
-
-
-def _pick(table: Table, columns: list[str]) -> list[int]:
-    if not columns and len(table.names) == 2:
-        return [0, 1]
-    if len(columns) != 2:
-        listed = ", ".join(table.names)
-        raise RecordError(f"name two columns, displacement and force, by --columns D,F; the file has {listed}")
-    for name in columns:
-        if table.names.count(name) != 1:
-            said = "more than once" if name in table.names else "not"
-            raise RecordError(f"the column {name!r} is {said} in the file, which has {', '.join(table.names)}")
-    return [table.names.index(name) for name in columns]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,8 +132,6 @@ class _Test:
 
     def approach(self, parameters: Array) -> tuple[Array, Array]:
         """Approach of a face [m] at every force and its slope [m/N], on virgin loading or below the largest so far."""
-        from scipy.interpolate import CubicHermiteSpline
-
         one = self.face(parameters, 1)
         top = max(float(self.force.max() / one.onset_force[0]), 1.0 + 1e-9)
         # the law of b = 0 is the softest: its depth is the largest
@@ -169,8 +161,6 @@ class _Test:
 
     def weighed(self, parameters: Array) -> _Test:
         """The same with the weights that noise of the displacement and of the force has, as the residuals show it."""
-        from scipy.optimize import nnls
-
         slope = 2.0 * self.approach(parameters)[1] / self.scale * self.force.max()
         square = np.square(self.residual(parameters) / self.weight)
         noise, _ = nnls(np.stack([np.ones_like(slope), np.square(slope)], axis=1), square)
@@ -278,8 +268,6 @@ def _search(test: _Test, share: float) -> tuple[Array, Array, Array]:
 
 def _fit(test: _Test, start: Array, most: int = 200) -> tuple[Array, Array, Array]:
     """Parameters, residuals and Jacobian at the optimum near `start`."""
-    from scipy.optimize import least_squares
-
     low = [start[0] - 3.0, start[1] - 5.0, math.log(_RATIO[0]), -3.0, _PILE_UP[0]][: len(start)]
     high = [start[0] + 3.0, start[1] + 5.0, math.log(_RATIO[1]), 3.0, _PILE_UP[1]][: len(start)]
     found = least_squares(test.residual, np.clip(start, low, high), bounds=(low, high), x_scale="jac",
@@ -291,14 +279,12 @@ def _intervals(
     test: _Test, parameters: Array, residual: Array, jacobian: Array
 ) -> tuple[list[float], list[tuple[float, float]]]:
     """E*, p_y, H and C with their 95 % intervals; a number at its bound is taken as known."""
-    from scipy.stats import t as student
-
     free = len(residual) - len(parameters)
     alike = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
     # residuals that follow each other count for fewer
     wider = (1.0 + alike) / max(1.0 - alike, 0.02) if alike > 2.0 / math.sqrt(len(residual)) else 1.0
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(residual @ residual) / free * wider
-    reach = float(student.ppf(0.975, free))
+    reach = float(stdtrit(free, 0.975))
     of = np.zeros((4, len(parameters)))
     of[0, 0] = of[1, 1] = of[2, 1] = of[2, 2] = 1.0
     logs = of[:3] @ parameters

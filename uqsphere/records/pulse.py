@@ -9,17 +9,12 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from scipy.interpolate import PPoly, make_lsq_spline
 
 from uqsphere.arrays import Array
 from uqsphere.mechanics.dispersion import correct, first_mode
 from uqsphere.mechanics.pulses import MeasuredPulse
-from uqsphere.records.record import (
-    Record,
-    Wiring,
-    first_wave,
-    make_record,
-    mend,
-)
+from uqsphere.records.record import Record, Wiring, first_wave, make_record, mend
 from uqsphere.records.table import RecordError, read_bytes, read_table
 
 #: samples of a pulse, at the least
@@ -75,22 +70,8 @@ class CutPulse:
     inside: float = 1.0
 
 
-def _window(values: Array, step: float, noise: float) -> tuple[int, int]:
-    """First and last sample of the first wave of `values`, compression above zero."""
-    wave = first_wave(values, step, noise)
-    if wave.sign < 0.0:
-        raise RecordError("the first wave of the record does not press: there is no incident pulse")
-    if not wave.ended:
-        raise RecordError(
-            "the record begins or ends inside the pulse: its end is not at the level of its beginning; "
-            f"{WINDOW} takes what is there of it"
-        )
-    lead, tail = (max(2, round(_FEET * length)) for length in (wave.rising, wave.end - wave.falling))
-    return max(wave.foot - lead, 0), min(wave.end + tail, len(values) - 2)
-
-
 def cut_pulse(record: Record, *, bar: Bar | None = None, distance: float = 0.0, begin: float | None = None,
-              end: float | None = None, signal: int = 0) -> CutPulse:  # fmt: skip
+              end: float | None = None) -> CutPulse:  # fmt: skip
     """The incident pulse of a record that has its baseline and sign.
 
     Parameters
@@ -106,10 +87,21 @@ def cut_pulse(record: Record, *, bar: Bar | None = None, distance: float = 0.0, 
     RecordError
         Where no pulse is found, a part of it is missing, or it has fewer than 30 samples.
     """
-    values, noise = -record.strain[:, signal], float(record.noise[signal])
-    notes, memory = list(record.notes), float(record.memory[signal])
+    values, noise = -record.strain[:, 0], float(record.noise[0])
+    notes, memory = list(record.notes), float(record.memory[0])
     time = record.time
-    first, last = (0, 0) if begin is not None and end is not None else _window(values, record.step, noise)
+    first = last = 0
+    if begin is None or end is None:
+        wave = first_wave(values, record.step, noise)
+        if wave.sign < 0.0:
+            raise RecordError("the first wave of the record does not press: there is no incident pulse")
+        if not wave.ended:
+            raise RecordError(
+                "the record begins or ends inside the pulse: its end is not at the level of its beginning; "
+                f"{WINDOW} takes what is there of it"
+            )
+        lead, tail = (max(2, round(_FEET * length)) for length in (wave.rising, wave.end - wave.falling))
+        first, last = max(wave.foot - lead, 0), min(wave.end + tail, len(values) - 2)
     if begin is not None:
         first = int(np.searchsorted(time, begin))
     if end is not None:
@@ -119,7 +111,7 @@ def cut_pulse(record: Record, *, bar: Bar | None = None, distance: float = 0.0, 
             f"the window of the pulse lies outside the record, or is empty: the record has {time[0] * 1e6:.6g} to "
             f"{time[-1] * 1e6:.6g} us"
         )
-    record.refuse_held(signal, first, last, "inside the pulse")
+    record.refuse_held(0, first, last, "inside the pulse")
     if last - first + 1 < _FEWEST:
         raise RecordError(
             f"the pulse has {last - first + 1} samples, {_FEWEST} at least are needed: if this is not the pulse, "
@@ -182,8 +174,6 @@ def fit_pulse(cut: CutPulse, source: str = "", digest: str = "") -> MeasuredPuls
     RecordError
         Where the curve does not rise above zero.
     """
-    from scipy.interpolate import PPoly, make_lsq_spline
-
     place = cut.step * np.arange(len(cut.strain))
     length, size = float(place[-1]), float(np.abs(cut.strain).max())
     strain = cut.strain.copy()

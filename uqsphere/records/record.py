@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.ndimage import median_filter
 
-from uqsphere.arrays import Array, Flags
-from uqsphere.records.table import SIGNAL_UNITS, RecordError, Table
+from uqsphere.arrays import Array, Flags, Places
+from uqsphere.records.table import SIGNAL_UNITS, RecordError, Table, place_of
 from uqsphere.units import UNITS
 
 #: missing samples in a row that are filled from their neighbours
@@ -164,19 +165,10 @@ class Record:
 # --- columns, units, clocks, gaps ----------------------------------------------------------------------
 
 
-def _place(table: Table, text: str) -> list[int]:
-    """Columns that a name, a number from 1 on, or several with + between them stand for."""
-    if table.names.count(text) == 1:
-        return [table.names.index(text)]
-    if "+" in text:
-        return [at for part in text.split("+") for at in _place(table, part.strip())]
-    if text.isdecimal() and 1 <= int(text) <= len(table.names):
-        return [int(text) - 1]
-    said = "more than once" if text in table.names else "not"
-    raise RecordError(
-        f"the column {text!r} is {said} in the file, which has {', '.join(table.names)}; a number from 1 to "
-        f"{len(table.names)} names one too"
-    )
+def _places(table: Table, text: str) -> list[int]:
+    """Columns that a name, a number, or several with + between them stand for."""
+    several = "+" in text and text not in table.names
+    return [place_of(table, part.strip()) for part in text.split("+")] if several else [place_of(table, text)]
 
 
 def _pick(table: Table, signals: int, columns: Sequence[str]) -> tuple[int, list[list[int]]]:
@@ -185,7 +177,7 @@ def _pick(table: Table, signals: int, columns: Sequence[str]) -> tuple[int, list
     if columns:
         if len(columns) != signals + 1:
             raise RecordError(f"{len(columns)} columns are named, {signals + 1} are due: time and {signals} of strain")
-        places = [_place(table, text) for text in columns]
+        places = [_places(table, text) for text in columns]
         if len(places[0]) != 1:
             raise RecordError("the time is one column")
         return places[0][0], places[1:]
@@ -247,7 +239,12 @@ def make_record(table: Table, signals: int = 1, *, wiring: Wiring | Sequence[Wir
         bars.append(tuple(used))
     start, step, strain, held = _even(time, np.stack(raw, axis=1), notes)
     if len(strain) > _LARGE:
-        start, step, strain, held = _thinned(start, step, strain, held, notes)
+        block = -(-len(strain) // _LEFT)
+        whole = len(strain) // block * block
+        notes.append(f"{len(strain):,} samples are thinned to {whole // block:,}, the means of {block} each")
+        strain = strain[:whole].reshape(-1, block, strain.shape[1]).mean(axis=1)
+        held = np.asarray(held[:whole].reshape(-1, block, held.shape[1]).any(axis=1))
+        start, step = start + 0.5 * (block - 1) * step, step * block
     none = np.zeros(len(raw))
     return Record(start=start, step=step, strain=strain, held=held, noise=none, memory=none + 1.0, offset=none,
                   spread=np.zeros_like(strain), alone=np.array(alone), bars=tuple(bars), names=tuple(names),
@@ -313,14 +310,10 @@ def _nonsense(column: Array, name: str) -> str:
     return ""
 
 
-def _longest_run(same: Flags) -> tuple[int, int]:
-    """Length and first place of the longest run of True."""
+def _runs(same: Flags) -> tuple[Places, Places]:
+    """First places and lengths of the runs of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
-    if len(edges) == 0:
-        return 0, 0
-    lengths = edges[1::2] - edges[::2]
-    best = int(np.argmax(lengths))
-    return int(lengths[best]), int(edges[2 * best])
+    return edges[::2], edges[1::2] - edges[::2]
 
 
 def _even(time: Array, raw: Array, notes: list[str]) -> tuple[float, float, Array, Flags]:
@@ -361,17 +354,6 @@ def _even(time: Array, raw: Array, notes: list[str]) -> tuple[float, float, Arra
     return float(time[0]), step, strain, held
 
 
-def _thinned(start: float, step: float, strain: Array, held: Flags,
-             notes: list[str]) -> tuple[float, float, Array, Flags]:  # fmt: skip
-    """Means of blocks of samples."""
-    block = -(-len(strain) // _LEFT)
-    whole = len(strain) // block * block
-    notes.append(f"{len(strain):,} samples are thinned to {whole // block:,}, the means of {block} each")
-    means = strain[:whole].reshape(-1, block, strain.shape[1]).mean(axis=1)
-    lost = np.asarray(held[:whole].reshape(-1, block, strain.shape[1]).any(axis=1))
-    return start + 0.5 * (block - 1) * step, step * block, np.asarray(means, dtype=float), lost
-
-
 # --- the first wave of a signal ------------------------------------------------------------------------
 
 
@@ -408,8 +390,6 @@ def first_wave(values: Array, step: float, noise: float) -> Wave:
     RecordError
         Where no wave rises above the noise.
     """
-    from scipy.ndimage import median_filter
-
     width = max(1, round(2.0 * _SHORTEST / step))
     # bursts of a trigger swing within a few microseconds; running medians have nothing of them
     calm = smooth(median_filter(values, 2 * min(3 * round(_SHORTEST / step), _SPIKE_MOST) + 1, mode="nearest"), width)
@@ -417,8 +397,7 @@ def first_wave(values: Array, step: float, noise: float) -> Wave:
     if not peak > 5.0 * noise / math.sqrt(width) or peak == 0.0:
         raise RecordError("no wave rises above the noise of the record")
     high = np.abs(calm) > 0.5 * peak
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], high, [False]]).astype(np.int8)))
-    begins, lengths = edges[::2], edges[1::2] - edges[::2]
+    begins, lengths = _runs(high)
     if lengths.max() < 3:
         raise RecordError("no wave of three samples or more rises above the noise of the record")
     first = int(np.argmax(lengths >= max(3.0, _LASTS * lengths.max())))
@@ -467,8 +446,6 @@ def _despiked(record: Record) -> Record:
     What is shorter than any wave of a bar and jumps up and down within two samples is a spike; lines between its
     neighbours take its place.
     """
-    from scipy.ndimage import median_filter
-
     most = min(max(_SPIKE, math.ceil(_SHORTEST / record.step)), _SPIKE_MOST)
     width = 4 * most + 1
     strain, changes = record.strain.copy(), []
@@ -541,12 +518,13 @@ def _marked(record: Record) -> Record:
         head = values[: max(len(values) // 20, _FEWEST)]
         if np.ptp(head) == 0.0:  # without noise a flat top may be one
             continue
-        quiet, _ = _longest_run(np.concatenate([[False], np.diff(head) == 0.0]))
+        quiet = int(_runs(np.diff(head) == 0.0)[1].max(initial=0))
         for extreme in (values.max(), values.min()):
             same = np.abs(values - extreme) <= 1e-9 * abs(extreme)
-            run, first = _longest_run(same)
-            if run >= _FLAT and run > 2 * (quiet + 1):
+            begins, lengths = _runs(same)
+            if lengths.max() >= _FLAT and lengths.max() > 2 * (quiet + 1):
                 held[same, k] = True
+                first = int(begins[np.argmax(lengths)])
                 at = record.start + first * record.step
                 changes.append(Change(
                     step="clipped", signal=name, sample=first, time=at, size=float(extreme),

@@ -11,6 +11,7 @@ from __future__ import annotations
 import codecs
 import csv
 import io
+import math
 import re
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -148,15 +149,36 @@ def read_table(path: str | Path, interval: float = 0.0) -> Table:
         raise RecordError(f"{path.name}: found a NUL byte: export the record as text (CSV)")
     form = _form(head, path.name, interval)
     try:
-        values = _fast(data, encoding, form)
+        # a clean file, by numpy's own reader
+        lines = (
+            _bare(line).replace(",", ".") if form.comma else _bare(line) for _, line in _lines(data, encoding, form)
+        )
+        some = None if len(form.places) == form.width else form.places
+        values = np.loadtxt(lines, delimiter=form.separator, comments="#", ndmin=2, dtype=float, usecols=some)
+        if values.shape[1] != len(form.places):
+            raise ValueError("not the columns of the head")
     except ValueError:
-        values = _slow(data, encoding, form, path.name)
+        values = _row_by_row(data, encoding, form, path.name)
+    values = np.where(np.isfinite(values), values, np.nan)
     if len(values) < 2:
         raise RecordError(f"{path.name}: found {len(values)} rows of numbers, a record needs more")
     table = _with_clock(values, form, path.name)
     strange = int(np.isnan(table.values).sum())
     notes += [*table.notes, *([f"{strange} cells hold no number"] if strange else [])]
     return replace(table, notes=tuple(notes))
+
+
+def place_of(table: Table, name: str) -> int:
+    """Where the column of a name stands, or of a number from 1 on; raises RecordError."""
+    if table.names.count(name) == 1:
+        return table.names.index(name)
+    if name.isdecimal() and 1 <= int(name) <= len(table.names):
+        return int(name) - 1
+    said = "more than once" if name in table.names else "not"
+    raise RecordError(
+        f"the column {name!r} is {said} in the file, which has {', '.join(table.names)}; a number from 1 to "
+        f"{len(table.names)} names one too"
+    )
 
 
 def beside(first: Table, other: Table) -> Table:
@@ -285,19 +307,17 @@ def _columns_of(lines: Sequence[str], way: tuple[str | None, bool]) -> tuple[int
         rows = [[_number(cell, way[1]) for cell in _split(line, way[0])] for line in lines]
     except csv.Error:
         return 0, 0, ()
-    rows = [row for row in rows if any(value is not None and value == value for value in row)]
-    widths = [len(row) for row in rows]
+    told = [np.array([not (value is None or math.isnan(value)) for value in row], dtype=bool) for row in rows]
+    widths = [len(known) for known in told if known.any()]
     usual = max(sorted(set(widths)), key=widths.count) if widths else 0
-    rows = [row for row in rows if len(row) == usual]
-    places = []
-    for at in range(usual):
-        cells = [row[at] for row in rows]
-        known = sum(value is not None and value == value for value in cells)
-        words = sum(value is None for value in cells)
-        if 2 * known > len(cells) or (known and 4 * words < len(cells)):
-            places.append(at)
-    good = [row for row in rows if all(row[at] is not None for at in places)]
-    return (len(good) if places else 0), usual, tuple(places)
+    kept = [k for k, known in enumerate(told) if known.any() and len(known) == usual]
+    if not kept:
+        return 0, usual, ()
+    known, words = np.stack([told[k] for k in kept]), np.array([[value is None for value in rows[k]] for k in kept])
+    numbers = known.sum(axis=0)
+    columns = (2 * numbers > len(kept)) | ((numbers > 0) & (4 * words.sum(axis=0) < len(kept)))
+    good = int((~words[:, columns]).all(axis=1).sum()) if columns.any() else 0
+    return good, usual, tuple(np.flatnonzero(columns).tolist())
 
 
 def _form(head: str, name: str, interval: float) -> _Form:
@@ -347,38 +367,34 @@ def _names(
     split += [line.lstrip("# ").split() for line in lines if separator is None]
     rows = [[cells[at] for at in places] for cells in split if len(cells) > places[-1] and len(cells) <= width + 1]
     units = [""] * len(places)
-    below = [k for k, row in enumerate(rows) if _are_units(row)]
+    # a line below the names may have a unit of time and units of signals, or nothing
+    spelled = [[_spelled(cell) for cell in row] for row in rows]
+    below = [
+        k for k, (first, *others) in enumerate(spelled)
+        if (first in UNITS["time"] or first in SIGNAL_UNITS) and {*others} <= {"", *SIGNAL_UNITS}
+    ]  # fmt: skip
     if below:
-        units = [_spelled(cell) for cell in rows[below[-1]]]
+        units = spelled[below[-1]]
         rows = rows[: below[-1]]
-    words = [row for row in rows if all(cell and _number(cell, True) is None for cell in row)]
+    words = [row for row in rows if "" not in row and {_number(cell, True) for cell in row} == {None}]
     if not words:
         return tuple(f"column {at + 1}" for at in places), tuple(units), ["the file names no columns"]
     header = max(reversed(words), key=lambda row: len(set(row)))
     if below:
         return tuple(header), tuple(units), []
-    found = [_unit_of(text) for text in header]
-    return tuple(text for text, _ in found), tuple(unit for _, unit in found), []
+    named = [_unit_of(text) for text in header]
+    return tuple(text for text, _ in named), tuple(unit for _, unit in named), []
+
+
+def _unit_of(text: str) -> tuple[str, str]:
+    """Name and unit of a heading such as ``time [us]``."""
+    found = _NAME.match(text) if "[" in text or "(" in text else None
+    return (text, "") if found is None or not found["name"] else (found["name"], _spelled(found["unit"]))
 
 
 def _spelled(cell: str) -> str:
     text = cell.strip("[]() ")
     return _SPELLED.get(text, text)
-
-
-def _are_units(row: Sequence[str]) -> bool:
-    """Whether a line below the names has a unit of time and units of signals, or nothing."""
-    cells = [_spelled(cell) for cell in row]
-    first = cells[0] in UNITS["time"] or cells[0] in SIGNAL_UNITS
-    return first and all(cell in SIGNAL_UNITS or not cell for cell in cells[1:])
-
-
-def _unit_of(text: str) -> tuple[str, str]:
-    """Name and unit of a heading such as ``time [us]``."""
-    found = _NAME.match(text)
-    if found is None or not found["name"] or not any(mark in text for mark in "[("):
-        return text, ""
-    return found["name"], _spelled(found["unit"])
 
 
 def _interval(text: str) -> float:
@@ -435,18 +451,8 @@ def _lines(data: bytes, encoding: str, form: _Form) -> Iterator[tuple[int, str]]
             yield number, line
 
 
-def _fast(data: bytes, encoding: str, form: _Form) -> Array:
-    """A clean file, by numpy's own reader."""
-    lines = (_bare(line).replace(",", ".") if form.comma else _bare(line) for _, line in _lines(data, encoding, form))
-    some = None if len(form.places) == form.width else form.places
-    values = np.loadtxt(lines, delimiter=form.separator, comments="#", ndmin=2, dtype=float, usecols=some)
-    if values.shape[1] != len(form.places):
-        raise ValueError("not the columns of the head")
-    return np.where(np.isfinite(values), values, np.nan)
-
-
-def _slow(data: bytes, encoding: str, form: _Form, name: str) -> Array:
-    """Row by row: cells without a number become NaN, the first row that does not fit is an error."""
+def _row_by_row(data: bytes, encoding: str, form: _Form, name: str) -> Array:
+    """Rows (n, columns): cells without a number become NaN, the first row that does not fit is an error."""
     rows: list[list[float]] = []
     try:
         for number, line in _lines(data, encoding, form):
@@ -458,19 +464,18 @@ def _slow(data: bytes, encoding: str, form: _Form, name: str) -> Array:
                 )
     except csv.Error as error:
         raise RecordError(f"{name}: this is no table of numbers: {error}") from None
-    values = np.asarray(rows, dtype=float).reshape(len(rows), len(form.places))
-    return np.where(np.isfinite(values), values, np.nan)
+    return np.asarray(rows, dtype=float).reshape(len(rows), len(form.places))
 
 
 def _row(line: str, form: _Form, where: str) -> list[float]:
-    """The numbers of a line."""
     cells = _split(line, form.separator)
     if len(cells) == form.width + 1 and cells[-1] == "":
         cells = cells[:-1]  # a separator at the end of the line
     if len(cells) != form.width:
+        hint = "; with a decimal comma the columns must be divided by semicolons or tabs"
         raise RecordError(
             f"{where} has {len(cells)} columns, the lines before have {form.width}: {line.strip()[:60]!r}"
-            + _comma_hint(form)
+            + hint * (form.separator == "," and not form.comma)
         )
     row = []
     for at in form.places:
@@ -479,9 +484,3 @@ def _row(line: str, form: _Form, where: str) -> list[float]:
             raise RecordError(f"{where}: found {cells[at][:40]!r}, where a number is due")
         row.append(value)
     return row
-
-
-def _comma_hint(form: _Form) -> str:
-    if form.separator == "," and not form.comma:
-        return "; with a decimal comma the columns must be divided by semicolons or tabs"
-    return ""

@@ -17,7 +17,7 @@ from uqsphere.runner.evaluate import Work
 from uqsphere.study import Limit
 from uqsphere.study.axis import strength_name
 from uqsphere.units import told_apart
-from uqsphere.uq.control import probability
+from uqsphere.uq.describe import controlled_probability
 from uqsphere.uq.estimate import Estimate, absent, exact
 from uqsphere.uq.failure_indices import BY_DIRECTION, failure_shares
 from uqsphere.uq.law import Law
@@ -254,7 +254,7 @@ def _controlled(states: Sequence[LimitState], aim: str, counted: bool) -> Estima
     if rows[0] is None or rows[1] is None or rows[2] is None:
         return None
     sizes = states[0].demands.shape[1], states[2].demands.shape[1]
-    return probability(rows[0], rows[1], rows[2], sizes=sizes, counted=counted, method=TABLED)
+    return controlled_probability(rows[0], rows[1], rows[2], sizes=sizes, counted=counted, method=TABLED)
 
 
 def carriers(state: LimitState, aim: str, runs: int) -> dict[str, float]:

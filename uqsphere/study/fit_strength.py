@@ -12,7 +12,7 @@ from uqsphere.study.numbers import Reading
 from uqsphere.study.particle_tables import ENERGY_OF, FitStrengthTable
 from uqsphere.study.scene import Scene
 from uqsphere.study.tables import read_table
-from uqsphere.uq.families.drawn import DRAWN
+from uqsphere.uq.families.observed import DRAWN
 from uqsphere.uq.law import Law
 
 #: draws of a fit that a study carries: the Monte Carlo error of a mean of 200 laws is 7 % of what tests leave open;

@@ -17,9 +17,9 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, special
 from uqsphere.units import told_apart
-from uqsphere.uq.estimate import NEVER, Absent, Estimate, Why, absent, from_replicates, share, student
+from uqsphere.uq.estimate import NEVER, Absent, Estimate, Why, absent, corrected, from_replicates, share, student
 
 # --- moments --------------------------------------------------------------------------------------
 
@@ -51,14 +51,15 @@ def moments(values: Array) -> Moments:
     low = min(float(part.min(where=inside, initial=math.inf)) for part, inside in zip(parts, kept, strict=True))
     high = max(float(part.max(where=inside, initial=-math.inf)) for part, inside in zip(parts, kept, strict=True))
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        sums = reduce(np.add, [_whole(part, inside).sum(axis=1) for part, inside in zip(parts, kept, strict=True)])
+        wholes = [np.ascontiguousarray(np.where(inside, part, 0.0)) for part, inside in zip(parts, kept, strict=True)]
+        sums = reduce(np.add, [whole.sum(axis=1) for whole in wholes])
         means, centre = sums / counts, float(sums.sum() / total)
         reach = max(high - centre, centre - low)
         # A power of two: dividing by it rounds nothing, and keeps the squares of 1e300 inside floating point.
         root = 2.0 ** -np.frexp(reach)[1] if 0.0 < reach < math.inf else 1.0
         powers, largest = np.zeros((len(values), 3)), 0.0
         for part, inside in zip(parts, kept, strict=True):
-            squares = _whole(((part - centre) * root) ** 2, inside)
+            squares = np.ascontiguousarray(np.where(inside, ((part - centre) * root) ** 2, 0.0))
             powers += np.stack([squares.sum(axis=1), (squares**2).sum(axis=1), (squares**3).sum(axis=1)], axis=1)
             largest = max(largest, float(squares.max(initial=0.0)))
         # Each replicate about its own mean: a common offset of the replicates is not scatter of the quantity.
@@ -68,19 +69,9 @@ def moments(values: Array) -> Moments:
         deviation = math.sqrt(one) / root if one >= 0.0 else math.nan
     spread = two - one * one
     bent = (three - 3.0 * one * two + 2.0 * one**3) / spread**1.5 if spread > 1e-12 * two else 0.0
-    return Moments(
-        means=means,
-        mean=centre,
-        deviations=deviations,
-        deviation=deviation,
-        largest_share=largest / (one * total) if one > 0.0 else 0.0,
-        skewness=bent,
-    )
-
-
-def _whole(part: Array, inside: Flags) -> Array:
-    """A part with 0 where a sample is left out, in rows that lie together."""
-    return np.ascontiguousarray(np.where(inside, part, 0.0))
+    dominant = largest / (one * total) if one > 0.0 else 0.0
+    return Moments(means=means, mean=centre, deviations=deviations, deviation=deviation, largest_share=dominant,
+                   skewness=bent)  # fmt: skip
 
 
 def skewness(values: Array) -> float:
@@ -141,13 +132,8 @@ def describe(
     total = samples.size
     if samples.shape[0] < 2 or counts.min(initial=total) < 2:
         nothing = absent("too few successful samples in a replicate", method, total, Why.TOO_FEW)
-        return Description(
-            mean=nothing,
-            sd=nothing,
-            quantiles=dict.fromkeys(quantiles, nothing),
-            censored_share=nothing,
-            scale=math.nan,
-        )
+        none = dict.fromkeys(quantiles, nothing)
+        return Description(mean=nothing, sd=nothing, quantiles=none, censored_share=nothing, scale=math.nan)
     shown = method + (", restricted to the record" if late.any() else "")
     shown += ", without failed rows" if broken.any() else ""
     mean, sd, spread = _moments(samples, kept, counts, shown)
@@ -161,12 +147,7 @@ def describe(
     else:
         censored_share = share(late, "share of the samples")
     return Description(
-        mean=mean,
-        sd=sd,
-        quantiles=estimates,
-        censored_share=censored_share,
-        scale=spread,
-        exempt=exempt,
+        mean=mean, sd=sd, quantiles=estimates, censored_share=censored_share, scale=spread, exempt=exempt
     )
 
 
@@ -213,6 +194,12 @@ def hazen(ordered: Array, p: float) -> float:
     return left + fraction * (right - left)
 
 
+def logit_ends(p: float, q: float, half: float) -> tuple[float, float]:
+    """Ends of an interval of a probability p with its complement q, of this half-width, symmetric in logits."""
+    factor = math.exp(-min(half / (p * q), 600.0))
+    return p * factor / (q + p * factor), p / (q * factor + p)
+
+
 def woodruff_reach(shares: Array, n: float) -> float:
     """Half-width of the interval of a probability, from the shares (R,) of replicates of n samples at a quantile."""
     # Points that are evenly spread can agree on the count and still not know where in its cell x lies: the
@@ -222,13 +209,7 @@ def woodruff_reach(shares: Array, n: float) -> float:
 
 
 def quantile_estimates(
-    samples: Array,
-    *,
-    censored: Flags,
-    failed: Flags,
-    on_failure: str,
-    quantiles: Sequence[float],
-    method: str,
+    samples: Array, *, censored: Flags, failed: Flags, on_failure: str, quantiles: Sequence[float], method: str
 ) -> tuple[dict[float, Estimate], tuple[float, ...]]:
     """Quantiles of (R, n) samples, and those that censoring leaves unanswered.
 
@@ -261,28 +242,15 @@ def quantile_estimates(
         reach = woodruff_reach(below, n)
         low, high = hazen(ordered, max(p - reach, 0.0)), hazen(upper, min(p + reach, 1.0))
         if not (math.isfinite(low) and math.isfinite(high) and math.isfinite(value)):
-            answers[p] = absent(_why(censored, failed & kept, total), method, total, Why.CENSORED)
+            shares = (("censored", censored), ("failed", failed & kept))
+            parts = [f"the {what} share ({100.0 * rows.sum() / total:.2f} %)" for what, rows in shares if rows.any()]
+            answers[p] = absent("beyond " + " and ".join(parts), method, total, Why.CENSORED)
             exempt += [p] if censored.any() else []
             continue
         middle = value if highest == value else 0.5 * (value + highest)
-        answers[p] = Estimate(
-            value=middle,
-            low=low,
-            high=high,
-            std_error=0.5 * (high - low) / factor,
-            method=method,
-            evaluations=total,
-        )
+        answers[p] = Estimate(value=middle, low=low, high=high, std_error=0.5 * (high - low) / factor, method=method,
+                              evaluations=total)  # fmt: skip
     return answers, tuple(exempt)
-
-
-def _why(censored: Flags, failed: Flags, total: int) -> str:
-    parts = []
-    if censored.any():
-        parts.append(f"the censored share ({100.0 * censored.sum() / total:.2f} %)")
-    if failed.any():
-        parts.append(f"the failed share ({100.0 * failed.sum() / total:.2f} %)")
-    return "beyond " + " and ".join(parts)
 
 
 def lacking(description: Description, *, mean: float, quantile: float) -> list[tuple[float | None, str]]:
@@ -304,3 +272,111 @@ def lacking(description: Description, *, mean: float, quantile: float) -> list[t
             words = f"half-width {told_apart(found, wanted)} of {description.scale_name}"
             missed.append((p, f"{name}: {words}, asked {wanted:g}"))
     return missed
+
+
+# --- a cheap model at many points, corrected by the real one at few of them ------------------------------
+#
+# The model is known on R replicates of n points; the cheap one on the same points and on m > n points that continue
+# each replicate's sequence, or exactly.  Any answer T of the replicates, a mean, a share or a standard deviation, is
+#
+#     T = T_cheap(m) + (T_model(n) - T_cheap(n))
+#
+# the estimate of `uqsphere.uq.response` with rows of its own for the correction: the cheap model has seen none of them.
+# Its replicates scatter independently, and Student's interval rests on that (on quasi-random points it does not follow
+# from the correlation of the rows: F. J. Hickernell, C. Lemieux, A. B. Owen, Statistical Science 20, 2005, 1).  The
+# slope is one: a fitted one is wild when a single row lies on the other side of a threshold.
+
+
+#: probabilities on either side of a quantile, over the smaller side up to a tenth, where differences are counted
+RANGE: Final = 0.5
+
+
+def _controlled(value: float, error: float, replicates: int, method: str, evaluations: int,
+              least: float = -math.inf) -> Estimate:  # fmt: skip
+    half = student(replicates) * error
+    if not (math.isfinite(value) and math.isfinite(half)):
+        return absent("the answer is beyond floating point", method, evaluations)
+    return Estimate(value=value, low=max(least, value - half), high=value + half, std_error=error, method=method,
+                    evaluations=evaluations)  # fmt: skip
+
+
+def controlled_probability(
+    expensive: Array, cheap: Array, cheap_many: Array, *, sizes: tuple[int, int], counted: bool, method: str
+) -> Estimate | None:
+    """A probability from those of the replicates (R,); None where it comes out at 0 or 1, which shows nothing.
+
+    `sizes` are n and m; `counted` if rows either exceed or do not, so that resolution limits the error.  The
+    interval is symmetric in logits.
+    """
+    p, error = corrected(expensive, cheap - cheap_many)
+    replicates, (n, m) = len(expensive), sizes
+    if not 0.0 < p < 1.0:
+        return None
+    if counted:  # the cells of the many points, and one row in which the models may disagree
+        error = math.hypot(error, math.hypot(0.5 / m / math.sqrt(replicates), 1.0 / (n * replicates)))
+    low, high = logit_ends(p, 1.0 - p, student(replicates) * error)
+    return Estimate(value=p, low=low, high=high, std_error=error, method=method, evaluations=n * replicates)
+
+
+def describe_controlled(
+    expensive: Array, cheap: Array, cheap_many: Array, *, quantiles: Sequence[float], method: str
+) -> Description:
+    """Mean, standard deviation and quantiles of the expensive model, controlled by the cheap one.
+
+    Parameters
+    ----------
+    expensive, cheap : (R, n) arrays
+        Both models at the same points, finite and not censored.
+    cheap_many : (R, m) array
+        The cheap model at the points of each replicate continued; its first n columns are `cheap`.
+    quantiles : probabilities
+    method : text of every estimate
+
+    Each estimate counts the evaluations of the expensive model.
+    """
+    replicates = len(expensive)
+    total = expensive.size
+    mean, error = corrected(expensive.mean(axis=1), cheap.mean(axis=1) - cheap_many.mean(axis=1))
+    # about one centre for all replicates, so that their means are not taken for scatter of the quantity
+    squares = [((rows - mean) ** 2).mean(axis=1) for rows in (expensive, cheap, cheap_many)]
+    variance, spread = corrected(squares[0], squares[1] - squares[2])
+    scale = math.sqrt(variance) if variance > 0.0 else float(expensive.std())
+    loose = 0.5 * spread / scale if scale > 0.0 else 0.0
+    many = np.sort(cheap_many, axis=None)
+    return Description(
+        mean=_controlled(mean, error, replicates, method, total),
+        sd=_controlled(scale, loose, replicates, method, total, least=0.0),
+        quantiles={p: _controlled_quantile(p, (expensive, cheap, cheap_many), many, method) for p in quantiles},
+        censored_share=share(np.zeros(expensive.shape, dtype=bool), "share of the samples"),
+        scale=scale,
+    )
+
+
+def _controlled_quantile(p: float, rows: tuple[Array, Array, Array], many: Array, method: str) -> Estimate:
+    """A quantile off the corrected distribution function, its interval after Woodruff (1952); `many` in order.
+
+    Where the cheap model is close, steps of both would hardly meet between the same rows; counted over a range of
+    values, as a kernel of that width does, what the model lies above the cheap one counts by how far, and a row in
+    which they disagree altogether counts whole.  Half of the probability beyond the quantile, on either side,
+    is a range that leaves the difference as it is: its density hardly bends there.
+    """
+    expensive, cheap, more = rows
+    replicates, side = len(expensive), min(p, 1.0 - p)
+    if side * expensive.size < 5:
+        return absent(f"too few samples beyond the {p:g} quantile", method, expensive.size)
+
+    def read(probability: float) -> float:
+        return float(np.interp(probability * many.size - 0.5, np.arange(many.size), many))
+
+    at = read(p)
+    width = 0.5 * (read(p + RANGE * min(side, 0.1)) - read(p - RANGE * min(side, 0.1)))
+    if width > 0.0:
+        moved = (special.ndtr((at - expensive) / width) - special.ndtr((at - cheap) / width)).mean(axis=1)
+    else:
+        moved = (expensive <= at).mean(axis=1) - (cheap <= at).mean(axis=1)
+    _, error = corrected(moved, -(more <= at).mean(axis=1))
+    error = math.hypot(error, 0.5 / more.shape[1] / math.sqrt(replicates))
+    half, middle = student(replicates) * error, p - float(moved.mean())
+    value, low, high = (read(x) for x in (middle, middle - half, middle + half))
+    return Estimate(value=value, low=low, high=high, std_error=0.5 * (high - low) / student(replicates), method=method,
+                    evaluations=expensive.size)  # fmt: skip

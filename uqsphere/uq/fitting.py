@@ -1,7 +1,7 @@
 """Laws from observations: which family fits, how well, and what few observations leave open of a law.
 
 Scatter is what a law describes; ignorance is that its parameters come from n observations.  For laws with a location
-and a scale the parameters that the same tests allow follow from pivots (`families.location_scale`), with stopped tests
+and a scale the parameters that the same tests allow follow from pivots (`families.standard`), with stopped tests
 among them from simulated series (`weibull`).  Gamma, beta, Student and triangular laws take the posterior of their
 parameters; a kernel density or a step function is made again from the observations drawn with repetition, which says
 too little in the tails.
@@ -17,10 +17,10 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places
+from uqsphere.arrays import Array, Places, special
 from uqsphere.uq.families import FAMILIES, Family, LawError
-from uqsphere.uq.families.empirical import MOST_KERNELS, bandwidth
 from uqsphere.uq.families.family import Posterior
+from uqsphere.uq.families.observed import MOST_KERNELS, bandwidth
 from uqsphere.uq.law import Law, bounds_of, checked, make_law
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.weibull import STRENGTHS, StrengthTests, fitted_parameters, make_tests, pivots
@@ -130,11 +130,13 @@ def _strength(
                censored=tuple(sorted(censored)))  # fmt: skip
 
 
-def kolmogorov_p_value(distance: float, observations: int) -> float:
-    """Probability that n observations of the law itself lie at least this far from it (exact in n)."""
+def goodness(law: Law, values: Array) -> tuple[float, float]:
+    """Kolmogorov distance of observations (n,) from a law, and the probability that n of its own lie at least as far
+    (exact in n)."""
     from scipy import stats
 
-    return float(stats.kstwo.sf(distance, observations))
+    distance = float(_distance(np.sort(law.cdf(values))[None, :])[0])
+    return distance, float(stats.kstwo.sf(distance, values.size))
 
 
 def is_fitted(law: object) -> bool:
@@ -290,11 +292,9 @@ def _multiplicities(law: Law, count: int, generator: np.random.Generator) -> tup
 
 def _kernel_tails(law: Law, x: Array, kernels: Array, times: Array) -> tuple[Array, Array]:
     """Tails (draws, n) of kernel densities whose kernels count `times` (draws, tests)."""
-    from scipy.special import ndtr
-
     bounds = np.array([law.lower, law.upper])
     y = (np.concatenate([x, bounds])[:, None] - kernels) / law.parameters["bandwidth"]
-    below, above = times @ ndtr(y).T / kernels.size, times @ ndtr(-y).T / kernels.size
+    below, above = times @ special.ndtr(y).T / kernels.size, times @ special.ndtr(-y).T / kernels.size
     lowest, highest = below[:, -2:-1], above[:, -1:]
     mass = below[:, -1:] - lowest
     below, above = (below[:, :-2] - lowest) / mass, (above[:, :-2] - highest) / mass
@@ -312,7 +312,8 @@ def _drawn(law: Law, told: Posterior, count: int, generator: np.random.Generator
     """
     lows, highs = told.ranges(law.lower, law.upper)
     free = np.isinf(lows)
-    start = np.clip(_place(law.parameters, told), lows, highs)
+    pairs = [(law.parameters[key], positive) for key, positive in zip(told.keys, told.positive, strict=True)]
+    start = np.clip([math.log(value) if positive else value for value, positive in pairs], lows, highs)
     unit = np.where(told.positive, 1.0, float(np.std(law.data)))
     likelihood = _likelihood(law, told)
     places = np.tile(start, (_CANDIDATES, 1))
@@ -330,12 +331,6 @@ def _drawn(law: Law, told: Posterior, count: int, generator: np.random.Generator
     weight = np.exp(weight - weight.max())
     chosen = generator.choice(_CANDIDATES, count, p=weight / weight.sum())
     return [replace(law, parameters=_natural(places[k], told)) for k in chosen]
-
-
-def _place(given: Mapping[str, float], told: Posterior) -> Array:
-    """Parameters as they enter the posterior."""
-    pairs = zip(told.keys, told.positive, strict=True)
-    return np.array([math.log(given[key]) if positive else given[key] for key, positive in pairs])
 
 
 def _natural(place: Array, told: Posterior) -> dict[str, float]:

@@ -197,20 +197,20 @@ def without_moments(
     """
     mean, sd = described.mean, described.sd
     if tail is not None and tail.order <= VARIANCE:
-        mean = _gone(mean, tail.reason(MEAN)) if tail.order <= MEAN else mean
-        sd = _gone(sd, tail.reason(VARIANCE))
+        mean = _without(mean, tail.reason(MEAN)) if tail.order <= MEAN else mean
+        sd = _without(sd, tail.reason(VARIANCE))
         return replace(described, mean=mean, sd=sd, scale=half_range(outputs))
     if tail is not None and sd.value is not None and tail.order <= 2.0 * VARIANCE:
         sd = _with_rarest(sd, outputs, tail.order)
         described = replace(described, sd=sd)
     if sd.value is not None and outputs.size < FEW and (lone := _dominated(outputs)):
-        described = replace(described, sd=_gone(sd, lone), scale=half_range(outputs))
-        return replace(described, mean=_gone(mean, lone)) if min(law_order, hill(outputs)) <= CAUCHY else described
+        described = replace(described, sd=_without(sd, lone), scale=half_range(outputs))
+        return replace(described, mean=_without(mean, lone)) if min(law_order, hill(outputs)) <= CAUCHY else described
     if sd.value is None and mean.value is not None and (order := hill(outputs)) <= CAUCHY:
         # Hill's estimate from k values is off by 1/sqrt(k) of itself
         surely = order * (1.0 + DOUBT / math.sqrt(_far(int(np.isfinite(outputs).sum())))) <= MEAN
         text = f"large values are as frequent as in a law without moments from order {order:.2g} on"
-        return replace(described, mean=_gone(mean, Absent.because(Why.NO_MOMENT if surely else Why.UNTOLD, text)))
+        return replace(described, mean=_without(mean, Absent.because(Why.NO_MOMENT if surely else Why.UNTOLD, text)))
     return described
 
 
@@ -259,7 +259,7 @@ def _dominated(outputs: Array) -> Absent | None:
     return Absent.because(Why.NOT_KNOWN, f"one of {kept.size} runs makes {100.0 * share:.0f} % of the variance")
 
 
-def _gone(estimate: Estimate, reason: Absent) -> Estimate:
+def _without(estimate: Estimate, reason: Absent) -> Estimate:
     return absent(reason, estimate.method, estimate.evaluations)
 
 
@@ -279,8 +279,7 @@ def widened_share(share: Estimate, sd: Estimate) -> Estimate:
     if share.value is None or share.low is None or share.high is None:
         return share
     if not sd.value or not sd.low or sd.high is None:
-        reason = Absent.because(Why.NO_VARIANCE, f"that it is a share of {of_variance(sd)}")
-        return absent(reason, share.method, share.evaluations)
+        return _without(share, Absent.because(Why.NO_VARIANCE, f"that it is a share of {of_variance(sd)}"))
     less, more = (sd.low / sd.value) ** 2, (sd.high / sd.value) ** 2
     ends = [end / factor for end in (share.low, share.high) for factor in (less, more)]
     ends += [1.0 - (1.0 - end) / factor for end in (share.low, share.high) for factor in (less, more)]
@@ -319,8 +318,7 @@ def no_narrower(share: Estimate, half: float) -> Estimate:
     if share.value is None or share.half_width >= half:
         return share
     if half > WORTHLESS:
-        reason = Absent.because(Why.NOT_KNOWN, "too few samples carry the variance")
-        return absent(reason, share.method, share.evaluations)
+        return _without(share, Absent.because(Why.NOT_KNOWN, "too few samples carry the variance"))
     value = min(max(share.value, 0.0), 1.0)
     return replace(share, value=value, low=value - half, high=value + half, std_error=0.5 * half)
 

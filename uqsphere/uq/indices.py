@@ -18,9 +18,11 @@ from itertools import combinations
 from typing import Final, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.uq.estimate import Estimate, absent, corrected, from_replicates, student
+from uqsphere.uq.expansion import Chaos, germ_points, predict
 from uqsphere.uq.points import sobol_points
 
 
@@ -91,16 +93,8 @@ class Blocks:
         at = d + 2
         ba = y[:, :, at : at + d] if self.second else None
         at += d * self.second
-        groups = y[:, :, at:]
-        return Outputs(
-            a=y[:, :, :1],
-            ab=y[:, :, 1 : d + 1],
-            b=y[:, :, d + 1 : d + 2],
-            ba=ba,
-            groups=groups,
-            varies=varies,
-            evaluations=outputs.size,
-        )
+        return Outputs(a=y[:, :, :1], ab=y[:, :, 1 : d + 1], b=y[:, :, d + 1 : d + 2], ba=ba, groups=y[:, :, at:],
+                       varies=varies, evaluations=outputs.size)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +108,11 @@ class Outputs:
     groups: Array
     varies: bool
     evaluations: int
+
+    def points(self, replicate: int) -> Outputs:
+        """The points of one replicate, each as if it were a replicate."""
+        parts = {name: getattr(self, name)[replicate][:, None] for name in ("a", "b", "ab", "groups")}
+        return replace(self, **parts, ba=None if self.ba is None else self.ba[replicate][:, None])
 
 
 def uniform_halves(
@@ -223,14 +222,6 @@ _SHOWN: Final = {
 }
 
 
-def _arguments(outputs: Outputs, name: str) -> tuple[Array, ...]:
-    if name == "azzini_rosati":
-        if outputs.ba is None:
-            raise ValueError("the estimator of Azzini and Rosati needs the blocks BA: Blocks(second=True)")
-        return outputs.a, outputs.b, outputs.ab, outputs.ba
-    return outputs.a, outputs.b, outputs.ab
-
-
 def _rows(ratio: Ratio) -> Array:
     """Answers (R, m) of the replicates: the pooled ratio and the linearised deviation from it; nan where V is 0."""
     numerator, denominator = ratio
@@ -256,38 +247,6 @@ def _method(name: str, order: str) -> str:
     # Saltelli's paper takes Jansen's for the total indices.
     shown = "Jansen" if (name, order) == ("saltelli", "total") else _SHOWN[name]
     return f"{METHOD}, {shown}"
-
-
-def _nothing(count: int, outputs: Outputs) -> list[Estimate]:
-    return [absent(_NO_SCATTER, METHOD, outputs.evaluations)] * count
-
-
-def index_estimates(outputs: Array, blocks: Blocks, estimator: str) -> dict[str, list[Estimate]]:
-    """First and total indices {"first": [...], "total": [...]} of every input by one estimator of `ESTIMATORS`.
-
-    Parameters
-    ----------
-    outputs : (R, N, blocks.count) array
-        The model on the blocks of R independent replicates.
-    blocks : Blocks
-    estimator : name
-
-    An output that does not vary is answered by absent estimates.  Nothing is clipped.
-
-    Raises
-    ------
-    ValueError
-        For outputs that are not finite or of another shape, and blocks that the estimator lacks.
-    """
-    y = blocks.split(outputs)
-    arguments = _arguments(y, estimator)
-    if not y.varies:
-        return {order: _nothing(blocks.inputs_count, y) for order in ESTIMATORS[estimator]}
-    d = blocks.inputs_count
-    return {
-        order: _estimates(_rows(ratio(*arguments)), [_method(estimator, order)] * d, y.evaluations)
-        for order, ratio in ESTIMATORS[estimator].items()
-    }
 
 
 # --- the answer of a design ---------------------------------------------------------------------------------
@@ -340,20 +299,21 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
     (`uqsphere.uq.estimate.corrected`): the answer stays that of the model, whatever the surrogate leaves out, as long
     as it was fitted to other points.  It needs four replicates.
 
-    Parameters, absent answers and ValueError as of `index_estimates`.
+    Parameters
+    ----------
+    outputs : (R, N, blocks.count) array
+        The model on the blocks of R independent replicates; a constant is answered by absent estimates.
+
+    Nothing is clipped.  Raises ValueError for outputs that are not finite or of another shape.
     """
     y = blocks.split(outputs)
     d, groups = blocks.inputs_count, len(blocks.groups)
     pairs = list(combinations(range(d), 2)) if blocks.second else []
     if not y.varies:
-        return SampledIndices(
-            first=_nothing(d, y),
-            total=_nothing(d, y),
-            second=dict.fromkeys(pairs, _nothing(1, y)[0]),
-            group_first=_nothing(groups, y),
-            group_total=_nothing(groups, y),
-            text=f"No index is given: {_NO_SCATTER}.",
-        )
+        none = absent(_NO_SCATTER, METHOD, y.evaluations)
+        return SampledIndices(first=[none] * d, total=[none] * d, second=dict.fromkeys(pairs, none),
+                              group_first=[none] * groups, group_total=[none] * groups,
+                              text=f"No index is given: {_NO_SCATTER}.")  # fmt: skip
     large = _large(y, y.ab) if y.ba is None else ()
     chosen = large, _large(y, y.groups)
     answers = _answers(y, *chosen)
@@ -361,25 +321,22 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
     if surrogate is None or known is None or not known.varies:
         found = {order: _estimates(rows, methods, y.evaluations) for order, (rows, methods) in answers.items()}
     else:
-        found = _controlled(y, known, _truths(surrogate, blocks, chosen), answers, chosen)
+        # the surrogate's indices by order: (m,), or (R, m) as many points of the replicates tell them
+        truths = surrogate.indices
+        if surrogate.many is not None:
+            truths = {order: rows for order, (rows, _) in _answers(blocks.split(surrogate.many), *chosen).items()}
+        found = _controlled(y, known, truths, answers, chosen)
     if y.a.shape[1] < _FEW:
         found = {
             order: [_with_room(estimate, _ROOM_TOTAL if "total" in order else _ROOM) for estimate in row]
             for order, row in found.items()
         }
+    helped = "" if surrogate is None else _CONTROLLED if surrogate.many is None else _TABULATED
     return SampledIndices(
-        first=found["first"],
-        total=found["total"],
-        second=dict(zip(pairs, found["second"], strict=True)),
-        group_first=found["group_first"],
-        group_total=found["group_total"],
-        large=large,
-        text=choice_text(blocks, len(large)) + _told(surrogate),
-    )
-
-
-def _told(surrogate: Surrogate | None) -> str:
-    return "" if surrogate is None else _CONTROLLED if surrogate.many is None else _TABULATED
+        first=found["first"], total=found["total"], second=dict(zip(pairs, found["second"], strict=True)),
+        group_first=found["group_first"], group_total=found["group_total"], large=large,
+        text=choice_text(blocks, len(large)) + helped,
+    )  # fmt: skip
 
 
 def _with_room(estimate: Estimate, room: float) -> Estimate:
@@ -388,13 +345,6 @@ def _with_room(estimate: Estimate, room: float) -> Estimate:
         return estimate
     half, error = room * estimate.half_width, room * estimate.std_error
     return replace(estimate, low=estimate.value - half, high=estimate.value + half, std_error=error)
-
-
-def _truths(surrogate: Surrogate, blocks: Blocks, chosen: _Chosen) -> Mapping[str, Array]:
-    """The surrogate's indices by order: (m,), or (R, m) as many points of the replicates tell them."""
-    if surrogate.many is None:
-        return surrogate.indices
-    return {order: rows for order, (rows, _) in _answers(blocks.split(surrogate.many), *chosen).items()}
 
 
 def _controlled(
@@ -444,7 +394,7 @@ def _carriers(y: Outputs, known: Outputs, chosen: _Chosen) -> dict[str, Array]:
     """How many points of the design carry what each corrected answer may be off by, by Kish's count: (m,) by order."""
     sums: dict[str, Array] = {}
     for r in range(len(y.a)):
-        own, other = (_answers(_each_point(outputs, r), *chosen) for outputs in (y, known))
+        own, other = (_answers(outputs.points(r), *chosen) for outputs in (y, known))
         for order, (rows, _) in own.items():
             off = rows - other[order][0]
             squares = (off - off.mean(axis=0)) ** 2
@@ -453,16 +403,6 @@ def _carriers(y: Outputs, known: Outputs, chosen: _Chosen) -> dict[str, Array]:
         order: np.where(fourth > 0.0, second**2 / np.where(fourth > 0.0, fourth, 1.0), math.inf)
         for order, (second, fourth) in sums.items()
     }
-
-
-def _each_point(outputs: Outputs, replicate: int) -> Outputs:
-    """The points of one replicate, each as if it were a replicate."""
-
-    def points(rows: Array) -> Array:
-        return np.asarray(rows[replicate][:, None, :])
-
-    return replace(outputs, a=points(outputs.a), b=points(outputs.b), ab=points(outputs.ab),
-                   ba=None if outputs.ba is None else points(outputs.ba), groups=points(outputs.groups))  # fmt: skip
 
 
 def ordered(first: Sequence[Estimate], total: Sequence[Estimate]) -> tuple[list[Estimate], list[Estimate]]:
@@ -577,9 +517,7 @@ def agree(first: Estimate, second: Estimate, floor: float = 1e-4) -> bool:
 
 
 def cross_check(
-    names: Sequence[str],
-    sampled: Mapping[str, Sequence[Estimate]],
-    surrogate: Mapping[str, Sequence[Estimate]],
+    names: Sequence[str], sampled: Mapping[str, Sequence[Estimate]], surrogate: Mapping[str, Sequence[Estimate]]
 ) -> tuple[bool, str]:
     """Indices from sampling and from the surrogate, input by input: (all agree, text for the report).
 
@@ -605,3 +543,68 @@ def cross_check(
     return True, (
         f"Sampling and surrogate agree on {compared} {noun} within their intervals (largest difference {largest:.2g})."
     )
+
+
+# --- an expansion as the cheap model, whose indices are known exactly ------------------------------
+
+
+def expansion_indices(coefficients: Array, multi_indices: npt.NDArray[np.int64], blocks: Blocks) -> dict[str, Array]:
+    """Indices of an expansion in products of orthonormal polynomials, exactly: what a `Surrogate` is known by.
+
+    Parameters
+    ----------
+    coefficients : (P,) array
+    multi_indices : (P, d) array
+        Degrees of each product; the constant has none.
+    blocks : Blocks
+
+    >>> degrees = np.array([[0, 0], [1, 0], [1, 1]])
+    >>> found = expansion_indices(np.array([5.0, 3.0, 1.0]), degrees, Blocks(inputs_count=2, second=True))
+    >>> found["first"].tolist(), found["total"].tolist(), found["second"].tolist()
+    ([0.9, 0.0], [1.0, 0.1], [0.1])
+    """
+    active = multi_indices > 0
+    count = active.sum(axis=1)
+    varying = np.where(count > 0, coefficients, 0.0)
+    # by a power of two, which rounds nothing: the squares of 1e300 are beyond floating point
+    shares = np.ldexp(varying, -np.frexp(np.abs(varying).max())[1]) ** 2
+    shares = shares / shares.sum()
+    rows, columns = np.triu_indices(blocks.inputs_count, 1) if blocks.second else (np.array([], int),) * 2
+    inside = [active[:, list(group)].sum(axis=1) for group in blocks.groups]
+    return {
+        "first": np.asarray(shares @ (active & (count == 1)[:, None])),
+        "total": np.asarray(shares @ active),
+        "second": np.asarray(shares @ (active[:, rows] & active[:, columns] & (count == 2)[:, None])),
+        "group_first": np.array([shares[k == count].sum() for k in inside]),
+        "group_total": np.array([shares[k > 0].sum() for k in inside]),
+    }
+
+
+def mean_expansion(fits: Sequence[Chaos]) -> Chaos:
+    """The mean of plain expansions in the same germs: their terms together, each with its mean coefficient.
+
+    Raises ValueError for an expansion of a transformed output or in two pieces: its indices are not known exactly.
+    """
+    if not all(fit.plain for fit in fits):
+        raise ValueError("a control variate takes expansions of the output itself, in one piece: fit them with plain")
+    degrees = np.concatenate([fit.multi_indices for fit in fits])
+    values = np.concatenate([fit.coefficients for fit in fits]) / len(fits)
+    terms, place = np.unique(degrees, axis=0, return_inverse=True)
+    coefficients = np.zeros(len(terms))
+    np.add.at(coefficients, place.reshape(-1), values)
+    # the constant first, as in every expansion: np.unique sorts it there
+    piece = replace(fits[0].pieces[0], coefficients=coefficients, multi_indices=terms)
+    return replace(fits[0], pieces=(piece,), samples=sum(f.samples for f in fits))
+
+
+def chaos_outputs(chaos: Chaos, blocks: Blocks, halves: Sequence[Array]) -> Array:
+    """Values (N, blocks.count) of an expansion on the blocks of halves of independent standard normals, (N, d) each."""
+    points = blocks.mix(*(germ_points(half, chaos.germs) for half in halves))
+    return predict(chaos, points.reshape(-1, blocks.inputs_count)).reshape(-1, blocks.count)
+
+
+def chaos_surrogate(chaos: Chaos, blocks: Blocks, outputs: Array) -> Surrogate | None:
+    """An expansion with its `chaos_outputs` (R, N, blocks.count) as a surrogate; None where it is a constant."""
+    if not chaos.coefficients[chaos.multi_indices.any(axis=1)].any():
+        return None
+    return Surrogate(outputs=outputs, indices=expansion_indices(chaos.coefficients, chaos.multi_indices, blocks))

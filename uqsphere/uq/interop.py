@@ -10,10 +10,9 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
-from uqsphere.uq.control import mean_expansion
 from uqsphere.uq.estimate import Estimate, absent, from_replicates, student
 from uqsphere.uq.expansion.germs import GermLike, load_chaospy, recurrence_of
-from uqsphere.uq.indices import Blocks, uniform_halves
+from uqsphere.uq.indices import Blocks, mean_expansion, uniform_halves
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import Law
 from uqsphere.uq.response import Response

@@ -21,9 +21,8 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from uqsphere.arrays import Array
-from uqsphere.uq.archimedean import ARCHIMEDEAN, Archimedean
-from uqsphere.uq.elliptical import Elliptical
+from uqsphere.arrays import Array, special
+from uqsphere.uq.copulas import ARCHIMEDEAN, Archimedean, Elliptical
 from uqsphere.uq.families import LawError
 from uqsphere.uq.law import Law
 
@@ -61,7 +60,7 @@ def make_copula(
     elif dof is not None:
         raise LawError(f"dof belongs to the Student t copula, not to {kind}", "dof")
     if kind in ("gaussian", "student_t"):
-        rho = _elliptical_strength(key, value, math.inf if dof is None else dof)
+        rho = _strength(kind, key, value, math.inf if dof is None else dof)
         correlation = np.full((size, size), rho)
         np.fill_diagonal(correlation, 1.0)
         if 1.0 + (size - 1) * min(rho, 0.0) < 1e-10 or rho > 1.0 - 1e-10:
@@ -70,7 +69,7 @@ def make_copula(
             )
         return Elliptical(correlation=correlation, dof=math.inf if dof is None else dof)
     _check_archimedean(kind, size, key, value)
-    return Archimedean(generator=ARCHIMEDEAN[kind], size=size, theta=_archimedean_strength(kind, key, value))
+    return Archimedean(generator=ARCHIMEDEAN[kind], size=size, theta=_strength(kind, key, value))
 
 
 def _asked_rank(kind: str, size: int, spearman: float | None, kendall: float | None) -> tuple[str, float]:
@@ -104,19 +103,16 @@ def _check_archimedean(kind: str, size: int, key: str, value: float) -> None:
         raise LawError(f"{key} must be at most {_STRONGEST} with {name}'s copula, found {value:g}", key)
 
 
-def _elliptical_strength(key: str, value: float, dof: float) -> float:
-    """Correlation of the scores; by Kendall's tau it is sin(πτ/2) for every dof (Lindskog, McNeil, Schmock 2003)."""
-    if key == "kendall":
-        return math.sin(0.5 * math.pi * value)
-    if math.isinf(dof):
+def _strength(kind: str, key: str, value: float, dof: float = math.inf) -> float:
+    """theta of an Archimedean copula, the correlation of the scores of an elliptical one; from Kendall's tau that is
+    sin(πτ/2) for every dof (Lindskog, McNeil, Schmock 2003)."""
+    if key == "spearman" and kind == "gaussian":
         return 2.0 * math.sin(math.pi * value / 6.0)
-    return math.copysign(_solved("student_t", abs(value), dof), value)
-
-
-def _archimedean_strength(kind: str, key: str, value: float) -> float:
-    """theta from Kendall's tau or Spearman's rho."""
-    found = _solved(kind, abs(value), math.inf) if key == "spearman" else ARCHIMEDEAN[kind].strength(abs(value))
-    return math.copysign(found, value)
+    if key == "spearman":
+        return math.copysign(_solved(kind, abs(value), dof), value)
+    if kind in ARCHIMEDEAN:
+        return math.copysign(ARCHIMEDEAN[kind].strength(abs(value)), value)
+    return math.sin(0.5 * math.pi * value)
 
 
 @lru_cache(maxsize=256)
@@ -127,31 +123,27 @@ def _solved(kind: str, spearman: float, dof: float) -> float:
     smooth integrands; the search runs over Kendall's tau, in which all families are alike.
     """
     from scipy.optimize import brentq
-    from scipy.special import ndtr
 
     grid = np.linspace(-7.5, 7.5, 61)
     weight = np.exp(-0.5 * grid**2)
     weight /= weight.sum()
     first, second = (axis.reshape(-1) for axis in np.meshgrid(grid, grid, indexing="ij"))
-    mass = (weight[:, None] * weight[None, :]).reshape(-1) * ndtr(first)
-
-    def strength(tau: float) -> float:
-        return math.sin(0.5 * math.pi * tau) if kind == "student_t" else ARCHIMEDEAN[kind].strength(tau)
-
-    def pair_with(tau: float) -> Copula:
-        value = strength(tau)
-        if kind == "student_t":
-            return Elliptical(correlation=np.array([[1.0, value], [value, 1.0]]), dof=dof)
-        return Archimedean(generator=ARCHIMEDEAN[kind], size=2, theta=value)
+    mass = (weight[:, None] * weight[None, :]).reshape(-1) * special.ndtr(first)
 
     def gap(tau: float) -> float:
-        v = ndtr(conditional_scores(pair_with(tau), (0,), first[:, None], second[:, None])[:, 0])
+        copula: Copula
+        value = _strength(kind, "kendall", tau)
+        if kind == "student_t":
+            copula = Elliptical(correlation=np.array([[1.0, value], [value, 1.0]]), dof=dof)
+        else:
+            copula = Archimedean(generator=ARCHIMEDEAN[kind], size=2, theta=value)
+        v = special.ndtr(conditional_scores(copula, (0,), first[:, None], second[:, None])[:, 0])
         return 12.0 * float(mass @ v) - 3.0 - spearman
 
     if spearman == 0.0:
         return 0.0
     # tau lies below rho, and not below a third of it (Daniels 1950 bounds their distance)
-    return strength(float(brentq(gap, spearman / 3.0, 0.5 * (1.0 + spearman), xtol=1e-10)))
+    return _strength(kind, "kendall", float(brentq(gap, spearman / 3.0, 0.5 * (1.0 + spearman), xtol=1e-10)))
 
 
 def conditional_score(copula: Copula, target: int, given: Sequence[int], known: Array, score: Array) -> Array:
@@ -264,7 +256,6 @@ class Joint:
 
     @cached_property
     def _lower(self) -> Array | None:
-        """Lower factor (d, d) of the correlation."""
         return None if self.correlation is None else _factor(self.names, self.correlation)
 
     # --- from independent normals to inputs -------------------------------------------------------------
@@ -425,7 +416,11 @@ def correlation_from_spearman(names: Sequence[str], groups: Sequence[tuple[tuple
     correlation = np.eye(len(names))
     tied: set[tuple[int, int]] = set()
     for members, spearman in groups:
-        for pair in combinations(sorted(_places(names, members)), 2):
+        if unknown := [name for name in members if name not in names]:
+            raise LawError(f"{unknown[0]!r} is not a random input; random are: {', '.join(names) or 'none'}", "of")
+        if len(members) < 2 or len(set(members)) != len(members):
+            raise LawError(f"a dependence needs two or more different inputs, found {list(members)}", "of")
+        for pair in combinations(sorted(map(list(names).index, members)), 2):
             if not (math.isfinite(spearman) and -1.0 < spearman < 1.0):
                 raise LawError(f"spearman must lie strictly between -1 and 1, found {spearman:g}", "spearman")
             if pair in tied:
@@ -437,15 +432,6 @@ def correlation_from_spearman(names: Sequence[str], groups: Sequence[tuple[tuple
         return None
     _factor(names, correlation)
     return correlation
-
-
-def _places(names: Sequence[str], members: Sequence[str]) -> list[int]:
-    """Columns of two or more different inputs; raises LawError."""
-    if unknown := [name for name in members if name not in names]:
-        raise LawError(f"{unknown[0]!r} is not a random input; random are: {', '.join(names) or 'none'}", "of")
-    if len(members) < 2 or len(set(members)) != len(members):
-        raise LawError(f"a dependence needs two or more different inputs, found {list(members)}", "of")
-    return [names.index(name) for name in members]
 
 
 def make_joint(names: Sequence[str], laws: Sequence[Law], dependences: Sequence[Dependence]) -> Joint:
@@ -468,12 +454,8 @@ def make_joint(names: Sequence[str], laws: Sequence[Law], dependences: Sequence[
             raise LawError(f"a dependence needs two or more different inputs, found {list(tie.of)}", "of")
         copula = make_copula(tie.copula, len(tie.of), spearman=tie.spearman, kendall=tie.kendall, dof=tie.dof)
         groups.append(Group(members=tie.of, copula=copula))
-    return Joint(
-        names=tuple(names),
-        laws=tuple(laws),
-        correlation=correlation_from_spearman(names, gaussian) if gaussian else None,
-        groups=tuple(groups),
-    )
+    correlation = correlation_from_spearman(names, gaussian) if gaussian else None
+    return Joint(names=tuple(names), laws=tuple(laws), correlation=correlation, groups=tuple(groups))
 
 
 def _spearman(tie: Dependence) -> float:

@@ -13,9 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, special
 from uqsphere.uq.families import FAMILIES, Family, LawError, family_named, family_stored
-from uqsphere.uq.families.empirical import steps_ppf, steps_share_below
+from uqsphere.uq.families.observed import steps_ppf, steps_share_below
 
 _LEAST_MASS = 1e-290  # a truncation that leaves less cannot be told from nothing in floating point
 
@@ -26,9 +26,9 @@ class Law:
 
     `parameters` are the canonical ones of the family.  `lower` and `upper` truncate, or are the bounds of a bounded
     family.  `data` are the sorted observations of an empirical law (kept when a family was fitted to them); `censored`
-    are those that are known only to be larger than this.  `draws` are those of a posterior, `families.drawn`, with the
-    parameter `tests`: how many it rests on.  An empirical law has the parameter `bandwidth`: of the
-    Gaussian kernel, 0 for the step function.
+    are those that are known only to be larger than this.  `draws` are those of a posterior (`families.observed`), with
+    the parameter `tests`: how many it rests on.  An empirical law has the parameter `bandwidth`: of the Gaussian
+    kernel, 0 for the step function.
     Make one with `make_law` or `fitted_law`, which validate.
 
     >>> law = Law(family=FAMILIES["gumbel"], parameters={"location": 0.0, "scale": 1.0})
@@ -155,19 +155,18 @@ class Law:
 
     def cdf(self, x: Array) -> Array:
         """P(X <= x) of the law in force, to full relative accuracy in the lower tail; any shape."""
-        values = np.asarray(x, dtype=float)
-        if self._truncated or self._steps is not None:
-            return self._both(values)[0]
-        with np.errstate(divide="ignore", over="ignore"):
-            return self.family.cdf(self._standard(values), self._form[2])
+        return self._share(x, 0)
 
     def sf(self, x: Array) -> Array:
         """P(X > x) of the law in force, to full relative accuracy in the upper tail; any shape."""
+        return self._share(x, 1)
+
+    def _share(self, x: Array, side: int) -> Array:
         values = np.asarray(x, dtype=float)
         if self._truncated or self._steps is not None:
-            return self._both(values)[1]
+            return self._both(values)[side]
         with np.errstate(divide="ignore", over="ignore"):
-            return self.family.sf(self._standard(values), self._form[2])
+            return (self.family.cdf, self.family.sf)[side](self._standard(values), self._form[2])
 
     def _inverse(self, p: Array, q: Array) -> Array:
         """x from p and q = 1 - p, each exact where it is small."""
@@ -195,14 +194,12 @@ class Law:
 
     def from_normal(self, z: Array) -> Array:
         """x with the same probability below it as the standard normal z has, exact in both tails; any shape."""
-        from scipy.special import ndtr
-
         z = np.asarray(z, dtype=float)
         if self.family.gaussian and not self._truncated:
             location, scale, _ = self._form
             x = location + scale * z
             return np.exp(x) if self.family.logarithmic else x
-        return self._inverse(np.asarray(ndtr(z)), np.asarray(ndtr(-z)))
+        return self._inverse(np.asarray(special.ndtr(z)), np.asarray(special.ndtr(-z)))
 
     def pdf(self, x: Array) -> Array:
         """Density of the law in force; a step law has none and raises LawError.  Any shape."""
@@ -358,7 +355,6 @@ class Law:
             return None
 
     def _like(self, name: str, given: Mapping[str, float]) -> Law:
-        """A law between the same bounds."""
         return make_law(name, given, self.lower, self.upper)
 
     def _untruncated_moments(self) -> tuple[float, float]:

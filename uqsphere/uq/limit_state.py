@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
-from uqsphere.uq.archimedean import FARTHEST
-from uqsphere.uq.describe import quantile_estimates
+from uqsphere.arrays import Array, Flags, special
+from uqsphere.uq.copulas import FARTHEST
+from uqsphere.uq.describe import logit_ends, quantile_estimates
 from uqsphere.uq.estimate import Estimate, absent, student
 from uqsphere.uq.joint import Tie, conditional_score
 from uqsphere.uq.law import Law
@@ -68,10 +69,8 @@ class LimitState:
 
 def score_of(below: Array, above: Array) -> Array:
     """Normal score of a probability that is given with its complement, through the smaller of the two."""
-    from scipy.special import ndtri
-
     with np.errstate(divide="ignore"):
-        return np.where(below <= 0.5, ndtri(below), -ndtri(above))
+        return np.where(below <= 0.5, special.ndtri(below), -special.ndtri(above))
 
 
 def strength_tails(strength: Law | float, demands: Array) -> tuple[Array, Array]:
@@ -96,12 +95,10 @@ def tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
 
 def tails_given_inputs(state: LimitState, below: Array, above: Array) -> tuple[Array, Array]:
     """The two tails (R, n) of a strength's own law as the inputs leave them that it is tied to."""
-    from scipy.special import ndtr
-
     if state.tie is None and state.shift is None:
         return below, above
     score = score_given_inputs(state, score_of(below, above))
-    return np.asarray(ndtr(score)), np.asarray(ndtr(-score))
+    return np.asarray(special.ndtr(score)), np.asarray(special.ndtr(-score))
 
 
 def score_given_inputs(state: LimitState, score: Array) -> Array:
@@ -127,14 +124,9 @@ def pick_replicates(state: LimitState, rows: Sequence[int]) -> LimitState:
     """The state of some of the replicates, in the order given; one may come twice."""
     at = np.asarray(rows)
     tie = None if state.tie is None else replace(state.tie, given=state.tie.given[at])
-    return replace(
-        state,
-        demands=state.demands[at],
-        shift=None if state.shift is None else state.shift[at],
-        tie=tie,
-        censored=None if state.censored is None else state.censored[at],
-        failed=None if state.failed is None else state.failed[at],
-    )
+    parts: dict[str, Any] = {name: getattr(state, name) for name in ("demands", "shift", "censored", "failed")}
+    chosen: dict[str, Any] = {name: None if part is None else part[at] for name, part in parts.items()}
+    return replace(state, tie=tie, **chosen)
 
 
 def _interval(event: Array, other: Array, counts: Array, resolution: float) -> tuple[float, float, float, float]:
@@ -152,10 +144,7 @@ def _interval(event: Array, other: Array, counts: Array, resolution: float) -> t
     # The smaller side has the digits.
     rows = (event if p <= q else other).sum(axis=1) / counts
     error = max(float(np.std(rows, ddof=1)), resolution) / math.sqrt(rows.size)
-    half = min(student(rows.size) * error / (p * q), 600.0)
-    low = p * math.exp(-half) / (q + p * math.exp(-half))
-    high = p / (q * math.exp(-half) + p)
-    return p / (p + q), low, high, error
+    return p / (p + q), *logit_ends(p, q, student(rows.size) * error), error
 
 
 def _estimate(state: LimitState, breaking: bool) -> Estimate:
@@ -234,9 +223,7 @@ def reliability_index(probability: float | None) -> float | None:
     """-Φ⁻¹(probability) of missing the aim; None for 0, 1 and an absent probability."""
     if probability is None or not 0.0 < probability < 1.0:
         return None
-    from scipy.special import ndtri
-
-    return -float(ndtri(probability))
+    return -float(special.ndtri(probability))
 
 
 def complement(e: Estimate) -> Estimate:
@@ -302,14 +289,8 @@ def _margin_of_fixed(state: LimitState, strength: float, keys: dict[float, str])
                                  demand.evaluations)  # fmt: skip
         else:
             low, high = strength / demand.high, strength / demand.low
-            answer[key] = Estimate(
-                value=strength / demand.value,
-                low=low,
-                high=high,
-                std_error=0.5 * (high - low) / student(state.demands.shape[0]),
-                method=demand.method,
-                evaluations=demand.evaluations,
-            )
+            error = 0.5 * (high - low) / student(state.demands.shape[0])
+            answer[key] = replace(demand, value=strength / demand.value, low=low, high=high, std_error=error)
     return answer
 
 
@@ -338,11 +319,11 @@ def _margin(state: LimitState, strength: Law, p: float) -> Estimate:
     if value is None:
         return absent("no margin has this probability", state.method, total)
     error = float(np.std(replicate_probabilities(value), ddof=1)) / math.sqrt(counts.size)
-    half = student(counts.size) * error / (p * (1.0 - p))
+    half = student(counts.size) * error
     unsure = float(late.sum()) / counts.sum()
     lost = float(broken.sum()) / total if state.on_failure == "bound" else 0.0
-    lowest = p * math.exp(-half) / (1.0 - p + p * math.exp(-half)) - unsure - lost
-    highest = p / ((1.0 - p) * math.exp(-half) + p) + lost
+    lowest, highest = logit_ends(p, 1.0 - p, half)
+    lowest, highest = lowest - unsure - lost, highest + lost
     if lowest <= 0.0 or highest >= 1.0:
         reason = "beyond the censored share" if unsure else "beyond what the samples can tell"
         return absent(reason, state.method, total)
@@ -362,11 +343,9 @@ def _ends(
     probability_at: Callable[[float], float], value: float, p: float, ends: tuple[float, float]
 ) -> tuple[float | None, float | None]:
     """Margins at two probabilities around p: along the slope where they are close, else solved for."""
-    from scipy.special import ndtri
-
-    scores = [float(ndtri(end)) - float(ndtri(p)) for end in ends]
+    scores = [float(special.ndtri(end)) - float(special.ndtri(p)) for end in ends]
     if max(abs(score) for score in scores) < 0.05:
-        slope = (float(ndtri(probability_at(value * 1.01))) - float(ndtri(p))) / math.log(1.01)
+        slope = (float(special.ndtri(probability_at(value * 1.01))) - float(special.ndtri(p))) / math.log(1.01)
         # a slope of next to nothing leads nowhere: the median lies where the demand changes its sign
         if math.isfinite(slope) and slope > 0.0 and max(map(abs, scores)) < _FAR * slope:
             return value * math.exp(scores[0] / slope), value * math.exp(scores[1] / slope)
@@ -376,16 +355,15 @@ def _ends(
 def _root(probability_at: Callable[[float], float], probability: float, near: float) -> float | None:
     """Margin at which an increasing probability takes a value: bracketed in ln m, then by Brent's method."""
     from scipy.optimize import brentq
-    from scipy.special import ndtri
 
-    target = float(ndtri(probability))
+    target = float(special.ndtri(probability))
     known: dict[float, float] = {}
 
     def gap(u: float) -> float:
         # In normal scores the distribution of a margin is almost straight, and a few steps suffice.
         if u not in known:
             share = probability_at(math.exp(u))
-            known[u] = float(ndtri(min(max(share, 1e-300), 1.0 - 1e-16))) - target
+            known[u] = float(special.ndtri(min(max(share, 1e-300), 1.0 - 1e-16))) - target
         return known[u]
 
     low = high = math.log(near)

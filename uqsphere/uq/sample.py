@@ -40,16 +40,10 @@ class Sample:
     def at(cls, names: Sequence[str], scores: Array, inputs: Array) -> Sample:
         """Points that are not evaluated yet."""
         shape = scores.shape[:2]
-        return cls(
-            names=tuple(names),
-            scores=scores,
-            inputs=inputs,
-            quantities=(),
-            answers=np.empty((*shape, 0)),
-            censored=np.empty((*shape, 0), dtype=bool),
-            status=np.zeros(shape, dtype=np.int64),
-            failed=np.zeros(shape, dtype=bool),
-        )
+        none = np.empty((*shape, 0))
+        return cls(names=tuple(names), scores=scores, inputs=inputs, quantities=(), answers=none,
+                   censored=none.astype(bool), status=np.zeros(shape, dtype=np.int64),
+                   failed=np.zeros(shape, dtype=bool))  # fmt: skip
 
     @property
     def replicates(self) -> int:
@@ -130,15 +124,9 @@ class Sample:
         return self._each(lambda own, _: own[0].reshape(count, -1, *own.shape[2:]), self)
 
     def _each(self, change: Callable[[npt.NDArray[Any], npt.NDArray[Any]], npt.NDArray[Any]], other: Sample) -> Sample:
-        return replace(
-            self,
-            scores=change(self.scores, other.scores),
-            inputs=change(self.inputs, other.inputs),
-            answers=change(self.answers, other.answers),
-            censored=change(self.censored, other.censored),
-            status=change(self.status, other.status),
-            failed=change(self.failed, other.failed),
-        )
+        rows = ("scores", "inputs", "answers", "censored", "status", "failed")
+        changed: dict[str, Any] = {name: change(getattr(self, name), getattr(other, name)) for name in rows}
+        return replace(self, **changed)
 
 
 def without(rows: npt.NDArray[Any], failed: Flags) -> npt.NDArray[Any]:

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, special
+from uqsphere.uq.estimate import finite
 
 
 def attained_confidence(runs: int, coverage: float, *, order: int = 1, sides: int = 1) -> float:
@@ -26,11 +27,9 @@ def attained_confidence(runs: int, coverage: float, *, order: int = 1, sides: in
     >>> round(attained_confidence(59, 0.95), 4), round(attained_confidence(93, 0.95, sides=2), 4)
     (0.9515, 0.95)
     """
-    from scipy.special import bdtr
-
     _check(coverage, order, sides)
     left_out = sides * order
-    return float(bdtr(runs - left_out, runs, coverage)) if runs >= left_out else 0.0
+    return float(special.bdtr(runs - left_out, runs, coverage)) if runs >= left_out else 0.0
 
 
 def least_runs(coverage: float, confidence: float, *, order: int = 1, sides: int = 1) -> int:
@@ -117,10 +116,10 @@ def tolerance_limits(
     rising, falling = np.sort(np.where(broken, -math.inf, samples)), np.sort(np.where(late, math.inf, samples))
 
     def smallest(order: int) -> float | None:
-        return _finite(float(rising[order - 1])) if order else None
+        return finite(float(rising[order - 1])) if order else None
 
     def largest(order: int) -> float | None:
-        return _finite(float(falling[n - order])) if order else None
+        return finite(float(falling[n - order])) if order else None
 
     low, high = smallest(both), largest(both)
     limits = [smallest(one), largest(one), *([low, high] if both else [])]
@@ -129,21 +128,10 @@ def tolerance_limits(
         reason = f"{n} runs are too few: {least_runs(coverage, confidence)} are the fewest"
     elif None in limits:
         reason = "runs without an answer, or beyond the record, take the place of a limit"
+    attained = [attained_confidence(n, coverage, order=order, sides=sides) if order else 0.0
+                for order, sides in ((one, 1), (both, 2))]  # fmt: skip
     return ToleranceLimits(
-        coverage=coverage,
-        confidence=confidence,
-        runs=n,
-        upper=largest(one),
-        lower=smallest(one),
-        between=None if low is None or high is None else (low, high),
-        orders=(one, both),
-        attained=(
-            attained_confidence(n, coverage, order=one) if one else 0.0,
-            attained_confidence(n, coverage, order=both, sides=2) if both else 0.0,
-        ),
-        reason=reason,
-    )
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+        coverage=coverage, confidence=confidence, runs=n, upper=largest(one), lower=smallest(one),
+        between=None if low is None or high is None else (low, high), orders=(one, both),
+        attained=(attained[0], attained[1]), reason=reason,
+    )  # fmt: skip

@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array, Flags
-from uqsphere.uq.archimedean import FARTHEST
+from uqsphere.arrays import Array, Flags, special
+from uqsphere.uq.copulas import FARTHEST
+from uqsphere.uq.describe import logit_ends
 from uqsphere.uq.estimate import Estimate, none_of, student
 from uqsphere.uq.joint import conditional_scores
 from uqsphere.uq.law import Law, make_law
@@ -90,8 +91,6 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
     ValueError
         For no states, or states of different samples.
     """
-    from scipy.special import ndtr, ndtri
-
     shapes = {state.demands.shape for state in states}
     if len(shapes) != 1:
         raise ValueError(f"the limits of a union need the same samples, found shapes {sorted(shapes)}")
@@ -101,11 +100,11 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
         below, above = reversed(tails(state)) if missed else tails(state)
         if np.any(factor[j, :j]):
             score = (score_of(below, above) - np.tensordot(factor[j, :j], holding[:j], axes=1)) / factor[j, j]
-            below, above = ndtr(score), ndtr(-score)
+            below, above = special.ndtr(score), special.ndtr(-score)
         chances[j] = np.where(state.broken, 0.0, below)
         # a point of the upper tail
         with np.errstate(divide="ignore"):
-            drawn = -ndtri(np.maximum(rng.random(shape[1:]) * above, _TINY))
+            drawn = -special.ndtri(np.maximum(rng.random(shape[1:]) * above, _TINY))
         holding[j] = np.clip(drawn, -_FAR, _FAR)
     return Union(states=tuple(states), chances=chances, holding=holding, factor=factor)
 
@@ -154,8 +153,6 @@ def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breakin
     Samples are picked with the probability that any limit is exceeded there, by systematic resampling in a random
     order: every eighth point of a Sobol' sequence lies in one slab of the cube.
     """
-    from scipy.special import ndtri
-
     p = union.any
     mass = p.mean(axis=1)
     if not mass.sum() > 0.0:
@@ -177,7 +174,7 @@ def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breakin
     first = np.minimum((course <= rng.random(rows.shape) * course[-1]).sum(axis=0), size - 1)
     for j in range(size):
         with np.errstate(divide="ignore"):
-            lower = np.clip(ndtri(np.maximum(rng.random(rows.shape) * chances[j], _TINY)), -_FAR, _FAR)
+            lower = np.clip(special.ndtri(np.maximum(rng.random(rows.shape) * chances[j], _TINY)), -_FAR, _FAR)
         free = rng.standard_normal(rows.shape)
         normals[j] = np.where(first == j, lower, np.where(first < j, free, normals[j]))
     scores = np.tensordot(union.factor, normals, axes=1)
@@ -222,8 +219,7 @@ def share_of(flags: Flags, weights: Array, method: str, evaluations: int) -> Est
     rows = flags.mean(axis=1)
     p = float((weights * rows).mean())
     error = _ratio_error(rows, weights, p, max(p * (1.0 - p), 0.25 / m) / m)
-    half = min(student(replicates) * error / (p * (1.0 - p)), 600.0)
-    low, high = (p * math.exp(-half) / (1.0 - p + p * math.exp(-half)), p / ((1.0 - p) * math.exp(-half) + p))
+    low, high = logit_ends(p, 1.0 - p, student(replicates) * error)
     return Estimate(value=p, low=low, high=high, std_error=error, method=method, evaluations=evaluations)
 
 

@@ -19,7 +19,6 @@ stopped at the r-th failure.  The same draws give intervals and the laws that th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -37,8 +36,6 @@ LEAST_FAILURES: Final = 2
 #: relative difference of strengths that are taken for equal: half of the digits of a double, so that a scatter is known
 #: to the other half
 SAME: Final = 1.5e-8
-#: half of the 95 % quantile of chi-squared with one degree of freedom
-_DROP: Final = 1.920729410347062
 #: simulated test series behind bias and intervals
 DRAWS: Final = 8000
 _SEED: Final = 20261121
@@ -127,51 +124,6 @@ def _maximum(law: Strength, logarithms: Array, failed: Flags) -> tuple[Array, Ar
     return g / h * spread[:, 0] + centre[:, 0], spread[:, 0] / h
 
 
-def _profiles(law: Strength, y: Array, failed: Flags) -> tuple[Callable[[float], float], Callable[[float], float]]:
-    """Largest log-likelihood of y (n,) at a given logarithm of the scale s, and at a given location mu."""
-    from scipy.optimize import brentq
-
-    rows = y[None, :]
-    reach = 30.0
-
-    def likelihood(h: float, g: float) -> float:
-        return float(_log_likelihood(law, rows, failed, np.array([h]), np.array([g]))[0])
-
-    def at_scale(log_scale: float) -> float:
-        h = math.exp(-log_scale)
-
-        def slope(mu: float) -> float:
-            return -float(law.terms(h * (y - mu), failed)[1].sum())
-
-        low, high = float(y.min()) - reach / h, float(y.max()) + reach / h
-        mu = brentq(lambda m: -slope(m), low, high, xtol=1e-12)
-        return likelihood(h, h * float(mu))
-
-    def at_location(mu: float) -> float:
-        def slope(log_h: float) -> float:
-            h = math.exp(log_h)
-            return float((law.terms(h * (y - mu), failed)[1] * (y - mu)).sum()) * h + float(failed.sum())
-
-        log_h = float(brentq(slope, -reach, reach, xtol=1e-12))
-        h = math.exp(log_h)
-        return likelihood(h, h * mu)
-
-    return at_scale, at_location
-
-
-def _ends(profile: Callable[[float], float], best: float, at: float, step: float) -> tuple[float, float]:
-    """Where a profile has fallen by half the 95 % quantile of chi-squared, on both sides."""
-    from scipy.optimize import brentq
-
-    found = []
-    for sign in (-1.0, 1.0):
-        far = step
-        while profile(at + sign * far) > best - _DROP and far < 50.0:
-            far *= 2.0
-        found.append(float(brentq(lambda u: profile(u) - best + _DROP, at, at + sign * far, xtol=1e-10)))
-    return found[0], found[1]
-
-
 # --- simulated series ----------------------------------------------------------------------------------
 
 
@@ -228,10 +180,9 @@ class StrengthFit:
         Of the largest likelihood: modulus and scale (63.2 %), or log_sd and median.
     unbiased : float
         The shape without its bias.
-    shape_likelihood, scale_likelihood : (low, high)
-        95 % intervals from the profile of the likelihood.
     shape_interval, scale_interval : (low, high)
-        95 % intervals from simulated series; they cover what they promise however few the tests.
+        95 % intervals from simulated series; they cover what they promise however few the tests, unlike those from the
+        profile of the likelihood.
     log_likelihood : float
     distance, p_value : float
         Largest difference from the Kaplan-Meier estimate at a failure, and the probability of a larger one if the
@@ -244,8 +195,6 @@ class StrengthFit:
     shape: float
     scale: float
     unbiased: float
-    shape_likelihood: tuple[float, float]
-    scale_likelihood: tuple[float, float]
     shape_interval: tuple[float, float]
     scale_interval: tuple[float, float]
     log_likelihood: float
@@ -267,26 +216,25 @@ def fit_strength(tests: StrengthTests, law: Strength = _WEIBULL, *, draws: int =
     y, failed = np.log(tests.values), tests.failed
     location, spread = (float(part[0]) for part in _maximum(law, y[None, :], failed))
     best = float(_log_likelihood(law, y[None, :], failed, np.array([1.0 / spread]), np.array([location / spread]))[0])
-    at_scale, at_location = _profiles(law, y, failed)
-    step = 1.0 / math.sqrt(tests.failures)
-    scales = _ends(at_scale, best, math.log(spread), step)
-    places = _ends(at_location, best, location, step * spread)
-    simulation = pivots(law, failed, draws, np.random.default_rng(_SEED))
-    centre, inverse = simulation
+    simulation = centre, inverse = pivots(law, failed, draws, np.random.default_rng(_SEED))
     # s = s* inverse and mu = mu* - s* centre are what the tests allow
     allowed_scale = np.quantile(spread * inverse, [0.025, 0.975])
     allowed_place = np.exp(np.quantile(location - spread * centre, [0.025, 0.975]))
-    ends = sorted(math.exp(-end if law.inverse else end) for end in scales)
     drawn = 1.0 / allowed_scale[::-1] if law.inverse else allowed_scale
     shape = law.shape(spread)
-    distance, p_value = _closeness(law, tests, location, spread)
+    # how far it lies from the Kaplan-Meier estimate, beside series fitted in the same way
+    distance = float(_distances(law, (y[failed] - location)[None, :] / spread, failed)[0])
+    told = failed[int(np.argmax(failed)) :]
+    drawn_series = _simulated(law, told, 999, np.random.default_rng(_SEED + 1))
+    centres, scales = (part[:, None] for part in _maximum(law, drawn_series, told))
+    others = _distances(law, ((drawn_series - centres) / scales)[:, told], failed)
     return StrengthFit(
         law=law, tests=y.size, failures=tests.failures, shape=shape, scale=math.exp(location),
         unbiased=shape * unbiasing(law, failed, simulation),
-        shape_likelihood=(ends[0], ends[1]), scale_likelihood=(math.exp(places[0]), math.exp(places[1])),
         shape_interval=(float(drawn[0]), float(drawn[1])),
         scale_interval=(float(allowed_place[0]), float(allowed_place[1])),
-        log_likelihood=best - float(y[failed].sum()), distance=distance, p_value=p_value,
+        log_likelihood=best - float(y[failed].sum()), distance=distance,
+        p_value=float((1 + (others >= distance).sum()) / 1000),
     )  # fmt: skip
 
 
@@ -329,15 +277,3 @@ def _distances(law: Strength, z: Array, failed: Flags) -> Array:
     after = kaplan_meier(failed)
     before = np.concatenate([[0.0], after[:-1]])
     return np.asarray(np.maximum(np.abs(below - after), np.abs(below - before)).max(axis=1))
-
-
-def _closeness(law: Strength, tests: StrengthTests, location: float, spread: float) -> tuple[float, float]:
-    """Distance from the Kaplan-Meier estimate, and its p-value from series fitted in the same way."""
-    failed = tests.failed
-    z = (np.log(tests.values[failed]) - location) / spread
-    distance = float(_distances(law, z[None, :], failed)[0])
-    told = failed[int(np.argmax(failed)) :]
-    drawn = _simulated(law, told, 999, np.random.default_rng(_SEED + 1))
-    places, scales = _maximum(law, drawn, told)
-    others = _distances(law, ((drawn - places[:, None]) / scales[:, None])[:, told], failed)
-    return distance, float((1 + (others >= distance).sum()) / 1000)

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, special
 from uqsphere.uq.fitting import possible_densities
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, tails, tails_given_inputs
@@ -106,14 +106,12 @@ def root(places: Array, probability_at: Callable[[int], float], wanted: float, r
     >>> root(np.arange(4.0), lambda j: curve[j], 0.5, rising=True), root(np.arange(4.0), lambda j: curve[j], 0.9, True)
     (2.0, inf)
     """
-    from scipy.special import ndtri
-
     sign = 1.0 if rising else -1.0
     scores: dict[int, float] = {}
-    score, low, high = sign * float(ndtri(wanted)), -1, len(places)
+    score, low, high = sign * float(special.ndtri(wanted)), -1, len(places)
     while high - low > 1:
         middle = (low + high) // 2
-        scores[middle] = sign * float(ndtri(min(max(probability_at(middle), 1e-300), 1.0 - 1e-16)))
+        scores[middle] = sign * float(special.ndtri(min(max(probability_at(middle), 1e-300), 1.0 - 1e-16)))
         low, high = (low, middle) if scores[middle] >= score else (middle, high)
     if high == len(places):
         return math.inf

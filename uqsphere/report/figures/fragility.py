@@ -515,7 +515,7 @@ def _drawn(known: FittedTests, heights: Array, ends: Array) -> tuple[tuple[Any, 
 
 
 def tests_table(known: FittedTests) -> Table:
-    """Parameters with both kinds of intervals, and the closeness of the fit."""
+    """Parameters with their intervals, and the closeness of the fit."""
     law, fitted, quantity = known.law, known.fit, known.quantity
     shape, scale = fitted.law.shape_words, fitted.law.scale_words
 
@@ -524,10 +524,9 @@ def tests_table(known: FittedTests) -> Table:
 
     rows = (
         ("tests, failures", f"{fitted.tests}, {fitted.failures}"),
-        (f"{shape}, largest likelihood (interval: profile likelihood)", text(fitted.shape, fitted.shape_likelihood)),
-        (f"{shape}, bias taken out (interval: simulated series)", text(fitted.unbiased, fitted.shape_interval)),
-        (f"{scale} (interval: profile likelihood)", text(fitted.scale, fitted.scale_likelihood, quantity)),
-        (f"{scale} (interval: simulated series)", text(fitted.scale, fitted.scale_interval, quantity)),
+        (f"{shape}, largest likelihood (95 %)", text(fitted.shape, fitted.shape_interval)),
+        (f"{shape}, bias taken out (95 %)", text(fitted.unbiased, fitted.shape_interval)),
+        (f"{scale} (95 %)", text(fitted.scale, fitted.scale_interval, quantity)),
         (
             "largest distance from the tests, probability of a larger one",
             f"{fitted.distance:.3g}, {fitted.p_value:.2g}",

@@ -29,8 +29,7 @@ from uqsphere.runner.forecast import more_to_come
 from uqsphere.runner.limits import LimitAnswer, controlled_limits, judge_limits, limits_missed, takes_over
 from uqsphere.runner.schedule import REPLICATES, SAMPLING, TABLE
 from uqsphere.runner.similarity import CUT_SHORT, Tabled, begin_table
-from uqsphere.uq.control import describe_controlled
-from uqsphere.uq.describe import Description, describe, lacking
+from uqsphere.uq.describe import Description, describe, describe_controlled, lacking
 from uqsphere.uq.estimate import absent, exact
 from uqsphere.uq.heavy_tails import describe_heavy
 from uqsphere.uq.sample import Sample

@@ -188,7 +188,7 @@ def _normal_halves(work: Work, start: int, count: int, blocks: Blocks) -> Iterat
 
 def surrogate_outputs(work: Work, start: int, count: int, blocks: Blocks, chaoses: Sequence[Chaos]) -> Array:
     """What expansions say at the points of `pick_and_freeze`, (R, count, blocks, len(chaoses))."""
-    from uqsphere.uq.control import chaos_outputs
+    from uqsphere.uq.indices import chaos_outputs
 
     rows = [
         np.stack([chaos_outputs(chaos, blocks, halves) for chaos in chaoses], axis=-1)
@@ -201,7 +201,7 @@ def helpers_of(chaoses: Mapping[str, Chaos], blocks: Blocks, outputs: Array | No
     """The expansions as control variates, by quantity, from their outputs (R, N, blocks, len(chaoses))."""
     if outputs is None:
         return {}
-    from uqsphere.uq.control import chaos_surrogate
+    from uqsphere.uq.indices import chaos_surrogate
 
     made = {q: chaos_surrogate(chaos, blocks, outputs[..., k]) for k, (q, chaos) in enumerate(chaoses.items())}
     return {q: surrogate for q, surrogate in made.items() if surrogate is not None}
@@ -338,9 +338,9 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
     The output itself is expanded, no transform of it: only then are the
     indices of the expansion known exactly, as those of a control variate must be.
     """
-    from uqsphere.uq.control import mean_expansion
     from uqsphere.uq.expansion import chaos_indices, fit_again, fit_chaos, germ_points, judge, validation_error
     from uqsphere.uq.expansion.shares import error_with_tails
+    from uqsphere.uq.indices import mean_expansion
 
     d = len(work.scene_names)
     sample = sampled.sample

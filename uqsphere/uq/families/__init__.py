@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from typing import Final
 
-from uqsphere.uq.families import bounded, empirical, location_scale, shaped
-from uqsphere.uq.families.drawn import DRAWN
 from uqsphere.uq.families.family import Family, LawError
 from uqsphere.uq.families.named import named_family
+from uqsphere.uq.families.observed import DRAWN, EMPIRICAL
+from uqsphere.uq.families.standard import FAMILIES as STANDARD
 
 __all__ = ["FAMILIES", "Family", "LawError", "family_named", "family_stored"]
 
 #: every family, in the order in which a study is told of them
-FAMILIES: Final[dict[str, Family]] = {
-    family.name: family for module in (location_scale, bounded, shaped, empirical) for family in module.FAMILIES
-}
+FAMILIES: Final[dict[str, Family]] = {family.name: family for family in (*STANDARD, EMPIRICAL)}
 
 
 def family_named(name: str) -> Family | None:

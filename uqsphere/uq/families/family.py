@@ -245,15 +245,3 @@ class Family:
 
 #: keys that must be above zero in every family that has them
 _POSITIVE = ("sd", "cov", "log_sd", "scale", "modulus", "shape", "dof", "rate", "alpha", "beta")
-
-
-def positive_mean(name: str, given: Parameters) -> float:
-    """The mean that was given; raises LawError where it is not above zero."""
-    if given["mean"] <= 0.0:
-        raise LawError(f"mean of a {name} law must be positive, found {given['mean']:g}", "mean")
-    return given["mean"]
-
-
-def between(key: str, value: float, lower: float, upper: float) -> str:
-    """That a number must lie between the bounds."""
-    return f"{key} ({value:g}) must lie between lower ({lower:g}) and upper ({upper:g})"

@@ -16,7 +16,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Places, special
 
 #: scores are kept within these bounds: the tail beyond is less than 1e-315
 FARTHEST = 38.0
@@ -31,10 +31,8 @@ State: TypeAlias = tuple[Array, ...]
 
 def score_from_logs(log_lower: Array, log_upper: Array) -> Array:
     """Normal score from the logarithms of both tail probabilities, through the smaller tail."""
-    from scipy.special import ndtri_exp
-
     with np.errstate(divide="ignore", invalid="ignore"):
-        score = np.where(log_lower <= -math.log(2.0), ndtri_exp(log_lower), -ndtri_exp(log_upper))
+        score = np.where(log_lower <= -math.log(2.0), special.ndtri_exp(log_lower), -special.ndtri_exp(log_upper))
     return np.clip(score, -FARTHEST, FARTHEST)
 
 
@@ -73,25 +71,19 @@ def _log_ratio(weights: Array, powers: Array, step: Array) -> Array:
 
 def _clayton_sum(theta: float, known: Array) -> State:
     """log(1 + T) of the given members."""
-    from scipy.special import log_ndtr
-
-    terms = _log_exp_less_one(-theta * log_ndtr(known))
+    terms = _log_exp_less_one(-theta * special.log_ndtr(known))
     return (np.logaddexp(0.0, _log_sum(terms)),)
 
 
 def _clayton_forward(theta: float, count: int, state: State, score: Array) -> Array:
-    from scipy.special import log_ndtr
-
-    step = np.logaddexp(0.0, _log_exp_less_one(-theta * log_ndtr(score)) - state[0])
+    step = np.logaddexp(0.0, _log_exp_less_one(-theta * special.log_ndtr(score)) - state[0])
     log_p = -(1.0 / theta + count) * step
     return score_from_logs(log_p, _log_one_less_exp(log_p))
 
 
 def _clayton_inverse(theta: float, count: int, state: State, normal: Array) -> Array:
     """Closed form: u^-θ - 1 = (1 + T) (p^(-θ/(1 + jθ)) - 1)."""
-    from scipy.special import log_ndtr
-
-    step = -log_ndtr(normal) / (1.0 / theta + count)
+    step = -special.log_ndtr(normal) / (1.0 / theta + count)
     log_u = -np.logaddexp(0.0, state[0] + _log_exp_less_one(step)) / theta
     return score_from_logs(log_u, _log_one_less_exp(log_u))
 
@@ -119,18 +111,14 @@ def _gumbel_logs(alpha: float, count: int) -> tuple[float, ...]:
 
 def _gumbel_sum(theta: float, known: Array) -> State:
     """log T of the given members."""
-    from scipy.special import log_ndtr
-
     with np.errstate(divide="ignore"):
-        return (_log_sum(np.maximum(theta * np.log(-log_ndtr(known)), -1e290)),)
+        return (_log_sum(np.maximum(theta * np.log(-special.log_ndtr(known)), -1e290)),)
 
 
 def _gumbel_forward(theta: float, count: int, state: State, score: Array) -> Array:
-    from scipy.special import log_ndtr
-
     alpha, log_t = 1.0 / theta, state[0]
     with np.errstate(divide="ignore"):
-        step = np.logaddexp(0.0, np.maximum(theta * np.log(-log_ndtr(score)), -1e290) - log_t)
+        step = np.logaddexp(0.0, np.maximum(theta * np.log(-special.log_ndtr(score)), -1e290) - log_t)
     powers = np.arange(1.0, count + 1.0)
     weights = np.array(_gumbel_logs(alpha, count)) + alpha * log_t[:, None] * powers
     with np.errstate(over="ignore"):
@@ -145,9 +133,7 @@ def _gumbel_inverse(theta: float, count: int, state: State, normal: Array) -> Ar
 
     λ solves x (e^λ - 1) + (θ - 1) λ = -ln p, which is convex and increasing: Newton's steps from above never pass it.
     """
-    from scipy.special import log_ndtr
-
-    log_x, fall = state[0] / theta, -log_ndtr(normal)
+    log_x, fall = state[0] / theta, -special.log_ndtr(normal)
     x, slope = np.exp(log_x), theta - 1.0
     with np.errstate(divide="ignore"):
         step = np.minimum(fall / (x + slope), np.logaddexp(0.0, np.log(fall) - log_x))
@@ -183,9 +169,7 @@ def _eulerian_logs(count: int) -> tuple[float, ...]:
 
 def _frank_share(theta: float, score: Array) -> tuple[Array, Array]:
     """log r and log(1 - r)."""
-    from scipy.special import ndtr
-
-    lower, upper = np.asarray(ndtr(score)), np.asarray(ndtr(-score))
+    lower, upper = np.asarray(special.ndtr(score)), np.asarray(special.ndtr(-score))
     with np.errstate(divide="ignore"):
         log_rest = np.log(np.expm1(theta * upper) / math.expm1(theta))
         small = np.log(-np.expm1(-theta * lower)) - math.log(-math.expm1(-theta))
@@ -194,9 +178,7 @@ def _frank_share(theta: float, score: Array) -> tuple[Array, Array]:
 
 def _frank_sum(theta: float, known: Array) -> State:
     """log x and log(1 - x), x = (1 - e^-θ) Π r; the first member brings the constant with it."""
-    from scipy.special import ndtr
-
-    log_x = _log_one_less_exp(-theta * np.asarray(ndtr(known[:, 0])))
+    log_x = _log_one_less_exp(-theta * np.asarray(special.ndtr(known[:, 0])))
     for column in range(1, known.shape[1]):
         log_x = log_x + _frank_share(theta, known[:, column])[0]
     return log_x, _log_one_less_exp(log_x)
@@ -216,10 +198,8 @@ def _frank_forward(theta: float, count: int, state: State, score: Array) -> Arra
 
 def _frank_inverse(theta: float, count: int, state: State, normal: Array) -> Array:
     """Closed form given one member: r = p/(1 - x + p x)."""
-    from scipy.special import log_ndtr, ndtri
-
     log_x, log_rest_x = state
-    log_p, log_q = log_ndtr(normal), log_ndtr(-normal)
+    log_p, log_q = special.log_ndtr(normal), special.log_ndtr(-normal)
     log_sum = np.logaddexp(log_rest_x, log_p + log_x)
     r, rest = np.exp(log_p - log_sum), np.exp(log_rest_x + log_q - log_sum)
     with np.errstate(divide="ignore"):
@@ -227,7 +207,7 @@ def _frank_inverse(theta: float, count: int, state: State, normal: Array) -> Arr
     upper = np.log1p(rest * math.expm1(theta)) / theta
     lower, upper = np.where(r <= 0.5, lower, 1.0 - upper), np.where(r <= 0.5, 1.0 - lower, upper)
     with np.errstate(divide="ignore"):
-        score = np.where(lower <= upper, ndtri(np.maximum(lower, 0.0)), -ndtri(np.maximum(upper, 0.0)))
+        score = np.where(lower <= upper, special.ndtri(np.maximum(lower, 0.0)), -special.ndtri(np.maximum(upper, 0.0)))
     return np.clip(score, -FARTHEST, FARTHEST)
 
 
@@ -246,15 +226,9 @@ def _frank_strength(tau: float) -> float:
     return float(brentq(lambda theta: _frank_tau(theta) - tau, 1e-6, _LARGEST_FRANK, xtol=1e-13, rtol=1e-14))
 
 
-@lru_cache(maxsize=1)
-def _legendre() -> tuple[Array, Array]:
-    nodes, weights = np.polynomial.legendre.leggauss(200)
-    return nodes, weights
-
-
 def _frank_tau(theta: float) -> float:
     """1 - 4 (1 - D_1(θ))/θ with Debye's function D_1."""
-    nodes, weights = _legendre()
+    nodes, weights = np.polynomial.legendre.leggauss(200)
     t = 0.5 * theta * (nodes + 1.0)
     debye = float(0.5 * weights @ (t / np.expm1(t)))
     return 1.0 - 4.0 * (1.0 - debye) / theta if theta > 1e-3 else theta / 9.0
@@ -291,35 +265,19 @@ ARCHIMEDEAN: Final[dict[str, Generator]] = {
     generator.name: generator
     for generator in (
         Generator(
-            name="clayton",
-            total=_clayton_sum,
-            forward=_clayton_forward,
-            backward=_clayton_inverse,
-            closed=math.inf,
-            derivative=_clayton_derivative,
-            strength=lambda tau: 2.0 * tau / (1.0 - tau),
+            name="clayton", total=_clayton_sum, forward=_clayton_forward, backward=_clayton_inverse, closed=math.inf,
+            derivative=_clayton_derivative, strength=lambda tau: 2.0 * tau / (1.0 - tau),
         ),
         Generator(
-            name="gumbel",
-            total=_gumbel_sum,
-            forward=_gumbel_forward,
-            backward=_gumbel_inverse,
-            closed=1,
-            derivative=_gumbel_derivative,
-            strength=lambda tau: 1.0 / (1.0 - tau),
+            name="gumbel", total=_gumbel_sum, forward=_gumbel_forward, backward=_gumbel_inverse, closed=1,
+            derivative=_gumbel_derivative, strength=lambda tau: 1.0 / (1.0 - tau),
         ),
         Generator(
-            name="frank",
-            total=_frank_sum,
-            forward=_frank_forward,
-            backward=_frank_inverse,
-            closed=1,
-            derivative=_frank_derivative,
-            strength=_frank_strength,
-            negative=True,
+            name="frank", total=_frank_sum, forward=_frank_forward, backward=_frank_inverse, closed=1,
+            derivative=_frank_derivative, strength=_frank_strength, negative=True,
         ),
     )
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -361,7 +319,11 @@ class Archimedean:
         state = family.total(theta, known)
         if count <= family.closed:
             return family.backward(theta, count, state, normal)
-        return _root(lambda score: family.forward(theta, count, state, score) - normal, normal.size)
+
+        def gap(score: Array, rows: Places) -> Array:
+            return family.forward(theta, count, tuple(part[rows] for part in state), score) - normal[rows]
+
+        return _root(gap, normal.size)
 
     def _log_copula(self, scores: Array) -> Array:
         """Logarithm of the copula's density at the scores (n, k): ψ^(k)(T) Π 1/ψ'(t_i)."""
@@ -398,37 +360,116 @@ def differences(log_density: Callable[[Array], Array], scores: Array) -> Array:
     return found
 
 
-def _root(gap: Callable[[Array], Array], size: int) -> Array:
-    """Zeros of an increasing function of every row between the farthest scores (Chandrupatla 1997).
+def _root(gap: Callable[[Array, Places], Array], size: int) -> Array:
+    """Zeros (size,) of functions of score and row that rise with the score, at the farthest scores at the most."""
+    from scipy.optimize import elementwise
 
-    Inverse quadratic interpolation where it is safe, else bisection; rows that are done stand still.
-    """
-    a, b = np.full(size, -FARTHEST), np.full(size, FARTHEST)
-    fa, fb = gap(a), gap(b)
-    c, fc = a.copy(), fa.copy()
+    ends = np.full(size, -FARTHEST), np.full(size, FARTHEST)
+    found = elementwise.find_root(gap, ends, args=(np.arange(size),), tolerances={"xatol": 4e-15, "xrtol": 4e-15})
     # beyond the bounds the answer is the bound
-    best = np.where(fa >= 0.0, a, np.where(fb <= 0.0, b, np.nan))
-    t = np.full(size, 0.5)
-    for _ in range(100):
-        x = a + t * (b - a)
-        fx = gap(x)
-        same = np.sign(fx) == np.sign(fa)
-        c, fc = np.where(same, a, b), np.where(same, fa, fb)
-        b, fb = np.where(same, b, a), np.where(same, fb, fa)
-        a, fa = x, fx
-        nearer = np.where(np.abs(fa) < np.abs(fb), a, b)
-        width = np.abs(b - a)
-        done = (width < 4e-15 * (1.0 + np.abs(nearer))) | (fa == 0.0)
-        best = np.where(np.isnan(best) & done, nearer, best)
-        if not np.isnan(best).any():
-            break
-        with np.errstate(divide="ignore", invalid="ignore"):
-            xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
-            safe = (phi**2 < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)
-            quadratic = fa / (fb - fa) * fc / (fb - fc) + (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
-            least = np.minimum(0.5, 1e-15 * (1.0 + np.abs(nearer)) / width)
-        t = np.where(safe & np.isfinite(quadratic), quadratic, 0.5)
-        t = np.clip(
-            np.where(np.isfinite(t), t, 0.5), np.nan_to_num(least, nan=0.5), 1.0 - np.nan_to_num(least, nan=0.5)
-        )
-    return np.where(np.isnan(best), nearer, best)
+    return np.where(found.status == -1, np.where(found.f_bracket[0] > 0.0, -FARTHEST, FARTHEST), found.x)
+
+
+# --- Gaussian and Student t -------------------------------------------------------------------------------
+
+#: below it, a t variate could not be squared
+_LEAST_BETA = 1e-290
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Elliptical:
+    """The Gaussian copula with the correlation (size, size) of its scores, or Student's t with `dof` of freedom.
+
+    A conditional score is that of a member given others: the normal score of P(member <= score | others).
+    """
+
+    correlation: Array
+    dof: float = math.inf
+
+    @property
+    def name(self) -> str:
+        return "gaussian" if math.isinf(self.dof) else "student_t"
+
+    @property
+    def label(self) -> str:
+        """Its name within a sentence."""
+        return "Gaussian" if math.isinf(self.dof) else "Student t"
+
+    @property
+    def size(self) -> int:
+        return len(self.correlation)
+
+    def among(self, members: Sequence[int]) -> Elliptical:
+        """The copula of some of the members, in the order given."""
+        return replace(self, correlation=self.correlation[np.ix_(members, members)])
+
+    def _regression(self, target: int, given: Sequence[int]) -> tuple[Array, float, Array]:
+        """Weights (j,) and remaining sd of one member on others, and the inverse (j, j) of their correlation."""
+        inverse = np.asarray(np.linalg.inv(self.correlation[np.ix_(given, given)]), dtype=np.float64)
+        across = self.correlation[list(given), target]
+        weights = inverse @ across
+        return weights, math.sqrt(max(0.0, 1.0 - float(across @ weights))), inverse
+
+    def _spread(self, known: Array, inverse: Array) -> Array:
+        """Scale of the conditional t law: sqrt((dof + x' R⁻¹ x)/(dof + j))."""
+        distance = np.einsum("ni,ij,nj->n", known, inverse, known)
+        return np.asarray(np.sqrt((self.dof + distance) / (self.dof + known.shape[1])))
+
+    def conditional_score(self, target: int, given: Sequence[int], known: Array, score: Array) -> Array:
+        """Conditional score (n,) of `target` at `score` (n,), members `given` at the scores `known` (n, j), j >= 1."""
+        weights, remaining, inverse = self._regression(target, given)
+        if math.isinf(self.dof):
+            return np.asarray((score - known @ weights) / remaining)
+        x = _student(known, self.dof)
+        standard = (_student(score, self.dof) - x @ weights) / (remaining * self._spread(x, inverse))
+        return _score(standard, self.dof + len(given))
+
+    def score_at(self, target: int, given: Sequence[int], known: Array, normal: Array) -> Array:
+        """Score (n,) of a member whose conditional score is `normal` (n,)."""
+        weights, remaining, inverse = self._regression(target, given)
+        if math.isinf(self.dof):
+            return np.asarray(known @ weights + remaining * normal)
+        x = _student(known, self.dof)
+        standard = _student(normal, self.dof + len(given))
+        return _score(x @ weights + remaining * self._spread(x, inverse) * standard, self.dof)
+
+    def log_density(self, scores: Array) -> Array:
+        """Logarithm of the joint density (n,) of the normal scores (n, size)."""
+        scores = np.asarray(scores, dtype=float)
+        marginal = log_marginal(scores)
+        inverse, log_determinant = np.linalg.inv(self.correlation), float(np.linalg.slogdet(self.correlation)[1])
+        if math.isinf(self.dof):
+            gain = scores**2 @ np.ones(self.size) - np.einsum("ni,ij,nj->n", scores, inverse, scores)
+            return np.asarray(marginal + 0.5 * gain - 0.5 * log_determinant)
+        x, nu, k = _student(scores, self.dof), self.dof, self.size
+        distance = np.einsum("ni,ij,nj->n", x, inverse, x)
+        joint = math.lgamma(0.5 * (nu + k)) + (k - 1) * math.lgamma(0.5 * nu) - k * math.lgamma(0.5 * (nu + 1.0))
+        joint = joint - 0.5 * log_determinant - 0.5 * (nu + k) * np.log1p(distance / nu)
+        return np.asarray(joint + 0.5 * (nu + 1.0) * np.log1p(x**2 / nu).sum(axis=1) + marginal)
+
+    def score_gradient(self, scores: Array) -> Array:
+        """-∂ ln f/∂s (n, size) of the joint density f of the scores s (n, size)."""
+        if math.isinf(self.dof):
+            return np.asarray(np.linalg.solve(self.correlation, scores.T).T)
+        return differences(self.log_density, scores)
+
+
+def _student(score: Array, dof: float) -> Array:
+    """Student's t variate with the same probability below it as a normal score.
+
+    By the incomplete beta function from whichever side has the digits: SciPy's own quantile fails in far tails
+    (infinite at a score of -37 and 6 degrees of freedom) and near the median.
+    """
+    size = np.abs(score)
+    near = np.minimum(size, 0.5)
+    inside = special.betaincinv(0.5, 0.5 * dof, special.erf(near / math.sqrt(2.0)))
+    outside = special.betaincinv(0.5 * dof, 0.5, 2.0 * np.asarray(special.ndtr(-np.maximum(size, 0.5))))
+    ratio = np.where(size < 0.5, inside / (1.0 - inside), 1.0 / np.maximum(outside, _LEAST_BETA) - 1.0)
+    return np.asarray(np.sign(score) * np.sqrt(dof * ratio))
+
+
+def _score(variate: Array, dof: float) -> Array:
+    """Normal score of Student's t variate."""
+    with np.errstate(divide="ignore"):
+        far = np.asarray(special.ndtri(special.stdtr(dof, -np.abs(variate))))
+    return np.clip(-np.sign(variate) * far, -FARTHEST, FARTHEST)

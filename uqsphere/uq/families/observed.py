@@ -1,0 +1,287 @@
+"""Laws that are tables of normal scores: the user's observations as a kernel density, and the draws of a posterior.
+
+A table of z(x) = special.ndtri(F(x)), which is smooth and almost a straight line in both tails, and of dz/dx with cubic
+interpolation gives F and its inverse to 1e-9 anywhere, at the price of a look-up.  Every draw of a posterior is a law
+of its own, (kind, least, scale, shape, bound), one of those that the tests allow, and the law is their mean:
+
+    kind 0   ln(x*/scale)/shape is standard normal, x* = x/(1 - bound x/scale): a lognormal law with an upper end
+             scale/bound, or none where bound is 0
+    kind 1   1 - exp(-((x - least)/scale)^shape): a Weibull law
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Final, TypeAlias
+
+import numpy as np
+
+from uqsphere.arrays import Array, Places, special
+from uqsphere.uq.families.family import Family, LawError, Shapes
+
+#: Beyond this many observations a kernel density has nothing to add to the step function.
+MOST_KERNELS = 5000
+#: nodes, normal scores there, and their slopes
+Table: TypeAlias = tuple[Array, Array, Array]
+_REACH = 37.5  # normal scores beyond this are below the smallest floating-point probability
+#: numbers of a draw, and the kinds
+WIDTH: Final = 5
+LOGNORMAL, WEIBULL = 0.0, 1.0
+#: nodes of the table of draws: scores from -6 to 6 and on either side up to 37, and the lowest ln x that is looked up:
+#: shares are then known to 1e-8
+_NODES, _MIDDLE, _TAIL, _FURTHEST, _LEAST = 4001, 6.0, 400, 37.0, 700.0
+
+# --- tables of normal scores ------------------------------------------------------------------------------
+
+
+def _cell(nodes: Array, x: Array) -> Places:
+    """Index of the node to the left of each x, the last but one at most."""
+    return np.clip(np.searchsorted(nodes, x) - 1, 0, nodes.size - 2).astype(np.int64)
+
+
+def _cubic(table: Table, cell: Places, t: Array) -> tuple[Array, Array]:
+    """Value and t-derivative of the Hermite cubic of z in the cell, t in [0, 1]."""
+    x, z, slope = table
+    step = x[cell + 1] - x[cell]
+    rise = z[cell + 1] - z[cell]
+    left, right = slope[cell] * step, slope[cell + 1] * step
+    c2, c3 = 3.0 * rise - 2.0 * left - right, left + right - 2.0 * rise
+    return z[cell] + t * (left + t * (c2 + t * c3)), left + t * (2.0 * c2 + 3.0 * t * c3)
+
+
+def _score_at(table: Table, x: Array) -> Array:
+    """Normal score ndtri(F(x)) of a tabulated distribution; linear beyond the table (|z| > 37)."""
+    nodes, z, slope = table
+    cell = _cell(nodes, x)
+    t = np.clip((x - nodes[cell]) / (nodes[cell + 1] - nodes[cell]), 0.0, 1.0)
+    inside = _cubic(table, cell, t)[0]
+    inside = np.where(x < nodes[0], z[0] + slope[0] * (x - nodes[0]), inside)
+    return np.where(x > nodes[-1], z[-1] + slope[-1] * (x - nodes[-1]), inside)
+
+
+def _from_score(table: Table, score: Array) -> Array:
+    """Inverse of `_score_at`: Newton steps, bisection as the fallback, inside one cell of the table."""
+    nodes, z, slope = table
+    cell = _cell(z, score)
+    rise = z[cell + 1] - z[cell]
+    start = np.where(rise > 0.0, (score - z[cell]) / np.where(rise > 0.0, rise, 1.0), 0.5)
+    t = _solve_cells(table, cell, score, np.clip(start, 0.0, 1.0))
+    inside = nodes[cell] + t * (nodes[cell + 1] - nodes[cell])
+    inside = np.where(score < z[0], nodes[0] + (score - z[0]) / slope[0], inside)
+    return np.where(score > z[-1], nodes[-1] + (score - z[-1]) / slope[-1], inside)
+
+
+def _solve_cells(table: Table, cell: Places, score: Array, start: Array) -> Array:
+    """Place t in [0, 1] of each score within its cell; entries leave the iteration as they converge."""
+    t = start.ravel()
+    low, high = np.zeros_like(t), np.ones_like(t)
+    cells, scores, open_ = cell.ravel(), score.ravel(), np.arange(t.size)
+    for _ in range(60):
+        value, derivative = _cubic(table, cells[open_], t[open_])
+        below = value < scores[open_]
+        low[open_] = np.where(below, t[open_], low[open_])
+        high[open_] = np.where(below, high[open_], t[open_])
+        newton = t[open_] - (value - scores[open_]) / np.where(derivative > 0.0, derivative, 1.0)
+        usable = (derivative > 0.0) & (newton >= low[open_]) & (newton <= high[open_])
+        following = np.where(usable, newton, 0.5 * (low[open_] + high[open_]))
+        moved = np.abs(following - t[open_]) > 1e-12
+        t[open_] = following
+        open_ = open_[moved]
+        if not open_.size:
+            break
+    return t.reshape(start.shape)
+
+
+def _density_at(table: Table, x: Array) -> Array:
+    """Density of a tabulated distribution, dz/dx φ(z)."""
+    nodes = table[0]
+    cell = _cell(nodes, x)
+    step = nodes[cell + 1] - nodes[cell]
+    score, derivative = _cubic(table, cell, np.clip((x - nodes[cell]) / step, 0.0, 1.0))
+    density = derivative / step * np.exp(-0.5 * score * score) / math.sqrt(2.0 * math.pi)
+    return np.where((x < nodes[0]) | (x > nodes[-1]), 0.0, density)
+
+
+# --- observations: shapes are the bandwidth and the observations ------------------------------------------
+
+
+def steps_share_below(data: Array, x: Array) -> Array:
+    """Share of the observations at or below x: the empirical distribution function."""
+    return np.asarray(np.searchsorted(data, x, side="right") / data.size)
+
+
+def steps_ppf(data: Array, p: Array) -> Array:
+    """The smallest observation whose share at or below it reaches p."""
+    # A share such as 3/10 is not exact in binary: half a unit of rounding must not skip an observation.
+    rank = np.ceil(p * data.size * (1.0 - 4e-16)).astype(int) - 1
+    return np.asarray(data[np.clip(rank, 0, data.size - 1)])
+
+
+def bandwidth(data: Array) -> float:
+    """Width of the Gaussian kernel: 0.9 min(sd, IQR/1.34) n^(-1/5) (Silverman 1986)."""
+    sd = float(np.std(data, ddof=1))
+    quartiles = np.quantile(data, [0.25, 0.75])
+    spread = float(quartiles[1] - quartiles[0]) / 1.34
+    return float(0.9 * (min(sd, spread) if spread > 0.0 else sd) * data.size**-0.2)
+
+
+@lru_cache(maxsize=64)
+def _kernel_table(shapes: Shapes) -> Table:
+    """Nodes x, scores z and slopes dz/dx of the kernel distribution function."""
+    width, kernels = shapes[0], np.asarray(shapes[1:])
+    # Nodes every width/48 within nine widths of an observation; in a wider gap F is constant to 1e-18.
+    breaks = np.flatnonzero(np.diff(kernels) > 18.0 * width)
+    starts = np.concatenate([kernels[:1] - _REACH * width, kernels[breaks + 1] - 9.0 * width])
+    ends = np.concatenate([kernels[breaks] + 9.0 * width, kernels[-1:] + _REACH * width])
+    nodes = np.concatenate(
+        [np.linspace(a, b, max(2, math.ceil((b - a) / width * 48.0))) for a, b in zip(starts, ends, strict=True)]
+    )
+    z, slope = np.empty_like(nodes), np.empty_like(nodes)
+    block = max(1, 2_000_000 // kernels.size)
+    for first in range(0, nodes.size, block):
+        y = (nodes[first : first + block, None] - kernels) / width
+        below, above = special.ndtr(y).mean(axis=1), special.ndtr(-y).mean(axis=1)
+        density = np.exp(-0.5 * y * y).mean(axis=1)
+        score = np.where(below <= 0.5, special.ndtri(below), -special.ndtri(above))
+        z[first : first + block] = score
+        # dz/dx = f(x)/φ(z); both carry the same 1/sqrt(2 pi).
+        slope[first : first + block] = density / width * np.exp(0.5 * score * score)
+    keep = np.isfinite(z) & np.isfinite(slope) & np.concatenate([[True], np.diff(z) >= 0.0])
+    return nodes[keep], z[keep], slope[keep]
+
+
+def _kernel_both(y: Array, shapes: Shapes) -> tuple[Array, Array]:
+    score = _score_at(_kernel_table(shapes), y)
+    return special.ndtr(score), special.ndtr(-score)
+
+
+def _not_fitted(*given: object) -> dict[str, float]:
+    raise ValueError("an empirical law is its observations, and has no parameters to be given or fitted")
+
+
+EMPIRICAL: Final = Family(
+    name="empirical",
+    label="empirical",
+    alternatives=((),),
+    dimensional=frozenset({"lower", "upper"}),
+    observed=True,
+    canonical=_not_fitted,
+    resolve=lambda own, lower, upper: (0.0, 1.0, (own["bandwidth"],)),
+    cdf=lambda y, shapes: _kernel_both(y, shapes)[0],
+    sf=lambda y, shapes: _kernel_both(y, shapes)[1],
+    both=_kernel_both,
+    ppf=lambda p, shapes: _from_score(_kernel_table(shapes), special.ndtri(p)),
+    isf=lambda q, shapes: _from_score(_kernel_table(shapes), -special.ndtri(q)),
+    pdf=lambda y, shapes: _density_at(_kernel_table(shapes), y),
+    mean=lambda shapes: math.fsum(shapes[1:]) / (len(shapes) - 1),
+    sd=lambda shapes: math.nan,
+    fit=_not_fitted,
+)
+
+
+# --- draws of a posterior -----------------------------------------------------------------------------------
+
+
+def _scores(y: Array, shapes: Shapes) -> tuple[Array, Array, Array]:
+    """ln P, ln(1 - P) and density of every draw, (..., draws)."""
+    kind, least, scale, shape, bound = np.array(shapes).reshape(-1, WIDTH).T
+    x = np.asarray(y, dtype=float)[..., None]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        u = np.maximum(x, 0.0) / scale
+        left = np.maximum(1.0 - bound * u, 0.0)
+        z = (np.log(u) - np.log(left)) / shape
+        hazard = np.maximum((x - least) / scale, 0.0) ** shape
+        normal = kind == LOGNORMAL
+        below = np.where(normal, special.log_ndtr(z), np.log(-np.expm1(-hazard)))
+        above = np.where(normal, special.log_ndtr(-z), -hazard)
+        normal_density = np.exp(-0.5 * z * z) / (math.sqrt(2.0 * math.pi) * shape * x * left)
+        weibull_density = shape * hazard / (x - least) * np.exp(-hazard)
+        density = np.where(normal, np.where(np.isfinite(z), normal_density, 0.0), weibull_density)
+    return below, above, np.where(x > np.where(normal, 0.0, least), np.nan_to_num(density), 0.0)
+
+
+def _ends(shapes: Shapes, reach: float) -> tuple[float, float]:
+    """Between which ln x every draw has its normal scores from -reach to reach."""
+    kind, least, scale, shape, bound = np.array(shapes).reshape(-1, WIDTH).T
+    scores = np.array([-reach, reach])[:, None]
+    # a hazard of -ln(1 - Phi(z))
+    hazard = np.maximum(-special.log_ndtr(-scores), 1e-300)
+    with np.errstate(over="ignore"):
+        stretched = scale * np.exp(shape * scores)
+        found = np.where(kind == LOGNORMAL, stretched / (1.0 + bound * stretched / scale),
+                         least + scale * hazard ** (1.0 / shape))  # fmt: skip
+    return math.log(max(found[0].min(), 1e-300)), math.log(found[1].max())
+
+
+@lru_cache(maxsize=64)
+def _drawn_table(shapes: Shapes) -> Table:
+    """Nodes of ln x with the normal scores of the mean of all draws and their slopes, as far as these are finite."""
+    (start, end), (low, high) = (_ends(shapes, reach) for reach in (_FURTHEST, _MIDDLE))
+    tails = np.linspace(start, low, _TAIL)[:-1], np.linspace(high, end, _TAIL)[1:]
+    nodes = np.concatenate([tails[0], np.linspace(low, high, _NODES), tails[1]])
+    logs = _scores(np.exp(nodes), shapes)
+    below, above, density = (np.exp(logs[0]).mean(axis=-1), np.exp(logs[1]).mean(axis=-1), logs[2].mean(axis=-1))
+    with np.errstate(over="ignore", invalid="ignore"):
+        score = np.where(below < 0.5, special.ndtri(below), -special.ndtri(above))
+        slope = density * np.exp(nodes) * math.sqrt(2.0 * math.pi) * np.exp(0.5 * score * score)
+    known = np.isfinite(score) & np.isfinite(slope) & (np.diff(score, prepend=-math.inf) > 0.0)
+    return nodes[known], score[known], slope[known]
+
+
+def _logs(y: Array) -> Array:
+    with np.errstate(divide="ignore"):
+        return np.maximum(np.log(np.maximum(y, 0.0)), -_LEAST)
+
+
+def _drawn_both(y: Array, shapes: Shapes) -> tuple[Array, Array]:
+    """(P, 1 - P): of one draw as they are, of more by the table."""
+    if len(shapes) == WIDTH:
+        below, above, _ = _scores(y, shapes)
+        return np.asarray(np.exp(below[..., 0])), np.asarray(np.exp(above[..., 0]))
+    score = _score_at(_drawn_table(shapes), _logs(y))
+    return special.ndtr(score), special.ndtr(-score)
+
+
+def _drawn_pdf(y: Array, shapes: Shapes) -> Array:
+    if len(shapes) == WIDTH:
+        return np.asarray(_scores(y, shapes)[2][..., 0])
+    return np.where(y > 0.0, _density_at(_drawn_table(shapes), _logs(y)) / np.where(y > 0.0, y, 1.0), 0.0)
+
+
+def _drawn_at(score: Array, shapes: Shapes) -> Array:
+    """x of a normal score."""
+    return np.asarray(np.exp(_from_score(_drawn_table(shapes), score)))
+
+
+def _drawn_mean(shapes: Shapes) -> float:
+    """By the trapezoidal rule in the normal score."""
+    z = np.linspace(-8.0, 8.0, 801)
+    weight = np.exp(-0.5 * z * z)
+    return float((weight * _drawn_at(z, shapes)).sum() / weight.sum())
+
+
+def _not_given(*given: object) -> dict[str, float]:
+    raise LawError('draws are made by uqsphere fit: strength = { fit = "DIR" }', "dist")
+
+
+DRAWN: Final = Family(
+    name="drawn",
+    label="posterior",
+    alternatives=((),),
+    dimensional=frozenset(),
+    observed=True,
+    canonical=_not_given,
+    resolve=lambda own, lower, upper: (0.0, 1.0, ()),
+    cdf=lambda y, shapes: _drawn_both(y, shapes)[0],
+    sf=lambda y, shapes: _drawn_both(y, shapes)[1],
+    ppf=lambda p, shapes: _drawn_at(special.ndtri(p), shapes),
+    isf=lambda q, shapes: _drawn_at(-special.ndtri(q), shapes),
+    pdf=_drawn_pdf,
+    both=_drawn_both,
+    mean=_drawn_mean,
+    sd=lambda shapes: math.nan,
+    least=lambda own, lower, upper: 0.0,
+    fit=_not_given,
+    positive=True,
+)

@@ -1,0 +1,772 @@
+"""Families in standard form: normal, lognormal, those of extremes, gamma, Student's t, and those between two bounds.
+
+With the estimates (m*, s*) of the largest likelihood of n draws of a standard law with a location and a scale,
+m - s m*/s* and s/s* are draws whose quantile intervals cover a quantile, or a probability, exactly as often as they
+promise, however small n is (J. F. Lawless, Statistical Models and Methods for Lifetime Data, 2003, sections 4.1 and E).
+Gamma, beta, Student's and triangular laws take the posterior of their parameters.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from uqsphere.arrays import Array, Flags, special
+from uqsphere.uq.families.family import Columns, Distances, Family, LawError, Parameters, Posterior, Shapes, Strength
+
+MOMENTS: Final = (("mean", "sd"), ("mean", "cov"))
+#: logarithmic scatter below which closed forms of a lognormal law tell whether it is sound
+_PLAIN_SPREAD: Final = 5.0
+#: steps of the logarithm of a shape between which the distribution of a distance is the same for all purposes
+_STEPS: Final = 20.0
+#: largest degrees of freedom that are tried: what cannot be told from a normal law
+_MOST_FREEDOM: Final = 200.0
+
+Keys = dict[str, float]
+Generator = np.random.Generator
+
+
+def _positive_mean(name: str, given: Parameters) -> float:
+    """The mean that was given; raises LawError where it is not above zero."""
+    if given["mean"] <= 0.0:
+        raise LawError(f"mean of a {name} law must be positive, found {given['mean']:g}", "mean")
+    return given["mean"]
+
+
+def _refuse_outside(key: str, value: float, lower: float, upper: float) -> None:
+    raise LawError(f"{key} ({value:g}) must lie between lower ({lower:g}) and upper ({upper:g})", key)
+
+
+# --- normal and lognormal -----------------------------------------------------------------------------
+
+
+def _normal_pivots(n: int, count: int, generator: Generator) -> tuple[Array, Array]:
+    """(m*/s*, 1/s*) of the maximum-likelihood estimates of n standard normal draws, (count,) each."""
+    inverse = np.sqrt(n / generator.chisquare(n - 1, count))
+    return generator.standard_normal(count) / math.sqrt(n) * inverse, inverse
+
+
+def _normal_below(samples: int, n: int, shape: float, generator: Generator) -> Array:
+    x = np.sort(generator.standard_normal((samples, n)), axis=1)
+    return special.ndtr((x - x.mean(axis=1, keepdims=True)) / x.std(axis=1, keepdims=True))
+
+
+def _normal_mass(location: float, scale: float, low: float, high: float) -> bool:
+    """Whether a normal law has scatter, and a tenth of its mass between two bounds."""
+    if not scale > 1e-12 * abs(location):
+        return False
+    root = scale * math.sqrt(2.0)
+    return 0.5 * (math.erfc((low - location) / root) - math.erfc((high - location) / root)) > 0.1
+
+
+def _normal_sound(own: Parameters, lower: float, upper: float, centre: float) -> bool:
+    massive = _normal_mass(own["mean"], own["sd"], lower, upper)
+    return massive and math.isfinite(own["sd"]) and own["sd"] > 1e-9 * abs(centre)
+
+
+def _lognormal_sound(own: Parameters, lower: float, upper: float, centre: float) -> bool:
+    spread = own["log_sd"]
+    if not spread < _PLAIN_SPREAD:
+        return False
+    low, high = (math.log(bound) if bound > 0.0 else -math.inf for bound in (lower, upper))
+    massive = _normal_mass(own["log_mean"], spread, low, high)
+    return massive and math.isfinite(spread * centre) and spread * centre > 1e-9 * abs(centre)
+
+
+def _lognormal_keys(given: Keys, lower: float, upper: float) -> Keys:
+    if "log_mean" in given:
+        return {"log_mean": given["log_mean"], "log_sd": given["log_sd"]}
+    mean = _positive_mean("lognormal", given)
+    variance = math.log1p((given["sd"] / mean) ** 2)
+    return {"log_mean": math.log(mean) - 0.5 * variance, "log_sd": math.sqrt(variance)}
+
+
+def _lognormal_mean(own: Parameters, lower: float = 0.0, upper: float = math.inf) -> float:
+    return math.exp(own["log_mean"] + 0.5 * own["log_sd"] ** 2)
+
+
+def _normal_moved(own: Parameters, centre: Array, inverse: Array) -> Columns:
+    return {"mean": own["mean"] - own["sd"] * centre, "sd": own["sd"] * inverse}
+
+
+def _lognormal_moved(own: Parameters, centre: Array, inverse: Array) -> Columns:
+    return {"log_mean": own["log_mean"] - own["log_sd"] * centre, "log_sd": own["log_sd"] * inverse}
+
+
+def _normal_terms(z: Array, failed: Flags) -> tuple[Array, Array, Array]:
+    log_above = special.log_ndtr(-z)
+    # phi(z)/S(z), which far out is z itself
+    near = np.clip(z, -40.0, 1e3)
+    hazard = np.exp(-0.5 * near * near - 0.5 * math.log(2.0 * math.pi) - special.log_ndtr(-near))
+    hazard = np.where(z > 1e3, z, hazard)
+    value = np.where(failed, -0.5 * z * z - 0.5 * math.log(2.0 * math.pi), log_above)
+    return value, np.where(failed, -z, -hazard), np.where(failed, -1.0, -hazard * (hazard - z))
+
+
+NORMAL: Final = Family(
+    name="normal",
+    label="normal",
+    alternatives=MOMENTS,
+    dimensional=frozenset({"mean", "sd", "lower", "upper"}),
+    canonical=lambda given, lower, upper: {"mean": given["mean"], "sd": given["sd"]},
+    resolve=lambda own, lower, upper: (own["mean"], own["sd"], ()),
+    cdf=lambda y, shapes: special.ndtr(y),
+    sf=lambda y, shapes: special.ndtr(-y),
+    ppf=lambda p, shapes: special.ndtri(p),
+    isf=lambda q, shapes: -special.ndtri(q),
+    pdf=lambda y, shapes: np.exp(-0.5 * y * y) / math.sqrt(2.0 * math.pi),
+    mean=lambda shapes: 0.0,
+    sd=lambda shapes: 1.0,
+    gaussian=True,
+    least=lambda own, lower, upper: own["mean"] - 8.0 * own["sd"] if lower < own["mean"] < upper else -math.inf,
+    sound=_normal_sound,
+    fit=lambda data, lower, upper: {"mean": float(np.mean(data)), "sd": float(np.std(data))},
+    pivots=lambda own, n, count, generator: _normal_moved(own, *_normal_pivots(n, count, generator)),
+    tried=Distances(below=_normal_below),
+    kin="lognormal",
+)
+
+
+LOGNORMAL: Final = replace(
+    NORMAL,
+    name="lognormal",
+    label="lognormal",
+    alternatives=(*MOMENTS, ("log_mean", "log_sd")),
+    canonical=_lognormal_keys,
+    resolve=lambda own, lower, upper: (own["log_mean"], own["log_sd"], ()),
+    logarithmic=True,
+    whole_mean=_lognormal_mean,
+    whole_sd=lambda own, lower, upper: _lognormal_mean(own) * math.sqrt(math.expm1(own["log_sd"] ** 2)),
+    least=lambda own, lower, upper: 0.0,
+    variation=lambda own: math.sqrt(math.expm1(own["log_sd"] ** 2)),
+    sound=_lognormal_sound,
+    fit=lambda data, lower, upper: {"log_mean": float(np.mean(np.log(data))), "log_sd": float(np.std(np.log(data)))},
+    positive=True,
+    pivots=lambda own, n, count, generator: _lognormal_moved(own, *_normal_pivots(n, count, generator)),
+    strength=Strength(
+        terms=_normal_terms,
+        from_hazard=lambda hazards: -special.ndtri(np.exp(-hazards)),
+        below=lambda z: special.ndtr(z),
+        height=lambda z: special.ndtri(z),
+        parameters=lambda location, shape: {"log_mean": location, "log_sd": shape},
+        inverse=False,
+        moved=_lognormal_moved,
+        # it makes the variance right on average
+        unbiased=lambda inverse, failures: 1.0 / math.sqrt(float(np.mean(inverse**-2.0))),
+        complete=lambda n: math.sqrt(n / (n - 1.0)),
+        shape_words="standard deviation of the logarithm",
+        scale_words="median",
+    ),
+    kin="weibull",
+)
+
+
+# --- Weibull, exponential, Rayleigh, Fréchet, Gumbel -----------------------------------------------------
+
+
+def weibull_estimates(logarithms: Array) -> tuple[Array, Array]:
+    """Maximum-likelihood modulus and scale (rows,) of Weibull laws without threshold from ln x (rows, n).
+
+    Newton's method on sum x^m ln x / sum x^m - 1/m = mean ln x, whose left side rises with m.
+    """
+    centre = logarithms.mean(axis=1, keepdims=True)
+    spread = logarithms.std(axis=1, keepdims=True)
+    y = (logarithms - centre) / spread
+    modulus = np.full((len(y), 1), 1.28)
+    for _ in range(60):
+        weights = np.exp(modulus * (y - y.max(axis=1, keepdims=True)))
+        total = weights.sum(axis=1, keepdims=True)
+        first = (weights * y).sum(axis=1, keepdims=True) / total
+        second = (weights * y * y).sum(axis=1, keepdims=True) / total
+        step = (first - 1.0 / modulus) / (second - first**2 + modulus**-2.0)
+        following = np.maximum(modulus - step, 0.1 * modulus)
+        settled = np.abs(following - modulus).max() < 1e-13 * modulus.max()
+        modulus = following
+        if settled:
+            break
+    highest = y.max(axis=1, keepdims=True)
+    scale = highest + np.log(np.exp(modulus * (y - highest)).mean(axis=1, keepdims=True)) / modulus
+    return (modulus / spread)[:, 0], np.exp(scale * spread + centre)[:, 0]
+
+
+def extreme_pivots(n: int, count: int, generator: Generator) -> tuple[Array, Array]:
+    """(m*/s*, 1/s*) of n draws of ln E, E exponential: the logarithm of a standard Weibull variable."""
+    modulus, scale = weibull_estimates(np.log(generator.standard_exponential((count, n))))
+    return np.log(scale) * modulus, modulus
+
+
+def _extreme_below(samples: int, n: int, shape: float, generator: Generator) -> Array:
+    x = np.sort(generator.standard_exponential((samples, n)), axis=1)
+    modulus, scale = weibull_estimates(np.log(x))
+    return np.asarray(-np.expm1(-((x / scale[:, None]) ** modulus[:, None])))
+
+
+def _extreme_terms(z: Array, failed: Flags) -> tuple[Array, Array, Array]:
+    with np.errstate(over="ignore"):
+        power = np.exp(np.minimum(z, 700.0))
+    return np.where(failed, z, 0.0) - power, failed - power, -power
+
+
+def _weibull_pdf(y: Array, shapes: Shapes) -> Array:
+    (m,) = shapes
+    inside = np.maximum(y, 0.0)
+    return np.where(y >= 0.0, m * np.exp(special.xlogy(m - 1.0, inside) - inside**m), 0.0)
+
+
+def _weibull_variation(m: float) -> float:
+    # Γ(1+2/m) - Γ(1+1/m)² loses all digits for a large modulus; the ratio through lgamma keeps them.
+    return math.sqrt(math.expm1(math.lgamma(1.0 + 2.0 / m) - 2.0 * math.lgamma(1.0 + 1.0 / m)))
+
+
+def _weibull_keys(given: Keys, lower: float, upper: float) -> Keys:
+    threshold, modulus = given["threshold"], given["modulus"]
+    if "scale" in given:
+        return {"modulus": modulus, "scale": given["scale"], "threshold": threshold}
+    if given["mean"] <= threshold:
+        raise LawError(f"mean ({given['mean']:g}) must exceed the threshold ({threshold:g})", "mean")
+    scale = (given["mean"] - threshold) / math.gamma(1.0 + 1.0 / modulus)
+    return {"modulus": modulus, "scale": scale, "threshold": threshold}
+
+
+def _weibull_fit(data: Array, lower: float, upper: float) -> Keys:
+    modulus, scale = weibull_estimates(np.log(data)[None, :])
+    return {"modulus": float(modulus[0]), "scale": float(scale[0]), "threshold": 0.0}
+
+
+def _weibull_moved(own: Parameters, centre: Array, inverse: Array) -> Columns:
+    # ln x = ln scale + W/modulus
+    scale = own["scale"] * np.exp(-centre / own["modulus"])
+    return {"modulus": own["modulus"] / inverse, "scale": scale, "threshold": np.zeros(centre.size)}
+
+
+WEIBULL: Final = Family(
+    name="weibull",
+    label="Weibull",
+    alternatives=(("modulus", "scale"), ("mean", "modulus")),
+    optional={"threshold": 0.0},
+    dimensional=frozenset({"scale", "mean", "threshold", "lower", "upper"}),
+    canonical=_weibull_keys,
+    resolve=lambda own, lower, upper: (own["threshold"], own["scale"], (own["modulus"],)),
+    cdf=lambda y, shapes: np.asarray(-np.expm1(-(np.maximum(y, 0.0) ** shapes[0]))),
+    sf=lambda y, shapes: np.asarray(np.exp(-(np.maximum(y, 0.0) ** shapes[0]))),
+    ppf=lambda p, shapes: np.asarray((-np.log1p(-p)) ** (1.0 / shapes[0])),
+    isf=lambda q, shapes: np.asarray((-np.log(q)) ** (1.0 / shapes[0])),
+    pdf=_weibull_pdf,
+    mean=lambda shapes: math.gamma(1.0 + 1.0 / shapes[0]),
+    sd=lambda shapes: math.exp(math.lgamma(1.0 + 1.0 / shapes[0])) * _weibull_variation(shapes[0]),
+    least=lambda own, lower, upper: own["threshold"],
+    variation=lambda own: 0.0 if own["threshold"] else _weibull_variation(own["modulus"]),
+    fit=_weibull_fit,
+    positive=True,
+    pivots=lambda own, n, count, generator: _weibull_moved(own, *extreme_pivots(n, count, generator)),
+    strength=Strength(
+        terms=_extreme_terms,
+        from_hazard=np.log,
+        below=lambda z: -np.expm1(-np.exp(np.minimum(z, 700.0))),
+        height=lambda share: np.log(-np.log1p(-share)),
+        parameters=lambda location, shape: {"modulus": shape, "scale": math.exp(location), "threshold": 0.0},
+        inverse=True,
+        moved=_weibull_moved,
+        # E[m*/m] has no bound for two failures; there the median takes its place
+        unbiased=lambda inverse, failures: 1.0 / float(np.mean(inverse) if failures > 3 else np.median(inverse)),
+        shape_words="modulus",
+        scale_words="scale (63.2 %)",
+    ),
+    tried=Distances(below=_extreme_below),
+    kin="lognormal",
+)
+
+
+def _exponential_below(samples: int, n: int, shape: float, generator: Generator) -> Array:
+    x = np.sort(generator.standard_exponential((samples, n)), axis=1)
+    return np.asarray(-np.expm1(-x / x.mean(axis=1, keepdims=True)))
+
+
+#: Weibull with the modulus 1
+EXPONENTIAL: Final = replace(
+    WEIBULL,
+    name="exponential",
+    label="exponential",
+    alternatives=(("rate",), ("mean",)),
+    optional={},
+    dimensional=frozenset({"mean", "lower", "upper"}),
+    canonical=lambda given, lower, upper: {
+        "rate": given["rate"] if "rate" in given else 1.0 / _positive_mean("exponential", given)
+    },
+    resolve=lambda own, lower, upper: (0.0, 1.0 / own["rate"], (1.0,)),
+    least=lambda own, lower, upper: 0.0,
+    variation=lambda own: 0.0,
+    fit=lambda data, lower, upper: {"rate": 1.0 / float(np.mean(data))},
+    pivots=lambda own, n, count, generator: {"rate": own["rate"] * generator.chisquare(2 * n, count) / (2.0 * n)},
+    strength=None,
+    tried=Distances(below=_exponential_below, count=1),
+    kin="",
+)
+
+
+#: Weibull with the modulus 2
+RAYLEIGH: Final = replace(
+    EXPONENTIAL,
+    name="rayleigh",
+    label="Rayleigh",
+    alternatives=(("scale",), ("mean",)),
+    dimensional=frozenset({"scale", "mean", "lower", "upper"}),
+    canonical=lambda given, lower, upper: {
+        "scale": given["scale"] if "scale" in given else _positive_mean("rayleigh", given) * math.sqrt(2.0 / math.pi)
+    },
+    resolve=lambda own, lower, upper: (0.0, own["scale"] * math.sqrt(2.0), (2.0,)),
+    fit=lambda data, lower, upper: {"scale": math.sqrt(0.5 * float(np.mean(data**2)))},
+    # of n observations the sum of (x/scale)² is chi-squared with 2 n degrees of freedom
+    pivots=lambda own, n, count, generator: {
+        "scale": own["scale"] * np.sqrt(2.0 * n / generator.chisquare(2 * n, count))
+    },
+    tried=None,
+    kin="lognormal",
+)
+
+
+def _frechet_power(y: Array, shapes: Shapes) -> Array:
+    return np.asarray(np.maximum(y, 0.0) ** -shapes[0])
+
+
+def _frechet_pdf(y: Array, shapes: Shapes) -> Array:
+    inside = np.where(y > 0.0, y, 1.0)
+    log_density = -(shapes[0] + 1.0) * np.log(inside) - inside ** -shapes[0] + math.log(shapes[0])
+    return np.where(y > 0.0, np.exp(log_density), 0.0)
+
+
+def _frechet_sd(shapes: Shapes) -> float:
+    k = shapes[0]
+    if k <= 2.0:
+        return math.inf
+    first = math.lgamma(1.0 - 1.0 / k)
+    return math.exp(first) * math.sqrt(math.expm1(math.lgamma(1.0 - 2.0 / k) - 2.0 * first))
+
+
+def _frechet_fit(data: Array, lower: float, upper: float) -> Keys:
+    # 1/x is Weibull with the same shape
+    shape, scale = weibull_estimates(-np.log(data)[None, :])
+    return {"shape": float(shape[0]), "scale": 1.0 / float(scale[0]), "location": 0.0}
+
+
+def _frechet_pivots(own: Parameters, n: int, count: int, generator: Generator) -> Columns:
+    weibull = {"modulus": own["shape"], "scale": 1.0 / own["scale"]}
+    found = _weibull_moved(weibull, *extreme_pivots(n, count, generator))
+    return {"shape": found["modulus"], "scale": 1.0 / found["scale"], "location": np.zeros(count)}
+
+
+FRECHET: Final = Family(
+    name="frechet",
+    label="Fréchet",
+    alternatives=(("shape", "scale"),),
+    optional={"location": 0.0},
+    dimensional=frozenset({"scale", "location", "lower", "upper"}),
+    canonical=lambda given, lower, upper: {key: given[key] for key in ("shape", "scale", "location")},
+    resolve=lambda own, lower, upper: (own["location"], own["scale"], (own["shape"],)),
+    cdf=lambda y, shapes: np.exp(-_frechet_power(y, shapes)),
+    sf=lambda y, shapes: -np.expm1(-_frechet_power(y, shapes)),
+    ppf=lambda p, shapes: (-np.log(p)) ** (-1.0 / shapes[0]),
+    isf=lambda q, shapes: (-np.log1p(-q)) ** (-1.0 / shapes[0]),
+    pdf=_frechet_pdf,
+    mean=lambda shapes: math.gamma(1.0 - 1.0 / shapes[0]) if shapes[0] > 1.0 else math.inf,
+    sd=_frechet_sd,
+    heavy_upper=lambda shapes: shapes[0],
+    least=lambda own, lower, upper: own["location"],
+    fit=_frechet_fit,
+    positive=True,
+    pivots=_frechet_pivots,
+)
+
+
+def _gumbel_keys(given: Keys, lower: float, upper: float) -> Keys:
+    if "location" in given:
+        return {"location": given["location"], "scale": given["scale"]}
+    scale = given["sd"] * math.sqrt(6.0) / math.pi
+    return {"location": given["mean"] - 0.5772156649015329 * scale, "scale": scale}
+
+
+def _gumbel_fit(data: Array, lower: float, upper: float) -> Keys:
+    # the negative of a largest value is the logarithm of a Weibull variable
+    unit, centre = float(data.std()), float(data.mean())
+    modulus, scale = weibull_estimates((centre - data[None, :]) / unit)
+    return {"location": centre - unit * math.log(float(scale[0])), "scale": unit / float(modulus[0])}
+
+
+def _gumbel_pivots(own: Parameters, n: int, count: int, generator: Generator) -> Columns:
+    # the negative of a largest value is a smallest one: x = location - scale W
+    centre, inverse = extreme_pivots(n, count, generator)
+    return {"location": own["location"] + own["scale"] * centre, "scale": own["scale"] * inverse}
+
+
+GUMBEL: Final = Family(
+    name="gumbel",
+    label="Gumbel",
+    alternatives=(("location", "scale"), *MOMENTS),
+    dimensional=frozenset({"location", "scale", "mean", "sd", "lower", "upper"}),
+    canonical=_gumbel_keys,
+    resolve=lambda own, lower, upper: (own["location"], own["scale"], ()),
+    cdf=lambda y, shapes: np.exp(-np.exp(-y)),
+    sf=lambda y, shapes: -np.expm1(-np.exp(-y)),
+    ppf=lambda p, shapes: -np.log(-np.log(p)),
+    isf=lambda q, shapes: -np.log(-np.log1p(-q)),
+    pdf=lambda y, shapes: np.exp(-y - np.exp(-y)),
+    mean=lambda shapes: float(np.euler_gamma),
+    sd=lambda shapes: math.pi / math.sqrt(6.0),
+    fit=_gumbel_fit,
+    pivots=_gumbel_pivots,
+    tried=Distances(below=_extreme_below),
+    kin="lognormal",
+)
+
+
+# --- gamma and Student's t -------------------------------------------------------------------------------
+
+
+def _anywhere(lower: float, upper: float) -> tuple[Array, Array]:
+    """Ranges of two parameters that the posterior leaves open."""
+    return np.full(2, -math.inf), np.full(2, math.inf)
+
+
+def _gamma_pdf(y: Array, shapes: Shapes) -> Array:
+    inside = np.maximum(y, 0.0)
+    return np.where(y >= 0.0, np.exp(special.xlogy(shapes[0] - 1.0, inside) - inside - special.gammaln(shapes[0])), 0.0)
+
+
+def _gamma_keys(given: Keys, lower: float, upper: float) -> Keys:
+    if "shape" in given:
+        return {"shape": given["shape"], "scale": given["scale"]}
+    mean = _positive_mean("gamma", given)
+    return {"shape": (mean / given["sd"]) ** 2, "scale": given["sd"] * (given["sd"] / mean)}
+
+
+def _gamma_shapes(x: Array) -> Array:
+    """Maximum-likelihood shapes (rows,) of x (rows, n): Newton on ln k - digamma(k) = ln(mean) - mean(ln)."""
+    gap = np.log(x.mean(axis=1)) - np.log(x).mean(axis=1)
+    k = (3.0 - gap + np.sqrt((gap - 3.0) ** 2 + 24.0 * gap)) / (12.0 * gap)
+    for _ in range(6):
+        k = k - (np.log(k) - special.digamma(k) - gap) / (1.0 / k - special.polygamma(1, k))
+    return np.asarray(k)
+
+
+def _gamma_fit(data: Array, lower: float, upper: float) -> Keys:
+    shape = float(_gamma_shapes(data[None, :])[0])
+    return {"shape": shape, "scale": float(data.mean()) / shape}
+
+
+def _gamma_below(samples: int, n: int, shape: float, generator: Generator) -> Array:
+    # the samples keep the fitted shape, and each is fitted again
+    x = np.sort(generator.standard_gamma(shape, (samples, n)), axis=1)
+    fitted = _gamma_shapes(x)
+    return special.gammainc(fitted[:, None], x * (fitted / x.mean(axis=1))[:, None])
+
+
+def _gamma_drawn(own: Parameters, values: Array, count: int, generator: Generator) -> Columns:
+    """From samples of the fitted law: ratios of shape and mean to those of the sample serve as pivots."""
+    shape, scale = own["shape"], own["scale"]
+    x = generator.standard_gamma(shape, (count, len(values)))
+    shapes = shape**2 / _gamma_shapes(x)
+    return {"shape": shapes, "scale": scale * shape**2 / x.mean(axis=1) / shapes}
+
+
+GAMMA: Final = Family(
+    name="gamma",
+    label="gamma",
+    alternatives=(("shape", "scale"), *MOMENTS),
+    dimensional=frozenset({"scale", "mean", "sd", "lower", "upper"}),
+    canonical=_gamma_keys,
+    resolve=lambda own, lower, upper: (0.0, own["scale"], (own["shape"],)),
+    cdf=lambda y, shapes: special.gammainc(shapes[0], np.maximum(y, 0.0)),
+    sf=lambda y, shapes: special.gammaincc(shapes[0], np.maximum(y, 0.0)),
+    ppf=lambda p, shapes: special.gammaincinv(shapes[0], p),
+    isf=lambda q, shapes: special.gammainccinv(shapes[0], q),
+    pdf=_gamma_pdf,
+    mean=lambda shapes: shapes[0],
+    sd=lambda shapes: math.sqrt(shapes[0]),
+    least=lambda own, lower, upper: 0.0,
+    variation=lambda own: 1.0 / math.sqrt(own["shape"]),
+    fit=_gamma_fit,
+    positive=True,
+    posterior=Posterior(keys=("shape", "scale"), positive=(True, True), ranges=_anywhere),
+    tried=Distances(
+        below=_gamma_below,
+        shape=lambda own: math.exp(round(_STEPS * math.log(own["shape"])) / _STEPS),
+        drawn=_gamma_drawn,
+    ),
+    kin="lognormal",
+)
+
+
+def _student_ppf(p: Array, shapes: Shapes) -> Array:
+    # stdtrit of SciPy 1.17 answers +inf for a probability of 0, and for the very smallest ones.
+    return np.where(p == 0.0, -math.inf, special.stdtrit(shapes[0], np.maximum(p, 1e-250)))
+
+
+def _student_pdf(y: Array, shapes: Shapes) -> Array:
+    (dof,) = shapes
+    constant = math.lgamma(0.5 * (dof + 1.0)) - math.lgamma(0.5 * dof) - 0.5 * math.log(dof * math.pi)
+    return np.asarray(np.exp(constant - 0.5 * (dof + 1.0) * np.log1p(y * y / dof)))
+
+
+def _student_sd(shapes: Shapes) -> float:
+    dof = shapes[0]
+    return math.sqrt(dof / (dof - 2.0)) if dof > 2.0 else (math.inf if dof > 1.0 else math.nan)
+
+
+def _student_fit(data: Array, lower: float, upper: float) -> Keys:
+    from scipy import stats
+
+    # Pascals and micrometres meet the same optimiser
+    size = float(np.mean(np.abs(data)))
+    dof, location, scale = (float(value) for value in stats.t.fit(data / size))
+    return {"dof": dof, "location": location * size, "scale": scale * size}
+
+
+def _student_range(lower: float, upper: float) -> tuple[Array, Array]:
+    # tests say little of the degrees of freedom: from Cauchy's law to what cannot be told from a normal one
+    return np.array([0.0, -math.inf, -math.inf]), np.array([math.log(_MOST_FREEDOM), math.inf, math.inf])
+
+
+STUDENT_T: Final = Family(
+    name="student_t",
+    label="Student’s t",
+    alternatives=(("dof", "location", "scale"),),
+    dimensional=frozenset({"location", "scale", "lower", "upper"}),
+    canonical=lambda given, lower, upper: {key: given[key] for key in ("dof", "location", "scale")},
+    resolve=lambda own, lower, upper: (own["location"], own["scale"], (own["dof"],)),
+    cdf=lambda y, shapes: special.stdtr(shapes[0], y),
+    sf=lambda y, shapes: special.stdtr(shapes[0], -y),
+    ppf=_student_ppf,
+    isf=lambda q, shapes: -_student_ppf(q, shapes),
+    pdf=_student_pdf,
+    mean=lambda shapes: 0.0 if shapes[0] > 1.0 else math.nan,
+    sd=_student_sd,
+    heavy_lower=lambda shapes: shapes[0],
+    heavy_upper=lambda shapes: shapes[0],
+    fit=_student_fit,
+    posterior=Posterior(keys=("dof", "location", "scale"), positive=(True, False, True), ranges=_student_range),
+)
+
+
+# --- between two bounds: uniform and loguniform ------------------------------------------------------------
+
+
+def _uniform_bounds(ordered: Array) -> tuple[Array, Array]:
+    """Unbiased bounds (rows,) of uniform laws from ordered observations (rows, n)."""
+    beyond = (ordered[:, -1] - ordered[:, 0]) / (ordered.shape[1] - 1)
+    return ordered[:, 0] - beyond, ordered[:, -1] + beyond
+
+
+def _uniform_fit(values: Array) -> Keys:
+    low, high = _uniform_bounds(values[None, :])
+    return {"lower": float(low[0]), "upper": float(high[0])}
+
+
+def _uniform_below(samples: int, n: int, shape: float, generator: Generator) -> Array:
+    x = np.sort(generator.random((samples, n)), axis=1)
+    low, high = _uniform_bounds(x)
+    return np.asarray((x - low[:, None]) / (high - low)[:, None])
+
+
+def _against_normal(values: Array) -> float:
+    """Logarithm of the Bayes factor of a uniform law against a normal one, ordered observations (n,).
+
+    Both with the prior dm ds/s of location and scale, for which the two marginal likelihoods are in closed form; their
+    ratio is the most powerful invariant test of one against the other (V. A. Uthoff, JASA 65, 1970, 1597).
+    """
+    n = values.size
+    width = float(values[-1] - values[0])
+    squares = float((((values - values.mean()) / width) ** 2).sum())
+    uniform = -math.log(n * (n - 1.0))
+    normal = float(special.gammaln(0.5 * (n - 1.0))) - 0.5 * (n - 1.0) * math.log(math.pi * squares)
+    return uniform - (normal - 0.5 * math.log(n) - math.log(2.0))
+
+
+def _uniform_drawn(own: Parameters, values: Array, count: int, generator: Generator) -> Columns:
+    """Bounds by pivots: the range of n observations over that of the law is Beta(n - 1, 2), and what is left of it lies
+    evenly on both sides."""
+    first, last, n = float(values[0]), float(values[-1]), len(values)
+    part = generator.beta(n - 1.0, 2.0, count)
+    below = generator.random(count) * (1.0 - part)
+    width = (last - first) / part
+    lower = first - below * width
+    return {"lower": lower, "upper": lower + width}
+
+
+UNIFORM: Final = Family(
+    name="uniform",
+    spanned=True,
+    label="uniform",
+    alternatives=((),),
+    dimensional=frozenset({"lower", "upper"}),
+    bounded=True,
+    canonical=lambda given, lower, upper: {},
+    resolve=lambda own, lower, upper: (lower, upper - lower, ()),
+    cdf=lambda y, shapes: np.clip(y, 0.0, 1.0),
+    sf=lambda y, shapes: np.clip(1.0 - y, 0.0, 1.0),
+    ppf=lambda p, shapes: p,
+    isf=lambda q, shapes: 1.0 - q,
+    pdf=lambda y, shapes: np.where((y >= 0.0) & (y <= 1.0), 1.0, 0.0),
+    mean=lambda shapes: 0.5,
+    sd=lambda shapes: math.sqrt(1.0 / 12.0),
+    fit=lambda data, lower, upper: {},
+    tried=Distances(
+        fit=lambda values: dict(
+            zip(("lower", "upper"), map(float, np.ravel(_uniform_bounds(values[None]))), strict=True)
+        ),
+        below=_uniform_below,
+        evidence=_against_normal,
+        drawn=_uniform_drawn,
+    ),
+)
+
+
+def _loguniform_keys(given: Keys, lower: float, upper: float) -> Keys:
+    if lower <= 0.0:
+        raise LawError(f"lower of a loguniform law must be positive, found {lower:g}", "lower")
+    return {}
+
+
+LOGUNIFORM: Final = replace(
+    UNIFORM,
+    name="loguniform",
+    label="loguniform",
+    canonical=_loguniform_keys,
+    resolve=lambda own, lower, upper: (math.log(lower), math.log(upper / lower), ()),
+    logarithmic=True,
+    whole_mean=lambda own, lower, upper: (upper - lower) / math.log(upper / lower),
+    positive=True,
+    tried=None,
+)
+
+
+# --- triangular and beta -----------------------------------------------------------------------------------
+
+
+def _triangular_pdf(y: Array, shapes: Shapes) -> Array:
+    (mode,) = shapes
+    rising = np.where((y >= 0.0) & (y < mode), y / mode if mode > 0.0 else 0.0, 0.0)
+    falling = np.where((y >= mode) & (y <= 1.0), (1.0 - y) / (1.0 - mode) if mode < 1.0 else y == 1.0, 0.0)
+    return np.asarray(2.0 * (rising + falling))
+
+
+def _triangular_cdf(y: Array, mode: float) -> Array:
+    inside = np.clip(y, 0.0, 1.0)
+    rising = inside * inside / mode if mode > 0.0 else np.zeros_like(inside)
+    falling = 1.0 - (1.0 - inside) ** 2 / (1.0 - mode) if mode < 1.0 else np.ones_like(inside)
+    # The last term is nothing but nan for nan, which fails every comparison above it.
+    return np.asarray(np.where(inside < mode, rising, np.where(inside < 1.0, falling, 1.0)) + 0.0 * inside)
+
+
+def _triangular_ppf(p: Array, mode: float) -> Array:
+    return np.where(p <= mode, np.sqrt(p * mode), 1.0 - np.sqrt((1.0 - p) * (1.0 - mode)))
+
+
+def _triangular_keys(given: Keys, lower: float, upper: float) -> Keys:
+    if not lower <= given["mode"] <= upper:
+        _refuse_outside("mode", given["mode"], lower, upper)
+    return {"mode": given["mode"]}
+
+
+def _triangular_fit(data: Array, lower: float, upper: float) -> Keys:
+    """The most likely mode of a triangle on known bounds is one of the observations (Oliver 1972)."""
+    _inside(data, lower, upper)
+    rising, falling = np.log(data - lower), np.log(upper - data)
+    n = data.size
+    rank = np.arange(n)
+    below = np.concatenate([[0.0], np.cumsum(rising)[:-1]]) - rank * rising
+    above = np.concatenate([np.cumsum(falling[::-1])[::-1][1:], [0.0]]) - (n - 1 - rank) * falling
+    return {"mode": float(data[np.argmax(below + above)])}
+
+
+def _inside(data: Array, lower: float, upper: float) -> None:
+    if not (lower < data[0] and data[-1] < upper):
+        found, allowed = f"{data[0]:g} to {data[-1]:g}", f"{lower:g} to {upper:g}"
+        raise ValueError(f"the observations ({found}) must lie between the bounds ({allowed})")
+
+
+TRIANGULAR: Final = Family(
+    name="triangular",
+    label="triangular",
+    alternatives=(("mode",),),
+    dimensional=frozenset({"mode", "lower", "upper"}),
+    bounded=True,
+    canonical=_triangular_keys,
+    resolve=lambda own, lower, upper: (lower, upper - lower, ((own["mode"] - lower) / (upper - lower),)),
+    cdf=lambda y, shapes: _triangular_cdf(y, shapes[0]),
+    sf=lambda y, shapes: _triangular_cdf(1.0 - y, 1.0 - shapes[0]),
+    ppf=lambda p, shapes: _triangular_ppf(p, shapes[0]),
+    isf=lambda q, shapes: 1.0 - _triangular_ppf(q, 1.0 - shapes[0]),
+    pdf=_triangular_pdf,
+    mean=lambda shapes: (1.0 + shapes[0]) / 3.0,
+    sd=lambda shapes: math.sqrt((1.0 - shapes[0] + shapes[0] ** 2) / 18.0),
+    fit=_triangular_fit,
+    posterior=Posterior(
+        keys=("mode",), positive=(False,), ranges=lambda lower, upper: (np.array([lower]), np.array([upper]))
+    ),
+)
+
+
+def _beta_pdf(y: Array, shapes: Shapes) -> Array:
+    inside = np.clip(y, 0.0, 1.0)
+    log_density = special.xlogy(shapes[0] - 1.0, inside) + special.xlog1py(shapes[1] - 1.0, -inside)
+    return np.where((y >= 0.0) & (y <= 1.0), np.exp(log_density - special.betaln(shapes[0], shapes[1])), 0.0)
+
+
+def _beta_sd(shapes: Shapes) -> float:
+    a, b = shapes
+    return math.sqrt(a * b / (a + b + 1.0)) / (a + b)
+
+
+def _beta_sound(own: Parameters, lower: float, upper: float, centre: float) -> bool:
+    scatter = (upper - lower) * _beta_sd((own["alpha"], own["beta"]))
+    return math.isfinite(upper - lower) and scatter > 1e-9 * max(abs(centre), abs(lower), abs(upper))
+
+
+def _beta_keys(given: Keys, lower: float, upper: float) -> Keys:
+    if "alpha" in given:
+        return {"alpha": given["alpha"], "beta": given["beta"]}
+    if not lower < given["mean"] < upper:
+        _refuse_outside("mean", given["mean"], lower, upper)
+    centre = (given["mean"] - lower) / (upper - lower)
+    total = centre * (1.0 - centre) * ((upper - lower) / given["sd"]) ** 2 - 1.0
+    if total <= 0.0:
+        most = (upper - lower) * math.sqrt(centre * (1.0 - centre))
+        raise LawError(f"no beta law here has sd = {given['sd']:g}: it must be below {most:g}", "sd")
+    return {"alpha": centre * total, "beta": (1.0 - centre) * total}
+
+
+def _beta_fit(data: Array, lower: float, upper: float) -> Keys:
+    from scipy import stats
+
+    _inside(data, lower, upper)
+    alpha, beta, _, _ = stats.beta.fit(data, floc=lower, fscale=upper - lower)
+    return {"alpha": float(alpha), "beta": float(beta)}
+
+
+BETA: Final = Family(
+    name="beta",
+    label="beta",
+    alternatives=(("alpha", "beta"), ("mean", "sd"), ("mean", "cov")),
+    dimensional=frozenset({"mean", "sd", "lower", "upper"}),
+    bounded=True,
+    canonical=_beta_keys,
+    resolve=lambda own, lower, upper: (lower, upper - lower, (own["alpha"], own["beta"])),
+    cdf=lambda y, shapes: special.betainc(*shapes, np.clip(y, 0.0, 1.0)),
+    sf=lambda y, shapes: special.betainc(*shapes[::-1], np.clip(1.0 - y, 0.0, 1.0)),
+    ppf=lambda p, shapes: special.betaincinv(*shapes, p),
+    isf=lambda q, shapes: 1.0 - special.betaincinv(*shapes[::-1], q),
+    pdf=_beta_pdf,
+    mean=lambda shapes: shapes[0] / (shapes[0] + shapes[1]),
+    sd=_beta_sd,
+    sound=_beta_sound,
+    fit=_beta_fit,
+    posterior=Posterior(keys=("alpha", "beta"), positive=(True, True), ranges=_anywhere),
+)
+
+FAMILIES: Final = (
+    NORMAL, LOGNORMAL, WEIBULL, EXPONENTIAL, RAYLEIGH, FRECHET, GUMBEL, UNIFORM, LOGUNIFORM, TRIANGULAR, BETA, GAMMA,
+    STUDENT_T,
+)  # fmt: skip
