@@ -19,6 +19,7 @@ from uqsphere.mechanics.integrator.faces import (
     face_yielded,
     largest_approach,
     largest_force,
+    least_between,
     most_stored,
     of_its_own,
 )
@@ -165,10 +166,10 @@ def _dip(piece, face, level, a, b, slope_b):
 
 
 @compiled(**INNER)
-def _switch(law, lane, piece, grid, theta, bends):
+def _switch(law, lane, piece, grid, theta, bends, bow):
     """The first change of branch of either face in a step: its theta, and face + 4 or face + 6, 1: it breaks, or 0.
 
-    bends (2,): where each face turns, about, or -1.
+    bends (2,): where each face turns, about, or -1.  bow (POINTS + 1, PAIR): half the second derivatives.
     """
     apart()
     ends, why = theta, 0
@@ -177,11 +178,16 @@ def _switch(law, lane, piece, grid, theta, bends):
         width, breaks = theta / tracked.POINTS, False
         if law[tracked.SPRING, m] == 0.0:
             for i in range(tracked.POINTS):
-                if grid[face, 1, i] > 0.0 and grid[face, 1, i + 1] <= 0.0:
-                    found = searches.settle(
-                        piece, face, True, i * width, (i + 1) * width, grid[face, 1, i], grid[face, 1, i + 1], 0.0,
-                        bends[face],
-                    )  # fmt: skip
+                begin, end = i * width, (i + 1) * width
+                left, right, guess = grid[face, 1, i], grid[face, 1, i + 1], bends[face]
+                if left > 0.0 and right > 0.0:
+                    # a fall that is over before the next point
+                    sides = 2.0 * width * bow[i, m], 2.0 * width * bow[i + 1, m]
+                    if least_between(left, sides[0], right, sides[1]) < 0.0:
+                        end, right = searches.slowest(piece, face, begin, end)
+                        guess = -1.0
+                if left > 0.0 >= right:
+                    found = searches.settle(piece, face, True, begin, end, left, right, 0.0, guess)
                     break
             if law[tracked.GAMMA, m] > 0.0:
                 limit = theta if math.isnan(found) else found
@@ -218,8 +224,8 @@ def _switch(law, lane, piece, grid, theta, bends):
 
 @compiled(**INNER)
 def after_step(
-    mode, flags, track, lane, piece, pushes, grid, bends, places, theta, before, h, echo, low, tiny, near, hover, graze,
-    stop_at_loss, yielding, law,
+    mode, flags, track, lane, piece, pushes, grid, bends, bow, places, theta, before, h, echo, low, tiny, near, hover,
+    graze, stop_at_loss, yielding, law,
 ):  # fmt: skip
     """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
 
@@ -227,14 +233,14 @@ def after_step(
     (face + 2), a face that begins to yield (face + 4) or ceases to (face + 6).  `echo` is the time of the first
     reflected wave, `tiny` the error allowed in an approach, `low` > 0 the share of the largest approach below which
     the record ends; for the others see `_faces`.  grid (face, 2, POINTS + 1): values and slopes over [0, theta]; room.
-    bends: see `_switch`.  places (2,) receive the theta of a face's largest approach so far, or -1: one that has
+    bends, bow: see `_switch`.  places (2,) receive the theta of a face's largest approach so far, or -1: one that has
     yielded is at its deepest on virgin loading.  pushes (6, TERMS): the series of both
     forces, where faces have laws of their own, and room.
     """
     apart()
     ends, why = theta, 0
     if flags & tracked.SWITCHES:
-        ends, why = _switch(law, lane, piece, grid, theta, bends)
+        ends, why = _switch(law, lane, piece, grid, theta, bends, bow)
         if why != 0:  # the step is cut: what `look` saw of it is more than there is
             if flags & ~tracked.SWITCHES or not (face_yielded(law, lane) and face_yielded(law, LANES + lane)):
                 searches.survey(piece, ends, grid)

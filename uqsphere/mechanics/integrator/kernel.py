@@ -36,6 +36,7 @@ from uqsphere.mechanics.integrator.step import (
     SMALL_MU,
     decay_time,
     evaluate,
+    evaluate_bent,
     expand,
     longest,
     root_error,
@@ -117,13 +118,15 @@ def march(
         np.zeros((4, 2, tracked.POINTS + 1)), np.zeros((3, PAIR)), np.zeros((19, lanes)),
         np.zeros((4, lanes), dtype=np.int64), np.zeros((tracked.NUMBERS, PAIR)), np.zeros((TERMS, PAIR)),
         np.zeros((1, PAIR)), np.zeros((tracked.RIGS, PAIR)), np.zeros((TERMS, PAIR)), np.full((2, 2), -1.0),
-        np.zeros((TERMS, PAIR)), np.zeros((6, TERMS)), np.zeros((2 * tracked.POINTS + 2, PAIR)),
+        np.zeros((TERMS, PAIR)), np.zeros((6, TERMS)), np.zeros((3 * tracked.POINTS + 3, PAIR)),
     )  # fmt: skip
     # faces that yield: their law, the series of the logarithm in it, a divisor; see `faces`
     law, log, inverse_root, sloped, pushes = (
         bare(owned[23]), bare(owned[24]), bare(owned[25][0]), bare(owned[29]), bare(owned[30])
     )  # fmt: skip
-    pressed, pressing = bare(owned[31][: tracked.POINTS + 1]), bare(owned[31][tracked.POINTS + 1 :])
+    points = tracked.POINTS + 1
+    pressed, pressing = bare(owned[31][:points]), bare(owned[31][points : 2 * points])
+    bow = bare(owned[31][2 * points :])
     softens = False
     for r in range(laws.shape[0] if laws.shape[1] > 0 else 0):
         softens |= laws[r, tracked.LAW_PILE_UP, 0] == 0.0 or laws[r, tracked.LAW_PILE_UP, 1] == 0.0
@@ -322,8 +325,14 @@ def march(
         for m in range(PAIR):
             at[0, m] = x[0, m]
             rate[0, m] = x[1, m]
+            if virgin:
+                bow[0, m] = x[2, m]
         for i in range(1, tracked.POINTS + 1):
-            evaluate(x, theta, i / tracked.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0))
+            if virgin:
+                evaluate_bent(x, theta, i / tracked.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0),
+                              row_of(bow, i, 0))  # fmt: skip
+            else:
+                evaluate(x, theta, i / tracked.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0))
         evaluate(u, theta, 1.0, half, at_u, rate_u)
         if mode != 1:
             root_error(root, theta, half, at, law, branch, row_of(room, 0, 0), row_of(room, 1, 0))
@@ -358,7 +367,7 @@ def march(
                 if switched[j]:
                     switched[j] = False
                     continue
-                if touching[j] == 0 and may_switch(law, j, room[1], rate):
+                if touching[j] == 0 and may_switch(law, j, room[1], rate, bow, theta[j] / last_point):
                     flags[j] |= tracked.SWITCHES
                 reached = within_spring(law, j, x, room[1]) if touching[j] == 1 else 1.0
                 if reached < 1.0:
@@ -403,7 +412,7 @@ def march(
                         max(track[tracked.FACE_A, j], track[tracked.FACE_B, j]), max(known[0, j], known[0, LANES + j])
                     )
                 ending, why = events.after_step(
-                    mode, flags[j], track, j, piece, pushes, grid, bends, places, theta[j], before, h[j],
+                    mode, flags[j], track, j, piece, pushes, grid, bends, bow, places, theta[j], before, h[j],
                     min(trips[0, j], trips[1, j]), quiet, local * size[0, j], near[j], asked * size[0, j], graze[r],
                     stop_at_loss and not rigged and not beyond[j], yielding, law,
                 )  # fmt: skip

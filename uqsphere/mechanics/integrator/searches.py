@@ -219,6 +219,25 @@ def settle(piece, face, turns, a, b, at_a, at_b, level, guess):
 
 
 @compiled(**INNER)
+def slowest(piece, face, a, b):
+    """theta between a and b at which a face is slowest, and its rate there; its second derivative rises through 0."""
+    apart()
+    _, low = curve(piece, face, True, a)
+    _, high = curve(piece, face, True, b)
+    found, rate = a, math.inf
+    for _ in range(8):
+        found = a - low * (b - a) / (high - low) if low < 0.0 < high else 0.5 * (a + b)
+        rate, bow = curve(piece, face, True, found)
+        if rate < 0.0:
+            break
+        if bow < 0.0:
+            a, low = found, bow
+        else:
+            b, high = found, bow
+    return found, rate
+
+
+@compiled(**INNER)
 def inverse_guess(begin, width, left, left_slope, right, right_slope):
     """Where a rising function passes zero, by the cubic of its inverse; slopes times the width."""
     if not (left_slope > 0.0 and right_slope > 0.0):

@@ -41,6 +41,7 @@ from uqsphere.mechanics.integrator.tracked import (
 )
 from uqsphere.mechanics.integrator.vectors import (
     apart,
+    curves_at,
     derivatives_at,
     elementwise,
     larger,
@@ -311,6 +312,16 @@ def evaluate(x, theta, share, place, at, rate):
         place[j] = share * theta[j]
     for c in range(0, x.shape[1], LANES):
         derivatives_at(x, ORDER, x.shape[1], c, place, at, rate)
+
+
+@compiled(**INNER)
+def evaluate_bent(x, theta, share, place, at, rate, bend):
+    """The same with half the second derivative; bits of `at` and `rate` are those of `evaluate`."""
+    apart()
+    for j in range(LANES):
+        place[j] = share * theta[j]
+    for c in range(0, PAIR, LANES):
+        curves_at(x, ORDER, PAIR, c, place, at, rate, bend)
 
 
 _unlike = elementwise(
