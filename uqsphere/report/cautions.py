@@ -25,7 +25,7 @@ from uqsphere.report.phrases import (
     symbol,
     value_text,
 )
-from uqsphere.results import LimitEntry, Results
+from uqsphere.results import LimitEntry, QuantityEntry, Results
 from uqsphere.results.entries import CheckEntry
 from uqsphere.results.margins import MarginEntry
 from uqsphere.results.verdicts import AssumedEntry
@@ -135,22 +135,22 @@ def cautions(parts: Mapping[str, Contents], called: Mapping[tuple[str, str], str
 
 
 def _of_limits(contents: Contents, names: Mapping[str, str]) -> Iterator[Caution]:
+    """What other assumptions, tests that are few or made up, and ways that nobody judged do to limits."""
+    limits, verdicts = contents.results.limits, contents.results.verdicts
     for name, called in names.items():
         head = f"{called.lower()}: " if len(names) > 1 else ""
-        limit = contents.results.limits[name]
-        for caution in (*_moved(limit), *_extrapolated(contents, name, limit)):
+        for caution in (*_moved(limits[name]), *_extrapolated(contents, name, limits[name])):
             yield replace(caution, text=head + caution.text)
     made_up = sorted({strength_name(name) for name in names} & set(contents.resolved.made_up))
     if made_up:
-        tests = {id_: contents.tests[id_] for id_ in made_up if id_ in contents.tests}
-        told = [text.partition(" (")[0] for text in dict.fromkeys(tests.values())] or ["tests"]
-        yield Caution(rank=_TURNS, nearer=-math.inf, text=f"the {listed(told)} are made up.", made_up=True)
-    verdict = contents.results.verdicts
-    if not contents.black_box and names and not any(v.not_judged or any(w.assumed for w in v.judged) for v in verdict):
-        places = {OUTPUTS[q].place for n in names if (q := contents.results.limits[n].quantity) in OUTPUTS}
-        left = [words for place, words in (("rim", "ring cracks"), ("core", "core tension")) if place not in places]
-        if places and left:
-            yield Caution(rank=_UNKNOWN, text=f"{listed(left)} are not judged.")
+        tests = dict.fromkeys(contents.tests[key] for key in made_up if key in contents.tests)
+        told = listed([text.partition(" (")[0] for text in tests] or ["tests"])
+        yield Caution(rank=_TURNS, nearer=-math.inf, text=f"the {told} are made up.", made_up=True)
+    beside = any(v.not_judged or any(w.assumed for w in v.judged) for v in verdicts)
+    places = {OUTPUTS[q].place for n in names if (q := limits[n].quantity) in OUTPUTS}
+    left = [words for place, words in (("rim", "ring cracks"), ("core", "core tension")) if place not in places]
+    if not contents.black_box and not beside and places and left:
+        yield Caution(rank=_UNKNOWN, text=f"{listed(left)} are not judged.")
 
 
 def log_odds(p: float) -> float:
@@ -167,28 +167,27 @@ def _moved(limit: LimitEntry) -> Iterator[Caution]:
     miss, target = limit.miss.value, limit.target
     if miss is None:
         return
+
+    def caution(other: float, text: str) -> Caution:
+        turns = target is not None and (other > target) != (miss > target)
+        moved = abs(log_odds(other) - log_odds(miss))
+        return Caution(rank=_TURNS if turns else _MOVED, nearer=-moved, text=text)
+
     furthest: dict[str, Caution] = {}
     for entry in limit.assumed:
         other = entry.miss.value
         if other is None or share(other) == share(miss):
             continue
-        turns = target is not None and (other > target) != (miss > target)
-        moved = abs(log_odds(other) - log_odds(miss))
-        over = (", over target" if other > miss else ", within target") if turns else ""
-        told = Caution(
-            rank=_TURNS if turns else _MOVED, nearer=-moved, text=f"{share(other, target)} {assumption(entry)}{over}."
-        )
-        if moved > _MOVES and told < furthest.get(entry.assumption, Caution(rank=_LEFT, text="")):
+        told = caution(other, "")
+        over = (", over target" if other > miss else ", within target") if told.rank == _TURNS else ""
+        told = replace(told, text=f"{share(other, target)} {assumption(entry)}{over}.")
+        if -told.nearer > _MOVES and told < furthest.get(entry.assumption, Caution(rank=_LEFT, text="")):
             furthest[entry.assumption] = told
     yield from furthest.values()
     if limit.ignorance.known and limit.ignorance.fitted:
-        high = float(limit.ignorance.miss[1])
+        high, tests = float(limit.ignorance.miss[1]), sum(entry.tests for entry in limit.ignorance.fitted)
         if high > miss and share(high) != share(miss):
-            tests = sum(entry.tests for entry in limit.ignorance.fitted)
-            turns = target is not None and miss < target < high
-            moved = abs(log_odds(high) - log_odds(miss))
-            text = f"{tests} tests leave up to {share(high, target)} open."
-            yield Caution(rank=_TURNS if turns else _MOVED, nearer=-moved, text=text)
+            yield caution(high, f"{tests} tests leave up to {share(high, target)} open.")
 
 
 def assumption(entry: AssumedEntry) -> str:
@@ -231,7 +230,7 @@ def _of_checks(contents: Contents, names: Mapping[str, str]) -> Iterator[Caution
             continue
         places = [("", planned)] if planned >= _TOLD else []
         places += [("at the answer ", there)] if there > max(2.0 * planned, _TOLD) else []
-        often = ", ".join(f"{where}{plain_percent(float(f'{part:.2g}'))}" for where, part in places)
+        often = ", ".join(where + _two_digits(part) for where, part in places)
         groups.setdefault(effect, []).append(f"{check_words(check)} ({often})")
     for effect, texts in groups.items():
         others = len(texts) - 1
@@ -277,32 +276,38 @@ def _of_run(contents: Contents) -> Iterator[Caution]:
     """Rows that failed, records that end too soon, accuracies that were not reached."""
     results, model = contents.results, contents.results.model
     if model.failures:
-        part = plain_percent(float(f"{model.failures / max(sum(model.evaluations.values()), 1):.2g}"))
+        part = _two_digits(model.failures / max(sum(model.evaluations.values()), 1))
         how = {"bound": "counted once as exceeding and once as not", "drop": "left out", "abort": "the run ends there"}
         text = f"{model.failures:,} evaluations failed ({part}): {how[contents.resolved.analysis.on_failure]}."
         yield Caution(rank=_UNKNOWN, nearer=-2.0, text=text)
     for name, entry in results.quantities.items():
-        if entry.censored_share.value:
-            part = plain_percent(float(f"{entry.censored_share.value:.2g}"))
-            yield Caution(
-                rank=_LEFT, text=f"in {part} of the rows {symbol(name)} outlasts its record: a lower bound there."
-            )
-        opened = entry.ignorance
-        if opened and min(source.tests for source in opened.fitted) < _FEW_TESTS:
-            tests = ", ".join(f"{source.tests} tests of {short_input(source.input)}" for source in opened.fitted)
-            ends = " to ".join(value_text(end, name, 2) for end in opened.mean)
-            left = opened.reason or f"they leave its mean open from {ends}"
-            yield Caution(rank=_UNKNOWN, text=f"the answers on {symbol(name)} rest on {tests}: {left}.")
+        yield from _of_quantity(name, entry)
     if contents.manifest.interrupted:
         yield Caution(rank=_UNKNOWN, nearer=-3.0, text="the run was interrupted; the same command goes on.")
     late = [row for row in results.accuracy.questions if row.met is False]
-    missed = len(late) or len(results.accuracy.missed)
-    if missed:
-        ended = "the time budget ended the run" if contents.manifest.stopped_by_time else ""
-        if not ended and "evaluations" in results.accuracy.stopped_by.values():
-            ended = "the budget of evaluations ended the run"
+    if missed := len(late) or len(results.accuracy.missed):
+        by_count = "evaluations" in results.accuracy.stopped_by.values()
+        ended = ": the time budget ended the run" if contents.manifest.stopped_by_time else ""
+        ended = ended or (": the budget of evaluations ended the run" if by_count else "")
         of_limits = any(row.quantity.startswith("limits.") for row in late)
-        told = f"{missed} numbers are less accurate than asked{f': {ended}' if ended else ''}."
-        yield Caution(rank=_UNKNOWN if of_limits else _LEFT, text=told)
+        text = f"{missed} numbers are less accurate than asked{ended}."
+        yield Caution(rank=_UNKNOWN if of_limits else _LEFT, text=text)
     for text in results.warnings:
         yield Caution(rank=_LEFT, nearer=1.0, text=text if text.endswith(".") else f"{text}.")
+
+
+def _of_quantity(name: str, entry: QuantityEntry) -> Iterator[Caution]:
+    """Records that end before a quantity is known, and few tests that it rests on."""
+    if entry.censored_share.value:
+        text = f"in {_two_digits(entry.censored_share.value)} of the rows {symbol(name)} outlasts its record"
+        yield Caution(rank=_LEFT, text=f"{text}: a lower bound there.")
+    opened = entry.ignorance
+    if opened and min(source.tests for source in opened.fitted) < _FEW_TESTS:
+        tests = ", ".join(f"{source.tests} tests of {short_input(source.input)}" for source in opened.fitted)
+        ends = " to ".join(value_text(end, name, 2) for end in opened.mean)
+        left = opened.reason or f"they leave its mean open from {ends}"
+        yield Caution(rank=_UNKNOWN, text=f"the answers on {symbol(name)} rest on {tests}: {left}.")
+
+
+def _two_digits(part: float) -> str:
+    return plain_percent(float(f"{part:.2g}"))

@@ -39,8 +39,7 @@ def number_text(text: str) -> str:
     '−1.5 × 10⁻⁷ µm'
     """
     number, space, unit = text.partition(" ")
-    number = _POWER.sub(lambda m: " × 10" + str(int(m[1])).translate(_SUPERSCRIPT), number)
-    return re.sub(r"(?<!\w)-(?=\d)", "−", number) + space + unit_text(unit)
+    return re.sub(r"(?<!\w)-(?=\d)", "−", _tens(number)) + space + unit_text(unit)
 
 
 def value_text(value: float | None, name: str = "", digits: int = 4) -> str:
@@ -262,20 +261,26 @@ def rounded(estimate: Est, name: str = "", digits: int = 4) -> str:
     >>> rounded(Est.of(4.0004e9, 3.9986e9, 4.0021e9), "p_max")
     '4.000 GPa'
     """
-    value, low, high = estimate.value, estimate.low, estimate.high
-    if value is None:
+    if estimate.value is None:
         return ABSENT
-    if low is not None and high is not None and low < high and value != 0.0:
-        supported = 1 + math.floor(math.log10(abs(value))) - math.floor(math.log10(0.5 * (high - low)) + _ROUND)
-        digits = max(1, min(digits, supported))
+    digits = _supported(estimate, digits)
     unit, factor = display_unit(name) if name else ("", 1.0)
-    scaled = value * factor
+    scaled = estimate.value * factor
     if abs(scaled) >= 10.0**digits and abs(scaled) < 1e6:
         # zeros before the point are no digits that the interval must support
         text = f"{round(scaled, digits - 1 - math.floor(math.log10(abs(scaled)))):.0f}"
     else:
         text = f"{scaled:#.{digits}g}".removesuffix(".").replace(".e", "e")
     return number_text(f"{text} {unit}".rstrip())
+
+
+def _supported(estimate: Est, most: int) -> int:
+    """Digits of a value that its interval supports."""
+    value, low, high = estimate.value, estimate.low, estimate.high
+    if not value or low is None or high is None or not low < high:
+        return most
+    supported = 1 + math.floor(math.log10(abs(value))) - math.floor(math.log10(0.5 * (high - low)) + _ROUND)
+    return max(1, min(most, supported))
 
 
 def two(value: float, digits: int = 2) -> str:
@@ -416,24 +421,14 @@ def safe_side(estimate: Est, name: str, *, at_most: bool, digits: int = 4) -> st
     >>> safe_side(known, "striker.speed", at_most=True), safe_side(known, "striker.speed", at_most=False)
     ('0.658 m/s', '0.659 m/s')
     """
-    text = rounded(estimate, name, digits)
-    found = re.match(r"(−?)(\d+(?:\.(\d+))?)(?![\d.]| ×)", text)
-    value = estimate.value
-    if found is None or value is None:
-        return text
-    # in the unit that the text is in: a prefix may differ from the one that is usual for the name
-    shown = float(found[2]) * (-1.0 if found[1] else 1.0)
-    scaled = value * display_unit(name)[1]
-    if shown == 0.0 or not scaled:
-        return text
-    power = round(math.log10(abs(shown / scaled)))
-    scaled *= 10.0 ** (3 * round(power / 3))
-    decimals = len(found[3] or "")
-    step = 10.0**-decimals
-    if not found[3]:
-        step = 10.0 ** (len(found[2]) - len(found[2].rstrip("0")))
-    if at_most and shown > scaled * (1.0 + 1e-9):
-        shown -= step
-    elif not at_most and shown < scaled * (1.0 - 1e-9):
-        shown += step
-    return f"{shown:.{decimals}f}".replace("-", "−") + text[found.end() :]
+    value, digits = estimate.value, _supported(estimate, digits)
+    unit, factor = display_unit(name)
+    scaled = 0.0 if value is None else value * factor
+    if not 1e-4 <= abs(scaled) < 1e6:
+        return rounded(estimate, name, digits)
+    places = digits - 1 - math.floor(math.log10(abs(scaled)) + _ROUND)
+    steps = scaled * 10.0**places
+    whole = math.floor(steps * (1.0 + math.copysign(_ROUND, steps))) if at_most else math.ceil(
+        steps * (1.0 - math.copysign(_ROUND, steps))
+    )  # fmt: skip
+    return number_text(f"{whole * 10.0**-places:.{max(places, 0)}f} {unit}".rstrip())

@@ -24,7 +24,10 @@ def summary_of(contents: Contents, width: int | None = None) -> str:
     columns = screen_width() if width is None else width
     brief = make_brief(contents)
     texts = [brief.title, *(line for answer in brief.answers for line in _answer(answer))]
-    texts += [*_ways(brief, columns), *_drivers(brief), *_measure(brief)]
+    texts += _ways(brief, columns)
+    shares = ", ".join(f"{name} {100.0 * part:.0f} %" for name, part in brief.drivers)
+    texts += [f"what drives it: {shares} (for {brief.driven})"] if shares else []
+    texts += [f"next measurement: {brief.measure[0]}. {brief.measure[1]}"] if brief.measure else []
     texts += ["cautions:"] * bool(brief.first_cautions)
     texts += [f"{k}. {text}" for k, text in enumerate(brief.first_cautions, 1)]
     lines, last = [part for text in texts for part in _set(text, columns)], _set(brief.model, columns)
@@ -53,35 +56,22 @@ def _answer(answer: Answer) -> list[str]:
 
 def _ways(brief: Brief, width: int) -> list[str]:
     """The ways of breaking with their probabilities, and force and energy where a share breaks."""
-    unit, factor = brief.force_unit
+    (unit, factor), columns = brief.force_unit, 4 if brief.forces else 2
     rows: list[tuple[str, ...] | str] = []
-    for answer in brief.answers:
-        rows += [answer.group] if answer.modes and sum(bool(a.modes) for a in brief.answers) > 1 else []
+    shown = [answer for answer in brief.answers if answer.modes]
+    for answer in shown:
+        rows += [answer.group] if len(shown) > 1 else []
         for mode in answer.modes:
-            name = mode.name + ("†" if mode.assumed else "")
-            if mode.miss is None:
-                rows.append((name, mode.reason or "not judged", "", ""))
-                continue
-            chance = short_share(mode.miss, answer.target).replace("\u00a0", " ")
-            force = "-" if mode.force is None else two(mode.force * factor)
-            rows.append((name, chance, force, "-" if mode.energy is None else two(mode.energy)))
+            chance = mode.reason or "not judged"
+            if mode.miss is not None:
+                chance = short_share(mode.miss, answer.target).replace("\u00a0", " ")
+            force, energy = ("-" if v is None else two(v * f) for v, f in ((mode.force, factor), (mode.energy, 1.0)))
+            beside = ("", "") if mode.miss is None else (force, energy)
+            rows.append((mode.name + "†" * mode.assumed, chance, *beside)[:columns])
     if not rows:
         return []
-    columns = 4 if brief.forces else 2
     header = ("way of breaking" if brief.fracture else "limit", "share", f"{unit}*", "J/kg*")[:columns]
-    kept = [row if isinstance(row, str) else row[:columns] for row in rows]
-    return [table(header, kept, width), *([", ".join(brief.legend)] if brief.legend else [])]
-
-
-def _drivers(brief: Brief) -> list[str]:
-    if not brief.drivers:
-        return []
-    told = ", ".join(f"{name} {100.0 * part:.0f} %" for name, part in brief.drivers)
-    return [f"what drives it: {told} (for {brief.driven})"]
-
-
-def _measure(brief: Brief) -> list[str]:
-    return [] if brief.measure is None else [f"next measurement: {brief.measure[0]}. {brief.measure[1]}"]
+    return [table(header, rows, width), *([", ".join(brief.legend)] if brief.legend else [])]
 
 
 def _quantities(contents: Contents) -> list[str]:

@@ -15,7 +15,7 @@ from uqsphere.mechanics.rigs import GRAVITY, drop_speed
 from uqsphere.quantities import INPUTS
 from uqsphere.study.columns import open_observations
 from uqsphere.study.document import Document
-from uqsphere.study.faults import Findings, Misplaced, Place, Raw, one_of, shown, suggestion
+from uqsphere.study.faults import Findings, Misplaced, Place, Raw, one_of, shown, suggestion, unknown
 from uqsphere.study.feed_tables import (
     FROM_TESTS,
     CurveTable,
@@ -26,7 +26,7 @@ from uqsphere.study.feed_tables import (
     ProductTable,
     SizesTable,
 )
-from uqsphere.study.numbers import Reading, plain_quantity, read_number
+from uqsphere.study.numbers import plain_quantity, read_number
 from uqsphere.units import UNITS, Quantity
 from uqsphere.uq.law import Law
 
@@ -84,8 +84,7 @@ def read_particles(document: Document, study: Study | None, findings: Findings) 
 def _particles(table: MaterialTable, findings: Findings) -> Particles | None:
     known = library()["sphere"]
     if table.name is not None and table.name not in known:
-        near = suggestion(table.name, known)
-        findings.add(("material", "name"), f"unknown material {shown(table.name)}, known: {one_of(known)}{near}")
+        findings.add(("material", "name"), unknown("material", table.name, known))
         return None
     found: dict[str, float] = {}
     for key, example in _MATERIAL.items():
@@ -120,7 +119,13 @@ def read_product(table: ProductTable | None, findings: Findings) -> ProductPlan:
     alpha = (
         None if curve.alpha is None else read_number(curve.alpha, (*place, "alpha"), plain_quantity("alpha"), findings)
     )
-    _check_curve(curve, place, alpha, findings)
+    if curve.law == "beta" and not curve.table and findings.clean((*place, "table")):
+        findings.add((*place, "table"), "beta takes a table of rows [n, alpha_n, beta_n]: none is built in")
+    for key, is_given, of in (("alpha", curve.alpha is not None, "trr"), ("table", bool(curve.table), "beta")):
+        if is_given and curve.law != of:
+            findings.add((*place, key), f'{key} belongs to law = "{of}": leave it out')
+    if alpha is not None and alpha.nominal <= 0.0:
+        findings.add((*place, "alpha"), "alpha must be above 0")
     return ProductPlan(
         form=table.form, A=value("A"), b=value("b"), threshold=table.threshold, curve=curve.law, knots=curve.table,
         alpha=None if alpha is None else alpha.value, discrepancy=curve.discrepancy,
@@ -130,16 +135,6 @@ def read_product(table: ProductTable | None, findings: Findings) -> ProductPlan:
 def readable(table: ProductTable) -> bool:
     """Whether the product is an answer of every sphere: A and b are given, of the energy offered."""
     return table.form == "jk" and FROM_TESTS not in (table.A, table.b)
-
-
-def _check_curve(curve: CurveTable, place: Place, alpha: Reading | None, findings: Findings) -> None:
-    if curve.law == "beta" and not curve.table and findings.clean((*place, "table")):
-        findings.add((*place, "table"), "beta takes a table of rows [n, alpha_n, beta_n]: none is built in")
-    for key, given, of in (("alpha", curve.alpha is not None, "trr"), ("table", bool(curve.table), "beta")):
-        if given and curve.law != of:
-            findings.add((*place, key), f'{key} belongs to law = "{of}": leave it out')
-    if alpha is not None and alpha.nominal <= 0.0:
-        findings.add((*place, "alpha"), "alpha must be above 0")
 
 
 # --- the feed ---------------------------------------------------------------------------------------------------
@@ -170,12 +165,17 @@ def read_feed(
         lot=math.inf if table.lot is None else table.lot, fines=table.fines, seed=document.seed,
     )  # fmt: skip
     goal = None if table.goal is None else (table.goal.broken, table.goal.at_least)
-    of = {"sizes": _size_words(table.sizes, sizes.top), "energy": words, "partner": share[1]}
+    own = table.sizes
+    told = [f"{key} {1e3 * value:.4g} mm" for key in ("d63", "d50") if (value := getattr(own, key)) is not None]
+    told += [f"n {own.n:g}"] if own.n is not None else []
+    told += [f"sd of ln d {own.log_sd:g}"] if own.log_sd is not None else []
+    size_words = f"{own.law.replace('_', '-')}, {', '.join([*told, f'top {1e3 * sizes.top:.4g} mm'])}"
+    of = {"sizes": size_words, "energy": words, "partner": share[1]}
     meaning: dict[str, Json] = {"table": asdict(table), "particles": asdict(particles)}
     meaning |= {} if product_table is None else {"product": asdict(product_table)}
     meaning["sizes"] = {"edges": classes.edges.tolist(), "mass": classes.mass.tolist()}
-    own = {key: getattr(particles, key) for key in _MATERIAL}
-    return FeedPlan(feed=feed, product=product, goal=goal, of=of, particles=own, meaning=meaning)
+    numbers = {key: getattr(particles, key) for key in _MATERIAL}
+    return FeedPlan(feed=feed, product=product, goal=goal, of=of, particles=numbers, meaning=meaning)
 
 
 def _read_sizes(table: FeedTable, findings: Findings) -> Sizes | None:
@@ -234,14 +234,6 @@ def _read_table(sizes: SizesTable, place: Place, findings: Findings) -> Sizes | 
         top = min(sizes.top or math.inf, float(sieves[-1]))
         return Sizes(sieves=tuple(sieves.tolist()), finer=tuple(finer.tolist()), top=top)
     return None
-
-
-def _size_words(sizes: SizesTable, top: float) -> str:
-    parts = {"d63": sizes.d63, "d50": sizes.d50}
-    given = [f"{key} {1e3 * value:.4g} mm" for key, value in parts.items() if value is not None]
-    given += [f"n {sizes.n:g}"] if sizes.n is not None else []
-    given += [f"sd of ln d {sizes.log_sd:g}"] if sizes.log_sd is not None else []
-    return f"{sizes.law.replace('_', '-')}, {', '.join([*given, f'top {1e3 * top:.4g} mm'])}"
 
 
 def _read_energy(
@@ -329,8 +321,7 @@ def _partner(on: OnTable | None, findings: Findings) -> tuple[float, float] | No
     place = ("feed", "on")
     known = {**library()["plates"], **library()["bars"], **library()["sphere"]}
     if on.material is not None and on.material not in known:
-        near = suggestion(on.material, known)
-        findings.add((*place, "material"), f"unknown material {shown(on.material)}, known: {one_of(known)}{near}")
+        findings.add((*place, "material"), unknown("material", on.material, known))
         return None
     given = {key: getattr(on, key) for key in ("E", "nu")}
     if on.material is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Final
 
@@ -33,6 +34,14 @@ def platen_words() -> tuple[str, ...]:
     from uqsphere.materials import library
 
     return "bars", "rigid", *library()["bars"]
+
+
+def known_platens(name: str) -> tuple[float, float]:
+    """Young's modulus [Pa], infinite if rigid, and Poisson ratio of one of these words, which is not `bars`."""
+    from uqsphere.materials import library
+
+    entry = {} if name == "rigid" else library()["bars"][name].properties
+    return (entry["E"].value, entry["nu"].value) if entry else (math.inf, 0.3)
 
 
 def _platens(value: Raw) -> Raw:

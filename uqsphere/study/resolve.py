@@ -147,9 +147,10 @@ def _resolve_part(data: dict[str, Raw], findings: Findings, path: Path, text: st
         check_groups(analysis.groups, named, findings)
         parts = {"dependence": read_dependence(document.dependence, named, findings)}
         parts["margins"] = margins = read_margins(document, named, findings)
-        if margins is not None:
-            needed = ["p_max"] * margins.bars_elastic + ([margins.against] if margins.against else [])
-            analysis = replace(analysis, quantities=tuple(dict.fromkeys([*analysis.quantities, *needed])))
+        needed = [] if margins is None else ["p_max"] * margins.bars_elastic + [margins.against or ""]
+        if any(needed) and analysis.quantities:
+            asked = dict.fromkeys([*analysis.quantities, *filter(None, needed)])
+            analysis = replace(analysis, quantities=tuple(asked))
     if black_box is False:
         parts["receiving_damper"] = read_damper(document.bars, findings)
         on_rod = None if document.rod is None else document.rod.gauge

@@ -8,8 +8,8 @@ from typing import Final
 
 from uqsphere.materials import library
 from uqsphere.quantities import INPUTS
-from uqsphere.study.document import RIG_TABLES, Document, ModelChoice, RigTable, TargetTable
-from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
+from uqsphere.study.document import RIG_TABLES, Document, ModelChoice, TargetTable
+from uqsphere.study.faults import Findings, Raw, one_of, shown, unknown
 from uqsphere.study.numbers import Reading
 from uqsphere.study.scene import Scene, require, take_from_library
 from uqsphere.study.tables import BAR_ENDS
@@ -55,26 +55,14 @@ def refuse_other_tables(document: Document, data: Mapping[str, Raw], findings: F
         if table in data and rig not in names:
             belongs = one_of([shown(name) for name in names])
             findings.add((table,), f"[{table}] belongs to the rig {belongs}, and this is {shown(rig)}: leave it out")
-    _refuse_limits_of_no_rig(document, findings)
-    if _STARTS.get(rig) != "rig" and document.rig is not None:
-        _refuse_speeds(document.rig, findings)
-
-
-def _refuse_limits_of_no_rig(document: Document, findings: Findings) -> None:
-    """Note every limit of a study without a rig that is asked of no service."""
     for name, limit in document.limits.items():
-        if document.rig_kind == "none" and limit.service is None and findings.clean(("limits", name)):
+        if rig == "none" and limit.service is None and findings.clean(("limits", name)):
             known = f", {one_of([shown(one) for one in document.service])}" if document.service else ""
             findings.add(("limits", name), f"the study has no rig to ask it of: add in = the name of a service{known}")
-
-
-def _refuse_speeds(rig: RigTable, findings: Findings) -> None:
-    """Note the speed, height or angle of a sphere that is not thrown."""
-    for key in ("speed", "drop_height", "angle"):
-        if getattr(rig, key) is not None:
-            there = rig.kind in _STARTS and key != "angle"
-            where = f"[{_STARTS[rig.kind]}]" if there else "impact and sphere_on_sphere"
-            findings.add(("rig", key), f"{key} does not belong to the rig {shown(rig.kind)}: it stands in {where}")
+    for key in ("speed", "drop_height", "angle") if _STARTS.get(rig) != "rig" else ():
+        if getattr(document.rig, key, None) is not None:
+            where = f"[{_STARTS[rig]}]" if rig in _STARTS and key != "angle" else "impact and sphere_on_sphere"
+            findings.add(("rig", key), f"{key} does not belong to the rig {shown(rig)}: it stands in {where}")
 
 
 def model_of(document: Document, findings: Findings) -> ModelChoice:
@@ -137,7 +125,11 @@ def _read_partner(document: Document, table: str, scene: Scene, findings: Findin
             return
         scene.options[f"{table}.kind"] = found.kind
         needs |= KIND_NEEDS[found.kind]
-        _refuse_of_another_kind(found, table, scene, findings)
+        for key, kind in _OWN.items():
+            if getattr(found, key) is not None and kind != found.kind:
+                said = f'{key} belongs to kind = "{kind}", and this is {shown(found.kind)}: leave one of them out'
+                findings.add((table, key), said)
+                scene.readings.pop(f"{table}.{key}", None)
     elif table == "hammer":
         needs |= _hammer_needs(document, scene, findings)
     else:
@@ -166,22 +158,12 @@ def _fill_material(table: str, name: str | None, scene: Scene, findings: Finding
     kind = next((kind for kind in kinds if name in library()[kind]), None)
     if kind is None:
         known = [one for kind in kinds for one in library()[kind]]
-        said = f"unknown material {shown(name)}, known: {one_of(known)}{suggestion(name, known)}"
-        findings.add((table, "material"), said)
+        findings.add((table, "material"), unknown("material", name, known))
         return
     found = library()[kind][name]
     take_from_library(scene, findings, table, found, ("E", "nu", "density", "yield_strength"))
     if found.properties["E"].value < _SOFT:
         findings.warn((table, "material"), f"{name} is no elastic solid: {found.properties['E'].note}")
-
-
-def _refuse_of_another_kind(found: TargetTable, table: str, scene: Scene, findings: Findings) -> None:
-    for key, kind in _OWN.items():
-        if getattr(found, key) is not None and kind != found.kind:
-            place: Place = (table, key)
-            said = f'{key} belongs to kind = "{kind}", and this is {shown(found.kind)}: leave one of them out'
-            findings.add(place, said)
-            scene.readings.pop(f"{table}.{key}", None)
 
 
 def _hammer_needs(document: Document, scene: Scene, findings: Findings) -> dict[str, str]:

@@ -23,7 +23,6 @@ from uqsphere.uq.law import Law, make_law
 
 if TYPE_CHECKING:
     from uqsphere.records.pulse import Bar
-    from uqsphere.records.record import Wiring
 
 #: keys of a measured pulse beside its file
 _RECORD: Final = (
@@ -129,7 +128,11 @@ def _read_numbers(document: Document, data: Mapping[str, Raw], scene: Scene, fin
                 reading = read_number(raw, (section, key), INPUTS[name], findings)
                 if reading is not None:
                     scene.readings[name] = reading
-                    _warn_of_odd(name, reading, findings)
+                    low, high = INPUTS[name].plausible
+                    if not low <= reading.nominal <= high:
+                        found, *usual = (format_value(value, name) for value in (reading.nominal, low, high))
+                        said = f"{found} is unusual (usual: {usual[0]} to {usual[1]}); is the unit right?"
+                        findings.warn((section, key), said)
 
 
 def worded(section: str, key: str, raw: Raw) -> bool:
@@ -158,20 +161,12 @@ def _check_striker(document: Document, scene: Scene, findings: Findings) -> None
             require(scene, findings, "striker.length", '"0.8 m"', ": it sets the duration of the pulse")
 
 
-def _warn_of_odd(name: str, reading: Reading, findings: Findings) -> None:
-    low, high = INPUTS[name].plausible
-    if not low <= reading.nominal <= high:
-        found = format_value(reading.nominal, name)
-        usual = f"{format_value(low, name)} to {format_value(high, name)}"
-        findings.warn(tuple(name.split(".")), f"{found} is unusual (usual: {usual}); is the unit right?")
-
-
 def require(scene: Scene, findings: Findings, name: str, example: str, why: str = "") -> None:
+    """Note a number that is missing, with an example of it."""
     place: Place = tuple(name.split("."))
     if name not in scene.readings and findings.clean(place):
         key = place[-1]
-        said = f"{INPUTS[name].meaning}" if not why else f"{INPUTS[name].meaning}{why}"
-        findings.add(place, f"{key} is missing ({said}): add {key} = {example}")
+        findings.add(place, f"{key} is missing ({INPUTS[name].meaning}{why}): add {key} = {example}")
 
 
 def _fill_from_library(document: Document, section: str, scene: Scene, findings: Findings) -> None:
@@ -246,19 +241,15 @@ def _read_pulse(pulse: PulseTable, shaped: bool, scene: Scene, findings: Finding
     if shape == "measured":
         scene.record = _read_record(pulse, scene, findings)
     elif shape == "two_peak" and pulse.valley is None:
-        _fill_valley(scene)
+        # it follows from the lower peak; where a level scatters, it does so sample by sample
+        levels = [scene.readings.get(f"pulse.{key}") for key in ("level1", "level2")]
+        fixed = [level.value for level in levels if level is not None and not isinstance(level.value, Law)]
+        if len(fixed) == 2:
+            scene.readings["pulse.valley"] = Reading(value=DEFAULT_VALLEY * min(fixed))
     own = next((key for key in ("E", "density", "diameter") if f"striker.{key}" in scene.readings), None)
     if own is not None and shape not in (*STRIKER_SHAPES, "measured"):
         why = f"a {shape} pulse does not follow from the striker's material or diameter"
         findings.add(("striker", own), f"{why}: leave them out, or take shape = {one_of(STRIKER_SHAPES)}")
-
-
-def _fill_valley(scene: Scene) -> None:
-    """A valley that follows from the lower peak; where a level scatters, it does so sample by sample."""
-    levels = [scene.readings.get(f"pulse.{key}") for key in ("level1", "level2")]
-    fixed = [level.value for level in levels if level is not None and not isinstance(level.value, Law)]
-    if len(fixed) == 2:
-        scene.readings["pulse.valley"] = Reading(value=DEFAULT_VALLEY * min(fixed))
 
 
 def _check_keys(pulse: PulseTable, shape: str, scene: Scene, findings: Findings) -> None:
@@ -293,11 +284,15 @@ def _read_record(pulse: PulseTable, scene: Scene, findings: Findings) -> Measure
     if path is None or faulty or (pulse.correct_dispersion and bar is None):
         return None
     from uqsphere.records.pulse import measured_pulse
+    from uqsphere.records.record import Wiring
     from uqsphere.records.table import RecordError
 
+    usual: dict[str, Raw] = {"unit": "", "time_unit": "", "excitation": 0.0, "gauge_factor": 2.0, "amplification": 1.0,
+                             "active_arms": 1.0}  # fmt: skip
+    wiring = Wiring(**{key: usual[key] if (own := getattr(pulse, key)) is None else own for key in usual})
     begin, end = pulse.window or (None, None)
     try:
-        found = measured_pulse(path, wiring=_wiring(pulse), columns=pulse.columns, bar=bar, distance=distance,
+        found = measured_pulse(path, wiring=wiring, columns=pulse.columns, bar=bar, distance=distance,
                                begin=begin, end=end, polarity=pulse.polarity or "auto")  # fmt: skip
     except RecordError as error:
         findings.add(place, str(error))
@@ -305,29 +300,15 @@ def _read_record(pulse: PulseTable, scene: Scene, findings: Findings) -> Measure
     for note in found.notes:
         findings.warn(place, f"{shown(pulse.file)}: {note}")
     if pulse.noise:
-        _take_noise(found, scene, findings)
+        given = {"mean": 0.0, "sd": 1.0}
+        for name in noise_names() if found.noise > 0.0 else ():
+            scene.readings[name] = Reading(value=make_law("normal", given), given=given)
+        if not found.noise:
+            said = "the record has no noise at rest, so that none can be taken into account"
+            findings.warn(("pulse", "noise"), said)
     elif found.noise > _NOTABLE:
         findings.warn(place, f"noise moves the pulse by {found.noise:.2g} of its peak: noise = true makes it an input")
     return found
-
-
-def _take_noise(record: MeasuredPulse, scene: Scene, findings: Findings) -> None:
-    """The modes of a record's noise as random inputs."""
-    given = {"mean": 0.0, "sd": 1.0}
-    for name in noise_names() if record.noise > 0.0 else ():
-        scene.readings[name] = Reading(value=make_law("normal", given), given=given)
-    if not record.noise:
-        findings.warn(("pulse", "noise"), "the record has no noise at rest, so that none can be taken into account")
-
-
-def _wiring(pulse: PulseTable) -> Wiring:
-    """How the signal of the record becomes strain."""
-    from uqsphere.records.record import Wiring
-
-    usual: dict[str, Raw] = {"unit": "", "time_unit": "", "excitation": 0.0, "gauge_factor": 2.0, "amplification": 1.0,
-             "active_arms": 1.0}  # fmt: skip
-    given = {key: getattr(pulse, key) for key in usual}
-    return Wiring(**{key: usual[key] if value is None else value for key, value in given.items()})
 
 
 def _bar(pulse: PulseTable, scene: Scene, findings: Findings) -> tuple[Bar | None, float]:
@@ -429,14 +410,31 @@ def check_scene(scene: Scene, model: ModelChoice, findings: Findings) -> None:
 
     Each check needs only the numbers that it names.
     """
-    _check_size(scene, findings)
-    shape = scene.options.get("pulse.shape")
+    radius, diameter = scene.mean("sphere.radius"), scene.mean("bars.diameter")
+    if radius is not None and diameter is not None and 2.0 * radius > diameter * _ROUNDING:
+        findings.add(
+            ("sphere", "radius"),
+            f"the sphere, 2 x {format_value(radius, 'sphere.radius')} across, is larger than its bars of "
+            f"{format_value(diameter, 'bars.diameter')}: take a smaller sphere or thicker bars",
+        )
+    shape, width = scene.options.get("pulse.shape"), pulse_duration(scene)
     if shape in ("trapezoid", "ramp"):
-        _check_ramps(scene, findings)
+        # the fall of a ramp is sudden
+        rise, fall = scene.mean("pulse.rise"), 0.0 if shape == "ramp" else scene.mean("pulse.fall")
+        half = None if rise is None or fall is None else 0.5 * (rise + fall)
+        if half is not None and width is not None and half > width * _ROUNDING:
+            said = f"half of rise and fall, {format_value(half, 'pulse.rise')}, exceeds the width of the pulse"
+            found = format_value(width, "pulse.duration")
+            findings.add(("pulse", "rise"), f"{said}, {found}: shorten them, or lengthen the striker")
     elif shape == "two_peak":
         _check_two_peak(scene, findings)
     elif shape == "step":
-        _check_step(scene, model, findings)
+        if model.horizon is None and findings.clean(("model", "horizon")):
+            said = 'a step pulse never ends, so that the record needs an end: add horizon = "3 ms" to [model]'
+            findings.add(("model", "horizon"), said)
+        if not _open_ended(scene) and "bars.incident_length" in scene.readings:
+            said = "a step pulse is longer than any round trip of the incident bar"
+            findings.add(("pulse", "shape"), f'{said}: set bars.infinite = true or incident_end = "absorbing"')
     _check_round_trip(scene, findings)
 
 
@@ -458,45 +456,21 @@ def striker_ratio(scene: Scene) -> float | None:
         return None
     product = 1.0
     for key, power in (("E", 0.5), ("density", 0.5), ("diameter", 2.0)):
-        bars = scene.mean(f"bars.{key}")
-        own = scene.mean(f"striker.{key}") if f"striker.{key}" in scene.readings else bars
+        bars, own = scene.mean(f"bars.{key}"), _of_part(scene, "striker", key)
         if own is None or bars is None:
             return None
         product *= (own / bars) ** power
     return product
 
 
+def _of_part(scene: Scene, part: str, key: str) -> float | None:
+    """A number of the striker, or of the bars where the striker has none of its own."""
+    return scene.mean(f"{part if f'{part}.{key}' in scene.readings else 'bars'}.{key}")
+
+
 def _wave_speed(scene: Scene, part: str = "bars") -> float | None:
-    def own(key: str) -> float | None:
-        return scene.mean(f"{part}.{key}") if f"{part}.{key}" in scene.readings else scene.mean(f"bars.{key}")
-
-    stiffness, density = own("E"), own("density")
+    stiffness, density = (_of_part(scene, part, key) for key in ("E", "density"))
     return None if stiffness is None or density is None else math.sqrt(stiffness / density)
-
-
-def _check_size(scene: Scene, findings: Findings) -> None:
-    radius, diameter = scene.mean("sphere.radius"), scene.mean("bars.diameter")
-    if radius is not None and diameter is not None and 2.0 * radius > diameter * _ROUNDING:
-        findings.add(
-            ("sphere", "radius"),
-            f"the sphere, 2 x {format_value(radius, 'sphere.radius')} across, is larger than its bars of "
-            f"{format_value(diameter, 'bars.diameter')}: take a smaller sphere or thicker bars",
-        )
-
-
-def _ramps(scene: Scene) -> float | None:
-    """Half of rise and fall together, the fall of a ramp being sudden."""
-    rise = scene.mean("pulse.rise")
-    fall = 0.0 if scene.options.get("pulse.shape") == "ramp" else scene.mean("pulse.fall")
-    return None if rise is None or fall is None else 0.5 * (rise + fall)
-
-
-def _check_ramps(scene: Scene, findings: Findings) -> None:
-    half, width = _ramps(scene), pulse_duration(scene)
-    if half is not None and width is not None and half > width * _ROUNDING:
-        said = f"half of rise and fall, {format_value(half, 'pulse.rise')}, exceeds the width of the pulse"
-        found = format_value(width, "pulse.duration")
-        findings.add(("pulse", "rise"), f"{said}, {found}: shorten them, or lengthen the striker")
 
 
 def _check_two_peak(scene: Scene, findings: Findings) -> None:
@@ -547,12 +521,3 @@ def _check_round_trip(scene: Scene, findings: Findings) -> None:
             "end cannot reflect before the striker has left it: shorten the pulse, lengthen the bar, or set "
             'incident_end = "absorbing"',
         )
-
-
-def _check_step(scene: Scene, model: ModelChoice, findings: Findings) -> None:
-    if model.horizon is None and findings.clean(("model", "horizon")):
-        said = 'a step pulse never ends, so that the record needs an end: add horizon = "3 ms" to [model]'
-        findings.add(("model", "horizon"), said)
-    if not _open_ended(scene) and "bars.incident_length" in scene.readings:
-        said = "a step pulse is longer than any round trip of the incident bar"
-        findings.add(("pulse", "shape"), f'{said}: set bars.infinite = true or incident_end = "absorbing"')

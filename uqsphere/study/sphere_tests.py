@@ -8,7 +8,6 @@ the strength of that sphere.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
@@ -16,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
-from uqsphere.materials import library
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.carried import pole_of
 from uqsphere.mechanics.criteria import CRITERIA
@@ -27,7 +25,7 @@ from uqsphere.study.columns import LARGEST_TESTS, open_observations
 from uqsphere.study.document import RIG_TABLES
 from uqsphere.study.faults import Findings, Misplaced, Place, Raw
 from uqsphere.study.numbers import Reading, Tested, read_fixed
-from uqsphere.study.particle_tables import ENERGY_OF, SphereTestsTable
+from uqsphere.study.particle_tables import ENERGY_OF, SphereTestsTable, known_platens
 from uqsphere.study.scene import Scene
 from uqsphere.study.tables import read_table
 from uqsphere.uq.families import LawError
@@ -80,7 +78,11 @@ def read_sphere_tests(
     table = read_table(SphereTestsTable, raw, findings, place)
     from uqsphere.study.tests import read_measured
 
-    file, key = _file_of(table, place, findings)
+    file, key = (table.tests, "tests") if table.tests is not None else (table.file or "", "file")
+    if table.tests is not None and table.file is not None:
+        findings.add((*place, "file"), "tests names a file too: leave one of them out")
+    if not file and table.tests is None and findings.clean((*place, "file")):
+        findings.add((*place, "file"), 'file is missing: add file = "tests.csv"')
     _check_measured(table, place, demand, findings)
     sphere = {key: scene.mean(f"sphere.{key}") for key in ("E", "nu", "density")}
     platens = read_platens(table.platens or "bars", (*place, "platens"), scene, findings)
@@ -96,36 +98,23 @@ def read_sphere_tests(
         _compare_rates(place, demand, scene, findings)
         try:
             state = _at_failure(columns, {**stiff, **_yields(scene)}, platens, measured.stiffness)
-            if "energy" in columns:
-                state = {
-                    **state,
-                    **_by_energy(columns["energy"], str(table.energy_is), stiff, platens, state),
-                }
+            if (energy := columns.get("energy")) is not None:
+                # the three definitions of it; slow platens offer what is stored
+                both = energy / _share(stiff, platens) if table.energy_is == "sphere" else energy
+                state = {**state, "energy": both, "specific_energy": both / state["mass"], "impact_energy": energy,
+                         "specific_impact_energy": energy / state["mass"]}  # fmt: skip
             law = _law(table, _beside(state, stiff, platens, scene), stopped, demand)
-            return Reading(value=law, made_up=table.made_up, tested=_tested(columns))
+            growth = None
+            if "rate" in columns and "force" in columns:
+                growth = float(np.median(columns["rate"] / columns["force"])) or None
+            tested = Tested(diameter=float(columns["diameter"].mean()), growth=growth)
+            return Reading(value=law, made_up=table.made_up, tested=tested)
         except LawError as error:
             key = "force" if error.key in ("column", "file") else error.key
             raise Misplaced(error.message, key if key in raw else "") from None
         except ValueError as error:
             raise Misplaced(f"the tests cannot be turned into a strength: {error}") from None
     return None
-
-
-def _tested(columns: Mapping[str, Array]) -> Tested:
-    """Size and rate of the tests, the rate as the median of those that were stopped or broke."""
-    growth = None
-    if "rate" in columns and "force" in columns:
-        growth = float(np.median(columns["rate"] / columns["force"])) or None
-    return Tested(diameter=float(columns["diameter"].mean()), growth=growth)
-
-
-def _file_of(table: SphereTestsTable, place: Place, findings: Findings) -> tuple[str, str]:
-    """The file of the tests and the key that names it."""
-    if table.tests is not None and table.file is not None:
-        findings.add((*place, "file"), "tests names a file too: leave one of them out")
-    if table.tests is None and table.file is None and findings.clean((*place, "file")):
-        findings.add((*place, "file"), 'file is missing: add file = "tests.csv"')
-    return (table.tests, "tests") if table.tests is not None else (table.file or "", "file")
 
 
 def _check_measured(table: SphereTestsTable, place: Place, demand: Demand, findings: Findings) -> None:
@@ -233,16 +222,13 @@ def read_platens(
         E = read_fixed(raw["E"], (*place, "E"), INPUTS["bars.E"], findings)
         nu = read_fixed(raw["nu"], (*place, "nu"), INPUTS["bars.nu"], findings)
         return None if E is None or nu is None else (E, nu)
-    if raw == "rigid":
-        return math.inf, 0.3
     if raw == "bars":
         stiffness, ratio = scene.mean("bars.E"), scene.mean("bars.nu")
         if scene.options.get("rig.kind", "bars") != "bars" and findings.clean(place):
             said = 'there are no bars here: say what it was measured between, platens = "rigid" or a material'
             findings.add(place, said)
         return None if stiffness is None or ratio is None else (stiffness, ratio)
-    entry = library()["bars"][raw].properties
-    return entry["E"].value, entry["nu"].value
+    return known_platens(raw)
 
 
 def _law(table: SphereTestsTable, state: State, flags: Flags | None, demand: Demand) -> Law:
@@ -312,15 +298,6 @@ def _share(sphere: Mapping[str, float], partner: tuple[float, float]) -> float:
     from uqsphere.feed.laws import particle_share
 
     return float(particle_share(sphere["E"], sphere["nu"], *partner))
-
-
-def _by_energy(
-    energy: Array, meaning: str, sphere: Mapping[str, float], platens: tuple[float, float], state: State
-) -> dict[str, Array]:
-    """Energies of every test as the three definitions have them, (n,) each; slow platens offer what is stored."""
-    both = energy / _share(sphere, platens) if meaning == "sphere" else energy
-    return {"energy": both, "specific_energy": both / state["mass"], "impact_energy": energy,
-            "specific_impact_energy": energy / state["mass"]}  # fmt: skip
 
 
 def _beside(state: State, sphere: Mapping[str, float], platens: tuple[float, float], scene: Scene) -> State:

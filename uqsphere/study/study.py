@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.files import Json
 from uqsphere.mechanics.pulses import MeasuredPulse
@@ -222,32 +222,37 @@ class Study:
 
     def resolved(self) -> dict[str, Json]:
         """The study as plain JSON values: SI, every default explicit, no infinities."""
-        laws = self.laws()
-        return {
+        laws, later = self.laws(), dict[str, Any]()
+        # the order of the random variables decides which point of a sequence goes to which of them
+        meaning = {
             "title": self.title,
             "seed": self.seed,
             "kind": "black box" if self.black_box else "scene",
             "fixed": dict(self.fixed),
             "random": {name: law_json(law, self.given.get(name, {})) for name, law in laws.items()},
-            # The order of the random variables decides which point of a sequence goes to which of them.
             "order": list(laws),
             "options": dict(self.options),
             "materials": dict(self.materials),
             "sources": {name: asdict(source) for name, source in self.sources.items()},
             "model": self._model_json(),
             "limits": {limit.name: _limit_json(limit) for limit in self.limits},
-            "dependence": [_dependence_json(group) for group in self.dependence],
+            # what was given, and nothing else: a key that is new must not change the hash of a study without it
+            "dependence": [
+                {key: own for key in _TIE if (own := getattr(group, key)) is not None} for group in self.dependence
+            ],
             "analysis": _analysis_json(self.analysis),
             "margins": None if self.margins is None else _margins_json(self.margins),
-            "outputs": list(self.outputs),
-            **({} if self.record is None else {"record": _lists(asdict(self.record))}),
-            **({"receiving_damper": _lists(asdict(self.receiving_damper))} if self.receiving_damper else {}),
-            **({"gauges": [asdict(gauge) for gauge in self.gauges]} if self.gauges else {}),
-            **({"services": {name: own.hash for name, own in self.services.items()}} if self.services else {}),
-            **({"made_up": list(self.made_up)} if self.made_up else {}),
-            **({"feed": dict(self.feed.meaning)} if self.feed else {}),
-            **({"tests": dict(self.tests.meaning)} if self.tests else {}),
+            "outputs": self.outputs,
         }
+        for name in ("record", "receiving_damper"):
+            later[name] = asdict(found) if (found := getattr(self, name)) is not None else None
+        later["gauges"] = [asdict(gauge) for gauge in self.gauges]
+        later["services"] = {name: own.hash for name, own in self.services.items()}
+        later["made_up"] = self.made_up
+        later["feed"] = self.feed and dict(self.feed.meaning)
+        later["tests"] = self.tests and dict(self.tests.meaning)
+        plain: dict[str, Json] = json.loads(json.dumps(meaning | {key: own for key, own in later.items() if own}))
+        return plain
 
 
 def tie_of(group: Dependence) -> Tie:
@@ -257,23 +262,20 @@ def tie_of(group: Dependence) -> Tie:
     return Tie(of=group.of, spearman=group.spearman, kendall=group.kendall, copula=group.copula, dof=group.dof)
 
 
-def _dependence_json(group: Dependence) -> dict[str, Json]:
-    """What was given, and nothing else: a key that is new must not change the hash of a study without it."""
-    table = {"of": list(group.of), "copula": group.copula, "spearman": group.spearman, "kendall": group.kendall}
-    return {key: value for key, value in {**table, "dof": group.dof}.items() if value is not None}
+#: what is said of a dependence
+_TIE: Final = ("of", "copula", "spearman", "kendall", "dof")
 
 
-def _margins_json(margins: Margins) -> dict[str, Json]:
+def _margins_json(margins: Margins) -> dict[str, Any]:
     """What was asked, and nothing else, as with dependence."""
     axis = margins.axis
-    own = {"solve": axis.path, "between": (axis.low, axis.high)}
-    table = _lists({**own, **{key: value for key, value in asdict(margins).items() if key != "axis"}})
-    return {key: value for key, value in table.items() if value not in (None, False)}
+    own = {"solve": axis.path, "between": (axis.low, axis.high), **asdict(margins)}
+    return {key: value for key, value in own.items() if key != "axis" and value not in (None, False)}
 
 
 def _analysis_json(analysis: Analysis) -> dict[str, Json]:
     """The request; keys that came later only where they are given, so that they change no other study's hash."""
-    table = _lists(asdict(analysis))
+    table = asdict(analysis)
     if analysis.accuracy.curve == Accuracy.curve:
         del table["accuracy"]["curve"]
     table["accuracy"] = {key: value for key, value in table["accuracy"].items() if math.isfinite(value)}
@@ -283,7 +285,7 @@ def _analysis_json(analysis: Analysis) -> dict[str, Json]:
     return {key: value for key, value in table.items() if key not in later or value != later[key]}
 
 
-def _bound(value: float) -> float | None:
+def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
@@ -292,8 +294,8 @@ def law_json(law: Law, given: Mapping[str, float]) -> dict[str, Json]:
         "dist": law.family.name,
         "parameters": dict(law.parameters),
         "given": dict(given),
-        "lower": _bound(law.lower),
-        "upper": _bound(law.upper),
+        "lower": _finite(law.lower),
+        "upper": _finite(law.upper),
         "data": list(law.data),
         **({"censored": list(law.censored)} if law.censored else {}),
         **({"draws": [list(draw) for draw in law.draws]} if law.draws else {}),
@@ -312,16 +314,5 @@ def _limit_json(limit: Limit) -> dict[str, Json]:
         "target": limit.target,
         **({"criterion": limit.criterion, "parameters": dict(limit.parameters)} if limit.criterion else {}),
         **({} if limit.fracture is None else {"fracture": limit.fracture}),
-        **({} if limit.platens is None else {"platens": [_bound(value) for value in limit.platens]}),
+        **({} if limit.platens is None else {"platens": [_finite(value) for value in limit.platens]}),
     }
-
-
-def _lists(table: dict[str, Json]) -> dict[str, Json]:
-    """The same with lists for tuples, at every depth, as JSON has them."""
-
-    def plain(value: object) -> object:
-        if isinstance(value, dict):
-            return _lists(value)
-        return list(value) if isinstance(value, tuple) else value
-
-    return {key: plain(value) for key, value in table.items()}

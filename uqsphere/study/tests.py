@@ -10,7 +10,7 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,6 @@ from uqsphere.arrays import Array, Flags
 from uqsphere.feed.tests import (
     RIGS,
     THROWN,
-    RowFault,
     Rows,
     Specimens,
     faults_of,
@@ -28,13 +27,12 @@ from uqsphere.feed.tests import (
     unbounded,
 )
 from uqsphere.files import Json
-from uqsphere.materials import library
 from uqsphere.mechanics import contact
 from uqsphere.study.columns import LARGEST_TESTS, Observations, open_observations, unit_factor
 from uqsphere.study.document import Document
-from uqsphere.study.faults import MOST_PROBLEMS, Findings, Misplaced, Place, Raw, one_of, shown, suggestion
+from uqsphere.study.faults import MOST_PROBLEMS, Findings, Misplaced, Place, Raw, one_of, shown, unknown
 from uqsphere.study.numbers import plain_quantity, read_number
-from uqsphere.study.particle_tables import ENERGY_OF, TestColumns, TestsTable
+from uqsphere.study.particle_tables import ENERGY_OF, TestColumns, TestsTable, known_platens
 from uqsphere.units import Quantity, UnitError, parse_value
 from uqsphere.uq.law import Law
 
@@ -42,23 +40,13 @@ if TYPE_CHECKING:
     from uqsphere.feed.infer import Request
     from uqsphere.feed.likelihood import Prior
     from uqsphere.feed.product import Fineness
+    from uqsphere.study.feed import Particles
 
 #: columns of which every row has one: dimension of each
 KINDS: Final = {"force": "force", "energy": "energy", "specific_energy": "specific_energy", "speed": "speed"}
 _BROKE: Final = {"broke": True, "broken": True, "1": True, "yes": True, "true": True, "survived": False, "0": False,
                  "no": False, "false": False}  # fmt: skip
 _MOST: Final = 1_000_000_000
-
-
-class Material(Protocol):
-    """What particles are of: E [Pa], nu, density [kg/m³]."""
-
-    @property
-    def E(self) -> float: ...
-    @property
-    def nu(self) -> float: ...
-    @property
-    def density(self) -> float: ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -192,35 +180,32 @@ def read_measured(
 
 def _check_table(table: TestColumns, place: Place, findings: Findings, rig: str | None) -> bool:
     """Whether the columns that must be named are, with their units; what is missing is noted."""
-    due: list[tuple[str, str]] = []
     kinds = [kind for kind in KINDS if getattr(table, kind) is not None]
-    if table.diameter is None and (table.mesh_lower is None or table.mesh_upper is None):
-        due.append(("diameter", 'add diameter = "diameter_mm", or one length, or mesh_lower and mesh_upper'))
-    elif table.diameter is not None and table.mesh_lower is not None:
+    energies = bool({"energy", "specific_energy"} & set(kinds))
+    sized = table.diameter is not None or None not in (table.mesh_lower, table.mesh_upper)
+    due = {
+        "diameter": (sized, 'add diameter = "diameter_mm", or one length, or mesh_lower and mesh_upper'),
+        "energy": (bool(kinds), f"name the column of one of {one_of(KINDS)}"),
+        "rig": ((rig or table.rig) is not None, f"say what the tests were made in, {one_of(RIGS)}"),
+        "outcome": ((rig or table.outcome or table.broken) is not None, 'name a column of "broke" or "survived"'),
+        "energy_is": (not energies or table.energy_is is not None, f"say what the energies are, {one_of(ENERGY_OF)}"),
+    }
+    if table.diameter is not None and table.mesh_lower is not None:
         findings.add((*place, "mesh_lower"), "diameter is given too: leave one of them out")
-    if not kinds:
-        due.append(("energy", f"name the column of one of {one_of(KINDS)}"))
-    if rig is None and table.rig is None:
-        due.append(("rig", f"say what the tests were made in, {one_of(RIGS)}"))
-    if rig is None and table.outcome is None and table.broken is None:
-        due.append(("outcome", 'name a column of "broke" or "survived"'))
-    if {"energy", "specific_energy"} & set(kinds) and table.energy_is is None:
-        due.append(("energy_is", f"say what the energies are, {one_of(ENERGY_OF)}"))
-    elif table.energy_is is not None and not {"energy", "specific_energy"} & set(kinds):
+    if table.energy_is is not None and not energies:
         findings.add((*place, "energy_is"), "energy_is belongs to a column of energies: leave it out")
-    for key, said in due:
-        if findings.clean((*place, key)):
+    for key, (there, said) in due.items():
+        if not there and findings.clean((*place, key)):
             findings.add((*place, key), f"{key} is missing: {said}")
-    for key in (*KINDS, "mass"):
-        _check_unit(table, key, place, findings)
+    for key, example in _UNITS.items():
+        unit = f"{key}_unit"
+        if getattr(table, key) is not None and getattr(table, unit) is None and findings.clean((*place, unit)):
+            findings.add((*place, unit), f'{unit} is missing: add {unit} = "{example}"')
     return findings.clean(place)
 
 
-def _check_unit(table: TestColumns, key: str, place: Place, findings: Findings) -> None:
-    examples = {"force": "kN", "energy": "J", "specific_energy": "J/kg", "speed": "m/s", "mass": "g"}
-    unit = f"{key}_unit"
-    if getattr(table, key) is not None and getattr(table, unit) is None and findings.clean((*place, unit)):
-        findings.add((*place, unit), f'{unit} is missing: add {unit} = "{examples[key]}"')
+#: an example of the unit that a column must have
+_UNITS: Final = {"force": "kN", "energy": "J", "specific_energy": "J/kg", "speed": "m/s", "mass": "g"}
 
 
 def _columns(table: TestColumns, cells: _Cells, rig: str | None) -> Measured:
@@ -251,13 +236,8 @@ def _columns(table: TestColumns, cells: _Cells, rig: str | None) -> Measured:
     bad = {line for line, _, _ in cells.faults}
     for fault in faults_of(_rows_of(measured, np.where(np.isfinite(value), value, 1.0))):
         if cells.rows[fault.row][0] not in bad or fault.key == "specimen":
-            cells.note(fault.row, _key_of(fault, measured), fault.message)
+            cells.note(fault.row, str(kind[fault.row]) if fault.key == "energy" else fault.key, fault.message)
     return measured
-
-
-def _key_of(fault: RowFault, measured: Measured) -> str:
-    """The key whose column a fault of a row is in."""
-    return str(measured.kind[fault.row]) if fault.key == "energy" else fault.key
 
 
 def _rows_of(measured: Measured, energy: Array) -> Rows:
@@ -268,35 +248,34 @@ def _rows_of(measured: Measured, energy: Array) -> Rows:
 def _values(table: TestColumns, cells: _Cells) -> tuple[npt.NDArray[np.str_], Array]:
     """Kind and value of every row, of which it has one."""
     kinds = [kind for kind in KINDS if getattr(table, kind) is not None]
-    alone = len(kinds) == 1
-    found = np.stack([
-        cells.numbers(getattr(table, kind), kind, unit_factor(getattr(table, f"{kind}_unit"), _quantity(kind),
-                                                              f"{kind}_unit"), blank=not alone)
-        for kind in kinds
-    ])  # fmt: skip
+    factors = {k: unit_factor(getattr(table, f"{k}_unit"), _quantity(k), f"{k}_unit") for k in kinds}
+    found = np.stack([cells.numbers(getattr(table, k), k, factors[k], blank=len(kinds) > 1) for k in kinds])
     there = np.isfinite(found)
-    if not alone:
-        for row in np.flatnonzero(there.sum(axis=0) != 1).tolist():
-            given = [kind for kind, is_there in zip(kinds, there[:, row], strict=True) if is_there]
-            said = f"{' and '.join(given)} stand in one row: one is due" if given else f"one of {one_of(kinds)} is due"
-            cells.note(row, kinds[-1], said)
+    for row in np.flatnonzero(there.sum(axis=0) != 1).tolist() if len(kinds) > 1 else ():
+        given = [kind for kind, is_there in zip(kinds, there[:, row], strict=True) if is_there]
+        said = f"{' and '.join(given)} stand in one row: one is due" if given else f"one of {one_of(kinds)} is due"
+        cells.note(row, kinds[-1], said)
     at = there.argmax(axis=0)
-    value = found[at, np.arange(found.shape[1])]
-    kind = np.array(kinds)[at]
+    value, kind = found[at, np.arange(found.shape[1])], np.array(kinds)[at]
     for row in np.flatnonzero(value <= 0.0).tolist():
-        factor = unit_factor(getattr(table, f"{kind[row]}_unit"), _quantity(str(kind[row])))
-        what = _quantity(str(kind[row])).meaning
-        cells.note(row, str(kind[row]), f"{what} must be above 0, found {value[row] / factor:g}")
+        key = str(kind[row])
+        cells.note(row, key, f"{_quantity(key).meaning} must be above 0, found {value[row] / factors[key]:g}")
     return kind, value
 
 
 def _quantity(key: str) -> Quantity:
     """What a column holds."""
-    meanings = {"force": "the force at failure", "energy": "the energy", "specific_energy": "the energy",
-                "speed": "the speed", "diameter": "the diameter", "mass": "the mass", "stiffness": "the stiffness",
-                "mesh_lower": "the sieve", "mesh_upper": "the sieve", "rate": "the loading rate"}  # fmt: skip
-    dimensions = {**KINDS, "mass": "mass", "stiffness": "pressure", "rate": "loading_rate"}
-    return Quantity(name=key, symbol=key, dimension=dimensions.get(key, "length"), meaning=meanings[key])
+    dimension, meaning = _HOLDS[key]
+    return Quantity(name=key, symbol=key, dimension=dimension, meaning=f"the {meaning}")
+
+
+#: column -> dimension and meaning
+_HOLDS: Final = {
+    "force": ("force", "force at failure"), "energy": ("energy", "energy"), "speed": ("speed", "speed"),
+    "specific_energy": ("specific_energy", "energy"), "diameter": ("length", "diameter"), "mass": ("mass", "mass"),
+    "stiffness": ("pressure", "stiffness"), "mesh_lower": ("length", "sieve"), "mesh_upper": ("length", "sieve"),
+    "rate": ("loading_rate", "loading rate"),
+}  # fmt: skip
 
 
 def _positive(table: TestColumns, cells: _Cells, key: str, unit: str = "") -> Array | None:
@@ -353,7 +332,7 @@ def _rigs(table: TestColumns, cells: _Cells, rig: str | None) -> npt.NDArray[np.
     found = cells.texts(table.rig["column"], "rig")
     for row, name in enumerate(found):
         if name not in RIGS:
-            cells.note(row, "rig", f"unknown rig {shown(name)}, known: {one_of(RIGS)}{suggestion(name, RIGS)}")
+            cells.note(row, "rig", unknown("rig", name, RIGS))
     return np.array([name if name in RIGS else "platens" for name in found])
 
 
@@ -389,7 +368,7 @@ def _fineness(table: TestColumns, cells: _Cells) -> tuple[Array | None, tuple[fl
 # --- [tests] ----------------------------------------------------------------------------------------------
 
 
-def read_tests(document: Document, particles: Material | None, findings: Findings) -> TestsPlan | None:
+def read_tests(document: Document, particles: Particles | None, findings: Findings) -> TestsPlan | None:
     """The tests of a study; None, with every fault noted, where it has none that can be used."""
     table, place = document.tests, ("tests",)
     if table is None:
@@ -436,7 +415,7 @@ def _energies(
 
 
 def _shares(
-    table: TestsTable, measured: Measured, particles: Material, place: Place, findings: Findings
+    table: TestsTable, measured: Measured, particles: Particles, place: Place, findings: Findings
 ) -> tuple[Array, Array]:
     """The particle's share of a contact's energy, and K_e, of every row; what is missing for them is noted."""
     from uqsphere.feed.laws import particle_share
@@ -476,17 +455,12 @@ def _shares(
 
 def _partner(raw: Raw) -> tuple[float, float] | None:
     """E and nu of what the particles were tested between; None where the table does not say."""
-    if raw is None or raw == "bars":
-        return None
-    if raw == "rigid":
-        return math.inf, 0.3
     if isinstance(raw, Mapping):
         try:
             return parse_value(raw["E"], "pressure"), float(raw["nu"])
         except (UnitError, TypeError, ValueError):
             return None
-    entry = library()["bars"][raw].properties
-    return entry["E"].value, entry["nu"].value
+    return None if raw in (None, "bars") else known_platens(raw)
 
 
 def _request(table: TestsTable, document: Document, place: Place, findings: Findings) -> Request | None:
@@ -499,8 +473,7 @@ def _request(table: TestsTable, document: Document, place: Place, findings: Find
     for name, raw in table.prior.items():
         known = _PRIORS if table.size != "class" else {k: v for k, v in _PRIORS.items() if k not in ("e_inf", "C")}
         if name not in known:
-            near = suggestion(name, known)
-            findings.add((*place, "prior", name), f"unknown parameter {shown(name)}, known: {one_of(known)}{near}")
+            findings.add((*place, "prior", name), unknown("parameter", name, known))
         elif (prior := _prior(raw, name, (*place, "prior", name), findings)) is not None:
             priors[name] = prior
     if table.gamma != "fit":
