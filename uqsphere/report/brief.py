@@ -360,17 +360,23 @@ def _modes(contents: Contents, deciding: dict[str, LimitEntry], first: LimitEntr
             # read off its curve where it was solved for another share
             mode = replace(mode, at_target=crossing(mode.curve, level), sure=None, force=None, energy=None)
         yield mode
-    judged = next((v for v in contents.results.verdicts if (v.aim, v.target) == (first.aim, target)), None)
-    for way in judged.judged if judged is not None else ():
-        if way.assumed:
-            low, high = way.range or (None, None)
-            name, miss = capital(way.name), way.miss.value
-            yield Mode(
-                limit="", name=name, place=next((p for p, n in PLACES.items() if n == name), "rim"), miss=miss,
-                low=low, high=high, broken=miss if miss is None or survive else 1.0 - miss, at_target=way.answer,
-                assumed=True, curve=tuple((float(x), float(p)) for x, p in way.curve),
-            )  # fmt: skip
-    for name, why in judged.not_judged.items() if judged is not None else ():
+    yield from _judged_beside(contents.results, survive, target)
+
+
+def _judged_beside(results: Results, survive: bool, target: float | None) -> Iterator[Mode]:
+    """The ways whose strength is the library's, and those that cannot be judged."""
+    judged = next((v for v in results.verdicts if (v.aim == "survive", v.target) == (survive, target)), None)
+    if judged is None:
+        return
+    for way in (way for way in judged.judged if way.assumed):
+        low, high = way.range or (None, None)
+        name, miss = capital(way.name), way.miss.value
+        yield Mode(
+            limit="", name=name, place=next((p for p, n in PLACES.items() if n == name), "rim"), miss=miss, low=low,
+            high=high, broken=miss if miss is None or survive else 1.0 - miss, at_target=way.answer, assumed=True,
+            curve=tuple((float(x), float(p)) for x, p in way.curve),
+        )  # fmt: skip
+    for name, why in judged.not_judged.items():
         yield Mode(limit="", name=capital(name), place="", miss=None, reason=f"not judged: {why}")
 
 
@@ -384,22 +390,24 @@ def _limit_answer(contents: Contents, group: dict[str, LimitEntry], service: str
     verdict, reasons = _judged(deciding)
     carriers = [e for limit in deciding.values() if limit.carried and limit.carried.solve
                 for e in limit.carried.by_carrier().values()]  # fmt: skip
-    checks = []
-    for name, limit in group.items():
-        if name not in deciding:
-            often = "not known" if limit.miss.value is None else share(limit.miss.value, limit.target)
-            word = "" if limit.target is None else f" ({limit.word}: at most {plain_percent(limit.target)})"
-            checks.append(f"{limit_name(name, 30)} {'missed' if limit.aim == 'break' else 'exceeded'}: {often}{word}")
     answer = Answer(
         question="", big="", unit="", note="", verdict=verdict, reasons=reasons,
         vetoed=verdict == "not established" and all(limit.met for limit in deciding.values()),
-        target=first.target, aim=first.aim, modes=tuple(modes), service=service, checks=tuple(checks),
+        target=first.target, aim=first.aim, modes=tuple(modes), service=service,
+        checks=tuple(_check(name, limit) for name, limit in group.items() if name not in deciding),
         carried=tuple(float(e.value) for e in carriers if e.value is not None),
         axis=_axis(contents, next((results.margins[n] for n in deciding if n in results.margins), None)),
         fracture=any(breaks(results, name) for name in deciding),
     )  # fmt: skip
     solved = several and answer.target is not None and answer.axis is not None and solved_for(answer)
     return _with_tests(contents, _solved(answer) if solved else _shares(answer))
+
+
+def _check(name: str, limit: LimitEntry) -> str:
+    """A limit that does not mean fracture, with how often it is exceeded, and its verdict where it has a target."""
+    often = "not known" if limit.miss.value is None else share(limit.miss.value, limit.target)
+    word = "" if limit.target is None else f" ({limit.word}: at most {plain_percent(limit.target)})"
+    return f"{limit_name(name, 30)} {'missed' if limit.aim == 'break' else 'exceeded'}: {often}{word}"
 
 
 def crossing(curve: Sequence[tuple[float, float]], probability: float) -> float | None:
@@ -441,16 +449,21 @@ def _shares(answer: Answer) -> Answer:
     misses = [m.miss for m in answer.modes if m.miss is not None]
     big, unit = (share_span(misses, target), "%") if misses else ("not known", "")
     note = "No target was set." if target is None else f"Target: at most {plain_percent(target)}."
-    second, asked = None, {mode.asked for mode in answer.modes if mode.asked is not None}
-    if axis is not None and solved_for(answer) and (target is not None or len(asked) == 1):
-        where = "at the target" if target is not None else f"where {plain_percent(next(iter(asked)))} break"
-        # by which ways, where not all that are judged have a number
-        known = [mode.name.lower() for mode in answer.modes if mode.at_target is not None]
-        by = "by way of breaking" if len(known) > 1 else ""
-        if _ends_without(answer) and beyond_reach(answer) is None:
-            by = f"by {listed(known)} alone"
-        second = (f"{capital(axis.words)} {where}", f"{ranged(answer)}\u00a0{axis.unit}", by)
-    return replace(answer, question=question, big=big, unit=unit, note=note, second=second)
+    return replace(answer, question=question, big=big, unit=unit, note=note, second=_second(answer))
+
+
+def _second(answer: Answer) -> tuple[str, str, str] | None:
+    """The number solved for, with where and by which ways, as it stands beside the share; None where there is none."""
+    axis, target, asked = answer.axis, answer.target, {mode.asked for mode in answer.modes if mode.asked is not None}
+    if axis is None or not solved_for(answer) or (target is None and len(asked) != 1):
+        return None
+    where = "at the target" if target is not None else f"where {plain_percent(next(iter(asked)))} break"
+    # where not all that are judged have a number
+    known = [mode.name.lower() for mode in answer.modes if mode.at_target is not None]
+    by = "by way of breaking" if len(known) > 1 else ""
+    if _ends_without(answer) and beyond_reach(answer) is None:
+        by = f"by {listed(known)} alone"
+    return f"{capital(axis.words)} {where}", f"{ranged(answer)}\u00a0{axis.unit}", by
 
 
 def _ends_without(answer: Answer) -> list[float | None]:

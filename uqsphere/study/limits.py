@@ -126,16 +126,22 @@ def _read_limit(
     if table.fracture and demand is not None and table.criterion is None and demand.quantity not in PATHS:
         due = f"fracture = true is for a criterion or one of {one_of(sorted(PATHS))}"
         findings.add((*place, "fracture"), f"exceeding {demand.quantity} breaks no sphere: {due}")
-    platens, base = None, "" if demand is None else demand.criterion or demand.quantity
-    # what a strength was measured between, where it is carried to a rig that is not its test
-    carried = base and (CRITERIA[base].follows != "" if base in CRITERIA else follows_force(base))
-    if carried and scene.options.get("rig.kind", "bars") not in ("bars", "none"):
-        if not is_sphere_tests(table.strength):
-            raw, at = table.platens, (*place, "platens")
-        else:
-            raw, at = table.strength.get("platens", "bars"), (*place, "strength", "platens")
-        platens = None if raw is None or not findings.clean(at) else read_platens(raw, at, scene, findings)
+    platens = _platens_of(table, demand, place, scene, findings)
     return LimitReading(name=name, table=table, demand=demand, strength=strength, model_factor=factor, platens=platens)
+
+
+def _platens_of(
+    table: LimitTable, demand: Demand | None, place: Place, scene: Scene, findings: Findings
+) -> tuple[float, float] | None:
+    """What a strength was measured between, where it is carried to a rig that is not its test."""
+    base = "" if demand is None else demand.criterion or demand.quantity
+    carried = base and (CRITERIA[base].follows != "" if base in CRITERIA else follows_force(base))
+    if not carried or scene.options.get("rig.kind", "bars") in ("bars", "none"):
+        return None
+    raw, at = table.platens, (*place, "platens")
+    if is_sphere_tests(table.strength):
+        raw, at = table.strength.get("platens", "bars"), (*place, "strength", "platens")
+    return None if raw is None or not findings.clean(at) else read_platens(raw, at, scene, findings)
 
 
 def _read_strength(

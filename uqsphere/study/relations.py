@@ -152,12 +152,9 @@ def read_margins(document: Document, named: Named, findings: Findings) -> Margin
         return None
     if not document.limits and findings.clean(("limits",)):
         findings.add(("margins",), "margins need a limit to be asked of: add a table [limits.NAME]")
+    _check_bars(table, named, findings)
     survived = (float(f"{1.0 - p:.12g}") for p in table.for_survival or ())  # so that two of one are one
     probabilities = {*table.for_probability, *(table.for_fracture or ()), *survived}
-    if table.bars_elastic and named.black_box:
-        findings.add(("margins", "bars_elastic"), "a black box has no bars: leave bars_elastic out")
-    elif table.bars_elastic and "bars.yield_strength" not in named.scene.readings and findings.clean(("bars",)):
-        findings.add(("margins", "bars_elastic"), "the bars have no yield strength: add bars.yield_strength")
     if not _known_solve(table.solve, named, findings) or not findings.clean(("margins", "between")):
         return None
     family = None
@@ -177,6 +174,14 @@ def read_margins(document: Document, named: Named, findings: Findings) -> Margin
         axis=axis, for_probability=tuple(sorted(probabilities)), family=family, bars_elastic=table.bars_elastic,
         against=table.against,
     )  # fmt: skip
+
+
+def _check_bars(table: MarginsTable, named: Named, findings: Findings) -> None:
+    """Only bars that have a yield strength can be asked whether they stay elastic."""
+    if table.bars_elastic and named.black_box:
+        findings.add(("margins", "bars_elastic"), "a black box has no bars: leave bars_elastic out")
+    elif table.bars_elastic and "bars.yield_strength" not in named.scene.readings and findings.clean(("bars",)):
+        findings.add(("margins", "bars_elastic"), "the bars have no yield strength: add bars.yield_strength")
 
 
 def _check_against(table: MarginsTable, black_box: bool, findings: Findings) -> None:

@@ -91,18 +91,24 @@ def split(data: Mapping[str, Raw], findings: Findings) -> tuple[dict[str, Raw], 
             del own["limits"]
     margins = _table(own, "margins")
     if str(margins.get("solve", "")).startswith(_BEGINNING) or ("solve" not in margins and tables):
-        path = str(margins.get("solve", ""))
-        named = path.removeprefix(_BEGINNING).partition(".")[0]
-        if path and named not in tables:
-            known = f"known: {one_of(list(tables))}{suggestion(named, tables)}" if tables else "the study has none"
-            findings.add(("margins", "solve"), f"found {shown(path)}: no service {shown(named)}, {known}")
-        elif not path and ("feed" not in data or margins) and not any("solve" in table for table in tables.values()):
-            findings.add(("margins", "solve"), "solve is missing: add the number that is free, here or in a service")
+        if "feed" not in data or margins:
+            _check_named(margins, tables, findings)
         own.pop("margins", None)
     ties = own.get("dependence")
     _share_dependence(own, made, ties if isinstance(ties, list) else [], findings)
     _share_budget(made, own)
     return own, made
+
+
+def _check_named(margins: Mapping[str, Raw], services: Mapping[str, Raw], findings: Findings) -> None:
+    """Note a [margins] that names no service, or that says what a service is to say."""
+    path = str(margins.get("solve", ""))
+    name = path.removeprefix(_BEGINNING).partition(".")[0]
+    if path and name not in services:
+        known = f"known: {one_of(list(services))}{suggestion(name, services)}" if services else "the study has none"
+        findings.add(("margins", "solve"), f"found {shown(path)}: no service {shown(name)}, {known}")
+    elif not path and not any("solve" in table for table in services.values()):
+        findings.add(("margins", "solve"), "solve is missing: add the number that is free, here or in a service")
 
 
 def _table(data: Mapping[str, Raw], key: str) -> dict[str, Raw]:

@@ -30,6 +30,7 @@ from uqsphere.results.entries import AccuracyTable
 from uqsphere.runner.account import FURTHER
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
 _COLOURS: Final = (BLUE, ORANGE, GREEN, RED, SKY)
@@ -123,9 +124,7 @@ def _drawing(contents: Contents, column: int, name: str, title: str, label: str)
     further = [s.points[-1] for s in series if s.kind in FURTHER]
     pursued = [s for s in series if s.kind not in FURTHER]
     methods = sorted({s.method for s in pursued})
-    # of two methods for one question the better one has a label, and none that ends below the axis
-    best = {(s.quantity, s.kind): s for s in pursued}
-    labelled = [s for s in pursued if s is best[s.quantity, s.kind] and s.points[-1][2] >= _LEAST][:_LABELLED]
+    labelled = _labelled(pursued)
     with style():
         figure, (axes,) = new_figure(3.9)
         xs = [p[column] for s in series for p in s.points if p[column] > 0.0]
@@ -144,13 +143,7 @@ def _drawing(contents: Contents, column: int, name: str, title: str, label: str)
         axes.set_xlabel(label)
         axes.set_ylabel("error over what was asked")
         axes.grid()
-        handles = [mark(label=wrap(method, 30, lines=3), markersize=5, **_of_method(k))
-                   for k, method in enumerate(methods)]  # fmt: skip
-        if further:
-            handles.append(mark(GREY, "read off the same rows", linestyle="", **_FURTHER_MARK))
-        handles.append(mark(INK, "what was asked", linewidth=1.0, linestyle=(0, (6, 3))))
-        if below := sum(s.points[-1][2] < _LEAST for s in series):
-            handles.append(mark(INK, f"not shown: {below} below {_LEAST:g}", linestyle=""))
+        handles = _handles(methods, bool(further), sum(s.points[-1][2] < _LEAST for s in series))
         legend_above(axes, 2, handles)
     return Picture(name=name, title=title, figure=figure)
 
@@ -158,6 +151,20 @@ def _drawing(contents: Contents, column: int, name: str, title: str, label: str)
 def _of_method(k: int) -> dict[str, str]:
     """The colour and the mark of the k-th method."""
     return {"colour": _COLOURS[k % len(_COLOURS)], "marker": MARKS[k % len(MARKS)]}
+
+
+def _labelled(pursued: list[Series]) -> list[Series]:
+    """The series with a label: of two methods for one question the better one, and none that ends below the axis."""
+    best = {(s.quantity, s.kind): s for s in pursued}
+    return [s for s in pursued if s is best[s.quantity, s.kind] and s.points[-1][2] >= _LEAST][:_LABELLED]
+
+
+def _handles(methods: list[str], further: bool, below: int) -> list[Artist]:
+    """What each mark is."""
+    found = [mark(label=wrap(name, 30, lines=3), markersize=5, **_of_method(k)) for k, name in enumerate(methods)]
+    found += [mark(GREY, "read off the same rows", linestyle="", **_FURTHER_MARK)] if further else []
+    found.append(mark(INK, "what was asked", linewidth=1.0, linestyle=(0, (6, 3))))
+    return [*found, mark(INK, f"not shown: {below} below {_LEAST:g}", linestyle="")] if below else found
 
 
 def _end_labels(axes: Axes, series: list[Series], column: int) -> None:
