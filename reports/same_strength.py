@@ -32,7 +32,7 @@ from uqsphere.model import scene_of, solve_scene
 from uqsphere.results import Results
 from uqsphere.study import Study, shipped_studies
 from uqsphere.study.axis import with_number
-from uqsphere.study.services import as_toml
+from uqsphere.study.text import toml_text
 
 #: the plate that every sphere strikes
 PLATE: Final = {"kind": "thick", "E": "210 GPa", "nu": 0.3, "density": "7850 kg/m3"}
@@ -118,7 +118,7 @@ def with_service(case: Case, folder: Path, evaluations: int) -> Path:
     content["analysis"] = {"accuracy": _ROUGH, "quantities": ["P_max"], "methods": ["pce"], "ways": "given",
                            "budget": {"evaluations": evaluations, "time": "10 min"}}  # fmt: skip
     path = folder / f"{case.study}.toml"
-    path.write_text(as_toml({**content, "dependence": both}), encoding="utf-8")
+    path.write_text(toml_text({**content, "dependence": both}), encoding="utf-8")
     return path
 
 
