@@ -254,33 +254,14 @@ def problem(name: str) -> Problem:
 # --- The reliability table: evaluations, error and coverage of the rare-event methods on public problems.
 
 
-@dataclass(frozen=True, kw_only=True)
-class Row:
-    """What repetitions of `auto` gave on one problem; errors relative to the reference.
+def measure(
+    entry: Problem, *, repetitions: int, seed: int = 1, accuracy: float = 0.015, budget: int = 30_000
+) -> dict[str, float]:
+    """`find_probability` with as many seeds as there are repetitions; errors relative to the reference.
 
     `covered`: share of the intervals that hold the reference; `wrong`: runs off by more than 20 % whose
     interval neither holds the reference nor is there a warning; `form`: first-order answer over the reference.
     """
-
-    name: str
-    dimension: int
-    reference: float
-    published: float | None
-    repetitions: int
-    evaluations: float
-    most_evaluations: int
-    rms: float
-    worst: float
-    covered: float
-    half_width: float
-    agreed: float
-    modes: tuple[int, int]
-    wrong: int
-    form: float | None
-
-
-def measure(entry: Problem, *, repetitions: int, seed: int = 1, accuracy: float = 0.015, budget: int = 30_000) -> Row:
-    """`find_probability` with as many seeds as there are repetitions."""
     from uqsphere.uq.rare.auto import find_probability
     from uqsphere.uq.rare.problem import LimitFunction
 
@@ -294,64 +275,40 @@ def measure(entry: Problem, *, repetitions: int, seed: int = 1, accuracy: float 
         (a.estimate.low or 0.0) <= entry.reference <= (a.estimate.high if a.estimate.high is not None else 1.0)
         for a in answers
     ])  # fmt: skip
-    spent = np.array([a.evaluations for a in answers])
-    first = answers[0].design.probability
-    return Row(
-        name=entry.name,
-        dimension=entry.dimension,
-        reference=entry.reference,
-        published=entry.published,
-        repetitions=repetitions,
-        evaluations=float(spent.mean()),
-        most_evaluations=int(spent.max()),
-        rms=float(np.sqrt(np.mean(errors**2))),
-        worst=float(np.abs(errors).max()),
-        covered=float(covered.mean()),
-        half_width=float(np.mean([a.estimate.half_width / (a.estimate.value or math.inf) for a in answers])),
-        agreed=float(np.mean([a.agreed for a in answers])),
-        modes=(min(a.modes for a in answers), max(a.modes for a in answers)),
-        wrong=sum(bool(abs(e) > 0.2 and not c and a.agreed) for e, c, a in zip(errors, covered, answers, strict=True)),
-        form=None if first is None else first / entry.reference,
+    agreed, modes = np.array([a.agreed for a in answers]), [a.modes for a in answers]
+    spent = [a.evaluations for a in answers]
+    return {
+        "evaluations": float(np.mean(spent)), "most": max(spent), "rms": float(np.sqrt(np.mean(errors**2))),
+        "worst": float(np.abs(errors).max()), "covered": float(covered.mean()),
+        "half-width": float(np.mean([a.estimate.half_width / (a.estimate.value or math.inf) for a in answers])),
+        "agreed": float(agreed.mean()), "least modes": min(modes), "most modes": max(modes),
+        "wrong": int(((np.abs(errors) > 0.2) & ~covered & agreed).sum()),
+        "form": (answers[0].design.probability or math.nan) / entry.reference,
+    }  # fmt: skip
+
+
+def rare_text(repetitions: int) -> str:
+    """Every problem in turn, as a table, with what it says of all problems of at most ten inputs."""
+    rows, few, wrong = [], [], 0
+    for entry in PROBLEMS:
+        tell(f"reliability: {entry.name}")
+        row = measure(entry, repetitions=repetitions)
+        wrong += int(row["wrong"])
+        few += [row] * (entry.dimension <= 10)
+        modes = "–".join(f"{m:.0f}" for m in sorted({row["least modes"], row["most modes"]}))
+        rows.append((entry.name, entry.dimension, f"{entry.reference:.4g}", f"{row['evaluations']:,.0f}",
+                     *(f"{row[key]:.2%}" for key in ("rms", "worst")), f"{row['covered']:.0%}",
+                     f"{row['half-width']:.2%}", f"{row['agreed']:.0%}", modes,
+                     "none" if math.isnan(row["form"]) else f"{row['form']:.3g}"))  # fmt: skip
+    header = ("problem", "inputs", "reference", "evaluations", "rms error", "worst", "covered", "half-width", "agreed",
+              "modes", "FORM / reference")  # fmt: skip
+    within = sum(row["rms"] <= 0.01 for row in few)
+    return (
+        f"{table(header, rows)}\n\nUp to ten inputs: rms error at most 1 % on {within} of {len(few)} problems, at most "
+        f"{max(row['rms'] for row in few):.2%} on all; worst single run {max(row['worst'] for row in few):.2%}; pooled "
+        f"coverage {np.mean([row['covered'] for row in few]):.1%}; at most {max(row['most'] for row in few):,} "
+        f"evaluations.\nAnswers off by more than 20 % without interval or warning: {wrong}."
     )
-
-
-def rare_table(
-    *, repetitions: int = 10, problems: Sequence[Problem] = PROBLEMS, notice: Callable[[str], None] = lambda text: None
-) -> list[Row]:
-    """Every problem in turn."""
-    rows = []
-    for entry in problems:
-        notice(f"reliability: {entry.name}")
-        rows.append(measure(entry, repetitions=repetitions))
-    return rows
-
-
-def rare_text(rows: Sequence[Row]) -> str:
-    """The table in Markdown, with what it says of all problems of at most ten inputs."""
-    lines = [
-        "| problem | inputs | reference | evaluations | rms error | worst | covered | half-width | agreed | modes "
-        "| FORM / reference |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for row in rows:
-        form = "none" if row.form is None else f"{row.form:.3g}"
-        modes = f"{row.modes[0]}" if row.modes[0] == row.modes[1] else f"{row.modes[0]}–{row.modes[1]}"
-        lines.append(
-            f"| {row.name} | {row.dimension} | {row.reference:.4g} | {row.evaluations:,.0f} | {row.rms:.2%} "
-            f"| {row.worst:.2%} | {row.covered:.0%} | {row.half_width:.2%} | {row.agreed:.0%} | {modes} | {form} |"
-        )
-    few = [row for row in rows if row.dimension <= 10]
-    if few:
-        within = sum(row.rms <= 0.01 for row in few)
-        lines += [
-            "",
-            f"Up to ten inputs: rms error at most 1 % on {within} of {len(few)} problems, at most "
-            f"{max(row.rms for row in few):.2%} on all; worst single run {max(row.worst for row in few):.2%}; pooled "
-            f"coverage {np.mean([row.covered for row in few]):.1%}; at most "
-            f"{max(row.most_evaluations for row in few):,} evaluations.",
-        ]
-    lines.append(f"Answers off by more than 20 % without interval or warning: {sum(row.wrong for row in rows)}.")
-    return "\n".join(lines)
 
 
 def integrate_plane(function: Callable[[Array], Array], *, panels: int = 720, grid: int = 2001) -> float:
@@ -554,7 +511,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         names = [entry.name for entry in PROBLEMS] if asked.through_run == "cheap" else FEW_PROBLEMS
         print(run_text(asked.through_run, asked.repetitions, names))
         return 0
-    print(rare_text(rare_table(repetitions=asked.repetitions, notice=tell)))
+    print(rare_text(asked.repetitions))
     print()
     print(few_call_text(asked.repetitions))
     return 0
