@@ -338,7 +338,8 @@ class Tabled:
     `count` points of each replicate, the first of which are the model's, were asked for the `quantities` that it helps
     (all if there are none); `rows` is how many rows these are.  `taken` counts its evaluations, `open` those of rows
     that it left to the model, `paired` those of the model's own design; `forecast` is what sampling alone would take.
-    `worst` is the largest half-width over what is asked before the last growth, `text` says why there is none.
+    `worst` is the largest half-width over what is asked after the last stage, `grows` whether the table is what grows
+    next, `text` says why there is none.
     """
 
     similarity: Similarity | None = None
@@ -351,6 +352,7 @@ class Tabled:
     paired: int = 0
     forecast: int = 0
     worst: float = math.inf
+    grows: bool = True
 
     @property
     def begun(self) -> bool:
@@ -361,11 +363,15 @@ class Tabled:
         """The same table before it is asked for anything, for another design."""
         return Tabled(similarity=self.similarity, text=self.text)
 
-    def grown(self, worst: float, points: int, room: float) -> int:
+    def turned(self, worst: float) -> Tabled:
+        """The same after a stage that left so large a half-width: what it made grow goes on growing where that helped,
+        else the other does, the table or the rows of the model."""
+        return replace(self, worst=worst, grows=self.grows == (worst <= GAINED * self.worst))
+
+    def grown(self, points: int, room: float) -> int:
         """The points that are due next, beside so many of the model; 0 where more of the model's own are due."""
         count, most = FASTER * self.count, TABLE.judged * points
-        stalled = worst > GAINED * self.worst
-        return 0 if not self.count or stalled or count > most or (FASTER - 1) * self.open > room else count
+        return 0 if not self.count or not self.grows or count > most or (FASTER - 1) * self.open > room else count
 
     def asked(self, work: Work, key: str, rows: Array, count: int) -> tuple[Tabled, Array]:
         """The same after further rows (n, d), with the quantities (n, q) there."""

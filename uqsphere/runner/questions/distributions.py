@@ -225,12 +225,10 @@ class Distributions:
     def advance(self, room: float) -> bool:
         """Twice the points; False where they would pass the budget."""
         work, start = self.work, 0 if self.sample is None else self.sample.count
-        worst = self._worst()
-        if count := self.tabled.grown(worst, start, room):
-            self.tabled = replace(self.tabled, worst=worst)
+        self.tabled = self.tabled.turned(self._worst())
+        if count := self.tabled.grown(start, room):
             self._ask_table(count)
             return True
-        self.tabled = replace(self.tabled, worst=math.inf)
         count = start or self._first()
         if start and REPLICATES * count > room:
             return False

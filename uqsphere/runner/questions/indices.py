@@ -52,7 +52,7 @@ from uqsphere.uq.indices import (
     sampled_indices,
     uniform_halves,
 )
-from uqsphere.uq.sample import without
+from uqsphere.uq.sample import Sample, without
 
 # --- variances that are not there, or rest on a handful of samples -------------------------------------------
 
@@ -342,26 +342,26 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
     from uqsphere.uq.expansion.shares import error_with_tails
     from uqsphere.uq.indices import mean_expansion
 
-    d = len(work.scene_names)
-    sample = sampled.sample
+    d, alone = len(work.scene_names), not work.study.analysis.samples_indices
+    # where pairs of runs correct what a table is off by, it has more points to fit to
+    sample, fitted = sampled.sample, sampled.sample if alone else sampled.rows
     least = 4 * (d + 1)
     # many inputs take the rows of several randomisations for one fit
     joined = min(-(-least // sample.count), max(1, sample.replicates // (2 * _LEAST_FITS)))
     count = min(FITS, sample.replicates // (2 * joined))
-    used = min(max(joined * FIT_POINTS, least), joined * sample.count)
+    used = min(max(joined * FIT_POINTS, least), joined * fitted.count)
 
-    def rows_of(block: int, most: int | None = None) -> tuple[Array, Array]:
+    def rows_of(sample: Sample, block: int, most: int | None = None) -> tuple[Array, Array]:
         """Points and outputs of the rows with an answer among the first ones of some randomisations."""
         own = slice(joined * block, joined * (block + 1))
         keep = ~sample.failed[own].ravel()[:most]
         scores = sample.scores[own, :, :d].reshape(-1, d)[:most]
         return germ_points(scores[keep], work.germs), sample.answer(quantity)[own].ravel()[:most][keep]
 
-    alone = not work.study.analysis.samples_indices
     fits: list[Chaos] = []
     errors = []
     for replicate in range(count):
-        points, column = rows_of(replicate, used)
+        points, column = rows_of(fitted, replicate, used)
         if len(points) < least:
             reason = f"{len(points)} samples with an answer are too few for an expansion in {d} inputs: {least} are due"
             return Expansion(about={"kind": None, "error": None, "evaluations": 0, "reason": reason})
@@ -374,12 +374,12 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
             germs = fits[0].germs if fits else work.germs
             fits.append(fit_chaos(points, column, germs, plain=True, settled=bool(fits)))
         # held out: other randomisations altogether
-        errors.append(validation_error(fits[-1], *rows_of(count + replicate)))
+        errors.append(validation_error(fits[-1], *rows_of(sample, count + replicate)))
     error = float(np.mean(errors))
     own = error_with_tails(fits, error)
     # sampling corrects a control variate whatever it leaves out; nothing corrects an answer of its own
     verdict = judge(fits[0], own if alone else error)
-    evaluations = count * used
+    evaluations = count * min(used, joined * sample.count)
     about = {
         "kind": CHAOS,
         "error": verdict.error,
@@ -476,15 +476,14 @@ class Indices:
 
     def advance(self, room: float) -> bool:
         """More base points, as many as the widest interval calls for; False where they have no room."""
-        worst = max(self.lacking().values(), default=0.0)
-        if self.pairs is not None and (count := self.tabled.grown(worst, self.pairs.failed.shape[1], room)):
-            self.tabled = replace(self.tabled, worst=worst)
+        self.tabled = self.tabled.turned(max(self.lacking().values(), default=0.0))
+        if self.pairs is not None and (count := self.tabled.grown(self.pairs.failed.shape[1], room)):
             self._ask_table(count)
             return True
         start = 0 if self.pairs is None else self.pairs.failed.shape[1]
         count = _more(start, [ratio * self.asked for ratio in self.lacking().values()], self.asked)
         if self.tabled.count:  # of what a table leaves, twice the pairs know all that they can in one step
-            count, self.tabled = start, replace(self.tabled, worst=math.inf)
+            count = start
         if not start and self._cost(count) > room:
             count = INDICES.least
         if self._cost(count) > room:

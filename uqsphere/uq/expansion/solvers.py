@@ -169,17 +169,16 @@ class _Lanes:
         return Path(order=orders[0], errors=np.array(self.errors), held_out=self.held_out, without=orders[1:])
 
 
-def _pursuit(task: Task, orthogonal: bool) -> Path:
-    """Matching pursuit: the row that correlates best with what is left, again and again.
+def forward_selection(task: Task) -> Path:
+    """Orthogonal least squares: the row that lowers the residual most (Chen, Billings and Luo 1989).
 
     Correlations follow from those before by one product of the basis with the new directions of all lanes.
     """
     basis = task.basis
     most = max(min(task.most, basis.shape[0]), 1)
     lanes = _Lanes(task, most)
-    norms = lanes.norms
-    least = _DEPENDENT * norms
-    left = norms.copy()  # square norms of the rows beyond the span of those taken
+    least = _DEPENDENT * lanes.norms
+    left = lanes.norms.copy()  # square norms of the rows beyond the span of those taken
     correlations = lanes.residuals @ basis.T
     every = np.arange(lanes.masks.shape[0])
     closed = np.zeros_like(left, dtype=bool)
@@ -188,7 +187,7 @@ def _pursuit(task: Task, orthogonal: bool) -> Path:
     for k in range(most):
         if k:
             closed |= left <= least
-            scores = correlations**2 / (np.maximum(left, least) if orthogonal else norms)
+            scores = correlations**2 / np.maximum(left, least)
             scores[closed] = -1.0
             rows = np.argmax(scores, axis=1)
             wanted = scores[every, rows] >= 0.0
@@ -201,16 +200,6 @@ def _pursuit(task: Task, orthogonal: bool) -> Path:
         left -= lanes.along[k] ** 2
         correlations -= lanes.steps[:, None] * lanes.along[k]
     return lanes.path()
-
-
-def matching_pursuit(task: Task) -> Path:
-    """Orthogonal matching pursuit (Pati, Rezaiifar and Krishnaprasad 1993)."""
-    return _pursuit(task, orthogonal=False)
-
-
-def forward_selection(task: Task) -> Path:
-    """Orthogonal least squares: the row that lowers the residual most (Chen, Billings and Luo 1989)."""
-    return _pursuit(task, orthogonal=True)
 
 
 def least_angles(task: Task) -> Path:
@@ -264,65 +253,6 @@ def least_angles(task: Task) -> Path:
     return lanes.path()
 
 
-def _subspace(basis: Array, values: Array, size: int) -> Order:
-    """The rows that subspace pursuit keeps at one size; the constant is always among them."""
-    kept, least = np.zeros(1, dtype=np.intp), np.inf
-    best = kept
-    for _ in range(5):
-        coefficients = _normal_equations(basis[kept], values)
-        residual = values - coefficients @ basis[kept]
-        left = float(residual @ residual)
-        if left >= 0.999 * least:
-            break
-        least, best = left, kept[np.argsort(-np.abs(np.where(kept == 0, np.inf, coefficients)), kind="stable")]
-        scores = np.abs(basis @ residual)
-        scores[kept] = -1.0
-        wider = np.union1d(kept, np.argpartition(scores, -size)[-size:])
-        coefficients = _normal_equations(basis[wider], values)
-        coefficients[wider == 0] = np.inf
-        kept = np.sort(wider[np.argpartition(np.abs(coefficients), -size)[-size:]])
-    return best
-
-
-def _normal_equations(rows: Array, values: Array) -> Array:
-    gram = rows @ rows.T
-    gram.flat[:: len(rows) + 1] *= 1.0 + 1e-14
-    return np.asarray(np.linalg.solve(gram, rows @ values))
-
-
-def subspace_pursuit(task: Task) -> Path:
-    """Subspace pursuit (Dai and Milenkovic 2009), at the best of a few sizes.
-
-    The set of a size is improved as a whole: as many rows again that correlate best are added, and those with the
-    largest coefficients kept, until what is left does not fall any more.
-    """
-    basis, values = task.basis, task.values
-    largest = min(task.most, basis.shape[0] - 1, values.size // 4)
-    sizes = sorted({int(s) for s in np.geomspace(min(4, largest), largest, 6)}) if largest >= 2 else [1]
-    best: tuple[float, Order, Array] = (np.inf, np.zeros(1, dtype=np.intp), np.zeros(values.size))
-    rising = 0
-    # five folds at most: nothing is shared between them here
-    folds = task.folds % 5
-    for size in sizes:
-        predicted = np.empty(values.size)
-        for fold in range(int(folds.max()) + 1):
-            seen, unseen = np.flatnonzero(folds != fold), np.flatnonzero(folds == fold)
-            trained = np.ascontiguousarray(basis[:, seen])
-            rows = _subspace(trained, values[seen], size)
-            predicted[unseen] = _normal_equations(trained[rows], values[seen]) @ basis[np.ix_(rows, unseen)]
-        error = task.error(predicted)
-        rising = 0 if error < best[0] else rising + 1
-        if error < best[0]:
-            best = (error, _subspace(basis, values, size), predicted)
-        if rising == 2:
-            break
-    diagonal = np.abs(np.diag(np.linalg.qr(basis[best[1]].T, mode="r")))
-    order = np.where(diagonal > 1e-7 * diagonal.max(), best[1], -1)  # -1: it hangs on those before
-    errors = np.full(order.size, np.inf)
-    errors[-1] = best[0]
-    return Path(order=order, errors=errors, held_out=best[2])
-
-
 def least_squares(task: Task) -> Path:
     """All terms of a set, the best of the nested sets of the basis."""
     seen = int(task.masks.sum(axis=1).min())
@@ -347,10 +277,8 @@ def least_squares(task: Task) -> Path:
 
 #: name -> solver
 SOLVERS: Final[dict[str, Solver]] = {
-    "matching pursuit": matching_pursuit,
     "forward selection": forward_selection,
     "least angles": least_angles,
-    "subspace pursuit": subspace_pursuit,
     "least squares": least_squares,
 }
 
