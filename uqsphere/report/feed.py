@@ -16,7 +16,7 @@ from uqsphere.report.cautions import Caution
 from uqsphere.report.figures.canvas import Picture, inline, render, shorten
 from uqsphere.report.figures.feed import classes_plot, parameters_plot, probability_plot, product_plot, size_plot
 from uqsphere.report.page import set_page
-from uqsphere.report.phrases import capital
+from uqsphere.report.phrases import capital, counted
 from uqsphere.store import csv_text
 
 #: rows of the table of tested sizes
@@ -65,7 +65,7 @@ def _feed_brief(entry: FeedEntry) -> Brief:
         asked = f"Asked: at least {100 * goal.broken:.3g} % broken, {100 * goal.at_least:.3g} % sure."
         reasons = tuple(f"{capital(why)}." for why in goal.reasons)
         broken = replace(broken, verdict=goal.verdict, reasons=(asked, *reasons))
-    p80, energy = entry.p80, entry.energy
+    p80, energy, blows = entry.p80, entry.energy, counted(entry.blows, "blow")
     answers = (
         broken, _answer("P80 of the product", p80, 1e3, "mm"),
         _answer("Given to the particles", energy, 1.0 / 3600.0, "kWh/t"),
@@ -77,16 +77,12 @@ def _feed_brief(entry: FeedEntry) -> Brief:
         title=_title(entry.title), answers=answers, drivers=_drivers(entry.broken), driven="share of the feed broken",
         measure=(f"Tests at {_n(heaviest.size, 1e3)} mm", f"{reason}."),
         cautions=told_cautions(entry.warnings, made_up=entry.made_up),
-        footer=" · ".join([*entry.of.values(), _blows(entry.blows), f"{entry.draws} draws", entry.hash[:8]]),
+        footer=" · ".join([*entry.of.values(), blows, f"{entry.draws} draws", entry.hash[:8]]),
     )  # fmt: skip
 
 
 def _title(text: str) -> str:
     return shorten(text, 200) or "Untitled study"
-
-
-def _blows(count: int) -> str:
-    return "one blow" if count == 1 else f"{count} blows"
 
 
 def _drivers(answer: Told) -> tuple[tuple[str, float], ...]:

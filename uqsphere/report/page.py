@@ -63,31 +63,20 @@ def unbroken(text: str) -> str:
     return _INTERVAL.sub(lambda found: found[0].replace(" ", "\u00a0") if len(found[0]) <= _WHOLE else found[0], text)
 
 
-def loosened(text: str) -> str:
-    """The same with a place to part the line within each interval, after its "to".
-
-    >>> loosened("1.2\u00a0mm (1.1\u00a0to\u00a01.3)\u00a0mm").replace("\u00a0", "~")
-    '1.2~mm (1.1~to 1.3)~mm'
-    """
-    return text.replace("\u00a0to\u00a0", "\u00a0to ")
-
-
 def margin_boxes(title: str, manifest: Manifest) -> str:
     """The style sheet of the margins of paper; the day is that of the run, where its manifest has one."""
-    day = str(manifest.finished)[:10]
-    left = f"content: {_quoted(shorten(title, _LONGEST))}"
-    right = f"content: {_quoted('run of ' + day)}" if day else "content: none"
+    # in a text of a style sheet nothing but letters, numerals and spaces stands for itself
+    day = f"run of {manifest.finished[:10]}" if manifest.finished else ""
+    left, right = (
+        '"' + "".join(c if c.isalnum() or c == " " else f"\\{ord(c):x} " for c in text) + '"' if text else "none"
+        for text in (shorten(title, _LONGEST), day)
+    )
     face = 'font: 8pt system-ui, "DejaVu Sans", sans-serif; color: #444444'
     return (
-        f"@page {{ @top-left {{ {left}; {face}; width: 75%; }} @top-right {{ {right}; {face}; }}\n"
+        f"@page {{ @top-left {{ content: {left}; {face}; width: 75%; }} @top-right {{ content: {right}; {face}; }}\n"
         f'  @bottom-right {{ content: counter(page) " / " counter(pages); {face}; }} }}\n'
         "@page :first { @top-left { content: none; } }\n"
     )
-
-
-def _quoted(text: str) -> str:
-    """A text as a string of a style sheet, in which nothing but letters, numerals and spaces stands for itself."""
-    return '"' + "".join(c if c.isalnum() or c == " " else f"\\{ord(c):x} " for c in text) + '"'
 
 
 # --- The words of the trade that a page uses, each in a plain sentence.
@@ -207,21 +196,19 @@ def build_report(folder: Path) -> Path:
 
 
 def _build(folder: Path, contents: Contents) -> Path:
+    """The figures and the page, in the units of the run."""
     own = build_chapters(contents) if contents.results.rig != NO_RIG else []
     chapters = _distinct([*service_chapters(contents), *own])
-    written = []
-    for block in _blocks(chapters):
-        if block.picture is not None and block.picture.header:
-            table = csv_text(block.picture.header, block.picture.rows)
-            written.append(f"figures/{block.picture.name}.csv")
-            write_atomically(folder / written[-1], table)
-    drawn = {b.picture.name: render(b.picture) for b in _blocks(chapters) if b.picture is not None}
-    for name, svg in drawn.items():
-        write_atomically(folder / "figures" / f"{name}.svg", svg)
-    page = folder / "report.html"
-    write_atomically(page, _page(contents, chapters, drawn))
-    write_sums(folder, ["report.html", *written, *(f"figures/{name}.svg" for name in drawn)], keep=True)
-    return page
+    files, drawn = dict[str, str](), dict[str, str]()
+    for picture in (block.picture for block in _blocks(chapters) if block.picture is not None):
+        if picture.header:
+            files[f"figures/{picture.name}.csv"] = csv_text(picture.header, picture.rows)
+        drawn[picture.name] = files[f"figures/{picture.name}.svg"] = render(picture)
+    files["report.html"] = _page(contents, chapters, drawn)
+    for name, text in files.items():
+        write_atomically(folder / name, text)
+    write_sums(folder, list(files), keep=True)
+    return folder / "report.html"
 
 
 def _blocks(chapters: Sequence[Chapter]) -> Iterator[Block]:
@@ -230,22 +217,15 @@ def _blocks(chapters: Sequence[Chapter]) -> Iterator[Block]:
 
 
 def _distinct(chapters: Sequence[Chapter]) -> list[Chapter]:
-    """The same chapters without empty blocks, their pictures with names that do not fall together.
-
-    Names are cut to what files allow, so that two long ones may be the same.
-    """
+    """The same chapters, their pictures with names that do not fall together where files cut them."""
     taken: set[str] = set()
     found = []
     for chapter in chapters:
         blocks = []
-        for block in chapter.blocks:
-            if block.empty:
-                continue
+        for block in (block for block in chapter.blocks if not block.empty):
             if block.picture is not None:
-                name, number = block.picture.name, 1
-                while name in taken:
-                    number += 1
-                    name = f"{block.picture.name}-{number}"
+                own = block.picture.name
+                name = next(n for k in range(1, len(taken) + 2) if (n := own if k == 1 else f"{own}-{k}") not in taken)
                 taken.add(name)
                 block = replace(block, picture=replace(block.picture, name=name))
             blocks.append(block)
@@ -264,7 +244,7 @@ def _loose(value: str) -> Any:
     """A cell of a table of very many columns: its intervals may part after their "to", so that no column is cut off."""
     from markupsafe import Markup, escape
 
-    return Markup(escape(loosened(_plain(value))))
+    return Markup(escape(_plain(value).replace("\u00a0to\u00a0", "\u00a0to ")))
 
 
 def new_environment() -> Environment:
@@ -341,28 +321,13 @@ def _brief_parts(contents: Contents) -> dict[str, Any]:
     """What the template of the brief shows."""
     from markupsafe import Markup
 
-    brief = make_brief(contents)
-    modes = [
-        (
-            answer,
-            [
-                (
-                    mode,
-                    Markup(mode_dots(mode, answer)),
-                    "" if mode.miss is None else short_share(mode.miss, answer.target),
-                )
-                for mode in answer.modes
-            ],
-        )
-        for answer in brief.answers
-        if answer.modes
-    ]
-    return {
-        "two": two,
-        "brief": brief,
-        "curves": [[Markup(drawing) for drawing in one] for one in curve_drawings(brief.answers)],
-        "modes": modes,
-    }
+    brief, modes = make_brief(contents), []
+    for answer in brief.answers:
+        texts = ["" if mode.miss is None else short_share(mode.miss, answer.target) for mode in answer.modes]
+        dots = [Markup(mode_dots(mode, answer)) for mode in answer.modes]
+        modes += [(answer, list(zip(answer.modes, dots, texts, strict=True)))] if texts else []
+    curves = [[Markup(drawing) for drawing in one] for one in curve_drawings(brief.answers)]
+    return {"two": two, "brief": brief, "curves": curves, "modes": modes}
 
 
 def _panel_parts(contents: Contents) -> dict[str, Any]:

@@ -25,15 +25,17 @@ from uqsphere.report.figures.canvas import (
     RED,
     SKY,
     Picture,
+    band,
     legend_above,
     log_axis,
     new_figure,
+    note,
     score,
     style,
 )
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    pass
 
 #: sizes with a curve of their own, draws behind a band, points of a curve
 _MOST_SIZES, _DRAWS, _POINTS = 5, 400, 80
@@ -91,10 +93,6 @@ def _levels(tests: Specimens) -> Iterator[tuple[float, float, float]]:
         yield float(np.exp(np.log(tests.last[part]).mean())), share, float(weight.sum())
 
 
-def _none_of(tests: Specimens) -> Specimens:
-    return tests.at(np.zeros(len(tests), dtype=bool))
-
-
 def probability_plot(tests: Specimens, posterior: Posterior) -> Picture:
     """Share broken over energy by size: tests, those that outlasted theirs, and the law with what it leaves open."""
     some, rows = _some(posterior), list[tuple[float, float, float | None, str, float]]()
@@ -104,11 +102,11 @@ def probability_plot(tests: Specimens, posterior: Posterior) -> Picture:
         for k, (size, part) in enumerate(shown_sizes(tests)):
             colour, mark = _COLOURS[k % len(_COLOURS)], MARKS[k % len(MARKS)]
             low, middle, high = (score(one, _LEAST) for one in np.quantile(some.broken(reach, size), _ENDS, axis=0))
-            axes.fill_between(reach, low, high, color=colour, alpha=0.12, linewidth=0.0)
+            band(axes, reach, low, high, colour, 0.12)
             axes.plot(reach, middle, color=colour, linewidth=1.3)
             once = part.at(~part.repeated)
             measured = bool(once.exact.any())
-            energy, share = kaplan_meier(once.at(once.exact | ~once.broke) if measured else _none_of(once))
+            energy, share = kaplan_meier(once.at((once.exact | ~once.broke) & measured))
             axes.plot(energy, score(share, _LEAST), mark, color=colour, markersize=4.5,
                       label=f"{1e3 * size:.3g} mm ({part.particles})")  # fmt: skip
             rows += [(size, float(e), float(s), "measured", 1.0) for e, s in zip(energy, share, strict=True)]
@@ -120,7 +118,10 @@ def probability_plot(tests: Specimens, posterior: Posterior) -> Picture:
             foot = float(score(_LEAST, _LEAST)) + 0.12 * (1 + k)
             axes.plot(left, np.full(len(left), foot), "|", color=colour, markersize=7)
             rows += [(size, float(e), None, "left whole", 1.0) for e in left]
-        _probability_axis(axes)
+        axes.set_yticks(score(np.array(_TICKS), _LEAST), [f"{100 * p:g}" for p in _TICKS])
+        axes.set_ylim(float(score(_LEAST, _LEAST)), float(score(1.0 - _LEAST, _LEAST)))
+        axes.set_ylabel("share broken [%]")
+        axes.grid(True, axis="y")
         log_axis(axes, "x", float(reach[0]), float(reach[-1]))
         axes.set_xlabel("energy that a particle takes up [J/kg]")
         legend_above(axes, 3)
@@ -133,13 +134,6 @@ def probability_plot(tests: Specimens, posterior: Posterior) -> Picture:
     return Picture(name="tests", title=title, finding=finding, figure=figure, header=header, rows=tuple(rows))
 
 
-def _probability_axis(axes: Axes) -> None:
-    axes.set_yticks(score(np.array(_TICKS), _LEAST), [f"{100 * p:g}" for p in _TICKS])
-    axes.set_ylim(float(score(_LEAST, _LEAST)), float(score(1.0 - _LEAST, _LEAST)))
-    axes.set_ylabel("share broken [%]")
-    axes.grid(True, axis="y")
-
-
 def size_plot(tests: Specimens, posterior: Posterior, feed: FeedEntry | None) -> Picture:
     """Energy that breaks half over size, with its band, the tested range and the classes of a feed."""
     some, (low, high) = _some(posterior), posterior.tested
@@ -150,7 +144,7 @@ def size_plot(tests: Specimens, posterior: Posterior, feed: FeedEntry | None) ->
     with style():
         figure, (axes,) = new_figure(3.6)
         axes.axvspan(1e3 * low, 1e3 * high, color=FAINT, alpha=0.5, linewidth=0.0, label="sizes tested")
-        axes.fill_between(1e3 * sizes, half[0], half[2], color=BLUE, alpha=0.2, linewidth=0.0, label="95 %")
+        band(axes, 1e3 * sizes, half[0], half[2], BLUE, 0.2, label="95 %")
         axes.plot(1e3 * sizes, half[1], color=BLUE, marker="o" if posterior.size == "class" else None)
         for size, part in shown_sizes(tests):
             energy, share = kaplan_meier(part) if part.exact.any() and not part.repeated.any() else (np.empty(0),) * 2
@@ -187,17 +181,11 @@ def parameters_plot(posterior: Posterior, entry: FitEntry) -> Picture:
             values, told = np.log(drawn[np.isfinite(drawn)]), parameters[name]
             grid = np.linspace(values.mean() - 4.5 * values.std(), values.mean() + 4.5 * values.std(), 61)
             heights, edges = np.histogram(values, bins=grid, density=True)
-            axes.fill_between(
-                np.exp(edges), np.append(heights, 0.0), step="post", color=BLUE, alpha=0.35, linewidth=0.0
-            )
+            band(axes, np.exp(edges), np.zeros(len(edges)), np.append(heights, 0.0), BLUE, 0.35, step="post")
             if told.prior is not None and told.prior[1] < 50.0:
                 z = (grid - np.log(told.prior[0])) / told.prior[1]
-                axes.plot(
-                    np.exp(grid),
-                    np.exp(-0.5 * z * z) / (told.prior[1] * np.sqrt(2.0 * np.pi)),
-                    color=GREY,
-                    linestyle="--",
-                )
+                height = np.exp(-0.5 * z * z) / (told.prior[1] * np.sqrt(2.0 * np.pi))
+                axes.plot(np.exp(grid), height, color=GREY, linestyle="--")
             log_axis(axes, "x", float(np.exp(grid[0])), float(np.exp(grid[-1])))
             axes.set_yticks([])
             unit = f" [{told.unit}]" if told.unit not in ("", "1") else ""
@@ -217,15 +205,16 @@ def classes_plot(entry: FeedEntry) -> Picture:
         bars = axes.bar(at, value, color=colours, edgecolor=GREY, linewidth=0.6, width=0.8)
         for bar, one in zip(bars, classes, strict=True):
             bar.set_hatch("//" if one.extrapolated else "")
-        for shift, low, high, colour, label in (
-            (-0.14, "low", "high", BLUE, "ignorance: more tests"),
-            (0.14, "lot_low", "lot_high", RED, "and scatter of a lot"),
-        ):  # fmt: skip
-            ends = [(k, getattr(one.broken, low), getattr(one.broken, high)) for k, one in enumerate(classes)]
-            known = [(k, 100.0 * a, 100.0 * b) for k, a, b in ends if a is not None and b is not None]
-            if known:
-                x, a, b = (np.array(column, dtype=float) for column in zip(*known, strict=True))
-                axes.vlines(x + shift, a, b, color=colour, linewidth=2.2, label=label)
+        intervals = (
+            ("low", "high", BLUE, "ignorance: more tests"),
+            ("lot_low", "lot_high", RED, "and scatter of a lot"),
+        )
+        for k, (low, high, colour, label) in enumerate(intervals):
+            ends = np.array([[getattr(one.broken, key) for key in (low, high)] for one in classes], dtype=float)
+            known = np.isfinite(ends).all(axis=1)
+            if known.any():
+                a, b = 100.0 * ends[known].T
+                axes.vlines(at[known] + (0.14 if k else -0.14), a, b, color=colour, linewidth=2.2, label=label)
         axes.set_xticks(at, [f"{1e3 * one.size:.3g}" for one in classes], rotation=45)
         axes.set_xlabel("size of the class [mm] (hatched: beyond the tested sizes)")
         axes.set_ylabel("share broken [%]")
@@ -253,14 +242,15 @@ def product_plot(entry: FeedEntry) -> Picture:
     with style():
         figure, (axes,) = new_figure(3.8)
         x = 1e3 * sieve
-        axes.fill_between(x, 100.0 * low, 100.0 * high, color=BLUE, alpha=0.2, linewidth=0.0, label="95 %")
+        band(axes, x, 100.0 * low, 100.0 * high, BLUE, 0.2, label="95 %")
         axes.plot(x, 100.0 * value, color=BLUE, label="product")
         axes.plot(x, 100.0 * feed, color=GREY, linestyle="--", label="feed")
         for share, answer in ((80.0, entry.p80), (50.0, entry.p50)):
             if answer.value is not None:
                 axes.plot(1e3 * answer.value, share, "o", color=INK, markerfacecolor=PAPER, markersize=6)
-                axes.annotate(f"P{share:.0f} {1e3 * answer.value:.3g} mm", (1e3 * answer.value, share), xytext=(-7, 4),
-                              ha="right", textcoords="offset points", fontsize=9.0)  # fmt: skip
+                note(
+                    axes, f"P{share:.0f} {1e3 * answer.value:.3g} mm", (1e3 * answer.value, share), (-7, 4), ha="right"
+                )
         if entry.fines_sieve is not None:
             axes.axvline(1e3 * entry.fines_sieve, color=RED, linewidth=1.0, linestyle=":", label="fines")
         log_axis(axes, "x", max(float(x[0]), 1e-3 * float(x[-1])), float(x[-1]))
