@@ -20,8 +20,7 @@ from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.pulses import PRESETS
 from uqsphere.mechanics.scene import CONTACT_LAWS
 from uqsphere.study.faults import Misplaced, Raw, one_of, shown
-from uqsphere.study.feed_tables import FeedTable, MaterialTable, ProductTable
-from uqsphere.study.particle_tables import ENERGY_OF, Platens, TestsTable
+from uqsphere.study.particle_tables import ENERGY_OF, FeedTable, MaterialTable, Platens, ProductTable, TestsTable
 from uqsphere.study.tables import (
     MOST_LISTED,
     Check,

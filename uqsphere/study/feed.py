@@ -16,7 +16,8 @@ from uqsphere.quantities import INPUTS
 from uqsphere.study.columns import open_observations
 from uqsphere.study.document import Document
 from uqsphere.study.faults import Findings, Misplaced, Place, Raw, one_of, shown, suggestion, unknown
-from uqsphere.study.feed_tables import (
+from uqsphere.study.numbers import plain_quantity, read_number
+from uqsphere.study.particle_tables import (
     FROM_TESTS,
     CurveTable,
     EnergyTable,
@@ -26,7 +27,6 @@ from uqsphere.study.feed_tables import (
     ProductTable,
     SizesTable,
 )
-from uqsphere.study.numbers import plain_quantity, read_number
 from uqsphere.units import UNITS, Quantity
 from uqsphere.uq.law import Law
 

@@ -41,7 +41,7 @@ from uqsphere.study.document import (
     TargetTable,
 )
 from uqsphere.study.faults import Raw
-from uqsphere.study.feed_tables import (
+from uqsphere.study.particle_tables import (
     CurveTable,
     EnergyTable,
     FeedTable,
@@ -50,8 +50,9 @@ from uqsphere.study.feed_tables import (
     OnTable,
     ProductTable,
     SizesTable,
+    SphereTestsTable,
+    TestsTable,
 )
-from uqsphere.study.particle_tables import SphereTestsTable, TestsTable
 from uqsphere.study.scene import FLAT
 from uqsphere.study.tables import BAR_ENDS, Node, declared, far_end
 from uqsphere.units import UNITS, units_of

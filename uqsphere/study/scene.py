@@ -15,8 +15,8 @@ from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study.columns import inside_folder, open_observations
 from uqsphere.study.document import MOST_GAUGES, SCENE, BarsTable, Document, Gauge, ModelChoice, PulseTable
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
-from uqsphere.study.feed_tables import FROM_TESTS, ProductTable
 from uqsphere.study.numbers import Reading, read_number
+from uqsphere.study.particle_tables import FROM_TESTS, ProductTable
 from uqsphere.study.study import EndImpedance, Source
 from uqsphere.study.tables import BAR_ENDS
 from uqsphere.uq.law import Law, make_law
