@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -198,32 +198,6 @@ _STATE: Final = {"time": "contact_time", "force": "P_max", "energy": "energy", "
 _NUMBERS: Final = {"P_0_median": "P_max", "t_c_median": "contact_time"}
 
 
-def _known(values: Iterable[float | None]) -> list[float]:
-    return [float(value) for value in values if value is not None]
-
-
-def _asked_for(results: Results) -> Iterator[tuple[str, list[float]]]:
-    """Numbers of quantities, inputs, free scalars and families, by what they are read as."""
-    for name, quantity in results.quantities.items():
-        yield name, _known(e.value for e in (quantity.mean, *quantity.quantiles.values()))
-    for name, law in results.inputs.items():
-        yield name, _known([law.mean])
-    for margin in results.margins.values():
-        yield subject_of(results, margin.solve), _known(e.value for e in margin.values.values())
-        if margin.family:
-            yield margin.family.path, [member.value for member in margin.family.members]
-
-
-def _of_courses(courses: Mapping[str, Any] | None) -> dict[str, list[float]]:
-    """The largest pressure, tension and force of the hardest scene, where forces were followed."""
-    if courses is None:
-        return {}
-    hardest = courses["hardest"]
-    contact, force = hardest.get("contact"), max(max(hardest["force_a"]), max(hardest["force_b"]))
-    pressed = {} if contact is None else {"p_max": [contact["pressure"]], "core_tension": [0.05 * contact["pressure"]]}
-    return {**pressed, "P_max": [force]}
-
-
 def units_of(*runs: Results, courses: Mapping[str, Any] | None = None) -> dict[str, str]:
     """The unit of every quantity and input by name.
 
@@ -242,16 +216,30 @@ def units_of(*runs: Results, courses: Mapping[str, Any] | None = None) -> dict[s
     """
     first: dict[str, list[float]] = {}
     second: dict[str, list[float]] = {}
+
+    def take(group: dict[str, list[float]], name: str, values: Iterable[float | None]) -> None:
+        group.setdefault(name, []).extend(float(value) for value in values if value is not None)
+
     for results in runs:
-        for name, values in _asked_for(results):
-            first.setdefault(name, []).extend(values)
+        for name, quantity in results.quantities.items():
+            take(first, name, (e.value for e in (quantity.mean, *quantity.quantiles.values())))
+        for name, law in results.inputs.items():
+            take(first, name, [law.mean])
+        for margin in results.margins.values():
+            take(first, subject_of(results, margin.solve), (e.value for e in margin.values.values()))
+            if margin.family:
+                take(first, margin.family.path, (member.value for member in margin.family.members))
         states = results.fracture.states()
         for key, name in _STATE.items():
-            estimates = list(states[key].quantiles.values()) if key in states else []
-            second.setdefault(name, []).extend(_known(e.value for e in estimates))
+            take(second, name, (e.value for e in states[key].quantiles.values()) if key in states else ())
         for key, name in _NUMBERS.items():
-            second.setdefault(name, []).extend(_known([results.model.numbers.get(key)]))
-    for name, values in _of_courses(courses).items():
-        second.setdefault(name, []).extend(values)
+            take(second, name, [results.model.numbers.get(key)])
+    if courses is not None:
+        # the largest pressure, tension and force of the hardest scene
+        hardest = courses["hardest"]
+        take(second, "P_max", [max(max(hardest["force_a"]), max(hardest["force_b"]))])
+        if (contact := hardest.get("contact")) is not None:
+            take(second, "p_max", [contact["pressure"]])
+            take(second, "core_tension", [0.05 * contact["pressure"]])
     groups = {**{name: values for name, values in second.items() if values}, **first}
     return {name: unit_that_reads(name, values) for name, values in groups.items() if lookup(name).display}

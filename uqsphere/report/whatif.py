@@ -22,7 +22,7 @@ from uqsphere.report.brief import PLACES
 from uqsphere.report.contents import Contents, law_of, stored_law, units_of
 from uqsphere.report.figures.canvas import shorten
 from uqsphere.report.phrases import short_input, unit_text
-from uqsphere.results import NO_RIG, LimitEntry
+from uqsphere.results import NO_RIG
 from uqsphere.results.sliders import SliderEntry, Sliders, SurfaceEntry
 from uqsphere.results.verdicts import VerdictEntry
 from uqsphere.study.axis import strength_name
@@ -170,8 +170,11 @@ def _limit(contents: Contents, name: str, columns: dict[str, Array]) -> dict[str
     positive = np.log(demands[demands > 0.0])
     columns[f"demand {name}"] = np.log(np.maximum(demands, math.exp(float(positive.min()) - 5.0)))
     if tie is not None:
-        columns[f"score {tie[0]}"] = _normal_scores(contents, tie[0])
+        columns[f"score {tie[0]}"] = _scores(law_of(contents.resolved, tie[0]), contents.points[tie[0]])
     unit, factor = display_unit(entry.quantity)
+    quantity, label = OUTPUTS.get(entry.quantity.partition(".")[0]), shorten(name, 30)
+    if quantity is not None and quantity.fracture:
+        label = PLACES.get(quantity.place, name)
     margin = results.margins.get(name)
     solved = None if margin is None or not margin.value else margin.value.value
     judged = next((v for v in results.verdicts if (v.aim, v.target) == (entry.aim, entry.target)), None)
@@ -180,7 +183,7 @@ def _limit(contents: Contents, name: str, columns: dict[str, Array]) -> dict[str
     return {
         "name": name,
         "title": shorten(name, 40),
-        "label": _label(entry, name),
+        "label": label,
         "quantity": entry.quantity,
         "aim": entry.aim,
         "target": entry.target,
@@ -206,11 +209,6 @@ def _number(contents: Contents, name: str) -> float:
     if isinstance(strength, str) or strength <= 0.0:
         raise _NotHere("the strength is not above zero")
     return float(strength)
-
-
-def _label(entry: LimitEntry, name: str) -> str:
-    quantity = OUTPUTS.get(entry.quantity.partition(".")[0])
-    return PLACES.get(quantity.place, name) if quantity is not None and quantity.fracture else shorten(name, 30)
 
 
 def _demands(contents: Contents, name: str) -> Array:
@@ -246,15 +244,9 @@ def _tie(contents: Contents, name: str) -> tuple[str, float] | None:
     return others[0], float(groups[0].spearman or 0.0)
 
 
-def _normal_scores(contents: Contents, name: str) -> Array:
-    """Normal scores (n,) of an input in the rows."""
-    law, values = law_of(contents.resolved, name), contents.points[name]
-    assert law is not None
-    return _scores(law, values)
-
-
-def _scores(law: Law, values: Array) -> Array:
+def _scores(law: Law | None, values: Array) -> Array:
     """Normal scores of the shares below some values, exact in both tails."""
+    assert law is not None
     below, above = law.cdf(values), law.sf(values)
     with np.errstate(divide="ignore"):
         found = np.where(below <= 0.5, ndtri(below), -ndtri(above))
@@ -271,7 +263,8 @@ def _check(contents: Contents, name: str, demands: Array, law: Law | None) -> No
     if tie is not None:
         correlation = correlation_from_spearman(("one", "other"), [(("one", "other"), tie[1])])
         pearson = 0.0 if correlation is None else float(correlation[0, 1])
-        shift, remaining = pearson * _normal_scores(contents, tie[0])[grid].reshape(shape), math.sqrt(1.0 - pearson**2)
+        scores = _scores(law_of(contents.resolved, tie[0]), contents.points[tie[0]])
+        shift, remaining = pearson * scores[grid].reshape(shape), math.sqrt(1.0 - pearson**2)
     strength = law if law is not None else _number(contents, name)
     state = LimitState(demands=demands[grid].reshape(shape), strength=strength, shift=shift, remaining_sd=remaining)
     found, known = miss(state, entry.aim), entry.miss

@@ -81,7 +81,9 @@ def open_observations(name: str, folder: Path, key: str = "file", largest: int =
     path = inside_folder(name, folder, key)
     try:
         text = read_given(path, largest).decode("utf-8-sig")
-        reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=_delimiter(text))
+        header = next((line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")), "")
+        divider = max(",;\t", key=header.count) if header.count(",") == 0 else ","
+        reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=divider)
         rows = [
             (reader.line_num, [cell.strip() for cell in row])
             for row in reader
@@ -98,12 +100,6 @@ def open_observations(name: str, folder: Path, key: str = "file", largest: int =
     if not rows:
         raise Misplaced(f"{shown(name)} is empty", key)
     return Observations(name=name, header=rows[0][1], lines=rows[1:])
-
-
-def _delimiter(text: str) -> str:
-    """What divides the cells of a table, by its header."""
-    header = next((line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")), "")
-    return max(",;\t", key=header.count) if header.count(",") == 0 else ","
 
 
 def inside_folder(name: str, folder: Path, key: str = "file") -> Path:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Annotated, Final
 
@@ -37,6 +37,11 @@ def platen_words() -> tuple[str, ...]:
     return "bars", "rigid", *library()["bars"]
 
 
+def _either(words: Sequence[str], *keys: str) -> Node:
+    """The schema of one of some words, or a table with some keys."""
+    return {"anyOf": [{"enum": list(words)}, {"type": "object", "required": list(keys)}]}
+
+
 def known_platens(name: str) -> tuple[float, float]:
     """Young's modulus [Pa], infinite if rigid, and Poisson ratio of one of these words, which is not `bars`."""
     from uqsphere.materials import library
@@ -53,10 +58,6 @@ def _platens(value: Raw) -> Raw:
     return value
 
 
-def _platens_schema() -> Node:
-    return {"anyOf": [{"enum": list(platen_words())}, {"type": "object", "required": ["E", "nu"]}]}
-
-
 def _rig(value: Raw) -> Raw:
     if isinstance(value, Mapping) and set(value) == {"column"} and isinstance(value["column"], str):
         return value
@@ -64,10 +65,6 @@ def _rig(value: Raw) -> Raw:
         near = suggestion(value, RIGS) if isinstance(value, str) else ""
         raise ValueError(f'found {shown(value)}, allowed: {one_of(RIGS)}, or {{ column = "rig" }}{near}')
     return value
-
-
-def _rig_schema() -> Node:
-    return {"anyOf": [{"enum": list(RIGS)}, {"type": "object", "required": ["column"]}]}
 
 
 def _ratio(value: Raw) -> Raw:
@@ -83,8 +80,8 @@ def _texts(value: Mapping[str, Raw]) -> Mapping[str, Raw]:
     return value
 
 
-Platens = Annotated[Raw, Check(_platens, _platens_schema, first=True)]
-Rig = Annotated[Raw, Check(_rig, _rig_schema, first=True)]
+Platens = Annotated[Raw, Check(_platens, lambda: _either(platen_words(), "E", "nu"), first=True)]
+Rig = Annotated[Raw, Check(_rig, lambda: _either(RIGS, "column"), first=True)]
 Ratio = Annotated[Raw, Check(_ratio, lambda: {"anyOf": [{"const": "inf"}, {"type": "number"}]}, first=True)]
 Texts = Annotated[Mapping[str, Raw], Check(_texts)]
 

@@ -134,19 +134,17 @@ def _plain(node: Raw) -> Raw:
     if not isinstance(node, dict):
         return node
     if "dimension" in node:
-        told = {"description": node["description"]} if "description" in node else {}
-        return {"$ref": f"#/$defs/{node['dimension']}", **told}
+        words = {"description": node["description"]} if "description" in node else {}
+        return {"$ref": f"#/$defs/{node['dimension']}", **words}
     named = {key: {name: _plain(part) for name, part in node[key].items()} for key in _NAMED if key in node}
     found = _without_null({key: _plain(value) for key, value in node.items() if key not in _DROPPED} | named)
-    if "default" in found and (node.get("due") or not _worth_telling(found["default"])):
+    # a default that is empty, or a table of its own, says nothing to an editor
+    usual = found.get("default")
+    told = isinstance(usual, (bool, int, float)) or (bool(usual) and not isinstance(usual, dict))
+    if "default" in found and (node.get("due") or not told):
         del found["default"]
-    return found | _required(node)
-
-
-def _required(node: Node) -> Node:
-    """The keys of a table that must be given."""
     needed = [name for name, part in node.get("properties", {}).items() if part.get("due")]
-    return {"required": needed} if needed else {}
+    return found | ({"required": needed} if needed else {})
 
 
 def _without_null(node: Node) -> Node:
@@ -155,11 +153,6 @@ def _without_null(node: Node) -> Node:
     if "description" in node:
         node["description"] = str(node["description"]).partition("\n")[0]
     return {**choices[0], **node} if len(choices) == 1 else node | ({"anyOf": choices} if choices else {})
-
-
-def _worth_telling(default: Raw) -> bool:
-    """Whether a default says something to an editor: one that is empty, or a table of its own, does not."""
-    return isinstance(default, (bool, int, float)) or (bool(default) and not isinstance(default, dict))
 
 
 def _add_numbers(made: Node, tables: dict[str, Node]) -> None:

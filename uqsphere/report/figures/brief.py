@@ -214,16 +214,9 @@ def _curve(answers: Sequence[Answer], sheet: Sheet, number: int) -> str:
     if len(shown) > 1:
         parts.append(_band([lines[m.name] for m in shown]))
     for p in _TICKS:
-        parts += [
-            _line(paper.left, paper.y(p), paper.right, paper.y(p), "grid"),
-            _text(
-                paper.left - 5,
-                paper.y(p) + 0.35 * size,
-                f"{100 * p:g}{' %' if p == 0.99 else ''}",
-                at="end",
-                kind="soft",
-            ),
-        ]
+        y, words = paper.y(p), f"{100 * p:g}{' %' if p == 0.99 else ''}"
+        parts.append(_line(paper.left, y, paper.right, y, "grid"))
+        parts.append(_text(paper.left - 5, y + 0.35 * size, words, at="end", kind="soft"))
     parts += _scale(paper)
     paper.taken += _under_bars(paper, answers)
     for answer in answers:
@@ -342,14 +335,9 @@ def _cross(paper: _Paper, answer: Answer) -> list[str]:
     if beyond_reach(answer) is not None:
         low, high = (paper.left, high) if answer.aim == "survive" else (low, paper.right)
     first, _, last = ranged(answer).partition("–")
-    parts = [_line(low, y, max(high, low + 1.5), y, "bar")]
-    if not last:
-        return [*parts, _beside(paper, high, y + 1.25 * size, f"{first} {axis.unit}")]
-    return [
-        *parts,
-        _beside(paper, low, y - 6, first, left=True),
-        _beside(paper, high, y + 1.25 * size, f"{last} {axis.unit}"),
-    ]
+    low_text = _beside(paper, low, y - 6, first, left=True) if last else ""
+    high_text = _beside(paper, high, y + 1.25 * size, f"{last or first} {axis.unit}")
+    return [_line(low, y, max(high, low + 1.5), y, "bar"), low_text, high_text]
 
 
 def _as_planned(paper: _Paper, answers: Sequence[Answer]) -> tuple[float, float, float] | None:
