@@ -143,8 +143,8 @@ def suggestion(found: str, allowed: Iterable[str]) -> str:
 def unknown(what: str, found: object, known: Iterable[str], most: int | None = None) -> str:
     """That a name is none of those known, which are listed, with the one that was meant.
 
-    >>> unknown("rig", "bar", ["bars", "impact"])
-    "unknown rig \"bar\", known: bars or impact; did you mean 'bars'?"
+    >>> print(unknown("rig", "bar", ["bars", "impact"]))
+    unknown rig "bar", known: bars or impact; did you mean 'bars'?
     """
     names = list(known)
     return f"unknown {what} {shown(found)}, known: {one_of(names[:most])}{suggestion(str(found), names)}"
