@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.special import ndtri
 
 import uqsphere
 from uqsphere.errors import FolderError, ModelError, StudyError
-from uqsphere.report.chapters import fields_chapter
+from uqsphere.report import build_report
+from uqsphere.report.chapters import fields_blocks
 from uqsphere.report.contents import read_contents
 from uqsphere.results.fields import Stored, as_netcdf, read_fields
 from uqsphere.uq import fields
@@ -94,11 +97,26 @@ def test_a_model_of_ones_own_returns_a_field_beside_its_outputs(tmp_path: Path) 
     found = run.results.analyses["fields"].values["f"]["a"]
     assert found["aggregated first"].value == pytest.approx(0.5, abs=1e-6)
     assert (tmp_path / "run" / "tables" / "fields.csv").read_text().startswith("field,place,statistic,of,value")
-    (block,) = fields_chapter(read_contents(tmp_path / "run")).blocks
+    (block,) = fields_blocks(read_contents(tmp_path / "run"))
     assert "2 principal components from 128 rows leave" in block.table.note
 
     with pytest.raises(ModelError, match=r"'f' must have the shape \(rows, 40\)"):
         uqsphere.run(uqsphere.load_study(path), out=tmp_path / "other", model=lambda x: {"y": x["a"], "f": x["b"]})
+
+
+def test_a_field_needs_no_number_beside_it(tmp_path: Path) -> None:
+    tables: dict[str, Any] = {"inputs": {"a": stats.norm(), "b": stats.norm()}, "analysis": {"fields": {"f": 40}}}
+
+    def model(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"f": linear(np.column_stack([x["a"], x["b"]]))}
+
+    run = uqsphere.run(uqsphere.Study(**tables), model, out=tmp_path / "run")
+    assert run.results.quantities == {}
+    assert run.results.analyses["fields"].values["f"]["a"]["aggregated first"].value == pytest.approx(0.5, abs=1e-6)
+    assert len(run.samples()) == 128
+    (block,) = fields_blocks(read_contents(tmp_path / "run"))
+    assert "2 principal components from 128 rows leave" in block.table.note
+    assert "principal components" in build_report(tmp_path / "run").read_text("utf-8")
 
 
 def test_fields_that_are_not_there_are_refused(tmp_path: Path) -> None:

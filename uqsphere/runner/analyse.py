@@ -7,15 +7,23 @@ from dataclasses import replace
 
 from uqsphere.runner.account import Findings
 from uqsphere.runner.drivers import Drivers, find_drivers
-from uqsphere.runner.evaluate import Work
+from uqsphere.runner.evaluate import Work, draw
 from uqsphere.runner.expensive import Expensive, answer_expensive, keep_answers, keep_indices, keep_margins, price
 from uqsphere.runner.fidelity import Pilot, first_look
 from uqsphere.runner.finish import finish, finish_bare
 from uqsphere.runner.finished import Run
 from uqsphere.runner.questions.carried import find_carried
-from uqsphere.runner.questions.distributions import sample_distributions
+from uqsphere.runner.questions.distributions import Sampled, sample_distributions
 from uqsphere.runner.questions.fracture import find_fracture
-from uqsphere.runner.questions.further import Analyses, find_analyses, find_tolerance, first_analyses, noise_of
+from uqsphere.runner.questions.further import (
+    Analyses,
+    find_analyses,
+    find_tolerance,
+    first_analyses,
+    noise_of,
+    planned_analyses,
+    screened_by,
+)
 from uqsphere.runner.questions.margins import find_margins, judge_answers
 from uqsphere.runner.questions.probabilities import refine_limits
 from uqsphere.runner.questions.shapley import share_variance
@@ -26,13 +34,17 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     """Every analysis of a run, one after the other, and its files; what is stored already is not evaluated again."""
     if work.study.rig == "none":
         return finish_bare(work, store)
+    if not work.quantities:
+        return _fields_alone(work, store)
     ledger = work.ledger
     pilot = first_look(work)
     work = replace(work, fidelity=pilot.chosen, fallback=pilot.fallback)
     ledger.evaluations.update(pilot.evaluations)
     priced = price(work)
     ledger.close("pilot")
-    whole, expensive, found, first = work, None, None, first_analyses(work)
+    first = first_analyses(work)
+    work = replace(work, screened=screened_by(first))
+    whole, expensive, found = work, None, None
     if priced.way.surrogate:
         work = priced.bounded(work)
         expensive = answer_expensive(work, priced, noise_of(first))
@@ -43,6 +55,17 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
         if notice is not None and store.damaged:
             notice(f"damaged chunks were found and evaluated again: {', '.join(store.damaged)}")
     return finish(whole, store, priced, expensive, found)
+
+
+def _fields_alone(work: Work, store: Store) -> Run:
+    """What is said of vectors where no quantity is asked for: the sample has the rows that they were computed at."""
+    analyses, count = find_analyses(work), dict(planned_analyses(work.study))["fields"]
+    rows = draw(work.drawn, seed=work.study.seed, task="fields", start=0, count=count, replicates=1)
+    sampled = Sampled(sample=rows.with_answers((), rows.scores[:, :, :0]), descriptions={}, limits={}, missed=[],
+                      stopped="accuracy")  # fmt: skip
+    found = Findings(pilot=first_look(work), sampled=sampled, sensitivity={}, drivers=Drivers(), tabled=sampled.tabled,
+                     analyses=analyses)  # fmt: skip
+    return finish(work, store, price(work), None, found)
 
 
 def _by_surrogate(work: Work, pilot: Pilot, one: Expensive, first: Analyses | None) -> Findings | None:

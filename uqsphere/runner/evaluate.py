@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.black_box import BlackBox
 from uqsphere.errors import FolderError, ModelError, TooManyFailures
 from uqsphere.mechanics.fidelity import Fallback
@@ -118,6 +118,8 @@ class Work:
     spare: bool = False
     #: what is asked in place of the study's quantities
     columns: tuple[str, ...] = ()
+    #: inputs that a screening has told to do next to nothing: fits leave them out
+    screened: frozenset[str] = frozenset()
     #: what the services of the study have answered
     services: Mapping[str, Results] = field(default_factory=dict)
 
@@ -153,6 +155,11 @@ class Work:
     def scene_names(self) -> tuple[str, ...]:
         """The random inputs of the model itself."""
         return tuple(self.study.random)
+
+    @property
+    def active(self) -> Flags:
+        """Which random inputs (d,) of the model fits are made in."""
+        return np.array([name not in self.screened for name in self.scene_names], dtype=bool)
 
     @property
     def germs(self) -> tuple[GermLike, ...]:

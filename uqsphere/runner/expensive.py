@@ -109,7 +109,7 @@ def price(work: Work) -> Priced:
     study = work.study
     budget = study.analysis.budget
     way = choose_way(study, seconds=work.seconds)
-    undecided = study.black_box and study.random and "auto" in study.analysis.methods
+    undecided = study.outputs and study.random and "auto" in study.analysis.methods
     if not undecided or study.analysis.cost is not None or budget.evaluations < SURROGATE.first:
         return Priced(way=way, cost=study.analysis.cost)
     cost, design = _cost(work)
@@ -214,7 +214,9 @@ class Surrogates:
             these = [k for k, own in enumerate(lost) if (own == pattern).all()]
             known = ~pattern
             if self.size >= SURROGATE.first <= 2 * int(known.sum()) and (drop or known.all()):
-                fitted = cross_fit(points[known], self.design.answers[0][known][:, these], work.germs)
+                fitted = cross_fit(
+                    points[known], self.design.answers[0][known][:, these], work.germs, active=work.active
+                )
                 made |= dict(zip([work.quantities[k] for k in these], fitted, strict=True))
         self.responses = {
             quantity: replace(made[quantity], noise=self.noise.get(quantity, 0.0))

@@ -229,7 +229,8 @@ def _wider(work: Work, wide: _Wide, count: int) -> _Wide:
         )
         found.append((left, steps, points))
     _, steps, points = min(found, key=lambda one: one[:2])
-    made = dict(zip(work.quantities, cross_fit(points, outputs, germs), strict=True))
+    active = np.append(work.active, True)
+    made = dict(zip(work.quantities, cross_fit(points, outputs, germs, active=active), strict=True))
     own = (np.arange(len(whole)) < wide.own)[whole]
     sections = {q: one.of_rows(own).held(float(points[0, m])) for q, one in made.items()} if own.sum() >= FOLDS else {}
     return replace(wide, responses={q: one.of_rows(~own) for q, one in made.items()}, sections=sections, steps=steps)

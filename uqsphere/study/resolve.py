@@ -239,8 +239,8 @@ def _read_inputs(document: Document, scene: Scene, findings: Findings) -> None:
 def _read_outputs(document: Document, findings: Findings) -> list[str]:
     names = [] if document.outputs is None else list(document.outputs.names)
     place: Place = ("outputs", "names")
-    if not names and findings.clean(("outputs",)):
-        findings.add(place, 'the outputs are missing: add [outputs] with names = ["y"]')
+    if not names and not document.analysis.fields and findings.clean(("outputs",)):
+        findings.add(place, 'the outputs are missing: add [outputs] with names = ["y"], or analysis.fields')
     for index, name in enumerate(names):
         if not valid_name(name) or name in RESERVED:
             findings.add((*place, index), f"{shown(name)} cannot be the name of an output")

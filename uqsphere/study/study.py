@@ -89,9 +89,34 @@ class Source:
     seen: bool
 
 
+class _FromTables(type):
+    """Calls a class with the tables of a study file, as well as with the parts of a study that was read."""
+
+    def __call__(cls, *positional: Any, **given: Any) -> Any:
+        if "path" in given:
+            return super().__call__(*positional, **given)
+        from uqsphere.study.resolve import load_study
+
+        if positional:
+            raise TypeError("Study takes the tables of a study file by their names: Study(inputs={...}, ...)")
+        outputs = given.get("outputs")
+        if isinstance(outputs, str | list | tuple):
+            given["outputs"] = {"names": [outputs] if isinstance(outputs, str) else list(outputs)}
+        return load_study(given)
+
+
 @dataclass(frozen=True, kw_only=True)
-class Study:
-    """A validated study.
+class Study(metaclass=_FromTables):
+    """A validated study: `Study(title=..., inputs=..., outputs=..., limits=..., margins=..., analysis=...)`.
+
+    The arguments are the tables of a study file as mappings, with laws of this package, of scipy.stats or chaospy where
+    a number scatters, and `outputs` a name or several; they make the same document, which `text` has.  A file is read
+    by `load_study`.
+
+    >>> from scipy import stats
+    >>> Study(inputs={"load": stats.norm(3.0, 0.5)}, outputs="y", limits={"high": {"quantity": "y", "strength": 5.0,
+    ...       "aim": "survive"}}, analysis={"budget": {"evaluations": 1000}}, title="A beam")
+    <Study 'A beam': 1 random input, black box>
 
     Attributes
     ----------

@@ -31,7 +31,7 @@ import numpy.typing as npt
 from uqsphere.arrays import Array, Flags
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.estimate import Absent, Estimate, Why, absent, none_of
-from uqsphere.uq.expansion import Chaos, Piece, fit_outputs, held, predict
+from uqsphere.uq.expansion import Chaos, Piece, fit_outputs, held, padded, predict
 from uqsphere.uq.expansion.choice import deal
 from uqsphere.uq.expansion.germs import GermLike, rows_of
 from uqsphere.uq.expansion.shares import Companion, active_inputs, chaos_moments, law_points, law_shares
@@ -203,17 +203,24 @@ class Response:
         return np.asarray(predict(self.fits[fold % len(self.fits)], points))
 
 
-def cross_fit(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False) -> list[Response]:
+def cross_fit(
+    points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False, active: Flags | None = None
+) -> list[Response]:
     """Responses of every column of outputs (N, q) at the same germ points (N, d); ValueError for fewer than 8 rows.
 
-    `plain`: expansions of the outputs themselves, in one piece, in these very germs.
+    `plain`: expansions of the outputs themselves, in one piece, in these very germs.  `active` (d,): the inputs that
+    they are fitted in; what the others do is left in the residuals.
     """
     outputs = outputs[:, None] if outputs.ndim == 1 else outputs
     n = len(outputs)
     if n < 8:
         raise ValueError(f"cross-fitting takes at least 8 rows, found {n}")
     folds = deal(n, FOLDS)
-    made = [fit_outputs(points[folds != k], outputs[folds != k], germs, plain=plain, most=MOST, settled=plain)
+    active = np.ones(len(germs), dtype=bool) if active is None else active
+    inside, some = points[:, active], [germ for germ, own in zip(germs, active, strict=True) if own]
+    made = [[padded(fit, active, germs)
+             for fit in fit_outputs(inside[folds != k], outputs[folds != k], some, plain=plain, most=MOST,
+                                    settled=plain)]
             for k in range(FOLDS)]  # fmt: skip
     return [
         _response(tuple(fits[q] for fits in made), folds, points, np.asarray(outputs[:, q], dtype=float))

@@ -325,6 +325,8 @@ _TOLD: Final = 0.5
 
 def field_figure(name: str, stored: Stored, *, over_time: bool) -> Picture:
     """The band above, with the intervals of its ends; below it the total index of the inputs that matter most."""
+    from matplotlib.colors import to_hex
+
     answer, places = stored.answer, stored.places * (1e6 if over_time else 1.0)
     with style():
         figure, axes = new_figure(5.0 if stored.inputs else 3.2, rows=2 if stored.inputs else 1, sharex=True)
@@ -346,7 +348,7 @@ def field_figure(name: str, stored: Stored, *, over_time: bool) -> Picture:
                 known = total.high[j] - total.low[j] < _TOLD
                 value = np.where(known, total.value[j], np.nan)
                 (line,) = axes[1].plot(places, value, label=short_input(stored.inputs[j]))
-                band(axes[1], places, total.low[j], total.high[j], str(line.get_color()), where=known)
+                band(axes[1], places, total.low[j], total.high[j], to_hex(line.get_color()), where=known)
             axes[1].set_ylim(0.0, 1.0)
             axes[1].set_ylabel("total index")
             legend_above(axes[1], 2)

@@ -62,6 +62,11 @@ def noise_of(first: Analyses | None) -> dict[str, float]:
     return replicates.noise_of((first or {}).get("replicates"))
 
 
+def screened_by(first: Analyses | None) -> frozenset[str]:
+    """Inputs that a screening before everything else has told to do next to nothing."""
+    return morris.screened((first or {}).get("morris"))
+
+
 def find_analyses(work: Work) -> Analyses:
     """The answers by name; empty where the study asks for none or nothing is random."""
     found = {}

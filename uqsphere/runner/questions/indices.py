@@ -338,14 +338,23 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
     The output itself is expanded, no transform of it: only then are the
     indices of the expansion known exactly, as those of a control variate must be.
     """
-    from uqsphere.uq.expansion import chaos_indices, fit_again, fit_chaos, germ_points, judge, validation_error
+    from uqsphere.uq.expansion import (
+        chaos_indices,
+        fit_again,
+        fit_chaos,
+        germ_points,
+        judge,
+        padded,
+        validation_error,
+    )
     from uqsphere.uq.expansion.shares import error_with_tails
     from uqsphere.uq.indices import mean_expansion
 
     d, alone = len(work.scene_names), not work.study.analysis.samples_indices
     # where pairs of runs correct what a table is off by, it has more points to fit to
     sample, fitted = sampled.sample, sampled.sample if alone else sampled.rows
-    least = 4 * (d + 1)
+    active = work.active
+    least = 4 * (int(active.sum()) + 1)
     # many inputs take the rows of several randomisations for one fit
     joined = min(-(-least // sample.count), max(1, sample.replicates // (2 * _LEAST_FITS)))
     count = min(FITS, sample.replicates // (2 * joined))
@@ -372,7 +381,9 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
         else:
             # the mean of the fits takes one set of germs
             germs = fits[0].germs if fits else work.germs
-            fits.append(fit_chaos(points, column, germs, plain=True, settled=bool(fits)))
+            own_germs = [germ for germ, own in zip(germs, active, strict=True) if own]
+            one = fit_chaos(points[:, active], column, own_germs, plain=True, settled=bool(fits))
+            fits.append(padded(one, active, work.germs))
         # held out: other randomisations altogether
         errors.append(validation_error(fits[-1], *rows_of(sample, count + replicate)))
     error = float(np.mean(errors))

@@ -22,6 +22,9 @@ TRAJECTORIES: Final = 32
 #: levels of an input, at the middle of four equally probable classes: a step of two crosses half of its law
 LEVELS: Final = 4
 METHOD: Final = "elementary effects"
+#: share of all squared effects that inputs left out of fits may have: a fifth of what a fit may leave of the variance
+SCREENED: Final = 0.01
+_ABSOLUTE: Final = "mean absolute effect"
 
 
 #: its share of the budget where `auto` begins with it, and the fewest trajectories
@@ -43,21 +46,38 @@ def planned(study: Study) -> int:
     return walks(study) * (len(study.random) + 1)
 
 
-def trajectories(count: int, inputs: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Normal scores (count, d + 1, d) of walks that move every input once, in random order, and the direction of each.
+def trajectories(count: int, inputs: int, seed: int) -> tuple[Array, Array]:
+    """Normal scores (count, d + 1, d) of walks that move every input once, and its direction in each (count, d).
 
     M. D. Morris, Technometrics 33, 1991, 161: each walk starts at a random level of every input, and each step takes
-    one input two of four levels up or down.  Directions (count, d) are 1 and -1; step k moves the k-th of the order
-    that the rows show.
+    one input two of four levels up (1) or down (-1).
     """
+    from SALib.sample.morris import sample
     from scipy.special import ndtri
 
-    start = rng.integers(0, LEVELS, (count, inputs))
-    after = (start + LEVELS // 2) % LEVELS
-    order = rng.permuted(np.tile(np.arange(inputs), (count, 1)), axis=1)
-    moved = np.argsort(order, axis=1)[:, None, :] < np.arange(inputs + 1)[None, :, None]
-    levels = np.where(moved, after[:, None, :], start[:, None, :])
-    return np.asarray(ndtri((levels + 0.5) / LEVELS)), np.sign(after - start).astype(float)
+    ends = [0.5 / LEVELS, 1.0 - 0.5 / LEVELS]
+    problem = {"num_vars": inputs, "names": [f"x{k}" for k in range(inputs)], "bounds": [ends] * inputs}
+    number = int(random_generator(seed=seed, task="morris").integers(1, 2**31))  # SALib takes 0 for none
+    walks = sample(problem, count, num_levels=LEVELS, seed=number).reshape(count, inputs + 1, inputs)
+    return np.asarray(ndtri(walks)), np.sign(walks[:, -1] - walks[:, 0])
+
+
+def screened(entry: AnalysisEntry | None) -> frozenset[str]:
+    """Inputs that together do next to nothing to any quantity, by the upper ends of their effects.
+
+    A total index goes with the mean square of the effects, which is no less than the square of the mean absolute one.
+    """
+    rows = [] if entry is None else [{name: row[_ABSOLUTE] for name, row in table.items()}
+                                     for table in entry.values.values()]  # fmt: skip
+    out: set[str] = set() if not rows else set(rows[0])
+    for row in rows:
+        if any(e.high is None or e.value is None for e in row.values()):
+            return frozenset()
+        most = {name: float(e.high or 0.0) ** 2 for name, e in row.items()}
+        names = sorted(most, key=lambda name: most[name])
+        sums = np.cumsum([most[name] for name in names])
+        out &= set(names[: int((sums <= SCREENED * sum(float(e.value or 0.0) ** 2 for e in row.values())).sum())])
+    return frozenset(out)
 
 
 def answer(work: Work) -> AnalysisEntry:
@@ -69,9 +89,7 @@ def answer(work: Work) -> AnalysisEntry:
     names, inputs = work.scene_names, work.all_inputs.only(work.scene_names)
     if tied := inputs.tied():
         return AnalysisEntry(reason=f"{', '.join(tied)} depend on each other: none moves alone")
-    scores, directions = trajectories(
-        walks(work.study), len(names), random_generator(seed=work.study.seed, task="morris")
-    )
+    scores, directions = trajectories(walks(work.study), len(names), work.study.seed)
     answered = evaluate_whole(work, "morris", inputs.physical(scores.reshape(-1, len(names))))
     if isinstance(answered, str):
         return AnalysisEntry(reason=answered)
@@ -92,10 +110,10 @@ def _columns(effects: Array, evaluations: int) -> dict[str, Est]:
     found: dict[str, Estimate]
     if len(effects) < 4 or not np.isfinite(effects).all():
         nothing = absent("too few trajectories have an answer in every row", METHOD, evaluations)
-        found = dict.fromkeys(("mean absolute effect", "mean effect", "sd of the effect"), nothing)
+        found = dict.fromkeys((_ABSOLUTE, "mean effect", "sd of the effect"), nothing)
     else:
         found = {
-            "mean absolute effect": mean_alone(np.abs(effects)),
+            _ABSOLUTE: mean_alone(np.abs(effects)),
             "mean effect": mean_alone(effects),
             "sd of the effect": sd_alone(effects),
         }

@@ -8,7 +8,7 @@ reads moments and Sobol' indices off it.
 
 from __future__ import annotations
 
-from uqsphere.uq.expansion.expansion import Chaos, Piece, held, predict
+from uqsphere.uq.expansion.expansion import Chaos, Piece, held, padded, predict
 from uqsphere.uq.expansion.fit import (
     Verdict,
     fit_again,
@@ -42,6 +42,7 @@ __all__ = [
     "hyperbolic_indices",
     "judge",
     "orthonormal_values",
+    "padded",
     "predict",
     "validation_error",
 ]

@@ -297,6 +297,32 @@ def held(chaos: Chaos, value: float) -> Chaos:
     return replace(chaos, pieces=tuple(pieces), border=border, germs=chaos.germs[:last])
 
 
+def padded(chaos: Chaos, active: Side, germs: Sequence[GermLike]) -> Chaos:
+    """An expansion in some of the inputs as one in all of them: `active` (d,) tells which, `germs` (d) are theirs."""
+    places = np.flatnonzero(active)
+    if len(places) == len(germs):
+        return chaos
+    pieces = []
+    for piece in chaos.pieces:
+        terms = np.zeros((len(piece.multi_indices), len(germs)), dtype=piece.multi_indices.dtype)
+        terms[:, places] = piece.multi_indices
+        pieces.append(replace(piece, multi_indices=terms))
+    border = chaos.border
+    if border is not None and border.kind == "axis":
+        border = replace(border, axis=int(places[border.axis]))
+    elif border is not None and border.weights is not None:
+        features = np.concatenate([[True], active])
+        if border.weights.size > len(places) + 1:
+            i, j = np.triu_indices(len(germs))
+            features = np.concatenate([features, np.asarray(active)[i] & np.asarray(active)[j]])
+        weights = np.zeros(features.size)
+        weights[features] = border.weights
+        border = replace(border, weights=weights)
+    own = dict(zip(places.tolist(), chaos.germs, strict=True))
+    return replace(chaos, pieces=tuple(pieces), border=border,
+                   germs=tuple(own.get(k, germ) for k, germ in enumerate(germs)))  # fmt: skip
+
+
 def _held_weights(weights: Array, last: int, value: float) -> Array:
     """Weights of `score_features` of the inputs but the last, which has a value."""
     linear, squares = weights[: last + 2].copy(), weights[last + 2 :]
