@@ -403,7 +403,9 @@ def within_rows(
     polynomials of degree k that are no larger than one on an interval, Chebyshev's, T_k, grows fastest outside, and
     what an expansion lacks may grow as fast as itself: by the share min(1, `GROWING` sqrt(error) T_k).
     """
-    inputs = list(range(points.shape[1])) if along is None else list(along)
+    inputs = [j for j in active_inputs(fit) if along is None or j in along]
+    if not inputs:
+        return None
     low, high = response.points.min(axis=0), response.points.max(axis=0)
     inside = np.array(points)
     inside[:, inputs] = np.clip(points[:, inputs], low[inputs], high[inputs])
@@ -682,7 +684,8 @@ def _drawn_shares(response: Response, fold: int, asked: Sequence[Subset], seed: 
     """What drawing the response of a fold in along each of d inputs moves shares by, (d, m), at the same points."""
     fit = response.fits[fold]
     one, other = (points[:POINTS] for points in law_points(fit.germs, _number(seed, fold)))
-    subsets = _parts_of(asked)
+    active = set(active_inputs(fit))
+    subsets = [part for part in _parts_of(asked) if active & set(part)]
     where = [one, other]
     for subset in subsets:
         mixed = one.copy()
@@ -699,10 +702,10 @@ def _drawn_shares(response: Response, fold: int, asked: Sequence[Subset], seed: 
     f, g, mixes = every[:, :1], every[:, 1:2], every[:, 2:]
     variance = np.mean(every[:, :2] ** 2, axis=(1, 2))[:, None]
     closed, total = np.mean(g * (mixes - f), axis=2) / variance, 0.5 * np.mean((f - mixes) ** 2, axis=2) / variance
-    at = {subset: k for k, subset in enumerate(subsets)}
-    columns = []
+    at, columns = {subset: k for k, subset in enumerate(subsets)}, []
     for part_of in asked:
-        own = (total if part_of.kind == "total" else closed)[:, at[part_of.members]]
-        columns.append(own - sum(closed[:, at[j,]] for j in part_of.members) if part_of.kind == "exact" else own)
+        known = [closed[:, at[j,]] for j in part_of.members if (j,) in at]
+        own = (total if part_of.kind == "total" else closed)[:, at[part_of.members]] if known else np.zeros(len(every))
+        columns.append(own - sum(known) if part_of.kind == "exact" else own)
     table = np.stack(columns, axis=1)
     return np.asarray(table[1:] - table[0])
