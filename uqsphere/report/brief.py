@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.quantities import OUTPUTS, display_unit, reading_units
-from uqsphere.report.cautions import Caution, cautions, deciding_limits
+from uqsphere.report.cautions import Caution, cautions, cut_off, deciding_limits
 from uqsphere.report.contents import Contents, law_of, units_of
 from uqsphere.report.figures.canvas import shorten
 from uqsphere.report.phrases import (
@@ -147,6 +147,7 @@ class Brief:
     driven: str = ""
     measure: tuple[str, str] | None = None
     cautions: tuple[Caution, ...] = ()
+    ended: str = ""
     model: str = ""
     footer: str = ""
 
@@ -257,7 +258,8 @@ def make_brief(contents: Contents) -> Brief:
     return Brief(
         title=shorten(str(results.study.title), 200) or "Untitled study", answers=answers, drivers=drivers,
         driven=f"{words} alone" if rivals else words, measure=_next_measurement(parts, answers),
-        cautions=tuple(cautions(parts, called)), model=model, footer=" · ".join(text for text in footer if text),
+        cautions=tuple(cautions(parts, called)), ended=cut_off(contents), model=model,
+        footer=" · ".join(text for text in footer if text),
     )  # fmt: skip
 
 

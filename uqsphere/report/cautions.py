@@ -272,6 +272,13 @@ def _effect(contents: Contents, check: str, names: Mapping[str, str]) -> str:
 # --- the run itself ---------------------------------------------------------------------------------------
 
 
+def cut_off(contents: Contents) -> str:
+    """What ended a run before it was done, which is said before anything else; empty for one that was done."""
+    if contents.manifest.interrupted:
+        return "The run was interrupted; the same command goes on."
+    return "The time budget ended the run; a longer one goes on." if contents.manifest.stopped_by_time else ""
+
+
 def _of_run(contents: Contents) -> Iterator[Caution]:
     """Rows that failed, records that end too soon, accuracies that were not reached."""
     results, model = contents.results, contents.results.model
@@ -282,13 +289,10 @@ def _of_run(contents: Contents) -> Iterator[Caution]:
         yield Caution(rank=_UNKNOWN, nearer=-2.0, text=text)
     for name, entry in results.quantities.items():
         yield from _of_quantity(name, entry)
-    if contents.manifest.interrupted:
-        yield Caution(rank=_UNKNOWN, nearer=-3.0, text="the run was interrupted; the same command goes on.")
     late = [row for row in results.accuracy.questions if row.met is False]
     if missed := len(late) or len(results.accuracy.missed):
         by_count = "evaluations" in results.accuracy.stopped_by.values()
-        ended = ": the time budget ended the run" if contents.manifest.stopped_by_time else ""
-        ended = ended or (": the budget of evaluations ended the run" if by_count else "")
+        ended = ": the budget of evaluations ended the run" if by_count and not cut_off(contents) else ""
         of_limits = any(row.quantity.startswith("limits.") for row in late)
         text = f"{missed} numbers are less accurate than asked{ended}."
         yield Caution(rank=_UNKNOWN if of_limits else _LEFT, text=text)

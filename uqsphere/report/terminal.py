@@ -23,7 +23,11 @@ def summary_of(contents: Contents, width: int | None = None) -> str:
     """
     columns = screen_width() if width is None else width
     brief = make_brief(contents)
-    texts = [brief.title, *(line for answer in brief.answers for line in _answer(answer))]
+    texts = [
+        brief.title,
+        *[brief.ended] * bool(brief.ended),
+        *(line for answer in brief.answers for line in _answer(answer)),
+    ]
     texts += _ways(brief, columns)
     shares = ", ".join(f"{name} {100.0 * part:.0f} %" for name, part in brief.drivers)
     texts += [f"what drives it: {shares} (for {brief.driven})"] if shares else []
