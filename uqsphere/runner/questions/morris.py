@@ -32,10 +32,12 @@ SHARE, FEWEST = 0.25, 4
 
 
 def walks(study: Study) -> int:
-    """Trajectories: those of a study that names it, else of their share of the budget; 0 where they are too few."""
+    """Trajectories: those of a study that names it, else, where indices are asked for, of their share of the budget; 0
+    where they are too few."""
     if "morris" in study.analysis.methods:
         return TRAJECTORIES
-    if not (study.black_box and "auto" in study.analysis.methods and len(study.random) >= MANY):
+    wanted = "auto" in study.analysis.methods and study.analysis.samples_indices
+    if not (study.black_box and wanted and len(study.random) >= MANY):
         return 0
     count = min(TRAJECTORIES, int(SHARE * study.analysis.affordable / (len(study.random) + 1)))
     return count if count >= FEWEST else 0
