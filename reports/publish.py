@@ -85,7 +85,7 @@ def publish(out: Path, names: Iterable[str] | None = None, notice: Callable[[str
 
 
 def _benchmark(folder: Path) -> Path:
-    from uqsphere.bench.page import run_bench
+    from uqsphere.bench.measure import run_bench
 
     run_bench(folder, quick=True, notice=lambda text: None)
     return folder / "bench.md"

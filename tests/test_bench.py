@@ -9,8 +9,16 @@ import numpy as np
 import pytest
 
 from tests.campaigns import sweep
-from uqsphere.bench.measure import Entry, describe_machine, ratio_at_error
-from uqsphere.bench.page import bench_text, cost_figure, ratios, run_bench, speed_error_figure
+from uqsphere.bench.measure import (
+    Entry,
+    bench_text,
+    cost_figure,
+    describe_machine,
+    ratio_at_error,
+    ratios,
+    run_bench,
+    speed_error_figure,
+)
 from uqsphere.bench.rivals import METHODS, solve_scipy
 from uqsphere.bench.scenes import bench_scenes, scattered_scene
 from uqsphere.errors import FolderError

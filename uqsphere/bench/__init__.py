@@ -13,8 +13,8 @@ __all__ = ["command_bench"]
 
 def command_bench(chosen: argparse.Namespace) -> int:
     """Measure speed against error, or hold the model against published measurements."""
+    from uqsphere.bench.measure import run_bench
     from uqsphere.bench.measured import run_measured
-    from uqsphere.bench.page import run_bench
 
     folder = chosen.out or Path("bench-results")
     content = (

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uqsphere.cli.studies import number_of, study_of
-from uqsphere.cli.watch import STOPPING, Patience, Progress, Silence, limit_text
+from uqsphere.cli.watch import Progress, Silence, limit_text, patience
 from uqsphere.console import answer, say
 from uqsphere.errors import UsageError
 from uqsphere.study import Study
@@ -65,7 +65,7 @@ def _watched_run(study: Study, chosen: argparse.Namespace, seconds: float | None
             from uqsphere.runner.cluster import dask_cluster
 
             executor = around.enter_context(dask_cluster(chosen.dask, chosen.jobs))
-        patience = around.enter_context(Patience(STOPPING, progress.say))
+        asked = around.enter_context(patience(progress.say))
         found = run(
             study,
             out=chosen.out or Path(f"{study.path.stem}-results"),
@@ -77,8 +77,8 @@ def _watched_run(study: Study, chosen: argparse.Namespace, seconds: float | None
             seconds=seconds,
             progress=progress,
             notice=progress.say,
-            stop=patience.asked,
+            stop=asked,
             reached=progress.reached,
         )
     progress.finish()
-    return found, patience.interrupted
+    return found, asked()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import FrameType, TracebackType
 
@@ -18,7 +19,6 @@ from uqsphere.study import Study
 _LINE_EVERY, _DRAW_EVERY = 5.0, 0.1
 #: columns of a bar
 _BAR = 24
-STOPPING = "finishing what has been begun, then the report of what is there; Ctrl-C again stops at once"
 
 
 def _left(seconds: float) -> str:
@@ -143,37 +143,26 @@ def _draws() -> bool:
     return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
-class Patience:
-    """While it is in force the first Ctrl-C asks to stop, the second stops.
+@contextlib.contextmanager
+def patience(say: Callable[[str], None]) -> Iterator[Callable[[], bool]]:
+    """While it is in force the first Ctrl-C asks to stop, the second stops; yields what `uqsphere.run` takes as `stop`.
 
-    `asked` is what `uqsphere.run` takes as `stop`.  Outside the main thread nothing changes.
+    Outside the main thread nothing changes.
     """
+    asked = threading.Event()
 
-    def __init__(self, notice: str, say: Callable[[str], None] = say) -> None:
-        self.notice = notice
-        self.say = say
-        self.interrupted = False
-        self._before: signal._HANDLER = None
-
-    def asked(self) -> bool:
-        """Whether somebody wants to see what is there."""
-        return self.interrupted
-
-    def _first(self, number: int, frame: FrameType | None) -> None:
-        self.interrupted = True
+    def first(number: int, frame: FrameType | None) -> None:
+        asked.set()
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        self.say(self.notice)
+        say("finishing what has been begun, then the report of what is there; Ctrl-C again stops at once")
 
-    def __enter__(self) -> Patience:
-        if threading.current_thread() is threading.main_thread():
-            self._before = signal.signal(signal.SIGINT, self._first)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
+    main = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGINT, first) if main else None
+    try:
+        yield asked.is_set
+    finally:
+        if before is not None:
+            signal.signal(signal.SIGINT, before)
 
 
 def limit_text(study: Study) -> str:
@@ -183,10 +172,9 @@ def limit_text(study: Study) -> str:
         return ""
     if rows == 1:
         return f"analysis.time_limit ends an evaluation after {limit:g} s"
-    call = (
-        f"a call of {rows} rows after {limit * rows:g} s" if rows else f"a call after {limit:g} s for each of its rows"
-    )
-    return f"analysis.time_limit ends {call}, whose rows are then tried one by one: rows_per_call makes calls smaller"
+    call = f"of {rows} rows after {limit * rows:g} s" if rows else f"after {limit:g} s for each of its rows"
+    smaller = "whose rows are then tried one by one: rows_per_call makes calls smaller"
+    return f"analysis.time_limit ends a call {call}, {smaller}"
 
 
 class Silence:

@@ -317,9 +317,6 @@ def _sample(evaluator: Evaluator, pool: Pool, mixture: Mixture, seed: int, accur
         block = 256 if evaluator.left > 10_000 else 128
         while block > LEAST_BLOCK and REPLICATES * block > evaluator.left - reserve:
             block //= 2
-        # as many blocks as fit, of a size that leaves nothing over
-        room = max(int(evaluator.left - reserve), 0) // REPLICATES
-        block = room // max(room // block, 1) if room >= block and math.isfinite(evaluator.left) else block
         again = importance_sampling(
             evaluator,
             defended(mixture),

@@ -199,9 +199,7 @@ def importance_sampling(
     """
     begun = evaluator.count
     block = max(block, 2 * len(mixture.components))
-    counts = allocate(mixture.shares, block)
-    # what is drawn is weighted by the shares that are drawn
-    drawn_mixture = Mixture(shares=np.array(counts) / block, components=mixture.components)
+    counts, drawn_mixture = _as_drawn(mixture, block)
     table: _Drawn | None = None
     blocks, goal = 0, 1
     while True:
@@ -210,6 +208,10 @@ def importance_sampling(
             while blocks < goal:
                 left = min(evaluator.left, most - (evaluator.count - begun))
                 if left < REPLICATES * block:
+                    if blocks and (rest := int(left) // REPLICATES) >= len(mixture.components):
+                        # a last, smaller block of its own leaves nothing over
+                        few, drawn = _as_drawn(mixture, rest)
+                        stage.append(_one_block(evaluator, drawn, few, seed, f"{task}, the rest", 0))
                     raise Spent
                 stage.append(_one_block(evaluator, drawn_mixture, counts, seed, task, blocks))
                 blocks += 1
@@ -226,6 +228,12 @@ def importance_sampling(
             break
         goal = 2 * blocks if blocks < 4 else blocks + max(1, blocks // 2)
     return _summary(table, estimate, drawn_mixture)
+
+
+def _as_drawn(mixture: Mixture, block: int) -> tuple[Sequence[int], Mixture]:
+    """Points of each component in a block, and the mixture with the shares that are drawn: weights rest on those."""
+    counts = allocate(mixture.shares, block)
+    return counts, Mixture(shares=np.array(counts) / block, components=mixture.components)
 
 
 def _nothing(evaluator: Evaluator, mixture: Mixture, evaluations: int) -> ImportanceAnswer:
