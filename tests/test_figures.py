@@ -349,7 +349,7 @@ def test_endless_bars_without_lengths_have_no_gauge_of_their_own(study_from, sma
     assert history.gauges == ()
     from uqsphere.report.figures.history import write_history
 
-    names = {path.name for path in write_history(history, study, tmp_path)}
+    names = {path.name for path in write_history(history, tmp_path)}
     assert "gauges.svg" not in names
     assert "field.svg" in names
     placed = uqsphere.history(study_from(text=text + GAUGES))

@@ -403,7 +403,7 @@ def test_outside_the_tables_there_is_none(ratio: float, nu: float) -> None:
 def test_a_history_brings_it_along(tmp_path: Path) -> None:
     study = load_study(shipped_studies()["granite"])
     found = history(study)
-    written = {path.name for path in write_history(found, study, tmp_path)}
+    written = {path.name for path in write_history(found, tmp_path)}
     assert "stress.svg" in written
     largest = max(found.pressure_a.max(), found.pressure_b.max())
     assert f"{np.format_float_positional(largest / 1e9, 3, fractional=False, trim='-')} GPa" in (

@@ -150,7 +150,7 @@ def command_history(chosen: argparse.Namespace) -> int:
     with reading_units(units_of_history(trace)):
         summary = history_summary(trace)
     if chosen.out is not None:
-        summary["written"] = [str(path) for path in write_history(trace, study, chosen.out)]
+        summary["written"] = [str(path) for path in write_history(trace, chosen.out)]
     rows = [(lookup(name).meaning if name in OUTPUTS else name, text) for name, text in summary["lines"]]
     text = f"{plain(study.title)}: one scene, every number at its mean\n\n{table(('what', 'value'), rows)}"
     return answer(chosen, summary, text, summary.get("written", ()))

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Final
 
 from uqsphere.feed.answers import FeedPlan
 from uqsphere.feed.product import ProductPlan
-from uqsphere.files import Json
 from uqsphere.materials import library
 from uqsphere.mechanics.rigs import GRAVITY, drop_speed
 from uqsphere.quantities import INPUTS
@@ -171,7 +170,7 @@ def read_feed(
     told += [f"sd of ln d {own.log_sd:g}"] if own.log_sd is not None else []
     size_words = f"{own.law.replace('_', '-')}, {', '.join([*told, f'top {1e3 * sizes.top:.4g} mm'])}"
     of = {"sizes": size_words, "energy": words, "partner": share[1]}
-    meaning: dict[str, Json] = {"table": asdict(table), "particles": asdict(particles)}
+    meaning: dict[str, Raw] = {"table": asdict(table), "particles": asdict(particles)}
     meaning |= {} if product_table is None else {"product": asdict(product_table)}
     meaning["sizes"] = {"edges": classes.edges.tolist(), "mass": classes.mass.tolist()}
     numbers = {key: getattr(particles, key) for key in _MATERIAL}

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from uqsphere.errors import StudyError
 from uqsphere.study.contact import check_contact, read_contact
 from uqsphere.study.document import (
     SCENE,
@@ -28,7 +27,7 @@ from uqsphere.study.scene import Scene, check_scene, read_damper, read_gauges, r
 from uqsphere.study.services import split
 from uqsphere.study.study import Study
 from uqsphere.study.tables import read_table
-from uqsphere.study.text import apply_overrides, drop_unusable_numbers, locate, parse_text, read_text, toml_text
+from uqsphere.study.text import apply_overrides, drop_unusable_numbers, parse_text, read_text, refused, toml_text
 
 MOST_INPUTS: Final = 1000
 #: independent runs for tolerance limits
@@ -82,7 +81,7 @@ def load_study(
     drop_unusable_numbers(data, findings)
     study = _resolve(data, findings, path, text)
     if study is None:
-        raise StudyError(str(path), findings.problems(locate(text), overridden))
+        raise refused(path, text, findings, overridden)
     return replace(study, overrides=tuple(overrides))
 
 

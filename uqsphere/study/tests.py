@@ -26,7 +26,6 @@ from uqsphere.feed.tests import (
     specimens_of,
     unbounded,
 )
-from uqsphere.files import Json
 from uqsphere.mechanics import contact
 from uqsphere.study.columns import LARGEST_TESTS, Observations, open_observations, unit_factor
 from uqsphere.study.document import Document
@@ -82,7 +81,7 @@ class TestsPlan:
     request: Request
     rows: int
     of: Mapping[str, str]
-    meaning: Mapping[str, Json]
+    meaning: Mapping[str, Raw]
     fineness: Fineness | None = None
 
 
@@ -526,7 +525,7 @@ def _words(table: TestsTable, measured: Measured) -> dict[str, str]:
     return {"file": table.file, "rig": rigs, "measured": kinds, **meant, **chosen}
 
 
-def _meaning(table: TestsTable, findings: Findings) -> dict[str, Json]:
+def _meaning(table: TestsTable, findings: Findings) -> dict[str, Raw]:
     """The table and a digest of its file, for the hash of the study."""
     rows = open_observations(table.file, findings.folder, "file", LARGEST_TESTS)
     text = "\n".join(",".join(row) for row in [rows.header, *(row for _, row in rows.lines)])

@@ -302,6 +302,11 @@ def locate(text: str) -> dict[Place, tuple[int, int]]:
     return {place: (line, places.found[place] - starts[line - 1] + 1) for place, line in lines.items()}
 
 
+def refused(path: Path, text: str, findings: Findings, overridden: Sequence[Place]) -> StudyError:
+    """Every fault of a file, each where it stands."""
+    return StudyError(str(path), findings.problems(locate(text), overridden))
+
+
 # --- Values set or taken out from outside the file: ``--set striker.speed.mean="0.6 m/s"``, ``--set margins=null``.
 
 #: what takes a value out; as a text it is written with its quotation marks

@@ -41,7 +41,6 @@ from uqsphere.report.figures.canvas import (
 from uqsphere.report.figures.scene import draw_field, field_rows, stress_image, stress_picture
 from uqsphere.report.phrases import number_text
 from uqsphere.store import csv_text, write_outputs
-from uqsphere.study import Study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -580,7 +579,7 @@ _COLUMNS = {
 }
 
 
-def write_history(found: History, study: Study, folder: Path) -> list[Path]:
+def write_history(found: History, folder: Path) -> list[Path]:
     """Table and pictures of a history in `folder`; the paths.
 
     history.csv, history.svg, xt.svg; field.csv, field.svg; forces.svg and, where the gauges allow it, bar_forces.csv;
