@@ -201,8 +201,8 @@ def _asked_points(axes: Axes, entry: MarginEntry, factor: float, x: Array, subje
             continue
         labelled.append(place[1])
         answer = float(p) == own
-        # as many digits as the brief
-        text = safe_side(estimate, subject, at_most=at_most(entry, aim), digits=2)
+        # the brief has two digits, and a third where two would leave the safe side
+        text = safe_side(estimate, subject, at_most=at_most(entry, aim), digits=3)
         note(axes, text if answer else rounded(estimate, subject, 2), place, (7 if rising else -7, -3), va="top",
              ha="left" if rising else "right", fontweight="bold" if answer else "normal", bbox=_BOX)  # fmt: skip
 
