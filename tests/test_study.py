@@ -429,3 +429,11 @@ def test_keys_are_suggested_for_the_table_they_stand_in(load: Load) -> None:
         load(BASE, ("[analysis]", text))
     assert len(caught.value.problems) == 2
     assert "analysis.accuracy.means: unknown key \"means\"; did you mean 'mean'?" in str(caught.value)
+
+
+def test_platens_of_tests_that_are_none_are_told_where_they_stand() -> None:
+    """A table without a modulus ended in a KeyError where the strength is carried to another rig."""
+    path = Path(__file__).parents[1] / "studies" / "limestone_chute_rotor.toml"
+    text = path.read_text(encoding="utf-8").replace('platens = "rigid"', "platens = { nu = 0.3 }")
+    with pytest.raises(StudyError, match="found a table of nu: E and nu are due"):
+        load_study(path, text=text)

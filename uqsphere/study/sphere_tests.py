@@ -98,23 +98,35 @@ def read_sphere_tests(
         _compare_rates(place, demand, scene, findings)
         try:
             state = _at_failure(columns, {**stiff, **_yields(scene)}, platens, measured.stiffness)
-            if (energy := columns.get("energy")) is not None:
-                # the three definitions of it; slow platens offer what is stored
-                both = energy / _share(stiff, platens) if table.energy_is == "sphere" else energy
-                state = {**state, "energy": both, "specific_energy": both / state["mass"], "impact_energy": energy,
-                         "specific_impact_energy": energy / state["mass"]}  # fmt: skip
-            law = _law(table, _beside(state, stiff, platens, scene), stopped, demand)
-            growth = None
-            if "rate" in columns and "force" in columns:
-                growth = float(np.median(columns["rate"] / columns["force"])) or None
-            tested = Tested(diameter=float(columns["diameter"].mean()), growth=growth)
-            return Reading(value=law, made_up=table.made_up, tested=tested)
+            state = _beside(_with_energy(state, columns, table, stiff, platens), stiff, platens, scene)
+            law = _law(table, state, stopped, demand)
         except LawError as error:
             key = "force" if error.key in ("column", "file") else error.key
             raise Misplaced(error.message, key if key in raw else "") from None
         except ValueError as error:
             raise Misplaced(f"the tests cannot be turned into a strength: {error}") from None
+        growth = None
+        if "rate" in columns and "force" in columns:
+            growth = float(np.median(columns["rate"] / columns["force"])) or None
+        tested = Tested(diameter=float(columns["diameter"].mean()), growth=growth)
+        return Reading(value=law, made_up=table.made_up, tested=tested)
     return None
+
+
+def _with_energy(
+    state: State,
+    columns: Mapping[str, Array],
+    table: SphereTestsTable,
+    sphere: Mapping[str, float],
+    platens: tuple[float, float],
+) -> State:
+    """The state with the three definitions of an energy that was measured; slow platens offer what is stored."""
+    energy = columns.get("energy")
+    if energy is None:
+        return state
+    both = energy / _share(sphere, platens) if table.energy_is == "sphere" else energy
+    return {**state, "energy": both, "specific_energy": both / state["mass"], "impact_energy": energy,
+            "specific_impact_energy": energy / state["mass"]}  # fmt: skip
 
 
 def _check_measured(table: SphereTestsTable, place: Place, demand: Demand, findings: Findings) -> None:

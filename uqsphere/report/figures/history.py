@@ -296,17 +296,7 @@ def draw_xt(scene: Scene, history: History, row: int = 0) -> Picture:
                 _fronts(axes, [length / c0 for length in lengths], (c0, factor), trips, ends, last, delay, line)
         touching = [0.0, min(history.record_end, last) * factor]
         axes.plot([0.0, 0.0], touching, color=RED, linewidth=3.5, solid_capstyle="butt")
-        axes.set_xlim(-1.04 * lengths[0], 1.04 * lengths[1])
-        for x, end, name in ((-lengths[0], ends[0], "incident bar"), (lengths[1], ends[1], "receiving bar")):
-            words = {1.0: "free", -1.0: "fixed", 0.0: "absorbing"}.get(end, number_text(f"R = {end:.3g}"))
-            axes.axvline(x, color=GREY, linewidth=0.0 if scene.infinite else 2.0)
-            note(axes, f"{name}, {'no' if scene.infinite else words} end", (0.0 if x < 0.0 else 1.0, 1.0), (0, 4),
-                 xycoords="axes fraction", ha="left" if x < 0.0 else "right")  # fmt: skip
-        for gauge in history.gauges:
-            place = -gauge.position if gauge.bar == "incident" else gauge.position
-            axes.axvline(place, color=GREEN, linewidth=0.9, linestyle=":")
-            note(axes, "gauge", (place, 0.02), (3, 2), xycoords=("data", "axes fraction"), va="bottom", rotation=90,
-                 fontsize=7.5, color=GREEN)  # fmt: skip
+        _bars(axes, scene.infinite, lengths, ends, history)
         axes.set_ylim(-lengths[0] / c0 * factor, last * factor)
         axes.set_xlabel("place along the bars, sphere at 0 [m]")
         axes.set_ylabel(f"time since first touch [{unit}]")
@@ -321,6 +311,21 @@ def draw_xt(scene: Scene, history: History, row: int = 0) -> Picture:
             note(axes, ending, (0.0, history.record_end * factor), (6, 3), color=INK, bbox=box)
     return Picture(name="xt", title="Wave fronts in both bars over place and time", figure=figure,
                    finding=_xt_finding(history, trips, ends, pulse))  # fmt: skip
+
+
+def _bars(axes: Axes, infinite: bool, lengths: list[float], ends: list[float], history: History) -> None:
+    """The far ends of both bars with what they do to a wave, and the gauges."""
+    axes.set_xlim(-1.04 * lengths[0], 1.04 * lengths[1])
+    for x, end, name in ((-lengths[0], ends[0], "incident bar"), (lengths[1], ends[1], "receiving bar")):
+        words = {1.0: "free", -1.0: "fixed", 0.0: "absorbing"}.get(end, number_text(f"R = {end:.3g}"))
+        axes.axvline(x, color=GREY, linewidth=0.0 if infinite else 2.0)
+        note(axes, f"{name}, {'no' if infinite else words} end", (0.0 if x < 0.0 else 1.0, 1.0), (0, 4),
+             xycoords="axes fraction", ha="left" if x < 0.0 else "right")  # fmt: skip
+    for gauge in history.gauges:
+        place = -gauge.position if gauge.bar == "incident" else gauge.position
+        axes.axvline(place, color=GREEN, linewidth=0.9, linestyle=":")
+        note(axes, "gauge", (place, 0.02), (3, 2), xycoords=("data", "axes fraction"), va="bottom", rotation=90,
+             fontsize=7.5, color=GREEN)  # fmt: skip
 
 
 def draw_rod(history: History, length: float) -> Picture:
