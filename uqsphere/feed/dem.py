@@ -21,8 +21,6 @@ from uqsphere.arrays import Array, Places
 from uqsphere.feed.answers import FeedEntry
 from uqsphere.feed.fit import UNITS, Posterior
 
-#: programs that can be exported to
-TARGETS: Final = ("rocky", "liggghts", "edem", "csv")
 #: shares that a law of another kind meets Vogel and Peukert's at: one standard deviation about the median
 _MATCHED: Final = (0.1587, 0.8413)
 #: n of the fragments that LIGGGHTS makes; the smallest of them is the smallest radius

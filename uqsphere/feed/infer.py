@@ -277,7 +277,7 @@ def _is_exact(tests: Specimens, model: Model, request: Request) -> bool:
     failures = int(tests.weight[tests.broke].sum())
     broken = tests.last[tests.broke]
     distinct = failures > 1 and bool(np.ptp(broken) > SAME * broken.max())
-    few = tests.particles <= 1000
+    few = tests.particles <= _MOST_PIVOTS
     return plain and not own and alone and few and bool((tests.exact | ~tests.broke).all()) and distinct
 
 

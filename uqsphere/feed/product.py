@@ -35,8 +35,6 @@ ALPHA: Final = (math.log(0.6), 0.25)
 DISCREPANCY: Final = 0.05
 #: sd of the normal score of t_n that is DISCREPANCY at t_n = 0.5
 _SCORE: Final = math.sqrt(2.0 * math.pi)
-#: n of the columns of a published table of t_n
-KNOTS: Final = (1.2, 1.5, 2.0, 4.0, 25.0, 50.0, 75.0)
 #: points of the grids that b, A and alpha are read off
 _GRID: Final = 401
 _STEEPEST: Final = 1e6

@@ -19,6 +19,7 @@ from uqsphere.report.figures.canvas import (
     RED,
     SKY,
     Picture,
+    log_axis,
     new_figure,
     render,
     shorten,
@@ -90,9 +91,7 @@ def plan_figure(found: Plan, which: int, title: str) -> str:
             (mark,) = axes.plot(*own, linestyle="none", marker="D", markersize=6, markerfacecolor=PAPER,
                                 markeredgecolor=INK, clip_on=False, zorder=5, label="the study")  # fmt: skip
             handles.append(mark)
-        axes.set_xscale("log")
-        _plain_ticks(axes, float(speed[0]), float(speed[-1]))
-        axes.set_xlim(speed[0], speed[-1])
+        log_axis(axes, "x", float(speed[0]), float(speed[-1]))
         axes.set_ylim(rise[0], rise[-1])
         axes.set_xlabel("striker speed [m/s]")
         axes.set_ylabel("rise of the pulse [µs]")
@@ -141,16 +140,3 @@ def _lengths(axes: Axes, speed: Array, rise: Array, shortest: Array) -> None:
     lines = axes.contour(speed, rise, known, levels=inside, colors=INK, linewidths=0.7, linestyles="--")
     for text in axes.clabel(lines, fmt=lambda level: f"{level:g} m", fontsize=8):
         text.set_path_effects([withStroke(linewidth=2.5, foreground=PAPER)])
-
-
-def _plain_ticks(axes: Axes, low: float, high: float) -> None:
-    """1, 2 and 5 of every decade in plain numbers, 1 alone where there are many."""
-    from matplotlib.ticker import FixedLocator, NullLocator
-
-    steps = (1.0, 2.0, 5.0) if high < 2e3 * low else (1.0,)
-    ticks = [step * 10.0**power for power in range(-9, 9) for step in steps]
-    ticks = [tick for tick in ticks if 0.999 * low <= tick <= 1.001 * high]
-    axes.xaxis.set_minor_locator(NullLocator())
-    if ticks:
-        axes.xaxis.set_major_locator(FixedLocator(ticks))
-    axes.xaxis.set_major_formatter(lambda value, place: f"{value:g}")

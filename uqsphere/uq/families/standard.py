@@ -612,14 +612,7 @@ UNIFORM: Final = Family(
     mean=lambda shapes: 0.5,
     sd=lambda shapes: math.sqrt(1.0 / 12.0),
     fit=lambda data, lower, upper: {},
-    tried=Distances(
-        fit=lambda values: dict(
-            zip(("lower", "upper"), map(float, np.ravel(_uniform_bounds(values[None]))), strict=True)
-        ),
-        below=_uniform_below,
-        evidence=_against_normal,
-        drawn=_uniform_drawn,
-    ),
+    tried=Distances(fit=_uniform_fit, below=_uniform_below, evidence=_against_normal, drawn=_uniform_drawn),
 )
 
 
