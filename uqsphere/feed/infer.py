@@ -430,14 +430,19 @@ def compare(tests: Specimens, request: Request) -> list[LawEntry]:
         reached, loo = _scores(model, told, start_of(model, tests, told), request.seed)
         bound = ratio if law == "lognormal" and math.isfinite(ratio) else None
         found.append(LawEntry(name=name, law=law, ratio=bound, log_likelihood=reached, loo=loo))
-    top = max(entry.log_likelihood for entry in found)
-    best = max((entry.loo for entry in found if entry.loo is not None), default=math.nan)
-    for k, entry in enumerate(found):
-        behind, lost = top - entry.log_likelihood, math.inf if entry.loo is None else best - entry.loo
+    return _worded(found)
+
+
+def _worded(found: list[LawEntry]) -> list[LawEntry]:
+    """The laws with what their difference of scores is worth saying; nothing up to `_WORTH_WORDS`."""
+    top = max(one.log_likelihood for one in found)
+    best = max((one.loo for one in found if one.loo is not None), default=math.nan)
+    for k, one in enumerate(found):
+        behind, lost = top - one.log_likelihood, math.inf if one.loo is None else best - one.loo
         if behind > _WORTH_WORDS and lost > _WORTH_WORDS:
-            score = f" and {lost:.1f} in leave-one-out score" if entry.loo is not None else ""
-            words = f"{entry.name} fits worse by {behind:.1f} in ln likelihood{score}"
-            found[k] = entry.model_copy(update={"words": words})
+            score = f" and {lost:.1f} in leave-one-out score" if one.loo is not None else ""
+            words = f"{one.name} fits worse by {behind:.1f} in ln likelihood{score}"
+            found[k] = one.model_copy(update={"words": words})
     return found
 
 

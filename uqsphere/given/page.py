@@ -223,24 +223,22 @@ def _brief(found: Document, data: Data) -> Brief:
     answers = []
     for name in data.outputs[:_LARGE]:
         entry = found["outputs"][name]
-        best = (entry["expansion"] or {}).get("mean", {}).get("whole") or entry["mean"]
-        ends = [entry["quantiles"][p]["value"] for p in ("0.05", "0.95") if p in entry["quantiles"]]
-        note = f"Nine of ten runs: {two(ends[0])} to {two(ends[1])}." if len(ends) == 2 and None not in ends else ""
+        best = entry["mean"] if entry["expansion"] is None else entry["expansion"]["mean"]["whole"]
+        low, high = (entry["quantiles"][p]["value"] for p in ("0.05", "0.95"))
+        note = "" if None in (low, high) else f"Nine of ten runs: {two(low)} to {two(high)}."
         big = "not known" if best["value"] is None else two(best["value"], 3)
         answers.append(Answer(question=f"{shorten(name, 40)}, mean", big=big, unit="", note=note))
     known = _shares(found, data.outputs[0])[1]
     shares = sorted(((e.number, source) for source, e in known.items() if e.value is not None), reverse=True)
-    drivers = tuple((shorten(source, 30), min(max(value, 0.0), 1.0)) for value, source in shares[:2] if value > 0.0)
-    told = [f"{shorten(n, 30)}: {text}" for n, one in found["sensitivity"].items() for text in one["disagree"]]
-    told += [text for entry in found["outputs"].values() for text in entry["notes"]]
-    told += [f"{shorten(n, 30)}: {one['chaos']['reason']}" for n, one in found["sensitivity"].items()
-             if not one["chaos"]["usable"]]  # fmt: skip
-    laws = "laws given" if found["laws"] == "known" else "laws fitted to the runs"
-    measure = (
-        ("More runs", "They narrow what is left open of indices and quantiles.")
-        if found["laws"] == "known"
-        else ("Laws of the inputs", "Where they are known, give them: --laws STUDY.toml.")
-    )
+    drivers = tuple((shorten(source, 30), min(value, 1.0)) for value, source in shares[:2] if value > 0.0)
+    told = [text for entry in found["outputs"].values() for text in entry["notes"]]
+    for name, entry in found["sensitivity"].items():
+        refused = [] if entry["chaos"]["usable"] else [entry["chaos"]["reason"]]
+        told += [f"{shorten(name, 30)}: {text}" for text in (*entry["disagree"], *refused)]
+    laws, measure = "laws given", ("More runs", "They narrow what is left open of indices and quantiles.")
+    if found["laws"] != "known":
+        laws = "laws fitted to the runs"
+        measure = ("Laws of the inputs", "Where they are known, give them: --laws STUDY.toml.")
     return Brief(
         title=f"{found['rows']:,} runs of {', '.join(data.outputs)}",
         answers=tuple(answers),

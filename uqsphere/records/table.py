@@ -363,8 +363,10 @@ def _names(
     lines: Sequence[str], separator: str | None, width: int, places: Sequence[int]
 ) -> tuple[tuple[str, ...], tuple[str, ...], list[str]]:
     """Names and units of the columns: the line above the numbers with most different words, and one of units alone."""
-    split = [_split(line, separator) for line in lines if _counts(line) and separator is not None]
-    split += [line.lstrip("# ").split() for line in lines if separator is None]
+    if separator is None:
+        split = [line.lstrip("# ").split() for line in lines]
+    else:
+        split = [_split(line, separator) for line in lines if _counts(line)]
     rows = [[cells[at] for at in places] for cells in split if len(cells) > places[-1] and len(cells) <= width + 1]
     units = [""] * len(places)
     # a line below the names may have a unit of time and units of signals, or nothing
