@@ -138,13 +138,10 @@ def fit(tests: Specimens, request: Request, draws: int = DRAWS) -> tuple[Posteri
     drawn = [draw(few, replace(request, law=name), draws) for name in names]
     compared = compare(few, request)
     weights = _weights(names, compared)
-    # a lognormal law that was compared is the one asked for by its bound
-    compared = [
-        entry.model_copy(update={"weight": weights[entry.law]})
-        if entry.law in names and (entry.law != "lognormal" or (entry.ratio or math.inf) == request.ratio)
-        else entry
-        for entry in compared
-    ]
+    for k, one in enumerate(compared):
+        # a lognormal law that was compared is the one asked for by its bound
+        if one.law in names and (one.law != "lognormal" or (one.ratio or math.inf) == request.ratio):
+            compared[k] = one.model_copy(update={"weight": weights[one.law]})
     posterior = _joined(drawn, [weights[name] for name in names], tests, request, draws)
     counted = CountsEntry(
         specimens=len(tests), particles=tests.particles, broke=int(tests.weight[tests.broke].sum()),

@@ -12,6 +12,7 @@ ln theta is taken for normal, every test adding its information.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -267,8 +268,8 @@ def plan_tests(
     scale = now / about.sd(np.zeros_like(about.covariance))
     path, taken = course(about, best, MOST_TESTS, aim / scale)
     long, _ = course(about, best, 30, 0.0)
-    sds = {1: min(go.sd, measured.sd), **{count: scale * long[count] for count in (10, 30)}}
-    shares = {size: sum(one.size == size for one in taken) / max(len(taken), 1) for size in sizes}
+    after = {1: min(go.sd, measured.sd), 10: scale * long[10], 30: scale * long[30]}
+    shares = sorted(Counter(one.size for one in taken).items())
     middle = float(np.median(target))
     # by what each adds to the precision of the target
     before = about.sd(np.zeros_like(about.covariance)) ** -2
@@ -276,9 +277,9 @@ def plan_tests(
     return TestPlan(
         target=words, relative=relative, value=math.exp(middle) if relative else middle,
         now=_NINETY_FIVE * now, go=go, measured=measured,
-        after={count: _NINETY_FIVE * sd for count, sd in sds.items()},
+        after={count: _NINETY_FIVE * sd for count, sd in after.items()},
         needed=len(taken) if path[-1] <= aim / scale else None,
-        sizes={size: share for size, share in shares.items() if share > 0.0},
+        sizes={size: count / len(taken) for size, count in shares},
         worth=gains[0] / gains[1] if gains[1] > 0.0 else math.inf, practice=_practice(about, sizes, scale),
     )  # fmt: skip
 

@@ -250,6 +250,10 @@ def _brief(found: Document, data: Data) -> Brief:
     )
 
 
+def _index(entry: Document) -> str:
+    return index_cell(_est(entry))
+
+
 def _drivers(found: Document, number: int, name: str) -> Block:
     one, other, words = _shares(found, name)
     names = sorted(other, key=lambda source: -(other[source].value or 0.0))
@@ -264,8 +268,8 @@ def _drivers(found: Document, number: int, name: str) -> Block:
             rows=tuple((s, *(v for e in (one[s], other[s]) for v in (e.value, e.low, e.high))) for s in drawn),
         )  # fmt: skip
     entry = found["sensitivity"][name]
-    rows = _indices(entry, lambda estimate: index_cell(_est(estimate)), lambda estimate: index_cell(_est(estimate)))
-    rows.sort(key=lambda row: names.index(row[0]) if row[0] in names else len(names))
+    rows = _indices(entry, _index, _index)
+    rows.sort(key=lambda row: (*names, row[0]).index(row[0]))
     table = Table(caption=f"Shares of the variance of {name}", header=_index_header(entry), rows=tuple(rows))
     return Block(heading=name, picture=picture, table=table, remarks=(_expansion(found, name),))
 
