@@ -143,7 +143,7 @@ def test_commands(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
-    [(["--at", "-3 mm"], "a size above 0"), (["--at", "20 kg"], "--at"), (["--precision", "0"], "above 0 is due")],
+    [(["--at", "-3 mm"], "must be above 0"), (["--at", "20 kg"], "--at"), (["--precision", "0"], "above 0 is due")],
 )
 def test_plans_refused(study: Path, arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plan-tests", str(study), *arguments]) == 2
