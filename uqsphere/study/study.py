@@ -116,7 +116,7 @@ class Study(metaclass=_FromTables):
     >>> from scipy import stats
     >>> Study(inputs={"load": stats.norm(3.0, 0.5)}, outputs="y", limits={"high": {"quantity": "y", "strength": 5.0,
     ...       "aim": "survive"}}, analysis={"budget": {"evaluations": 1000}}, title="A beam")
-    <Study 'A beam': 1 random input, black box>
+    <Study 'A beam': 1 random input, limits high, black box>
 
     Attributes
     ----------
