@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.balance import balance_of, rod_record
 from uqsphere.mechanics.field import waves_at
+from uqsphere.mechanics.history import balance_of, rod_record
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
 

@@ -9,10 +9,10 @@ from test_contact_study import BASE, load
 
 from tests.independent.rigs import Pole, strike
 from tests.independent.yielding import Wearing, follow
-from uqsphere.mechanics.blows import after_blows
 from uqsphere.mechanics.damage import damage_of, energy_share, peak_damage
 from uqsphere.mechanics.impact import closed_form_rows, solve_closed
 from uqsphere.mechanics.integrator.solve import solve
+from uqsphere.mechanics.outputs import after_blows
 from uqsphere.mechanics.scene import BROKEN, Scene
 
 DAMAGE = ("contact.law=damage", "contact.gamma=5", "contact.fracture_energy='{} J/kg'", "model.horizon='3 ms'",

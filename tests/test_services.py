@@ -197,6 +197,10 @@ FAULTS: dict[str, tuple[str, tuple[str, ...], str, str]] = {
     "no target": (IMPACT, ("target=null",), "target", "is missing"),
     "an unknown material": (IMPACT, ('target.material="stel"',), "target.material", "did you mean 'steel'"),
     "the linear model": (IMPACT, ('model.fidelity="linear"',), "model.fidelity", 'belongs to the rig "bars"'),
+    "a load cell without mass": (
+        CELL, ('model.fidelity="massless"',), "model.fidelity", "is solved in full"),
+    "a plate softer than its onset": (
+        IMPACT, ('contact.law="plastic"', "target.hardness=0.2 GPa"), "target.hardness", "cannot flow at less than"),
     "energy of which bodies": (
         IMPACT, ('limits.broken={criterion="specific_energy", strength="60 J/kg"}',), "limits.broken.energy_is",
         "contact, sphere or input"),
@@ -227,6 +231,10 @@ FAULTS: dict[str, tuple[str, tuple[str, ...], str, str]] = {
     "forces and energies": (
         SERVICES, ('limits.chute.strength.energy="W"',), "limits.chute.strength.energy", "leave one of"),
 }  # fmt: skip
+
+
+def test_a_load_cell_is_solved_in_full_by_auto(tmp_path: Path) -> None:
+    assert loaded(CELL + LIMIT, tmp_path, 'model.fidelity="auto"').model.fidelity == "full"
 
 
 @pytest.mark.parametrize("case", FAULTS)

@@ -167,7 +167,7 @@ def solve_scene(
 
     scene, fidelity = as_integrated(scene, fidelity)
     if scene.contact_law == "damage" and scene.stiffness_left is None:
-        from uqsphere.mechanics.blows import after_blows
+        from uqsphere.mechanics.outputs import after_blows
 
         blow = partial(solve_scene, fidelity=fidelity, tolerance=tolerance, threads=threads)
         return after_blows(scene, lambda one, names: blow(one, quantities=tuple(names)), quantities)

@@ -7,8 +7,8 @@ that criterion in `uqsphere.mechanics.criteria`.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
@@ -351,7 +351,7 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
         found[column] = partial(_largest, sides, column)
     found["dissipated"] = lambda: sum(side["dissipated"] for side in sides)
     if scene.contact_law == "damage":
-        # of one blow: `uqsphere.mechanics.blows` counts them
+        # of one blow: `after_blows` counts them
         found["damaged"], found["blow"] = partial(_largest, sides, "damage"), lambda: np.ones(len(scene))
         found["blow_censored"] = lambda: 1.0 - broken(_largest(sides, "damage"), scene.columns["contact.gamma"])
     if not one_contact and "difference" in tracked:
@@ -633,6 +633,63 @@ def merged_answers(*parts: tuple[Places, Answers]) -> Answers:
         record=put(part.record for part in found),
         steps=put(part.steps for part in found),
         others=others,
+    )
+
+
+# --- equal blows on a sphere that takes damage: stiffness and fracture energy carried from one to the next ----
+
+
+def after_blows(
+    scene: Scene, solve: Callable[[Scene, Collection[str]], Answers], quantities: Collection[str] | None
+) -> Answers:
+    """Answers of the last of `scene.blows` equal blows that a sphere holds, or of the one that breaks it.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of the law `damage`.
+    solve : function of (scene, quantities)
+        Answers of one blow.
+    quantities : collection of str, optional
+
+    Returns
+    -------
+    Answers
+        `broke_at` is the number of the blow that breaks the sphere, censored at the last where it holds them all.
+    """
+    if quantities is None:
+        quantities = all_of(scene)
+    asked = tuple(dict.fromkeys([*(name for name in quantities if name != "broke_at"), "damage"]))
+    left, alive, parts = np.ones(len(scene)), np.arange(len(scene)), []
+    gamma = scene.columns["contact.gamma"]
+    for blow in range(1, scene.blows + 1):
+        found = solve(replace(scene.at(alive), stiffness_left=left[alive]), asked)
+        done = found.values["damage"]
+        breaks = broken(done, gamma[alive]) & answered(found.status)
+        last = breaks | ~answered(found.status) | (blow == scene.blows)
+        counted = np.where(answered(found.status), float(blow), np.nan)
+        told = replace(
+            found,
+            values={**found.values, "broke_at": counted},
+            censored={**found.censored, "broke_at": ~breaks & answered(found.status)},
+        )
+        parts.append((alive[last], _rows(told, last)))
+        left[alive] = left[alive] * (1.0 - done)
+        alive = alive[~last]
+        if len(alive) == 0:
+            break
+    return merged_answers(*parts)
+
+
+def _rows(answers: Answers, which: Flags) -> Answers:
+    """Some rows of a batch of answers."""
+    return Answers(
+        values={name: column[which] for name, column in answers.values.items()},
+        censored={name: column[which] for name, column in answers.censored.items()},
+        status=answers.status[which],
+        record=answers.record[which],
+        steps=answers.steps[which],
+        others={name: column[which] for name, column in answers.others.items()},
     )
 
 

@@ -31,9 +31,8 @@ def history_of(study: Study, values: Mapping[str, float] | None = None, *, point
     UsageError
         For a scene outside the model's domain, or a number that a scene does not have.
     """
-    from uqsphere.mechanics.balance import rod_length, rod_record
     from uqsphere.mechanics.gauges import default_positions, gauge_record
-    from uqsphere.mechanics.history import trace
+    from uqsphere.mechanics.history import rod_length, rod_record, trace
     from uqsphere.mechanics.scene import STATUS
 
     if study.black_box:

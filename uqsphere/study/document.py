@@ -408,7 +408,7 @@ class ModelChoice:
 
     fidelity: Annotated[Text, among(FIDELITIES)] = key(
         '`"massless"`, `"linear"`, `"full"`, or the cheapest that is accurate enough, with `full` in rows where it is '
-        "not",
+        "not; `massless` under a drop weight too, every other rig (a load cell among them) is `full` by `auto`",
         "auto",
     )
     tolerance: Annotated[Real, within(1e-12, 1e-2, closed=True)] = key(

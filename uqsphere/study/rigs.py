@@ -82,6 +82,8 @@ def model_of(document: Document, findings: Findings) -> ModelChoice:
     for key, plain in plain_words.items():
         if not plain:
             said = f'{key} = {shown(getattr(model, key))} belongs to the rig "bars": leave it out'
+            if key == "fidelity":
+                said += f", the rig {shown(document.rig_kind)} is solved in full"
             findings.add(("model", key), said)
     return model if light else replace(model, fidelity="full")
 

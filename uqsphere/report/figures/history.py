@@ -12,10 +12,9 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.mechanics import bars
-from uqsphere.mechanics.balance import rod_length, rod_record
 from uqsphere.mechanics.field import BARS, last_time
 from uqsphere.mechanics.gauges import BarForces, bar_forces, force_imbalance, gauge_strain
-from uqsphere.mechanics.history import equilibrium, shown_time, view_field
+from uqsphere.mechanics.history import equilibrium, rod_length, rod_record, shown_time, view_field
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.mechanics.stress.tables import outside
 from uqsphere.quantities import display_unit, format_value, reading_units, unit_that_reads
@@ -46,9 +45,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from uqsphere.mechanics.balance import Balance
     from uqsphere.mechanics.gauges import GaugeRecord
-    from uqsphere.mechanics.history import History
+    from uqsphere.mechanics.history import Balance, History
     from uqsphere.mechanics.scene import Scene
     from uqsphere.report.contents import Contents
 
@@ -205,7 +203,7 @@ def balance_picture(balance: Balance, hertz: Sequence[float]) -> Picture:
 
 def loop_figure(contents: Contents) -> Picture | None:
     """Force over approach of the hardest scene and where its energy is; None where no face yields."""
-    from uqsphere.mechanics.balance import Balance
+    from uqsphere.mechanics.history import Balance
 
     hardest = {} if contents.courses is None else contents.courses["hardest"]
     if "loop" not in hardest:
