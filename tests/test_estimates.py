@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 from scipy.special import ndtri
 
-from uqsphere.uq.describe import describe, hazen, lacking
+from uqsphere.uq.describe import describe, hazen, lacking, moments
 from uqsphere.uq.estimate import Estimate, absent, from_replicates, share
 from uqsphere.uq.points import sobol_points
 
@@ -67,6 +67,8 @@ def test_description_does_not_depend_on_unit_or_offset() -> None:
     assert other.sd.value == pytest.approx(1e9 * one.sd.value, rel=1e-9)
     for p, estimate in one.quantiles.items():
         assert other.quantiles[p].low == pytest.approx(1e9 * estimate.low + 5e9, rel=1e-12)
+    # the skewness of the squared deviations widens the interval of the standard deviation
+    assert moments(x).skewness == pytest.approx(stats.skew((x - x.mean()) ** 2, axis=None), rel=1e-9)
 
 
 def test_censored_quantiles_are_absent_beyond_the_share_and_unmoved_below() -> None:

@@ -403,7 +403,7 @@ def test_a_model_that_scatters_by_itself_is_told_apart_from_its_inputs(
 
 
 def test_many_inputs_are_screened_before_anything_else(study_from: Callable[..., Study], tmp_path: Path) -> None:
-    laws = "\n".join(f'x{k} = {{ dist = "normal", mean = 0.0, sd = 1.0 }}' for k in range(50))
+    laws = "\n".join(f'x{k} = {{ dist = "uniform", lower = -1.0, upper = 1.0 }}' for k in range(50))
     text = re.sub(r"(?s)\[inputs\].*\[outputs\]", f"[inputs]\n{laws}\n[outputs]", EXPENSIVE)
     more = ("analysis.budget.evaluations=1000", "analysis.budget.time='99 h'")
     plain = study_from(*more, text=re.sub(r"(?s)\[limits\.high\].*\[analysis\]", "[analysis]", text))

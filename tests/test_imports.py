@@ -57,8 +57,9 @@ def test_help_loads_no_numbers() -> None:
     assert done.stdout.strip() == "set()"
 
 
-def test_the_probe_sees_what_is_loaded() -> None:
-    assert "numba" in heavy_after(["history", str(STUDIES / "granite.toml"), "--set", "model.tolerance=1e-4"])
+def test_the_probe_sees_what_is_loaded(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("a,y\n" + "".join(f"{k},{k * k % 7}\n" for k in range(9)))
+    assert "scipy.stats" in heavy_after(["analyse", str(tmp_path / "t.csv"), "--inputs", "a", "--outputs", "y"])
 
 
 def imports_at_top(tree: ast.Module) -> set[str]:
