@@ -25,10 +25,9 @@ from uqsphere.report.phrases import (
     symbol,
     value_text,
 )
-from uqsphere.results import LimitEntry, QuantityEntry, Results
+from uqsphere.results import AssumedEntry, LimitEntry, QuantityEntry, Results
 from uqsphere.results.entries import CheckEntry
 from uqsphere.results.margins import MarginEntry
-from uqsphere.results.verdicts import AssumedEntry
 from uqsphere.study.axis import strength_name
 
 #: what a check finds where it is broken

@@ -17,9 +17,8 @@ from uqsphere.errors import FolderError
 from uqsphere.files import load_document
 from uqsphere.quantities import lookup, unit_that_reads
 from uqsphere.results import NO_RIG, Results, read_results
-from uqsphere.results.entries import LawTable, Manifest, Resolved, read_entry, read_manifest, read_resolved
+from uqsphere.results.entries import LawTable, Manifest, Resolved, Sliders, read_entry, read_manifest, read_resolved
 from uqsphere.results.fields import Stored, read_fields
-from uqsphere.results.sliders import Sliders
 from uqsphere.runner.export import read_points
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study.axis import quantity_of, strength_name

@@ -22,9 +22,8 @@ from uqsphere.report.brief import PLACES
 from uqsphere.report.contents import Contents, law_of, stored_law, units_of
 from uqsphere.report.figures.canvas import shorten
 from uqsphere.report.phrases import short_input, unit_text
-from uqsphere.results import NO_RIG
-from uqsphere.results.sliders import SliderEntry, Sliders, SurfaceEntry
-from uqsphere.results.verdicts import VerdictEntry
+from uqsphere.results import NO_RIG, VerdictEntry
+from uqsphere.results.entries import SliderEntry, Sliders, SurfaceEntry
 from uqsphere.study.axis import strength_name
 from uqsphere.uq.joint import correlation_from_spearman
 from uqsphere.uq.law import Law

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr, StringConstraints, model_validator
 
@@ -29,7 +29,6 @@ from uqsphere.results.entries import (
     read_entry,
 )
 from uqsphere.results.margins import MarginEntry
-from uqsphere.results.verdicts import AssumedEntry, ReasonEntry, SettlingEntry, VerdictEntry, Word
 
 # --- study and inputs -----------------------------------------------------------------------------------
 
@@ -249,6 +248,89 @@ class LimitDriversEntry(SharesEntry):
 
     explained: Maybe[Est] = Field(default_factory=Est)
     given_failure: dict[Name, GivenFailureEntry] | None = None
+
+
+# --- verdicts -------------------------------------------------------------------------------------------
+
+Code = Literal["a", "b", "c", "d", "e", "f", "together"]
+Word = Literal["met", "not met", "undecided", "not established"]
+
+
+class ReasonEntry(Entry):
+    """Why a verdict is what it is, in a clause.
+
+    Not established: `a` the static contact law, `b` the carriers, `c` an assumed strength, `d` what the tests leave
+    open, `e` a check of the model that fails, `f` tests that are made up.  `together`: the limit by itself has another.
+    """
+
+    code: Code
+    text: StrictStr
+
+
+class JudgedEntry(Entry):
+    """A way to break by itself: the probability that it misses the aim, and the free scalar at the target's.
+
+    `assumed`: its strength is the library's, of `source`; `range` are the probabilities over the strength's 95 %, and
+    `curve` holds values of the free scalar with the probability that the strength is exceeded there.
+    """
+
+    name: StrictStr
+    quantity: StrictStr
+    assumed: StrictBool
+    miss: Probability
+    range: tuple[Share, Share] | None = None
+    answer: Number | None = None
+    source: StrictStr = ""
+    seen: StrictBool | None = None
+    curve: tuple[tuple[Number, Share], ...] = ()
+
+
+class VerdictEntry(Entry):
+    """A verdict on fracture for an aim and its target: of all ways judged together, `miss` by the study's own limits.
+
+    `governing` is the one that asks most, `answer` the free scalar `solve` that keeps the aim by the study's limits.
+    """
+
+    aim: Aim
+    target: Share | None
+    verdict: Word | None
+    reasons: tuple[ReasonEntry, ...]
+    miss: Probability
+    judged: tuple[JudgedEntry, ...]
+    not_judged: dict[Name, StrictStr]
+    governing: StrictStr
+    solve: StrictStr = ""
+    answer: Number | None = None
+
+
+class AssumedEntry(Entry):
+    """An assumption on a strength, and the probability of missing the aim with another in its place."""
+
+    assumption: Literal["dependence", "modulus", "cov", "law"]
+    taken: Number | StrictStr | None = None
+    instead: Number | StrictStr | None = None
+    others: tuple[StrictStr, ...] = Field(default=(), alias="with")
+    miss: Probability
+    met: StrictBool | None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        due = {"dependence": list, "law": str}.get(self.assumption, float)
+        for value in (self.taken, self.instead):
+            fits = {list: value is None, str: isinstance(value, str), float: isinstance(value, (int, float))}[due]
+            if not fits:
+                raise ValueError(f"found {value!r}, which is no {self.assumption}")
+        return self
+
+
+class SettlingEntry(Part):
+    """How many tests of a strength would settle whether the target is kept."""
+
+    NEEDS = ("tests", "confidence")
+
+    tests: Count | None = None
+    confidence: Share = 0.0
+    reason: StrictStr | None = None
 
 
 # --- limits ---------------------------------------------------------------------------------------------

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
-from uqsphere.results import FractureEntry, MeasureEntry, QuantityEntry, Results
+from uqsphere.results import AssumedEntry, FractureEntry, MeasureEntry, QuantityEntry, Results
 from uqsphere.results.entries import Est
-from uqsphere.results.verdicts import AssumedEntry
 from uqsphere.store import csv_text
 
 #: a row of cells; header and rows by name

@@ -21,7 +21,7 @@ from uqsphere.results import (
     SpeedRow,
     ToleranceEntry,
 )
-from uqsphere.results.entries import CarriedEntry, Curve, Est
+from uqsphere.results.entries import CarriedEntry, CheckEntry, Curve, Est
 from uqsphere.runner.campaign import INDEX_KIND, MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, Missed, rounded
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.forecast import forecast
@@ -53,6 +53,7 @@ class Findings:
     evidence: Evidence | None = None
     fracture: FractureEntry | None = None
     carried: Mapping[str, CarriedEntry] = field(default_factory=dict)
+    far: Sequence[CheckEntry] = ()
 
 
 #: factor between planned and taken from which on a reason is given

@@ -12,7 +12,7 @@ from uqsphere.runner.expensive import Expensive, answer_expensive, keep_answers,
 from uqsphere.runner.fidelity import Pilot, first_look
 from uqsphere.runner.finish import finish, finish_bare
 from uqsphere.runner.finished import Run
-from uqsphere.runner.questions.carried import find_carried
+from uqsphere.runner.questions.carried import carried_far, find_carried
 from uqsphere.runner.questions.distributions import Sampled, sample_distributions
 from uqsphere.runner.questions.fracture import find_fracture
 from uqsphere.runner.questions.further import (
@@ -128,6 +128,7 @@ def _by_sampling(
         margins=margins,
         fracture=fracture,
         carried=carried,
+        far=carried_far(work.study),
         tolerance=tolerance,
         analyses=analyses,
         stops={"sampling": sampled.stopped, "sensitivity": shared.stopped},

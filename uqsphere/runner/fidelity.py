@@ -13,7 +13,6 @@ from uqsphere.mechanics.fidelity import Fallback, fit_error_law
 from uqsphere.mechanics.outputs import all_with
 from uqsphere.mechanics.yielding import Face
 from uqsphere.model import cheaper_fidelities, is_answered, scene_of, solve_scene
-from uqsphere.results import CandidateEntry
 from uqsphere.results.entries import CheckEntry, Fields
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import Work, draw
@@ -88,6 +87,7 @@ class Pilot:
 
     def entry(self, work: Work, *tables: Tabled) -> Fields:
         """Which model answered, what it took, and what cheaper ones, or the tables of sampling and indices, saved."""
+        names = ("error", "worst", "correlation", "cost", "fits", "mixed_error", "fallback_share")
         ledger, share, saved = work.ledger, None, table_saved(*tables)
         if self.fallback is not None:
             spared = ledger.evaluations.get(self.chosen, 0) - self.evaluations.get(self.chosen, 0)
@@ -105,9 +105,7 @@ class Pilot:
             "failures": sum(ledger.failures.values()),
             "failure_reasons": {str(code): number for code, number in sorted(ledger.failures.items())},
             "numbers": self.numbers,
-            "considered": {
-                c.fidelity: {name: getattr(c, name) for name in CandidateEntry.model_fields} for c in self.candidates
-            },
+            "considered": {c.fidelity: {name: getattr(c, name) for name in names} for c in self.candidates},
             "fallback_share": share,
             "control": table_entry(*tables),
             "saved": saved,

@@ -38,6 +38,7 @@ from uqsphere.runner.schedule import (
     TABLE,
     WAYS,
     WAYS_CURVE,
+    more_to_come,
     pilot_points,
 )
 from uqsphere.study import Limit, Study
@@ -126,15 +127,6 @@ def _sampling(study: Study, budget: float) -> tuple[float, float]:
 def _fixed(study: Study) -> bool:
     """Whether a limit has a strength that does not scatter."""
     return any(not isinstance(limit.strength, Law) for limit in study.limits)
-
-
-def more_to_come(study: Study) -> bool:
-    """Whether anything is left to be evaluated for once distributions and probabilities are known."""
-    analysis = study.analysis
-    if not study.random or not study.black_box:
-        return bool(study.random)
-    named = set(analysis.methods) & {"form", "importance", "subset", *FURTHER}
-    return bool(named or analysis.fields or analysis.samples_indices or study.margins or analysis.tolerance_intervals)
 
 
 def rough_quantities(study: Study) -> tuple[str, ...]:

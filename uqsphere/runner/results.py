@@ -19,7 +19,6 @@ from uqsphere.runner.account import Findings, questions
 from uqsphere.runner.deterministic import compare_with_paper
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.kept import named_files, write_sums
-from uqsphere.runner.questions.carried import carried_far
 from uqsphere.runner.verdict import judge
 from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.study import Study
@@ -109,7 +108,7 @@ def build_results(work: Work, found: Findings, plan: PlanEntry) -> Results:
         **({"analyses": found.analyses} if found.analyses else {}),
         **({"verdicts": judged.verdicts} if judged.verdicts else {}),
         "model": found.pilot.entry(work, found.sampled.tabled, found.tabled),
-        "validity": [*checks, *carried_far(study)],
+        "validity": [*checks, *found.far],
         "plan": plan,
         "speed_error": work.ledger.rows,
         "accuracy": {

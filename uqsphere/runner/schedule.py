@@ -6,7 +6,12 @@ Questions work by these numbers, and the forecast and the plan read them: nothin
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+from uqsphere.study.document import FURTHER
+
+if TYPE_CHECKING:
+    from uqsphere.study import Study
 
 #: independent randomisations of every design: intervals rest on their spread, with the t of 15 degrees of freedom
 REPLICATES: Final = 16
@@ -80,3 +85,12 @@ def pilot_points(budget: int) -> int:
     [8, 64, 512, 512]
     """
     return min(PILOT.first, 1 << max(3, int(budget * PILOT.share).bit_length() - 1))
+
+
+def more_to_come(study: Study) -> bool:
+    """Whether anything is left to be evaluated for once distributions and probabilities are known."""
+    analysis = study.analysis
+    if not study.random or not study.black_box:
+        return bool(study.random)
+    named = set(analysis.methods) & {"form", "importance", "subset", *FURTHER}
+    return bool(named or analysis.fields or analysis.samples_indices or study.margins or analysis.tolerance_intervals)

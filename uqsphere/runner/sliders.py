@@ -17,7 +17,7 @@ from uqsphere.arrays import Array, Flags
 from uqsphere.errors import UqsphereError
 from uqsphere.model import is_answered, scene_of, solve_scene
 from uqsphere.quantities import INPUTS
-from uqsphere.results.sliders import AxisEntry, SliderEntry, Sliders, SurfaceEntry, WayEntry
+from uqsphere.results.entries import AxisEntry, SliderEntry, Sliders, SurfaceEntry, WayEntry
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.evidence import Evidence

@@ -20,9 +20,8 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.results import LimitOpenEntry
+from uqsphere.results import Code, JudgedEntry, LimitOpenEntry, ReasonEntry, VerdictEntry
 from uqsphere.results.entries import Est, Fields
-from uqsphere.results.verdicts import Code, JudgedEntry, ReasonEntry, VerdictEntry
 from uqsphere.runner.account import Findings
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.evidence import Evidence

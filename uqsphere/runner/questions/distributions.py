@@ -25,9 +25,8 @@ from uqsphere.runner.campaign import (
     speed_rows_of,
 )
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_sample, with_answered
-from uqsphere.runner.forecast import more_to_come
 from uqsphere.runner.limits import LimitAnswer, controlled_limits, judge_limits, limits_missed, takes_over
-from uqsphere.runner.schedule import REPLICATES, SAMPLING, TABLE
+from uqsphere.runner.schedule import REPLICATES, SAMPLING, TABLE, more_to_come
 from uqsphere.runner.similarity import CUT_SHORT, Tabled, begin_table
 from uqsphere.uq.describe import Description, describe, describe_controlled, lacking
 from uqsphere.uq.estimate import absent, exact

@@ -25,10 +25,9 @@ from uqsphere.model import is_answered
 from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import MISS_KIND, Accuracy, Cost, Missed, campaign, cost_of, speed_rows_of
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points
-from uqsphere.runner.forecast import more_to_come
 from uqsphere.runner.limits import LimitAnswer, limits_missed, takes_over
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.runner.schedule import DESIGN_POINT, LEARNED, RARE
+from uqsphere.runner.schedule import DESIGN_POINT, LEARNED, RARE, more_to_come
 from uqsphere.study import Limit
 from uqsphere.study.axis import strength_name
 from uqsphere.uq.estimate import Estimate
