@@ -127,9 +127,8 @@ def _sliders(study: Study, margins: Mapping[str, MarginAnswer]) -> list[SliderEn
 
 
 def _slider(study: Study, name: str, base: float, ends: tuple[float, float]) -> SliderEntry | None:
-    """One number with the law that it has at every node; None where its law has no mean to move."""
-    quantity = INPUTS[name]
-    low, high = max(ends[0], quantity.lower), min(ends[1], quantity.upper)
+    """One number with the law that it has at every node; None where its law has no mean to move, or may be negative."""
+    low, high = max(ends[0], INPUTS[name].lower), min(ends[1], INPUTS[name].upper)
     nodes = sorted({*spaced(low, base, _NODES), *spaced(base, high, _NODES)})
     centres, spreads = [], []
     for node in nodes:
@@ -137,49 +136,40 @@ def _slider(study: Study, name: str, base: float, ends: tuple[float, float]) -> 
             law = with_number(study, name, node).random.get(name)
         except LawError:
             return None
-        centre, spread = (math.log(node), 0.0) if law is None else _middle(law)
-        if not math.isfinite(centre + spread):
+        below = middle = above = least = node
+        if law is not None:
+            below, middle, above, least = law.from_normal(np.array([-1.0, 0.0, 1.0, -_FAR])).tolist()
+        if not least > 0.0 or not math.isfinite(above):
             return None
-        centres.append(centre)
-        spreads.append(spread)
+        centres.append(math.log(middle))
+        spreads.append(0.5 * math.log(above / below))
     return SliderEntry(name=name, low=low, high=high, base=base, nodes=tuple(nodes), centres=tuple(centres),
                        spreads=tuple(spreads))  # fmt: skip
 
 
-def _middle(law: Law) -> tuple[float, float]:
-    """Median and spread of the logarithm of a positive number; not finite where it may be negative."""
-    below, middle, above, least = law.from_normal(np.array([-1.0, 0.0, 1.0, -_FAR]))
-    if not least > 0.0:
-        return math.nan, math.nan
-    return math.log(middle), 0.5 * math.log(above / below)
-
-
 def _axes(study: Study, sliders: Sequence[SliderEntry]) -> tuple[AxisEntry, ...]:
     """What the rows are drawn over: the sliders with the scatter at their ends, and all else that scatters."""
-    axes = []
+    ends = []
     for one in sliders:
-        low, high = one.centres[0] - _FAR * one.spreads[0], one.centres[-1] + _FAR * one.spreads[-1]
-        axes.append(AxisEntry(name=one.name, logarithm=True, middle=0.5 * (low + high), half=0.5 * (high - low)))
+        spread = _FAR * one.spreads[0], _FAR * one.spreads[-1]
+        ends.append((one.name, True, one.centres[0] - spread[0], one.centres[-1] + spread[1]))
     for name, law in study.random.items():
-        if any(one.name == name for one in sliders):
-            continue
-        low, high = (float(end[0]) for end in (law.ppf(np.array([_TAIL])), law.isf(np.array([_TAIL]))))
-        logarithm = low > 0.0
-        if logarithm:
-            low, high = math.log(low), math.log(high)
-        half = 0.5 * (high - low)
-        if half > 0.0:
-            axes.append(AxisEntry(name=name, logarithm=logarithm, middle=0.5 * (low + high), half=half))
-    return tuple(axes)
+        if all(one.name != name for one in sliders):
+            low, high = (float(end[0]) for end in (law.ppf(np.array([_TAIL])), law.isf(np.array([_TAIL]))))
+            ends.append((name, True, math.log(low), math.log(high)) if low > 0.0 else (name, False, low, high))
+    return tuple(
+        AxisEntry(name=name, logarithm=logarithm, middle=0.5 * (low + high), half=0.5 * (high - low))
+        for name, logarithm, low, high in ends
+        if high > low or any(one.name == name for one in sliders)
+    )
 
 
 def _drawn(study: Study, axes: Sequence[AxisEntry], count: int) -> tuple[dict[str, Array], Array]:
     """Values (n,) of every axis by name, and the points (n, d) in [-1, 1] that they are drawn at."""
     unit = sobol_points(dimension=len(axes), count=count, start=0, seed=study.seed, task="sliders", replicate=0)
-    points = 2.0 * unit - 1.0
-    values = {}
-    for k, axis in enumerate(axes):
-        value = axis.middle + axis.half * points[:, k]
+    points, values = 2.0 * unit - 1.0, {}
+    for axis, column in zip(axes, points.T, strict=True):
+        value = axis.middle + axis.half * column
         values[axis.name] = np.exp(value) if axis.logarithm else value
     return values, points
 
@@ -228,27 +218,22 @@ def _as_powers(error: float, indices: Indices, coefficients: Array) -> SurfaceEn
 def _ways(
     study: Study, ways: Sequence[Way], sliders: Sequence[SliderEntry], surfaces: Mapping[str, SurfaceEntry]
 ) -> dict[str, WayEntry]:
-    """The assumed ways whose demands have a surface, with how their strengths follow the sliders."""
+    """The assumed ways whose demands have a surface, with how their strengths follow the size of the sphere."""
     found = {}
+    sizes = [one for one in sliders if one.name == "sphere.radius"]
     for way in ways:
-        if way.limit.quantity not in surfaces or not isinstance(way.limit.strength, Law):
+        base, scales = way.limit.strength, dict[str, list[float]]()
+        if way.limit.quantity not in surfaces or not isinstance(base, Law):
             continue
-        scales = {one.name: _scale(study, way, one) for one in sliders if one.name == "sphere.radius"}
-        found[way.called] = WayEntry.model_validate({
-            "quantity": way.limit.quantity,
-            "laws": [law_json(law, {}) for law in (way.weak, way.limit.strength, way.strong)],
-            "scales": {name: scale for name, scale in scales.items() if any(scale)},
-        })  # fmt: skip
+        for slider in sizes:
+            scale = []
+            for node in slider.nodes:
+                moved = ways_of(with_number(study, slider.name, node)).assumed
+                other = next(one.limit.strength for one in moved if one.called == way.called)
+                assert isinstance(other, Law)
+                scale.append(math.log(other.median() / base.median()))
+            if any(scale):
+                scales[slider.name] = scale
+        laws = [law_json(law, {}) for law in (way.weak, base, way.strong)]
+        found[way.called] = WayEntry.model_validate({"quantity": way.limit.quantity, "laws": laws, "scales": scales})
     return found
-
-
-def _scale(study: Study, way: Way, slider: SliderEntry) -> tuple[float, ...]:
-    """ln of the strength over that of the study at the nodes of a slider: that of particles hangs on their size."""
-    base = way.limit.strength
-    assert isinstance(base, Law)
-    scale = []
-    for node in slider.nodes:
-        other = next(w for w in ways_of(with_number(study, slider.name, node)).assumed if w.called == way.called)
-        assert isinstance(other.limit.strength, Law)
-        scale.append(math.log(other.limit.strength.median() / base.median()))
-    return tuple(scale)

@@ -137,7 +137,12 @@ def _margin(
     assert work.study.margins is not None
     against, family = work.study.margins.against, work.study.margins.family
     if isinstance(found, str):
-        return _unknown(work, limit, found, against)
+        nothing = absent(found, "none", 0)
+        return MarginAnswer(
+            values=dict.fromkeys(asked_probabilities(work, limit), nothing), curve=[], missed=[found], lognormal=found,
+            about={"probability": decisive(work, limit), "value": nothing},
+            against=None if against is None else EnergyCurve.none(against, found),
+        )  # fmt: skip
     kin: dict[str, CurveFound | str] = {}
     if family is not None:
         names = member_values(family.path, list(members))
@@ -149,7 +154,12 @@ def _margin(
         curve=found.answer(()).curve,
         missed=[*found.missed(), *(f"at {at}: {text}" for at, texts in lacking.items() for text in texts)],
         lognormal=found.lognormal(),
-        family=[_member(value, member) for value, member in members.items()],
+        family=[
+            {"value": value, "values": {}, "curve": [], "lognormal": None, "reason": member}
+            if isinstance(member, str)
+            else member.member(value)
+            for value, member in members.items()
+        ],
         about=describe_margin(work, sampled, Where(limit=limit, probability=decisive(work, limit), found=found)),
         against=(against and energy_curve(found.rows, limit, against, asked_probabilities(work, limit))) or None,
         band=found.band,
@@ -159,27 +169,10 @@ def _margin(
     )
 
 
-def _member(value: float, found: CurveFound | str) -> Fields:
-    """The curve at one value of the family, or why there is none."""
-    if isinstance(found, str):
-        return {"value": value, "values": {}, "curve": [], "lognormal": None, "reason": found}
-    return found.member(value)
-
-
 def decisive(work: Work, limit: Limit) -> float:
     """The probability that a margin is told for: that of the limit's target, or the smallest that is asked for."""
     assert work.study.margins is not None
     return accepted(limit) or min(work.study.margins.for_probability)
-
-
-def _unknown(work: Work, limit: Limit, reason: str, against: str | None) -> MarginAnswer:
-    """What is said of a limit without a curve: why every value is absent."""
-    nothing = absent(reason, "none", 0)
-    return MarginAnswer(
-        values=dict.fromkeys(asked_probabilities(work, limit), nothing), curve=[], missed=[reason], lognormal=reason,
-        about={"probability": decisive(work, limit), "value": nothing},
-        against=None if against is None else EnergyCurve.none(against, reason),
-    )  # fmt: skip
 
 
 # --- whether the model holds there -------------------------------------------------------------------------
