@@ -39,7 +39,6 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     ledger = work.ledger
     pilot = first_look(work)
     work = replace(work, fidelity=pilot.chosen, fallback=pilot.fallback)
-    ledger.evaluations.update(pilot.evaluations)
     priced = price(work)
     ledger.close("pilot")
     first = first_analyses(work)

@@ -16,10 +16,10 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.mechanics.outputs import absent_in, all_with
 from uqsphere.mechanics.yielding import Face
-from uqsphere.model import Answered, is_answered, scene_of, solve_scene
+from uqsphere.model import Answered, is_answered, scene_of
 from uqsphere.runner.axis_rows import evaluate_along
-from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work, with_answered
+from uqsphere.runner.fidelity import solved
 from uqsphere.runner.questions.any_limit import AnyLimit
 from uqsphere.runner.schedule import REPLICATES, WAYS, WAYS_CURVE
 from uqsphere.study import Limit, Study
@@ -112,16 +112,7 @@ def _wider(study: Study, ways: Ways) -> Study:
 
 
 def _solved(work: Work, scene: Scene) -> Answers:
-    """Every quantity of the scenes by the full model, from the store if they were asked before."""
-    tolerance = work.study.model.tolerance
-
-    def solve() -> Answers:
-        asked = all_with(scene, work.quantities)
-        return solve_scene(scene, "full", tolerance=tolerance, threads=work.threads, quantities=asked)
-
-    work.ledger.evaluations["full"] = work.ledger.evaluations.get("full", 0) + len(scene)
-    about = [scene.contact_law, scene.contact_dynamics, tolerance]
-    return remembered(work.store, f"verdict.{scene.contact_law}", scene, about, solve)
+    return solved(work, f"verdict.{scene.contact_law}", scene, all_with(scene, work.quantities))
 
 
 def _static(work: Work, points: Sample, scene: Scene, elastic: Answers) -> Sample | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -65,6 +65,10 @@ class Candidate:
     mixed_error: dict[str, float | None] = field(default_factory=dict)
     fallback_share: float = 0.0
     fallback: Fallback | None = None
+
+    def mixes(self, bound: float) -> bool:
+        """Whether it passes the rule where rows that its error law tells are left to `full`."""
+        return self.fallback is not None and _passes(self.mixed_error, bound)
 
     @property
     def mixed_cost(self) -> float:
@@ -225,16 +229,6 @@ def _error_law(alone: Candidate, gaps: Array, scene: Scene, bound: float) -> Fal
     return some
 
 
-def _choose(candidates: tuple[Candidate, ...], bound: float) -> Candidate | None:
-    """The cheapest that passes the rule, alone or mixed with `full`."""
-    served = [
-        c
-        for c in candidates
-        if c.mixed_cost <= WORTHWHILE and (c.fits or (c.fallback is not None and _passes(c.mixed_error, bound)))
-    ]
-    return min(served, key=lambda c: c.mixed_cost) if served else None
-
-
 def first_look(work: Work) -> Pilot:
     """Evaluate a pilot sample with the full model, compare what is cheaper, and choose.
 
@@ -251,79 +245,61 @@ def first_look(work: Work) -> Pilot:
     values = {name: points.input(name)[0] for name in work.scene_names}
     scene, half = scene_of(study, values, count), max(count // 2, 1)
     few = scene_of(study, {name: column[:half] for name, column in values.items()}, half)
-    look = _Look(work=work, few=few)
-    full = look.solve(scene, "full", study.model.tolerance, all_with(scene, work.quantities))
-    same = _first(full, len(few))
+    full = solved(work, "pilot.full", scene, all_with(scene, work.quantities))
+    same = replace(
+        full,
+        values={name: column[:half] for name, column in full.values.items()},
+        censored={name: column[:half] for name, column in full.censored.items()},
+        **{key: getattr(full, key)[:half] for key in ("status", "record", "steps")},
+    )
     scatter = np.array([_scatter(full, name) for name in work.quantities])
     asked, bound = study.model.fidelity, allowed_error(study)
     tried = [
         f for f in cheaper_fidelities(study) if (asked == f and count > 1) or (asked == "auto" and count >= PILOT.least)
     ]
-    candidates = tuple(look.candidate(fidelity, same, row_cost(full), scatter) for fidelity in tried)
-    taken = _choose(candidates, bound) if asked == "auto" else None
+    candidates = []
+    for fidelity in tried:
+        cheap = solved(work, f"pilot.{fidelity}", few, work.quantities, fidelity=fidelity)
+        candidates.append(_candidate(fidelity, cheap, same, few, work, scatter, row_cost(cheap) / row_cost(full)))
+    served = [c for c in candidates if c.mixed_cost <= WORTHWHILE and (c.fits or c.mixes(bound))]
+    # the cheapest that passes the rule, alone or mixed with `full`
+    taken = min(served, key=lambda c: c.mixed_cost) if served and asked == "auto" else None
     chosen = taken.fidelity if taken else asked.replace("auto", "full")
-    measured = _measured(taken, candidates) if chosen != "full" else look.own_error(same, scatter) if count > 1 else {}
+    measured: Mapping[str, float | None] = candidates[0].error if candidates else {}
+    if taken:
+        measured = taken.error if taken.fallback_share == 0.0 else taken.mixed_error
+    elif chosen == "full":
+        measured = {}
+        if count > 1:
+            # what the full model is off by at its tolerance: beside one a hundred times closer
+            tolerance = max(1e-12, 0.01 * study.model.tolerance)
+            closer = solved(work, "pilot.full", few, work.quantities, tolerance=tolerance)
+            measured = _summary(differences(same, closer, work.quantities, scatter), work.quantities)
     return Pilot(
         chosen=chosen,
         why=_why(asked, chosen, taken, measured, candidates, bound),
         measured_error=dict(measured),
         validity=[*check_table(scene, full, work.quantities), *out_of_reach(study, scene)],
         numbers=_numbers(scene),
-        evaluations=look.evaluations,
-        candidates=candidates if asked == "auto" else (),
+        evaluations=dict(work.ledger.evaluations),
+        candidates=tuple(candidates) if asked == "auto" else (),
         fallback=taken.fallback if taken else None,
     )
 
 
-def _measured(taken: Candidate | None, candidates: tuple[Candidate, ...]) -> Mapping[str, float | None]:
-    """The error of the fidelity that was taken, by itself or mixed with the full model, or of the one asked for."""
-    if taken is not None:
-        return taken.error if taken.fallback_share == 0.0 else taken.mixed_error
-    return candidates[0].error if candidates else {}
-
-
-@dataclass(kw_only=True)
-class _Look:
-    """The rows of the pilot on which models are compared, and the evaluations so far."""
-
-    work: Work
-    few: Scene
-    evaluations: dict[str, int] = field(default_factory=dict)
-
-    def solve(self, scene: Scene, fidelity: str, tolerance: float, quantities: tuple[str, ...] | None) -> Answers:
-        """Answers of a scene, stored like all others."""
-        self.evaluations[fidelity] = self.evaluations.get(fidelity, 0) + len(scene)
-        threads = self.work.threads
-        return remembered(
-            self.work.store,
-            f"pilot.{fidelity}",
-            scene,
-            [fidelity, tolerance, quantities],
-            lambda: solve_scene(scene, fidelity, tolerance=tolerance, threads=threads, quantities=quantities),
-        )
-
-    def candidate(self, fidelity: str, full: Answers, cost: float, scatter: Array) -> Candidate:
-        """A cheaper fidelity beside the full model, a row of which has such a cost, on the same rows."""
-        cheap = self.solve(self.few, fidelity, self.work.study.model.tolerance, self.work.quantities)
-        return _candidate(fidelity, cheap, full, self.few, self.work, scatter, row_cost(cheap) / cost)
-
-    def own_error(self, full: Answers, scatter: Array) -> Mapping[str, float | None]:
-        """What the full model is off by at its tolerance, by quantity: beside one a hundred times closer."""
-        tolerance = max(1e-12, 0.01 * self.work.study.model.tolerance)
-        closer = self.solve(self.few, "full", tolerance, self.work.quantities)
-        return _summary(differences(full, closer, self.work.quantities, scatter), self.work.quantities)
-
-
-def _first(answers: Answers, count: int) -> Answers:
-    """The first rows of a batch of answers."""
-    return replace(
-        answers,
-        values={name: column[:count] for name, column in answers.values.items()},
-        censored={name: column[:count] for name, column in answers.censored.items()},
-        status=answers.status[:count],
-        record=answers.record[:count],
-        steps=answers.steps[:count],
-    )
+def solved(
+    work: Work, key: str, scene: Scene, quantities: tuple[str, ...] | None, *, fidelity: str = "full",
+    tolerance: float | None = None,
+) -> Answers:  # fmt: skip
+    """Answers of a scene, from the store if it was asked before, and counted as evaluations."""
+    tolerance = work.study.model.tolerance if tolerance is None else tolerance
+    evaluations, threads = work.ledger.evaluations, work.threads
+    evaluations[fidelity] = evaluations.get(fidelity, 0) + len(scene)
+    about = [fidelity, scene.contact_law, scene.contact_dynamics, tolerance, quantities]
+    return remembered(
+        work.store, key, scene, about,
+        lambda: solve_scene(scene, fidelity, tolerance=tolerance, threads=threads, quantities=quantities),
+    )  # fmt: skip
 
 
 def _scatter(full: Answers, name: str) -> float:
@@ -348,7 +324,7 @@ def _why(
     chosen: str,
     taken: Candidate | None,
     measured: Mapping[str, float | None],
-    candidates: tuple[Candidate, ...],
+    candidates: Sequence[Candidate],
     bound: float,
 ) -> str:
     """Why a fidelity was taken, in a clause."""

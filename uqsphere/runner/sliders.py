@@ -9,18 +9,19 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
 from uqsphere.errors import UqsphereError
-from uqsphere.model import is_answered, scene_of, solve_scene
+from uqsphere.model import is_answered, scene_of
 from uqsphere.quantities import INPUTS
 from uqsphere.results.entries import AxisEntry, SliderEntry, Sliders, SurfaceEntry, WayEntry
-from uqsphere.runner.chunks import remembered
-from uqsphere.runner.evaluate import Work
+from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.evidence import Evidence
+from uqsphere.runner.fidelity import solved
 from uqsphere.runner.schedule import SLIDERS
 from uqsphere.store import Store, write_json
 from uqsphere.study import Study
@@ -68,7 +69,6 @@ def find_sliders(work: Work, evidence: Evidence | None, margins: Mapping[str, Ma
         return Sliders(reason="a model of your own is asked by a run alone")
     if not study.limits:
         return Sliders(reason="the study has no limits")
-    # as the courses of a few scenes they are no evaluations of the study's budget, but few beside those of the run
     count = min(SLIDERS.first, int(SLIDERS.share * work.ledger.total))
     if count < SLIDERS.least or work.ledger.stopped_by_time or work.ledger.interrupted:
         return Sliders(reason="the run was too short for it")
@@ -80,12 +80,10 @@ def find_sliders(work: Work, evidence: Evidence | None, margins: Mapping[str, Ma
         axes = _axes(study, sliders)
         values, points = _drawn(study, axes, count)
         scene = scene_of(wide, values, count)
-        tolerance = max(study.model.tolerance, 1e-6)
         quantities = tuple(dict.fromkeys(limit.quantity for limit in wide.limits))
-        found = remembered(
-            work.store, "sliders", scene, [tolerance, quantities],
-            lambda: solve_scene(scene, "full", tolerance=tolerance, threads=work.threads, quantities=quantities),
-        )  # fmt: skip
+        # as the courses of a few scenes they are no evaluations of the study's budget
+        beside = replace(work, ledger=Ledger())
+        found = solved(beside, "sliders", scene, quantities, tolerance=max(study.model.tolerance, 1e-6))
     except (UqsphereError, LawError) as error:
         return Sliders(reason=str(error))
     surfaces, rough = {}, {}

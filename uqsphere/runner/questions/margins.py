@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from uqsphere.errors import UqsphereError
-from uqsphere.model import scene_of, solve_scene
+from uqsphere.model import scene_of
 from uqsphere.quantities import lookup
 from uqsphere.results.entries import Fields
 from uqsphere.results.margins import ValidityAtEntry
 from uqsphere.runner.axis_rows import axis_of
-from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw
-from uqsphere.runner.fidelity import check_table
+from uqsphere.runner.fidelity import check_table, solved
 from uqsphere.runner.questions.curves import (
     LATE,
     Band,
@@ -43,7 +42,7 @@ from uqsphere.uq.curve import LognormalCurve
 from uqsphere.uq.estimate import Estimate, absent
 
 if TYPE_CHECKING:
-    from uqsphere.mechanics.outputs import Answers
+    pass
 
 #: share of the budget of evaluations that all curves together may take
 SHARE: Final = 0.1
@@ -216,13 +215,7 @@ def _checks_at(work: Work, limit: Limit, value: float) -> ValidityAtEntry | None
         scene = scene_of(moved.study, rows, count)
     except UqsphereError:
         return None
-    tolerance = moved.study.model.tolerance
-
-    def solved() -> Answers:
-        return solve_scene(scene, "full", tolerance=tolerance, threads=work.threads, quantities=None)
-
-    answers = remembered(work.store, "validity.full", scene, ["full", tolerance, None], solved)
-    work.ledger.evaluations["full"] = work.ledger.evaluations.get("full", 0) + count
+    answers = solved(moved, "validity.full", scene, None)
     return ValidityAtEntry(
         value=value,
         samples=CHECKED,

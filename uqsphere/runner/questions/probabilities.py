@@ -16,7 +16,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -35,7 +35,7 @@ from uqsphere.uq.failure_indices import linear_shares
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import complement, score_of, shifted_score, strength_tails
 from uqsphere.uq.rare.auto import RareAnswer, find_probability
-from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
+from uqsphere.uq.rare.form import FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction
 from uqsphere.uq.sample import Sample
 
@@ -61,6 +61,7 @@ BY_CHANCE: Final = 0.01
 LACKING: Final = 1.25
 #: normal scores beyond which a tail is taken for certain
 _FAR: Final = 37.0
+_OWN: Final = "the design point is the surrogate's own"
 _TIED: Final = "the strength depends on an input by a copula that is not Gaussian, and no search was made"
 
 
@@ -127,7 +128,8 @@ class SmallProbabilities:
 def refine_limits(work: Work, sampled: Sampled) -> Sampled:
     """Sampled limits with design points, and with importance sampling's probabilities where sampling fell short."""
     limits = list(enumerate(work.study.limits))
-    if not work.drawn.names or not limits or not _asked(work, "form", "importance", "subset"):
+    searched = {"auto", "form", "importance", "subset"} & set(work.study.analysis.methods)
+    if not work.drawn.names or not limits or not searched:
         return sampled
     question = SmallProbabilities(
         work=work, limits=dict(sampled.limits), todo=limits, go_on=partial(_search, replace(work, spare=True))
@@ -183,11 +185,6 @@ def tied_strength(work: Work, limit: Limit) -> bool:
     return isinstance(limit.strength, Law) and work.all_inputs.tie(strength, names, nowhere) is not None
 
 
-def _asked(work: Work, *names: str) -> bool:
-    methods = work.study.analysis.methods
-    return "auto" in methods or any(name in methods for name in names)
-
-
 def _goes_on(work: Work, answer: LimitAnswer, budget: int) -> bool:
     """Whether a limit needs more than sampling gave, and can be paid for."""
     methods = work.study.analysis.methods
@@ -232,7 +229,6 @@ def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Arr
     factor = names.index(f"limits.{limit.name}.model_factor") if isinstance(limit.model_factor, Law) else None
     fixed = 1.0 if isinstance(limit.model_factor, Law) else limit.model_factor
     calls = iter(range(10**9))
-    evaluate = _evaluate_without_scatter if d == 0 else evaluate_points
 
     def value_of(normals: Array, quantity: Array, censored: Flags) -> Array:
         from scipy.special import ndtr
@@ -257,10 +253,11 @@ def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Arr
             raise OutOfBudget
         if demand is not None:
             return value_of(normals, demand(normals[:, :d]), np.zeros(len(normals), dtype=bool))
-        rows = work.drawn.physical(normals)[:, :d]
-        answered = evaluate(work, f"rare-events.{at}.{next(calls)}", work.scene_names, rows)
+        # one evaluation stands for all rows where only model factors and strengths scatter
+        rows = work.drawn.physical(normals)[: None if d else 1, :d]
+        answered = evaluate_points(work, f"rare-events.{at}.{next(calls)}", work.scene_names, rows)
         quantity = np.where(is_answered(answered.status), answered.values[:, k], np.nan)
-        return value_of(normals, quantity, answered.censored[:, k])
+        return value_of(normals, np.resize(quantity, len(normals)), np.resize(answered.censored[:, k], len(normals)))
 
     function = LimitFunction(
         function=g, dimension=len(names), integrated=isinstance(limit.strength, Law), on_failure="bound"
@@ -268,32 +265,17 @@ def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Arr
     return LimitSpace(limit=limit, function=function, value=value_of, weights=weights, remaining=remaining)
 
 
-def _evaluate_without_scatter(work: Work, key: str, names: tuple[str, ...], rows: Array) -> Any:
-    """One evaluation stands for all rows where only model factors and strengths scatter."""
-    answered = evaluate_points(work, key, names, rows[:1])
-    return replace(
-        answered,
-        values=np.repeat(answered.values, len(rows), axis=0),
-        censored=np.repeat(answered.censored, len(rows), axis=0),
-        status=np.repeat(answered.status, len(rows)),
-        route=np.repeat(answered.routes, len(rows)),
-    )
-
-
 # --- answers --------------------------------------------------------------------------------------
 
 
 def _joined(work: Work, limit: Limit, answer: LimitAnswer, rare: RareAnswer, space: LimitSpace) -> LimitAnswer:
     """The limit's answer with the rare-event probability, unless sampling's own interval is the narrower."""
-    checks = list(rare.checks)
-    own, old = rare.estimate, answer.miss
-    kept, text = narrower(own, old)
-    if text:
-        checks.append(text)
+    kept, text = narrower(rare.estimate, answer.miss)
+    checks = (*rare.checks, *([text] if text else []))
     exceeded = answer.exceedance
-    if kept is own:
-        exceeded = own if limit.aim == "survive" else complement(own)
-    updated = replace(answer, exceedance=exceeded, miss=kept, modes=rare.modes or None, checks=tuple(checks))
+    if kept is rare.estimate:
+        exceeded = kept if limit.aim == "survive" else complement(kept)
+    updated = replace(answer, exceedance=exceeded, miss=kept, modes=rare.modes or None, checks=checks)
     return with_design(work, updated, rare.design, space)
 
 
@@ -359,25 +341,18 @@ def _nearest(work: Work, design: FormAnswer, space: LimitSpace) -> DesignFound |
     point = next((point for point in design.points if point.converged), None)
     if point is None:
         return design.text or "no design point was found"
-    names = list(work.drawn.names)
-    if space.function.integrated:
-        names.append(strength_name(space.limit.name))
-    inputs = point.point[: len(work.drawn.names)]
-    shares = linear_shares(work.drawn, point.direction, inputs, space.weights, space.own)
-    named = dict(zip(names, shares.tolist(), strict=True))
-    return DesignFound(values=_physical(work, point, space), shares=named)
-
-
-def _physical(work: Work, point: DesignPoint, space: LimitSpace) -> dict[str, float]:
-    """Values of the inputs, and of a random strength, at a design point; SI."""
-    d = len(work.drawn.names)
+    names, d, strength = list(work.drawn.names), len(work.drawn.names), space.limit.strength
     normals = point.point[None, :d]
-    values = work.drawn.physical(normals)[0]
-    found = {name: float(value) for name, value in zip(work.drawn.names, values, strict=True)}
-    if isinstance(space.limit.strength, Law):
+    values = work.drawn.physical(normals)[0].tolist()
+    if isinstance(strength, Law):
+        names.append(strength_name(space.limit.name))
         score = float((work.drawn.scores(normals) @ space.weights)[0]) + space.own * float(point.point[d])
-        found[strength_name(space.limit.name)] = float(space.limit.strength.from_normal(np.array([score]))[0])
-    return {name: value for name, value in found.items() if np.isfinite(value)}
+        values.append(float(strength.from_normal(np.array([score]))[0]))
+    shares = linear_shares(work.drawn, point.direction, point.point[:d], space.weights, space.own)
+    return DesignFound(
+        values={name: value for name, value in zip(names, values, strict=True) if math.isfinite(value)},
+        shares=dict(zip(names, shares.tolist(), strict=True)),
+    )
 
 
 def find_design(work: Work, limit: Limit) -> DesignFound | str:
@@ -521,41 +496,30 @@ def with_surrogate_design(
             continue
         updated = with_design(work, answer, design, space)
         if updated.design is not None and work.ledger.total >= affordable:
-            text = "the design point is the surrogate's own: no evaluation was left to confirm it"
-            updated = updated.with_check(text)
+            updated = updated.with_check(f"{_OWN}: no evaluation was left to confirm it")
         elif updated.design is not None:
             point = next(point for point in design.points if point.converged)
-            normals = point.point[None, : len(work.drawn.names)]
-            allowed = max(CONFIRMED * scatter, CLOSE * sd)
-            updated = _confirmed(work, limit, at, answer, updated, normals, demand, allowed)
+            normals, allowed = point.point[None, : len(work.drawn.names)], max(CONFIRMED * scatter, CLOSE * sd)
+            updated = _confirmed(work, at, answer, updated, normals, demand, allowed)
         found[limit.name] = updated
     return found
 
 
 def _confirmed(
-    work: Work,
-    limit: Limit,
-    at: int,
-    before: LimitAnswer,
-    answer: LimitAnswer,
-    normals: Array,
-    demand: Demand,
-    allowed: float,
+    work: Work, at: int, before: LimitAnswer, answer: LimitAnswer, normals: Array, demand: Demand, allowed: float
 ) -> LimitAnswer:
     """The answer with its design point, normal scores (1, D), where one run of the model agrees, else that before."""
-    physical = work.drawn.physical(normals)
-    d = len(work.scene_names)
+    d, k = len(work.scene_names), work.quantities.index(answer.quantity)
+    row = work.drawn.physical(normals)[:, :d]
     try:
-        run = evaluate_points(replace(work, spare=True), f"design-point.{at}", work.scene_names, physical[:, :d])
+        run = evaluate_points(replace(work, spare=True), f"design-point.{at}", work.scene_names, row)
     except OutOfBudget:
-        text = "the design point is the surrogate's own: the time to confirm it was over"
-        return answer.with_check(text)
-    k = work.quantities.index(limit.quantity)
+        return answer.with_check(f"{_OWN}: the time to confirm it was over")
     told = float(demand(normals[:, :d])[0])
-    true = float(run.values[0, k]) if is_answered(run.status)[0] else float("nan")
+    true = float(run.values[0, k]) if is_answered(run.status)[0] else math.nan
     if abs(true - told) <= allowed:
         text = f"the design point is the surrogate's; the model gives {true:.4g} there, the surrogate {told:.4g}"
         return answer.with_check(text)
-    gives = f"gives {true:.4g}" if np.isfinite(true) else "has no answer"
+    gives = f"gives {true:.4g}" if math.isfinite(true) else "has no answer"
     reason = f"the model does not confirm the surrogate's design point: it {gives} there, the surrogate {told:.4g}"
     return replace(before, design_reason=reason)
