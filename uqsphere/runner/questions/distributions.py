@@ -80,28 +80,22 @@ def _describe_one(work: Work, sample: Sample, quantity: str) -> Description:
     """The answer of a scene without scatter: no interval, and no quantile beyond the end of the record."""
     quantiles = work.study.analysis.quantiles
     failed, late = bool(sample.failed[0, 0]), bool(sample.late(quantity)[0, 0])
+    value, sd, share = exact(0.0), exact(0.0), exact(float(late))
     if failed or late:
-        nothing = absent("the scene could not be computed" if failed else "it outlasts the record", METHOD, 1)
-        return Description(
-            mean=nothing,
-            sd=nothing,
-            quantiles=dict.fromkeys(quantiles, nothing),
-            censored_share=nothing if failed else exact(1.0),
-            scale=0.0,
-            exempt=quantiles,
-        )
-    value = exact(float(sample.answer(quantity)[0, 0]))
+        value = sd = absent("the scene could not be computed" if failed else "it outlasts the record", METHOD, 1)
+    else:
+        value = exact(float(sample.answer(quantity)[0, 0]))
     return Description(
         mean=value,
-        sd=exact(0.0),
+        sd=sd,
         quantiles=dict.fromkeys(quantiles, value),
-        censored_share=exact(0.0),
+        censored_share=value if failed else share,
         scale=0.0,
+        exempt=quantiles if failed or late else (),
     )
 
 
-def _describe(work: Work, sample: Sample) -> dict[str, Description]:
-    analysis = work.study.analysis
+def _describe(work: Work, sample: Sample, on_failure: str) -> dict[str, Description]:
     if not work.scene_names:
         return {name: _describe_one(work, sample, name) for name in work.quantities}
     return {
@@ -109,8 +103,8 @@ def _describe(work: Work, sample: Sample) -> dict[str, Description]:
             sample.answer(name),
             censored=sample.late(name),
             failed=sample.lost(name),
-            on_failure=analysis.on_failure,
-            quantiles=analysis.quantiles,
+            on_failure=on_failure,
+            quantiles=work.study.analysis.quantiles,
             method=METHOD,
         )
         for name in work.quantities
@@ -182,15 +176,7 @@ def _left_open(work: Work, sample: Sample, descriptions: dict[str, Description])
     if analysis.on_failure != "bound" or not sample.failed.any():
         return set()
     found: set[tuple[str, float | None]] = set()
-    for name in work.quantities:
-        without = describe(
-            sample.answer(name),
-            censored=sample.late(name),
-            failed=sample.lost(name),
-            on_failure="drop",
-            quantiles=analysis.quantiles,
-            method=METHOD,
-        )
+    for name, without in _describe(work, sample, "drop").items():
         for p, estimate in descriptions[name].quantiles.items():
             # what the interval is wider by than the same samples without the failed ones have it
             wider = estimate.half_width - without.quantiles[p].half_width
@@ -288,7 +274,7 @@ class Distributions:
         work, many = self.work, self.many
         self.limits = judge_limits(work, sample)
         if many is None or sample.failed.any() or sample.censored.any():
-            described = _describe(work, sample)
+            described = _describe(work, sample, work.study.analysis.on_failure)
         else:
             described = {
                 name: describe_controlled(sample.answer(name), many.answer(name)[:, : sample.count], many.answer(name),

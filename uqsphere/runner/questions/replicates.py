@@ -98,18 +98,14 @@ def without_noise(found: Mapping[str, Sensitivity], entry: AnalysisEntry | None)
         share = table[SUBJECT][SHARE_NAME]
         if share.value is None or share.low is None or share.high is None:
             continue
-        width = 0.5 * (share.high - share.low)
-        one = answers[quantity]
-        total = {name: _less(e, share.value, width) for name, e in one.total.items()}
+        one, width, total = answers[quantity], 0.5 * (share.high - share.low), {}
+        for name, e in answers[quantity].total.items():
+            total[name] = e
+            if e.value is not None and e.low is not None and e.high is not None:
+                low, high = math.hypot(e.value - e.low, width), math.hypot(e.high - e.value, width)
+                value = e.value - share.value
+                total[name] = replace(e, value=max(value, 0.0), low=max(value - low, 0.0), high=max(value + high, 0.0),
+                                      std_error=0.5 * (low + high) / 1.96)  # fmt: skip
         text = f"{one.text} The model's own scatter, {share.value:.2g} of the variance, is in no index."
         answers[quantity] = replace(one, total=total, text=text)
     return answers
-
-
-def _less(e: Estimate, share: float, width: float) -> Estimate:
-    if e.value is None or e.low is None or e.high is None:
-        return e
-    low, high = math.hypot(e.value - e.low, width), math.hypot(e.high - e.value, width)
-    value = e.value - share
-    return replace(e, value=max(value, 0.0), low=max(value - low, 0.0), high=max(value + high, 0.0),
-                   std_error=0.5 * (low + high) / 1.96)  # fmt: skip

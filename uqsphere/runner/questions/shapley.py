@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from uqsphere.model import is_answered
 from uqsphere.results import AnalysisEntry, SpeedRow
-from uqsphere.runner.campaign import INDEX_KIND, Accuracy, Cost, campaign, indices_missed, speed_rows_of
+from uqsphere.runner.campaign import INDEX_KIND, Accuracy, campaign, indices_missed, speed_rows_of
 from uqsphere.runner.evaluate import Work, evaluate_points
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Pairs, Sensitivity, Shared, dependent_names, find_sensitivity, share_heavy
@@ -51,17 +51,13 @@ def orders_at(work: Work, design: SubsetDesign, count: int) -> npt.NDArray[np.in
 
 def _evaluate(work: Work, design: SubsetDesign, start: int, count: int) -> Pairs:
     """Outputs of more points of the design."""
-    d = len(work.scene_names)
-    inputs = work.all_inputs.only(work.scene_names)
-    points = np.stack(
-        [
-            subset_points(
-                design, inputs, count=count, start=start, seed=work.study.seed, task=TASK, replicate=replicate
-            )
-            for replicate in range(REPLICATES)
-        ]
-    )
-    answered = evaluate_points(work, f"{TASK}.{start}", work.scene_names, points.reshape(-1, d))
+    inputs, seed = work.all_inputs.only(work.scene_names), work.study.seed
+    points = [
+        subset_points(design, inputs, count=count, start=start, seed=seed, task=TASK, replicate=r)
+        for r in range(REPLICATES)
+    ]
+    rows = np.stack(points).reshape(-1, len(work.scene_names))
+    answered = evaluate_points(work, f"{TASK}.{start}", work.scene_names, rows)
     shape = (REPLICATES, count, design.rows)
     failed = ~is_answered(answered.status).reshape(shape)
     return Pairs(values=answered.values.reshape(*shape, -1), failed=np.asarray(failed.any(axis=2)))
@@ -96,16 +92,24 @@ class ShapleyEffects:
         return self.work.study.analysis.accuracy.sobol
 
     def advance(self, room: float) -> bool:
-        """More base points; False where too few have room."""
+        """More base points, twice or four times what is there, else what can be paid; False where too few have room.
+
+        Quasi-random points are worth most at powers of two: half as many again can be worse than none more.
+        """
         work, start = self.work, 0 if self.pairs is None else self.pairs.failed.shape[1]
-        affordable = int(room // (REPLICATES * self.design.rows))
+        affordable = int(room // (REPLICATES * self.design.rows)) // SHAPLEY.least * SHAPLEY.least
         width = max((_widest(rows) for rows in self.found.values()), default=self.asked)
-        count = _more(start, width, self.asked, SHAPLEY.least * (affordable // SHAPLEY.least))
+        wanted = SHAPLEY.first if not start else start if width <= 2.0 * self.asked else 3 * start
+        count = wanted if wanted <= affordable else min(start or wanted, affordable)
         if count < SHAPLEY.least or count < 0.25 * start:
             return False
         more = _evaluate(work, self.design, start, count)
         self.pairs = more if self.pairs is None else self.pairs.join(more)
-        self.found = _estimates(work, self.design, self.pairs)
+        whole, failed = self.pairs.whole(), self.pairs.failed
+        orders = orders_at(work, self.design, failed.shape[1])
+        if orders is not None and failed.any():
+            orders = np.stack([row[~bad][: whole.shape[1]] for row, bad in zip(orders, failed, strict=True)])
+        self.found = {q: shapley_estimates(self.design, whole[..., k], orders) for k, q in enumerate(work.quantities)}
         return True
 
     def lacking(self) -> dict[Accuracy, float]:
@@ -140,67 +144,26 @@ def _share_dependent(work: Work, refused: dict[str, Sensitivity]) -> Shared:
     it.  Where not even the first stage can be paid, the refusal stays alone and says so.
     """
     question = ShapleyEffects(work=work, design=_design(work))
-    course = campaign(work, question)
-    answers = {
-        q: _conclude(
-            q,
-            work.scene_names,
+    course, names, asked = campaign(work, question), work.scene_names, question.asked
+    how = "every subset of the inputs" if question.design.exact else "random orders of the inputs"
+    answers = {}
+    for q in work.quantities:
+        found, text = question.found.get(q), refused[q].text
+        if found is None:
+            first = REPLICATES * SHAPLEY.least * question.design.rows
+            least = f"(about {first:,} evaluations would give the first)"
+            missed = [
+                indices_missed(q, None, asked, f": not enough of the budget was left for Shapley effects {least}")
+            ]
+            text = f"{text}; for the former not enough of the budget was left"
+            answers[q] = replace(refused[q], text=text, missed=missed)
+            continue
+        width = _widest(found)
+        answers[q] = replace(
             refused[q],
-            question.found.get(q),
-            question.asked,
-            course.cost(Accuracy(q, "indices")),
-            question.design,
+            text=f"{text}. Shapley effects are summed over {how}; they add up to the whole variance.",
+            shapley=dict(zip(names, found["shapley"], strict=True)),
+            kucherenko={order: dict(zip(names, found[order], strict=True)) for order in ("first", "total")},
+            missed=[indices_missed(q, width, asked, cost=course.cost(Accuracy(q, "indices")))] if width > asked else [],
         )
-        for q in work.quantities
-    }
     return Shared(sensitivity=answers, stopped=course.stopped, pairs=question.pairs, subsets=question.design)
-
-
-def _more(start: int, width: float, asked: float, affordable: int) -> int:
-    """Base points to add to every replicate: to twice or four times what is there, else what can be paid.
-
-    Quasi-random points are worth most at powers of two: half as many again can be worse than none more.
-    """
-    if start == 0:
-        return min(SHAPLEY.first, affordable)
-    wanted = start if width <= 2.0 * asked else 3 * start
-    return wanted if wanted <= affordable else min(start, affordable)
-
-
-def _least(design: SubsetDesign) -> str:
-    """What is said where not even the first stage could be paid."""
-    text = "not enough of the budget was left for Shapley effects"
-    return f"{text} (about {REPLICATES * SHAPLEY.least * design.rows:,} evaluations would give the first)"
-
-
-def _estimates(work: Work, design: SubsetDesign, pairs: Pairs) -> dict[str, dict[str, list[Estimate]]]:
-    whole = pairs.whole()
-    orders = orders_at(work, design, pairs.failed.shape[1])
-    if orders is not None and pairs.failed.any():
-        least = whole.shape[1]
-        orders = np.stack([row[~bad][:least] for row, bad in zip(orders, pairs.failed, strict=True)])
-    return {q: shapley_estimates(design, whole[..., k], orders) for k, q in enumerate(work.quantities)}
-
-
-def _conclude(
-    quantity: str,
-    names: tuple[str, ...],
-    refused: Sensitivity,
-    found: dict[str, list[Estimate]] | None,
-    asked: float,
-    cost: Cost,
-    design: SubsetDesign,
-) -> Sensitivity:
-    if found is None:
-        text = f"{refused.text}; for the former not enough of the budget was left"
-        return replace(refused, text=text, missed=[indices_missed(quantity, None, asked, f": {_least(design)}")])
-    width = _widest(found)
-    missed = [indices_missed(quantity, width, asked, cost=cost)] if width > asked else []
-    how = "every subset of the inputs" if design.exact else "random orders of the inputs"
-    return replace(
-        refused,
-        text=f"{refused.text}. Shapley effects are summed over {how}; they add up to the whole variance.",
-        shapley=dict(zip(names, found["shapley"], strict=True)),
-        kucherenko={order: dict(zip(names, found[order], strict=True)) for order in ("first", "total")},
-        missed=missed,
-    )
