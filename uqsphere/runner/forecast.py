@@ -22,12 +22,16 @@ from uqsphere.runner.schedule import (
     ALONG,
     CARRIED,
     CAUTION,
+    CURVE,
+    CURVE_VALUES,
     DESIGN_POINT,
     FIRST_SAMPLE,
     FRACTURE,
     FRACTURE_CURVE,
+    FREE_CURVE,
     INDICES,
     LEARNED,
+    LOOK,
     MANY,
     PILOT,
     RARE,
@@ -56,10 +60,10 @@ _GAIN: Final = (2.0, 0.5)
 _CHANCE: Final = 0.05
 #: base points of the indices for outputs that jump, at the most
 _ROUGHEST: Final = 200_000
-#: curves: the look and twice the first rows, seven times where a strength is fixed, of which a row tells on which side
-#: it lies alone; the design point and the checks at the answer of each limit; the share of the budget for curves
-_CURVE, _CURVE_FIXED, _ANSWER, _CURVES = 288 + 2 * 2_560, 288 + 7 * 2_560, 1_117, 0.1
-_CURVE_MOST: Final = 288 + 3 * 2_560
+#: curves: the look and twice the first rows, thrice at the most; seven times where a strength is fixed, of which a row
+#: tells on which side it lies alone; the design point and the checks at the answer of each limit
+_LOOK, _ROWS = REPLICATES * LOOK.first * LOOK.most, REPLICATES * CURVE.first * CURVE_VALUES
+_CURVE, _CURVE_MOST, _CURVE_FIXED, _ANSWER = _LOOK + 2 * _ROWS, _LOOK + 3 * _ROWS, _LOOK + 7 * _ROWS, 1_117
 #: the search of a rare limit
 _RARE: Final = 6_000
 #: runs that a surrogate of a smooth model is content with: for up to five inputs, and beyond
@@ -165,12 +169,14 @@ def _margins(study: Study, budget: float) -> tuple[float, float]:
     if not curves or not study.limits:
         return 0.0, 0.0
     answers = float(_ANSWER * len(study.limits))
-    likely = curves * (1_536 if still else _CURVE_FIXED if _fixed(study) else _CURVE) + answers
+    likely = (
+        curves * (1.5 * REPLICATES * FREE_CURVE.first if still else _CURVE_FIXED if _fixed(study) else _CURVE) + answers
+    )
     # a curve takes its first rows whatever the share
-    least = curves * (1_024 if still else _CURVE_MOST) + answers
+    least = curves * (REPLICATES * FREE_CURVE.first if still else _CURVE_MOST) + answers
     if not math.isfinite(budget):
         return likely, max(likely, least)
-    most = max(_CURVES * budget, least)
+    most = max(CURVE.share * budget, least)
     return min(likely, most), most
 
 

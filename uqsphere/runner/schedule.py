@@ -55,6 +55,13 @@ TABLE: Final = Schedule(first=32, judged=1024, most=8192)
 RARE: Final = Schedule(least=3000, most=100_000, share=0.5)
 #: evaluations for the design points of a limit whose probability is known
 DESIGN_POINT: Final = 1000
+#: curves over a free scalar: the look, points at so many values (`most`); then points at each of `CURVE_VALUES`, more
+#: where the budget of all curves allows, and the most; the same where one value serves all; scenes checked at an answer
+LOOK: Final = Schedule(first=2, most=9)
+CURVE: Final = Schedule(first=4, least=2, most=64, share=0.1)
+CURVE_VALUES: Final = 40
+FREE_CURVE: Final = Schedule(first=64, most=1024)
+CHECKED: Final = 128
 #: rows that are followed to their fracture: those whose first loading is, specimens drawn from them, and values and
 #: rows of the curve of all limits together
 FRACTURE: Final = Schedule(first=512, least=8, share=0.05)

@@ -23,7 +23,7 @@ from uqsphere.runner.axis_rows import AxisRows, Look, at_value, axis_of, evaluat
 from uqsphere.runner.campaign import Accuracy, Cost, Course, campaign, cost_of, rounded, speed_rows_of
 from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.limits import state_of
-from uqsphere.runner.schedule import REPLICATES
+from uqsphere.runner.schedule import CURVE, CURVE_VALUES, FREE_CURVE, LOOK, REPLICATES
 from uqsphere.runner.whatif import probabilities_by_tests
 from uqsphere.study import Limit
 from uqsphere.study.axis import spaced, with_number
@@ -33,17 +33,6 @@ from uqsphere.uq.curve import Fragility, LognormalCurve, fit_lognormal_curve, fr
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.whatif import probability
 
-#: points of each replicate that look over the range, and values that they look at
-SCAN_POINTS: Final = 2
-SCAN_VALUES: Final = 9
-#: values at which curves are drawn
-CURVE_VALUES: Final = 40
-#: points of each replicate at each of them to begin with, the more the budget allows, and the most
-FIRST_POINTS: Final = (4, 2)
-MOST_POINTS: Final = 64
-#: the same where one value serves all
-FREE_POINTS: Final = 64
-MOST_FREE: Final = 1024
 #: times that a range is widened which turned out too narrow
 WIDER: Final = 3
 #: the smallest probability whose band a curve is made for, over the smallest that is asked for
@@ -163,16 +152,16 @@ def find_rows(
     if not axis.moves_rows:
         return _find_free(work, limits, least, before + min(most, left), tag, called)
     each = REPLICATES * CURVE_VALUES
-    cost = REPLICATES * SCAN_POINTS * SCAN_VALUES + FIRST_POINTS[-1] * each
+    cost = REPLICATES * LOOK.first * LOOK.most + CURVE.least * each
     if cost > left:
         return Found(reason=_shortage(work, cost))
-    found = evaluate_along(work, dict.fromkeys(axis.grid(SCAN_VALUES), (0, SCAN_POINTS)), tag)
+    found = evaluate_along(work, dict.fromkeys(axis.grid(LOOK.most), (0, LOOK.first)), tag)
     look = Look(work=work, samples=found)
     limits = [limit for limit in limits if look.fits(limit)]
     if not limits:
         return Found(look=look)
     allowed = min(max(most, 3 * each), left)
-    count = next((n for n in FIRST_POINTS if cost + (n - FIRST_POINTS[-1]) * each <= allowed), FIRST_POINTS[-1])
+    count = next((n for n in (CURVE.first, CURVE.least) if cost + (n - CURVE.least) * each <= allowed), CURVE.least)
     ends = _region(work, limits, look, least)
     for _ in range(WIDER):
         rows = AxisRows(work=work, tag=tag, grid=spaced(*ends, CURVE_VALUES))
@@ -190,18 +179,18 @@ def find_rows(
 def _find_free(work: Work, limits: Sequence[Limit], least: float, most: int, tag: str, called: str) -> Found:
     """The same where the scalar is a strength: the rows of one value serve all."""
     axis = axis_of(work)
-    cost = REPLICATES * FREE_POINTS if work.scene_names else 1
+    cost = REPLICATES * FREE_CURVE.first if work.scene_names else 1
     if work.ledger.total + cost > work.study.analysis.budget.evaluations:
         return Found(reason=_shortage(work, cost))
     rows = AxisRows(work=work, tag=tag, grid=[axis.low, axis.high])
-    rows.begin(FREE_POINTS)
+    rows.begin(FREE_CURVE.first)
     limits = [limit for limit in limits if rows.knows(limit.quantity)]
     if not limits:
         return Found()
     sample = rows.at(axis.low)
     look = Look(work=work, samples={axis.low: sample, axis.high: sample})
     grid = spaced(*_region(work, limits, look, least), CURVE_VALUES)
-    rows = AxisRows(work=work, tag=tag, grid=grid, rows={grid[0]: sample}, used=FREE_POINTS)
+    rows = AxisRows(work=work, tag=tag, grid=grid, rows={grid[0]: sample}, used=FREE_CURVE.first)
     return _found(look, _Bands(rows=rows, limits=limits, least=2.0 * least, most=most, called=called))
 
 
@@ -290,7 +279,7 @@ class _Bands:
         if not self.begun:
             self.begun = True
             return True
-        rows, highest = self.rows, MOST_FREE if self.rows.free else MOST_POINTS
+        rows, highest = self.rows, FREE_CURVE.most if self.rows.free else CURVE.most
         wanted = [value for value in self._wide() if rows.rows[value].count < highest]
         cost, self.full = sum(rows.rows[value].size for value in wanted), not wanted
         if self.note or not wanted or cost > min(room, self.most - rows.work.ledger.total):
@@ -329,7 +318,7 @@ class _Bands:
         """The bands that a campaign has reached; `before` it there were so many evaluations."""
         budget = self.rows.work.study.analysis.budget.evaluations
         share = (self.most - before) / budget if course.stopped in ("evaluations", "out of reach") else 0.0
-        highest = REPLICATES * (MOST_FREE if self.rows.free else MOST_POINTS)
+        highest = REPLICATES * (FREE_CURVE.most if self.rows.free else CURVE.most)
         full = Cost(f" (no value is given more than {highest:,} evaluations)") if self.full else None
         return {
             limit.name: Band(
@@ -370,7 +359,7 @@ def _sampled(
 ) -> tuple[dict[float, dict[str, Array]], str]:
     """Probabilities (R,) of every limit by value, steep stretches halved, and what ended it."""
     axis, budget = axis_of(work), work.study.analysis.budget.evaluations
-    todo = axis.grid(SCAN_VALUES)
+    todo = axis.grid(LOOK.most)
     found: dict[float, dict[str, Array]] = {}
     for _ in range(ROUNDS + 1):
         for value in todo:
@@ -399,14 +388,14 @@ def _value_by_value(
     """
     each = REPLICATES if work.scene_names else 1
     left = work.study.analysis.budget.evaluations - work.ledger.total
-    values = SCAN_VALUES if axis_of(work).moves_rows else 1
+    values = LOOK.most if axis_of(work).moves_rows else 1
     count = next((n for n in STEP_POINTS if n * each * values <= left), 0)
     names = [limit.name for limit in limits]
     if not count:
         return dict.fromkeys(names, _shortage(work, STEP_POINTS[-1] * each * values))
     before = work.ledger.total
     found, ended = _sampled(work, limits, tag, count, each)
-    if len(found) < SCAN_VALUES:
+    if len(found) < LOOK.most:
         return dict.fromkeys(names, "the time was over, or the run was stopped, before the whole range was looked at")
     answers: dict[str, CurveFound | str] = {}
     for name in names:

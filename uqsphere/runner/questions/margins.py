@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from uqsphere.runner.questions.curves import (
 )
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.margin_parts import Where, describe_margin, study_at
+from uqsphere.runner.schedule import CHECKED, CURVE
 from uqsphere.study import Limit, Study
 from uqsphere.study.axis import quantity_of
 from uqsphere.uq.curve import LognormalCurve
@@ -43,11 +44,6 @@ from uqsphere.uq.estimate import Estimate, absent
 
 if TYPE_CHECKING:
     pass
-
-#: share of the budget of evaluations that all curves together may take
-SHARE: Final = 0.1
-#: scenes that are checked at each answer
-CHECKED: Final = 128
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +111,7 @@ def find_margins(work: Work, sampled: Sampled) -> dict[str, MarginAnswer]:
     unmoved = unmoved_margins(work)
     limits = [limit for limit in work.study.limits if limit.name not in unmoved]
     curves = 1 + (len(margins.family.values) if margins.family else 0)
-    most = int(SHARE * work.study.analysis.budget.evaluations / curves)
+    most = int(CURVE.share * work.study.analysis.budget.evaluations / curves)
     try:
         found = curves_along(work, limits, most=most)
     except OutOfBudget:
