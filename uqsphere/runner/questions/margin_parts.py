@@ -5,7 +5,8 @@ All of it concerns one limit at one probability: that of its target, or the smal
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -16,7 +17,7 @@ from uqsphere.mechanics.yielding import metal_onset
 from uqsphere.model import scene_of
 from uqsphere.results.entries import Fields
 from uqsphere.results.margins import MarginOpenEntry
-from uqsphere.runner.axis_rows import axis_of
+from uqsphere.runner.axis_rows import AxisRows, axis_of
 from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.questions.curves import (
@@ -37,37 +38,43 @@ from uqsphere.uq.sample import Sample
 BARS_SHARE: Final = 0.01
 
 
-@dataclass(frozen=True, kw_only=True)
-class Where:
-    """One limit at one probability of exceeding, and its curve."""
-
-    limit: Limit
-    probability: float
-    found: CurveFound
-
-
-def describe_margin(work: Work, sampled: Sampled, where: Where) -> Fields:
-    """A table for results.json; parts that are not known hold a reason."""
-    value = where.found.value_at(where.probability)
-    known = value.value is not None
+def describe_margin(work: Work, sampled: Sampled, limit: Limit, probability: float, found: CurveFound) -> Fields:
+    """A table for results.json of one limit at one probability of exceeding it, by its curve; parts that are not known
+    hold a reason."""
+    value, margins = found.value_at(probability), work.study.margins
+    assert margins is not None
     about: Fields = {
-        "probability": where.probability,
+        "probability": probability,
         "value": value,
-        "factors": safety_factors(work, sampled, where.limit),
+        "factors": safety_factors(work, sampled, limit),
+        "lost_to": {"reason": value.reason},
     }
     try:
-        about["lost_to"] = _lost_to(work, where) if known else {"reason": value.reason}
+        if value.value is not None:
+            about["lost_to"] = _lost_to(work, limit, value.value)
     except OutOfBudget:
         about["lost_to"] = {"reason": "the time was over, or the run was stopped"}
-    found = where.found
     rising = bool(found.table[-1].mean() >= found.table[0].mean())
-    left = margin_left_open(work, sampled, where.limit, found.rows, value, probability=where.probability, rising=rising)
-    about |= {**left, "split": _split(where, left.get("ignorance"))}
-    if known and (also := _also(work, value)):
+    left = margin_left_open(work, sampled, limit, found.rows, value, probability=probability, rising=rising)
+    # standard deviations of the logarithm of the value: from specimen to specimen, from few tests, of computing
+    split: dict[str, float | None] = dict.fromkeys(("scatter", "ignorance", "numerical"))
+    if found.grid[0] > 0.0:
+        fitted = fit_lognormal_curve(found.grid, found.table, evaluations=0)
+        split["scatter"] = None if isinstance(fitted, str) else fitted.dispersion.value
+        if value.value is not None and value.std_error is not None:
+            split["numerical"] = value.std_error / value.value
+    if isinstance(ignorance := left.get("ignorance"), MarginOpenEntry):
+        split["ignorance"] = ignorance.sd_log
+    about |= {**left, "split": split}
+    if value.value is not None and (also := _also(work, value)):
         about["also"] = also
-    asked = work.study.margins is not None and work.study.margins.bars_elastic
-    if asked or _tells_of_bars(work, where):
-        about["bars"] = _bars(work, where)
+    # bars that may yield, where the curve has the contact pressure anyhow; else the answers hold what yields
+    bars = not work.study.black_box and work.study.at_means().get("bars.yield_strength", 0.0) > 0.0
+    elastic = bars and work.study.options.get("contact.law", "hertz") == "hertz"
+    moving = found.rows if margins.axis.moves_rows and "p_max" in work.quantities else None
+    moving = moving if moving is not None and moving.knows("p_max") else None
+    if margins.bars_elastic or (elastic and moving is not None):
+        about["bars"] = _bars(work, {**found.values, probability: value}, moving)
     return about
 
 
@@ -128,11 +135,9 @@ def study_at(work: Work, limit: Limit, value: float) -> tuple[Work, Limit] | str
     return found if isinstance(found, str) else (replace(work, study=found[0]), found[1])
 
 
-def _lost_to(work: Work, where: Where) -> Fields:
+def _lost_to(work: Work, limit: Limit, value: float) -> Fields:
     """Importance factors of the design point at the value, and the partial factors there."""
-    value = where.found.value_at(where.probability).value
-    assert value is not None
-    placed = study_at(work, where.limit, value)
+    placed = study_at(work, limit, value)
     if isinstance(placed, str):
         return {"reason": placed}
     moved, limit = placed
@@ -142,57 +147,23 @@ def _lost_to(work: Work, where: Where) -> Fields:
     found = find_design(moved, limit)
     if isinstance(found, str):
         return {"reason": found}
-    laws = {**dict(zip(moved.drawn.names, moved.drawn.laws, strict=True))}
+    laws = dict(zip(moved.drawn.names, moved.drawn.laws, strict=True))
     if isinstance(limit.strength, Law):
         laws[own] = limit.strength
     partial = {}
     for name, design in found.values.items():
-        if name == own:
-            low = 0.05 if limit.aim == "survive" else 0.95
-            typical = _strength_at(limit.strength, low)
-            partial[name] = {"design": design, "characteristic": typical, "factor": typical / design}
-        elif (middle := laws[name].median()) != 0.0:
-            partial[name] = {"design": design, "characteristic": middle, "factor": design / middle}
+        low = 0.05 if limit.aim == "survive" else 0.95
+        typical = _strength_at(limit.strength, low) if name == own else laws[name].median()
+        if name == own or typical != 0.0:
+            factor = typical / design if name == own else design / typical
+            partial[name] = {"design": design, "characteristic": typical, "factor": factor}
     return {"shares": found.shares, "partial": partial}
-
-
-# --- scatter, ignorance, numerical error ---------------------------------------------------------------
-
-
-def _split(where: Where, ignorance: object) -> dict[str, float | None]:
-    """Standard deviations of the logarithm of the value: from specimen to specimen, from few tests, of computing."""
-    found, logarithmic = where.found, where.found.grid[0] > 0.0
-    fitted = fit_lognormal_curve(found.grid, found.table, evaluations=0) if logarithmic else "no logarithm"
-    value = where.found.value_at(where.probability)
-    numerical = None
-    if value.value is not None and value.std_error is not None and logarithmic:
-        numerical = value.std_error / value.value
-    return {
-        "scatter": None if isinstance(fitted, str) else fitted.dispersion.value,
-        "ignorance": ignorance.sd_log if isinstance(ignorance, MarginOpenEntry) else None,
-        "numerical": numerical,
-    }
 
 
 # --- bars that must stay elastic -----------------------------------------------------------------------
 
 
-def _tells_of_bars(work: Work, where: Where) -> bool:
-    """Whether the curve has the contact pressure anyhow, along a scalar that moves it, for bars that may yield."""
-    study = work.study
-    return (
-        not study.black_box
-        and study.options.get("contact.law", "hertz") == "hertz"  # else the answers hold what yields
-        and study.margins is not None
-        and study.margins.axis.moves_rows
-        and study.at_means().get("bars.yield_strength", 0.0) > 0.0
-        and "p_max" in work.quantities
-        and where.found.rows is not None
-        and where.found.rows.knows("p_max")
-    )
-
-
-def _bars(work: Work, where: Where) -> Fields:
+def _bars(work: Work, told: Mapping[float, Estimate], rows: AxisRows | None) -> Fields:
     """The values at which the bars yield, in the pulse and in some cases under the contact, and how often they do.
 
     `yields_at` has the share of the cases in which they yield under the contact, by value of the free scalar asked for.
@@ -209,8 +180,7 @@ def _bars(work: Work, where: Where) -> Fields:
         "pulse_elastic": stress < strength,
         "pulse_value": means[SPEED] * strength / stress if study.margins.axis.path == SPEED else None,
     }
-    rows = where.found.rows
-    if rows is None or not study.margins.axis.moves_rows or not rows.knows("p_max"):
+    if rows is None:
         return {**found, "contact": None, "reason": "no curve of the contact pressure was computed"}
     names = work.drawn.names
 
@@ -226,14 +196,12 @@ def _bars(work: Work, where: Where) -> Fields:
     found["contact_probability"] = BARS_SHARE
     found["contact"] = answered
     shares = share.mean(axis=1)
-    told = {**where.found.values, where.probability: where.found.value_at(where.probability)}
     found["yields_at"] = {
         f"{p:.15g}": float(np.clip(np.interp(e.value, values, shares), 0.0, 1.0))
         for p, e in told.items()
         if e.value is not None and values[0] <= e.value <= values[-1]
     }
     if answered.value is None:
-        p = share.mean(axis=1)
-        always, never = bool((p > BARS_SHARE).all()), bool((p < BARS_SHARE).all())
+        always, never = bool((shares > BARS_SHARE).all()), bool((shares < BARS_SHARE).all())
         found["contact_everywhere"] = "yields" if always else "elastic" if never else None
     return found

@@ -35,7 +35,7 @@ from uqsphere.runner.questions.curves import (
     member_values,
 )
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.runner.questions.margin_parts import Where, describe_margin, study_at
+from uqsphere.runner.questions.margin_parts import describe_margin, study_at
 from uqsphere.runner.schedule import CHECKED, CURVE
 from uqsphere.study import Limit, Study
 from uqsphere.study.axis import quantity_of
@@ -155,7 +155,7 @@ def _margin(
             else member.member(value)
             for value, member in members.items()
         ],
-        about=describe_margin(work, sampled, Where(limit=limit, probability=decisive(work, limit), found=found)),
+        about=describe_margin(work, sampled, limit, decisive(work, limit), found),
         against=(against and energy_curve(found.rows, limit, against, asked_probabilities(work, limit))) or None,
         band=found.band,
         coarse=found.coarse,
