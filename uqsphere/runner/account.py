@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from uqsphere.runner.questions.indices import Sensitivity
     from uqsphere.runner.questions.margins import MarginAnswer
     from uqsphere.runner.similarity import Tabled
+    from uqsphere.study.document import Accuracy as Accuracies
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,10 +102,11 @@ def account(work: Work, found: Findings, *, planned: bool, surrogate: bool, affo
         likely, most = (parts[name].likely, parts[name].most) if name in parts else (0, 0)
         spent, why = taken.get(name, 0), ""
         if max(likely, spent, 1) > FACTOR * max(min(likely, spent), 1):
-            left = planned and not surrogate and not likely and name != "surrogate"
-            why = "A surrogate was not good enough, and the model was sampled." if left else ""
-            why = why or _why(name, work, found, more=spent > likely, surrogate=surrogate)
-            why = why or ("" if spent else "Nothing was left for it.")
+            why = _why(name, work, found, more=spent > likely, surrogate=surrogate)
+            if planned and not surrogate and not likely and name != "surrogate":
+                why = "A surrogate was not good enough, and the model was sampled."
+            elif not (why or spent):
+                why = "Nothing was left for it."
         rows.append(PartEntry(part=name, likely=likely, most=most, taken=spent, why=why))
     return tuple(rows)
 
@@ -155,34 +157,36 @@ def questions(work: Work, found: Findings, missed: Sequence[Missed]) -> tuple[Qu
     told: defaultdict[tuple[str, str], list[Missed]] = defaultdict(list)
     for one in missed:
         told[one.subject, one.kind].append(one)
-    asked = work.study.analysis.accuracy
-    rows: list[QuestionRow] = []
-
-    def add(
-        name: str, question: str, kind: str, wanted: float, of: Sequence[Estimate], scale: float, exempt: str = ""
-    ) -> None:
-        if math.isfinite(wanted):
-            rows.append(_row(name, question, wanted, _worst(of, scale), told[name, kind], exempt))
-
-    for name, described in found.sampled.descriptions.items():
-        scale, counted = described.scale, [e for p, e in described.quantiles.items() if p not in described.exempt]
-        if scale > 0.0 and described.mean.value is not None:
-            add(name, f"mean, over {described.scale_name}", "mean", asked.mean, [described.mean], scale)
-        if scale > 0.0 and counted:
-            add(name, f"worst quantile, over {described.scale_name}", "quantile", asked.quantile, counted, scale)
-    for name, indices in found.sensitivity.items():
-        refused = "" if indices.missed else indices.text
-        add(name, "worst index", "indices", asked.sobol, list(indices.estimates()), 1.0, refused)
-    for name, limit in found.sampled.limits.items():
-        for which in ("exceedance", "miss") if limit.aim == "break" else ("miss",):
-            estimate: Estimate = getattr(limit, which)
-            said = "of missing the aim" if which == "miss" else "of exceedance"
-            exempt = NO_MATTER if limit.beneath(which) else ""
-            add(f"limits.{name}", f"probability {said}, over itself", which, asked.probability, [estimate],
-                estimate.value or math.nan, exempt)  # fmt: skip
+    rows = [
+        _row(name, question, wanted, _worst(estimates, scale), told[name, kind], exempt)
+        for name, question, kind, wanted, estimates, scale, exempt in _pursued(work.study.analysis.accuracy, found)
+        if math.isfinite(wanted)
+    ]
     for name, margin in found.margins.items():
         rows += _of_curves(name, margin)
     return tuple(rows)
+
+
+def _pursued(
+    asked: Accuracies, found: Findings
+) -> Iterator[tuple[str, str, str, float, Sequence[Estimate], float, str]]:
+    """Of what, what it is called, its kind, what is asked, the estimates, their scale, and why a shortfall is none."""
+    for name, described in found.sampled.descriptions.items():
+        scale, over = described.scale, described.scale_name
+        counted = [e for p, e in described.quantiles.items() if p not in described.exempt]
+        if scale > 0.0 and described.mean.value is not None:
+            yield name, f"mean, over {over}", "mean", asked.mean, [described.mean], scale, ""
+        if scale > 0.0 and counted:
+            yield name, f"worst quantile, over {over}", "quantile", asked.quantile, counted, scale, ""
+    for name, indices in found.sensitivity.items():
+        refused = "" if indices.missed else indices.text
+        yield name, "worst index", "indices", asked.sobol, indices.estimates(), 1.0, refused
+    for name, limit in found.sampled.limits.items():
+        for which in ("exceedance", "miss") if limit.aim == "break" else ("miss",):
+            estimate: Estimate = getattr(limit, which)
+            question = f"probability of {'missing the aim' if which == 'miss' else 'exceedance'}, over itself"
+            exempt, scale = NO_MATTER if limit.beneath(which) else "", estimate.value or math.nan
+            yield f"limits.{name}", question, which, asked.probability, [estimate], scale, exempt
 
 
 def _row(

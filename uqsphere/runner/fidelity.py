@@ -229,6 +229,19 @@ def _error_law(alone: Candidate, gaps: Array, scene: Scene, bound: float) -> Fal
     return some
 
 
+def _choose(candidates: Sequence[Candidate], bound: float) -> Candidate | None:
+    """The cheapest that passes the rule, alone or mixed with `full`."""
+    served = [c for c in candidates if c.mixed_cost <= WORTHWHILE and (c.fits or c.mixes(bound))]
+    return min(served, key=lambda c: c.mixed_cost) if served else None
+
+
+def _own_error(work: Work, few: Scene, full: Answers, scatter: Array) -> Mapping[str, float | None]:
+    """What the full model is off by at its tolerance, by quantity: beside one a hundred times closer."""
+    tolerance = max(1e-12, 0.01 * work.study.model.tolerance)
+    closer = solved(work, "pilot.full", few, work.quantities, tolerance=tolerance)
+    return _summary(differences(full, closer, work.quantities, scatter), work.quantities)
+
+
 def first_look(work: Work) -> Pilot:
     """Evaluate a pilot sample with the full model, compare what is cheaper, and choose.
 
@@ -246,12 +259,7 @@ def first_look(work: Work) -> Pilot:
     scene, half = scene_of(study, values, count), max(count // 2, 1)
     few = scene_of(study, {name: column[:half] for name, column in values.items()}, half)
     full = solved(work, "pilot.full", scene, all_with(scene, work.quantities))
-    same = replace(
-        full,
-        values={name: column[:half] for name, column in full.values.items()},
-        censored={name: column[:half] for name, column in full.censored.items()},
-        **{key: getattr(full, key)[:half] for key in ("status", "record", "steps")},
-    )
+    same = _head(full, half)
     scatter = np.array([_scatter(full, name) for name in work.quantities])
     asked, bound = study.model.fidelity, allowed_error(study)
     tried = [
@@ -261,20 +269,13 @@ def first_look(work: Work) -> Pilot:
     for fidelity in tried:
         cheap = solved(work, f"pilot.{fidelity}", few, work.quantities, fidelity=fidelity)
         candidates.append(_candidate(fidelity, cheap, same, few, work, scatter, row_cost(cheap) / row_cost(full)))
-    served = [c for c in candidates if c.mixed_cost <= WORTHWHILE and (c.fits or c.mixes(bound))]
-    # the cheapest that passes the rule, alone or mixed with `full`
-    taken = min(served, key=lambda c: c.mixed_cost) if served and asked == "auto" else None
+    taken = _choose(candidates, bound) if asked == "auto" else None
     chosen = taken.fidelity if taken else asked.replace("auto", "full")
     measured: Mapping[str, float | None] = candidates[0].error if candidates else {}
     if taken:
         measured = taken.error if taken.fallback_share == 0.0 else taken.mixed_error
     elif chosen == "full":
-        measured = {}
-        if count > 1:
-            # what the full model is off by at its tolerance: beside one a hundred times closer
-            tolerance = max(1e-12, 0.01 * study.model.tolerance)
-            closer = solved(work, "pilot.full", few, work.quantities, tolerance=tolerance)
-            measured = _summary(differences(same, closer, work.quantities, scatter), work.quantities)
+        measured = _own_error(work, few, same, scatter) if count > 1 else {}
     return Pilot(
         chosen=chosen,
         why=_why(asked, chosen, taken, measured, candidates, bound),
@@ -300,6 +301,16 @@ def solved(
         work.store, key, scene, about,
         lambda: solve_scene(scene, fidelity, tolerance=tolerance, threads=threads, quantities=quantities),
     )  # fmt: skip
+
+
+def _head(answers: Answers, count: int) -> Answers:
+    """The first rows of a batch of answers."""
+    return replace(
+        answers,
+        values={name: column[:count] for name, column in answers.values.items()},
+        censored={name: column[:count] for name, column in answers.censored.items()},
+        **{key: getattr(answers, key)[:count] for key in ("status", "record", "steps")},
+    )
 
 
 def _scatter(full: Answers, name: str) -> float:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Final, TypedDict
@@ -267,6 +267,11 @@ def _ways(study: Study) -> tuple[float, float]:
     return rows + along, 2.0 * rows + along
 
 
+def _begins(study: Study) -> bool:
+    """Whether a run may begin with what everything else rests on: replicates, or a screening of many inputs."""
+    return study.black_box and (study.model.stochastic or len(study.random) >= MANY)
+
+
 def _planned(study: Study, budget: float, surrogate: bool) -> Iterator[tuple[str, float, float]]:
     """Name, likely and most evaluations of every part, as if nothing had been spent before it."""
     analysis = study.analysis
@@ -283,9 +288,7 @@ def _planned(study: Study, budget: float, surrogate: bool) -> Iterator[tuple[str
         yield "rare events", *_rare(study, budget)
     if analysis.tolerance_intervals:
         yield "tolerance intervals", analysis.tolerance_intervals.runs, analysis.tolerance_intervals.runs
-    # a run may begin with what everything else rests on: replicates, or a screening of many inputs
-    begins = study.black_box and (study.model.stochastic or len(study.random) >= MANY)
-    if set(analysis.methods) & set(FURTHER) or analysis.fields or begins:
+    if set(analysis.methods) & set(FURTHER) or analysis.fields or _begins(study):
         from uqsphere.runner.questions.further import planned_analyses
 
         yield from ((name, count, count) for name, count in planned_analyses(study))
@@ -519,27 +522,32 @@ def plan_run(study: Study) -> Plan:
         plan["room"] = room
     if study.services:
         plan["services"] = {name: plan_run(service) for name, service in study.services.items()}
-    if not study.black_box:
-        numbers = _scene_numbers(study)
+    if study.black_box:
+        _time_black_box(study, plan, way)
+    else:
+        numbers, limits = _scene_numbers(study), len(study.limits)
         plan["scene"] = {name: number for name, number in numbers.items() if name != "steps"}
-        beside = {
-            "rare events": _LIMIT * len(study.limits),
-            "margins": _CURVE_PLAN * len(study.limits) * _curves(study),
-        }
-        each = (numbers["steps"] or 0.0) * _STEP_SECONDS / processors
-        for part in plan["parts"]:
-            part["seconds"] = round(part["likely"] * each + beside.get(part["part"], 0.0), 1)
+        beside = {"rare events": _LIMIT * limits, "margins": _CURVE_PLAN * limits * _curves(study)}
+        _time_parts(plan, (numbers["steps"] or 0.0) * _STEP_SECONDS / processors, beside)
         plan["seconds"] = round(_START + sum(part["seconds"] for part in plan["parts"]), 1)
-        return plan
+    return plan
+
+
+def _time_black_box(study: Study, plan: Plan, way: Way) -> None:
+    """Give the plan of a black box where the choice turns, and its seconds where the cost of an evaluation is given."""
     plan["crossover_seconds_per_evaluation"] = float(f"{way.crossover:.2g}")
     plan["balance_seconds_per_evaluation"] = float(f"{way.balance:.2g}")
     cost = study.analysis.cost
     if cost is not None:
         overhead = OVERHEAD + FITS * len(study.analysis.quantities) if way.surrogate else OVERHEAD
         plan["seconds"] = round(plan["evaluations"] * cost + overhead, 1)
-        for part in plan["parts"]:
-            part["seconds"] = round(part["likely"] * cost, 1)
-    return plan
+        _time_parts(plan, cost, {})
+
+
+def _time_parts(plan: Plan, each: float, beside: Mapping[str, float]) -> None:
+    """Give every part its seconds, at so many for an evaluation and so many beside its evaluations."""
+    for part in plan["parts"]:
+        part["seconds"] = round(part["likely"] * each + beside.get(part["part"], 0.0), 1)
 
 
 def _three(number: int) -> int:
@@ -570,12 +578,7 @@ def plan_text(study: Study, plan: Plan) -> str:
     ]
     if len(told) > 1:
         lines.append(f"of which: {'; '.join(told)}")
-    time = "depends on the model that is given with --model"
-    if plan["seconds"] is not None and study.black_box:
-        time = f"about {plan['seconds']:,.0f} s, one evaluation after the other"
-    elif plan["seconds"] is not None:
-        time = f"about {plan['seconds']:.0f} s on {plan['processors']} processors (20 s more to compile at first)"
-    lines.append(f"time: {time}")
+    lines.append(f"time: {_time_text(study, plan)}")
     longest = sorted((p for p in plan["parts"] if p.get("seconds")), key=lambda p: -p["seconds"])[:_TOLD]
     if longest:
         lines.append("most of it: " + ", ".join(f"{p['part']} {_two(p['seconds'])} s" for p in longest))
@@ -587,3 +590,11 @@ def plan_text(study: Study, plan: Plan) -> str:
         sooner = f" (it takes less time above {balance:g} s already, but answers less)" if balance < crossover else ""
         lines.append(text + sooner)
     return "\n".join(lines)
+
+
+def _time_text(study: Study, plan: Plan) -> str:
+    if plan["seconds"] is None:
+        return "depends on the model that is given with --model"
+    if study.black_box:
+        return f"about {plan['seconds']:,.0f} s, one evaluation after the other"
+    return f"about {plan['seconds']:.0f} s on {plan['processors']} processors (20 s more to compile at first)"

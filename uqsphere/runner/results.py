@@ -13,13 +13,13 @@ import uqsphere
 from uqsphere.files import read_whole
 from uqsphere.quantities import lookup
 from uqsphere.results import NO_RIG, PlanEntry, Results
-from uqsphere.results.entries import Fields, Manifest, PricesEntry
+from uqsphere.results.entries import CheckEntry, Fields, Manifest, PricesEntry
 from uqsphere.results.tables import tables
 from uqsphere.runner.account import Findings, questions
 from uqsphere.runner.deterministic import compare_with_paper
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.kept import named_files, write_sums
-from uqsphere.runner.verdict import judge
+from uqsphere.runner.verdict import Judged, judge
 from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.study import Study
 from uqsphere.study.axis import limit_of
@@ -81,8 +81,6 @@ def build_results(work: Work, found: Findings, plan: PlanEntry) -> Results:
     missed = [one for one in every if study.analysis.pursues(one.kind)]
     told = [one.text for one in missed]
     told += [f"margins {name}: {text}" for name, margin in found.margins.items() for text in margin.missed]
-    # a validity check at fracture where that is known: the peaks of a sphere that breaks are never reached
-    checks = [fracture.check if fracture and fracture.check.check == c.check else c for c in found.pilot.validity]
     content = {
         **_heading(study),
         "inputs": _inputs(work),
@@ -94,21 +92,13 @@ def build_results(work: Work, found: Findings, plan: PlanEntry) -> Results:
             name: {**indices.entry(work.scene_names), **found.drivers.quantities.get(name, {})}
             for name, indices in found.sensitivity.items()
         },
-        "limits": {
-            name: {
-                **limit.entry(),
-                **judged.limits.get(name, {}),
-                **found.drivers.limits.get(name, {}),
-                **({"carried": found.carried[name]} if name in found.carried else {}),
-            }
-            for name, limit in found.sampled.limits.items()
-        },
+        "limits": {name: _limit(found, judged, name) for name in found.sampled.limits},
         "margins": {name: margin.entry(study) for name, margin in found.margins.items()},
         **({} if fracture is None else {"fracture": fracture}),
         **({"analyses": found.analyses} if found.analyses else {}),
         **({"verdicts": judged.verdicts} if judged.verdicts else {}),
         "model": found.pilot.entry(work, found.sampled.tabled, found.tabled),
-        "validity": [*checks, *found.far],
+        "validity": _checks(found),
         "plan": plan,
         "speed_error": work.ledger.rows,
         "accuracy": {
@@ -122,6 +112,21 @@ def build_results(work: Work, found: Findings, plan: PlanEntry) -> Results:
         **_nested(work.services),
     }
     return Results.model_validate(content)
+
+
+def _limit(found: Findings, judged: Judged, name: str) -> Fields:
+    return {
+        **found.sampled.limits[name].entry(),
+        **judged.limits.get(name, {}),
+        **found.drivers.limits.get(name, {}),
+        **({"carried": found.carried[name]} if name in found.carried else {}),
+    }
+
+
+def _checks(found: Findings) -> list[CheckEntry]:
+    """Validity checks, at fracture where that is known: the peaks of a sphere that breaks are never reached."""
+    broken = CheckEntry() if found.fracture is None else found.fracture.check
+    return [*(broken if broken.check == one.check else one for one in found.pilot.validity), *found.far]
 
 
 def _nested(services: Mapping[str, Results]) -> Fields:

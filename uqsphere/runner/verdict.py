@@ -29,7 +29,7 @@ from uqsphere.runner.questions.any_limit import tied_otherwise
 from uqsphere.runner.whatif import find_assumed, find_ignorance
 from uqsphere.study import Limit, Study
 from uqsphere.study.axis import strength_name
-from uqsphere.study.ways import breaks_by, means_fracture, ways_of
+from uqsphere.study.ways import Way, breaks_by, means_fracture, ways_of
 from uqsphere.uq.estimate import Estimate, exact, student
 from uqsphere.uq.limit_state import complement, target_met
 
@@ -297,51 +297,56 @@ _TESTS: Final[dict[Code, Callable[[_Case], str]]] = {
 
 def _entry(case: _Case, evidence: Evidence, word: str | None, reasons: list[ReasonEntry]) -> VerdictEntry:
     """The criteria judged, each with its own probability and answer, and which of them asks most."""
-    margins, aim = case.study.margins, case.aim
-
-    def root(limits: Sequence[Limit]) -> float | None:
-        """The free scalar at which some limits together miss the aim with the target's probability, if anywhere."""
-        wanted = case.limit.target or (0.0 if margins is None else min(margins.for_probability))
-        return None if margins is None else evidence.value_at(limits, aim, wanted)
-
-    given = []
-    for limit in case.given:
-        margin = case.found.margins.get(limit.name)
-        value = margin.value if margin and limit.aim == aim else None
-        given.append(JudgedEntry(name=limit.name, quantity=limit.quantity, assumed=False,
-                                 miss=Est.model_validate(case.own(limit)),
-                                 answer=root([limit]) if value is None else value))  # fmt: skip
-    ways = []
-    for way in evidence.ways.assumed:
-        chances = [
-            evidence.chances([replace(way.limit, strength=law)], aim)
-            for law in (way.limit.strength, way.weak, way.strong)
-        ]
-        ends = [float(chance.mean()) for chance in chances[1:]]
-        ways.append(JudgedEntry(
-            name=way.called, quantity=way.limit.quantity, assumed=True, range=(min(ends), max(ends)),
-            miss=Est.model_validate(_more(exact(0.0), chances[0])), answer=root([way.limit]), source=way.source,
-            seen=way.seen, curve=tuple(evidence.curve(way.limit)),
-        ))  # fmt: skip
+    margins = case.study.margins
+    given = [_of_limit(case, evidence, limit) for limit in case.given]
     known = [(one.answer, one) for one in given if one.answer is not None]
     # to survive the smallest value counts, to break the largest; without values, the likeliest to miss
-    sign = 1.0 if aim == "survive" else -1.0
+    sign = 1.0 if case.aim == "survive" else -1.0
     answer, most = min(known, key=lambda pair: sign * pair[0], default=(None, None))
     most = most or max(given, key=lambda one: one.miss.value or 0.0)
-    if aim == "survive" and len(given) > 1 and answer is not None:
-        answer = min(answer, root(case.given) or answer)
+    if case.aim == "survive" and len(given) > 1 and answer is not None:
+        answer = min(answer, _root(case, evidence, case.given) or answer)
     return VerdictEntry.model_validate({
-        "aim": aim,
+        "aim": case.aim,
         "target": case.limit.target,
         "verdict": word,
         "reasons": reasons,
         "miss": case.miss,
-        "judged": [*given, *ways],
+        "judged": [*given, *(_of_way(case, evidence, way) for way in evidence.ways.assumed)],
         "not_judged": dict(evidence.ways.not_judged),
         "governing": most.name,
         "solve": "" if margins is None else margins.axis.path,
         "answer": answer,
     })  # fmt: skip
+
+
+def _of_limit(case: _Case, evidence: Evidence, limit: Limit) -> JudgedEntry:
+    """A criterion of the file by itself."""
+    margin = case.found.margins.get(limit.name)
+    value = margin.value if margin and limit.aim == case.aim else None
+    answer = _root(case, evidence, [limit]) if value is None else value
+    return JudgedEntry(name=limit.name, quantity=limit.quantity, assumed=False,
+                       miss=Est.model_validate(case.own(limit)), answer=answer)  # fmt: skip
+
+
+def _of_way(case: _Case, evidence: Evidence, way: Way) -> JudgedEntry:
+    """A way with an assumed strength by itself."""
+    laws = (way.limit.strength, way.weak, way.strong)
+    chances = [evidence.chances([replace(way.limit, strength=law)], case.aim) for law in laws]
+    ends = [float(chance.mean()) for chance in chances[1:]]
+    return JudgedEntry(
+        name=way.called, quantity=way.limit.quantity, assumed=True, range=(min(ends), max(ends)),
+        miss=Est.model_validate(_more(exact(0.0), chances[0])), answer=_root(case, evidence, [way.limit]),
+        source=way.source, seen=way.seen, curve=tuple(evidence.curve(way.limit)),
+    )  # fmt: skip
+
+
+def _root(case: _Case, evidence: Evidence, limits: Sequence[Limit]) -> float | None:
+    """The free scalar at which some limits together miss the aim with the target's probability; None where nowhere."""
+    margins = case.study.margins
+    if margins is None:
+        return None
+    return evidence.value_at(limits, case.aim, case.limit.target or min(margins.for_probability))
 
 
 def _clipped(p: float) -> float:

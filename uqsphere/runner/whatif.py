@@ -8,7 +8,7 @@ tests would settle what these leave undecided.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -188,6 +188,28 @@ def _limit_left_open(work: Work, limit: Limit, answer: LimitAnswer, sample: Samp
     }
 
 
+def _shifts(work: Work, strength: str, inputs: Mapping[str, Law], sample: Sample) -> dict[str, Array]:
+    """What a strength that hangs on inputs moves by (LAWS, R, n), in normal scores, under other laws of each."""
+    from scipy.special import ndtri
+
+    weights = work.all_inputs.regression(strength, work.drawn.names)[0]
+    ties, shifts = dict(zip(work.drawn.names, weights, strict=True)), {}
+    for name in (name for name in inputs if ties[name]):
+        column = sample.input(name)
+        after = possible_tails(inputs[name], column.ravel(), LAWS, _generator(work, name))[0]
+        scores = [ndtri(inputs[name].cdf(column)), ndtri(after).reshape(LAWS, *column.shape)]
+        before, scores_after = (np.clip(one, -FURTHEST_SCORE, FURTHEST_SCORE) for one in scores)
+        shifts[name] = ties[name] * (scores_after - before)
+    return shifts
+
+
+def _tails(work: Work, law: Law, name: str, state: LimitState) -> tuple[Array, Array]:
+    """Both tails (LAWS, R, n) of other laws of a strength at the demands."""
+    at = np.nextafter(state.demands, -math.inf) if law.is_steps else state.demands
+    below, above = possible_tails(law, at.ravel(), LAWS, _generator(work, name))
+    return below.reshape(LAWS, *at.shape), above.reshape(LAWS, *at.shape)
+
+
 def _under_laws(
     work: Work, limit: Limit, answer: LimitAnswer, sample: Sample, fitted: dict[str, Law]
 ) -> Callable[[Sequence[str]], Array]:
@@ -196,30 +218,16 @@ def _under_laws(
     Rows are weighted for the laws of inputs, and moved where a strength hangs on one; another strength has tails of its
     own.  The logit on these rows is put right by what all rows gave.  Raises LawError where the rows cannot tell.
     """
-    from scipy.special import ndtri
-
     key = strength_name(limit.name)
     state = state_of(work, limit, sample)
     if state.tie is not None:
         raise LawError("another than the Gaussian copula ties the strength to inputs", key)
     inputs = {name: law for name, law in fitted.items() if name != key}
-    weights, shifts = _weights(work, inputs, sample), dict[str, Array]()
-    if state.shift is not None:
-        ties = dict(zip(work.drawn.names, work.all_inputs.regression(key, work.drawn.names)[0], strict=True))
-        for name in (name for name in inputs if ties[name]):
-            column = sample.input(name)
-            after = possible_tails(inputs[name], column.ravel(), LAWS, _generator(work, name))[0]
-            scores = [ndtri(inputs[name].cdf(column)), ndtri(after).reshape(LAWS, *column.shape)]
-            before, scores_after = (np.clip(one, -FURTHEST_SCORE, FURTHEST_SCORE) for one in scores)
-            shifts[name] = ties[name] * (scores_after - before)
-    tails = None
-    if isinstance(limit.strength, Law) and key in fitted:
-        at = np.nextafter(state.demands, -math.inf) if limit.strength.is_steps else state.demands
-        below, above = possible_tails(limit.strength, at.ravel(), LAWS, _generator(work, key))
-        tails = below.reshape(LAWS, *at.shape), above.reshape(LAWS, *at.shape)
+    weights = _weights(work, inputs, sample)
+    shifts = {} if state.shift is None else _shifts(work, key, inputs, sample)
+    tails = _tails(work, limit.strength, key, state) if isinstance(limit.strength, Law) and key in fitted else None
     value = answer.exceedance.value
-    offset = 0.0 if value is None else logit(value, 1.0 - value) - logit(*sides(state))
-    offset = offset if math.isfinite(offset) else 0.0
+    offset = math.nan if value is None else logit(value, 1.0 - value) - logit(*sides(state))
 
     def exceedance(names: Sequence[str]) -> Array:
         weighted = [weights[name] for name in names if name in weights]
@@ -231,7 +239,7 @@ def _under_laws(
                 weights=np.prod([one[k] for one in weighted], axis=0) if weighted else None,
                 shift=np.sum([one[k] for one in moved], axis=0) if moved else None,
             )
-            found[k] = probability_of_logit(logit(*sides(state, whatif)) + offset)
+            found[k] = probability_of_logit(logit(*sides(state, whatif)) + (offset if math.isfinite(offset) else 0.0))
         return found
 
     return exceedance

@@ -118,8 +118,6 @@ class AnyLimit:
         grid = _grid([margins[limit.name].curve for limit in self.limits if limit.name in margins])
         if asked is None or len(grid) < 2 or len(self.limits) < 2 or not asked.axis.moves_rows:
             return {}
-        if len(grid) > FRACTURE_CURVE.most:
-            grid = [grid[k] for k in np.unique(np.linspace(0, len(grid) - 1, FRACTURE_CURVE.most).round().astype(int))]
         evaluations = len(grid) * FRACTURE_CURVE.first * REPLICATES
         if evaluations > work.study.analysis.budget.evaluations - work.ledger.total:
             return {}
@@ -144,4 +142,6 @@ def _grid(curves: Sequence[list[list[float]]]) -> list[float]:
     # the limit that is reached first decides when fracture is sure
     worst = {value: max(float(p[1]) for p in points if float(p[0]) == value) for value in grid}
     open_at = [k for k, value in enumerate(grid) if NEGLIGIBLE < worst[value] < 1.0 - NEGLIGIBLE]
-    return grid[max(open_at[0] - 1, 0) : open_at[-1] + 2] if open_at else []
+    grid = grid[max(open_at[0] - 1, 0) : open_at[-1] + 2] if open_at else []
+    kept = np.linspace(0, len(grid) - 1, min(len(grid), FRACTURE_CURVE.most)).round().astype(int)
+    return [grid[k] for k in np.unique(kept)]

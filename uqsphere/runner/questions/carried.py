@@ -7,7 +7,7 @@ with all of them, and so are the rows of the curves, which follow the same point
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -43,15 +43,7 @@ def find_carried(work: Work, sampled: Sampled) -> dict[str, CarriedEntry]:
     limits = [limit for limit in work.study.limits if limit.platens is not None]
     if not limits:
         return {}
-    demands: dict[str, list[Limit]] = {carrier: [] for carrier in CARRIERS}
-    for carrier, carried in demands.items():
-        for limit in limits:
-            # the limit with its demand in the test, where it was measured
-            assert limit.platens is not None
-            base = limit.criterion or limit.quantity
-            parameters = {**limit.parameters, **carried_parameters(carrier, limit.platens)}
-            name = f"{base}.{limit.name}@{carrier}"
-            carried.append(replace(limit, quantity=name, criterion=base, parameters=parameters))
+    demands = {carrier: [_carried(limit, carrier) for limit in limits] for carrier in CARRIERS}
     everything = tuple(limit for carried in demands.values() for limit in carried)
     analysis = replace(work.study.analysis, quantities=tuple(limit.quantity for limit in everything))
     asked = replace(work, study=replace(work.study, limits=everything, analysis=analysis))
@@ -68,13 +60,26 @@ def find_carried(work: Work, sampled: Sampled) -> dict[str, CarriedEntry]:
         carrier: judge_limits(asked, sample, [limit.quantity for limit in carried])
         for carrier, carried in demands.items()
     }
-    curves: dict[str, dict[str, CurveFound | str]] = {carrier: {} for carrier in CARRIERS}
-    if work.study.margins is not None and work.study.margins.axis.moves_rows:
-        for carrier, carried in demands.items():
-            with contextlib.suppress(OutOfBudget):
-                most, called = int(CURVES * budget), f" by {carrier}"
-                curves[carrier] = curves_along(asked, carried, most=most, tag=f"-carried-{carrier}", called=called)
+    curves = {carrier: _curves(asked, carried, carrier) for carrier, carried in demands.items()}
     return {limit.name: _entry(work, limit, answers, curves) for limit in limits}
+
+
+def _curves(work: Work, limits: Sequence[Limit], carrier: str) -> dict[str, CurveFound | str]:
+    """The curve of each limit along the free scalar; empty where nothing is solved for."""
+    found: dict[str, CurveFound | str] = {}
+    if work.study.margins is not None and work.study.margins.axis.moves_rows:
+        most = int(CURVES * work.study.analysis.budget.evaluations)
+        with contextlib.suppress(OutOfBudget):
+            found = curves_along(work, limits, most=most, tag=f"-carried-{carrier}", called=f" by {carrier}")
+    return found
+
+
+def _carried(limit: Limit, carrier: str) -> Limit:
+    """The limit with its demand in the test, where it was measured."""
+    assert limit.platens is not None
+    base = limit.criterion or limit.quantity
+    parameters = {**limit.parameters, **carried_parameters(carrier, limit.platens)}
+    return replace(limit, quantity=f"{base}.{limit.name}@{carrier}", criterion=base, parameters=parameters)
 
 
 def carried_far(study: Study) -> list[CheckEntry]:
@@ -101,18 +106,16 @@ def carried_far(study: Study) -> list[CheckEntry]:
         rate = None if tested.growth is None or "rate_0" in limit.parameters else _growth(study, scene)
         if rate is not None and tested.growth is not None:
             ratios["carried_rate"][limit.name] = max(rate / tested.growth, tested.growth / rate)
-    checks = []
-    for check, found in ratios.items():
-        if not found:
-            continue
-        told, far, apart, follows = FAR[check]
-        worst = max(found, key=found.__getitem__)
-        ratio = found[worst]
-        text = f"{apart} by a factor of {ratio:.3g} for {worst} (told from {told:g}, warned of from {far:g}); {follows}"
-        warned = float(ratio > far)
-        checks.append(CheckEntry(check=check, share=warned, share_information=float(told < ratio <= far),
-                                 share_warning=warned, share_failure=0.0, worst=ratio, text=text))  # fmt: skip
-    return checks
+    return [_far(check, found) for check, found in ratios.items() if found]
+
+
+def _far(check: str, ratios: Mapping[str, float]) -> CheckEntry:
+    told, far, apart, follows = FAR[check]
+    worst = max(ratios, key=ratios.__getitem__)
+    ratio, warned = ratios[worst], float(ratios[worst] > far)
+    text = f"{apart} by a factor of {ratio:.3g} for {worst} (told from {told:g}, warned of from {far:g}); {follows}"
+    return CheckEntry(check=check, share=warned, share_information=float(told < ratio <= far), share_warning=warned,
+                      share_failure=0.0, worst=ratio, text=text)  # fmt: skip
 
 
 def _growth(study: Study, scene: Scene) -> float | None:

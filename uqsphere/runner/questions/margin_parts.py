@@ -56,16 +56,7 @@ def describe_margin(work: Work, sampled: Sampled, limit: Limit, probability: flo
         about["lost_to"] = {"reason": "the time was over, or the run was stopped"}
     rising = bool(found.table[-1].mean() >= found.table[0].mean())
     left = margin_left_open(work, sampled, limit, found.rows, value, probability=probability, rising=rising)
-    # standard deviations of the logarithm of the value: from specimen to specimen, from few tests, of computing
-    split: dict[str, float | None] = dict.fromkeys(("scatter", "ignorance", "numerical"))
-    if found.grid[0] > 0.0:
-        fitted = fit_lognormal_curve(found.grid, found.table, evaluations=0)
-        split["scatter"] = None if isinstance(fitted, str) else fitted.dispersion.value
-        if value.value is not None and value.std_error is not None:
-            split["numerical"] = value.std_error / value.value
-    if isinstance(ignorance := left.get("ignorance"), MarginOpenEntry):
-        split["ignorance"] = ignorance.sd_log
-    about |= {**left, "split": split}
+    about |= {**left, "split": _split(found, value, left.get("ignorance"))}
     if value.value is not None and (also := _also(work, value)):
         about["also"] = also
     # bars that may yield, where the curve has the contact pressure anyhow; else the answers hold what yields
@@ -76,6 +67,18 @@ def describe_margin(work: Work, sampled: Sampled, limit: Limit, probability: flo
     if margins.bars_elastic or (elastic and moving is not None):
         about["bars"] = _bars(work, {**found.values, probability: value}, moving)
     return about
+
+
+def _split(found: CurveFound, value: Estimate, ignorance: object) -> dict[str, float | None]:
+    """Standard deviations of the logarithm of the value: from specimen to specimen, from few tests, of computing."""
+    left = ignorance.sd_log if isinstance(ignorance, MarginOpenEntry) else None
+    scatter = numerical = None
+    if found.grid[0] > 0.0:
+        fitted = fit_lognormal_curve(found.grid, found.table, evaluations=0)
+        scatter = None if isinstance(fitted, str) else fitted.dispersion.value
+        if value.value is not None and value.std_error is not None:
+            numerical = value.std_error / value.value
+    return {"scatter": scatter, "ignorance": left, "numerical": numerical}
 
 
 def _also(work: Work, value: Estimate) -> Fields:

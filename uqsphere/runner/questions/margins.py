@@ -132,12 +132,7 @@ def _margin(
     assert work.study.margins is not None
     against, family = work.study.margins.against, work.study.margins.family
     if isinstance(found, str):
-        nothing = absent(found, "none", 0)
-        return MarginAnswer(
-            values=dict.fromkeys(asked_probabilities(work, limit), nothing), curve=[], missed=[found], lognormal=found,
-            about={"probability": decisive(work, limit), "value": nothing},
-            against=None if against is None else EnergyCurve.none(against, found),
-        )  # fmt: skip
+        return _unknown(work, limit, found, against)
     kin: dict[str, CurveFound | str] = {}
     if family is not None:
         names = member_values(family.path, list(members))
@@ -149,12 +144,7 @@ def _margin(
         curve=found.answer(()).curve,
         missed=[*found.missed(), *(f"at {at}: {text}" for at, texts in lacking.items() for text in texts)],
         lognormal=found.lognormal(),
-        family=[
-            {"value": value, "values": {}, "curve": [], "lognormal": None, "reason": member}
-            if isinstance(member, str)
-            else member.member(value)
-            for value, member in members.items()
-        ],
+        family=[_member(value, member) for value, member in members.items()],
         about=describe_margin(work, sampled, limit, decisive(work, limit), found),
         against=(against and energy_curve(found.rows, limit, against, asked_probabilities(work, limit))) or None,
         band=found.band,
@@ -162,6 +152,21 @@ def _margin(
         bands={at: one.band for at, one in drawn.items() if one.band is not None},
         steps={at: one.coarse for at, one in drawn.items() if one.coarse is not None},
     )
+
+
+def _member(value: float, found: CurveFound | str) -> Fields:
+    if isinstance(found, str):
+        return {"value": value, "values": {}, "curve": [], "lognormal": None, "reason": found}
+    return found.member(value)
+
+
+def _unknown(work: Work, limit: Limit, reason: str, against: str | None) -> MarginAnswer:
+    nothing = absent(reason, "none", 0)
+    return MarginAnswer(
+        values=dict.fromkeys(asked_probabilities(work, limit), nothing), curve=[], missed=[reason], lognormal=reason,
+        about={"probability": decisive(work, limit), "value": nothing},
+        against=None if against is None else EnergyCurve.none(against, reason),
+    )  # fmt: skip
 
 
 def decisive(work: Work, limit: Limit) -> float:
