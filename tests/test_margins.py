@@ -111,6 +111,11 @@ def test_a_scalar_that_crosses_zero_is_taken_as_it_is() -> None:
     found = fragility(grid, exact, (0.1, 0.5), samples=1000, evaluations=1)
     assert found.values[0.1].value == pytest.approx(ndtri(0.1), abs=1e-9)
     assert found.values[0.5].value == pytest.approx(0.0, abs=1e-9)
+    # noise is smoothed alike from both sides
+    grid = np.linspace(-3.0, 3.0, 121)
+    noisy = np.clip(ndtr(grid)[:, None] + 0.05 * np.random.default_rng(1).standard_normal((121, 8)), 0.0, 1.0)
+    one, other = (fragility(grid, p, (0.5,), samples=1000, evaluations=1) for p in (noisy, 1.0 - noisy[::-1]))
+    assert other.values[0.5].value == pytest.approx(-one.values[0.5].value, abs=1e-6)
 
 
 def test_exceedance_and_fragility_agree() -> None:
