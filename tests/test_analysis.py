@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -197,3 +198,18 @@ def test_a_fragility_curve_of_two_lognormal_laws() -> None:
 def blocks_of(page: str) -> list[str]:
     text = (Path(uqsphere.__file__).parent.parent / "docs" / page).read_text("utf-8")
     return [part.partition("```")[0] for part in text.split("```python\n")[1:]]
+
+
+def test_the_borehole_from_laws_to_figures(capsys: pytest.CaptureFixture[str]) -> None:
+    from matplotlib import pyplot
+
+    pyplot.switch_backend("Agg")
+    ours, theirs = blocks_of("borehole.md")
+    assert sum(map(bool, ours.splitlines())) <= 26
+    known: dict[str, object] = {}
+    exec(ours.replace("50_000", "8_000").replace("rows=512", "rows=60"), known)
+    pyplot.close("all")
+    assert holds(known["run"].results.sensitivity["flow"].first["rw"], 0.6594, 0.01)  # type: ignore[attr-defined]
+    assert "Failure(probability=Estimate(value=0.00015" in capsys.readouterr().out
+    if find_spec("openturns"):
+        exec(theirs, {})
