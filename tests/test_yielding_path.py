@@ -155,6 +155,20 @@ def test_a_fall_that_is_over_before_the_next_point_of_a_step_is_seen():
     assert {one.answers[0, ANSWER_UNLOADINGS] for one in counted} == {69.0}
 
 
+def test_one_force_alone_is_an_imbalance_of_one():
+    """A heavy sphere feels face A alone at first: the series of the forces had told 1 + 1.5e-5."""
+    numbers = {
+        "sphere.E": 181.67e6, "sphere.nu": 0.39836, "sphere.radius": 34.487e-6, "sphere.density": 3551110.0,
+        "striker.speed": 6.7146e-6, "bars.E": 2.21846e9, "bars.nu": 0.33329, "bars.density": 794.83,
+        "bars.diameter": 70.353e-6, "striker.length": 0.73851, "bars.incident_length": 20.839,
+        "bars.receiving_length": 4.8101, "bars.incident_end": 0.53603, "bars.receiving_end": 0.0,
+        "pulse": "rectangular",
+    }  # fmt: skip
+    scene = scene_of(numbers, onset_pressure=6679.84, hardness=17576.0, pile_up=8.0 / 3.0)
+    found = solve.solve(scene, threads=1, quantities=("force_imbalance",)).values["force_imbalance"]
+    assert found == pytest.approx(1.0, abs=1e-7)
+
+
 @pytest.mark.parametrize("softening", [0.05, 150.0])
 def test_a_law_the_series_cannot_follow_has_no_answer(softening):
     """b between 0 and 0.2 is singular near onset, and above 100 lost in rounding."""

@@ -272,7 +272,9 @@ def after_step(
             track[tracked.FACE_A + (face if yielding else 0), lane], known = found, max(known, found)
     for kind in range(tracked.DIFFERENCE, tracked.KINDS):
         if flags & (1 << kind) and own and (kind == tracked.DIFFERENCE or kind == tracked.MEAN):
-            track[kind, lane] = searches.largest_of_forces(kind, pushes, ends, grid[2:], track[kind, lane])
+            track[kind, lane] = searches.largest_of_forces(
+                kind, piece, pushes, ends, grid[2:], track[kind, lane], law, lane
+            )
         elif flags & (1 << kind):
             track[kind, lane], _ = searches.largest_of_both(
                 kind, mode, piece, ends, grid, track[kind, lane], own, law, lane
@@ -466,7 +468,7 @@ def _look_at_forces(kind, push, push_rate, track, theta, flags, j):
         right_slope = share * width * (push_rate[i, j] + sign * push_rate[i, LANES + j])
         above = searches.highest_between(left, left_slope, right, right_slope)
         below = searches.highest_between(-left, -left_slope, -right, -right_slope)
-        if i > 0 and max(above, below) > track[kind, j]:
+        if i > 0 and max(above, below) > searches.LOOSE * track[kind, j]:
             flags[j] |= 1 << kind
         left, left_slope = right, right_slope
 

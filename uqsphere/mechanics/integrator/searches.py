@@ -10,13 +10,15 @@ import math
 
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.faces import stored_energy
+from uqsphere.mechanics.integrator.faces import face_force, stored_energy
 from uqsphere.mechanics.integrator.tracked import CHI, INNER, LANES, ORDER
 from uqsphere.mechanics.integrator.vectors import apart
 
 #: how closely a top is found as a share of the step: where its height matters, which hardly depends on it; where the
 #: motion goes on from it
 BROAD, SHARP = 1e-6, 1e-13
+#: share of a largest force so far from which on a step is searched: the series of the forces may err by less
+LOOSE = 0.999
 
 
 @compiled(**INNER)
@@ -334,18 +336,25 @@ largest_approach, largest_of_both = _largest_of(True), _largest_of(False)
 
 
 @compiled(**INNER)
-def largest_of_forces(kind, pushes, end, grid, known):
-    """Largest difference or mean of both forces in [0, end] from their series, rows 0 and 1 of pushes (6, TERMS)."""
+def largest_of_forces(kind, piece, pushes, end, grid, known, law, lane):
+    """Largest difference or mean of both forces in [0, end] from their series, rows 0 and 1 of pushes (6, TERMS).
+
+    The series say where; what the forces are there follows from the approaches, which hold a power of the step more.
+    """
     apart()
     # a piece of its own, of the function and its opposite, or of the function twice; grid: room
-    piece, sides = pushes[2:4], 2 if kind == tracked.DIFFERENCE else 1
+    forces, sides = pushes[2:4], 2 if kind == tracked.DIFFERENCE else 1
     for k in range(ORDER + 1):
         a, b = pushes[0, k], pushes[1, k]
-        piece[0, k] = a - b if sides == 2 else 0.5 * (a + b)
-        piece[1, k] = b - a
-    survey(piece, end, grid)
+        forces[0, k] = a - b if sides == 2 else 0.5 * (a + b)
+        forces[1, k] = b - a
+    survey(forces, end, grid)
     for side in range(sides):
-        known, _ = largest_approach(side, 0, piece, end, grid, known, False, piece, 0)
+        _, place = largest_approach(side, 0, forces, end, grid, LOOSE * known, False, forces, 0)
+        if place >= 0.0:
+            a, _ = face_force(law, lane, value(piece, 0, place))
+            b, _ = face_force(law, LANES + lane, value(piece, 1, place))
+            known = max(known, abs(a - b) if sides == 2 else 0.5 * (a + b))
     return known
 
 
