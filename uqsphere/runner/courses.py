@@ -9,8 +9,8 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.model import as_integrated, scene_of
 from uqsphere.runner.evaluate import Work
-from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.store import Store, csv_text, write_atomically, write_json
+from uqsphere.uq.sample import Sample
 
 if TYPE_CHECKING:
     from uqsphere.mechanics.integrator.solve import Motion
@@ -29,7 +29,7 @@ _HARDNESS = ("P_max", "p_max", "core_tension", "energy")
 LEVELS = (0.05, 0.5, 0.95)
 
 
-def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
+def force_band(work: Work, every: Sample) -> dict[str, Any] | None:
     """Quantiles of the contact forces at each instant over the first scenes of the sample.
 
     The scenes are the first points of every randomisation, so that they spread over the inputs as the sample does.
@@ -47,7 +47,7 @@ def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
     names = work.scene_names
     if work.study.black_box or not names or work.study.rig != "bars":
         return None
-    sample = sampled.sample.head(max(1, SCENES // sampled.sample.replicates))
+    sample = every.head(max(1, SCENES // every.replicates))
     rows = sample.inputs[:, :, : len(names)].reshape(-1, len(names))[~sample.failed.reshape(-1)]
     found = followed(work, rows) if len(rows) >= 16 else None
     if found is None:
@@ -57,7 +57,7 @@ def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
     for face, name in enumerate(("force_a", "force_b")):
         content[name] = {f"{p:g}": np.quantile(forces[:, face], p, axis=0).tolist() for p in LEVELS}
     largest = (rows[int(np.argmax(forces.max(axis=(1, 2))))], len(rows), "the largest force")
-    for row, among, by in (_hardest_of_all(work, sampled) or largest, largest):
+    for row, among, by in (_hardest_of_all(work, every) or largest, largest):
         hardest = _hardest(work, row, times)
         if hardest is not None:
             return {**content, "hardest": {**hardest, "among": among, "by": by}}
@@ -132,13 +132,12 @@ def _hardest(work: Work, row: Array, times: Array) -> dict[str, object] | None:
     }
 
 
-def _hardest_of_all(work: Work, sampled: Sampled) -> tuple[Array, int, str] | None:
+def _hardest_of_all(work: Work, sample: Sample) -> tuple[Array, int, str] | None:
     """The inputs (d,) of the hardest of all samples, their number, and by which quantity; None where none tells."""
     names = list(work.study.analysis.quantities)
     by = next((name for name in _HARDNESS if name in names), None)
     if by is None:
         return None
-    sample = sampled.sample
     values = np.where(sample.failed, -np.inf, sample.answer(by)).reshape(-1)
     rows = sample.inputs.reshape(-1, sample.inputs.shape[-1])[:, : len(work.scene_names)]
     k = int(np.argmax(values))
@@ -155,9 +154,9 @@ def _end_of_loading(times: Array, forces: Array) -> float:
     return float(min(1.04 * times[last], times[int(known.sum()) - 1]))
 
 
-def save_courses(work: Work, store: Store, sampled: Sampled) -> None:
+def save_courses(work: Work, store: Store, every: Sample) -> None:
     """Store courses.json and tables/courses.csv; nothing where there is no band."""
-    found = force_band(work, sampled)
+    found = force_band(work, every)
     if found is None:
         (store.folder / "courses.json").unlink(missing_ok=True)
         return

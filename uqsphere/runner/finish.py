@@ -35,7 +35,7 @@ def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None
     )
     store.take_over()
     save_points(work, store, found.sampled.sample)
-    save_courses(work, store, found.sampled)
+    save_courses(work, store, found.sampled.sample)
     save_sliders(work, store, found.evidence, found.margins)
     results = build_results(work, found, plan)
     further = further_rows(results)

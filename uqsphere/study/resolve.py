@@ -333,3 +333,6 @@ def _tolerance(asked: ToleranceRequest | None, findings: Findings) -> ToleranceR
         findings.add((*place, "runs"), said)
         return None
     return replace(asked, runs=runs)
+
+
+type(Study).read = staticmethod(load_study)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from uqsphere.files import Json
 from uqsphere.mechanics.pulses import MeasuredPulse
@@ -92,17 +92,18 @@ class Source:
 class _FromTables(type):
     """Calls a class with the tables of a study file, as well as with the parts of a study that was read."""
 
+    #: reads the tables; set where studies are read, since that needs this class
+    read: ClassVar[Callable[..., Study]]
+
     def __call__(cls, *positional: Any, **given: Any) -> Any:
         if "path" in given:
             return super().__call__(*positional, **given)
-        from uqsphere.study.resolve import load_study
-
         if positional:
             raise TypeError("Study takes the tables of a study file by their names: Study(inputs={...}, ...)")
         outputs = given.get("outputs")
         if isinstance(outputs, str | list | tuple):
             given["outputs"] = {"names": [outputs] if isinstance(outputs, str) else list(outputs)}
-        return load_study(given)
+        return cls.read(given)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,15 +6,16 @@ quadratic in the length of a dotted key.
 
 from __future__ import annotations
 
+import ast
 import codecs
 import json
 import math
 import re
-from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import date, time
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from uqsphere.errors import Problem, StudyError, UsageError
 from uqsphere.files import TooLarge, read_given
@@ -22,20 +23,24 @@ from uqsphere.study.faults import Findings, Place, Raw, render_place, shown, sug
 from uqsphere.uq.families import LawError
 from uqsphere.uq.foreign import law_table
 
+if TYPE_CHECKING:
+    from tree_sitter import Node
+
 LARGEST_FILE: Final = 1 << 20
 MOST_NESTING: Final = 16
 MOST_DOTS: Final = 12
 
 # Strings and comments are skipped whole.  Every alternative is possessive and also ends at the end of the
 # text, so that no input makes the scan go back.
-_TEXTS: Final = (
+_TOKEN: Final = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5}|\Z)'
     r"|'''(?:[^']|'(?!''))*+(?:'{3,5}|\Z)"
     r'|"(?:[^"\\\n]|\\.)*+"?'
     r"|'[^'\n]*+'?"
+    r"|#[^\n]*+"
+    r"|[\[\]{}.,=\n]",
+    re.DOTALL,
 )
-_STRING: Final = re.compile(_TEXTS, re.DOTALL)
-_TOKEN: Final = re.compile(rf"{_TEXTS}|#[^\n]*+|[\[\]{{}}.,=\n]", re.DOTALL)
 _PLACE_IN_MESSAGE: Final = re.compile(r"\s*\(at (?:line (\d+), column (\d+)|end of document)\)\s*$")
 _ENDLESS_NUMBER: Final = re.compile(r"[0-9][0-9_]{1000}")
 _BARE_QUANTITY: Final = re.compile(r"=\s*([+-]?[\d._]+(?:[eE][+-]?\d+)?\s*[A-Za-zµμ%][\w/^³²µμ]*)")
@@ -189,117 +194,129 @@ def _fault(path: Path, message: str, line: int = 1, column: int = 1) -> StudyErr
     return StudyError(str(path), [Problem(line=line, column=column, path="", message=message)])
 
 
-# --- Where each value of a TOML text stands -------------------------------------------------------------------
+# --- Where each value of a TOML text stands: tree-sitter's concrete syntax gives line and column per dotted "
 
-_KEY: Final = re.compile(r"""[A-Za-z0-9_-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'""")
-#: what may stand between two parts, within a line and beyond it; what is neither text, list nor table
-_BLANK, _GAP = re.compile(r"[ \t]*+"), re.compile(r"(?:\s|#[^\n]*+)*+")
-_SCALAR: Final = re.compile(r"[^,\]}#\n]+")
+_KEYS = ("bare_key", "quoted_key", "dotted_key")
+_PUNCTUATION = frozenset({"[", "]", "{", "}", ",", "=", "comment"})
 
 
-class _Places:
-    """The places of a text of TOML, read from its beginning: offsets by place, and how many tables each array has."""
+@dataclass(frozen=True, kw_only=True)
+class Lines:
+    """The rows of a text as bytes, and how far columns have been counted in each, in characters."""
 
-    def __init__(self, text: str) -> None:
-        self.text = text
-        self.found: dict[Place, int] = {}
-        self.counts: dict[Place, int] = {}
+    rows: list[bytes]
+    counted: dict[int, tuple[int, int]] = field(default_factory=dict)
 
-    def past(self, pattern: re.Pattern[str], at: int) -> int:
-        """Behind what stands here; ValueError where it does not."""
-        match = pattern.match(self.text, at)
-        if match is None or at >= len(self.text):
-            raise ValueError(at)
-        return match.end()
-
-    def after(self, sign: str, at: int) -> int:
-        """Behind a sign, if it stands here, and the blanks that follow."""
-        return self.gap(at + len(sign)) if self.text.startswith(sign, at) else at
-
-    def gap(self, at: int) -> int:
-        match = _GAP.match(self.text, at)
-        return at if match is None else match.end()
-
-    def key(self, at: int) -> tuple[list[tuple[str, int]], int]:
-        """The parts of a dotted key with their offsets, and where it ends."""
-        import tomllib
-
-        parts = []
-        while True:
-            end = self.past(_KEY, at)
-            name = self.text[at:end]
-            parts.append((tomllib.loads(f"k = {name}")["k"] if name[0] in "\"'" else name, at))
-            end = self.past(_BLANK, end)
-            if self.text[end] != ".":
-                return parts, end
-            at = self.past(_BLANK, end + 1)
-
-    def pair(self, at: int, base: Place) -> int:
-        """A key with its value."""
-        parts, at = self.key(at)
-        for name, start in parts:
-            base = (*base, name)
-            self.found.setdefault(base, start)
-        return self.value(self.past(_BLANK, at + 1), base)
-
-    def value(self, at: int, place: Place) -> int:
-        """A value with what is in it."""
-        if self.text[at] == "[":
-            at, index = self.gap(at + 1), 0
-            while self.text[at] != "]":
-                self.found.setdefault((*place, index), at)
-                at = self.after(",", self.gap(self.value(at, (*place, index))))
-                index += 1
-            return at + 1
-        if self.text[at] == "{":
-            at = self.gap(at + 1)
-            while self.text[at] != "}":
-                at = self.after(",", self.gap(self.pair(at, place)))
-            return at + 1
-        return self.past(_STRING if self.text[at] in "\"'" else _SCALAR, at)
-
-    def header(self, at: int) -> tuple[Place, int]:
-        """The header of a table: its place, and where it ends."""
-        many = self.text.startswith("[[", at)
-        parts, end = self.key(self.past(_BLANK, at + 1 + many))
-        place: Place = ()
-        for name, _ in parts:
-            # the newest element of an array of tables on the way
-            place = (*place, self.counts[place] - 1, name) if place in self.counts else (*place, name)
-            # a table above this one that has no header of its own is best shown by the first header below it
-            self.found.setdefault(place, at)
-        if many:
-            self.counts[place] = self.counts.get(place, 0) + 1
-            place = (*place, self.counts[place] - 1)
-        self.found[place] = at
-        return place, end + 1 + many
+    def point(self, node: Node) -> tuple[int, int]:
+        """Line and column of a node, from 1, in characters."""
+        row, column = node.start_point
+        # Nodes come in order: counting goes on from the last one, or a long line would cost its square.
+        done, characters = self.counted.get(row, (0, 0))
+        if done > column:
+            done, characters = 0, 0
+        if row < len(self.rows):
+            characters += len(self.rows[row][done:column].decode("utf-8", "replace"))
+        self.counted[row] = (column, characters)
+        return row + 1, characters + 1
 
 
 def locate(text: str) -> dict[Place, tuple[int, int]]:
     """Line and column (from 1, in characters) of every table, key and array element of `text`.
 
     A table stands where its header is, a key where the key is written, an array element where it begins.
-    A text that is not TOML has the places before its first fault.
+    A text that is not quite TOML gives the places of those parts that are.
 
     >>> places = locate('[sphere]\\nE = { dist = "normal", sd = 1 }\\n[[dependence]]\\nof = ["a", "b"]')
     >>> places[("sphere", "E", "sd")], places[("dependence", 0, "of", 1)]
     ((2, 24), (4, 12))
     """
-    places = _Places(text)
-    base: Place = ()
-    at = places.gap(0)
+    import tree_sitter_toml
+    from tree_sitter import Language, Parser
+
+    data = text.encode("utf-8")
+    root = Parser(Language(tree_sitter_toml.language())).parse(data).root_node
+    lines = Lines(rows=data.split(b"\n"))
+    found: dict[Place, tuple[int, int]] = {}
+    counts: dict[Place, int] = {}
+    for child in root.children:
+        if child.type == "pair":
+            _visit_pair(child, (), found, lines)
+        elif child.type in ("table", "table_array_element"):
+            _visit_table(child, found, counts, lines)
+    return found
+
+
+def _visit_table(node: Node, found: dict[Place, tuple[int, int]], counts: dict[Place, int], lines: Lines) -> None:
+    key = next((child for child in node.children if child.type in _KEYS), None)
+    if key is None:
+        return
+    parts = _key_parts(key)
+    base = _entered(tuple(name for name, _ in parts[:-1]), counts)
+    header = (*base, parts[-1][0])
+    at = lines.point(node)
+    # A table above this one that has no header of its own is best shown by the first header below it.
+    for length in range(1, len(header) + 1):
+        found.setdefault(header[:length], at)
+    if node.type == "table_array_element":
+        counts[header] = counts.get(header, 0) + 1
+        header = (*header, counts[header] - 1)
+    found[header] = at
+    for child in node.children:
+        if child.type == "pair":
+            _visit_pair(child, header, found, lines)
+
+
+def _entered(base: Place, counts: dict[Place, int]) -> Place:
+    """`base` with the index of the newest element after each array of tables on the way."""
+    place: Place = ()
+    for name in base:
+        place = (*place, name)
+        if place in counts:
+            place = (*place, counts[place] - 1)
+    return place
+
+
+def _visit_pair(node: Node, base: Place, found: dict[Place, tuple[int, int]], lines: Lines) -> None:
+    # A comment behind an inline table belongs to the pair, after the value.
+    parts = [child for child in node.children if child.type not in _PUNCTUATION]
+    key, value = parts[0], parts[-1]
+    if key.type not in _KEYS:
+        return
+    place = base
+    for name, part in _key_parts(key):
+        place = (*place, name)
+        found.setdefault(place, lines.point(part))
+    if value is not key:
+        _visit_value(value, place, found, lines)
+
+
+def _visit_value(node: Node, place: Place, found: dict[Place, tuple[int, int]], lines: Lines) -> None:
+    if node.type == "inline_table":
+        for child in node.children:
+            if child.type == "pair":
+                _visit_pair(child, place, found, lines)
+    elif node.type == "array":
+        elements = [child for child in node.children if child.type not in _PUNCTUATION and not child.is_error]
+        for index, child in enumerate(elements):
+            found.setdefault((*place, index), lines.point(child))
+            _visit_value(child, (*place, index), found, lines)
+
+
+def _key_parts(node: Node) -> list[tuple[str, Node]]:
+    if node.type == "dotted_key":
+        return [part for child in node.children if child.type in _KEYS for part in _key_parts(child)]
+    text = (node.text or b"").decode("utf-8", "replace")
+    return [(_unquoted(text) if node.type == "quoted_key" else text, node)]
+
+
+def _unquoted(text: str) -> str:
+    if text.startswith("'"):
+        return text[1:-1]
     try:
-        while at < len(text):
-            if text[at] == "[":
-                base, at = places.header(at)
-            else:
-                at = places.pair(at, base)
-            at = places.gap(at)
-    except (ValueError, IndexError):
-        pass
-    starts = [0, *(match.end() for match in re.finditer("\n", text))]
-    lines = {place: bisect_right(starts, offset) for place, offset in places.found.items()}
-    return {place: (line, places.found[place] - starts[line - 1] + 1) for place, line in lines.items()}
+        # The escapes of TOML's basic strings are Python's, but for \e, which TOML 1.0 does not have.
+        return str(ast.literal_eval(text))
+    except (SyntaxError, ValueError):
+        return text.strip('"')
 
 
 def refused(path: Path, text: str, findings: Findings, overridden: Sequence[Place]) -> StudyError:
