@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.impact import wave_loss, yielding_depth
+from uqsphere.mechanics.impact import yielding_depth
+from uqsphere.mechanics.rigs import wave_loss
 from uqsphere.mechanics.yielding import FLOW, Face, metal_onset
 
 if TYPE_CHECKING:

@@ -279,7 +279,7 @@ def _leading(results: Results) -> str | None:
 def _answers(parts: dict[str, Contents]) -> Iterator[Answer]:
     """One answer for every aim of the limits of every part, a quantity each where there are none.
 
-    Reasons that an answer before has given in the same words are not told again, as far as another one is left.
+    What an answer before has given in the same words, reasons and what is planned, is not told again.
     """
     said: set[str] = set()
     for service, contents in parts.items():
@@ -290,9 +290,11 @@ def _answers(parts: dict[str, Contents]) -> Iterator[Answer]:
         with reading_units(units_of(contents.results)):
             found = [_limit_answer(contents, group, service, several=several) for group in groups.values()]
             for answer in found or _quantity_answers(contents):
+                planned, dot, rest = answer.note.partition(". ")
                 fresh = tuple(reason for reason in answer.reasons if reason not in said)
-                said |= set(answer.reasons)
-                yield replace(answer, reasons=fresh or answer.reasons)
+                note = rest if dot and service + planned in said else answer.note
+                said |= {*answer.reasons, service + planned}
+                yield replace(answer, reasons=fresh, note=note)
 
 
 def _quantity_answers(contents: Contents) -> Iterator[Answer]:
@@ -615,7 +617,7 @@ def _between_rivals(answer: Answer) -> tuple[str, str] | None:
     place = f"{two(where * axis.factor)} {axis.unit}".rstrip()
     place = f"the planned {given(axis)}" if where == axis.planned else place
     stands = "the lower number" if solved_for(answer) else "the larger share"
-    said = f"None broken rules out {listed(names[:3])} (95 % sure); if one breaks, {stands} holds."
+    said = f"None broken rules out {listed(names[:3])} (95 % sure); else {stands} holds."
     return f"{-fewest:.0f} spheres at {place}", said
 
 

@@ -212,7 +212,7 @@ def _extrapolated(contents: Contents, name: str, limit: LimitEntry) -> Iterator[
         return
     low, high = (value_text(end, limit.quantity, 2) for end in (min(law.data), max(law.data)))
     rests = value_text(partial.design, limit.quantity, 2)
-    yield Caution(rank=_UNKNOWN, text=f"the answer rests on {rests}; tests broke at {low.split()[0]} to {high}.")
+    yield Caution(rank=_UNKNOWN, text=f"answer at {rests}; tests broke at {low.split()[0]} to {high}.")
 
 
 # --- checks of the model ----------------------------------------------------------------------------------
