@@ -343,7 +343,7 @@ SEEDS = 20
 def sampled_estimates(study: Study) -> dict[tuple[str, ...], Any]:
     """The estimates of the sampling alone, by their path in results.json."""
     work = Work(study=study, store=None, ledger=Ledger(), fidelity="massless", threads=1)
-    found = sample_distributions(work, more_to_come=False)
+    found = sample_distributions(work)
     description = found.descriptions["p_max"]
     table: dict[tuple[str, ...], Any] = {
         ("quantities", "p_max", "mean"): description.mean,

@@ -402,7 +402,8 @@ def test_the_command_writes_the_start_of_a_study(tmp_path: Path, capsys: pytest.
     surrogate = load_surrogate(tmp_path / "out" / "surrogate-1.npz")
     columns = runs(60)
     found = surrogate.predict({name: columns[name][:20] for name in "ab"})
-    assert np.all((found.low <= columns["y"][:20]) & (columns["y"][:20] <= found.high))
+    # nominal 95 % each
+    assert np.sum((found.low <= columns["y"][:20]) & (columns["y"][:20] <= found.high)) >= 17
     capsys.readouterr()
     assert main([*arguments, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "out" / "analysis.json").read_text())

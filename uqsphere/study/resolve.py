@@ -189,9 +189,10 @@ def _read_rig(document: Document, data: Mapping[str, Raw], model: ModelChoice, f
     read_contact(document, scene, findings)
     if document.rig_kind == "bars":
         check_scene(scene, model, findings)
-        check_contact(scene, model, findings)
     else:
         read_rig(document, scene, findings)
+    if document.rig_kind != "none":
+        check_contact(scene, model, findings)
     return scene
 
 
