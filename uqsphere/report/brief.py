@@ -279,7 +279,7 @@ def _leading(results: Results) -> str | None:
 def _answers(parts: dict[str, Contents]) -> Iterator[Answer]:
     """One answer for every aim of the limits of every part, a quantity each where there are none.
 
-    What an answer before has given in the same words, reasons and what is planned, is not told again.
+    What an answer before has given in the same words, reasons and what is planned, is not told twice.
     """
     said: set[str] = set()
     for service, contents in parts.items():
@@ -294,7 +294,8 @@ def _answers(parts: dict[str, Contents]) -> Iterator[Answer]:
                 fresh = tuple(reason for reason in answer.reasons if reason not in said)
                 note = rest if dot and service + planned in said else answer.note
                 said |= {*answer.reasons, service + planned}
-                yield replace(answer, reasons=fresh, note=note)
+                again = ("As above.",) if answer.reasons and not fresh else fresh
+                yield replace(answer, reasons=again, note=note)
 
 
 def _quantity_answers(contents: Contents) -> Iterator[Answer]:
