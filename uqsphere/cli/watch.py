@@ -52,7 +52,7 @@ class Progress:
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """`done` of the `total` rows of a piece of work of `stage` have been evaluated."""
-        now, stage = time.monotonic(), stage.removeprefix("similarity_").replace("_", " ")
+        now, stage = time.monotonic(), stage.removeprefix("similarity-").replace("_", " ")
         self.longest = max(self.longest, now - self.heard)
         self.heard, self.pending = now, done < total
         fresh = stage != self.stage

@@ -376,7 +376,7 @@ class Tabled:
     def asked(self, work: Work, key: str, rows: Array, count: int) -> tuple[Tabled, Array]:
         """The same after further rows (n, d), with the quantities (n, q) there."""
         assert self.similarity is not None
-        values, left = self.similarity.answers(work, f"similarity_{key}.{self.count}", rows)
+        values, left = self.similarity.answers(work, f"similarity-{key}.{self.count}", rows)
         found = replace(self, count=count, rows=self.rows + len(rows), open=self.open + left, taken=self.taken + left)
         return found, values
 
