@@ -14,6 +14,7 @@ from scipy.special import ndtr, ndtri
 
 import uqsphere
 from uqsphere.arrays import Array
+from uqsphere.cli.verify import verify_folder
 from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work, draw, evaluate_points
 from uqsphere.runner.questions import indices as questions
 from uqsphere.runner.similarity import Tabled, find_numbers, integrated, make_similarity
@@ -261,6 +262,7 @@ def test_a_run_with_a_table_repeats_whatever_its_threads(tmp_path: Path) -> None
     runs = [uqsphere.run(study, out=tmp_path / "run", threads=1), uqsphere.run(study, out=tmp_path / "two", threads=2)]
     assert runs[0].results.model.control.used
     assert runs[0].results.model.saved.full_evaluations > 0
+    assert verify_folder(tmp_path / "run").verdict == "whole"
     known = (runs[0].folder / "results.json").read_bytes()
     assert (runs[1].folder / "results.json").read_bytes() == known
     again = uqsphere.run(study, out=tmp_path / "run", threads=1)
