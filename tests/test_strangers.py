@@ -22,7 +22,7 @@ from uqsphere.errors import AccessError, FolderError
 from uqsphere.files import array_of, chunk_of, is_device_name, load_document, plain_files, read_whole, refuse_links
 from uqsphere.results import read_results
 from uqsphere.results.tables import tables
-from uqsphere.runner.log import logged
+from uqsphere.runner.api import logged
 from uqsphere.store import csv_text, open_store, write_atomically
 from uqsphere.study import load_study
 

@@ -29,12 +29,12 @@ from uqsphere.uq.estimate import Estimate
 
 if TYPE_CHECKING:
     from uqsphere.runner.drivers import Drivers
-    from uqsphere.runner.evidence import Evidence
     from uqsphere.runner.fidelity import Pilot
     from uqsphere.runner.questions.distributions import Sampled
     from uqsphere.runner.questions.indices import Sensitivity
     from uqsphere.runner.questions.margins import MarginAnswer
     from uqsphere.runner.similarity import Tabled
+    from uqsphere.runner.verdict import Evidence
     from uqsphere.study.document import Accuracy as Accuracies
 
 

@@ -10,7 +10,6 @@ from uqsphere.runner.drivers import Drivers, find_drivers
 from uqsphere.runner.evaluate import Work, draw
 from uqsphere.runner.expensive import Expensive, answer_expensive, keep_answers, keep_indices, keep_margins, price
 from uqsphere.runner.fidelity import Pilot, first_look
-from uqsphere.runner.finish import finish, finish_bare
 from uqsphere.runner.finished import Run
 from uqsphere.runner.questions.carried import carried_far, find_carried
 from uqsphere.runner.questions.distributions import Sampled, sample_distributions
@@ -27,6 +26,7 @@ from uqsphere.runner.questions.further import (
 from uqsphere.runner.questions.margins import find_margins, judge_answers
 from uqsphere.runner.questions.probabilities import refine_limits
 from uqsphere.runner.questions.shapley import share_variance
+from uqsphere.runner.results import finish, finish_bare
 from uqsphere.store import Store
 
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import datetime
+import json
+import os
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+import uqsphere
 from uqsphere.black_box import BlackBox, model_digest
 from uqsphere.errors import ModelError, UsageError
 from uqsphere.model import NO_DAMPER, scene_of
@@ -85,7 +89,6 @@ def run(
     from uqsphere.runner.cluster import workers_of
     from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work
     from uqsphere.runner.finished import Keeper
-    from uqsphere.runner.log import logged
     from uqsphere.runner.workers import Engine
 
     _check_usage(study, model, executor)
@@ -255,3 +258,68 @@ def _which(before: object, now: object) -> str:
         return ""
     names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
     return str(names[0]) if names else ""
+
+
+# --- the log of a run ----------------------------------------------------------------------------------------------
+
+NAME: Final = "log.jsonl"
+#: seconds between two lines of progress within one stage
+_EVERY: Final = 5.0
+
+
+@dataclass(kw_only=True)
+class Log:
+    """Appends events to a file; every line is written in one piece, so that none is torn."""
+
+    path: Path
+    began: float = field(default_factory=time.monotonic)
+    stage: str = ""
+    told: float = 0.0
+
+    def write(self, event: str, **details: object) -> None:
+        """One line: the time (UTC), seconds since the start, the event and its details."""
+        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
+        line = {"time": now, "seconds": round(time.monotonic() - self.began, 3), "event": event, **details}
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0)
+        with contextlib.suppress(OSError):
+            handle = os.open(self.path, flags, 0o644)
+            try:
+                os.write(handle, (json.dumps(line, allow_nan=False) + "\n").encode())
+            finally:
+                os.close(handle)
+
+    def watch(self, progress: Callable[[str, int, int], None] | None) -> Callable[[str, int, int], None]:
+        """A callable that logs the course of the stages, and passes on what it is told."""
+
+        def note(stage: str, done: int, total: int) -> None:
+            now = time.monotonic()
+            if stage != self.stage or now - self.told > _EVERY:
+                self.stage, self.told = stage, now
+                self.write("evaluated", stage=stage, done=done, total=total)
+            if progress is not None:
+                progress(stage, done, total)
+
+        return note
+
+    def listen(self, notice: Callable[[str], None] | None) -> Callable[[str], None]:
+        """The same for the verdicts."""
+
+        def note(text: str) -> None:
+            self.write("verdict", text=text)
+            if notice is not None:
+                notice(text)
+
+        return note
+
+
+@contextlib.contextmanager
+def logged(folder: Path, **about: object) -> Iterator[Log]:
+    """A log with its first line written; the last line says how the run ended."""
+    log = Log(path=folder / NAME)
+    log.write("started", version=uqsphere.__version__, process=os.getpid(), **about)
+    try:
+        yield log
+    except BaseException as error:
+        log.write("ended", error=type(error).__name__, text=str(error)[:500])
+        raise
+    log.write("finished")

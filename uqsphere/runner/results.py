@@ -1,9 +1,10 @@
-"""The answers of a run as the JSON document that the contract fixes."""
+"""What a run writes when it ends: its answers as the JSON document that the contract fixes, manifest, tables, rows."""
 
 from __future__ import annotations
 
 import platform
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
@@ -15,11 +16,17 @@ from uqsphere.quantities import lookup
 from uqsphere.results import NO_RIG, PlanEntry, Results
 from uqsphere.results.entries import CheckEntry, Fields, Manifest, PricesEntry
 from uqsphere.results.tables import tables
-from uqsphere.runner.account import Findings, questions
+from uqsphere.runner.account import Findings, account, further_rows, questions
+from uqsphere.runner.courses import save_courses
 from uqsphere.runner.deterministic import compare_with_paper
 from uqsphere.runner.evaluate import Work
-from uqsphere.runner.kept import named_files, write_sums
-from uqsphere.runner.verdict import Judged, judge
+from uqsphere.runner.expensive import Expensive, Priced
+from uqsphere.runner.export import save_points
+from uqsphere.runner.finished import Run
+from uqsphere.runner.forecast import JUDGED
+from uqsphere.runner.kept import keep_data, named_files, write_sums
+from uqsphere.runner.sliders import save_sliders
+from uqsphere.runner.verdict import Judged, gather, judge
 from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.study import Study
 from uqsphere.study.axis import limit_of
@@ -184,3 +191,49 @@ def build_manifest(work: Work, seconds: list[float], prices: PricesEntry) -> Man
         "plan": prices,
     }
     return Manifest.model_validate(content)
+
+
+# --- the end of a run ----------------------------------------------------------------------------------------------
+
+
+def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None, found: Findings) -> Run:
+    """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""
+    way, ledger = priced.way, work.ledger
+    found = replace(found, evidence=gather(work, found.sampled.sample))
+    ledger.close(JUDGED)
+    taken = "surrogate" if expensive is not None and expensive.surrogate else "sampling"
+    plan = PlanEntry(
+        way=taken,
+        why=way.why if expensive is None else expensive.why,
+        sampling_evaluations=way.sampling,
+        surrogate_evaluations=way.runs,
+        parts=account(work, found, planned=way.surrogate, surrogate=taken == "surrogate", affordable=way.affordable),
+    )
+    store.take_over()
+    save_points(work, store, found.sampled.sample)
+    save_courses(work, store, found.sampled.sample)
+    save_sliders(work, store, found.evidence, found.margins)
+    results = build_results(work, found, plan)
+    further = further_rows(results)
+    results = results.model_copy(update={"speed_error": (*results.speed_error, *(row for _, row in further))})
+    ends = [ledger.seconds.get(part, ledger.elapsed) for part, _ in further]
+    prices = PricesEntry(
+        cost_seconds_per_evaluation=priced.cost,
+        crossover_seconds_per_evaluation=way.crossover,
+        balance_seconds_per_evaluation=way.balance,
+        affordable_evaluations=way.affordable,
+    )
+    return _written(work, store, results, [*ledger.times, *ends], prices)
+
+
+def finish_bare(work: Work, store: Store) -> Run:
+    """Write what the services of a study without a rig of its own have found."""
+    store.take_over()
+    return _written(work, store, bare_results(work.study, work.services), [], PricesEntry())
+
+
+def _written(work: Work, store: Store, results: Results, seconds: list[float], prices: PricesEntry) -> Run:
+    keep_data(work.study, store.folder)
+    manifest = build_manifest(work, seconds, prices)
+    write_results(store, results, manifest)
+    return Run(folder=store.folder, results=results, manifest=manifest)
