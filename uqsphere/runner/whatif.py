@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Places
 from uqsphere.results import LimitOpenEntry
 from uqsphere.results.entries import Fields
 from uqsphere.results.margins import MarginOpenEntry
@@ -41,6 +41,7 @@ from uqsphere.uq.whatif import (
     logit,
     probability_of_logit,
     root,
+    roots,
     sides,
 )
 
@@ -419,8 +420,11 @@ def _value_range(
     places = np.log(values) if logarithmic else np.array(values)
     states = rows.states(limit, values, FEW_ROWS)
 
-    def under(some: Sequence[Law]) -> float:
-        return root(places, lambda j: float(curves_under([states[j]], some).mean()), probability, rising)
+    def under(some: Sequence[Law]) -> Array:
+        def curves_at(j: int, which: Places) -> Array:
+            return curves_under([states[j]], [some[k] for k in which])[:, 0]
+
+        return roots(places, curves_at, len(some), probability, rising)
 
     def told(place: float) -> float | None:
         place += shift
@@ -429,9 +433,9 @@ def _value_range(
         return math.exp(place) if logarithmic else float(place)
 
     # on these few rows the law itself answers a little differently: what is known better is kept
-    own = under([strength])
+    own = float(under([strength])[0])
     shift = 0.0 if not math.isfinite(own) else (math.log(value) if logarithmic else value) - own
-    found = np.array([under([law]) for law in laws])
+    found = under(laws)
     safe = 1.0 - SURE if (limit.aim == "survive") == rising else SURE
     ends = np.quantile(found, [0.025, 0.975, safe], method="nearest").tolist()
     known = found[np.isfinite(found)]
@@ -443,7 +447,7 @@ def _value_range(
         high=told(ends[1]),
         sure=told(ends[2]),
         confidence=SURE,
-        mean_law=told(under(laws)),
+        mean_law=told(root(places, lambda j: float(curves_under([states[j]], laws).mean()), probability, rising)),
         sd_log=float(np.std(known, ddof=1)) if logarithmic and known.size > 0.9 * len(laws) else None,
         beyond=float(1.0 - known.size / len(laws)),
     )

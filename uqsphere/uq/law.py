@@ -7,14 +7,16 @@ standard deviations out keeps all its digits.  Nothing imports scipy.stats.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
 from uqsphere.arrays import Array, special
 from uqsphere.uq.families import FAMILIES, Family, LawError, family_named, family_stored
+from uqsphere.uq.families.family import Shapes
 from uqsphere.uq.families.observed import steps_ppf, steps_share_below
 
 _LEAST_MASS = 1e-290  # a truncation that leaves less cannot be told from nothing in floating point
@@ -361,6 +363,20 @@ class Law:
         """Mean and standard deviation before truncation, but for a law that its bounds belong to."""
         bare = self if self.family.bounded else replace(self, lower=-math.inf, upper=math.inf)
         return float(bare.mean()), float(bare.sd())
+
+
+def tails_together(laws: Sequence[Law], x: Array) -> tuple[Array, Array] | None:
+    """(P(X <= x), P(X > x)) of several laws, (laws, *x.shape) each; None where they are not of one unbounded family."""
+    family = laws[0].family
+    if family.observed or family.bounded or any(law.family is not family or law._truncated for law in laws):
+        return None
+    locations, scales, shapes = zip(*(law._form for law in laws), strict=True)
+    column = (-1, *(1,) * x.ndim)
+    given = cast(Shapes, tuple(np.reshape(one, column) for one in zip(*shapes, strict=True)))
+    with np.errstate(divide="ignore", over="ignore"):
+        values = np.log(np.maximum(x, 0.0)) if family.logarithmic else x
+        y = (values - np.reshape(locations, column)) / np.reshape(scales, column)
+        return family.cdf(y, given), family.sf(y, given)
 
 
 def _named(name: str, *rest: object) -> Law:

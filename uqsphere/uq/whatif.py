@@ -13,15 +13,17 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, Places, special
 from uqsphere.uq.fitting import possible_densities
-from uqsphere.uq.law import Law
+from uqsphere.uq.law import Law, tails_together
 from uqsphere.uq.limit_state import LimitState, tails, tails_given_inputs
 
 #: more tests than this are not asked of anybody
 MOST_TESTS: Final = 5000
 #: logits beyond this are those of 0 and 1
 _FURTHEST: Final = 700.0
+#: numbers that are worked on at once: 8 MB
+_AT_ONCE: Final = 2**20
 #: weighted rows must be worth this share of as many without weights, for all but this share of the laws: the ends of
 #: a range are those of the farthest laws, and rows that hardly reach them make it too narrow (normal laws of 4, 6 and 8
 #: observations: 0.65, 0.79 and 0.92 of Student's interval of the mean, worth 0.02, 0.08 and 0.15)
@@ -89,36 +91,57 @@ def curves_under(states: Sequence[LimitState], laws: Sequence[Law]) -> Array:
     """
     found = np.full((len(laws), len(states)), 0.5)
     for j, state in enumerate(states):
-        for k, law in enumerate(laws):
-            below, above = sides(state, WhatIf(strength=law))
-            if below + above > 0.0:
-                found[k, j] = below / (below + above)
+        for first in range(0, len(laws), size := max(_AT_ONCE // max(state.demands.size, 1), 1)):
+            below, above = _sides_under(state, laws[first : first + size])
+            total = below + above
+            found[first : first + size, j] = np.where(total > 0.0, below / np.where(total > 0.0, total, 1.0), 0.5)
     return found
+
+
+def _sides_under(state: LimitState, laws: Sequence[Law]) -> tuple[Array, Array]:
+    """`sides` (laws,) with each of some laws as the strength, all at once where they are of one kind."""
+    if state.tie is not None or (together := tails_together(laws, np.where(state.broken, 0.0, state.demands))) is None:
+        below, above = np.array([sides(state, WhatIf(strength=law)) for law in laws]).T
+        return below, above
+    parts = (np.where(state.broken, 0.0, tail) for tail in tails_given_inputs(state, *together))
+    below, above = (tail.reshape(len(laws), -1).mean(axis=1) for tail in parts)
+    return below, above
 
 
 def root(places: Array, probability_at: Callable[[int], float], wanted: float, rising: bool) -> float:
     """Where a monotone curve takes a probability; -inf and inf beyond the ends of the places (J,).
 
-    `probability_at` gives the curve at the place of a number: halving asks it at five of 25 places, and between the two
-    that are left the normal score is a straight line.
-
     >>> curve = [0.1, 0.3, 0.5, 0.7]
     >>> root(np.arange(4.0), lambda j: curve[j], 0.5, rising=True), root(np.arange(4.0), lambda j: curve[j], 0.9, True)
     (2.0, inf)
     """
+    return float(roots(places, lambda j, which: np.array([probability_at(j)]), 1, wanted, rising)[0])
+
+
+def roots(
+    places: Array, probability_at: Callable[[int, Places], Array], count: int, wanted: float, rising: bool
+) -> Array:
+    """The same of so many curves (count,): `probability_at` gives those of some numbers at the place of a number.
+
+    Halving asks a curve at five of 25 places, and between the two that are left the normal score is a straight line.
+    """
     sign = 1.0 if rising else -1.0
-    scores: dict[int, float] = {}
-    score, low, high = sign * float(special.ndtri(wanted)), -1, len(places)
-    while high - low > 1:
+    score = sign * float(special.ndtri(wanted))
+    low, high = np.full(count, -1), np.full(count, len(places))
+    ends = np.full((2, count), math.nan)
+    while (wide := high - low > 1).any():
         middle = (low + high) // 2
-        scores[middle] = sign * float(special.ndtri(min(max(probability_at(middle), 1e-300), 1.0 - 1e-16)))
-        low, high = (low, middle) if scores[middle] >= score else (middle, high)
-    if high == len(places):
-        return math.inf
-    if low < 0:
-        return float(places[0]) if scores[0] == score else -math.inf
-    share = (score - scores[low]) / (scores[high] - scores[low])
-    return float(places[low] + share * (places[high] - places[low]))
+        for j in np.unique(middle[wide]):
+            which = np.flatnonzero(wide & (middle == j))
+            found = sign * special.ndtri(np.clip(probability_at(int(j), which), 1e-300, 1.0 - 1e-16))
+            beyond = found >= score
+            low[which[~beyond]], high[which[beyond]] = j, j
+            ends[0, which[~beyond]], ends[1, which[beyond]] = found[~beyond], found[beyond]
+    with np.errstate(invalid="ignore"):
+        share = (score - ends[0]) / (ends[1] - ends[0])
+    left, right = places[np.maximum(low, 0)], places[np.minimum(high, len(places) - 1)]
+    below = np.where(ends[1] == score, places[0], -math.inf)
+    return np.where(high == len(places), math.inf, np.where(low < 0, below, left + share * (right - left)))
 
 
 def logit(below: float, above: float) -> float:
