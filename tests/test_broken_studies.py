@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from uqsphere.errors import AccessError, StudyError, UsageError
+from uqsphere.runner.forecast import plan_run
 from uqsphere.study import load_study
 
 BASE = """\
@@ -282,6 +283,35 @@ def test_broken_study(case: Broken, tmp_path: Path) -> None:
     assert len(error.problems) == case.count, str(error)
     for jargon in ("pydantic", "https://", "Traceback", "Input should", "validation error", "type=", "None"):
         assert jargon not in str(error)
+
+
+CELL = """\
+sphere = { material = "quartz", radius = "5 mm" }
+rig = { kind = "load_cell" }
+hammer = { shape = "ball", diameter = "25.4 mm", material = "bearing_steel", drop_height = "0.2 m" }
+rod = { material = "hard_4340", diameter = "20 mm", length = "1.5 m", gauge = "0.2 m" }
+limits = { one = { criterion = "specific_energy", energy_is = "contact", strength = "60 J/kg" } }
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (CELL + 'gauges = [{ bar = "rod", position = {} }]', "6:26: gauges[0].position: found a table"),
+        (CELL.replace('gauge = "0.2 m"', 'gauge = "2 m"'), "4:71: rod.gauge: found 2 m, beyond the far end"),
+        (CELL + 'product = { form = "tavares", A = "55 %", b = "2 %" }', "6:43: product.b: "),
+        ('rig = { kind = "load_cell" }\ncontact = { law = "plastic" }', "1:1: hammer: "),
+    ],
+)
+def test_what_sentences_of_the_grammar_found(text: str, said: str, tmp_path: Path) -> None:
+    """A gauge of the rod before those of the file, a product that nobody asks for, a law of yield without numbers."""
+    assert f"study.toml:{said}" in str(faults(text.encode(), tmp_path))
+
+
+def test_a_scene_that_cannot_be_has_a_number_to_blame(tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(CELL.replace('radius = "5 mm"', 'radius = "9 m"'))
+    with pytest.raises(UsageError, match=r"^sphere\.radius: the scene at its means .* 9000 mm here is the least usual"):
+        plan_run(load_study(tmp_path / "study.toml"))
 
 
 def test_the_base_is_in_order(tmp_path: Path) -> None:

@@ -360,7 +360,9 @@ class Studies:
 
 
 #: how each fault of a study begins: file, line, column and key
-_NAMED = re.compile(r"^(\S*study\.toml:\d+:\d+: (\S.*?: |… and \d+ more faults)|warning: \S.*?: )")
+_NAMED = re.compile(
+    r"^(\S*study\.toml:\d+:\d+: (\S.*?: |… and \d+ more faults)|uqsphere: \S+?\.\w+: |warning: \S.*?: )"
+)
 Trial = Callable[[int], tuple[Outcome, list[str]]]
 
 

@@ -17,7 +17,7 @@ from uqsphere.errors import UsageError
 from uqsphere.mechanics.carried import CARRIERS
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.model import cheaper_fidelities, scene_of
-from uqsphere.quantities import lookup
+from uqsphere.quantities import INPUTS, format_value, lookup
 from uqsphere.runner.schedule import (
     ALONG,
     CARRIED,
@@ -452,7 +452,7 @@ def _scene_numbers(study: Study) -> dict[str, float | None]:
     )
     if study.rig != "bars":
         if code := int(scene.status[0]):
-            raise UsageError(f"the scene at its means cannot be computed: {STATUS[code]}")
+            raise _no_scene(study, STATUS[code])
         rig = RIGS[study.rig]
         # closed forms take as long as a few steps; a light sphere rattles between its two contacts
         steps = _STEPS_CLOSED if rig.contacts == 1 or not rig.blow else 60.0 + _TOUCHES * math.sqrt(3.0 / mu)
@@ -465,9 +465,23 @@ def _scene_numbers(study: Study) -> dict[str, float | None]:
     else:
         record = min(record, 2.0 * float(scene.round_trips[0].max()) / time)
     if not 0.0 < mu < math.inf or not theta > 0.0 or not math.isfinite(record):
-        raise UsageError("the scene at its means cannot be computed: its numbers are beyond floating point")
+        raise _no_scene(study, "its numbers are beyond floating point")
     phase = record * math.sqrt(3.0 * math.sqrt(min(1.0, theta)) / mu)
     return {"mu": mu, "theta": theta if math.isfinite(theta) else None, "steps": 60.0 + phase}
+
+
+def _no_scene(study: Study, why: str) -> UsageError:
+    """That there is no scene at the means, with the number that is farthest from the middle of what is usual."""
+
+    def distance(name: str) -> float:
+        low, high = INPUTS[name].plausible
+        usual = 0.0 < low < high < math.inf and means[name] > 0.0
+        return abs(math.log(means[name] / low / high * means[name])) / math.log(high / low) if usual else 0.0
+
+    means = study.at_means()
+    name = max(means, key=distance)
+    said = f"of its numbers {format_value(means[name], name)} here is the least usual"
+    return UsageError(f"{name}: the scene at its means cannot be computed: {why}; {said}")
 
 
 class PlannedPart(TypedDict, total=False):

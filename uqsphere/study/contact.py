@@ -86,7 +86,7 @@ def _read_inserts(material: str | None, scene: Scene, findings: Findings) -> Non
 def check_contact(scene: Scene, model: ModelChoice, findings: Findings) -> None:
     """Note what a law of the contact lacks, and numbers that make none; random ones at their nominal means."""
     law = scene.options.get("contact.law", "hertz")
-    if law == "hertz":
+    if law == "hertz" or not scene.readings:  # without numbers there are faults enough
         return
     if model.fidelity == "linear":
         said = f'the linear model has no law of the contact: leave it out, or contact.law = "{law}"'

@@ -145,11 +145,10 @@ def read_feed(
     """The feed of a study; None, with every fault noted, where there is none."""
     from uqsphere.feed.population import Blows, Feed, make_classes
 
-    table = document.feed
+    table, product_table = document.feed, document.product
+    product = read_product(product_table, findings)
     if table is None:
         return None
-    product_table = document.product
-    product = read_product(product_table, findings)
     sizes = _read_sizes(table, findings)
     energy = _read_energy(table, services, findings)
     share = _read_share(table, particles, services, findings)

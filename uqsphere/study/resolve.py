@@ -13,7 +13,6 @@ from uqsphere.study.document import (
     SCENE,
     Analysis,
     Document,
-    Gauge,
     ModelChoice,
     ToleranceRequest,
 )
@@ -109,7 +108,7 @@ def _resolve(data: dict[str, Raw], findings: Findings, path: Path, text: str) ->
         part.report(found, findings)
         if made is not None:
             services[part.name] = made
-    if {"feed", "material", "tests"} & set(data):
+    if {"feed", "material", "tests", "product"} & set(data):
         from uqsphere.study.tests import read_tests
 
         document = read_table(Document, own, Findings(folder=findings.folder))
@@ -117,7 +116,7 @@ def _resolve(data: dict[str, Raw], findings: Findings, path: Path, text: str) ->
         plan = read_feed(document, particles, services, findings)
         tests = read_tests(document, particles, findings)
         if study is not None:
-            warnings = tuple(findings.warnings)
+            warnings = tuple(dict.fromkeys(findings.warnings))
             study = replace(study, particles=particles, feed=plan, tests=tests, warnings=warnings)
     if study is None or findings.faults:
         return None
@@ -152,9 +151,7 @@ def _resolve_part(data: dict[str, Raw], findings: Findings, path: Path, text: st
             analysis = replace(analysis, quantities=tuple(asked))
     if black_box is False:
         parts["receiving_damper"] = read_damper(document.bars, findings)
-        on_rod = None if document.rod is None else document.rod.gauge
-        rod = () if on_rod is None else (Gauge(bar="rod", position=on_rod),)
-        parts["gauges"] = read_gauges((*rod, *document.gauges), scene, findings)
+        parts["gauges"] = read_gauges(document, scene, findings)
     if findings.faults:
         return None
     study = Study(

@@ -374,27 +374,29 @@ def read_damper(bars: BarsTable | None, findings: Findings) -> EndImpedance | No
     return EndImpedance(frequency=frequency, real=real, imaginary=imaginary)
 
 
-def read_gauges(tables: tuple[Gauge, ...], scene: Scene, findings: Findings) -> tuple[Gauge, ...]:
-    """The gauges of a scene; a bar that is too short for its gauge is noted."""
+def read_gauges(document: Document, scene: Scene, findings: Findings) -> tuple[Gauge, ...]:
+    """The gauges of a scene, that of its rod first; a bar that is too short for its gauge is noted."""
+    on_rod = None if document.rod is None else document.rod.gauge
+    tables: dict[Place, Gauge] = {} if on_rod is None else {("rod", "gauge"): Gauge(bar="rod", position=on_rod)}
+    tables |= {("gauges", index): gauge for index, gauge in enumerate(document.gauges)}
     if len(tables) > MOST_GAUGES:
         findings.add(("gauges",), f"found {len(tables)} gauges, at most {MOST_GAUGES} are allowed")
         return ()
     found: list[Gauge] = []
-    for index, gauge in enumerate(tables):
-        place: Place = ("gauges", index)
+    for place, gauge in tables.items():
         if not findings.clean(place):
             continue
-        on_rod = gauge.bar == "rod"
-        name = "rod.length" if on_rod else f"bars.{gauge.bar}_length"
-        length, what = scene.mean(name), "rod" if on_rod else f"{gauge.bar} bar"
-        if on_rod != (scene.options.get("rig.kind", "bars") == "load_cell"):
+        rod = gauge.bar == "rod"
+        name = "rod.length" if rod else f"bars.{gauge.bar}_length"
+        length, what = scene.mean(name), "rod" if rod else f"{gauge.bar} bar"
+        if rod != (scene.options.get("rig.kind", "bars") == "load_cell"):
             findings.add(
                 (*place, "bar"), f"the rig has no {what}: gauges stand on the bars, or on the rod of a load_cell"
             )
         elif length is not None and gauge.position > length:
             found_at, end = format_value(gauge.position, "bars.incident_length"), format_value(length, name)
             said = f"found {found_at}, beyond the far end of the {what} of {end}: the distance counts from the sphere"
-            findings.add((*place, "position"), said)
+            findings.add(place if place[0] == "rod" else (*place, "position"), said)
         elif gauge in found:
             findings.add(place, f"a gauge on the {gauge.bar} bar at this place is named twice")
         else:

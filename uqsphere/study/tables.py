@@ -7,6 +7,7 @@ what is wrong with it, and says the same to editors.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
@@ -221,9 +222,13 @@ _DUE: Final = {
 }
 
 
+#: a kind's validator, which takes longer to build than most studies take to read
+_adapter = functools.cache(TypeAdapter)
+
+
 def read_table(kind: type[Table], data: Mapping[str, Raw], findings: Findings, place: Place = ()) -> Table:
     """The table of a kind that stands at `place`, without those parts that were faulty; each fault is noted."""
-    adapter = TypeAdapter(kind)
+    adapter = _adapter(kind)
     left = deepcopy(dict(data))
     found = None
     for _ in range(_MOST_TURNS):
