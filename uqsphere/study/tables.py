@@ -222,15 +222,17 @@ _DUE: Final = {
 }
 
 
-#: a kind's validator, which takes longer to build than most studies take to read
-_adapter = functools.cache(TypeAdapter)
+@functools.cache
+def _adapter(kind: Raw) -> TypeAdapter[Raw]:
+    """A table's validator, which takes longer to build than most studies take to read."""
+    return TypeAdapter(kind)
 
 
 def read_table(kind: type[Table], data: Mapping[str, Raw], findings: Findings, place: Place = ()) -> Table:
     """The table of a kind that stands at `place`, without those parts that were faulty; each fault is noted."""
-    adapter = _adapter(kind)
+    adapter = _adapter(kind)  # type: ignore[arg-type]
     left = deepcopy(dict(data))
-    found = None
+    found: Table | None = None
     for _ in range(_MOST_TURNS):
         try:
             found = adapter.validate_python(left, context=True)
