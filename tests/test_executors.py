@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import uqsphere
-from tests.campaigns.kills import answers_of
+from tests.campaigns.trust import answers_of
 from uqsphere.black_box import model_digest
 from uqsphere.errors import AccessError, ModelError, StudyError, TooManyFailures, UsageError
 from uqsphere.runner.chunks import CHUNK, block_size

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 import uqsphere
-from tests.campaigns.kills import answers_of, kill_runs, write_case
+from tests.campaigns.trust import answers_of, kill_runs, write_case
 from uqsphere.cli import main
 from uqsphere.errors import AccessError, FolderError, UqsphereError
 from uqsphere.runner import chunks as gathering

@@ -1,12 +1,15 @@
-"""What a stranger may send and what may go wrong on the way: studies, folders, kills, faulty models, closed streams.
+"""What a stranger may send and what may go wrong on the way: studies, folders, kills, faulty models, streams, disks.
 
     python -m tests.campaigns.trust                               all parts at a tenth of their numbers, as one table
     python -m tests.campaigns.trust studies --count 20000         one part
 
 Studies are sentences of the grammar that `uqsphere schema` prints, whole or grafted into shipped studies, with
-words that do not belong there.  Folders are those of runs, with files missing, cut, exchanged, or in their
-place a link, a pipe, a socket, a folder, what is huge or of another kind.  The same seed gives the same anywhere.
-Commands run in this process under guard: exit code, texts, time, and every write outside one folder.
+words that do not belong there; of one that passes a value is spoilt, which must not pass.  Folders are those of runs,
+with files missing, cut, exchanged, or in their place a link, a pipe, a socket, a folder, what is huge or of another
+kind.  Commands run in this process under guard: exit code, texts, time, and every write outside one folder.
+Runs, or the workers of a cluster on this machine, are killed at random moments; a model that writes down its calls
+shows what was evaluated twice.  `disks` are small ones in memory, which take root to mount.  The same seed gives the
+same anywhere, but for moments.
 """
 
 from __future__ import annotations
@@ -15,9 +18,11 @@ import argparse
 import collections
 import contextlib
 import functools
+import hashlib
 import io
 import json
 import os
+import random
 import re
 import shutil
 import signal
@@ -25,17 +30,17 @@ import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tests.campaigns import table, tell
-from tests.campaigns.kills import answers_of, kill_runs, write_case
 from tests.conftest import BOX, MARGINS, SMALL
 
 ROOT = Path(__file__).parent.parent.parent
@@ -106,14 +111,14 @@ def guarded(*roots: Path) -> Iterator[list[str]]:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a command did."""
+    """What a command did; `note` is worth a line of its own."""
 
-    arguments: tuple[str, ...]
     code: int
-    out: str
-    err: str
+    out: str = ""
+    err: str = ""
     seconds: float
-    forbidden: tuple[str, ...]
+    forbidden: tuple[str, ...] = ()
+    note: str = ""
 
 
 class Hang(BaseException):
@@ -145,8 +150,8 @@ def watched(arguments: Sequence[str], *roots: Path, do: Callable[[list[str]], in
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             signal.signal(signal.SIGALRM, before)
         forbidden = tuple(seen)
-    return Outcome(arguments=tuple(arguments), code=code, out=out.getvalue(), err=err.getvalue(),
-                   seconds=time.process_time() - started, forbidden=forbidden)  # fmt: skip
+    seconds = time.process_time() - started
+    return Outcome(code=code, out=out.getvalue(), err=err.getvalue(), seconds=seconds, forbidden=forbidden)
 
 
 def faults_of(outcome: Outcome, allowed: Sequence[int] = ALLOWED) -> list[str]:
@@ -294,7 +299,7 @@ def as_toml(value: Any, top: bool = True) -> str:
         return "[" + ", ".join(as_toml(entry, False) for entry in value) + "]"
     if isinstance(value, float):
         return repr(value)
-    return str(value) if isinstance(value, Word) else json.dumps(value)
+    return str(value) if isinstance(value, Word) else json.dumps(value, default=str)
 
 
 def damage_bytes(data: bytes, generator: np.random.Generator) -> bytes:
@@ -378,11 +383,34 @@ def check_study(data: bytes, place: Path) -> tuple[Outcome, list[str]]:
     return found, faults
 
 
+def spoil(document: dict[str, Any], generator: np.random.Generator) -> str:
+    """Put what no key takes in the place of a value anywhere in a document; its key."""
+    node: Any = document
+    while True:
+        key = list(node)[int(generator.integers(len(node)))] if isinstance(node, dict) else 0
+        below = node[key]
+        if not below or not isinstance(below[0] if isinstance(below, list) else below, dict):
+            node[key] = {"\u2028": [1]}
+            return str(key)
+        node = below
+
+
 def study_trials(seed: int, place: Path) -> Trial:
-    """Studies through `check`."""
+    """Studies through `check`, and those that pass once more with a value that cannot."""
     make = Studies(seed)
     (place / "tests.csv").write_text("x\n" + "\n".join(str(1.0 + 0.1 * k) for k in range(30)) + "\n")
-    return lambda number: check_study(make(number), place)
+
+    def trial(number: int) -> tuple[Outcome, list[str]]:
+        data = make(number)
+        found, faults = check_study(data, place)
+        document = tomllib.loads(data.decode()) if found.code == 0 else {}
+        if document:
+            key = spoil(document, np.random.default_rng([seed, number, 1]))
+            again, more = check_study(as_toml(document).encode(), place)
+            faults += more + [f"whatever stands at {key} passes"] * (again.code == 0)
+        return found, faults
+
+    return trial
 
 
 def run_of(study: Any, **more: Any) -> int:
@@ -573,37 +601,283 @@ def folder_trials(seed: int, place: Path) -> Trial:
     return trial
 
 
-# --- kills, models and streams ----------------------------------------------------------------------
+# --- kills ----------------------------------------------------------------------------------------
+
+CASE = """\
+title = "killed"
+seed = 3
+[inputs]
+x1 = {{ dist = "uniform", lower = 0.0, upper = 1.0 }}
+x2 = {{ dist = "normal", mean = 0.0, sd = 1.0 }}
+[outputs]
+names = ["y"]
+[limits.high]
+quantity = "y"
+strength = 4.0
+[analysis]
+methods = ["sobol"]
+{limit}quantiles = [0.5]
+accuracy = {{ mean = 0.1, quantile = 0.1, sobol = 0.5, probability = 0.5 }}
+"""
+#: a call is one line of its file when it begins, and one when it ends; appended, so that processes share the file
+COUNTED = """\
+import hashlib, os, time
+import numpy as np
+LOG = os.path.join(os.path.dirname(os.path.abspath(__file__)), "calls.log")
+
+def tell(text):
+    with open(LOG, "ab", buffering=0) as log:
+        log.write(text.encode())
+
+def f(inputs):
+    rows = np.stack([inputs["x1"], inputs["x2"]], axis=1)
+    name = hashlib.sha256(rows.tobytes()).hexdigest()[:16]
+    tell(f"begin {{name}} {{len(rows)}} {{os.getpid()}}\\n")
+    time.sleep({sleep} * len(rows))
+    value = rows[:, 0] + rows[:, 1] ** 2
+    tell(f"end {{name}} {{len(rows)}} {{os.getpid()}}\\n")
+    return {{"y": value}}
+"""
+
+
+@dataclass(kw_only=True)
+class Kills:
+    """What killing came to: how often, runs that ended, those with other bytes, rows of all kinds, and exit codes.
+
+    `repeated` counts rows whose answer was stored and that were evaluated again; `unstored` those whose call had ended
+    when the run was killed and whose answer had not reached its file.
+    """
+
+    kills: int = 0
+    runs: int = 0
+    unequal: int = 0
+    repeated: int = 0
+    unstored: int = 0
+    evaluations: int = 0
+    codes: list[int] = field(default_factory=list)
+
+    def ended(self, code: int, equal: bool, evaluations: int) -> None:
+        """Count a run that ended."""
+        self.runs += 1
+        self.codes.append(code)
+        self.unequal += int(code != 0 or not equal)
+        self.evaluations += evaluations
+
+    def outcome(self, began: float) -> tuple[Outcome, list[str]]:
+        """As a trial has it."""
+        faults = [f"other bytes ({self.unequal})"] * bool(self.unequal)
+        faults += [f"{self.repeated} stored rows evaluated again"] * bool(self.repeated)
+        note = f"{self.kills} kills, {self.runs} runs, {self.unstored} of {self.evaluations} rows lost"
+        return Outcome(code=max(self.codes), seconds=time.process_time() - began, note=note), faults
+
+
+def write_case(folder: Path, sleep: float, *, processes: bool = False) -> Path:
+    """A black box that writes down its calls, and its study; `sleep` is what a row takes.
+
+    processes : have it evaluated in processes of its own, which a limit of time needs however cheap a row is.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    limit = 'time_limit = "1 min"\n' if processes else ""
+    (folder / "killed.toml").write_text(CASE.format(limit=limit), encoding="utf-8")
+    (folder / "killed.py").write_text(COUNTED.format(sleep=sleep), encoding="utf-8")
+    return folder
+
+
+def answers_of(folder: Path) -> str:
+    """One digest of everything that must not depend on how a run came about."""
+    digest = hashlib.sha256()
+    for path in [folder / "results.json", folder / "samples.npy", *sorted((folder / "tables").iterdir())]:
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def rows_of(case: Path) -> int:
+    """Rows whose calls have ended."""
+    log = case / "calls.log"
+    lines = log.read_text().splitlines() if log.exists() else []
+    return sum(int(line.split()[2]) for line in lines if line.startswith("end"))
+
+
+def _begin(case: Path, *more: str) -> subprocess.Popen[bytes]:
+    """A run of the case, in a process that can be killed."""
+    line = ["run", str(case / "killed.toml"), "--model", f"{case / 'killed.py'}:f", "--out", str(case / "r"), *more]
+    return subprocess.Popen([sys.executable, "-m", "uqsphere", *line], stdout=subprocess.DEVNULL,
+                            stderr=subprocess.DEVNULL)  # fmt: skip
+
+
+def _clear(case: Path) -> None:
+    shutil.rmtree(case / "r", ignore_errors=True)
+    (case / "calls.log").unlink(missing_ok=True)
+
+
+def _whole(case: Path, *more: str) -> tuple[str, float, int]:
+    """Answers of a run that nobody disturbs, its seconds, and its evaluations."""
+    _clear(case)
+    began = time.monotonic()
+    if code := _begin(case, *more).wait():
+        raise RuntimeError(f"a run that nobody disturbs ends with {code}")
+    return answers_of(case / "r"), time.monotonic() - began, rows_of(case)
+
+
+def _stored(case: Path) -> int:
+    """Rows in the chunk files of a result folder; parts of a chunk that is whole by now count once."""
+    files = {path.name.rsplit("_", 1)[0]: path for path in (case / "r" / "evaluations").glob("*.npy")}
+    bases = {key: re.sub(r"\.p\d+-\d+$", "", key) for key in files}
+    return sum(len(np.load(files[key])) for key, base in bases.items() if base == key or base not in files)
+
+
+def kill_runs(case: Path, times: int, *, seed: int = 1, jobs: str = "2") -> Kills:
+    """Kill a run at random moments until it finishes, begin a new one, and so on, for a number of kills.
+
+    Answers are held against those of a run that nobody disturbs.  After each kill the rows that are stored are counted:
+    with the calls that had ended by then this says what had been evaluated and not stored.
+    """
+    rng, found = random.Random(seed), Kills()
+    whole, seconds, evaluations = _whole(case, "-j", jobs)
+    _clear(case)
+    lost = 0
+    while True:
+        began, fresh = time.monotonic(), not (case / "calls.log").exists()
+        process = _begin(case, "-j", jobs)
+        try:
+            code = process.wait(timeout=rng.uniform(0.0, seconds) if found.kills < times else None)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            found.kills += 1
+            _settle(case)
+            lost = rows_of(case) - _stored(case)
+            continue
+        if fresh:  # the machine may be busier than it was, or less: moments are drawn from the life of the last run
+            seconds = time.monotonic() - began
+        made = rows_of(case)
+        found.ended(code, code == 0 and answers_of(case / "r") == whole, made)
+        # rows whose answers were stored are among the stored ones once: whatever ended more than once and was not lost
+        found.unstored += lost
+        found.repeated += max(0, made - evaluations - lost)
+        if found.kills >= times:
+            return found
+        lost = 0
+        _clear(case)
+
+
+def _settle(case: Path) -> None:
+    """Wait until workers whose run was killed have gone: they end when their input does."""
+    before = -1
+    for _ in range(100):
+        size = (case / "calls.log").stat().st_size if (case / "calls.log").exists() else 0
+        if size == before:
+            return
+        before = size
+        time.sleep(0.05)
 
 
 def kill_trials(seed: int, place: Path) -> Trial:
-    """Runs that are killed five times, at random moments, and gone on with until they end: bytes and evaluations."""
-    case = write_case(place / "case", 0.0005)
+    """Runs that are killed five times and gone on with until they end; every other one has processes for its model."""
 
     def trial(number: int) -> tuple[Outcome, list[str]]:
-        began = time.process_time()
-        found = kill_runs(case, 5, seed=1000 * seed + number, jobs="1")
-        faults = [f"other bytes ({found.unequal})"] * bool(found.unequal)
-        faults += [f"{found.repeated} stored rows evaluated again"] * bool(found.repeated)
-        return Outcome(arguments=(), code=max(found.codes), out="", err="", forbidden=(),
-                       seconds=time.process_time() - began), faults  # fmt: skip
+        case = write_case(place / str(number % 2), 0.0005, processes=bool(number % 2))
+        return kill_runs(case, 5, seed=1000 * seed + number, jobs="2").outcome(time.process_time())
 
     return trial
 
 
+@contextlib.contextmanager
+def _killing(cluster: Any, rng: random.Random, found: Kills, times: int, pause: float) -> Iterator[None]:
+    """A thread that kills a worker now and then."""
+    over = threading.Event()
+
+    def kill() -> None:
+        while not over.wait(rng.uniform(0.2 * pause, pause)):
+            alive = [w.pid for w in cluster.workers.values() if getattr(w, "pid", None)]
+            if alive and found.kills < times:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(rng.choice(alive), signal.SIGKILL)
+                    found.kills += 1
+
+    thread = threading.Thread(target=kill, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def worker_trials(seed: int, place: Path) -> Trial:
+    """Workers of a Dask cluster that are killed five times while runs go on."""
+
+    def trial(number: int) -> tuple[Outcome, list[str]]:
+        import uqsphere
+        from uqsphere.runner.cluster import dask_cluster
+
+        rng, found, began = random.Random(1000 * seed + number), Kills(), time.process_time()
+        case = write_case(place / "case", 0.001)
+        whole, seconds, evaluations = _whole(case)
+        study = uqsphere.load_study(case / "killed.toml")
+        with dask_cluster("local", 2) as executor:
+            while found.kills < 5:
+                _clear(case)
+                with _killing(executor.client.cluster, rng, found, 5, 0.3 * seconds):
+                    uqsphere.run(study, out=case / "r", model=f"{case / 'killed.py'}:f", executor=executor)
+                made = rows_of(case)
+                found.ended(0, answers_of(case / "r") == whole, made)
+                found.unstored += made - evaluations
+        return found.outcome(began)
+
+    return trial
+
+
+@contextlib.contextmanager
+def _workers(count: int, dask: bool) -> Iterator[Any]:
+    """Processes of this machine, or workers of a cluster on it."""
+    from uqsphere.runner.cluster import dask_cluster
+    from uqsphere.runner.workers import LocalWorkers
+
+    with dask_cluster("local", count) if dask else contextlib.closing(LocalWorkers(count)) as executor:
+        yield executor
+
+
+def scale_trials(seed: int, place: Path) -> Trial:
+    """A run whose rows take a while and no processor, with 1, 2, 4, 8 workers of each kind: bytes and seconds."""
+    import uqsphere
+
+    # the first has everybody awake
+    cases, digests = [write_case(place / "quick", 0.0), write_case(place / "case", 0.005)], set[str]()
+
+    def trial(number: int) -> tuple[Outcome, list[str]]:
+        count, dask = 2 ** (number % 4), number % 8 >= 4
+        with _workers(count, dask) as executor:
+            for case in cases:
+                _clear(case)
+                began = time.perf_counter()
+                study = uqsphere.load_study(case / "killed.toml")
+                uqsphere.run(study, out=case / "r", model=f"{case / 'killed.py'}:f", executor=executor)
+        seconds = time.perf_counter() - began
+        digests.add(answers_of(case / "r"))
+        note = f"{count} {'workers of a cluster' if dask else 'processes'}: {seconds:.1f} s"
+        return Outcome(code=0, seconds=seconds, note=note), ["other bytes"] * (len(digests) - 1)
+
+    return trial
+
+
+# --- models, streams and disks ----------------------------------------------------------------------
+
+
 def _command(line: str, place: Path) -> Outcome:
     """A line of the shell, `uqsphere` in it."""
-    line = line.replace("uqsphere", f"{sys.executable} -m uqsphere")
-    began = time.monotonic()
-    done = subprocess.run(
-        ["bash", "-c", line], cwd=place, capture_output=True, text=True, check=False, timeout=PATIENCE
-    )
-    return Outcome(arguments=(line,), code=done.returncode, out=done.stdout, err=done.stderr, forbidden=(),
-                   seconds=time.monotonic() - began)  # fmt: skip
+    line, began = line.replace("uqsphere", f"{sys.executable} -m uqsphere"), time.monotonic()
+    done = subprocess.run(["bash", "-c", line], cwd=place, capture_output=True, text=True, check=False,
+                          timeout=PATIENCE)  # fmt: skip
+    return Outcome(code=done.returncode, out=done.stdout, err=done.stderr, seconds=time.monotonic() - began)
 
 
 def model_trials(seed: int, place: Path) -> Trial:
-    """Models that end, hang, fork, print, or return what no model should: code 4 and no results, or no harm."""
+    """Models that end, hang, fork, print, or return what no model should, by the command and by Python's door.
+
+    Code 4 and no results, or no harm.
+    """
+    import uqsphere
     from tests.test_faulty_models import FAULTY, HARMLESS, HEAD, STUDY
 
     (place / "s.toml").write_text(STUDY, "utf-8")
@@ -613,12 +887,19 @@ def model_trials(seed: int, place: Path) -> Trial:
         body, said = bodies[number % len(bodies)]
         (place / "own.py").write_text(f"{HEAD}\ndef f(rows):\n    {body}\n    return good(rows)\n", "utf-8")
         shutil.rmtree(place / "r", ignore_errors=True)
-        found = _command("uqsphere run s.toml --model own.py:f --out r --json", place)
+        if number < len(bodies):
+            found = _command("uqsphere run s.toml --model own.py:f --out r --json", place)
+        else:
+            run = {"out": place / "r", "model": f"{place / 'own.py'}:f"}
+            found = watched([], Path("/"), do=lambda _: run_of(uqsphere.load_study(place / "s.toml"), **run))
         faults = faults_of(found, (0, 3) if said is None else (4,))
-        if (place / "r" / "results.json").exists() != (said is None) or bool(found.out) != (said is None):
-            faults.append("results of a model without answers, or none of a good one")
-        # the process of the model may tell of its own end, and take its time
-        return found, [f"{body}: {fault}" for fault in faults if not fault.startswith(("steers", "takes", "traceback"))]
+        if (place / "r" / "results.json").exists() != (said is None) or (said or "") not in found.err:
+            faults.append("results of a model without answers, or none of a good one, or not the reason")
+        if bool(found.out) != (said is None and number < len(bodies)):
+            faults.append("other words than the document on stdout")
+        # the process of the model may tell of its own end, and take its time; Python's door starts processes
+        harmless = ("steers", "takes", "traceback", "forbidden")
+        return found, [f"{body}: {fault}" for fault in faults if not fault.startswith(harmless)]
 
     return trial
 
@@ -633,7 +914,7 @@ def stream_trials(seed: int, place: Path) -> Trial:
     case = write_case(place / "case", 0.0)
 
     def trial(number: int) -> tuple[Outcome, list[str]]:
-        shutil.rmtree(case / "r", ignore_errors=True)
+        _clear(case)
         streams = STREAMS[number % len(STREAMS)]
         line = f"uqsphere run killed.toml --model killed.py:f --out r {streams}; exit ${{PIPESTATUS[0]}}"
         found = _command(line, case)
@@ -645,10 +926,36 @@ def stream_trials(seed: int, place: Path) -> Trial:
     return trial
 
 
+def disk_trials(seed: int, place: Path) -> Trial:
+    """Disks that are full sooner or later: code 6, and the same bytes where a run goes on with more room."""
+    case, disk = write_case(place / "case", 0.0), place / "disk"
+    disk.mkdir()
+    whole = _whole(case)[0]
+    line = f"uqsphere run killed.toml --model killed.py:f --out {disk}/r"
+
+    def trial(number: int) -> tuple[Outcome, list[str]]:
+        subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={4 << number % 10}k", "none", disk], check=True)
+        try:
+            found = _command(line, case)
+            faults = faults_of(found, (0, 6))
+            if found.code == 0 and answers_of(disk / "r") != whole:
+                faults.append("ends well with other answers")
+            subprocess.run(["mount", "-o", "remount,size=64m", disk], check=True)
+            again = _command(line, case)
+            if again.code != 0 or answers_of(disk / "r") != whole:
+                faults.append(f"does not go on: {again.err[-300:]}")
+        finally:
+            subprocess.run(["umount", disk], check=True)
+        return found, [f"{4 << number % 10} kB: {fault}" for fault in faults]
+
+    return trial
+
+
 #: every part, and how many of it there are
 PARTS: dict[str, tuple[Callable[[int, Path], Trial], int]] = {
     "studies": (study_trials, 20_000), "runs": (run_trials, 300), "folders": (folder_trials, 5_000),
-    "kills": (kill_trials, 6), "models": (model_trials, 26), "streams": (stream_trials, 12),
+    "kills": (kill_trials, 6), "workers": (worker_trials, 10), "scale": (scale_trials, 8),
+    "models": (model_trials, 52), "streams": (stream_trials, 12), "disks": (disk_trials, 10),
 }  # fmt: skip
 
 
@@ -662,6 +969,8 @@ def tried(part: str, count: int, *, seed: int = 1, start: int = 0, keep: Path | 
             found, faults = trial(number)
             codes[found.code] += 1
             slowest = max(slowest, found.seconds)
+            if found.note:
+                tell(f"{part} {seed}/{number}: {found.note}")
             if faults:
                 failures += 1
                 tell(f"{part} {seed}/{number}: {'; '.join(faults)[:600]}")
