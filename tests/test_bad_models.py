@@ -14,7 +14,7 @@ import pytest
 import uqsphere
 from uqsphere.black_box import load_black_box
 from uqsphere.cli import main
-from uqsphere.cli.watch import Progress, Silence
+from uqsphere.cli.run import Progress, Silence
 from uqsphere.errors import ModelError, ModelRaised, UsageError
 from uqsphere.model import answer_black_box
 from uqsphere.runner.campaign import NO_NUMBER, Cost, cost_of, out_of_reach

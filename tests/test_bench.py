@@ -19,8 +19,7 @@ from uqsphere.bench.measure import (
     run_bench,
     speed_error_figure,
 )
-from uqsphere.bench.rivals import METHODS, solve_scipy
-from uqsphere.bench.scenes import bench_scenes, scattered_scene
+from uqsphere.bench.rivals import METHODS, bench_scenes, scattered_scene, solve_scipy
 from uqsphere.errors import FolderError
 from uqsphere.mechanics.integrator.solve import integrate
 from uqsphere.mechanics.integrator.tracked import ANSWER_CONTACT, ANSWER_X_MAX

@@ -321,7 +321,7 @@ def test_a_black_box_that_fails(place: Path, capsys: pytest.CaptureFixture[str],
 def test_an_interrupted_run_says_how_to_go_on(
     place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from uqsphere.cli.watch import Progress
+    from uqsphere.cli.run import Progress
 
     def interrupt(self: Progress, stage: str, done: int, total: int) -> None:
         raise KeyboardInterrupt

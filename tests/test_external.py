@@ -17,7 +17,7 @@ from conftest import SMALL
 
 import uqsphere
 from uqsphere.black_box import load_black_box, model_digest
-from uqsphere.cli.serve import server_of
+from uqsphere.cli.studies import server_of
 from uqsphere.errors import AccessError, ModelError, StudyError, UsageError
 
 #: prints, writes a CSV and JSON; fails where x is above 2, and hangs below -2

@@ -131,7 +131,7 @@ def test_commands(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert {"draws.csv", "fit.json", "report.html"} <= {path.name for path in out.iterdir()}
     assert main(["fit", str(study), "--out", str(out)]) == 0
     text = capsys.readouterr().out
-    assert "half break at" in text
+    assert "breaks half" in text
     assert "weibull" in text
     assert main(["plan-tests", str(study), "--at", "20 mm", "--json"]) == 0
     plan = json.loads(capsys.readouterr().out)

@@ -88,7 +88,7 @@ def test_a_table_of_sieves_is_a_size_distribution(tmp_path):
     feed = load(tmp_path, text, f="sieve_mm,passing_percent\n63,100\n16,60\n4,20\n").feed.feed
     assert feed.classes.edges[0] == pytest.approx(0.063)
     said = faults(tmp_path, text, f="sieve_mm,passing_percent\n63,60\n16,70\n4,20\n")
-    assert 'line 2 of "f.csv": the passing falls' in said
+    assert "f.csv:2: the passing falls" in said
     assert "stands there twice" in faults(tmp_path, text, f="sieve_mm,passing_percent\n63,60\n63,60\n")
 
 

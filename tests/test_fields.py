@@ -15,7 +15,7 @@ from uqsphere.errors import FolderError, ModelError, StudyError
 from uqsphere.report import build_report
 from uqsphere.report.chapters import fields_blocks
 from uqsphere.report.contents import read_contents
-from uqsphere.results.fields import Stored, as_netcdf, read_fields
+from uqsphere.results.tables import Stored, as_netcdf, read_fields
 from uqsphere.uq import fields
 from uqsphere.uq.fields import answer_field
 from uqsphere.uq.points import sobol_points

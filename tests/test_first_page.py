@@ -15,7 +15,7 @@ from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.figures.fragility import lognormal_scores
 from uqsphere.report.phrases import safe_side
 from uqsphere.report.tables import answer_checks_table, margins_table
-from uqsphere.results.margins import LognormalEntry, MarginEntry
+from uqsphere.results.entries import LognormalEntry, MarginEntry
 
 _CHECK = {
     "check": "bar_yield_contact", "share": 0.56, "share_information": 0.0, "share_warning": 0.56, "share_failure": 0.0,

@@ -24,8 +24,8 @@ from uqsphere.mechanics.outputs import Path as LoadingPath
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import check_at_fracture
 from uqsphere.report import build_report
+from uqsphere.report.brief import summary_of
 from uqsphere.report.contents import read_contents
-from uqsphere.report.terminal import summary_of
 from uqsphere.results.tables import tables
 
 FORCE, ENERGY = LoadingPath(over="force"), LoadingPath(over="energy")

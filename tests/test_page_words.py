@@ -13,12 +13,11 @@ from report_folders import estimate, limit, put, write_folder
 from test_page_agrees import solved
 
 from uqsphere.report import build_report
-from uqsphere.report.blocks import Table
 from uqsphere.report.contents import Contents, read_contents, subject_of
-from uqsphere.report.drivers import design_table, given_failure_table
 from uqsphere.report.figures.fragility import family_figure
 from uqsphere.report.page import unbroken
-from uqsphere.report.phrases import mathematical, outward, probability_range
+from uqsphere.report.phrases import Table, mathematical, outward, probability_range
+from uqsphere.report.tables import design_table, given_failure_table
 from uqsphere.results import read_results
 
 ROOT = Path(__file__).parents[1]

@@ -14,10 +14,9 @@ from report_folders import write_folder
 
 from uqsphere.quantities import display_unit, format_estimate, format_value, lookup, reading_units, unit_that_reads
 from uqsphere.report import build_report
-from uqsphere.report.blocks import index_cell
 from uqsphere.report.contents import units_of
 from uqsphere.report.figures.canvas import slim
-from uqsphere.report.phrases import estimate_text, powers, probability_text
+from uqsphere.report.phrases import estimate_text, index_cell, powers, probability_text
 from uqsphere.results import Results
 from uqsphere.results.entries import Est
 from uqsphere.units import UNITS

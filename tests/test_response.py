@@ -15,12 +15,12 @@ from scipy.special import ndtr, ndtri
 import uqsphere
 from tests.campaigns.coverage import CoverageModel, coverage_models
 from uqsphere.arrays import Array
-from uqsphere.cli.watch import Progress
+from uqsphere.cli.run import Progress
 from uqsphere.given.answers import given_answers
 from uqsphere.mechanics.history import FieldView
 from uqsphere.report import build_report
+from uqsphere.report.brief import summary_of
 from uqsphere.report.contents import read_contents
-from uqsphere.report.terminal import summary_of
 from uqsphere.study import Study
 from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.expansion import Chaos, Piece, chaos_indices, fit_chaos, germ_points, held, predict
@@ -390,7 +390,7 @@ def test_progress_tells_the_accuracy_and_the_most_that_is_left(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     now = 100.0
-    monkeypatch.setattr("uqsphere.cli.watch.time.monotonic", lambda: now)
+    monkeypatch.setattr("uqsphere.cli.run.time.monotonic", lambda: now)
     progress = Progress(evaluations=40_000, seconds=600.0, asked={"mean": 0.01, "sobol": 0.02}, began=now, started=now)
     kinds = ("half-width of the mean over the standard deviation", "largest half-width of an index")
     progress.reached([{"quantity": "p_max", "error": 0.02, "error_kind": kinds[0]}])

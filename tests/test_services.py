@@ -17,9 +17,9 @@ from uqsphere.cli.verify import verify_folder
 from uqsphere.errors import FolderError, StudyError, UsageError
 from uqsphere.mechanics.rigs import GRAVITY
 from uqsphere.report import build_report
+from uqsphere.report.brief import summary_of
 from uqsphere.report.compare import compare_folders, comparison_text
 from uqsphere.report.contents import read_contents
-from uqsphere.report.terminal import summary_of
 from uqsphere.runner.export import export_run
 from uqsphere.runner.finished import Run, open_run
 from uqsphere.runner.questions.carried import carried_far

@@ -230,10 +230,10 @@ def every_place(node: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]
 @pytest.mark.parametrize("junk", [None, "x", -1, {}], ids=str)
 @pytest.mark.parametrize("file", ["results.json", "study.resolved.json"])
 def test_no_damage_anywhere_is_an_internal_error(folder: Path, file: str, junk: Any, capsys: Any) -> None:
+    from uqsphere.report.brief import summary_of
     from uqsphere.report.compare import compare_folders, comparison_text
     from uqsphere.report.contents import read_contents
     from uqsphere.report.tables import inputs_table, limits_table, model_table, repeat_rows
-    from uqsphere.report.terminal import summary_of
 
     whole = json.loads((folder / file).read_text())
     refused = 0

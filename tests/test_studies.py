@@ -12,12 +12,11 @@ import pytest
 import uqsphere
 from tests.campaigns.pages import hard_sentences, plain, printed, read, words
 from uqsphere.report import build_report
-from uqsphere.report.brief import make_brief
+from uqsphere.report.brief import LINES, make_brief, summary_of
 from uqsphere.report.compare import compare_folders
 from uqsphere.report.contents import read_contents
 from uqsphere.report.page import build_brief, typeset
 from uqsphere.report.phrases import loud, short_share
-from uqsphere.report.terminal import LINES, summary_of
 
 STUDIES = Path(uqsphere.__file__).parent.parent / "studies"
 SMOKE = (

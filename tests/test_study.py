@@ -17,7 +17,7 @@ from test_broken_studies import BASE, BLACK_BOX, CASES
 
 from uqsphere.errors import StudyError, UsageError
 from uqsphere.study import Limit, Study, json_schema, load_study
-from uqsphere.study.rigs import NO_SPHERE
+from uqsphere.study.scene import NO_SPHERE
 from uqsphere.uq.law import Law
 
 STUDIES = Path(__file__).parent.parent / "studies"

@@ -175,7 +175,7 @@ def test_empirical_law_from_a_csv(load: Load, tmp_path: Path) -> None:
         (('"tests.csv"', "3"), "E\n1\n2\n", "found 3, where a text in quotes is due"),
         (("", ""), "F,e\n1,2\n2,3\n", "column \"E\" is not in"),
         (("", ""), "E,E\n1,2\n2,3\n", "twice or more"),
-        (("", ""), "E\n1\nx\n", "line 3 .*: found \"x\""),
+        (("", ""), "E\n1\nx\n", "tests.csv:3: found \"x\""),
         (("", ""), "E\n1\ninf\n", "finite number is due"),
         (("", ""), "E,F\n1,2\n,3\n", "finite number is due"),
         (("", ""), "E\n1\n", "found 1 value"),

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from report_folders import limit, write_folder
 
-from uqsphere.cli.watch import Progress
+from uqsphere.cli.run import Progress
 from uqsphere.console import screen_width, table, wrap, writable
+from uqsphere.report.brief import LINES, summary_of
 from uqsphere.report.compare import compare_folders, comparison_text
 from uqsphere.report.contents import read_contents
-from uqsphere.report.terminal import LINES, summary_of
 
 WIDTHS = (60, 80, 120)
 NAME = "Quetschfestigkeitsgrenzwertüberschreitung"
@@ -97,7 +97,7 @@ def test_the_bar_and_the_accuracy_below_it_fit_the_terminal(width: int, monkeypa
     monkeypatch.setenv("COLUMNS", str(width))
     monkeypatch.setenv("TERM", "xterm")
     now = 100.0
-    monkeypatch.setattr("uqsphere.cli.watch.time.monotonic", lambda: now)
+    monkeypatch.setattr("uqsphere.cli.run.time.monotonic", lambda: now)
     progress = Progress(evaluations=2_000_000, seconds=600.0, asked={"mean": 0.01}, began=now, started=now)
     kind = "half-width of the mean over the standard deviation"
     names = ("p_max", "contact_time", NAME)

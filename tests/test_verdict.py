@@ -14,7 +14,7 @@ from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.validity import Rule, grades
 from uqsphere.runner.finished import Run
 from uqsphere.study import Limit, load_study
-from uqsphere.study.ways import breaks_by, means_fracture, ways_of
+from uqsphere.study.study import breaks_by, means_fracture, ways_of
 from uqsphere.uq.law import make_law
 from uqsphere.uq.limit_state import LimitState
 from uqsphere.uq.union import make_union

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.bench.rivals import METHODS, solve_scipy
-from uqsphere.bench.scenes import BenchScene, bench_scenes, scattered_scene
+from uqsphere.bench.rivals import METHODS, BenchScene, bench_scenes, scattered_scene, solve_scipy
 from uqsphere.errors import FolderError
 from uqsphere.mechanics import closed_form
 from uqsphere.mechanics.integrator import solve as dynamics
@@ -48,7 +47,7 @@ def describe_machine() -> dict[str, Any]:
 
 _READY = """
 import time; begin = time.perf_counter()
-from uqsphere.bench.scenes import scattered_scene
+from uqsphere.bench.rivals import scattered_scene
 from uqsphere.mechanics.integrator.solve import integrate
 integrate(scattered_scene(16), quantities=("p_max",))
 print(time.perf_counter() - begin)
@@ -57,7 +56,7 @@ _MEMORY = """
 import sys, resource
 from pathlib import Path
 import numpy as np
-from uqsphere.bench.scenes import scattered_scene
+from uqsphere.bench.rivals import scattered_scene
 from uqsphere.mechanics.integrator.solve import solve
 rows, chunk, done = int(sys.argv[1]), 65536, 0
 best = 0.0

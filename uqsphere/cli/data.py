@@ -1,10 +1,12 @@
-"""What each command does that begins with data of the user's, or lists what there is: analyse, list."""
+"""What each command does that begins with data of the user's, or lists what there is: analyse, list, bench."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tomllib
+from pathlib import Path
 
 from uqsphere.console import answer, screen_width, table
 from uqsphere.quantities import INPUTS, OUTPUTS, format_value
@@ -115,3 +117,18 @@ def command_list(chosen: argparse.Namespace) -> int:
              "templates": _templates}  # fmt: skip
     content, text = lists[chosen.what]()
     return answer(chosen, content, text)
+
+
+def command_bench(chosen: argparse.Namespace) -> int:
+    """Measure speed against error, or hold the model against published measurements."""
+    from uqsphere.bench.measure import run_bench
+    from uqsphere.bench.measured import run_measured
+
+    folder = chosen.out or Path("bench-results")
+    content = (
+        run_measured(folder)
+        if chosen.measured
+        else run_bench(folder, quick=chosen.quick, notice=lambda text: print(text, file=sys.stderr, flush=True))
+    )
+    text = content.pop("text")
+    return answer(chosen, content, f"{text}\n\nwritten to {folder}")

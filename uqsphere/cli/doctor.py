@@ -95,8 +95,7 @@ def _room() -> tuple[bool, str]:
 
 def _integration() -> tuple[bool, str]:
     """The compiled integrator against one of scipy's, on a scene of the benchmark."""
-    from uqsphere.bench.rivals import solve_scipy
-    from uqsphere.bench.scenes import scattered_scene
+    from uqsphere.bench.rivals import scattered_scene, solve_scipy
     from uqsphere.mechanics.integrator.solve import integrate
     from uqsphere.mechanics.integrator.tracked import ANSWER_X_MAX
 

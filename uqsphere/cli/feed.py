@@ -14,8 +14,7 @@ from uqsphere.console import answer, screen_width, table, wrap
 from uqsphere.errors import UsageError
 
 if TYPE_CHECKING:
-    from uqsphere.feed.answers import Answer, FeedEntry
-    from uqsphere.feed.fit import FitEntry, Interval, Posterior
+    from uqsphere.feed.fit import FitEntry, Posterior
     from uqsphere.feed.plan import TestPlan
     from uqsphere.study import Study
 
@@ -45,7 +44,7 @@ def fitted(study: Study) -> tuple[Posterior, FitEntry]:
 def command_fit(chosen: argparse.Namespace) -> int:
     """The posterior of tests of single particles."""
     from uqsphere.feed.fit import DRAWS_FILE, FIT_FILE
-    from uqsphere.report.feed import fit_page
+    from uqsphere.report.feed import fit_page, fit_text
     from uqsphere.store import write_outputs
 
     study = study_of(chosen)
@@ -104,7 +103,7 @@ def command_feed(chosen: argparse.Namespace) -> int:
     """What becomes of a feed; exit code 3 for a target whose verdict is anything but met."""
     from uqsphere.feed.answers import FEED_FILE, TABLE_FILE, answer_feed
     from uqsphere.feed.fit import DRAWS_FILE, FIT_FILE, Posterior, read_fit
-    from uqsphere.report.feed import feed_page
+    from uqsphere.report.feed import feed_page, feed_text
     from uqsphere.store import csv_text, write_outputs
 
     study = study_of(chosen)
@@ -153,44 +152,6 @@ def command_export_dem(chosen: argparse.Namespace) -> int:
 # --- what is printed ------------------------------------------------------------------------------------------
 
 
-def fit_text(entry: FitEntry) -> str:
-    """A fit for the terminal."""
-    width, about = screen_width(), entry.tests
-    bound = "" if entry.ratio is None else f", E_max/E50 {entry.ratio:g}"
-    said = f"{entry.title}: {entry.law.replace('_', '-')} law{bound}, size {entry.size}, {entry.method}"
-    if about is not None:
-        said += f"; {about.particles} particles, {about.broke} broke, {about.repeated} hit more than once"
-    sizes = [
-        (f"{1e3 * one.diameter:.4g} mm", str(one.tests), _ends(one.half), _ends(one.E50), _ends(one.slope),
-         "; ".join(f"{law} {_ends(tail)}" for law, tail in one.low_tail.items()))
-        for one in entry.sizes
-    ]  # fmt: skip
-    parameters = [
-        (law, f"{name} [{one.unit}]", _ends(one.posterior), f"{one.sd:.2g}",
-         "flat" if one.prior is None else f"{one.prior[0]:.3g}, {one.prior[1]:.2g}", "" if one.told else "not told")
-        for law, found in entry.parameters.items() for name, one in found.items()
-    ]  # fmt: skip
-    compared = [
-        (one.name, f"{one.log_likelihood:.2f}", "-" if one.loo is None else f"{one.loo:.2f}",
-         f"{100.0 * one.weight:.0f} %" if one.weight else "", one.words) for one in entry.laws
-    ]  # fmt: skip
-    fits = entry.goodness
-    good = f"distance from the tests {fits.distance:.3f}, p {fits.p_value:.3f}" if fits.p_value else fits.reason
-    head = ("size", "tests", "half break at, J/kg", "E50, J/kg", "-dlnE50/dlnd", "1 % break at, J/kg")
-    return "\n\n".join([
-        wrap(said, width), table(head, sizes, width),
-        table(("law", "parameter", "95 %", "sd of ln", "prior, sd", ""), parameters, width),
-        table(("law", "ln likelihood", "leave one out", "share", ""), compared, width), f"fit: {good}",
-        *(wrap(f"note: {text}", width) for text in entry.warnings),
-    ])  # fmt: skip
-
-
-def _ends(found: Interval) -> str:
-    if found.value is None or found.low is None or found.high is None:
-        return "-"
-    return f"{found.value:.3g} ({found.low:.3g} to {found.high:.3g})"
-
-
 def plan_text(
     plan: TestPlan | None,
     fixed: Mapping[int, Mapping[float, tuple[float, ...]]],
@@ -232,43 +193,3 @@ def _plan_blocks(plan: TestPlan, width: int) -> list[str]:
         reach = "the tests made so far reach the precision asked for"
     return [wrap(f"{plan.target}: {value}", width), table(("tests", "95 % half-width"), rows, width),
             wrap(best, width), wrap(reach, width)]  # fmt: skip
-
-
-def feed_text(entry: FeedEntry) -> str:
-    """The answers of a feed for the terminal."""
-    width = screen_width()
-    rows = [
-        _row("share broken", entry.broken, 100.0, "%"),
-        _row("never broken", entry.never, 100.0, "%"),
-        _row("blows until it breaks, at most all", entry.expected_blows, 1.0, ""),
-        _row("given to the particles", entry.energy, 1.0 / 3600.0, "kWh/t"),
-        _row("t10 of what breaks", entry.t10, 100.0, "%"),
-        _row("P80", entry.p80, 1e3, "mm"),
-        _row("P50", entry.p50, 1e3, "mm"),
-        _row("F80/P80", entry.reduction, 1.0, ""),
-    ]
-    if entry.fines_sieve is not None:
-        rows.append(_row(f"finer than {1e3 * entry.fines_sieve:.3g} mm", entry.fines, 100.0, "%"))
-    head = ("feed", "mean", "95 %: ignorance", "95 %: a lot")
-    blocks = [
-        wrap(f"{entry.title}: {', '.join(entry.of.values())}; {entry.blows} blow{'s' * (entry.blows > 1)}", width),
-        table(head, rows, width),
-    ]
-    if entry.goal is not None:
-        goal = entry.goal
-        said = f"at least {100 * goal.broken:.3g} % broken, {100 * goal.at_least:.3g} % sure: {goal.verdict}"
-        why = f" ({'; '.join(goal.reasons)})" if goal.reasons else ""
-        blocks.append(wrap(f"target, {said}; its probability is {100 * goal.probability:.3g} %{why}", width))
-    blocks += [wrap(f"note: {text}", width) for text in entry.warnings]
-    return "\n\n".join(blocks)
-
-
-def _row(name: str, answer: Answer, factor: float, unit: str) -> tuple[str, str, str, str]:
-    if answer.value is None:
-        return name, "-", answer.reason, ""
-
-    def ends(low: float | None, high: float | None) -> str:
-        return "" if low is None or high is None else f"{low * factor:.3g} to {high * factor:.3g}"
-
-    return (name, f"{answer.value * factor:.3g} {unit}".rstrip(), ends(answer.low, answer.high),
-            ends(answer.lot_low, answer.lot_high))  # fmt: skip

@@ -50,8 +50,8 @@ def command_report(chosen: argparse.Namespace) -> int:
 
 def command_show(chosen: argparse.Namespace) -> int:
     """The answers of a run as a table."""
+    from uqsphere.report.brief import summary_of
     from uqsphere.report.contents import read_contents
-    from uqsphere.report.terminal import summary_of
     from uqsphere.runner.finished import open_run
 
     with _believed(chosen.folder):

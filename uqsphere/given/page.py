@@ -13,12 +13,11 @@ from uqsphere.console import screen_width, table, wrap, writable
 from uqsphere.errors import told as safe
 from uqsphere.given.table import Data, Document
 from uqsphere.quantities import format_estimate
-from uqsphere.report.blocks import Block, Chapter, Table, cell, index_cell
 from uqsphere.report.brief import Answer, Brief
 from uqsphere.report.feed import page_files, told_cautions
 from uqsphere.report.figures.canvas import BLUE, GREY, INK, Picture, new_figure, shorten, slug, style
 from uqsphere.report.figures.distributions import draw_indices
-from uqsphere.report.phrases import two
+from uqsphere.report.phrases import Block, Chapter, Table, cell, index_cell, two
 from uqsphere.results.entries import Est
 from uqsphere.study.limits import valid_name
 from uqsphere.study.resolve import RESERVED

@@ -493,9 +493,9 @@ def _spikes(values: Array, left: Array, bounds: Array, most: int, peak: float) -
         while last < len(left) - 2 and near[last + 1 : last + 1 + _RINGING].any():
             last += 1
         if found and first <= found[-1][1] + 1:
-            found[-1] = (found[-1][0], max(last, found[-1][1]))
-        else:
-            found.append((first, last))
+            begin, end = found.pop()
+            first, last = begin, max(last, end)
+        found.append((first, last))
     spikes = []
     for first, last in found:
         inner = left[first : last + 1]
@@ -504,7 +504,7 @@ def _spikes(values: Array, left: Array, bounds: Array, most: int, peak: float) -
         if first < 1 or last > len(left) - 2 or last - first + 1 > allowed:
             continue
         jumps = np.diff(values[first - 1 : last + 2]) / size
-        if jumps.max() > _JUMP and jumps.min() < -_JUMP:
+        if min(jumps.max(), -jumps.min()) > _JUMP:
             spikes.append((first, last))
     return spikes
 

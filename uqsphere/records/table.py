@@ -307,15 +307,16 @@ def _columns_of(lines: Sequence[str], way: tuple[str | None, bool]) -> tuple[int
         rows = [[_number(cell, way[1]) for cell in _split(line, way[0])] for line in lines]
     except csv.Error:
         return 0, 0, ()
-    told = [np.array([not (value is None or math.isnan(value)) for value in row], dtype=bool) for row in rows]
-    widths = [len(known) for known in told if known.any()]
-    usual = max(sorted(set(widths)), key=widths.count) if widths else 0
-    kept = [k for k, known in enumerate(told) if known.any() and len(known) == usual]
-    if not kept:
+    # a cell that is no number at all is a word, -1; one that says that there is none is 0
+    told = [np.array([-1 if value is None else not math.isnan(value) for value in row], dtype=int) for row in rows]
+    told = [row for row in told if (row > 0).any()]
+    widths = list(map(len, told))
+    usual = max(sorted(set(widths)), key=widths.count, default=0)
+    if not told:
         return 0, usual, ()
-    known, words = np.stack([told[k] for k in kept]), np.array([[value is None for value in rows[k]] for k in kept])
-    numbers = known.sum(axis=0)
-    columns = (2 * numbers > len(kept)) | ((numbers > 0) & (4 * words.sum(axis=0) < len(kept)))
+    cells = np.stack([row for row in told if len(row) == usual])
+    numbers, words = (cells > 0).sum(axis=0), cells < 0
+    columns = (2 * numbers > len(cells)) | ((numbers > 0) & (4 * words.sum(axis=0) < len(cells)))
     good = int((~words[:, columns]).all(axis=1).sum()) if columns.any() else 0
     return good, usual, tuple(np.flatnonzero(columns).tolist())
 
@@ -359,33 +360,32 @@ def _first_numbers(lines: Sequence[str], separator: str | None, comma: bool, pla
     return len(lines) - 1
 
 
-def _names(
-    lines: Sequence[str], separator: str | None, width: int, places: Sequence[int]
-) -> tuple[tuple[str, ...], tuple[str, ...], list[str]]:
-    """Names and units of the columns: the line above the numbers with most different words, and one of units alone."""
+def _head_rows(lines: Sequence[str], separator: str | None, width: int, places: Sequence[int]) -> list[list[str]]:
+    """The cells above the numbers where the columns are."""
     if separator is None:
         split = [line.lstrip("# ").split() for line in lines]
     else:
         split = [_split(line, separator) for line in lines if _counts(line)]
-    rows = [[cells[at] for at in places] for cells in split if len(cells) > places[-1] and len(cells) <= width + 1]
-    units = [""] * len(places)
+    return [[cells[at] for at in places] for cells in split if places[-1] < len(cells) <= width + 1]
+
+
+def _names(
+    lines: Sequence[str], separator: str | None, width: int, places: Sequence[int]
+) -> tuple[tuple[str, ...], tuple[str, ...], list[str]]:
+    """Names and units of the columns: the line above the numbers with most different words, and one of units alone."""
+    rows = _head_rows(lines, separator, width, places)
     # a line below the names may have a unit of time and units of signals, or nothing
     spelled = [[_spelled(cell) for cell in row] for row in rows]
-    below = [
-        k for k, (first, *others) in enumerate(spelled)
-        if (first in UNITS["time"] or first in SIGNAL_UNITS) and {*others} <= {"", *SIGNAL_UNITS}
-    ]  # fmt: skip
-    if below:
-        units = spelled[below[-1]]
-        rows = rows[: below[-1]]
-    words = [row for row in rows if "" not in row and {_number(cell, True) for cell in row} == {None}]
+    below = [k for k, (first, *others) in enumerate(spelled)
+             if first in {*UNITS["time"], *SIGNAL_UNITS} and {*others} <= {"", *SIGNAL_UNITS}]  # fmt: skip
+    last = below[-1] if below else len(rows)
+    units = [*spelled, [""] * len(places)][last]
+    words = [row for row in rows[:last] if "" not in row and {_number(cell, True) for cell in row} == {None}]
     if not words:
         return tuple(f"column {at + 1}" for at in places), tuple(units), ["the file names no columns"]
     header = max(reversed(words), key=lambda row: len(set(row)))
-    if below:
-        return tuple(header), tuple(units), []
-    named = [_unit_of(text) for text in header]
-    return tuple(text for text, _ in named), tuple(unit for _, unit in named), []
+    names, own = zip(*map(_unit_of, header), strict=True)
+    return (tuple(header), tuple(units), []) if below else (names, own, [])
 
 
 def _unit_of(text: str) -> tuple[str, str]:
@@ -411,20 +411,17 @@ def _interval(text: str) -> float:
     return 0.0
 
 
-def _with_clock(values: Array, form: _Form, name: str) -> Table:
-    """The columns with their time; a file without one is given that of its metadata."""
-    notes = list(form.notes)
+def _is_timed(values: Array, form: _Form) -> bool:
+    """Whether the first column is a time: it goes on."""
     first = values[: max(len(values) // 20, 200), 0]
     steps = np.diff(first[np.isfinite(first)])
-    signal = form.units[0] in SIGNAL_UNITS
-    timed = (
-        not signal
-        and len(form.places) > 1
-        and len(steps) > 0
-        and float((steps >= 0.0).mean()) > 0.9
-        and steps.max() > 0.0
-    )
-    names, units, interval = form.names, form.units, form.interval
+    beside = form.units[0] not in SIGNAL_UNITS and len(form.places) > 1
+    return bool(beside and len(steps) and (steps >= 0.0).mean() > 0.9 and steps.max() > 0.0)
+
+
+def _with_clock(values: Array, form: _Form, name: str) -> Table:
+    """The columns with their time; a file without one is given that of its metadata."""
+    notes, timed, interval = list(form.notes), _is_timed(values, form), form.interval
     if not timed and not interval:
         # LANL's .raw has, above each signal, the begin of its clock and its step
         begin, step = values[:2]
@@ -432,13 +429,13 @@ def _with_clock(values: Array, form: _Form, name: str) -> Table:
             values, interval = values[2:], float(step[0])
             notes.append(f"the first two numbers of every column are begin and step of its clock, {interval:.6g} s")
     if timed or (not interval and len(form.places) > 1):
-        return Table(names=names, units=units, values=values, notes=tuple(notes))
+        return Table(names=form.names, units=form.units, values=values, notes=tuple(notes))
     if not interval:
         raise RecordError(f"{name}: no column of time, and no sample interval in the metadata: give --sample-interval")
     notes.append(f"the file has no time: a sample every {interval:.6g} s")
     clock = interval * np.arange(len(values))
-    units = tuple("" if unit in UNITS["time"] and unit not in SIGNAL_UNITS else unit for unit in units)
-    return Table(names=("time", *names), units=("s", *units), values=np.column_stack([clock, values]),
+    units = tuple("" if unit in UNITS["time"] and unit not in SIGNAL_UNITS else unit for unit in form.units)
+    return Table(names=("time", *form.names), units=("s", *units), values=np.column_stack([clock, values]),
                  notes=tuple(notes))  # fmt: skip
 
 

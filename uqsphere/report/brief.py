@@ -7,13 +7,14 @@ tell two ways of breaking apart.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
+from uqsphere.console import plain, screen_width, table, wrap, writable
 from uqsphere.quantities import OUTPUTS, display_unit, reading_units
 from uqsphere.report.cautions import Caution, cautions, cut_off, deciding_limits
 from uqsphere.report.contents import Contents, law_of, units_of
@@ -24,17 +25,20 @@ from uqsphere.report.phrases import (
     counted,
     limit_name,
     listed,
+    loud,
     plain_percent,
+    rounded,
     share,
     short_input,
+    short_share,
     two,
     unit_text,
 )
-from uqsphere.results import NO_RIG, LimitEntry, Results
-from uqsphere.results.margins import MarginEntry
+from uqsphere.results import LimitEntry, Results
+from uqsphere.results.entries import MarginEntry
 from uqsphere.study.axis import limit_of, strength_name
 
-#: the ways of breaking by the place where each begins, `uqsphere.quantities.Quantity.place`, as `study.ways` calls them
+#: the ways of breaking by the place where each begins, `uqsphere.quantities.Quantity.place`, as `study.Way` calls them
 PLACES: Final = {
     "contact": "Contact pressure",
     "rim": "Ring crack",
@@ -127,6 +131,11 @@ class Answer:
     def level(self) -> float | None:
         """The share broken at the target."""
         return None if self.target is None else self.target if self.aim == "survive" else 1.0 - self.target
+
+    @property
+    def misses(self) -> list[float]:
+        """The probabilities of missing the aim, by every way that is judged."""
+        return [mode.miss for mode in self.modes if mode.miss is not None]
 
     @property
     def group(self) -> str:
@@ -242,13 +251,10 @@ def share_span(values: Sequence[float], target: float | None) -> str:
 def make_brief(contents: Contents) -> Brief:
     """The brief of a finished run."""
     results, manifest = contents.results, contents.manifest
-    own = {} if results.rig == NO_RIG else {"": contents}
-    parts = {**own, **contents.services}
+    parts = contents.parts
     answers = tuple(_answers(parts))[:_ANSWERS]
     called = {(answer.service, mode.limit): mode.name for answer in answers for mode in answer.modes if mode.limit}
-    drivers, driven = next((found for part in parts.values() if (found := _drivers(part.results))[0]), ((), ""))
-    words = shorten(next((name for (_, limit), name in called.items() if limit == driven), driven), 40).lower()
-    rivals = len(next((a.modes for a in answers if any(m.limit == driven for m in a.modes)), ())) > 1
+    drivers, driven = _driven_by(parts, answers, called)
     rows = sum(sum(part.results.model.evaluations.values()) for part in parts.values())
     chosen = ", ".join(dict.fromkeys(part.results.model.chosen for part in parts.values()))
     kind = "user’s model" if contents.black_box else f"impact model ({chosen})"
@@ -257,16 +263,20 @@ def make_brief(contents: Contents) -> Brief:
     footer = (str(results.study.hash)[:8], str(manifest.finished)[:10], version, model)
     return Brief(
         title=shorten(str(results.study.title), 200) or "Untitled study", answers=answers, drivers=drivers,
-        driven=f"{words} alone" if rivals else words, measure=_next_measurement(parts, answers),
+        driven=driven, measure=_next_measurement(parts, answers),
         cautions=tuple(cautions(parts, called)), ended=cut_off(contents), model=model,
         footer=" · ".join(text for text in footer if text),
     )  # fmt: skip
 
 
-def _parts(contents: Contents) -> dict[str, Contents]:
-    """The rig's own answers, where it has one, and those of the services by their names."""
-    own = {} if contents.results.rig == NO_RIG else {"": contents}
-    return {**own, **contents.services}
+def _driven_by(
+    parts: Mapping[str, Contents], answers: Sequence[Answer], called: Mapping[tuple[str, str], str]
+) -> tuple[tuple[tuple[str, float], ...], str]:
+    """The two inputs with the largest shares in what decides, and what that is called."""
+    drivers, driven = next((found for part in parts.values() if (found := _drivers(part.results))[0]), ((), ""))
+    words = shorten(next((name for (_, limit), name in called.items() if limit == driven), driven), 40).lower()
+    rivals = len(next((a.modes for a in answers if any(m.limit == driven for m in a.modes)), ())) > 1
+    return drivers, f"{words} alone" if rivals else words
 
 
 def _leading(results: Results) -> str | None:
@@ -393,19 +403,22 @@ def _limit_answer(contents: Contents, group: dict[str, LimitEntry], service: str
     first = next((limit for limit in deciding.values() if limit.target is not None), next(iter(deciding.values())))
     modes = sorted(_modes(contents, deciding, first), key=lambda mode: -(-1.0 if mode.miss is None else mode.miss))
     verdict, reasons = _judged(deciding)
-    carriers = [e for limit in deciding.values() if limit.carried and limit.carried.solve
-                for e in limit.carried.by_carrier().values()]  # fmt: skip
     answer = Answer(
         question="", big="", unit="", note="", verdict=verdict, reasons=reasons,
         vetoed=verdict == "not established" and all(limit.met for limit in deciding.values()),
         target=first.target, aim=first.aim, modes=tuple(modes), service=service,
         checks=tuple(_check(name, limit) for name, limit in group.items() if name not in deciding),
-        carried=tuple(float(e.value) for e in carriers if e.value is not None),
+        carried=_carried(deciding.values()),
         axis=_axis(contents, next((results.margins[n] for n in deciding if n in results.margins), None)),
         fracture=any(breaks(results, name) for name in deciding),
     )  # fmt: skip
-    solved = several and answer.target is not None and answer.axis is not None and solved_for(answer)
-    return _with_tests(contents, _solved(answer) if solved else _shares(answer))
+    return _with_tests(contents, (_solved(answer) if several else None) or _shares(answer))
+
+
+def _carried(limits: Iterable[LimitEntry]) -> tuple[float, ...]:
+    """The numbers solved for by every carrier of a strength that was measured elsewhere (SI)."""
+    known = [e for one in limits if one.carried and one.carried.solve for e in one.carried.by_carrier().values()]
+    return tuple(float(e.value) for e in known if e.value is not None)
 
 
 def _check(name: str, limit: LimitEntry) -> str:
@@ -423,24 +436,30 @@ def crossing(curve: Sequence[tuple[float, float]], probability: float) -> float 
     return None
 
 
-def _solved(answer: Answer) -> Answer:
-    """The answer with the number solved for as what is set large."""
+def _solved(answer: Answer) -> Answer | None:
+    """The answer with the number solved for as what is set large; None where there is none for its target."""
     axis, target, survive = answer.axis, answer.target, answer.aim == "survive"
-    assert axis is not None
-    assert target is not None
+    if axis is None or target is None or not solved_for(answer):
+        return None
     must = f"{plain_percent(target)} may break" if survive else f"{plain_percent(1.0 - target)} must break"
     told, of = ranged(answer), f", {answer.service}" if answer.service else ""
     # a range of what may be is no range of what is allowed
     within = ", somewhere in" if "–" in told else ""
     note = f"Planned: {given(axis)}. " if axis.planned else ""
-    best = next((m for m in answer.modes if m.at_target is not None and not m.assumed), None)
-    if survive and best is not None and best.at_target is not None and len(answer.modes) > 1:
-        note += f"By {best.name.lower()} alone: {two(best.at_target * axis.factor)} {axis.unit}."
-    reasons, misses = answer.reasons, [m.miss for m in answer.modes if m.miss is not None]
-    if not reasons and answer.verdict == "not met" and misses:
-        reasons = (f"As planned, {share(max(misses), target)} {'break' if survive else 'are left whole'}.",)
+    best = next(((m.name, m.at_target) for m in answer.modes if m.at_target is not None and not m.assumed), None)
+    if survive and best is not None and len(answer.modes) > 1:
+        note += f"By {best[0].lower()} alone: {two(best[1] * axis.factor)} {axis.unit}."
     question = f"{'Highest' if survive else 'Least'} {axis.words}{of} ({must}){within}"
+    reasons = answer.reasons or _as_planned(answer)
     return replace(answer, question=question, big=told, unit=axis.unit, note=note, reasons=reasons)
+
+
+def _as_planned(answer: Answer) -> tuple[str, ...]:
+    """Why a target is not met where nothing else is said: the share as planned."""
+    if answer.verdict != "not met" or not answer.misses:
+        return ()
+    what = "break" if answer.aim == "survive" else "are left whole"
+    return (f"As planned, {share(max(answer.misses), answer.target)} {what}.",)
 
 
 def _shares(answer: Answer) -> Answer:
@@ -451,8 +470,7 @@ def _shares(answer: Answer) -> Answer:
         question = f"Share {'beyond' if survive else 'short of'} the limit"
     question += f" at the planned {given(axis)}" if axis and axis.planned else ""
     question += f", {answer.service}" if answer.service else ""
-    misses = [m.miss for m in answer.modes if m.miss is not None]
-    big, unit = (share_span(misses, target), "%") if misses else ("not known", "")
+    big, unit = (share_span(answer.misses, target), "%") if answer.misses else ("not known", "")
     note = "No target was set." if target is None else f"Target: at most {plain_percent(target)}."
     return replace(answer, question=question, big=big, unit=unit, note=note, second=_second(answer))
 
@@ -566,36 +584,45 @@ def _driver(name: str) -> str:
 
 def _next_measurement(parts: dict[str, Contents], answers: Sequence[Answer]) -> tuple[str, str] | None:
     """The one measurement that can change the verdict."""
-    found = (*(_between_rivals(answer) for answer in answers), *(_of_strength(p.results) for p in parts.values()))
+    found = (
+        *(_between_rivals(answer) for answer in answers),
+        *(one for part in parts.values() for one in _of_numbers(part.results)),
+    )
     if any(found):
         return next(one for one in found if one)
     met = answers and all(answer.verdict == "met" for answer in answers)
     return ("None needed", "The target is met.") if met else None
 
 
-def _of_strength(results: Results) -> tuple[str, str] | None:
-    """How many tests settle a target or give the value, or what to measure for a probability."""
-    deciding, found = deciding_limits(results), list[tuple[str, str]]()
+def _of_strength(results: Results) -> Iterator[tuple[str, str]]:
+    """How many tests settle a target, then how many give the value."""
+    deciding = deciding_limits(results)
     for name in deciding:
         limit, settle, called = results.limits[name], results.limits[name].tests_to_settle, limit_name(name, 30)
         if settle and settle.tests and limit.met is not False and limit.word != "met":
             said = f"They settle the target of {called} ({plain_percent(float(settle.confidence))} sure)."
-            found.append((f"{counted(settle.tests, 'test')} of strength", said))
+            yield f"{counted(settle.tests, 'test')} of strength", said
     for name in [name for name in deciding if name in results.margins]:
         margin, more, called = results.margins[name], results.margins[name].more_tests, limit_name(name, 30)
         if more.to_settle:
             said = f"They settle the target of {called}, if they fall as those before."
-            found.append((f"{counted(int(more.to_settle), 'more test')} of strength", said))
+            yield f"{counted(int(more.to_settle), 'more test')} of strength", said
         if more.to_know_the_value and more.known_to and more.to_know_the_value <= _MOST_TESTS:
             what = _AXES.get(margin.solve, "answer") + (f" of {called}" if len(deciding) > 1 else "")
             said = f"They give the {what} to within {plain_percent(float(more.known_to))}."
-            found.append((f"{counted(int(more.to_know_the_value), 'test')} of strength", said))
+            yield f"{counted(int(more.to_know_the_value), 'test')} of strength", said
+
+
+def _of_numbers(results: Results) -> Iterator[tuple[str, str]]:
+    """Tests of strengths, then what to measure for a probability."""
+    yield from _of_strength(results)
     leading = _leading(results)
     rows = results.limits[leading].measure_first.rows if leading is not None else ()
-    if not found and rows and rows[0].tests <= _MOST_TESTS:
-        said = "What is assumed of it moves the answer most."
-        found.append((f"{counted(rows[0].tests, 'test')} of {_driver(rows[0].input)}", said))
-    return found[0] if found else None
+    if rows and rows[0].tests <= _MOST_TESTS:
+        yield (
+            f"{counted(rows[0].tests, 'test')} of {_driver(rows[0].input)}",
+            "What is assumed of it moves the answer most.",
+        )
 
 
 def _between_rivals(answer: Answer) -> tuple[str, str] | None:
@@ -609,9 +636,8 @@ def _between_rivals(answer: Answer) -> tuple[str, str] | None:
     if axis is None or answer.aim != "survive" or not own:
         return None
     mild = min(own, key=lambda mode: mode.broken or 0.0)
-    places = sorted({x for mode in known for x, _ in mode.curve} | ({axis.planned} if axis.planned else set()))
-    rivals = [mode for mode in known if mode is not mild]
-    found = [one for x in places for one in _ruled_out(mild, rivals, axis, x)]
+    places = {x for mode in known for x, _ in mode.curve}.union(filter(None, [axis.planned]))
+    found = [one for x in sorted(places) for one in _ruled_out(mild, known, axis, x)]
     if not found:
         return None
     (_, fewest, _), where, names = max(found, key=lambda one: one[0])
@@ -643,3 +669,85 @@ def _broken_at(mode: Mode, axis: Axis, x: float) -> float | None:
     if len(mode.curve) < 2 or not mode.curve[0][0] <= x <= mode.curve[-1][0]:
         return None
     return float(np.interp(x, [v for v, _ in mode.curve], [p for _, p in mode.curve]))
+
+
+# --- the brief for the terminal -----------------------------------------------------------------------------
+
+
+#: lines that the answers take at most
+LINES: Final = 30
+#: quantities that get a line
+_QUANTITIES: Final = 4
+
+
+def summary_of(contents: Contents, width: int | None = None) -> str:
+    """The answers of a run for the terminal: the brief, and a line for each of the first quantities.
+
+    No line is longer than `width` columns (those of the terminal where it is None).
+    """
+    columns = screen_width() if width is None else width
+    brief = make_brief(contents)
+    texts = [
+        brief.title,
+        *[brief.ended] * bool(brief.ended),
+        *(line for answer in brief.answers for line in _answer(answer)),
+    ]
+    texts += _ways(brief, columns)
+    shares = ", ".join(f"{name} {100.0 * part:.0f} %" for name, part in brief.drivers)
+    texts += [f"what drives it: {shares} (for {brief.driven})"] if shares else []
+    texts += [f"next measurement: {brief.measure[0]}. {brief.measure[1]}"] if brief.measure else []
+    texts += ["cautions:"] * bool(brief.first_cautions)
+    texts += [f"{k}. {text}" for k, text in enumerate(brief.first_cautions, 1)]
+    lines, last = [part for text in texts for part in _set(text, columns)], _set(brief.model, columns)
+    room = LINES - len(lines) - len(last)
+    told = [part for text in _quantities(contents) for part in _set(text, columns)] if brief.modes else []
+    return writable("\n".join([*lines[: LINES - len(last)], *told[: max(room, 0)], *last]))
+
+
+def _set(text: str, width: int) -> list[str]:
+    """The lines of a text; a table is one already."""
+    spaced = text.replace("\u00a0", " ").replace("\u202f", " ")
+    return spaced.split("\n") if "\n" in spaced else wrap(plain(spaced), width).split("\n")
+
+
+def _answer(answer: Answer) -> list[str]:
+    """A question with its answer, the verdict with its reasons, and what is solved for."""
+    lines = [f"{answer.question}: {answer.big} {answer.unit}. {answer.note}".replace(" . ", ". ")]
+    if answer.second is not None:
+        lines.append(" ".join(part for part in (f"{answer.second[0]}: {answer.second[1]}", answer.second[2]) if part))
+    if answer.verdict:
+        would = ", would be met" if answer.vetoed else ""
+        why = f" ({' '.join(answer.reasons).rstrip('.')})" if answer.reasons else ""
+        lines.append(f"verdict: {loud(answer.verdict)}{would}{why}")
+    return [*lines, *(f"Check, no fracture: {text}" for text in answer.checks)]
+
+
+def _ways(brief: Brief, width: int) -> list[str]:
+    """The ways of breaking with their probabilities, and force and energy where a share breaks."""
+    (unit, factor), columns = brief.force_unit, 4 if brief.forces else 2
+    rows: list[tuple[str, ...] | str] = []
+    shown = [answer for answer in brief.answers if answer.modes]
+    for answer in shown:
+        rows += [answer.group] if len(shown) > 1 else []
+        for mode in answer.modes:
+            chance = mode.reason or "not judged"
+            if mode.miss is not None:
+                chance = short_share(mode.miss, answer.target).replace("\u00a0", " ")
+            force, energy = ("-" if v is None else two(v * f) for v, f in ((mode.force, factor), (mode.energy, 1.0)))
+            beside = ("", "") if mode.miss is None else (force, energy)
+            rows.append((mode.name + "†" * mode.assumed, chance, *beside)[:columns])
+    if not rows:
+        return []
+    header = ("way of breaking" if brief.fracture else "limit", "share", f"{unit}*", "J/kg*")[:columns]
+    return [table(header, rows, width), *([", ".join(brief.legend)] if brief.legend else [])]
+
+
+def _quantities(contents: Contents) -> list[str]:
+    """Mean, scatter and the middle nine cases of ten of the first quantities."""
+    found = []
+    with reading_units(units_of(contents.results)):
+        for name, entry in list(contents.results.quantities.items())[:_QUANTITIES]:
+            ends = [entry.quantiles[p] for p in ("0.05", "0.95") if p in entry.quantiles]
+            within = f", nine in ten {' to '.join(rounded(end, name, 3) for end in ends)}" if len(ends) == 2 else ""
+            found.append(f"{name}: mean {rounded(entry.mean, name, 3)}, sd {rounded(entry.sd, name, 2)}{within}")
+    return found

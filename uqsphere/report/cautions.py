@@ -26,8 +26,7 @@ from uqsphere.report.phrases import (
     value_text,
 )
 from uqsphere.results import AssumedEntry, LimitEntry, QuantityEntry, Results
-from uqsphere.results.entries import CheckEntry
-from uqsphere.results.margins import MarginEntry
+from uqsphere.results.entries import CheckEntry, MarginEntry
 from uqsphere.study.axis import strength_name
 
 #: what a check finds where it is broken

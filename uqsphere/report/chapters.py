@@ -10,15 +10,27 @@ from dataclasses import replace
 from typing import Final
 
 from uqsphere.quantities import reading_units
-from uqsphere.report import drivers, tables
-from uqsphere.report.blocks import Block, Chapter, Table, cell, index_cell
+from uqsphere.report import tables
 from uqsphere.report.contents import Contents, units_of
 from uqsphere.report.figures import fragility, scene
 from uqsphere.report.figures.canvas import Picture
 from uqsphere.report.figures.convergence import convergence_figure, speed_figure
 from uqsphere.report.figures.distributions import distribution_figure, field_figure, group_figure, sensitivity_figure
 from uqsphere.report.figures.history import loop_figure
-from uqsphere.report.phrases import ABSENT, begin, breaks, call, input_name, limit_name, symbol
+from uqsphere.report.phrases import (
+    ABSENT,
+    Block,
+    Chapter,
+    Table,
+    begin,
+    breaks,
+    call,
+    cell,
+    index_cell,
+    input_name,
+    limit_name,
+    symbol,
+)
 
 
 def _block(
@@ -148,8 +160,8 @@ def fracture_blocks(contents: Contents) -> Iterator[Block]:
             yield _block(f"Family of {limit_name(name)}", fragility.family_table(contents, name))
         yield _block(f"What the margin of {limit_name(name)} is made of", tables.parts_table(contents, name))
     for name in results.limits:
-        yield _block(f"Likeliest miss of {limit_name(name)}", drivers.design_table(contents, name))
-        table = drivers.given_failure_table(contents, name)
+        yield _block(f"Likeliest miss of {limit_name(name)}", tables.design_table(contents, name))
+        table = tables.given_failure_table(contents, name)
         yield _block(f"Inputs where {limit_name(name)} is missed", table, "drivers")
         known = fragility.fitted_tests(contents, name)
         fit = None if known is None else fragility.tests_table(known)
@@ -167,19 +179,19 @@ def drivers_blocks(contents: Contents) -> Iterator[Block]:
     """Indices of failure and of every quantity in all kinds, and what better known inputs are worth."""
     results = contents.results
     for name in results.limits:
-        yield _block(f"Missing {limit_name(name)}", drivers.failure_table(contents, name), "drivers")
+        yield _block(f"Missing {limit_name(name)}", tables.failure_table(contents, name), "drivers")
     shown = (of_limits(contents) or list(results.sensitivity))[:2]
     for name in results.sensitivity:
         words, picture = symbol(name), None if name in shown else sensitivity_figure(contents, name)
-        yield _block(f"Indices of {words}", drivers.index_table(contents, name), "sensitivity", picture=picture)
-        yield _block(f"{words}: pairs of inputs", drivers.pair_table(contents, name), "sensitivity")
-        table, picture = drivers.group_table(contents, name), group_figure(contents, name)
+        yield _block(f"Indices of {words}", tables.index_table(contents, name), "sensitivity", picture=picture)
+        yield _block(f"{words}: pairs of inputs", tables.pair_table(contents, name), "sensitivity")
+        table, picture = tables.group_table(contents, name), group_figure(contents, name)
         yield _block(f"{words}: groups of inputs", table, "sensitivity", picture=picture)
-        yield _block(f"{words} beyond its variance", drivers.distances_table(contents, name), "drivers")
+        yield _block(f"{words} beyond its variance", tables.distances_table(contents, name), "drivers")
     asked = {limit_name(name): entry.measure_first for name, entry in results.limits.items()}
     asked |= {symbol(name): entry.measure_first for name, entry in results.sensitivity.items()}
     for words, entry in asked.items():
-        table = drivers.measure_table(entry, f"What better known inputs are worth, {words}")
+        table = tables.measure_table(entry, f"What better known inputs are worth, {words}")
         yield _block(f"What to measure first for {words}", table, "drivers")
 
 

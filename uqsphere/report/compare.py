@@ -24,7 +24,6 @@ from pydantic import Field
 
 from uqsphere.console import plain, screen_width, table, wrap, writable
 from uqsphere.quantities import display_unit, lookup, reading_units, unit_that_reads
-from uqsphere.report.blocks import Block, Table, thousands
 from uqsphere.report.cautions import assumption
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.figures import canvas
@@ -32,6 +31,8 @@ from uqsphere.report.figures.canvas import BLUE, INK, PAPER, Picture, mark, shor
 from uqsphere.report.page import margin_boxes, new_environment
 from uqsphere.report.phrases import (
     ABSENT,
+    Block,
+    Table,
     begin,
     call,
     estimate_text,
@@ -42,6 +43,7 @@ from uqsphere.report.phrases import (
     probability_text,
     rounded,
     symbol,
+    thousands,
 )
 from uqsphere.results import Results
 from uqsphere.results.entries import Entry, Est, Manifest, Resolved, read_resolved

@@ -18,7 +18,7 @@ from uqsphere.files import load_document
 from uqsphere.quantities import lookup, unit_that_reads
 from uqsphere.results import NO_RIG, Results, read_results
 from uqsphere.results.entries import LawTable, Manifest, Resolved, Sliders, read_entry, read_manifest, read_resolved
-from uqsphere.results.fields import Stored, read_fields
+from uqsphere.results.tables import Stored, read_fields
 from uqsphere.runner.export import read_points
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study.axis import quantity_of, strength_name
@@ -48,8 +48,8 @@ class Contents:
     results: Results
     manifest: Manifest
     resolved: Resolved
-    samples: Mapping[str, Samples]
-    failed: float
+    samples: Mapping[str, Samples] = field(default_factory=dict)
+    failed: float = 0.0
     points: Mapping[str, Array] = field(default_factory=dict)
     courses: Mapping[str, Any] | None = None
     fields: Mapping[str, Stored] = field(default_factory=dict)
@@ -58,6 +58,11 @@ class Contents:
     replicates: Array = field(default_factory=lambda: np.zeros(0))
     sliders: Sliders | None = None
     tests: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def parts(self) -> dict[str, Contents]:
+        """The rig's own answers by an empty name, where it has one, and those of the services."""
+        return {**({} if self.results.rig == NO_RIG else {"": self}), **self.services}
 
     @property
     def black_box(self) -> bool:
@@ -151,11 +156,12 @@ def read_contents(folder: Path, tests: Mapping[str, str] | None = None) -> Conte
         raise FolderError(f"{folder / 'results.json'} is not that of the study beside it: {strange[0]!r}")
     tests = _tests_of(folder) if tests is None else tests
     services = {name: read_contents(folder / "services" / name, tests) for name in results.services}
-    if results.rig == NO_RIG:
-        return Contents(
-            results=results, manifest=manifest, resolved=resolved, samples={}, failed=0.0, services=services,
-            tests=tests,
-        )  # fmt: skip
+    own = {} if results.rig == NO_RIG else _of_rig(folder)
+    return Contents(results=results, manifest=manifest, resolved=resolved, services=services, tests=tests, **own)
+
+
+def _of_rig(folder: Path) -> dict[str, Any]:
+    """What is stored of the rows of the study's own rig."""
     inputs, quantities, rows = read_points(folder)
     d, q = len(inputs), len(quantities)
     good = rows[:, -1] == 0.0
@@ -163,25 +169,18 @@ def read_contents(folder: Path, tests: Mapping[str, str] | None = None) -> Conte
         name: Samples(values=rows[good, d + k], censored=rows[good, d + q + k] > 0.0)
         for k, name in enumerate(quantities)
     }
-    failed = float(1.0 - good.mean()) if len(good) else 0.0
-    points = {name: rows[good, k] for k, name in enumerate(inputs)}
     courses = load_document(folder / "courses.json") if (folder / "courses.json").is_file() else None
     if courses is not None and not (isinstance(courses, dict) and {"time", "force_a", "hardest"} <= courses.keys()):
         raise FolderError(f"{folder / 'courses.json'} is not what a run writes")
-    return Contents(
-        results=results,
-        manifest=manifest,
-        resolved=resolved,
-        samples=samples,
-        failed=failed,
-        points=points,
-        courses=courses,
-        fields=read_fields(folder),
-        services=services,
-        replicates=(np.arange(len(rows)) * min(REPLICATES, len(rows)) // max(len(rows), 1))[good],
-        sliders=read_entry(folder / "sliders.json", Sliders) if (folder / "sliders.json").is_file() else None,
-        tests=tests,
-    )
+    return {
+        "samples": samples,
+        "failed": float(1.0 - good.mean()) if len(good) else 0.0,
+        "points": {name: rows[good, k] for k, name in enumerate(inputs)},
+        "courses": courses,
+        "fields": read_fields(folder),
+        "replicates": (np.arange(len(rows)) * min(REPLICATES, len(rows)) // max(len(rows), 1))[good],
+        "sliders": read_entry(folder / "sliders.json", Sliders) if (folder / "sliders.json").is_file() else None,
+    }
 
 
 def subject_of(results: Results, solve: str) -> str:
@@ -195,6 +194,36 @@ def subject_of(results: Results, solve: str) -> str:
 _STATE: Final = {"time": "contact_time", "force": "P_max", "energy": "energy", "specific_energy": "specific_energy"}
 #: numbers of the scene -> the quantity whose unit they are read in
 _NUMBERS: Final = {"P_0_median": "P_max", "t_c_median": "contact_time"}
+
+
+Values = Iterable[tuple[str, Iterable[float | None]]]
+
+
+def _grouped(pairs: Values) -> dict[str, list[float]]:
+    """The values that are known, by name."""
+    found: dict[str, list[float]] = {}
+    for name, values in pairs:
+        found.setdefault(name, []).extend(float(value) for value in values if value is not None)
+    return found
+
+
+def _deciding(results: Results) -> Values:
+    """What was asked for, and decides the unit."""
+    for name, quantity in results.quantities.items():
+        yield name, (e.value for e in (quantity.mean, *quantity.quantiles.values()))
+    yield from ((name, [law.mean]) for name, law in results.inputs.items())
+    for margin in results.margins.values():
+        yield subject_of(results, margin.solve), (e.value for e in margin.values.values())
+        if margin.family:
+            yield margin.family.path, (member.value for member in margin.family.members)
+
+
+def _following(results: Results) -> Values:
+    """What else is read."""
+    states = results.fracture.states()
+    for key, name in _STATE.items():
+        yield name, (e.value for e in states[key].quantiles.values()) if key in states else ()
+    yield from ((name, [results.model.numbers.get(key)]) for key, name in _NUMBERS.items())
 
 
 def units_of(*runs: Results, courses: Mapping[str, Any] | None = None) -> dict[str, str]:
@@ -213,32 +242,14 @@ def units_of(*runs: Results, courses: Mapping[str, Any] | None = None) -> dict[s
     dict
         As `uqsphere.quantities.reading_units` takes it.
     """
-    first: dict[str, list[float]] = {}
-    second: dict[str, list[float]] = {}
-
-    def take(group: dict[str, list[float]], name: str, values: Iterable[float | None]) -> None:
-        group.setdefault(name, []).extend(float(value) for value in values if value is not None)
-
-    for results in runs:
-        for name, quantity in results.quantities.items():
-            take(first, name, (e.value for e in (quantity.mean, *quantity.quantiles.values())))
-        for name, law in results.inputs.items():
-            take(first, name, [law.mean])
-        for margin in results.margins.values():
-            take(first, subject_of(results, margin.solve), (e.value for e in margin.values.values()))
-            if margin.family:
-                take(first, margin.family.path, (member.value for member in margin.family.members))
-        states = results.fracture.states()
-        for key, name in _STATE.items():
-            take(second, name, (e.value for e in states[key].quantiles.values()) if key in states else ())
-        for key, name in _NUMBERS.items():
-            take(second, name, [results.model.numbers.get(key)])
+    first = _grouped(pair for results in runs for pair in _deciding(results))
+    second = _grouped(pair for results in runs for pair in _following(results))
     if courses is not None:
         # the largest pressure, tension and force of the hardest scene
         hardest = courses["hardest"]
-        take(second, "P_max", [max(max(hardest["force_a"]), max(hardest["force_b"]))])
+        second.setdefault("P_max", []).append(max(max(hardest["force_a"]), max(hardest["force_b"])))
         if (contact := hardest.get("contact")) is not None:
-            take(second, "p_max", [contact["pressure"]])
-            take(second, "core_tension", [0.05 * contact["pressure"]])
+            second.setdefault("p_max", []).append(contact["pressure"])
+            second.setdefault("core_tension", []).append(0.05 * contact["pressure"])
     groups = {**{name: values for name, values in second.items() if values}, **first}
     return {name: unit_that_reads(name, values) for name, values in groups.items() if lookup(name).display}

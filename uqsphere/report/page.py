@@ -16,16 +16,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.errors import UsageError
 from uqsphere.quantities import reading_units
-from uqsphere.report.blocks import Block, Chapter
 from uqsphere.report.brief import make_brief
 from uqsphere.report.chapters import build_chapters, service_chapters
 from uqsphere.report.contents import Contents, read_contents, units_of
 from uqsphere.report.figures.brief import curve_drawings, mode_dots
 from uqsphere.report.figures.canvas import APOSTROPHE, Picture, inline, render, shorten
-from uqsphere.report.phrases import short_share, two
+from uqsphere.report.phrases import Block, Chapter, short_share, two
 from uqsphere.report.tables import commands, repeat_rows
 from uqsphere.report.whatif import panels
-from uqsphere.results import NO_RIG
 from uqsphere.results.entries import Manifest
 from uqsphere.runner.kept import write_sums
 from uqsphere.store import csv_text, write_atomically
@@ -197,7 +195,7 @@ def build_report(folder: Path) -> Path:
 
 def _build(folder: Path, contents: Contents) -> Path:
     """The figures and the page, in the units of the run."""
-    own = build_chapters(contents) if contents.results.rig != NO_RIG else []
+    own = build_chapters(contents) if "" in contents.parts else []
     chapters = _distinct([*service_chapters(contents), *own])
     files, drawn = dict[str, str](), dict[str, str]()
     for picture in (block.picture for block in _blocks(chapters) if block.picture is not None):

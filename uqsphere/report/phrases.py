@@ -1,17 +1,17 @@
-"""Numbers and findings in words: every number with its unit, rounded to what its interval supports."""
+"""Numbers and findings in words, every number rounded to what its interval supports; the tables and blocks of them."""
 
 from __future__ import annotations
 
 import math
 import re
+from dataclasses import dataclass
 from typing import Final
 
 from uqsphere.quantities import OUTPUTS, display_unit, format_estimate, format_value, lookup
 from uqsphere.report.contents import Contents
-from uqsphere.report.figures.canvas import clean, shorten
+from uqsphere.report.figures.canvas import Picture, clean, shorten
 from uqsphere.results import Results
-from uqsphere.results.entries import Est
-from uqsphere.results.margins import MarginEntry
+from uqsphere.results.entries import Est, MarginEntry
 from uqsphere.uq.families import family_stored
 
 #: digits of a number on the page that has an interval: more are known of some, and read by nobody
@@ -432,3 +432,89 @@ def safe_side(estimate: Est, name: str, *, at_most: bool, digits: int = 4) -> st
         steps * (1.0 - math.copysign(_ROUND, steps))
     )  # fmt: skip
     return number_text(f"{whole * 10.0**-places:.{max(places, 0)}f} {unit}".rstrip())
+
+
+# --- what a page is made of: tables of texts, blocks with their pictures, chapters --------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A caption, a header and rows of texts; the first column heads its row; why numbers have no interval."""
+
+    caption: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+
+def cell(estimate: Est | None, name: str = "", *, probability: bool = False, digits: int = MOST_DIGITS) -> str:
+    """An estimate with its interval and unit, or a dash and the reason why it is absent; None was never asked for."""
+    if estimate is None:
+        return ABSENT
+    if estimate.value is None:
+        return f"{ABSENT} ({absent_reason(estimate)})"
+    return probability_text(estimate) if probability else estimate_text(estimate, name, digits)
+
+
+def index_cell(estimate: Est | None) -> str:
+    """An index, a share of one, to four places: further ones change no ranking.
+
+    >>> index_cell(Est.of(0.0719853, 0.0719754, 0.0719953))
+    '0.0720'
+    """
+    if estimate is None or estimate.value is None or estimate.low is None or estimate.high is None:
+        return cell(estimate)
+    value, low, high = estimate.value, estimate.low, estimate.high
+    if high - low >= 1e-4:
+        # what is small keeps the digits of its interval, and no more than four places
+        places = min(4, max(0, 1 - math.floor(math.log10(0.5 * (high - low)))))
+        texts = [f"{round(v, places) + 0.0:.{places}f}".replace("-", "−") for v in (value, low, high)]
+        return f"{texts[0]} ({texts[1]} to {texts[2]})"
+    if abs(value) < 5e-5:
+        return "below 0.0001"
+    # rounding must not make a share of nearly all into all
+    return f"{math.floor(1e4 * value) / 1e4:.4f}" if 0.99 < value < 1.0 else number_text(f"{value:.4f}")
+
+
+def thousands(number: float) -> str:
+    """A count with narrow spaces between its thousands.
+
+    >>> thousands(16384).replace("\u202f", " ")
+    '16 384'
+    """
+    return f"{number:,.0f}".replace(",", "\u202f")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """A heading with its picture, table and remarks; what is absent is left out.
+
+    `files` are the files of the result folder that hold the numbers; `kind` is the style of the table: "notes" has a
+    last column of text, "checks notes" grades in the second, "brief" a short last column.
+    """
+
+    heading: str
+    picture: Picture | None = None
+    table: Table | None = None
+    remarks: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
+    kind: str = ""
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is nothing under the heading."""
+        return not (self.picture or (self.table and self.table.rows) or self.remarks)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chapter:
+    """A part of the page: its anchor, its heading, its blocks, a last remark.
+
+    An annex is closed on the screen until it is asked for, and printed in full reports alone.
+    """
+
+    anchor: str
+    heading: str
+    blocks: tuple[Block, ...]
+    remark: str = ""
+    annex: bool = False

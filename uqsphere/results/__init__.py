@@ -17,6 +17,7 @@ from uqsphere.results.entries import (
     Entry,
     Est,
     Ests,
+    MarginEntry,
     Maybe,
     Name,
     Number,
@@ -28,7 +29,6 @@ from uqsphere.results.entries import (
     ShareKey,
     read_entry,
 )
-from uqsphere.results.margins import MarginEntry
 
 # --- study and inputs -----------------------------------------------------------------------------------
 

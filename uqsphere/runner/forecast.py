@@ -48,7 +48,7 @@ from uqsphere.runner.schedule import (
 from uqsphere.study import Limit, Study
 from uqsphere.study.document import FURTHER
 from uqsphere.study.faults import one_of
-from uqsphere.study.ways import means_fracture
+from uqsphere.study.study import means_fracture
 from uqsphere.uq.law import Law
 
 #: Student's t of sixteen replicates

@@ -26,8 +26,7 @@ from uqsphere.runner.verdict import Evidence
 from uqsphere.store import Store, write_json
 from uqsphere.study import Study
 from uqsphere.study.axis import SPEED, spaced, with_number
-from uqsphere.study.study import law_json
-from uqsphere.study.ways import Way, ways_of
+from uqsphere.study.study import Way, law_json, ways_of
 from uqsphere.uq.expansion.germs import Indices, hyperbolic_indices, orthonormal_values, products
 from uqsphere.uq.expansion.solvers import solve_rows
 from uqsphere.uq.families import LawError

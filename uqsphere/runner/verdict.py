@@ -1,7 +1,7 @@
 """Verdicts: whether an aim is kept by every way in which the sphere can break, and whether that is established.
 
 A limit that means fracture is judged together with the others of the study and with the ways that it has no limit for
-(`uqsphere.study.ways`): to survive, none may be exceeded; to break, every one.  The probability is the limit's own, as
+(`uqsphere.study.study`): to survive, none may be exceeded; to break, every one.  The probability is the limit's own, as
 accurate as the run made it, and what the others add to it on rows of the same sample.
 
 A verdict is not established where it changes (a) under the static contact law, (b) between the carriers of a strength
@@ -34,7 +34,7 @@ from uqsphere.runner.schedule import REPLICATES, WAYS, WAYS_CURVE
 from uqsphere.runner.whatif import find_assumed, find_ignorance
 from uqsphere.study import Limit, Study
 from uqsphere.study.axis import spaced, strength_name
-from uqsphere.study.ways import Way, Ways, breaks_by, means_fracture, ways_of
+from uqsphere.study.study import Way, Ways, breaks_by, means_fracture, ways_of
 from uqsphere.uq.estimate import Estimate, exact, student
 from uqsphere.uq.limit_state import complement, target_met
 from uqsphere.uq.sample import Sample

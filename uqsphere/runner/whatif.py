@@ -16,8 +16,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Places
 from uqsphere.results import LimitOpenEntry
-from uqsphere.results.entries import Fields
-from uqsphere.results.margins import MarginOpenEntry
+from uqsphere.results.entries import Fields, MarginOpenEntry
 from uqsphere.runner.axis_rows import AxisRows
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.limits import LimitAnswer, state_of, told_by_runs

@@ -5,13 +5,18 @@ from __future__ import annotations
 import csv
 import io
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Final
 
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.arrays import Array, Flags
 from uqsphere.errors import AccessError, UsageError
 from uqsphere.files import TooLarge, is_device_name, read_given
-from uqsphere.study.faults import Misplaced, one_of, shown, suggestion
+from uqsphere.study.faults import MOST_PROBLEMS, Findings, Misplaced, Place, one_of, shown, suggestion
 from uqsphere.units import UNITS, Quantity, units_of
 
 #: bytes of a CSV, and values of a column
@@ -19,49 +24,21 @@ LARGEST_CSV: Final = 1 << 20
 #: bytes of a table of tests: 100,000 rows of 300 characters
 LARGEST_TESTS: Final = 32 << 20
 MOST_VALUES: Final = 100_000
+#: whole numbers of a column
+_MOST: Final = 1_000_000_000
 #: what a flag of a test can say
 _FLAGS: Final = {"0": False, "1": True, "no": False, "yes": True, "false": False, "true": True, "": False}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True)
 class Observations:
-    """A CSV of observations: its name, the names of its columns, and its lines with their number."""
+    """A CSV of observations: its name, the names of its columns, the lines that count with their numbers, and what was
+    found wrong with them so far: row, key, message."""
 
     name: str
     header: list[str]
     lines: list[tuple[int, list[str]]]
-
-    def numbers(self, column: str, key: str = "", factor: float = 1.0) -> tuple[float, ...]:
-        """A column times a factor; raises Misplaced at `key` where it is missing or holds anything else."""
-        values: list[float] = []
-        for line, cell in self._cells(column, key):
-            try:
-                value = float(cell) * factor
-            except ValueError:
-                value = math.nan
-            if not math.isfinite(value):
-                found = f"line {line} of {shown(self.name)}: found {shown(cell)}"
-                raise Misplaced(f"{found}, where a finite number is due", key)
-            values.append(value)
-        if not 2 <= len(values) <= MOST_VALUES:
-            found = f"{len(values)} value{'' if len(values) == 1 else 's'}"
-            raise Misplaced(f"found {found}, from 2 to {MOST_VALUES} are due", key)
-        return tuple(values)
-
-    def flags(self, column: str, key: str) -> tuple[bool, ...]:
-        """Which rows are tests that were stopped before a failure; raises Misplaced at `key` where that is unknown."""
-        found = []
-        for line, cell in self._cells(column, key):
-            if cell.lower() not in _FLAGS:
-                where = f"line {line} of {shown(self.name)}"
-                raise Misplaced(f"{where}: found {shown(cell)}, where 0 or 1 (stopped) is due", key)
-            found.append(_FLAGS[cell.lower()])
-        return tuple(found)
-
-    def _cells(self, column: str, key: str) -> list[tuple[int, str]]:
-        """Lines and texts of a column, which must be there once."""
-        at = self.place_of(column, key)
-        return [(line, row[at] if at < len(row) else "") for line, row in self.lines]
+    faults: list[tuple[int, str, str]] = field(default_factory=list)
 
     def place_of(self, column: str, key: str = "") -> int:
         """Where a column stands, which must be there once; raises Misplaced at `key`."""
@@ -71,6 +48,87 @@ class Observations:
             found = f"the column {shown(column)} is {said} in {shown(self.name)}, which has {listed}"
             raise Misplaced(found + suggestion(column, self.header), key)
         return self.header.index(column)
+
+    def texts(self, column: str, key: str = "") -> list[str]:
+        """Texts of a column; raises Misplaced where there is none."""
+        at = self.place_of(column, key)
+        return [row[at] if at < len(row) else "" for _, row in self.lines]
+
+    def numbers(self, column: str, key: str = "", factor: float = 1.0, *, blank: bool = False) -> Array:
+        """Numbers of a column times a factor; nan, with the fault noted, where a cell has none."""
+        texts = self.texts(column, key)
+        try:
+            found = np.array(texts, dtype=float) * factor
+        except ValueError:
+            found = np.array([_number(text) for text in texts]) * factor
+        told = np.array([bool(text) for text in texts]) | (not blank)
+        self.refuse(
+            ~np.isfinite(found) & told, key, lambda row: f"found {shown(texts[row])}, where a finite number is due"
+        )
+        return found
+
+    def counts(self, column: str | None, key: str) -> npt.NDArray[np.int64]:
+        """Whole numbers of a column, 1 without one."""
+        if column is None:
+            return np.ones(len(self.lines), dtype=np.int64)
+        found = self.numbers(column, key)
+        wrong = np.isfinite(found) & ((found != np.floor(found)) | (np.abs(found) > _MOST))
+        self.refuse(wrong, key, lambda row: f"found {found[row]:g}, where a whole number is due")
+        return np.nan_to_num(np.clip(found, -_MOST, _MOST)).astype(np.int64)
+
+    def words(self, column: str, key: str, known: Mapping[str, bool], due: str) -> Flags:
+        """Flags of a column of words."""
+        texts = [text.lower() for text in self.texts(column, key)]
+        strange = np.array([text not in known for text in texts], dtype=bool)
+        self.refuse(strange, key, lambda row: f"found {shown(texts[row])}, where {due} is due")
+        return np.array([known.get(text, False) for text in texts], dtype=bool)
+
+    def stopped(self, column: str, key: str) -> Flags:
+        """Which rows are tests that were stopped before a failure."""
+        return self.words(column, key, _FLAGS, "0 or 1 (stopped)")
+
+    def whole(self, column: str, key: str = "", factor: float = 1.0) -> Array:
+        """A column without a fault, of a usual length; raises Misplaced at `key`."""
+        found = self.numbers(column, key, factor)
+        self.raise_first()
+        if not 2 <= len(found) <= MOST_VALUES:
+            count = f"{len(found)} value{'' if len(found) == 1 else 's'}"
+            raise Misplaced(f"found {count}, from 2 to {MOST_VALUES} are due", key)
+        return found
+
+    # --- faults
+
+    def note(self, row: int, key: str, message: str) -> None:
+        """A fault of one row, by its line."""
+        self.faults.append((self.lines[row][0], key, message))
+
+    def refuse(self, wrong: Flags, key: str, said: Callable[[int], str]) -> None:
+        """A fault of every row that is wrong."""
+        for row in np.flatnonzero(wrong).tolist():
+            self.note(row, key, said(row))
+
+    def told(self) -> Iterator[tuple[str, str]]:
+        """Key and message of every fault in the order of the lines, as file:line, as many as are listed at all."""
+        for line, key, message in sorted(self.faults)[: MOST_PROBLEMS + 1]:
+            yield key, f"{self.name}:{line}: {message}"
+
+    def raise_first(self) -> None:
+        """Raises Misplaced for the first fault, if there is any."""
+        for key, message in self.told():
+            raise Misplaced(message, key)
+
+    def report(self, place: Place, findings: Findings) -> bool:
+        """Note every fault; whether there were none."""
+        for key, message in self.told():
+            findings.add((*place, key), message)
+        return not self.faults
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def open_observations(name: str, folder: Path, key: str = "file", largest: int = LARGEST_CSV) -> Observations:

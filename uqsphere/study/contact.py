@@ -12,14 +12,15 @@ from uqsphere.mechanics.partners import LAW, body_of, law_of, sphere_body
 from uqsphere.mechanics.rigs import RIGS, Rig
 from uqsphere.mechanics.yielding import Body
 from uqsphere.quantities import format_value
-from uqsphere.study.document import Document, LimitTable, ModelChoice
+from uqsphere.study.document import ContactTable, Document, LimitTable, ModelChoice
 from uqsphere.study.faults import Findings, one_of, shown, suggestion
 from uqsphere.study.scene import Scene, take_from_library
 from uqsphere.study.sphere_tests import is_sphere_tests
 from uqsphere.uq.law import Law
 
-#: numbers of [contact] by the law that they belong to
-_NUMBERS: Final = {"plastic": ("onset_pressure", "hardness", "pile_up"), "damage": ("gamma", "fracture_energy")}
+#: numbers of [contact], and the law that each belongs to
+_OF_LAW: Final = dict.fromkeys(LAW, "plastic") | {"gamma": "damage", "fracture_energy": "damage"}
+_OWN: Final = frozenset(f"contact.{key}" for key in LAW)
 #: softening b between Thornton's 0 and this has a singularity near onset; above the other the face is Hertz's
 _LEAST_SOFTENING, _MOST_SOFTENING = 0.2, 100.0
 #: what four digits of a number in a message take or add at most
@@ -28,31 +29,26 @@ _ROUNDED: Final = 1.001
 
 def read_contact(document: Document, scene: Scene, findings: Findings) -> None:
     """The law of the contact as options of a scene; numbers of another law are left out, with a warning."""
-    table = document.contact
-    law = "hertz" if table is None else table.law
-    for other, keys in _NUMBERS.items():
-        for key in keys if other != law and findings.clean(("contact", "law")) else ():
-            if getattr(table, key, None) is not None:
-                scene.readings.pop(f"contact.{key}", None)
-                findings.warn(("contact", key), f'not used: it belongs to law = "{other}"')
+    table = document.contact or ContactTable()
+    law = table.law
+    for key, other in _OF_LAW.items() if findings.clean(("contact", "law")) else ():
+        if other != law and getattr(table, key) is not None:
+            scene.readings.pop(f"contact.{key}", None)
+            findings.warn(("contact", key), f'not used: it belongs to law = "{other}"')
     _read_inserts(None if document.bars is None else document.bars.insert_material, scene, findings)
-    if table is None or law == "hertz":
+    if law == "hertz":
         return
     scene.options["contact.law"] = law
     if law == "damage":
         scene.options["contact.blows"] = table.blows
         return
     scene.options["contact.dynamics"] = table.dynamics
-    thornton = _fixed(scene, "contact.pile_up") == 1.0 and table.hardness is None
-    if table.hardness == "onset" or thornton:
+    if table.hardness == "onset" or (table.hardness is None and _fixed(scene, "contact.pile_up") == 1.0):
         scene.options["contact.hardness"] = "onset"
-    for key in ("onset_pressure", "hardness"):
-        source = scene.sources.get(f"sphere.{key}")
-        if source is not None and not source.seen:
+    for name in ("sphere.onset_pressure", "sphere.hardness"):
+        if name in scene.sources and not scene.sources[name].seen:
             said = "from the library, where it was not seen in its source (see its note): measure it"
-            findings.warn(
-                ("sphere", key), f"{format_value(scene.mean(f'sphere.{key}') or 0.0, f'sphere.{key}')} {said}"
-            )
+            findings.warn(tuple(name.split(".")), f"{format_value(scene.readings[name].nominal, name)} {said}")
 
 
 def _fixed(scene: Scene, name: str) -> float | None:
@@ -95,19 +91,20 @@ def check_contact(scene: Scene, model: ModelChoice, findings: Findings) -> None:
         findings.add(
             ("model", "compare_with_paper"), f'the paper knows Hertz alone, and this is law = "{law}": leave it out'
         )
-    if law == "damage":
-        for key, example in (("gamma", "5"), ("fracture_energy", '"50 J/kg"')):
-            if f"contact.{key}" not in scene.readings and findings.clean(("contact", key)):
-                findings.add(("contact", key), f'{key} is missing: law = "damage" needs it, such as {key} = {example}')
-        return
+    if law == "plastic":
+        _check_yield(scene, findings)
+    for key, example in (("gamma", "5"), ("fracture_energy", '"50 J/kg"')) if law == "damage" else ():
+        if f"contact.{key}" not in scene.readings:
+            findings.lack(("contact", key), f'{key} is missing: law = "damage" needs it, such as {key} = {example}')
+
+
+def _check_yield(scene: Scene, findings: Findings) -> None:
+    """Note what of a law of yield is missing or makes none, for every face."""
     columns = {name: np.array([reading.nominal]) for name, reading in scene.readings.items()}
     rig, rigid = RIGS[str(scene.options.get("rig.kind", "bars"))], bool(scene.options.get("bars.rigid_contact"))
-    own = [name for name in columns if name in {f"contact.{key}" for key in LAW}]
-    if (
-        math.isinf(float(sphere_body(columns).onset[0]))
-        and f"contact.{LAW[0]}" not in own
-        and not any(math.isfinite(float(body_of(columns, table).onset[0])) for table in rig.tables)
-    ):
+    own = _OWN & columns.keys()
+    onsets = [sphere_body(columns).onset, *(body_of(columns, table).onset for table in rig.tables)]
+    if f"contact.{LAW[0]}" not in own and np.isinf(onsets).all():
         _nothing_yields(rig, findings)
         return
     if rigid and "bars.yield_strength" in columns and f"contact.{LAW[0]}" not in own:
@@ -147,8 +144,7 @@ def _check_law(place: str, law: Body, findings: Findings) -> None:
         return
     for key, value, example in (("hardness", hardness, '"2 GPa"'), ("pile_up", pile_up, "2")):
         if not math.isfinite(value):
-            if findings.clean((place, key)):
-                findings.add((place, key), f"{key} is missing beside the onset: add {key} = {example} to [{place}]")
+            findings.lack((place, key), f"{key} is missing beside the onset: add {key} = {example} to [{place}]")
             return
     found, begin = (format_value(value, "contact.hardness") for value in (hardness, onset))
     b = pile_up * hardness / onset - 1.0
@@ -196,13 +192,12 @@ def compared_pressure(quantity: str, table: LimitTable, name: str, scene: Scene,
     if scene.options.get("contact.law") != "plastic":
         return quantity
     if meant is None:
-        if findings.clean(place):
-            findings.add(
-                place,
-                'strength_is is missing: "hertz" if the strength was computed from a failure force by Hertz, as nearly '
-                'all tabulated contact strengths are; "pressure" if it is a true pressure, which never exceeds the '
-                "hardness: the probabilities can differ by decades",
-            )
+        findings.lack(
+            place,
+            'strength_is is missing: "hertz" if the strength was computed from a failure force by Hertz, as nearly '
+            'all tabulated contact strengths are; "pressure" if it is a true pressure, which never exceeds the '
+            "hardness: the probabilities can differ by decades",
+        )
         return quantity
     if meant == "pressure":
         if is_sphere_tests(table.strength):

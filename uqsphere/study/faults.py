@@ -46,6 +46,11 @@ class Findings:
         self.faults.append((place, message))
         self.spoiled.add(place)
 
+    def lack(self, place: Place, message: str) -> None:
+        """Note that something is missing, unless what stands there was faulty."""
+        if self.clean(place):
+            self.add(place, message)
+
     def warn(self, place: Place, message: str) -> None:
         """Note something that a user should know and that does not stop the study."""
         self.warnings.append(f"{render_place(place)}: {message}" if place else message)

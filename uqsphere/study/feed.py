@@ -15,7 +15,7 @@ from uqsphere.quantities import INPUTS
 from uqsphere.study.columns import open_observations
 from uqsphere.study.document import Document
 from uqsphere.study.faults import Findings, Misplaced, Place, Raw, one_of, shown, suggestion, unknown
-from uqsphere.study.numbers import plain_quantity, read_number
+from uqsphere.study.numbers import Reading, plain_quantity, read_number
 from uqsphere.study.particle_tables import (
     FROM_TESTS,
     CurveTable,
@@ -69,8 +69,8 @@ def read_particles(document: Document, study: Study | None, findings: Findings) 
     """The material of [material], else that of the study's sphere; None, with the fault noted, where there is none."""
     table = document.material
     if table is None:
-        if document.sphere is None and findings.clean(("sphere",)) and findings.clean(("material",)):
-            findings.add(("material",), 'the table [material] is missing: add one with name = "limestone"')
+        if document.sphere is None and findings.clean(("sphere",)):
+            findings.lack(("material",), 'the table [material] is missing: add one with name = "limestone"')
         if study is None or document.sphere is None:
             return None
         means = study.at_means()
@@ -106,29 +106,29 @@ def read_product(table: ProductTable | None, findings: Findings) -> ProductPlan:
     """How fine the product is; without [product] the tests are to tell."""
     if table is None:
         return ProductPlan()
-    plain = table.form != "jk"
-
-    def value(key: str) -> Law | float | None:
-        quantity = plain_quantity("product.b") if plain and key == "b" else INPUTS[f"product.{key}"]
-        raw = getattr(table, key)
-        reading = None if raw in (None, FROM_TESTS) else read_number(raw, ("product", key), quantity, findings)
-        return None if reading is None else reading.value
-
+    quantities = {key: INPUTS[f"product.{key}"] for key in ("A", "b")}
+    if table.form != "jk":
+        quantities["b"] = plain_quantity("product.b")
+    numbers = {key: _value(getattr(table, key), ("product", key), one, findings) for key, one in quantities.items()}
     curve, place = table.curve or CurveTable(), ("product", "curve")
-    alpha = (
-        None if curve.alpha is None else read_number(curve.alpha, (*place, "alpha"), plain_quantity("alpha"), findings)
-    )
-    if curve.law == "beta" and not curve.table and findings.clean((*place, "table")):
-        findings.add((*place, "table"), "beta takes a table of rows [n, alpha_n, beta_n]: none is built in")
+    alpha = _value(curve.alpha, (*place, "alpha"), plain_quantity("alpha"), findings)
+    if curve.law == "beta" and not curve.table:
+        findings.lack((*place, "table"), "beta takes a table of rows [n, alpha_n, beta_n]: none is built in")
     for key, is_given, of in (("alpha", curve.alpha is not None, "trr"), ("table", bool(curve.table), "beta")):
         if is_given and curve.law != of:
             findings.add((*place, key), f'{key} belongs to law = "{of}": leave it out')
-    if alpha is not None and alpha.nominal <= 0.0:
+    if alpha is not None and Reading(value=alpha).nominal <= 0.0:
         findings.add((*place, "alpha"), "alpha must be above 0")
     return ProductPlan(
-        form=table.form, A=value("A"), b=value("b"), threshold=table.threshold, curve=curve.law, knots=curve.table,
-        alpha=None if alpha is None else alpha.value, discrepancy=curve.discrepancy,
+        form=table.form, A=numbers["A"], b=numbers["b"], threshold=table.threshold, curve=curve.law, knots=curve.table,
+        alpha=alpha, discrepancy=curve.discrepancy,
     )  # fmt: skip
+
+
+def _value(raw: Raw, place: Place, quantity: Quantity, findings: Findings) -> Law | float | None:
+    """A number or law; None where it is left to the tests, or faulty."""
+    reading = None if raw in (None, FROM_TESTS) else read_number(raw, place, quantity, findings)
+    return None if reading is None else reading.value
 
 
 def readable(table: ProductTable) -> bool:
@@ -163,17 +163,19 @@ def read_feed(
         lot=math.inf if table.lot is None else table.lot, fines=table.fines, seed=document.seed,
     )  # fmt: skip
     goal = None if table.goal is None else (table.goal.broken, table.goal.at_least)
-    own = table.sizes
-    told = [f"{key} {1e3 * value:.4g} mm" for key in ("d63", "d50") if (value := getattr(own, key)) is not None]
-    told += [f"n {own.n:g}"] if own.n is not None else []
-    told += [f"sd of ln d {own.log_sd:g}"] if own.log_sd is not None else []
-    size_words = f"{own.law.replace('_', '-')}, {', '.join([*told, f'top {1e3 * sizes.top:.4g} mm'])}"
-    of = {"sizes": size_words, "energy": words, "partner": share[1]}
+    of = {"sizes": _size_words(table.sizes, sizes.top), "energy": words, "partner": share[1]}
     meaning: dict[str, Raw] = {"table": asdict(table), "particles": asdict(particles)}
     meaning |= {} if product_table is None else {"product": asdict(product_table)}
     meaning["sizes"] = {"edges": classes.edges.tolist(), "mass": classes.mass.tolist()}
     numbers = {key: getattr(particles, key) for key in _MATERIAL}
     return FeedPlan(feed=feed, product=product, goal=goal, of=of, particles=numbers, meaning=meaning)
+
+
+def _size_words(own: SizesTable, top: float) -> str:
+    told = {"d63": own.d63, "d50": own.d50, "n": own.n, "sd of ln d": own.log_sd, "top": top}
+    words = (f"{key} {1e3 * value:.4g} mm" if key in ("d63", "d50", "top") else f"{key} {value:g}"
+             for key, value in told.items() if value is not None)  # fmt: skip
+    return f"{own.law.replace('_', '-')}, {', '.join(words)}"
 
 
 def _read_sizes(table: FeedTable, findings: Findings) -> Sizes | None:
@@ -197,8 +199,8 @@ def _read_sizes(table: FeedTable, findings: Findings) -> Sizes | None:
 def _check_keys(sizes: SizesTable, needed: tuple[str, ...], place: Place, findings: Findings) -> None:
     """Every law has keys of its own."""
     for key in needed:
-        if getattr(sizes, key) is None and findings.clean((*place, key)):
-            findings.add((*place, key), f"{key} is missing: {sizes.law} needs it, such as {key} = {_EXAMPLES[key]}")
+        if getattr(sizes, key) is None:
+            findings.lack((*place, key), f"{key} is missing: {sizes.law} needs it, such as {key} = {_EXAMPLES[key]}")
     for key in ("d63", "n", "d50", "log_sd", "file"):
         if getattr(sizes, key) is not None and key not in _NEEDS[sizes.law]:
             findings.add((*place, key), f"{key} does not belong to {sizes.law}, which takes {one_of(needed)}")
@@ -213,22 +215,19 @@ def _read_table(sizes: SizesTable, place: Place, findings: Findings) -> Sizes | 
     with findings.noting(place):
         assert sizes.file is not None
         rows = open_observations(sizes.file, findings.folder)
-        sieves = np.array(rows.numbers(sizes.sieve, "sieve", UNITS["length"][sizes.sieve_unit]))
-        finer = 0.01 * np.array(rows.numbers(sizes.passing, "passing"))
+        sieves = rows.whole(sizes.sieve, "sieve", UNITS["length"][sizes.sieve_unit])
+        finer = 0.01 * rows.whole(sizes.passing, "passing")
         order = np.argsort(sieves)
-        sieves, finer, lines = sieves[order], finer[order], [rows.lines[k][0] for k in order]
-        where = f"of {shown(rows.name)}"
-        if sieves[0] <= 0.0:
-            raise Misplaced(f"line {lines[0]} {where}: a sieve must be above 0", "sieve")
-        for k in range(1, len(sieves)):
-            if sieves[k] == sieves[k - 1]:
-                raise Misplaced(f"line {lines[k]} {where}: this sieve stands there twice", "sieve")
-            if finer[k] < finer[k - 1]:
-                raise Misplaced(f"line {lines[k]} {where}: the passing falls from a finer sieve to this one", "passing")
-        if finer[0] < 0.0 or finer[-1] > 1.0:
-            raise Misplaced(f"{where[3:]} has a passing outside 0 to 100 %", "passing")
+        same, falls = np.zeros((2, len(order)), dtype=bool)
+        same[order[1:]], falls[order[1:]] = np.diff(sieves[order]) == 0.0, np.diff(finer[order]) < 0.0
+        rows.refuse(sieves <= 0.0, "sieve", lambda row: "a sieve must be above 0")
+        rows.refuse(same, "sieve", lambda row: "this sieve stands there twice")
+        rows.refuse(falls, "passing", lambda row: "the passing falls from a finer sieve to this one")
+        rows.refuse((finer < 0.0) | (finer > 1.0), "passing", lambda row: "a passing must lie from 0 to 100 %")
+        rows.raise_first()
+        sieves, finer = sieves[order], finer[order]
         if finer[-1] <= 0.0:
-            raise Misplaced(f"nothing passes the largest sieve {where}", "passing")
+            raise Misplaced(f"nothing passes the largest sieve of {shown(rows.name)}", "passing")
         top = min(sizes.top or math.inf, float(sieves[-1]))
         return Sizes(sieves=tuple(sieves.tolist()), finer=tuple(finer.tolist()), top=top)
     return None
@@ -326,6 +325,6 @@ def _partner(on: OnTable | None, findings: Findings) -> tuple[float, float] | No
         properties = known[on.material].properties
         given = {key: properties[key].value if value is None else value for key, value in given.items()}
     for key, value in given.items():
-        if value is None and findings.clean((*place, key)):
-            findings.add((*place, key), f'{key} is missing: add it, or material = "steel"')
+        if value is None:
+            findings.lack((*place, key), f'{key} is missing: add it, or material = "steel"')
     return None if None in given.values() else (float(given["E"]), float(given["nu"]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -12,10 +12,9 @@ from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Criterion
 from uqsphere.mechanics.outputs import PATHS, follows_force
 from uqsphere.quantities import OUTPUTS, lookup
 from uqsphere.study.contact import compared_pressure
-from uqsphere.study.document import LimitTable
+from uqsphere.study.document import ContactTable, LimitTable
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, unknown
-from uqsphere.study.fit_strength import is_fit, read_fit_strength
-from uqsphere.study.numbers import Reading, read_number
+from uqsphere.study.numbers import Reading, is_fit, read_fit_strength, read_number
 from uqsphere.study.particle_tables import ENERGY_OF
 from uqsphere.study.scene import Scene, worded
 from uqsphere.study.sphere_tests import (
@@ -85,6 +84,18 @@ def valid_name(name: str) -> bool:
     return _NAME.fullmatch(name) is not None
 
 
+def valid_names(names: Iterable[str], section: str, findings: Findings) -> list[str]:
+    """Those of the names of a user's tables that are valid; the others are noted."""
+    valid = []
+    for name in names:
+        if valid_name(name):
+            valid.append(name)
+        else:
+            said = "a name takes up to 64 letters, digits, _ and -, and begins with a letter"
+            findings.add((section, name), said)
+    return valid
+
+
 def read_limits(
     tables: Mapping[str, LimitTable], outputs: Sequence[str] | None, findings: Findings, scene: Scene
 ) -> list[LimitReading]:
@@ -92,14 +103,8 @@ def read_limits(
     if len(tables) > MOST_LIMITS:
         findings.add(("limits",), f"found {len(tables)} limits, at most {MOST_LIMITS} are allowed")
         return []
-    found: list[LimitReading] = []
-    for name, table in tables.items():
-        if valid_name(name):
-            found.append(_read_limit(name, table, outputs, scene, findings))
-        else:
-            said = "a name takes up to 64 letters, digits, _ and -, and begins with a letter"
-            findings.add(("limits", name), said)
-    return found
+    names = valid_names(tables, "limits", findings)
+    return [_read_limit(name, tables[name], outputs, scene, findings) for name in names]
 
 
 def _read_limit(
@@ -151,7 +156,7 @@ def _read_strength(
     if not black_box and is_sphere_tests(raw):
         return read_sphere_tests(raw, place, demand, scene, findings)
     if not black_box and is_fit(raw):
-        return read_fit_strength(raw, place, demand.quantity, scene, findings)
+        return read_fit_strength(raw, place, demand.quantity, scene.mean("sphere.radius"), findings)
     entry = lookup(demand.quantity)
     plausible = _STRONG if entry.dimension == "pressure" else (0.0, math.inf)
     due = replace(entry, meaning=f"the strength against {demand.quantity}", plausible=plausible, closed=False)
@@ -211,8 +216,8 @@ def _energy_meant(key: str, table: LimitTable, place: Place, scene: Scene, findi
         findings.add((*place, "energy_is"), "energy_is belongs to the criterion specific_energy: leave it out")
     if key != ENERGY_OF["contact"]:
         return key
-    if meant is None and scene.options.get("rig.kind", "bars") != "bars" and findings.clean((*place, "energy_is")):
-        findings.add((*place, "energy_is"), f"energy_is is missing: say what the strength means, {one_of(ENERGY_OF)}")
+    if meant is None and scene.options.get("rig.kind", "bars") != "bars":
+        findings.lack((*place, "energy_is"), f"energy_is is missing: say what the strength means, {one_of(ENERGY_OF)}")
     return ENERGY_OF[meant or "contact"]
 
 
@@ -225,8 +230,8 @@ def _parameters(table: LimitTable, entry: Criterion, place: Place, findings: Fin
         if value is None:
             clean &= findings.clean((*place, key))
             # the modulus may stand in the strength, which is read later
-            if key in entry.parameters and key != "modulus" and findings.clean((*place, key)):
-                findings.add((*place, key), f"{key} is missing: the criterion {entry.name} needs the {part.meaning}")
+            if key in entry.parameters and key != "modulus":
+                findings.lack((*place, key), f"{key} is missing: the criterion {entry.name} needs the {part.meaning}")
                 clean = False
         elif key not in takes:
             allowed = one_of(takes) if takes else "none"
@@ -250,8 +255,8 @@ def _with_modulus_of(strength: Reading | None, demand: Demand, name: str, findin
         return None
     modulus = given if own is None else own
     if modulus is None:
-        if findings.clean(place) and strength is not None:
-            findings.add(place, "modulus is missing: give it here or by a strength that is a Weibull law")
+        if strength is not None:
+            findings.lack(place, "modulus is missing: give it here or by a strength that is a Weibull law")
         return None
     if own is None and strength is not None:
         said = "the strength of a weakest link is a Weibull law of its modulus; with another the probability is not"
@@ -259,8 +264,11 @@ def _with_modulus_of(strength: Reading | None, demand: Demand, name: str, findin
     return replace(demand, parameters={"modulus": float(modulus), **demand.parameters})
 
 
-def share_fracture_energy(raw: Raw, limits: Sequence[LimitReading], scene: Scene, findings: Findings) -> None:
+def share_fracture_energy(
+    table: ContactTable | None, limits: Sequence[LimitReading], scene: Scene, findings: Findings
+) -> None:
     """Put the strength of a limit in place of ``{ same_as = "limits.NAME.strength" }``."""
+    raw: Raw = table and table.fracture_energy
     if not worded("contact", "fracture_energy", raw) or scene.options.get("contact.law") != "damage":
         return
     place = ("contact", "fracture_energy", "same_as")

@@ -1,4 +1,4 @@
-"""One number of a study: a fixed value with its unit, or a distribution, checked against its nomenclature."""
+"""One number of a study: a fixed value with its unit, a distribution, or what `uqsphere fit` found, all checked."""
 
 from __future__ import annotations
 
@@ -7,14 +7,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+import numpy as np
+
+from uqsphere.errors import AccessError, FolderError
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study.axis import SHARE_WORTH_A_WORD
-from uqsphere.study.columns import open_observations, unit_factor
+from uqsphere.study.columns import inside_folder, open_observations, unit_factor
 from uqsphere.study.document import EmpiricalTable
 from uqsphere.study.faults import Findings, Misplaced, Place, Raw, one_of, shown, suggestion
+from uqsphere.study.particle_tables import ENERGY_OF, FitStrengthTable
 from uqsphere.study.tables import bounds_in_words, declared, fixed_value, likely_unit, number_value, read_table
 from uqsphere.units import UNITS, Quantity, UnitError
 from uqsphere.uq.families import FAMILIES, Family, LawError, family_named
+from uqsphere.uq.families.observed import DRAWN
 from uqsphere.uq.fitting import LEAST_TESTS, count_tests, fitted_law
 from uqsphere.uq.law import Law, make_law
 
@@ -107,15 +112,10 @@ def _read_law(raw: Mapping[str, Raw], place: Place, quantity: Quantity, findings
     bounds = given.pop("lower", None), given.pop("upper", None)
     with findings.noting(place):
         try:
-            if table is None:
-                law = make_law(family.name, given, *bounds)
-            else:
-                law = _observed_law(table, quantity, bounds, findings)
+            law = (make_law(family.name, given, *bounds) if table is None
+                   else _observed_law(table, quantity, bounds, findings))  # fmt: skip
         except LawError as error:
-            # the law's own message speaks in SI
-            spoken = (error.key == "" or error.key in family.dimensional) and any(map(str.isdigit, error.message))
-            unit = f" (numbers in {quantity.unit})" if spoken and quantity.unit else ""
-            raise Misplaced(f"{error.message}{unit}", error.key) from None
+            raise _in_units(error, family, quantity) from None
         if not _sensible_scatter(law, place, raw, findings):
             return None
         if table is not None:
@@ -128,6 +128,13 @@ def _read_law(raw: Mapping[str, Raw], place: Place, quantity: Quantity, findings
         found = Reading(value=law, given=given, made_up=table is not None and table.made_up)
         return found if _inside(law, place, quantity, findings) else None
     return None
+
+
+def _in_units(error: LawError, family: Family, quantity: Quantity) -> Misplaced:
+    """What is wrong with a law, whose own message speaks in SI."""
+    spoken = (error.key == "" or error.key in family.dimensional) and any(map(str.isdigit, error.message))
+    unit = f" (numbers in {quantity.unit})" if spoken and quantity.unit else ""
+    return Misplaced(f"{error.message}{unit}", error.key)
 
 
 def _family(raw: Mapping[str, Raw], place: Place, findings: Findings) -> Family | None:
@@ -170,12 +177,13 @@ def _observed_law(
     """The law of a column of observations; raises Misplaced and LawError."""
     factor = unit_factor(table.unit, quantity)
     observed = open_observations(table.file, findings.folder)
-    data = observed.numbers(table.column, "column", factor)
-    flags = (False,) * len(data) if table.censored is None else observed.flags(table.censored, "censored")
-    broken, stopped = (
-        [value for value, flag in zip(data, flags, strict=True) if flag is which] for which in (False, True)
-    )
-    return fitted_law(broken, table.fit, *bounds, censored=stopped, unbiased=table.unbiased)
+    data = observed.whole(table.column, "column", factor)
+    stopped = np.zeros(len(data), dtype=bool)
+    if table.censored is not None:
+        stopped = observed.stopped(table.censored, "censored")
+        observed.raise_first()
+    rest = data[stopped].tolist()
+    return fitted_law(data[~stopped].tolist(), table.fit, *bounds, censored=rest, unbiased=table.unbiased)
 
 
 def _warn_of_bounds(law: Law, given: Mapping[str, float], place: Place, quantity: Quantity, findings: Findings) -> None:
@@ -237,8 +245,6 @@ def _inside(law: Law, place: Place, quantity: Quantity, findings: Findings) -> b
                 findings.add((*place, key), f"{format_value(bound, quantity.name)}: {bounds_in_words(quantity)}")
                 return False
         return True
-    import numpy as np
-
     # mass of the law in force below and above the bounds of meaning
     share = 0.0
     if max(law.lower, law.family.least(law.parameters, law.lower, law.upper)) < quantity.lower:
@@ -254,3 +260,54 @@ def _inside(law: Law, place: Place, quantity: Quantity, findings: Findings) -> b
             f"({bounds_in_words(quantity)}); {effect}truncate it with lower or upper, or take another one",
         )
     return True
+
+
+# --- a strength that uqsphere fit has found -----------------------------------------------------------------
+
+
+#: draws of a fit that a study carries: the Monte Carlo error of a mean of 200 laws is 7 % of what tests leave open;
+#: a diameter counts as tested within this factor
+_DRAWS: Final = 200
+_BESIDE: Final = 1.01
+
+
+def is_fit(raw: object) -> bool:
+    """Whether a strength is what `uqsphere fit` has found, by its folder."""
+    return isinstance(raw, Mapping) and "fit" in raw and not {"dist", "tests", "file"} & set(raw)
+
+
+def read_fit_strength(
+    raw: Mapping[str, Raw], place: Place, quantity: str, radius: float | None, findings: Findings
+) -> Reading | None:
+    """The fracture energy of the sphere by the draws of a fit, of a mean radius [m]; None, with the faults noted.
+
+    Each draw is one of the laws that the tests allow, and the law in force their mean.
+    """
+    table = read_table(FitStrengthTable, raw, findings, place)
+    if quantity != ENERGY_OF["sphere"]:
+        said = 'a fit is of the energy that the particle itself takes up: criterion = "specific_energy"'
+        findings.add((*place, "fit"), f'{said} with energy_is = "sphere" goes with it')
+    if not table.fit or radius is None or not findings.clean(place):
+        return None
+    from uqsphere.feed.fit import Posterior, read_fit
+
+    with findings.noting(place):
+        folder = inside_folder(table.fit, findings.folder, "fit")
+        try:
+            posterior, about = Posterior.load(folder), read_fit(folder)
+        except (FolderError, AccessError) as error:
+            raise Misplaced(str(error), "fit") from None
+        diameter = 2.0 * radius
+        low, high = about.tested
+        if not low / _BESIDE <= diameter <= high * _BESIDE:
+            found = (
+                f"the sphere of {1e3 * diameter:.4g} mm lies beyond the tests, {1e3 * low:.4g} to {1e3 * high:.4g} mm"
+            )
+            findings.warn((*place, "fit"), f"{found}: its strength is extrapolated")
+        draws = posterior.as_laws(diameter, _DRAWS)
+        if not draws:
+            raise Misplaced(f"no size class of the fit is near {1e3 * diameter:.4g} mm", "fit")
+        tests = 0.0 if about.tests is None else float(about.tests.particles)
+        law = Law(family=DRAWN, parameters={"tests": tests}, draws=draws)
+        return Reading(value=law, made_up=about.made_up)
+    return None

@@ -134,17 +134,23 @@ def _plain(node: Raw) -> Raw:
     if not isinstance(node, dict):
         return node
     if "dimension" in node:
-        words = {"description": node["description"]} if "description" in node else {}
-        return {"$ref": f"#/$defs/{node['dimension']}", **words}
+        ref = {"$ref": f"#/$defs/{node['dimension']}", "description": node.get("description")}
+        return {key: value for key, value in ref.items() if value}
     named = {key: {name: _plain(part) for name, part in node[key].items()} for key in _NAMED if key in node}
     found = _without_null({key: _plain(value) for key, value in node.items() if key not in _DROPPED} | named)
-    # a default that is empty, or a table of its own, says nothing to an editor
-    usual = found.get("default")
-    told = isinstance(usual, (bool, int, float)) or (bool(usual) and not isinstance(usual, dict))
-    if "default" in found and (node.get("due") or not told):
-        del found["default"]
-    needed = [name for name, part in node.get("properties", {}).items() if part.get("due")]
-    return found | ({"required": needed} if needed else {})
+    if node.get("due") or not _telling(found.get("default")):
+        found.pop("default", None)
+    return found | _required(node.get("properties", {}))
+
+
+def _required(properties: Node) -> Node:
+    needed = [name for name, part in properties.items() if part.get("due")]
+    return {"required": needed} if needed else {}
+
+
+def _telling(usual: Raw) -> bool:
+    """Whether a default says something to an editor: one that is empty, or a table of its own, does not."""
+    return isinstance(usual, (bool, int, float)) or (bool(usual) and not isinstance(usual, dict))
 
 
 def _without_null(node: Node) -> Node:
@@ -157,27 +163,9 @@ def _without_null(node: Node) -> Node:
 
 def _add_numbers(made: Node, tables: dict[str, Node]) -> None:
     """Put in what a declaration leaves open: numbers of the scene by their quantity, and what a name can be."""
-    # a target and an anvil are declared once, and what a rig says of speeds a service says too
-    names = {section: f"{section.capitalize()}Table" for section in SCENE if section != "anvil"}
-    for path, quantity in INPUTS.items():
-        section, key = path.split(".")
-        if section not in names or path in noise_names():
-            continue
-        if key not in tables[names[section]]["properties"]:
-            continue  # a number that no study has yet
-        node = _number_or_law(quantity.dimension)
-        if far_end(quantity):
-            node["anyOf"].insert(0, {"enum": list(BAR_ENDS)})
-        if key == "face_radius":
-            node["anyOf"].insert(0, {"const": FLAT})
-        keys = tables[names[section]]["properties"]
-        unit = f" [{quantity.unit}]" if quantity.unit else ""
-        told = keys[key].get("description", quantity.meaning)
-        keys[key] = node | {"description": f"{told}, {quantity.symbol}{unit}"}
-        if section == "rig":
-            tables["ServiceTable"]["properties"][key] = keys[key]
-    for section, kind in (("sphere", "sphere"), ("bars", "bars"), ("striker", "bars")):
-        tables[names[section]]["properties"]["material"]["enum"] = list(material_names(kind))
+    _add_scene(tables)
+    for section, kind in (("Sphere", "sphere"), ("Bars", "bars"), ("Striker", "bars")):
+        tables[f"{section}Table"]["properties"]["material"]["enum"] = list(material_names(kind))
     tables["StrikerTable"]["required"] = ["speed"]
     tables["ContactTable"]["properties"]["hardness"]["anyOf"].insert(0, {"const": "onset"})
     same = {"type": "object", "properties": {"same_as": {"type": "string"}}, "additionalProperties": False}
@@ -197,6 +185,26 @@ def _add_numbers(made: Node, tables: dict[str, Node]) -> None:
     ):
         made["properties"][name] = {"type": "object", "patternProperties": {_NAME: item}, "additionalProperties": False}
     made["properties"]["inputs"]["minProperties"] = 1
+
+
+def _add_scene(tables: dict[str, Node]) -> None:
+    """The numbers of the scene, by their quantity."""
+    for path, quantity in INPUTS.items():
+        section, key = path.split(".")
+        # a target and an anvil are declared once, and what a rig says of speeds a service says too
+        keys = {} if section == "anvil" else tables.get(f"{section.capitalize()}Table", {}).get("properties", {})
+        if key not in keys or path in noise_names():
+            continue  # of no table of a scene, or a number that no study has yet
+        node = _number_or_law(quantity.dimension)
+        if far_end(quantity):
+            node["anyOf"].insert(0, {"enum": list(BAR_ENDS)})
+        if key == "face_radius":
+            node["anyOf"].insert(0, {"const": FLAT})
+        unit = f" [{quantity.unit}]" if quantity.unit else ""
+        told = keys[key].get("description", quantity.meaning)
+        keys[key] = node | {"description": f"{told}, {quantity.symbol}{unit}"}
+        if section == "rig":
+            tables["ServiceTable"]["properties"][key] = keys[key]
 
 
 def _present(*names: str) -> list[Node]:

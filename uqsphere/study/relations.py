@@ -117,8 +117,8 @@ def _check_strength(table: Dependence, place: Place, findings: Findings) -> None
         )
     if not findings.clean((*place, "copula")):
         return
-    if table.copula == "student_t" and table.dof is None and findings.clean((*place, "dof")):
-        findings.add((*place, "dof"), "dof is missing: a Student t copula needs its degrees of freedom, 4 say")
+    if table.copula == "student_t" and table.dof is None:
+        findings.lack((*place, "dof"), "dof is missing: a Student t copula needs its degrees of freedom, 4 say")
     elif table.copula != "student_t" and table.dof is not None:
         findings.add((*place, "dof"), f'dof belongs to copula = "student_t", the copula here is {shown(table.copula)}')
 
@@ -161,19 +161,26 @@ def read_margins(document: Document, named: Named, findings: Findings) -> Margin
     if table.family is not None and findings.clean(("margins", "family")):
         family = _read_family(table.family, table.solve, named, findings)
     _check_against(table, named.black_box, findings)
-    quantity = named.quantity(table.solve)
-    low, high = (read_fixed(raw, ("margins", "between", k), quantity, findings) for k, raw in enumerate(table.between))
-    if low is None or high is None:
+    ends = _read_between(table, named.quantity(table.solve), findings)
+    if ends is None:
         return None
-    if not low < high:
-        first, second = (shown(raw) for raw in table.between)
-        findings.add(("margins", "between"), f"found {first} and {second}: the lower value must come first")
-        return None
-    axis = make_axis(table.solve, low, high, limits=named.strengths, black_box=named.black_box)
+    axis = make_axis(table.solve, *ends, limits=named.strengths, black_box=named.black_box)
     return Margins(
         axis=axis, for_probability=tuple(sorted(probabilities)), family=family, bars_elastic=table.bars_elastic,
         against=table.against,
     )  # fmt: skip
+
+
+def _read_between(table: MarginsTable, quantity: Quantity, findings: Findings) -> tuple[float, float] | None:
+    """The lowest and the highest value of the free number; None, with the fault noted, where they are not that."""
+    low, high = (read_fixed(raw, ("margins", "between", k), quantity, findings) for k, raw in enumerate(table.between))
+    if low is None or high is None:
+        return None
+    if not low < high:
+        first, second = map(shown, table.between)
+        findings.add(("margins", "between"), f"found {first} and {second}: the lower value must come first")
+        return None
+    return low, high
 
 
 def _check_bars(table: MarginsTable, named: Named, findings: Findings) -> None:

@@ -21,10 +21,18 @@ from uqsphere.study.feed import read_feed, read_particles, readable, without_sce
 from uqsphere.study.limits import LimitReading, known_quantity, read_limits, share_fracture_energy, valid_name
 from uqsphere.study.numbers import plain_quantity, read_number
 from uqsphere.study.relations import check_groups, check_moved_mean, named_numbers, read_dependence, read_margins
-from uqsphere.study.rigs import model_of, read_rig, refuse_other_tables
-from uqsphere.study.scene import Scene, check_scene, read_damper, read_gauges, read_scene
+from uqsphere.study.scene import (
+    Scene,
+    check_scene,
+    model_of,
+    read_damper,
+    read_gauges,
+    read_rig,
+    read_scene,
+    refuse_other_tables,
+)
 from uqsphere.study.services import split
-from uqsphere.study.study import Study
+from uqsphere.study.study import Margins, Study
 from uqsphere.study.tables import read_table
 from uqsphere.study.text import apply_overrides, drop_unusable_numbers, parse_text, read_text, refused, toml_text
 
@@ -126,29 +134,19 @@ def _resolve(data: dict[str, Raw], findings: Findings, path: Path, text: str) ->
 def _resolve_part(data: dict[str, Raw], findings: Findings, path: Path, text: str) -> Study | None:
     """The study of one rig."""
     document = read_table(Document, data, findings)
-    black_box = _kind(data, findings)
-    scene, outputs, model = Scene(), None, model_of(document, findings)
-    if black_box:
-        outputs = _read_outputs(document, findings)
-        _read_inputs(document, scene, findings)
-    elif black_box is not None and without_scene(data):
-        scene.options["rig.kind"] = "none"
-    elif black_box is not None:
-        scene = _read_rig(document, data, model, findings)
+    black_box, model = _kind(data, findings), model_of(document, findings)
+    outputs = _read_outputs(document, findings) if black_box else None
+    scene = _read_scene(document, data, model, black_box, findings)
     limits = read_limits(document.limits, outputs, findings, scene)
-    if document.contact is not None:
-        share_fracture_energy(document.contact.fracture_energy, limits, scene, findings)
+    share_fracture_energy(document.contact, limits, scene, findings)
     analysis = _as_asked(_read_analysis(document, outputs, limits, findings), data)
     parts: dict[str, Raw] = {}
     named = named_numbers(document, scene, limits, black_box=bool(black_box))
     if black_box is not None:
         check_groups(analysis.groups, named, findings)
-        parts = {"dependence": read_dependence(document.dependence, named, findings)}
-        parts["margins"] = margins = read_margins(document, named, findings)
-        needed = [] if margins is None else ["p_max"] * margins.bars_elastic + [margins.against or ""]
-        if any(needed) and analysis.quantities:
-            asked = dict.fromkeys([*analysis.quantities, *filter(None, needed)])
-            analysis = replace(analysis, quantities=tuple(asked))
+        parts["dependence"] = read_dependence(document.dependence, named, findings)
+        parts["margins"] = read_margins(document, named, findings)
+        analysis = _with_needed(analysis, parts["margins"])
     if black_box is False:
         parts["receiving_damper"] = read_damper(document.bars, findings)
         parts["gauges"] = read_gauges(document, scene, findings)
@@ -177,6 +175,27 @@ def _resolve_part(data: dict[str, Raw], findings: Findings, path: Path, text: st
     )
     check_moved_mean(study, findings)
     return None if findings.faults else study
+
+
+def _with_needed(analysis: Analysis, margins: Margins | None) -> Analysis:
+    """The analysis with the quantities that margins need."""
+    needed = [] if margins is None else ["p_max"] * margins.bars_elastic + [margins.against or ""]
+    asked = dict.fromkeys([*analysis.quantities, *filter(None, needed)])
+    return replace(analysis, quantities=tuple(asked)) if analysis.quantities else analysis
+
+
+def _read_scene(
+    document: Document, data: Mapping[str, Raw], model: ModelChoice, black_box: bool | None, findings: Findings
+) -> Scene:
+    """The numbers of a black box, or the scene of a rig, where either can be told."""
+    scene = Scene()
+    if black_box:
+        _read_inputs(document, scene, findings)
+    elif black_box is not None and without_scene(data):
+        scene.options["rig.kind"] = "none"
+    elif black_box is not None:
+        scene = _read_rig(document, data, model, findings)
+    return scene
 
 
 def _read_rig(document: Document, data: Mapping[str, Raw], model: ModelChoice, findings: Findings) -> Scene:
@@ -217,8 +236,7 @@ def _kind(data: Mapping[str, Raw], findings: Findings) -> bool | None:
 def _read_inputs(document: Document, scene: Scene, findings: Findings) -> None:
     tables = document.inputs
     if not tables:
-        if findings.clean(("inputs",)):
-            findings.add(("inputs",), "[inputs] is missing or empty: add an input such as x1 = 1.0, or a distribution")
+        findings.lack(("inputs",), "[inputs] is missing or empty: add an input such as x1 = 1.0, or a distribution")
         return
     if len(tables) > MOST_INPUTS:
         findings.add(("inputs",), f"found {len(tables)} inputs, at most {MOST_INPUTS} are allowed")
@@ -256,10 +274,6 @@ def _read_analysis(
 ) -> Analysis:
     """What is asked of every quantity; those that a limit or a product needs are among them."""
     given = document.analysis
-    black_box = outputs is not None
-    for key in ("cost", "rows_per_call", "at_once", "time_limit"):
-        if getattr(given, key) != getattr(Analysis, key) and not black_box:
-            findings.add(("analysis", key), f"{key} is for a black box ([inputs], [outputs]): leave it out")
     for index, name in enumerate(given.quantities):
         known_quantity(name, ("analysis", "quantities", index), outputs, findings)
     _check_fields(document, outputs, findings)
@@ -268,7 +282,7 @@ def _read_analysis(
     asked = [*(given.quantities or default), *needed]
     if document.product is not None:
         asked += [FINENESS] if readable(document.product) else []
-    elif not black_box:
+    elif outputs is None:
         _refuse_fineness(document, findings)
     tolerance = _tolerance(given.tolerance_intervals, findings)
     if not asked:
@@ -283,7 +297,10 @@ def _read_analysis(
 
 
 def _check_fields(document: Document, outputs: Sequence[str] | None, findings: Findings) -> None:
-    """Note fields that the model does not have, or whose names stand for something else."""
+    """Note fields that the model does not have, or whose names stand for something else, and keys of a black box."""
+    for key in ("cost", "rows_per_call", "at_once", "time_limit") if outputs is None else ():
+        if getattr(document.analysis, key) != getattr(Analysis, key):
+            findings.add(("analysis", key), f"{key} is for a black box ([inputs], [outputs]): leave it out")
     for name in document.analysis.fields:
         place: Place = ("analysis", "fields", name)
         if outputs is None:

@@ -14,7 +14,7 @@ from typing import Final
 from uqsphere.materials import library
 from uqsphere.study.document import RIG_TABLES, RigTable
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
-from uqsphere.study.limits import valid_name
+from uqsphere.study.limits import valid_names
 from uqsphere.study.particle_tables import ENERGY_OF
 from uqsphere.study.sphere_tests import is_sphere_tests
 from uqsphere.study.tables import declared
@@ -77,15 +77,12 @@ class Service:
 def split(data: Mapping[str, Raw], findings: Findings) -> tuple[dict[str, Raw], list[Service]]:
     """The study of the rig itself, and those of its services."""
     tables = {name: table for name, table in _table(data, "service").items() if isinstance(table, Mapping)}
-    for name in tables:
-        if not valid_name(name):
-            said = "a name takes up to 64 letters, digits, _ and -, and begins with a letter"
-            findings.add(("service", name), said)
+    valid_names(tables, "service", findings)
     own = _without_references(data, findings)
     limits = _table(own, "limits")
     homes = {name: _home_of(name, table, tables, findings) for name, table in limits.items()}
     made = [_service(name, table, own, homes) for name, table in tables.items()]
-    if "limits" in own and isinstance(own["limits"], Mapping):
+    if isinstance(own.get("limits"), Mapping):
         own["limits"] = {name: table for name, table in limits.items() if homes[name] is None}
         if not own["limits"]:
             del own["limits"]

@@ -21,7 +21,6 @@ from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.criteria import demand as demand_of
 from uqsphere.mechanics.outputs import Columns, at_force, follows_force
 from uqsphere.quantities import INPUTS
-from uqsphere.study.columns import LARGEST_TESTS, open_observations
 from uqsphere.study.document import RIG_TABLES
 from uqsphere.study.faults import Findings, Misplaced, Place, Raw
 from uqsphere.study.numbers import Reading, Tested, read_fixed
@@ -78,39 +77,43 @@ def read_sphere_tests(
     table = read_table(SphereTestsTable, raw, findings, place)
     from uqsphere.study.tests import read_measured
 
-    file, key = (table.tests, "tests") if table.tests is not None else (table.file or "", "file")
-    if table.tests is not None and table.file is not None:
-        findings.add((*place, "file"), "tests names a file too: leave one of them out")
-    if not file and table.tests is None and findings.clean((*place, "file")):
-        findings.add((*place, "file"), 'file is missing: add file = "tests.csv"')
+    file, key = _file_of(table, place, findings)
     _check_measured(table, place, demand, findings)
-    sphere = {key: scene.mean(f"sphere.{key}") for key in ("E", "nu", "density")}
     platens = read_platens(table.platens or "bars", (*place, "platens"), scene, findings)
-    stiff = {key: value for key, value in sphere.items() if value is not None}
+    keys = ("E", "nu", "density")
+    stiff = {key: value for key in keys if (value := scene.mean(f"sphere.{key}")) is not None}
     measured = read_measured(table, file, place, findings, key=key, rig="platens") if file else None
-    if not findings.clean(place) or measured is None or platens is None or len(stiff) < len(sphere):
+    if not findings.clean(place) or measured is None or platens is None or len(stiff) < len(keys):
         # a sphere without its stiffness has been told of already
         return None
     with findings.noting(place):
-        columns = _columns(table, file, measured, stiff["density"], findings)
-        stopped = _stopped(table, file, measured, findings)
+        columns = _columns(table, file, measured, stiff["density"])
         _compare_sizes(columns["diameter"], place, demand, scene, findings)
         _compare_rates(place, demand, scene, findings)
         try:
             state = _at_failure(columns, {**stiff, **_yields(scene)}, platens, measured.stiffness)
             state = _beside(_with_energy(state, columns, table, stiff, platens), stiff, platens, scene)
-            law = _law(table, state, stopped, demand)
+            law = _law(table, state, measured.broken == 0, demand)
         except LawError as error:
             key = "force" if error.key in ("column", "file") else error.key
             raise Misplaced(error.message, key if key in raw else "") from None
         except ValueError as error:
             raise Misplaced(f"the tests cannot be turned into a strength: {error}") from None
-        growth = None
-        if "rate" in columns and "force" in columns:
-            growth = float(np.median(columns["rate"] / columns["force"])) or None
-        tested = Tested(diameter=float(columns["diameter"].mean()), growth=growth)
+        growth = columns["rate"] / columns["force"] if {"rate", "force"} <= columns.keys() else np.zeros(1)
+        tested = Tested(diameter=float(columns["diameter"].mean()), growth=float(np.median(growth)) or None)
         return Reading(value=law, made_up=table.made_up, tested=tested)
     return None
+
+
+def _file_of(table: SphereTestsTable, place: Place, findings: Findings) -> tuple[str, str]:
+    """The file of the tests and the key that names it; an empty name, with the fault noted, where there is none."""
+    if table.tests is None:
+        if not table.file:
+            findings.lack((*place, "file"), 'file is missing: add file = "tests.csv"')
+        return table.file or "", "file"
+    if table.file is not None:
+        findings.add((*place, "file"), "tests names a file too: leave one of them out")
+    return table.tests, "tests"
 
 
 def _with_energy(
@@ -181,13 +184,12 @@ def _compare_rates(place: Place, demand: Demand, scene: Scene, findings: Finding
     findings.warn(place, f"{said} safe to survive and unsafe to break; rate_0 of the criterion carries it ({rates})")
 
 
-def _columns(
-    table: SphereTestsTable, file: str, measured: Measured, density: float, findings: Findings
-) -> dict[str, Array]:
+def _columns(table: SphereTestsTable, file: str, measured: Measured, density: float) -> dict[str, Array]:
     """Force or energy, diameter and rate of every test in SI; raises Misplaced for tests that are no strengths."""
     from uqsphere.feed.tests import RIGS
-    from uqsphere.study.tests import rates_of
 
+    if table.censored is not None and table.outcome is not None:
+        raise Misplaced("outcome is given too: leave one of them out", "censored")
     offered = ~np.isin(measured.rig, [name for name, at_failure in RIGS.items() if at_failure])
     alike = measured.particles > 1
     again = (measured.blows > 1) | (np.bincount(measured.specimen)[measured.specimen] > 1)
@@ -200,27 +202,12 @@ def _columns(
             raise Misplaced(f"{file}:{measured.lines[row]}: {said}: {_TO_FIT}", key)
     if len(measured.value) < 2:
         raise Misplaced(f"found {len(measured.value)} test, two or more are due", "tests" if table.tests else "file")
-    kind = str(measured.kind[0])
-    found = {"diameter": measured.diameter}
+    kind, value = str(measured.kind[0]), measured.value
     if kind == "specific_energy":
         mass = measured.mass if measured.mass is not None else contact.sphere_mass(0.5 * measured.diameter, density)
-        found["energy"] = measured.value * mass
-    else:
-        found[kind] = measured.value
-    if table.rate is not None:
-        found["rate"] = rates_of(table.rate, table.rate_unit, measured, open_observations(file, findings.folder))
-    return found
-
-
-def _stopped(table: SphereTestsTable, file: str, measured: Measured, findings: Findings) -> Flags | None:
-    """Which tests ended without a failure; None where the table does not say."""
-    if table.censored is None:
-        return measured.stopped if table.outcome is not None else None
-    if table.outcome is not None:
-        raise Misplaced("outcome is given too: leave one of them out", "censored")
-    tests = open_observations(file, findings.folder, largest=LARGEST_TESTS)
-    flags = dict(zip((line for line, _ in tests.lines), tests.flags(table.censored, "censored"), strict=True))
-    return np.array([flags[line] for line in measured.lines.tolist()])
+        kind, value = "energy", value * mass
+    found = {"diameter": measured.diameter, kind: value}
+    return found if measured.rate is None else {**found, "rate": measured.rate}
 
 
 def read_platens(
@@ -243,12 +230,11 @@ def read_platens(
     return known_platens(raw)
 
 
-def _law(table: SphereTestsTable, state: State, flags: Flags | None, demand: Demand) -> Law:
+def _law(table: SphereTestsTable, state: State, stopped: Flags, demand: Demand) -> Law:
     """The law of the strengths of the tests at whose failure the state is; raises LawError, ValueError."""
 
     def fitted(parameters: Mapping[str, float]) -> Law:
         values = _strengths(state, demand, parameters)
-        stopped = np.zeros(values.shape, dtype=bool) if flags is None else flags
         rest = values[stopped].tolist()
         return fitted_law(values[~stopped].tolist(), table.fit, censored=rest, unbiased=table.unbiased)
 

@@ -11,11 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from uqsphere.files import Json
+from uqsphere.materials import Material, Property, library
+from uqsphere.mechanics.criteria import CRITERIA
+from uqsphere.mechanics.outputs import OUTPUTS, PATHS
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.study.axis import Axis
 from uqsphere.study.document import Accuracy, Analysis, Dependence, Gauge, ModelChoice
 from uqsphere.study.numbers import Tested
-from uqsphere.uq.law import Law
+from uqsphere.uq.law import Law, make_law
 
 if TYPE_CHECKING:
     from uqsphere.feed.answers import FeedPlan
@@ -262,12 +265,9 @@ class Study(metaclass=_FromTables):
             "sources": {name: asdict(source) for name, source in self.sources.items()},
             "model": self._model_json(),
             "limits": {limit.name: _limit_json(limit) for limit in self.limits},
-            # what was given, and nothing else: a key that is new must not change the hash of a study without it
-            "dependence": [
-                {key: own for key in _TIE if (own := getattr(group, key)) is not None} for group in self.dependence
-            ],
+            "dependence": [_tie_json(group) for group in self.dependence],
             "analysis": _analysis_json(self.analysis),
-            "margins": None if self.margins is None else _margins_json(self.margins),
+            "margins": _margins_json(self.margins),
             "outputs": self.outputs,
         }
         for name in ("record", "receiving_damper"):
@@ -288,12 +288,16 @@ def tie_of(group: Dependence) -> Tie:
     return Tie(of=group.of, spearman=group.spearman, kendall=group.kendall, copula=group.copula, dof=group.dof)
 
 
-#: what is said of a dependence
-_TIE: Final = ("of", "copula", "spearman", "kendall", "dof")
+def _tie_json(group: Dependence) -> dict[str, Any]:
+    """What was given, and nothing else: a key that is new must not change the hash of a study without it."""
+    keys = ("of", "copula", "spearman", "kendall", "dof")
+    return {key: own for key in keys if (own := getattr(group, key)) is not None}
 
 
-def _margins_json(margins: Margins) -> dict[str, Any]:
+def _margins_json(margins: Margins | None) -> dict[str, Any] | None:
     """What was asked, and nothing else, as with dependence."""
+    if margins is None:
+        return None
     axis = margins.axis
     own = {"solve": axis.path, "between": (axis.low, axis.high), **asdict(margins)}
     return {key: value for key, value in own.items() if key != "axis" and value not in (None, False)}
@@ -342,3 +346,103 @@ def _limit_json(limit: Limit) -> dict[str, Json]:
         **({} if limit.fracture is None else {"fracture": limit.fracture}),
         **({} if limit.platens is None else {"platens": [_finite(value) for value in limit.platens]}),
     }
+
+
+# --- all ways in which a rock sphere can break --------------------------------------------------------------
+
+
+#: the ways, by the place in the sphere where each begins, and the criterion that is assumed for it
+_WAYS: Final = {"contact": "contact_pressure", "rim": "ring_crack", "core": "weakest_link_volume",
+                "energy": "specific_energy"}  # fmt: skip
+#: what the ways are called
+_CALLED: Final = {"contact": "contact pressure", "rim": "ring crack", "core": "core tension",
+                  "energy": "fracture energy"}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Way:
+    """A way to break with an assumed strength: its limit, and the strength at both ends of the library's 95 % range."""
+
+    called: str
+    limit: Limit
+    weak: Law
+    strong: Law
+    source: str
+    seen: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ways:
+    """The ways that a study has no limit for: those assumed, and why the others are not judged."""
+
+    assumed: tuple[Way, ...] = ()
+    not_judged: Mapping[str, str] = field(default_factory=dict)
+
+
+def breaks_by(limit: Limit) -> str:
+    """Which way of `_WAYS` a limit is on; "force" for one on the force itself, empty where it is no fracture.
+
+    >>> breaks_by(Limit(name="a", quantity="core_tension", strength=1e7))
+    'core'
+    """
+    if limit.criterion is None and limit.quantity not in PATHS:
+        return ""
+    entry = OUTPUTS[limit.quantity] if limit.criterion is None else CRITERIA[limit.criterion]
+    return "energy" if entry.follows == "energy" else entry.place or "force"
+
+
+def means_fracture(limit: Limit) -> bool:
+    """Whether a limit is on a way to break; one that must break means it, also where it is not counted twice."""
+    return breaks_by(limit) != "" and (limit.fracture is not False or limit.aim == "break")
+
+
+def ways_of(study: Study) -> Ways:
+    """The ways beside the limits of a study; none for what is no rock, and where ``[analysis] ways = "given"``."""
+    rock = library()["sphere"].get(study.materials.get("sphere", ""))
+    given = {breaks_by(limit) for limit in study.limits if means_fracture(limit)}
+    if study.black_box or study.analysis.ways == "given" or rock is None or not rock.rock or not given:
+        return Ways()
+    assumed, not_judged = [], {}
+    for place, called in _CALLED.items():
+        if place in given:
+            continue
+        found = _assumed(rock, place, 2.0 * study.at_means()["sphere.radius"])
+        if isinstance(found, str):
+            not_judged[called] = found
+        else:
+            assumed.append(found)
+    return Ways(assumed=tuple(assumed), not_judged=not_judged)
+
+
+def _assumed(rock: Material, place: str, diameter: float) -> Way | str:
+    """The way with the strength of the library for particles of a diameter [m], or why there is none."""
+    key = {"contact": "contact_strength", "rim": "fracture_toughness", "core": "tensile_strength",
+           "energy": "fracture_energy"}[place]  # fmt: skip
+    entry, own = rock.properties.get(key), {}
+    if entry is None or entry.range is None:
+        if place == "core" and entry is not None:
+            return "no strength: the library's tensile strength is of no known volume"
+        return f"no strength: neither the study nor the library has one for {rock.title.lower()}"
+    if place == "core":
+        # the strength of a specimen says nothing of a volume that is a million times smaller, but by the size law
+        modulus = rock.properties.get("weibull_modulus")
+        if "volume" not in entry.further or modulus is None:
+            return "no strength: a tensile strength needs its volume and a Weibull modulus to be carried to the core"
+        own = {"modulus": modulus.value, "reference_volume": entry.further["volume"]}
+    laws = [_law(place, entry, value, own, diameter) for value in (entry.range[0], entry.value, entry.range[1])]
+    name, criterion = f"{_CALLED[place]} (assumed)", CRITERIA[_WAYS[place]]
+    quantity = criterion.quantity if criterion.quantity and not own else f"{criterion.name}.{name}"
+    limit = Limit(name=name, quantity=quantity, strength=laws[1], criterion=criterion.name if own else None,
+                  parameters=own)  # fmt: skip
+    return Way(called=_CALLED[place], limit=limit, weak=laws[0], strong=laws[2], source=entry.source, seen=entry.seen)
+
+
+def _law(place: str, entry: Property, value: float, own: Mapping[str, float], diameter: float) -> Law:
+    """The law of specimens whose typical strength is a value: Weibull's by its modulus, else lognormal."""
+    if place == "core":
+        return make_law("weibull", {"mean": value, "modulus": own["modulus"]})
+    if place == "energy":
+        # the median of particles of this size (Tavares and King 1998, equation 15)
+        median = value * (1.0 + (entry.further["size"] / diameter) ** entry.further["exponent"])
+        return make_law("lognormal", {"log_mean": math.log(median), "log_sd": entry.cov})
+    return make_law("lognormal", {"mean": value, "cov": entry.cov})

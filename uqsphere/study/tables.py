@@ -312,8 +312,8 @@ def _note_missing(table: Raw, raw: Raw, place: Place, findings: Findings) -> Non
     else:
         parts = {name: getattr(table, name, None) for name in declared(table)}
         for name, entry in declared(table).items():
-            if (due := due_of(entry)) and name not in raw and findings.clean((*place, name)):
-                findings.add((*place, name), f"{name} is missing: {due}")
+            if (due := due_of(entry)) and name not in raw:
+                findings.lack((*place, name), f"{name} is missing: {due}")
     for part, value in parts.items():
         below = _child(raw, part)
         if isinstance(below, (dict, list)) and (isinstance(value, (Mapping, tuple)) or dataclasses.is_dataclass(value)):

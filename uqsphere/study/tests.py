@@ -9,13 +9,13 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array
 from uqsphere.feed.tests import (
     RIGS,
     THROWN,
@@ -29,7 +29,7 @@ from uqsphere.feed.tests import (
 from uqsphere.mechanics import contact
 from uqsphere.study.columns import LARGEST_TESTS, Observations, open_observations, unit_factor
 from uqsphere.study.document import Document
-from uqsphere.study.faults import MOST_PROBLEMS, Findings, Misplaced, Place, Raw, one_of, shown, unknown
+from uqsphere.study.faults import Findings, Misplaced, Place, Raw, one_of, shown, unknown
 from uqsphere.study.numbers import plain_quantity, read_number
 from uqsphere.study.particle_tables import ENERGY_OF, TestColumns, TestsTable, known_platens
 from uqsphere.units import Quantity, UnitError, parse_value
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
 KINDS: Final = {"force": "force", "energy": "energy", "specific_energy": "specific_energy", "speed": "speed"}
 _BROKE: Final = {"broke": True, "broken": True, "1": True, "yes": True, "true": True, "survived": False, "0": False,
                  "no": False, "false": False}  # fmt: skip
-_MOST: Final = 1_000_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,14 +62,10 @@ class Measured:
     specimen: npt.NDArray[np.int64]
     mass: Array | None = None
     stiffness: Array | None = None
+    rate: Array | None = None
     t10: Array | None = None
     sieves: tuple[float, ...] = ()
     passing: Array | None = None
-
-    @property
-    def stopped(self) -> Flags:
-        """Tests that ended without a failure."""
-        return np.asarray(self.broken == 0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,70 +78,6 @@ class TestsPlan:
     of: Mapping[str, str]
     meaning: Mapping[str, Raw]
     fineness: Fineness | None = None
-
-
-# --- cells ------------------------------------------------------------------------------------------------
-
-
-@dataclass(kw_only=True)
-class _Cells:
-    """The rows of a CSV that count, and what is wrong with them."""
-
-    tests: Observations
-    rows: list[tuple[int, list[str]]]
-    faults: list[tuple[int, str, str]] = field(default_factory=list)
-
-    def texts(self, column: str, key: str) -> list[str]:
-        """Texts of a column; raises Misplaced where there is none."""
-        at = self.tests.place_of(column, key)
-        return [row[at] if at < len(row) else "" for _, row in self.rows]
-
-    def numbers(self, column: str, key: str, factor: float = 1.0, *, blank: bool = False) -> Array:
-        """Numbers of a column in SI; nan, with the fault noted, where a cell has none."""
-        texts = self.texts(column, key)
-        try:
-            found = np.array(texts, dtype=float) * factor
-        except ValueError:
-            found = np.array([_number(text) for text in texts]) * factor
-        for row in np.flatnonzero(~np.isfinite(found)).tolist():
-            if not (blank and not texts[row]):
-                self.note(row, key, f"found {shown(texts[row])}, where a finite number is due")
-        return found
-
-    def counts(self, column: str | None, key: str) -> npt.NDArray[np.int64]:
-        """Whole numbers of a column, 1 without one."""
-        if column is None:
-            return np.ones(len(self.rows), dtype=np.int64)
-        found = self.numbers(column, key)
-        for row in np.flatnonzero(np.isfinite(found) & ((found != np.floor(found)) | (np.abs(found) > _MOST))).tolist():
-            self.note(row, key, f"found {found[row]:g}, where a whole number is due")
-        return np.nan_to_num(np.clip(found, -_MOST, _MOST)).astype(np.int64)
-
-    def words(self, column: str, key: str, known: Mapping[str, bool], due: str) -> Flags:
-        """Flags of a column of words."""
-        found = []
-        for row, text in enumerate(self.texts(column, key)):
-            if text.lower() not in known:
-                self.note(row, key, f"found {shown(text)}, where {due} is due")
-            found.append(known.get(text.lower(), False))
-        return np.array(found, dtype=bool)
-
-    def note(self, row: int, key: str, message: str) -> None:
-        """A fault of one row, by its line."""
-        self.faults.append((self.rows[row][0], key, message))
-
-    def report(self, place: Place, findings: Findings) -> bool:
-        """Note every fault as file:line, as many as are listed at all; whether there were none."""
-        for line, key, message in sorted(self.faults)[: MOST_PROBLEMS + 1]:
-            findings.add((*place, key), f"{self.tests.name}:{line}: {message}")
-        return not self.faults
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 # --- the table --------------------------------------------------------------------------------------------
@@ -163,14 +94,13 @@ def read_measured(
         return None
     found = None
     with findings.noting(place):
-        tests = open_observations(file, findings.folder, key, LARGEST_TESTS)
-        cells = _Cells(tests=tests, rows=tests.lines)
+        cells = open_observations(file, findings.folder, key, LARGEST_TESTS)
         for column, text in table.where.items():
-            at = tests.place_of(column, "where")
-            cells.rows = [row for row in cells.rows if at < len(row[1]) and row[1][at] == text]
-        if not cells.rows:
+            own = cells.texts(column, "where")
+            cells.lines = [line for line, cell in zip(cells.lines, own, strict=True) if cell == text]
+        if not cells.lines:
             said = f" with {', '.join(f'{k} = {shown(v)}' for k, v in table.where.items())}" if table.where else ""
-            raise Misplaced(f"{shown(tests.name)} has no row{said}", "where" if table.where else key)
+            raise Misplaced(f"{shown(cells.name)} has no row{said}", "where" if table.where else key)
         found = _columns(table, cells, rig)
         if not cells.report(place, findings):
             return None
@@ -194,31 +124,36 @@ def _check_table(table: TestColumns, place: Place, findings: Findings, rig: str 
     if table.energy_is is not None and not energies:
         findings.add((*place, "energy_is"), "energy_is belongs to a column of energies: leave it out")
     for key, (there, said) in due.items():
-        if not there and findings.clean((*place, key)):
-            findings.add((*place, key), f"{key} is missing: {said}")
+        if not there:
+            findings.lack((*place, key), f"{key} is missing: {said}")
+    _check_units(table, place, findings)
+    return findings.clean(place)
+
+
+def _check_units(table: TestColumns, place: Place, findings: Findings) -> None:
     for key, example in _UNITS.items():
         unit = f"{key}_unit"
-        if getattr(table, key) is not None and getattr(table, unit) is None and findings.clean((*place, unit)):
-            findings.add((*place, unit), f'{unit} is missing: add {unit} = "{example}"')
-    return findings.clean(place)
+        if getattr(table, key) is not None and getattr(table, unit) is None:
+            findings.lack((*place, unit), f'{unit} is missing: add {unit} = "{example}"')
 
 
 #: an example of the unit that a column must have
 _UNITS: Final = {"force": "kN", "energy": "J", "specific_energy": "J/kg", "speed": "m/s", "mass": "g"}
 
 
-def _columns(table: TestColumns, cells: _Cells, rig: str | None) -> Measured:
+def _columns(table: TestColumns, cells: Observations, rig: str | None) -> Measured:
     """Every column of the rows that count; raises Misplaced where one is missing."""
-    n = len(cells.rows)
+    n = len(cells.lines)
     kind, value = _values(table, cells)
     particles = cells.counts(table.particles, "particles")
+    broken = particles
     if table.broken is not None:
         broken = cells.counts(table.broken, "broken")
     elif table.outcome is not None:
         broke = cells.words(table.outcome, "outcome", _BROKE, '"broke" or "survived", or 1 and 0,')
         broken = np.where(broke, particles, 0)
-    else:
-        broken = particles
+    elif (stopped := getattr(table, "censored", None)) is not None:
+        broken = np.where(cells.stopped(stopped, "censored"), 0, particles)
     specimen = np.arange(n)
     if table.specimen is not None:
         names = cells.texts(table.specimen, "specimen")
@@ -227,14 +162,15 @@ def _columns(table: TestColumns, cells: _Cells, rig: str | None) -> Measured:
         specimen = np.array([number.setdefault(name or f"\0{row}", len(number)) for row, name in enumerate(names)])
     t10, sieves, passing = _fineness(table, cells)
     measured = Measured(
-        lines=np.array([line for line, _ in cells.rows]), rig=_rigs(table, cells, rig), kind=kind, value=value,
+        lines=np.array([line for line, _ in cells.lines]), rig=_rigs(table, cells, rig), kind=kind, value=value,
         diameter=_diameters(table, cells), broken=broken, particles=particles, specimen=specimen,
         blows=cells.counts(table.blows, "blows"), t10=t10, sieves=sieves, passing=passing,
         mass=_positive(table, cells, "mass"), stiffness=_positive(table, cells, "stiffness"),
+        rate=_positive(table, cells, "rate", least="from"),
     )  # fmt: skip
     bad = {line for line, _, _ in cells.faults}
     for fault in faults_of(_rows_of(measured, np.where(np.isfinite(value), value, 1.0))):
-        if cells.rows[fault.row][0] not in bad or fault.key == "specimen":
+        if cells.lines[fault.row][0] not in bad or fault.key == "specimen":
             cells.note(fault.row, str(kind[fault.row]) if fault.key == "energy" else fault.key, fault.message)
     return measured
 
@@ -244,7 +180,7 @@ def _rows_of(measured: Measured, energy: Array) -> Rows:
                 broken=measured.broken, blows=measured.blows, specimen=measured.specimen)  # fmt: skip
 
 
-def _values(table: TestColumns, cells: _Cells) -> tuple[npt.NDArray[np.str_], Array]:
+def _values(table: TestColumns, cells: Observations) -> tuple[npt.NDArray[np.str_], Array]:
     """Kind and value of every row, of which it has one."""
     kinds = [kind for kind in KINDS if getattr(table, kind) is not None]
     factors = {k: unit_factor(getattr(table, f"{k}_unit"), _quantity(k), f"{k}_unit") for k in kinds}
@@ -256,10 +192,16 @@ def _values(table: TestColumns, cells: _Cells) -> tuple[npt.NDArray[np.str_], Ar
         cells.note(row, kinds[-1], said)
     at = there.argmax(axis=0)
     value, kind = found[at, np.arange(found.shape[1])], np.array(kinds)[at]
-    for row in np.flatnonzero(value <= 0.0).tolist():
-        key = str(kind[row])
-        cells.note(row, key, f"{_quantity(key).meaning} must be above 0, found {value[row] / factors[key]:g}")
+    for key in kinds:
+        _refuse_below(cells, np.where(kind == key, value, 1.0), key, factors[key])
     return kind, value
+
+
+def _refuse_below(cells: Observations, values: Array, key: str, factor: float, least: str = "above") -> None:
+    """Note the values that are not above 0, or not from 0 upwards."""
+    wrong = values < 0.0 if least == "from" else values <= 0.0
+    words = f"{_quantity(key).meaning} must be {least} 0, found"
+    cells.refuse(wrong, key, lambda row: f"{words} {values[row] / factor:g}")
 
 
 def _quantity(key: str) -> Quantity:
@@ -277,41 +219,26 @@ _HOLDS: Final = {
 }  # fmt: skip
 
 
-def _positive(table: TestColumns, cells: _Cells, key: str, unit: str = "") -> Array | None:
+def _positive(table: TestColumns, cells: Observations, key: str, unit: str = "", least: str = "above") -> Array | None:
     """A column of numbers above zero; None where the table has none."""
-    column = getattr(table, key)
+    column = getattr(table, key, None)
     if column is None:
         return None
     unit = unit or f"{key}_unit"
     factor = unit_factor(getattr(table, unit), _quantity(key), unit)
     found = cells.numbers(column, key, factor)
-    for row in np.flatnonzero(found <= 0.0).tolist():
-        cells.note(row, key, f"{_quantity(key).meaning} must be above 0, found {found[row] / factor:g}")
+    _refuse_below(cells, found, key, factor, least)
     return found
 
 
-def rates_of(column: str, unit: str | None, cells_of: Measured, tests: Observations) -> Array:
-    """A column of loading rates of the rows that count [N/s], from 0; raises Misplaced."""
-    factor = unit_factor(unit, _quantity("rate"), "rate_unit")
-    keep = set(cells_of.lines.tolist())
-    cells = _Cells(tests=tests, rows=[row for row in tests.lines if row[0] in keep])
-    found = cells.numbers(column, "rate", factor)
-    for row in np.flatnonzero(found < 0.0).tolist():
-        cells.note(row, "rate", f"the loading rate must be from 0, found {found[row] / factor:g}")
-    if cells.faults:
-        line, _, message = cells.faults[0]
-        raise Misplaced(f"{tests.name}:{line}: {message}", "rate")
-    return found
-
-
-def _diameters(table: TestColumns, cells: _Cells) -> Array:
+def _diameters(table: TestColumns, cells: Observations) -> Array:
     """Sizes [m]: a column, one length, or the geometric mean of two sieves."""
     if table.diameter is None:
         lower, upper = (_positive(table, cells, key, "mesh_unit") for key in ("mesh_lower", "mesh_upper"))
         assert lower is not None
         assert upper is not None
-        for row in np.flatnonzero(lower >= upper).tolist():
-            cells.note(row, "mesh_lower", "the sieve that held a particle must be finer than that it passed")
+        said = "the sieve that held a particle must be finer than that it passed"
+        cells.refuse(lower >= upper, "mesh_lower", lambda row: said)
         return np.sqrt(np.abs(lower * upper))
     try:
         same = parse_value(table.diameter, "length")
@@ -321,21 +248,20 @@ def _diameters(table: TestColumns, cells: _Cells) -> Array:
         return found
     if same <= 0.0:
         raise Misplaced(f"found {shown(table.diameter)}: the diameter must be above 0", "diameter")
-    return np.full(len(cells.rows), same)
+    return np.full(len(cells.lines), same)
 
 
-def _rigs(table: TestColumns, cells: _Cells, rig: str | None) -> npt.NDArray[np.str_]:
+def _rigs(table: TestColumns, cells: Observations, rig: str | None) -> npt.NDArray[np.str_]:
     """The rig of every row."""
     if not isinstance(table.rig, Mapping):
-        return np.full(len(cells.rows), table.rig or rig)
+        return np.full(len(cells.lines), table.rig or rig)
     found = cells.texts(table.rig["column"], "rig")
-    for row, name in enumerate(found):
-        if name not in RIGS:
-            cells.note(row, "rig", unknown("rig", name, RIGS))
-    return np.array([name if name in RIGS else "platens" for name in found])
+    strange = np.array([name not in RIGS for name in found], dtype=bool)
+    cells.refuse(strange, "rig", lambda row: unknown("rig", found[row], RIGS))
+    return np.where(strange, "platens", found)
 
 
-def _fineness(table: TestColumns, cells: _Cells) -> tuple[Array | None, tuple[float, ...], Array | None]:
+def _fineness(table: TestColumns, cells: Observations) -> tuple[Array | None, tuple[float, ...], Array | None]:
     """t10, sieves from the coarsest and what passes them, as shares; nan where a cell is empty."""
     factor = 0.01 if table.t10_unit == "%" else 1.0
     top = "100 %" if factor < 1.0 else "1"
@@ -350,17 +276,16 @@ def _fineness(table: TestColumns, cells: _Cells) -> tuple[Array | None, tuple[fl
     for key, column in [("t10", table.t10)] * (table.t10 is not None) + [(name, name) for _, name, _ in columns]:
         where = "t10" if key == "t10" else "passing"
         found = cells.numbers(str(column), where, factor, blank=True)
-        for row in np.flatnonzero((found < 0.0) | (found > 1.0 + 1e-12)).tolist():
-            what = "t10" if where == "t10" else f"the share in {shown(str(column))}"
-            cells.note(row, where, f"{what} must lie between 0 and {top}, found {found[row] / factor:g}")
+        what = "t10" if where == "t10" else f"the share in {shown(str(column))}"
+        said = f"{what} must lie between 0 and {top}, found"
+        wrong = (found < 0.0) | (found > 1.0 + 1e-12)
+        cells.refuse(wrong, where, lambda row, of=found, text=said: f"{text} {of[row] / factor:g}")  # type: ignore[misc]
         shares[key] = found
     if not columns:
         return shares.get("t10"), (), None
     passing = np.stack([shares[column] for _, column, _ in columns], axis=1)
-    for row in range(len(passing)):
-        known = passing[row][np.isfinite(passing[row])]
-        if (np.diff(known) > 1e-12).any():
-            cells.note(row, "passing", "more passes a finer sieve than a coarser one")
+    finer = np.array([(np.diff(row[np.isfinite(row)]) > 1e-12).any() for row in passing])
+    cells.refuse(finer, "passing", lambda row: "more passes a finer sieve than a coarser one")
     return shares.get("t10"), tuple(size for size, _, _ in columns), passing
 
 
@@ -468,22 +393,15 @@ def _request(table: TestsTable, document: Document, place: Place, findings: Find
 
     if table.size == "weakest_link" and table.law != "weibull":
         findings.add((*place, "size"), 'size = "weakest_link" belongs to law = "weibull": take "power"')
-    gamma, priors = None, {}
+    priors, gamma = {}, _gamma(table, place, findings)
+    known = [name for name in _PRIORS if table.size != "class" or name not in ("e_inf", "C")]
     for name, raw in table.prior.items():
-        known = _PRIORS if table.size != "class" else {k: v for k, v in _PRIORS.items() if k not in ("e_inf", "C")}
         if name not in known:
             findings.add((*place, "prior", name), unknown("parameter", name, known))
         elif (prior := _prior(raw, name, (*place, "prior", name), findings)) is not None:
             priors[name] = prior
-    if table.gamma != "fit":
-        reading = read_number(table.gamma, (*place, "gamma"), plain_quantity("gamma"), findings)
-        if reading is not None and isinstance(reading.value, Law):
-            found = _prior(table.gamma, "gamma", (*place, "gamma"), findings)
-            priors |= {} if found is None else {"gamma": found}
-        elif reading is not None:
-            gamma = reading.nominal
-            if not 1.0 <= gamma <= 20.0:
-                findings.add((*place, "gamma"), f"found {gamma:g}: gamma lies from 1 to 20, mostly from 3 to 5.4")
+    if not (gamma is None or isinstance(gamma, float)):
+        priors["gamma"], gamma = gamma, None
     if not findings.clean(place):
         return None
     ratio = math.inf if table.ratio == "inf" else float(table.ratio)
@@ -491,6 +409,19 @@ def _request(table: TestsTable, document: Document, place: Place, findings: Find
         law=table.law, size=table.size, ratio=ratio, gamma=gamma, priors=priors, seed=document.seed,
         title=document.title, made_up=table.made_up,
     )  # fmt: skip
+
+
+def _gamma(table: TestsTable, place: Place, findings: Findings) -> Prior | float | None:
+    """The exponent of damage or its prior; None where the tests are to tell it, or with the fault noted."""
+    at = (*place, "gamma")
+    reading = None if table.gamma == "fit" else read_number(table.gamma, at, plain_quantity("gamma"), findings)
+    if reading is None:
+        return None
+    if isinstance(reading.value, Law):
+        return _prior(table.gamma, "gamma", at, findings)
+    if not 1.0 <= reading.value <= 20.0:
+        findings.add(at, f"found {reading.value:g}: gamma lies from 1 to 20, mostly from 3 to 5.4")
+    return float(reading.value)
 
 
 #: parameters whose prior a study can give, and their dimensions

@@ -367,10 +367,8 @@ def _apply(data: dict[str, Raw], text: str) -> Place:
         if not leads:
             where = render_place(place[:depth]) or "the study"
             raise UsageError(f"found {shown(text)}, but {where} is {shown(node)}: set {where} itself")
-        if value == _NOTHING and isinstance(node, dict) and part not in node:
-            there = sorted(map(str, node))
-            hint = suggestion(str(part), there) or (f"; there is {', '.join(there[:20])}" if there else "")
-            raise UsageError(f"found {shown(text)}, but there is no {here} to take out{hint}")
+        if value == _NOTHING:
+            _refuse_absent(node, part, f"found {shown(text)}, but there is no {here} to take out")
         if depth + 1 < len(place):
             node = node.setdefault(part, {}) if isinstance(node, dict) else node[part]
     if value == _NOTHING:
@@ -378,6 +376,13 @@ def _apply(data: dict[str, Raw], text: str) -> Place:
     else:
         node[place[-1]] = _value(value)
     return place
+
+
+def _refuse_absent(node: Raw, part: str | int, said: str) -> None:
+    """Raises UsageError where a table has no such part."""
+    if isinstance(node, dict) and part not in node:
+        there = f"; there is {', '.join(sorted(node)[:20])}" if node else ""
+        raise UsageError(said + (suggestion(str(part), node) or there))
 
 
 def _split(path: str, text: str) -> Place:

@@ -11,7 +11,6 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit
 from uqsphere.report.contents import Contents, Samples, law_of
-from uqsphere.report.drivers import ranked
 from uqsphere.report.figures.canvas import (
     BLUE,
     GREY,
@@ -32,9 +31,10 @@ from uqsphere.report.figures.canvas import (
     wrap,
 )
 from uqsphere.report.phrases import limit_name, listed, plain_percent, share_text, short_input, symbol, unit_text
+from uqsphere.report.tables import ranked
 from uqsphere.results import IndexEntry, QuantityEntry
 from uqsphere.results.entries import Est, Ests
-from uqsphere.results.fields import Stored
+from uqsphere.results.tables import Stored
 from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:

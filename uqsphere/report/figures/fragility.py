@@ -9,7 +9,6 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit
-from uqsphere.report.blocks import Block, Table, cell
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import (
     BLUE,
@@ -36,9 +35,12 @@ from uqsphere.report.figures.canvas import (
 from uqsphere.report.figures.distributions import axis_label, log_ticks
 from uqsphere.report.phrases import (
     ABSENT,
+    Block,
+    Table,
     at_most,
     begin,
     capital,
+    cell,
     estimate_text,
     input_name,
     limit_name,
@@ -49,8 +51,7 @@ from uqsphere.report.phrases import (
     symbol,
 )
 from uqsphere.report.tables import margins_table
-from uqsphere.results.entries import Est
-from uqsphere.results.margins import MarginEntry
+from uqsphere.results.entries import Est, MarginEntry
 from uqsphere.runner.questions.curves import member_values
 from uqsphere.uq.families import FAMILIES
 from uqsphere.uq.law import Law

@@ -14,7 +14,6 @@ from uqsphere.mechanics.history import FieldView, extent
 from uqsphere.mechanics.stress.series import Load, series_stress, surface_stress
 from uqsphere.mechanics.stress.tables import core_ratio, outside
 from uqsphere.quantities import display_unit, format_value, reading_units, unit_that_reads
-from uqsphere.report.blocks import Table
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import (
     BLUE,
@@ -34,7 +33,7 @@ from uqsphere.report.figures.canvas import (
     style,
     time_unit,
 )
-from uqsphere.report.phrases import input_name, value_text
+from uqsphere.report.phrases import Table, input_name, value_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,8 +18,7 @@ from uqsphere.mechanics.bars import pulse_stress
 from uqsphere.mechanics.yielding import metal_onset
 from uqsphere.model import scene_of
 from uqsphere.quantities import lookup
-from uqsphere.results.entries import Fields
-from uqsphere.results.margins import MarginOpenEntry, ValidityAtEntry
+from uqsphere.results.entries import Fields, MarginOpenEntry, ValidityAtEntry
 from uqsphere.runner.axis_rows import AxisRows, axis_of
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw
 from uqsphere.runner.fidelity import check_table, solved
