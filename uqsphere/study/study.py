@@ -288,13 +288,13 @@ def tie_of(group: Dependence) -> Tie:
     return Tie(of=group.of, spearman=group.spearman, kendall=group.kendall, copula=group.copula, dof=group.dof)
 
 
-def _tie_json(group: Dependence) -> dict[str, Any]:
+def _tie_json(group: Dependence) -> dict[str, Json]:
     """What was given, and nothing else: a key that is new must not change the hash of a study without it."""
     keys = ("of", "copula", "spearman", "kendall", "dof")
     return {key: own for key in keys if (own := getattr(group, key)) is not None}
 
 
-def _margins_json(margins: Margins | None) -> dict[str, Any] | None:
+def _margins_json(margins: Margins | None) -> dict[str, Json] | None:
     """What was asked, and nothing else, as with dependence."""
     if margins is None:
         return None
