@@ -103,6 +103,13 @@ def test_curves_that_turn_back_are_refused_and_noise_is_not() -> None:
     noisy = np.clip(lognormal(GRID)[:, None] + noise, 0.0, 1.0)
     found = fragility(GRID, noisy, (0.5,), samples=1000, evaluations=1)
     assert found.values[0.5].value == pytest.approx(MEDIAN, rel=0.02)
+    # what the noise is smoothed to knows no direction: read from the other end it is the same
+    grid = np.geomspace(0.5, 2.0, 21)
+    noisy = ndtr(np.log(grid) / 0.5)[:, None] + 0.15 * np.random.default_rng(2).standard_normal((21, 4))
+    both = ((grid, noisy), (1.0 / grid[::-1], noisy[::-1]))
+    found = [fragility(g, p.clip(0.01, 0.99), (0.5,), samples=1000, evaluations=1) for g, p in both]
+    ways = [one.values[0.5].value for one in found]
+    assert ways[0] * ways[1] == pytest.approx(1.0, rel=1e-9)
 
 
 def test_a_scalar_that_crosses_zero_is_taken_as_it_is() -> None:

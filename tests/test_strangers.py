@@ -20,6 +20,7 @@ from uqsphere.cli import main
 from uqsphere.console import plain_lines
 from uqsphere.errors import AccessError, FolderError
 from uqsphere.files import array_of, chunk_of, is_device_name, load_document, plain_files, read_whole, refuse_links
+from uqsphere.report.contents import read_contents
 from uqsphere.results import read_results
 from uqsphere.results.tables import tables
 from uqsphere.runner.api import logged
@@ -190,8 +191,8 @@ def test_a_run_does_not_go_into_a_folder_that_leads_out(folder: Path, tmp_path: 
 
 # the files that each command reads
 READ_FILES = {
-    "show": ["results.json"],
-    "report": ["results.json", "study.resolved.json", "samples.npy", "samples.json"],
+    "show": ["results.json", "study.toml"],
+    "report": ["results.json", "study.toml", "study.resolved.json", "samples.npy", "samples.json"],
     "compare": ["results.json", "study.resolved.json"],
     "verify": ["results.json", "study.resolved.json"],
     "export": ["results.json", "samples.npy", "samples.json"],
@@ -201,9 +202,18 @@ READ_FILES = {
 @pytest.mark.parametrize(("name", "file"), [(name, file) for name, files in READ_FILES.items() for file in files])
 def test_a_pipe_where_a_file_is_due_makes_nobody_wait(folder: Path, file: str, name: str) -> None:
     assert set(READ_FILES) == set(FOLDER_COMMANDS)
-    (folder / file).unlink()
+    (folder / file).unlink(missing_ok=True)
     os.mkfifo(folder / file)
     assert main(command(name, folder)) == 5
+
+
+@pytest.mark.parametrize(("name", "told"), [("../secret.csv", []), ("own.csv", ["2 tests"])])
+def test_the_study_of_a_folder_names_no_file_outside(folder: Path, tmp_path: Path, name: str, told: list[str]) -> None:
+    for path in (tmp_path / "secret.csv", folder / "own.csv"):
+        path.write_text("load\n1\n\n2\n")
+    strength = f"[limits.crushing]\nstrength = {{ file = '{name}', column = 'load' }}\n"
+    (folder / "study.toml").write_text(strength)
+    assert [text[:7] for text in read_contents(folder).tests.values()] == told
 
 
 def test_entries_are_counted_before_they_are_sorted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,6 +24,7 @@ import json
 import os
 import random
 import re
+import resource
 import shutil
 import signal
 import socket
@@ -53,6 +54,8 @@ MEMORY = "/dev/shm" if os.path.isdir("/dev/shm") else None
 ALLOWED = (0, 2, 5, 6)
 #: seconds that a command may take: of its own work, and all in all on a machine that has other things to do
 LONGEST, PATIENCE = 60.0, 600.0
+#: bytes of address space that a command may take, which is what a small machine has
+MEMORY_LIMIT = 6 << 30
 
 _roots: list[str] = []
 _seen: list[str] = []
@@ -165,6 +168,8 @@ def faults_of(outcome: Outcome, allowed: Sequence[int] = ALLOWED) -> list[str]:
         faults.append(f"exit code {outcome.code}: {outcome.err[-300:]}")
     if "Traceback" in outcome.err or "internal error" in outcome.err:
         faults.append(f"traceback: {outcome.err[-300:]}")
+    if "MemoryError" in outcome.err or "out of memory" in outcome.err:
+        faults.append(f"takes memory: {outcome.err[-300:]}")
     if outcome.code not in (0, -1, -2) and not outcome.err.strip():
         faults.append("says nothing")
     steering = {c for c in outcome.out + outcome.err if not c.isprintable() and c != "\n"}
@@ -990,6 +995,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--start", type=int, default=0)
     parser.add_argument("--keep", type=Path, help="a folder for studies that failed")
     chosen = parser.parse_args(arguments)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
     rows = []
     for part in chosen.parts or PARTS:
         count = chosen.count or (PARTS[part][1] if chosen.parts else -(-PARTS[part][1] // 10))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -13,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.errors import FolderError
-from uqsphere.files import load_document
+from uqsphere.errors import AccessError, FolderError
+from uqsphere.files import load_document, read_whole
 from uqsphere.quantities import lookup, unit_that_reads
 from uqsphere.results import NO_RIG, Results, read_results
 from uqsphere.results.entries import LawTable, Manifest, Resolved, Sliders, read_entry, read_manifest, read_resolved
@@ -22,6 +21,7 @@ from uqsphere.results.tables import Stored, read_fields
 from uqsphere.runner.export import read_points
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study.axis import quantity_of, strength_name
+from uqsphere.study.columns import open_observations
 from uqsphere.uq.families import Family, LawError, family_stored
 from uqsphere.uq.law import Law, make_law
 
@@ -118,14 +118,15 @@ def _tests_of(folder: Path) -> dict[str, str]:
     """The tests that the study file names for its strengths: how many, what they measured with its range and unit."""
     found: dict[str, str] = {}
     try:
-        limits = tomllib.loads((folder / "study.toml").read_text("utf-8")).get("limits", {})
+        limits = tomllib.loads(read_whole(folder / "study.toml").decode()).get("limits", {})
         for name, limit in limits.items():
             table = limit.get("strength", {})
             if not isinstance(table, dict) or "file" not in table:
                 continue
             key = next((key for key in ("force", "energy", "column") if key in table), "")
-            with open(folder / table["file"], newline="", encoding="utf-8") as file:
-                values = [float(row[table[key]]) for row in csv.DictReader(file) if row.get(table.get(key, ""), "")]
+            rows = open_observations(table["file"], folder)
+            at = rows.place_of(table[key])
+            values = [float(row[at]) for _, row in rows.lines if len(row) > at and row[at]]
             unit = str(table.get(f"{key}_unit", table.get("unit", "")))
             what = {"force": "failure force", "energy": "energy at failure"}.get(key, str(table.get(key)))
             ends = f"{min(values):.3g} to {max(values):.3g} {unit}".rstrip()
@@ -134,7 +135,7 @@ def _tests_of(folder: Path) -> dict[str, str]:
             same = isinstance(limit.get("strength"), dict) and limit["strength"].get("same_as")
             if same in found:
                 found[strength_name(name)] = found[same]
-    except (OSError, ValueError, KeyError, AttributeError, TypeError):
+    except (AccessError, ValueError, KeyError, AttributeError, TypeError):
         # a folder whose study is told without its file still has its answers
         return found
     return found
