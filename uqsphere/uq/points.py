@@ -8,20 +8,25 @@ depends on the order in which things are drawn, and a sequence can be continued 
 from __future__ import annotations
 
 import hashlib
-from typing import Any
+from functools import lru_cache
+from importlib import resources
+from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from uqsphere.arrays import Array
 
 #: Dimensions for which direction numbers exist (Joe and Kuo 2008).
 MOST_DIMENSIONS = 21201
 
-_BLOCK = 65536
-#: sequences that may be continued, and where they are: a long one is drawn piece by piece, and need not begin anew
-_left: dict[tuple[int, int, str, int], tuple[Any, int]] = {}
-_MOST_LEFT = 64
-_WIDE = 1000  # from here on the scrambling matrices of 52-bit points would fill the memory
+_Words = npt.NDArray[np.uint64]
+#: points that are made at once
+_BLOCK: Final = 4096
+#: from here on the scrambling matrices of 52-bit points would fill the memory
+_WIDE: Final = 1000
+#: sequences that may be continued
+_MOST_LEFT: Final = 64
 
 
 def _seed(seed: int, task: str, replicate: int) -> np.random.SeedSequence:
@@ -54,28 +59,57 @@ def sobol_points(*, dimension: int, count: int, start: int = 0, seed: int, task:
         )
     if count == 0 or dimension == 0:
         return np.empty((count, dimension))
-    from scipy.stats import qmc
-
     bits = 52 if dimension < _WIDE else 30
     if start + count > 2**bits:
         raise ValueError(f"a sequence in {dimension} dimensions holds 2^{bits} points")
-    key = (dimension, seed, task, replicate)
-    engine, drawn = _left.pop(key, (None, 0))
-    if engine is None or drawn > start:
-        generator = np.random.default_rng(_seed(seed, task, replicate))
-        engine, drawn = qmc.Sobol(dimension, scramble=True, bits=bits, rng=generator), 0
-    # The very first point by itself: a first draw of another size than 2^k would warn, and a sequence that
-    # is going to be continued may be cut anywhere.  Points before `start` are drawn and thrown away, since
-    # fast_forward of SciPy 1.17 takes no sequence of more than 32 bits.
-    wanted = []
-    while drawn < start + count:
-        size = 1 if drawn == 0 else min(_BLOCK, (start if drawn < start else start + count) - drawn)
-        block = engine.random(size)
-        if drawn >= start:
-            wanted.append(block)
-        drawn += size
-    if len(_left) >= _MOST_LEFT:
-        _left.pop(next(iter(_left)), None)
-    _left[key] = engine, drawn
-    points = np.concatenate(wanted)
-    return np.asarray(points, dtype=np.float64) + 0.5 ** (bits + 1)
+    directions, shift = _scrambled(dimension, bits, seed, task, replicate)
+    size = min(_BLOCK, 1 << (count - 1).bit_length())
+    block = np.zeros((size, dimension), dtype=np.uint64)
+    for k in range(size.bit_length() - 1):  # the Gray code of 2^k to 2^(k+1) is that below it, mirrored, with one bit
+        block[1 << k : 2 << k] = block[: 1 << k][::-1] ^ directions[k]
+    begins = range(start - start % size, start + count, size)
+    points = np.concatenate([block ^ _at(directions, shift, begin) for begin in begins])
+    return points[start - begins[0] :][:count] * 0.5**bits + 0.5 ** (bits + 1)
+
+
+def _at(directions: _Words, shift: _Words, number: int) -> _Words:
+    """The point (d,) of that number."""
+    gray = number ^ (number >> 1)
+    taken = [bit for bit in range(gray.bit_length()) if gray >> bit & 1]
+    return np.asarray(np.bitwise_xor.reduce(directions[taken], axis=0, initial=0) ^ shift)
+
+
+@lru_cache(maxsize=_MOST_LEFT)
+def _scrambled(dimension: int, bits: int, seed: int, task: str, replicate: int) -> tuple[_Words, _Words]:
+    """Directions (bits, d) of one randomisation and its shift (d,); the draws are those of `scipy.stats.qmc.Sobol`,
+    whose package takes half a second to load."""
+    generator = np.random.default_rng(_seed(seed, task, replicate).spawn(1)[0])
+    kind = np.uint32 if bits <= 32 else np.uint64
+    places = np.arange(bits, dtype=np.uint64)
+    shift = generator.integers(2, size=(dimension, bits), dtype=kind).astype(np.uint64) @ (np.uint64(1) << places)
+    lower = np.tril(generator.integers(2, size=(dimension, bits, bits), dtype=kind)).astype(np.float64)
+    lower[:, np.arange(bits), np.arange(bits)] = 1.0
+    # the bits of the directions, the highest first, times the matrices, modulo two
+    digits = (_directions(dimension, bits)[:, None, :] >> places[::-1, None]) & np.uint64(1)
+    scrambled = (lower @ digits.astype(np.float64)).astype(np.uint64) & np.uint64(1)
+    return np.einsum("dpj,p->jd", scrambled, np.uint64(1) << places[::-1]), shift
+
+
+@lru_cache(maxsize=8)
+def _directions(dimension: int, bits: int) -> _Words:
+    """Direction numbers (d, bits) of the sequence (Joe and Kuo 2008, in SciPy's table)."""
+    with resources.files("scipy").joinpath("stats/_sobol_direction_numbers.npz").open("rb") as file:
+        table = np.load(file)
+        polynomials, first = table["poly"][:dimension].tolist(), table["vinit"][:dimension].tolist()
+    found = [[1] * bits]
+    for polynomial, row in zip(polynomials[1:], first[1:], strict=True):
+        degree = polynomial.bit_length() - 1
+        row = row[:degree]
+        for j in range(degree, bits):
+            new = row[j - degree]
+            for k in range(1, degree + 1):
+                if polynomial >> (degree - k) & 1:
+                    new ^= row[j - k] << k
+            row.append(new)
+        found.append(row[:bits])
+    return np.array(found, dtype=np.uint64) << np.arange(bits, dtype=np.uint64)[::-1]
