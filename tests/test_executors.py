@@ -9,6 +9,7 @@ import subprocess
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,9 @@ from tests.campaigns.trust import answers_of
 from uqsphere.black_box import model_digest
 from uqsphere.errors import AccessError, ModelError, StudyError, TooManyFailures, UsageError
 from uqsphere.runner.chunks import CHUNK, block_size
+from uqsphere.runner.evaluate import Ledger
 from uqsphere.runner.remote import Task
-from uqsphere.runner.workers import LocalWorkers, TimeOver, WorkerDied, gather
+from uqsphere.runner.workers import LocalWorkers, TimeOver, WorkerDied, aside, gather, may_copy
 from uqsphere.study import Study
 
 #: rows with 0.7 < x1 < 0.701 misbehave: a few in the first thousands
@@ -385,3 +387,53 @@ def test_a_cluster_gives_the_same_bytes_and_survives_its_workers(box: Any, tmp_p
         far = uqsphere.run(scene, out=tmp_path / "far", executor=executor.client)
         assert answers_of(far.folder) == answers_of(own.folder)
         assert json.loads((far.folder / "manifest.json").read_text())["executor"]["kind"] == "dask"
+
+
+# --- parts of a run side by side -----------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not may_copy(None), reason="needs Linux and two processors")
+def test_a_copy_of_the_process_answers_and_leaves_this_one_as_it_is() -> None:
+    held: list[int] = []
+    here = os.getpid()
+
+    def work() -> int:
+        held.append(os.getpid())
+        return held[0]
+
+    with aside(work, copied=True) as answer:
+        assert answer() != here
+    assert held == []
+    with aside(work, copied=False) as answer:
+        assert answer() == here
+    with aside(lambda: uqsphere.load_study("nowhere.toml"), copied=True) as wrong, pytest.raises(AccessError):
+        wrong()
+    with aside(lambda: here if os.getpid() == here else os._exit(3), copied=True) as lost:
+        assert lost() == here
+
+
+def test_a_ledger_adds_what_was_spent_beside_it() -> None:
+    base = Ledger(evaluations={"full": 10}, failures={3: 1}, reused=2)
+    base.close("sampling")
+    first, second = deepcopy(base), deepcopy(base)
+    first.evaluations["full"] += 5
+    first.close("margins")
+    second.evaluations |= {"full": 17, "ways": 4}
+    second.failures[4] = 2
+    second.reused = 3
+    second.note = "why"
+    second.close("sensitivity")
+    second.follow(first, base)
+    assert second.evaluations == {"full": 22, "ways": 4}
+    assert (second.failures, second.reused, second.note) == ({3: 1, 4: 2}, 3, "why")
+    assert second.parts == {"sampling": {"full": 10}, "margins": {"full": 5}, "sensitivity": {"full": 7, "ways": 4}}
+    assert list(second.seconds) == ["sampling", "margins", "sensitivity"]
+
+
+def test_a_run_side_by_side_is_that_of_one_processor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uqsphere.runner.analyse.APART", 1.0)
+    more = ["analysis.budget={ evaluations = 20_000, time = '10 min' }", "margins.for_probability=[0.5]"]
+    study = uqsphere.load_study(Path("studies/granite.toml"), more)
+    one, two = (uqsphere.run(study, out=tmp_path / str(n), threads=n) for n in (1, 2))
+    assert one.results == two.results
+    assert one.manifest.evaluations == two.manifest.evaluations <= 20_000

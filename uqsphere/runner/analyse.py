@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from copy import deepcopy
 from dataclasses import replace
+from typing import Final
 
+from uqsphere.results import FractureEntry
+from uqsphere.results.entries import CarriedEntry
 from uqsphere.runner.account import Findings
 from uqsphere.runner.drivers import Drivers, find_drivers
-from uqsphere.runner.evaluate import Work, draw
+from uqsphere.runner.evaluate import Ledger, Work, draw
 from uqsphere.runner.expensive import Expensive, answer_expensive, keep_answers, keep_indices, keep_margins, price
 from uqsphere.runner.fidelity import Pilot, first_look
 from uqsphere.runner.finished import Run
@@ -23,11 +27,17 @@ from uqsphere.runner.questions.further import (
     planned_analyses,
     screened_by,
 )
-from uqsphere.runner.questions.margins import find_margins, judge_answers
+from uqsphere.runner.questions.margins import MarginAnswer, find_margins, judge_answers
 from uqsphere.runner.questions.probabilities import refine_limits
 from uqsphere.runner.questions.shapley import share_variance
 from uqsphere.runner.results import finish, finish_bare
+from uqsphere.runner.verdict import gather
+from uqsphere.runner.workers import aside, may_copy, processors
 from uqsphere.store import Store
+
+#: share of the budget up to which, once probabilities are known, the two halves of what is left are given what is left
+#: of it both, and are answered side by side
+APART: Final = 0.1
 
 
 def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = None) -> Run:
@@ -50,7 +60,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
         ledger.close("surrogate")
         found = _by_surrogate(work, pilot, expensive, first)
     if found is None:
-        found = _by_sampling(work, pilot, expensive, first, notice)
+        found = _by_sampling(work, store, pilot, expensive, first, notice)
         if notice is not None and store.damaged:
             notice(f"damaged chunks were found and evaluated again: {', '.join(store.damaged)}")
     return finish(whole, store, priced, expensive, found)
@@ -87,8 +97,9 @@ def _by_surrogate(work: Work, pilot: Pilot, one: Expensive, first: Analyses | No
 
 
 def _by_sampling(
-    work: Work, pilot: Pilot, one: Expensive | None, first: Analyses | None, notice: Callable[[str], None] | None
-) -> Findings:
+    work: Work, store: Store, pilot: Pilot, one: Expensive | None, first: Analyses | None,
+    notice: Callable[[str], None] | None,
+) -> Findings:  # fmt: skip
     """Everything by sampling the model; surrogates that did not answer all still answer what they know better."""
     ledger = work.ledger
     sampled = sample_distributions(work)
@@ -103,21 +114,25 @@ def _by_sampling(
     tolerance = find_tolerance(work)
     ledger.close("tolerance intervals")
     analyses = find_analyses(work) if first is None else first
-    margins = find_margins(work, sampled)
-    if one is not None:
-        margins = keep_margins(work, margins, one)
-    margins = judge_answers(work, margins)
-    ledger.close("margins")
-    carried = find_carried(work, sampled)
-    ledger.close("carriers")
-    fracture = find_fracture(work, sampled, margins)
-    ledger.close("fracture")
-    shared = share_variance(work, sampled, first)
-    if one is not None:
-        shared = replace(shared, sensitivity=keep_indices(shared.sensitivity, one))
-    ledger.close("sensitivity")
-    drivers = find_drivers(work, sampled, shared)
-    ledger.close("drivers")
+    apart = one is None and not work.study.black_box and ledger.total <= APART * work.study.analysis.budget.evaluations
+    base = deepcopy(ledger)
+    side = replace(work, ledger=deepcopy(ledger)) if apart else work
+    copied = apart and may_copy(work.threads)
+    if copied:
+        each = max(1, processors() // 2 if work.threads is None else work.threads // 2)
+        work, side = replace(work, threads=each), replace(side, threads=each, progress=None, reached=None)
+    with aside(lambda: _breaking(side, sampled, one), copied=copied) as broken:
+        shared = share_variance(work, sampled, first)
+        if one is not None:
+            shared = replace(shared, sensitivity=keep_indices(shared.sensitivity, one))
+        ledger.close("sensitivity")
+        drivers = find_drivers(work, sampled, shared)
+        ledger.close("drivers")
+        evidence = gather(work, sampled.sample) if apart else None
+        margins, carried, fracture, spent = broken()
+    if apart:
+        ledger.follow(spent, base)
+        store.look()
     return Findings(
         pilot=pilot,
         sampled=sampled,
@@ -130,5 +145,22 @@ def _by_sampling(
         far=carried_far(work.study),
         tolerance=tolerance,
         analyses=analyses,
+        evidence=evidence,
         stops={"sampling": sampled.stopped, "sensitivity": shared.stopped},
     )
+
+
+def _breaking(
+    work: Work, sampled: Sampled, one: Expensive | None
+) -> tuple[dict[str, MarginAnswer], Mapping[str, CarriedEntry], FractureEntry | None, Ledger]:
+    """Margins, what is carried from tests, and fracture, with the ledger of it."""
+    margins = find_margins(work, sampled)
+    if one is not None:
+        margins = keep_margins(work, margins, one)
+    margins = judge_answers(work, margins)
+    work.ledger.close("margins")
+    carried = find_carried(work, sampled)
+    work.ledger.close("carriers")
+    fracture = find_fracture(work, sampled, margins)
+    work.ledger.close("fracture")
+    return margins, carried, fracture, work.ledger

@@ -93,6 +93,20 @@ class Ledger:
         spent = {name: n - sum(one.get(name, 0) for one in closed) for name, n in self.evaluations.items()}
         self.parts[part] = {name: n for name, n in spent.items() if n}
 
+    def follow(self, first: Ledger, base: Ledger) -> None:
+        """Be what this is as though `first` had come before: both began as `base`."""
+        for name in ("evaluations", "failures"):
+            theirs, mine, common = (getattr(one, name) for one in (first, self, base))
+            sums = {key: theirs.get(key, 0) + mine.get(key, 0) - common.get(key, 0) for key in {**theirs, **mine}}
+            setattr(self, name, sums)
+        for name in ("reused", "undecided", "fallback"):
+            setattr(self, name, getattr(self, name) + getattr(first, name) - getattr(base, name))
+        for name in ("stopped_by_time", "interrupted", "repeated", "note"):
+            setattr(self, name, getattr(first, name) or getattr(self, name))
+        self.seconds, self.parts = first.seconds | self.seconds, first.parts | self.parts
+        self.rows = first.rows + self.rows[len(base.rows) :]
+        self.times = first.times + self.times[len(base.times) :]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Work:

@@ -199,7 +199,7 @@ def build_manifest(work: Work, seconds: list[float], prices: PricesEntry) -> Man
 def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None, found: Findings) -> Run:
     """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""
     way, ledger = priced.way, work.ledger
-    found = replace(found, evidence=gather(work, found.sampled.sample))
+    found = replace(found, evidence=found.evidence or gather(work, found.sampled.sample))
     ledger.close(JUDGED)
     taken = "surrogate" if expensive is not None and expensive.surrogate else "sampling"
     plan = PlanEntry(
