@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
-from uqsphere.results import FractureEntry
-from uqsphere.results.entries import CarriedEntry
 from uqsphere.runner.account import Findings
 from uqsphere.runner.drivers import Drivers, find_drivers
-from uqsphere.runner.evaluate import Ledger, Work, draw
+from uqsphere.runner.evaluate import Work, draw
 from uqsphere.runner.expensive import Expensive, answer_expensive, keep_answers, keep_indices, keep_margins, price
 from uqsphere.runner.fidelity import Pilot, first_look
 from uqsphere.runner.finished import Run
+from uqsphere.runner.forecast import forecast
 from uqsphere.runner.questions.carried import carried_far, find_carried
 from uqsphere.runner.questions.distributions import Sampled, sample_distributions
 from uqsphere.runner.questions.fracture import find_fracture
@@ -27,7 +26,7 @@ from uqsphere.runner.questions.further import (
     planned_analyses,
     screened_by,
 )
-from uqsphere.runner.questions.margins import MarginAnswer, find_margins, judge_answers
+from uqsphere.runner.questions.margins import find_margins, judge_answers
 from uqsphere.runner.questions.probabilities import refine_limits
 from uqsphere.runner.questions.shapley import share_variance
 from uqsphere.runner.results import finish, finish_bare
@@ -35,9 +34,10 @@ from uqsphere.runner.verdict import gather
 from uqsphere.runner.workers import aside, may_copy, processors
 from uqsphere.store import Store
 
-#: share of the budget up to which, once probabilities are known, the two halves of what is left are given what is left
-#: of it both, and are answered side by side
-APART: Final = 0.1
+#: share of the budget that may be spent, with the most that margins and fracture take, for these to be answered beside
+#: what shares the variance out
+ROOM: Final = 0.5
+_BREAKING: Final = ("margins", "carriers", "fracture")
 
 
 def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = None) -> Run:
@@ -97,9 +97,13 @@ def _by_surrogate(work: Work, pilot: Pilot, one: Expensive, first: Analyses | No
 
 
 def _by_sampling(
-    work: Work, store: Store, pilot: Pilot, one: Expensive | None, first: Analyses | None,
+    work: Work,
+    store: Store,
+    pilot: Pilot,
+    one: Expensive | None,
+    first: Analyses | None,
     notice: Callable[[str], None] | None,
-) -> Findings:  # fmt: skip
+) -> Findings:
     """Everything by sampling the model; surrogates that did not answer all still answer what they know better."""
     ledger = work.ledger
     sampled = sample_distributions(work)
@@ -113,47 +117,48 @@ def _by_sampling(
             notice(f"limit {name}: probability of missing its aim {limit.told}")
     tolerance = find_tolerance(work)
     ledger.close("tolerance intervals")
-    analyses = find_analyses(work) if first is None else first
-    apart = one is None and not work.study.black_box and ledger.total <= APART * work.study.analysis.budget.evaluations
-    base = deepcopy(ledger)
-    side = replace(work, ledger=deepcopy(ledger)) if apart else work
-    copied = apart and may_copy(work.threads)
-    if copied:
-        each = max(1, processors() // 2 if work.threads is None else work.threads // 2)
-        work, side = replace(work, threads=each), replace(side, threads=each, progress=None, reached=None)
-    with aside(lambda: _breaking(side, sampled, one), copied=copied) as broken:
-        shared = share_variance(work, sampled, first)
-        if one is not None:
-            shared = replace(shared, sensitivity=keep_indices(shared.sensitivity, one))
-        ledger.close("sensitivity")
-        drivers = find_drivers(work, sampled, shared)
-        ledger.close("drivers")
-        evidence = gather(work, sampled.sample) if apart else None
-        margins, carried, fracture, spent = broken()
-    if apart:
-        ledger.follow(spent, base)
-        store.look()
-    return Findings(
+    found = Findings(
         pilot=pilot,
         sampled=sampled,
-        sensitivity=shared.sensitivity,
-        drivers=drivers,
-        tabled=shared.tabled,
-        margins=margins,
-        fracture=fracture,
-        carried=carried,
+        sensitivity={},
+        drivers=Drivers(),
+        tabled=sampled.tabled,
         far=carried_far(work.study),
         tolerance=tolerance,
-        analyses=analyses,
-        evidence=evidence,
-        stops={"sampling": sampled.stopped, "sensitivity": shared.stopped},
+        analyses=find_analyses(work) if first is None else first,
     )
+    reserved = 0 if one is not None or work.study.black_box else _reserved(work)
+    if not reserved:
+        return _sharing(work, replace(found, **_breaking(work, sampled, one)), one, first)
+    return _side_by_side(work, store, found, first, reserved)
 
 
-def _breaking(
-    work: Work, sampled: Sampled, one: Expensive | None
-) -> tuple[dict[str, MarginAnswer], Mapping[str, CarriedEntry], FractureEntry | None, Ledger]:
-    """Margins, what is carried from tests, and fracture, with the ledger of it."""
+def _reserved(work: Work) -> int:
+    """The most that margins and fracture take, where the budget has room for the rest beside it; else nothing."""
+    budget = work.study.analysis.budget.evaluations
+    most = sum(part.most for part in forecast(work.study, budget) if part.name in _BREAKING)
+    return most if work.ledger.total + most <= ROOM * budget else 0
+
+
+def _side_by_side(work: Work, store: Store, found: Findings, first: Analyses | None, reserved: int) -> Findings:
+    """Margins and fracture beside what shares the variance out, each with its own part of the budget: on two
+    processors where there are two, with the same answers where there is one."""
+    base, copied = deepcopy(work.ledger), may_copy(work.threads)
+    side, own = replace(work, ledger=deepcopy(base)), work.within(work.study.analysis.budget.evaluations - reserved)
+    if copied:
+        each = max(1, (processors() if work.threads is None else work.threads) // 2)
+        side, own = replace(side, threads=each, progress=None, reached=None), replace(own, threads=each)
+    with aside(lambda: (_breaking(side, found.sampled, None), side.ledger), copied=copied) as broken:
+        shared = _sharing(own, found, None, first)
+        shared = replace(shared, evidence=gather(own, found.sampled.sample))
+        breaking, spent = broken()
+    work.ledger.follow(spent, base)
+    store.look()
+    return replace(shared, **breaking)
+
+
+def _breaking(work: Work, sampled: Sampled, one: Expensive | None) -> dict[str, Any]:
+    """Margins, what is carried from tests, and fracture, as `Findings` has them."""
     margins = find_margins(work, sampled)
     if one is not None:
         margins = keep_margins(work, margins, one)
@@ -163,4 +168,16 @@ def _breaking(
     work.ledger.close("carriers")
     fracture = find_fracture(work, sampled, margins)
     work.ledger.close("fracture")
-    return margins, carried, fracture, work.ledger
+    return {"margins": margins, "carried": carried, "fracture": fracture}
+
+
+def _sharing(work: Work, found: Findings, one: Expensive | None, first: Analyses | None) -> Findings:
+    """What was found, with indices and drivers."""
+    shared = share_variance(work, found.sampled, first)
+    if one is not None:
+        shared = replace(shared, sensitivity=keep_indices(shared.sensitivity, one))
+    work.ledger.close("sensitivity")
+    drivers = find_drivers(work, found.sampled, shared)
+    work.ledger.close("drivers")
+    stops = {"sampling": found.sampled.stopped, "sensitivity": shared.stopped}
+    return replace(found, sensitivity=shared.sensitivity, drivers=drivers, tabled=shared.tabled, stops=stops)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -179,6 +179,11 @@ class Work:
     def germs(self) -> tuple[GermLike, ...]:
         """What expansions of the model are in, for each of its random inputs."""
         return germs_of(self.study.random.values())
+
+    def within(self, evaluations: int) -> Work:
+        """The same with another budget of evaluations."""
+        budget = replace(self.study.analysis.budget, evaluations=evaluations)
+        return replace(self, study=replace(self.study, analysis=replace(self.study.analysis, budget=budget)))
 
     @cached_property
     def all_inputs(self) -> Joint:

@@ -73,8 +73,7 @@ class Priced:
 
     def bounded(self, work: Work) -> Work:
         """The work with no more evaluations than the time budget has room for at this cost."""
-        budget = replace(work.study.analysis.budget, evaluations=self.way.affordable)
-        return replace(work, study=replace(work.study, analysis=replace(work.study.analysis, budget=budget)))
+        return work.within(self.way.affordable)
 
 
 def enlarge(work: Work, design: Sample | None, count: int) -> Sample:
