@@ -20,6 +20,9 @@ import uqsphere
 from tests.campaigns.trust import answers_of
 from uqsphere.black_box import model_digest
 from uqsphere.errors import AccessError, ModelError, StudyError, TooManyFailures, UsageError
+from uqsphere.report.page import GOES_ON, build_report, write_draft
+from uqsphere.results import Results
+from uqsphere.results.entries import Manifest
 from uqsphere.runner.chunks import CHUNK, block_size
 from uqsphere.runner.evaluate import Ledger
 from uqsphere.runner.remote import Task
@@ -430,9 +433,24 @@ def test_a_ledger_adds_what_was_spent_beside_it() -> None:
     assert list(second.seconds) == ["sampling", "margins", "sensitivity"]
 
 
-def test_a_run_side_by_side_is_that_of_one_processor(tmp_path: Path) -> None:
+def test_a_run_side_by_side_is_that_of_one_processor_and_its_page_stands_early(tmp_path: Path) -> None:
+    early: list[str] = []
+
+    def draft(results: Results, manifest: Manifest) -> None:
+        write_draft(tmp_path / "2", results, manifest)
+        early.append((tmp_path / "2" / "report.html").read_text(encoding="utf-8"))
+
     more = ["analysis.budget={ evaluations = 60_000, time = '10 min' }", "margins.for_probability=[0.5]"]
     study = uqsphere.load_study(Path("studies/granite.toml"), more)
-    one, two = (uqsphere.run(study, out=tmp_path / str(n), threads=n) for n in (1, 2))
+    one = uqsphere.run(study, out=tmp_path / "1", threads=1)
+    two = uqsphere.run(study, out=tmp_path / "2", threads=2, draft=draft)
     assert one.results == two.results
     assert one.manifest.evaluations == two.manifest.evaluations <= 60_000
+    assert len(early) == 1
+    assert GOES_ON in early[0]
+    assert "Not established" in early[0]
+    pages = [build_report(run.folder, threads=k).read_text(encoding="utf-8") for k, run in enumerate((one, two), 1)]
+    assert pages[0].count("<svg") == pages[1].count("<svg") > 10
+    assert GOES_ON not in pages[1]
+    write_draft(tmp_path / "2", two.results, two.manifest)
+    assert (tmp_path / "2" / "report.html").read_text(encoding="utf-8") == pages[1]

@@ -22,6 +22,8 @@ from uqsphere.errors import UsageError
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
+    from uqsphere.results import Results
+    from uqsphere.results.entries import Manifest
     from uqsphere.runner.finished import Run
 
 
@@ -256,7 +258,7 @@ def command_run(chosen: argparse.Namespace) -> int:
     found, interrupted = _watched_run(study, chosen, seconds)
     if sys.stderr.isatty():
         say("writing the report")
-    page = build_report(found.folder)
+    page = build_report(found.folder, chosen.jobs)
     if missed := len(found.results.accuracy.missed):
         say(f"accuracy not reached in {missed} {'place' if missed == 1 else 'places'}: the report has what was asked")
     answer(chosen, found.results.document(), lambda: f"{summary_of(read_contents(found.folder))}\n\nreport: {page}")
@@ -276,6 +278,13 @@ def _watched_run(study: Study, chosen: argparse.Namespace, seconds: float | None
         seconds=budget.time if seconds is None else seconds,
         asked={kind: asked for kind, asked in asdict(study.analysis.accuracy).items() if math.isfinite(asked)},
     )
+    out = chosen.out or Path(f"{study.path.stem}-results")
+
+    def draft(results: Results, manifest: Manifest) -> None:
+        from uqsphere.report.page import write_draft
+
+        write_draft(out, results, manifest)
+
     with contextlib.ExitStack() as around:
         executor = None
         if chosen.model is not None:
@@ -288,7 +297,7 @@ def _watched_run(study: Study, chosen: argparse.Namespace, seconds: float | None
         asked = around.enter_context(patience(progress.say))
         found = run(
             study,
-            out=chosen.out or Path(f"{study.path.stem}-results"),
+            out=out,
             executor=executor,
             model=chosen.model,
             threads=chosen.jobs,
@@ -299,6 +308,7 @@ def _watched_run(study: Study, chosen: argparse.Namespace, seconds: float | None
             notice=progress.say,
             stop=asked,
             reached=progress.reached,
+            draft=draft,
         )
     progress.finish()
     return found, asked()

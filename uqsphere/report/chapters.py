@@ -5,7 +5,7 @@ A new figure or table is a block in the function of its chapter; a new chapter i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -261,8 +261,10 @@ def computed_blocks(contents: Contents) -> Iterator[Block]:
     yield Block(heading="Speed against error of each method", picture=picture, files=files)
 
 
-#: the page from top to bottom, behind the brief: anchor, heading and blocks; all but the first are annexes
-CHAPTERS: Final[tuple[tuple[str, str, Callable[[Contents], Iterator[Block]]], ...]] = (
+#: anchor, heading and blocks of a chapter
+Part = tuple[str, str, Callable[[Contents], Iterator[Block]]]
+#: the page from top to bottom, behind the brief; all but the first are annexes
+CHAPTERS: Final[tuple[Part, ...]] = (
     ("evidence", "Evidence", evidence_blocks),
     ("inputs", "Inputs and their sources", inputs_blocks),
     ("fracture", "Fracture and margins", fracture_blocks),
@@ -275,10 +277,10 @@ CHAPTERS: Final[tuple[tuple[str, str, Callable[[Contents], Iterator[Block]]], ..
 )
 
 
-def build_chapters(contents: Contents) -> list[Chapter]:
+def build_chapters(contents: Contents, parts: Sequence[Part] = CHAPTERS) -> list[Chapter]:
     """The chapters that have something to say, in the order of the page."""
     found = []
-    for anchor, heading, blocks in CHAPTERS:
+    for anchor, heading, blocks in parts:
         made = tuple(block for block in blocks(contents) if not block.empty)
         if made:
             found.append(Chapter(anchor=anchor, heading=heading, blocks=made, annex=anchor != "evidence"))

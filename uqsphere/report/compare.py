@@ -28,7 +28,7 @@ from uqsphere.report.cautions import assumption
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.figures import canvas
 from uqsphere.report.figures.canvas import BLUE, INK, PAPER, Picture, mark, shorten
-from uqsphere.report.page import margin_boxes, new_environment
+from uqsphere.report.page import DRAW, margin_boxes, page_environment
 from uqsphere.report.phrases import (
     ABSENT,
     Block,
@@ -637,8 +637,8 @@ def _page(found: Comparison, parts: Mapping[str, list[Block]]) -> str:
         # the one text that is not escaped: made of escaped parts by the XML writer
         return Markup(element) if room >= 0 else "The figure is left out: the page would become too large with it."
 
-    environment = new_environment()
-    environment.filters["drawn"] = placed
+    environment = page_environment()
+    DRAW.set(placed)
     template = environment.from_string(resources.files("uqsphere.report").joinpath("compare.html").read_text("utf-8"))
     sides = found.before, found.after
     keys = {"folder": "folder", "title": "title", "hash": "study", "seed": "seed", "version": "uqsphere",

@@ -9,7 +9,9 @@ import io
 import logging
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from dataclasses import replace
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -17,15 +19,17 @@ from typing import TYPE_CHECKING, Any, Final
 from uqsphere.errors import UsageError
 from uqsphere.quantities import reading_units
 from uqsphere.report.brief import make_brief
-from uqsphere.report.chapters import build_chapters, service_chapters
+from uqsphere.report.chapters import CHAPTERS, build_chapters, service_chapters
 from uqsphere.report.contents import Contents, read_contents, units_of
 from uqsphere.report.figures.brief import curve_drawings, mode_dots
 from uqsphere.report.figures.canvas import APOSTROPHE, Picture, inline, render, shorten
 from uqsphere.report.phrases import Block, Chapter, short_share, two
 from uqsphere.report.tables import commands, repeat_rows
 from uqsphere.report.whatif import panels
-from uqsphere.results.entries import Manifest
+from uqsphere.results import Results
+from uqsphere.results.entries import Manifest, read_resolved
 from uqsphere.runner.kept import write_sums
+from uqsphere.runner.workers import aside, may_copy
 from uqsphere.store import csv_text, write_atomically
 
 if TYPE_CHECKING:
@@ -163,16 +167,19 @@ def words_used(page: str) -> list[tuple[str, str]]:
 MOST_BYTES: Final = 1_000_000
 #: of which the figures take up this much; what is beyond stays a file of its own
 MOST_INLINED: Final = 550_000
+#: what a page says that is written before the run is over
+GOES_ON: Final = "The run goes on: curves, drivers and the evidence are still to come, and this page is replaced then."
 #: characters of one text on the page; a study may hold megabytes
 LONGEST: Final = 1500
 
 
-def build_report(folder: Path) -> Path:
+def build_report(folder: Path, threads: int | None = None) -> Path:
     """Write figures/*.svg and report.html of a finished run and of its services, from what is stored there.
 
     Parameters
     ----------
     folder : result folder of `uqsphere.run`
+    threads : processors that may draw; all if None
 
     Returns
     -------
@@ -188,25 +195,39 @@ def build_report(folder: Path) -> Path:
     """
     contents = read_contents(folder)
     for name in contents.services:
-        build_report(folder / "services" / name)
+        build_report(folder / "services" / name, threads)
     with reading_units(units_of(contents.results, courses=contents.courses)):
-        return _build(folder, contents)
+        return _build(folder, contents, threads)
 
 
-def _build(folder: Path, contents: Contents) -> Path:
-    """The figures and the page, in the units of the run."""
-    own = build_chapters(contents) if "" in contents.parts else []
-    chapters = _distinct([*service_chapters(contents), *own])
-    files, drawn = dict[str, str](), dict[str, str]()
+def _build(folder: Path, contents: Contents, threads: int | None) -> Path:
+    """The figures and the page, in the units of the run; half of the chapters on another processor."""
+    parts = CHAPTERS if "" in contents.parts else ()
+    half = len(parts) // 2
+    with aside(lambda: _drawn(build_chapters(contents, parts[half:])), copied=may_copy(threads)) as later:
+        front = _drawn([*service_chapters(contents), *build_chapters(contents, parts[:half])])
+        shown = _shown(contents)
+        chapters = _distinct([*front, *later()])
+    files = dict[str, str]()
     for picture in (block.picture for block in _blocks(chapters) if block.picture is not None):
         if picture.header:
             files[f"figures/{picture.name}.csv"] = csv_text(picture.header, picture.rows)
-        drawn[picture.name] = files[f"figures/{picture.name}.svg"] = render(picture)
-    files["report.html"] = _page(contents, chapters, drawn)
+        files[f"figures/{picture.name}.svg"] = picture.svg
+    files["report.html"] = _page(shown, chapters)
     for name, text in files.items():
         write_atomically(folder / name, text)
     write_sums(folder, list(files), keep=True)
     return folder / "report.html"
+
+
+def _drawn(chapters: Sequence[Chapter]) -> list[Chapter]:
+    """The same chapters, every picture drawn."""
+
+    def drawn(block: Block) -> Block:
+        picture = block.picture
+        return replace(block, picture=picture and replace(picture, svg=render(picture), figure=None))
+
+    return [replace(chapter, blocks=tuple(map(drawn, chapter.blocks))) for chapter in chapters]
 
 
 def _blocks(chapters: Sequence[Chapter]) -> Iterator[Block]:
@@ -245,8 +266,13 @@ def _loose(value: str) -> Any:
     return Markup(escape(_plain(value).replace("\u00a0to\u00a0", "\u00a0to ")))
 
 
-def new_environment() -> Environment:
-    """Templates that escape every text and refuse what is not there, with what all pages share."""
+#: what sets a picture into the page that is being made
+DRAW: Final[ContextVar[Callable[[Picture], Any]]] = ContextVar("drawing of the page")
+
+
+@cache
+def page_environment() -> Environment:
+    """Templates that escape every text and refuse what is not there, with what all pages share; compiled once."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined
     from markupsafe import Markup
 
@@ -258,6 +284,8 @@ def new_environment() -> Environment:
     environment.globals["brief_style"] = Markup(_own_text("brief.css"))
     environment.globals["panel_style"] = Markup(_own_text("whatif.css"))
     environment.filters["loose"] = _loose
+    # macros keep the filters that they were loaded with
+    environment.filters["drawn"] = lambda picture: DRAW.get()(picture)
     return environment
 
 
@@ -265,22 +293,11 @@ def _own_text(name: str) -> str:
     return resources.files("uqsphere.report").joinpath(name).read_text("utf-8")
 
 
-def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[str, str]) -> str:
-    """The text of the page; the figures that it has no room for stay files."""
+def _shown(contents: Contents) -> dict[str, Any]:
+    """What the page shows beside its chapters."""
     from markupsafe import Markup, escape
 
-    room = MOST_INLINED
-
-    def drawn(picture: Picture) -> Any:
-        nonlocal room
-        element = inline(figures_drawn[picture.name], picture.name)
-        room -= len(element.encode())
-        if room < 0:
-            return f"The figure is in figures/{picture.name}.svg: the page would become too large with it."
-        # the one text that is not escaped: made of escaped parts by the XML writer
-        return Markup(element)
-
-    shown = {
+    return {
         "margin_boxes": Markup(margin_boxes(str(contents.results.study.title), contents.manifest)),
         "repeat": repeat_rows(contents),
         "commands": [Markup(escape(shorten(line, LONGEST))) for line in commands(contents)],
@@ -289,6 +306,23 @@ def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[s
         **_brief_parts(contents),
         **_panel_parts(contents),
     }
+
+
+def _page(shown: Mapping[str, Any], chapters: Sequence[Chapter]) -> str:
+    """The text of the page; the figures that it has no room for stay files."""
+    from markupsafe import Markup
+
+    room = MOST_INLINED
+
+    def drawn(picture: Picture) -> Any:
+        nonlocal room
+        element = inline(picture.svg, picture.name)
+        room -= len(element.encode())
+        if room < 0:
+            return f"The figure is in figures/{picture.name}.svg: the page would become too large with it."
+        # the one text that is not escaped: made of escaped parts by the XML writer
+        return Markup(element)
+
     # set first without figures, to see which words are used
     plain = set_page(shown, chapters, lambda picture: picture.title)
     return set_page({**shown, "words": words_used(plain)}, chapters, drawn)
@@ -303,8 +337,8 @@ _NO_RUN: Final[dict[str, Any]] = {
 
 def set_page(shown: Mapping[str, Any], chapters: Sequence[Chapter], draw: Callable[[Picture], Any]) -> str:
     """The text of a page: its brief and the evidence behind it, whatever it is of; `draw` sets its pictures."""
-    environment = new_environment()
-    environment.filters["drawn"] = draw
+    environment = page_environment()
+    DRAW.set(draw)
     pictures = [block.picture.name for block in _blocks(chapters) if block.picture is not None]
     more = {"chapters": chapters, "numbers_of": _numbers_of, "linked": True, "title": shown["brief"].title}
     numbers = {name: k for k, name in enumerate(pictures, 1)}
@@ -343,6 +377,18 @@ def _panel_parts(contents: Contents) -> dict[str, Any]:
     }
 
 
+def write_draft(folder: Path, results: Results, manifest: Manifest) -> None:
+    """Write report.html of a run that goes on: the brief of what is known; nothing where a finished run is stored."""
+    if (folder / "results.json").exists():
+        return
+    contents = Contents(results=results, manifest=manifest, resolved=read_resolved(folder), samples={}, failed=0.0)
+    with reading_units(units_of(results)):
+        shown = _brief_parts(contents)
+    shown["brief"] = replace(shown["brief"], ended=GOES_ON)
+    text = page_environment().get_template("brief.html").render(shown, linked=False)
+    write_atomically(folder / "report.html", text + "\n", durable=False)
+
+
 def build_brief(folder: Path, *, pdf: bool = False) -> Path:
     """Write the brief of a folder as brief.html, or as one sheet of paper, brief.pdf.
 
@@ -357,7 +403,7 @@ def build_brief(folder: Path, *, pdf: bool = False) -> Path:
     contents = read_contents(folder)
     with reading_units(units_of(contents.results)):
         shown = _brief_parts(contents)
-    text = new_environment().get_template("brief.html").render(shown, linked=False)
+    text = page_environment().get_template("brief.html").render(shown, linked=False)
     path = folder / "brief.html"
     if not pdf:
         write_atomically(path, text + "\n")

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from uqsphere.runner.questions.indices import Sensitivity
     from uqsphere.runner.questions.margins import MarginAnswer
     from uqsphere.runner.similarity import Tabled
-    from uqsphere.runner.verdict import Evidence
+    from uqsphere.runner.verdict import Evidence, Unsure
     from uqsphere.study.document import Accuracy as Accuracies
 
 
@@ -55,6 +55,7 @@ class Findings:
     fracture: FractureEntry | None = None
     carried: Mapping[str, CarriedEntry] = field(default_factory=dict)
     far: Sequence[CheckEntry] = ()
+    unsure: Unsure | None = None
 
 
 #: factor between planned and taken from which on a reason is given

@@ -29,8 +29,7 @@ from uqsphere.runner.questions.further import (
 from uqsphere.runner.questions.margins import find_margins, judge_answers
 from uqsphere.runner.questions.probabilities import refine_limits
 from uqsphere.runner.questions.shapley import share_variance
-from uqsphere.runner.results import finish, finish_bare
-from uqsphere.runner.verdict import gather
+from uqsphere.runner.results import finish, finish_bare, judged_ways, told_early
 from uqsphere.runner.workers import aside, may_copy, processors
 from uqsphere.store import Store
 
@@ -129,6 +128,8 @@ def _by_sampling(
     )
     reserved = 0 if one is not None or work.study.black_box else _reserved(work)
     if not reserved:
+        if work.study.black_box:
+            told_early(work, found)
         return _sharing(work, replace(found, **_breaking(work, sampled, one)), one, first)
     return _side_by_side(work, store, found, first, reserved)
 
@@ -149,8 +150,7 @@ def _side_by_side(work: Work, store: Store, found: Findings, first: Analyses | N
         each = max(1, (processors() if work.threads is None else work.threads) // 2)
         side, own = replace(side, threads=each, progress=None, reached=None), replace(own, threads=each)
     with aside(lambda: (_breaking(side, found.sampled, None), side.ledger), copied=copied) as broken:
-        shared = _sharing(own, found, None, first)
-        shared = replace(shared, evidence=gather(own, found.sampled.sample))
+        shared = _sharing(own, told_early(own, judged_ways(own, found)), None, first)
         breaking, spent = broken()
     work.ledger.follow(spent, base)
     store.look()

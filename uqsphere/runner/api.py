@@ -20,6 +20,7 @@ from uqsphere.errors import ModelError, UsageError
 from uqsphere.model import NO_DAMPER, scene_of
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.results import Results
+from uqsphere.results.entries import Manifest
 from uqsphere.store import open_store
 from uqsphere.study import Study
 
@@ -42,6 +43,7 @@ def run(
     notice: Callable[[str], None] | None = None,
     stop: Callable[[], bool] | None = None,
     reached: Callable[[list[dict[str, Any]]], None] | None = None,
+    draft: Callable[[Results, Manifest], None] | None = None,
 ) -> Run:
     """Run a study, with the model that a black-box study is about.
 
@@ -75,6 +77,9 @@ def run(
         `interrupted`.  The same study in the same folder goes on from there.
     reached : callable(rows), optional
         Told the errors of every stage: dicts with `quantity`, `error`, `error_kind`, `evaluations`.
+
+    draft : callable(results, manifest), optional
+        Given the results as far as they are known when the verdicts are, before curves and indices.
 
     Raises
     ------
@@ -144,6 +149,7 @@ def run(
             seconds=left,
             stop=stop,
             reached=reached,
+            draft=draft,
             services=services,
         )
         engine.over = lambda: work.ledger.elapsed > left

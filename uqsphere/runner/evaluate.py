@@ -24,6 +24,7 @@ from uqsphere.model import (
     where_of,
 )
 from uqsphere.results import Results, SpeedRow
+from uqsphere.results.entries import Manifest
 from uqsphere.runner.chunks import Gathered, chosen_columns, collect
 from uqsphere.runner.remote import Task
 from uqsphere.runner.schedule import REPLICATES
@@ -128,6 +129,8 @@ class Work:
     stop: Callable[[], bool] | None = None
     #: told the errors of a stage, the rows of the speed-error table
     reached: Callable[[list[dict[str, Any]]], None] | None = None
+    #: given what is known once the verdicts are
+    draft: Callable[[Results, Manifest], None] | None = None
     #: the rows only help to answer for others: one without an answer is no failure of the study
     spare: bool = False
     #: what is asked in place of the study's quantities

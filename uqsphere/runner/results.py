@@ -26,7 +26,7 @@ from uqsphere.runner.finished import Run
 from uqsphere.runner.forecast import JUDGED
 from uqsphere.runner.kept import keep_data, named_files, write_sums
 from uqsphere.runner.sliders import save_sliders
-from uqsphere.runner.verdict import Judged, gather, judge
+from uqsphere.runner.verdict import Judged, find_unsure, gather, judge
 from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.study import Study
 from uqsphere.study.axis import limit_of
@@ -199,8 +199,8 @@ def build_manifest(work: Work, seconds: list[float], prices: PricesEntry) -> Man
 def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None, found: Findings) -> Run:
     """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""
     way, ledger = priced.way, work.ledger
-    found = replace(found, evidence=found.evidence or gather(work, found.sampled.sample))
-    ledger.close(JUDGED)
+    if JUDGED not in ledger.parts:
+        found = judged_ways(work, found)
     taken = "surrogate" if expensive is not None and expensive.surrogate else "sampling"
     plan = PlanEntry(
         way=taken,
@@ -224,6 +224,22 @@ def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None
         affordable_evaluations=way.affordable,
     )
     return _written(work, store, results, [*ledger.times, *ends], prices)
+
+
+def judged_ways(work: Work, found: Findings) -> Findings:
+    """What was found, with the rows that verdicts on fracture rest on beside it."""
+    found = replace(found, evidence=gather(work, found.sampled.sample))
+    work.ledger.close(JUDGED)
+    return found
+
+
+def told_early(work: Work, found: Findings) -> Findings:
+    """What was found once verdicts are known, with how unsure that is; who asked for a draft is given it."""
+    if work.draft is None:
+        return found
+    found = replace(found, unsure=find_unsure(work, found.sampled))
+    work.draft(build_results(work, found, PlanEntry()), build_manifest(work, [], PricesEntry()))
+    return found
 
 
 def finish_bare(work: Work, store: Store) -> Run:

@@ -43,6 +43,7 @@ from uqsphere.uq.whatif import root
 if TYPE_CHECKING:
     from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
+    from uqsphere.runner.questions.distributions import Sampled
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -299,10 +300,18 @@ class _Case:
         return _more(self.miss, together - self.before)
 
 
+#: what tests leave open of limits and of quantities, and what is assumed of limits
+Unsure = tuple[tuple[dict[str, LimitOpenEntry], dict[str, Fields]], dict[str, Fields]]
+
+
+def find_unsure(work: Work, sampled: Sampled) -> Unsure:
+    """What the tests behind laws leave open, and what is assumed."""
+    return find_ignorance(work, sampled), find_assumed(work, sampled)
+
+
 def judge(work: Work, found: Findings) -> Judged:
     """The verdict on every limit with a target, what stands behind those on fracture, and what all limits rest on."""
-    left_open, quantities = find_ignorance(work, found.sampled)
-    assumed = find_assumed(work, found.sampled)
+    (left_open, quantities), assumed = found.unsure or find_unsure(work, found.sampled)
     told: dict[str, Fields] = {}
     entries: dict[tuple[str, float | None], VerdictEntry] = {}
     for limit in work.study.limits:

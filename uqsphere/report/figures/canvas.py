@@ -166,14 +166,16 @@ _MACHINE: Final = (
 class Picture:
     """A drawing with the words that stand for it.
 
-    `name` serves as file name and anchor; `title` says what is drawn, `finding` what it shows, where no table
-    beside it does; `header` and `rows` are the numbers that were drawn, in SI, where no table of the run holds them.
+    `name` serves as file name and anchor; `title` says what is drawn, `finding` what it shows, where no table beside it
+    does; `svg` is the `figure` once it is drawn, in its place; `header` and `rows` are the numbers that were drawn, in
+    SI, where no table of the run holds them.
     """
 
     name: str
     title: str
     finding: str = ""
-    figure: Figure
+    figure: Figure | None = None
+    svg: str = ""
     header: tuple[str, ...] = ()
     rows: tuple[tuple[Any, ...], ...] = ()
 
@@ -334,6 +336,8 @@ def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list
 
 def render(picture: Picture) -> str:
     """The picture as the text of an SVG file, the same for the same picture, on white."""
+    if picture.figure is None:
+        return picture.svg
     buffer = io.BytesIO()
     nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     with style():

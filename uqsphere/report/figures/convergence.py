@@ -172,7 +172,9 @@ def _end_labels(axes: Axes, series: list[Series], column: int) -> None:
     low, high = (math.log10(v) for v in axes.get_ylim())
     wanted = [math.log10(s.points[-1][2]) for s in series]
     places = spread(wanted, 0.062 * (high - low), low + 0.03 * (high - low), high - 0.03 * (high - low))
-    arrow = {"arrowstyle": "-", "color": GREY, "linewidth": 0.5, "shrinkA": 1.0, "shrinkB": 3.0, "relpos": (0.0, 0.5)}
+    # without room at its ends, which matplotlib searches along the line for long
+    arrow = {"arrowstyle": "-", "color": GREY, "linewidth": 0.5, "shrinkA": 0.0, "shrinkB": 0.0, "patchA": None,
+             "relpos": (-0.02, 0.5)}  # fmt: skip
     for s, place in zip(series, places, strict=True):
         last = s.points[-1]
         axes.annotate(s.label, (last[column], last[2]), xytext=(1.06, (place - low) / (high - low)),
