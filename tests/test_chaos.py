@@ -336,6 +336,9 @@ def test_errors_in_tails_and_of_the_choice_are_reported(name: str, size: int) ->
         chaos = fit_chaos(z, model(z), model.germs)
         true = float(np.mean((predict(chaos, held_out) - truth) ** 2) / np.var(truth))
         ratios.append(chaos.cross_validation_error / true)
+    # of two errors the larger one counts
+    told = chaos.cross_validation_error
+    assert (error_with_tails([chaos], 0.5 * told), error_with_tails([chaos], 2.0 * told)) == (told, 2.0 * told)
     # folds alone report a hundredth and less of it
     assert min(ratios) > 0.1, ratios
     assert max(ratios) < 10.0, ratios

@@ -62,6 +62,7 @@ def test_a_mean_that_exists_is_not_denied_where_the_output_turns_within_the_tail
     law = make_law("student_t", {"dof": 2.5, "location": 0.0, "scale": 1.0})
     found = squares(law, rows, shift)
     assert found.growth > 2.5
+    assert found.order < found.law_order / found.growth  # doubt lowers it
     assert found.reason(MEAN).why is Why.NOT_KNOWN
     assert "but not steadily" in found.reason(MEAN).text
 

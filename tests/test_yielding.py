@@ -93,6 +93,7 @@ def test_hardness_without_end_is_hertz():
     z = np.array([1.5, 4.0, 25.0])
     assert face(1e7, 2.0).force(z) == pytest.approx(z**1.5, rel=1e-5)
     law = face(1e7, 1.0)
+    assert law.onset_force == pytest.approx(4.0 / 3.0 * 45e9 * math.sqrt(0.01) * law.onset_approach**1.5)
     assert np.all(law.pressed(z).dent < 1e-4 * z * law.onset_approach)
 
 

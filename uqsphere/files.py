@@ -75,7 +75,7 @@ def read_whole(path: Path, largest: int = LARGEST_DOCUMENT) -> bytes:
     try:
         if path.is_symlink():
             raise FolderError(f"{path} is a link: a result folder holds plain files")
-        with open(os.open(path, flags), "rb") as stream:
+        with open(path, "rb", opener=lambda path, _: os.open(path, flags)) as stream:
             kind = os.fstat(stream.fileno())
             if not stat.S_ISREG(kind.st_mode):
                 raise FolderError(f"{path} is not a plain file")
