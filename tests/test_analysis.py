@@ -119,15 +119,6 @@ def test_salib_finds_the_same_indices_on_our_design(second: bool, surrogate: ana
         assert found["S2"][0, 2] == pytest.approx(0.2437, abs=0.03)
 
 
-def test_our_estimators_of_salib_are_those_of_salib() -> None:
-    from SALib.analyze.sobol import first_order, total_order
-
-    from uqsphere.uq.interop import _estimators
-
-    a, mixed, b = RNG(3).normal(size=(3, 512))
-    assert _estimators(a, mixed, b) == (first_order(a, mixed, b), total_order(a, mixed, b))
-
-
 def test_a_run_without_a_folder_says_what_salib_makes_of_its_rows() -> None:
     laws = dict.fromkeys("abc", ANGLE)
     study = uqsphere.load_study({"inputs": laws, "outputs": {"names": ["y"]},

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import qmc
 
-from uqsphere.uq.points import MOST_DIMENSIONS, sobol_points
+from uqsphere.uq.points import MOST_DIMENSIONS, _seed, sobol_points
 from uqsphere.uq.sample import Sample, without
 from uqsphere.uq.tolerance import attained_confidence, largest_order, least_runs, tolerance_limits
 
@@ -42,6 +43,15 @@ def test_replicates_are_unbiased_and_independent() -> None:
     assert error < 0.25 * np.sqrt(1 / 27 - 1 / 64) / np.sqrt(64 * 64)  # far better than random points
     neighbours = np.corrcoef(product[:-1], product[1:])[0, 1]
     assert abs(neighbours) < 4.0 / np.sqrt(63)
+
+
+@pytest.mark.parametrize(("dimension", "count"), [(1, 16), (3, 1024), (40, 256), (1200, 64)])
+def test_points_are_those_of_scipy(dimension: int, count: int) -> None:
+    bits = 52 if dimension < 1000 else 30
+    key = {"seed": 5, "task": "scipy", "replicate": 3}
+    rival = qmc.Sobol(dimension, scramble=True, bits=bits, rng=np.random.default_rng(_seed(**key))).random(count)
+    found = sobol_points(dimension=dimension, count=count, **key)
+    assert np.array_equal(found, rival + 0.5 ** (bits + 1))
 
 
 def test_points_lie_strictly_inside_and_reach_into_the_tails() -> None:

@@ -140,31 +140,26 @@ def to_salib(inputs: Joint, count: int = 1024, *, second: bool = False, seed: in
     return SalibDesign(problem=problem, rows=mixed[:, order].reshape(-1, d), second=second)
 
 
-def _estimators(a: Array, mixed: Array, b: Array) -> tuple[float, float]:
-    """First and total index as SALib estimates them (Saltelli et al. 2010), whose import takes a third of a second,
-    from outputs (N,) at A, at A with one column of B, and at B."""
-    variance = np.var(np.r_[a, b])
-    return float(np.mean(b * (mixed - a)) / variance), float(0.5 * np.mean((a - mixed) ** 2) / variance)
-
-
 def salib_indices(outputs: Array) -> dict[str, list[Estimate]]:
     """First and total indices by SALib's estimators from outputs (R, N, d + 2) at blocks A, AB_1 ... AB_d, B.
 
     SALib's own intervals are those of a bootstrap of Sobol' points, which are several times too wide: here they are
     those of the R randomisations.  There are none where the output is constant in A and B of a randomisation.
     """
+    from SALib.analyze.sobol import first_order, total_order
+
     # a power of two rounds nothing, and keeps the squares of 1e300 and of 1e-300 inside floating point
     y = np.ldexp(outputs, -int(np.frexp(np.abs(outputs).max())[1]))
     y = (y - y.mean()) / (float(y.std()) or 1.0)
     count, none = y.shape[2] - 2, absent("the output is constant in a randomisation", "SALib", outputs.size)
-    if not np.ptp(y[:, :, [0, -1]], axis=(1, 2)).all():
+    if not np.ptp(y[:, :, [0, -1]], axis=(1, 2)).all():  # SALib calls both indices of a constant zero, with a warning
         return {"first": [none] * count, "total": [none] * count}
     whole = [*y, y.reshape(-1, count + 2)]  # each randomisation, and all as one
-    found = np.array([[_estimators(r[:, 0], r[:, j], r[:, -1]) for r in whole] for j in range(1, count + 1)])
-    return {
-        order: [from_replicates(row[:-1], "SALib", outputs.size, float(row[-1])) for row in found[:, :, k]]
-        for k, order in enumerate(("first", "total"))
-    }
+    found: dict[str, list[Estimate]] = {}
+    for order, estimator in (("first", first_order), ("total", total_order)):
+        rows = [[float(estimator(r[:, 0], r[:, j], r[:, -1])) for r in whole] for j in range(1, count + 1)]
+        found[order] = [from_replicates(np.array(row[:-1]), "SALib", outputs.size, row[-1]) for row in rows]
+    return found
 
 
 #: of 1 - 5e-4 rather than 95 %: dozens of indices are compared, and none may differ by chance
