@@ -14,7 +14,7 @@ import pytest
 from docs.figures import errata
 from docs.figures.instability import MU, exact_difference, fixed_steps
 from reports import publish
-from tests.campaigns import chaos, coverage, given, links, mutate
+from tests.campaigns import coverage, given, links, mutate
 from tests.campaigns.coverage import LEAST, POOLED, QUANTILES, coverage_models, coverage_rows, pooled, reference
 from uqsphere.errors import UsageError
 from uqsphere.given import analyse_runs
@@ -105,23 +105,6 @@ def test_an_expansion_over_a_kernel_density_is_refused() -> None:
     assert "kernel density" in expansion["reason"]
     assert found["outputs"]["y"]["expansion"] is None
     assert found["outputs"]["y"]["sd"]["value"] is not None
-
-
-# --- expansions beside a peer ---------------------------------------------------------------------
-
-
-def rival(model: str, samples: int, true: float, told: tuple[float, ...] = (0.0,) * 4) -> chaos.Rival:
-    """A stored run."""
-    return chaos.Rival(model=model, samples=samples, seed=1, true=true, seconds=3.0, fits=7, degree=3, norm=0.75,
-                       version="1.0", told=told)  # fmt: skip
-
-
-def test_the_stored_runs_are_those_of_the_designs_of_today() -> None:
-    known = chaos.stored()
-    assert {model for model, _, _ in known} == set(chaos.MODELS)
-    for (name, samples, seed), one in known.items():
-        points = chaos.design(chaos.MODELS[name], samples, seed)
-        assert chaos.same_design(one, points, chaos.MODELS[name](points)), (name, samples)
 
 
 # --- a contact time that jumps --------------------------------------------------------------------

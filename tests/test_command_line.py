@@ -77,7 +77,7 @@ def process(arguments: Sequence[str], cwd: Path, **options: Any) -> subprocess.C
 @pytest.mark.parametrize(
     "arguments",
     [
-        (), ("nonsense",), ("run",), ("run", "a", "b"), ("check", GRANITE, "--nonsense"), ("new",), ("export", "x"),
+        (), ("nonsense",), ("run",), ("run", "a", "b"), ("check", GRANITE, "--nonsense"), ("export", "x"),
         ("export", "x", "--format", "docx"), ("list",), ("list", "sins"), ("run", GRANITE, "-j", "two"),
         ("run", GRANITE, "--resume", "--fresh"), ("run", "small.toml", "-j", "0"), ("new", "basalt", "-o", "x.toml"),
         ("run", "box.toml"), ("run", "small.toml", "--model", "model.py:f"), ("run", "box.toml", "--model", "model.py"),
@@ -138,6 +138,10 @@ def test_new_writes_a_study_that_checks(ask: Any, place: Path, template: str) ->
 
 def test_new_never_overwrites(ask: Any, place: Path) -> None:
     (place / "mine.toml").write_text("precious")
+    assert ask("new", "blackbox").code == 0
+    answer = ask("new", "blackbox")
+    assert (answer.code, answer.out) == (2, "")
+    assert (place / "blackbox.toml").read_bytes() == (STUDIES / "blackbox.toml").read_bytes()
     answer = ask("new", "-o", "mine.toml")
     assert (answer.code, answer.out) == (2, "")
     assert (place / "mine.toml").read_text() == "precious"

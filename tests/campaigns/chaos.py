@@ -15,16 +15,11 @@ oscillator: Igusa and Der Kiureghian (1985); quadratic form of 15 normal numbers
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from importlib import metadata
-from importlib.util import find_spec
-from itertools import product
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -37,64 +32,20 @@ from uqsphere.uq.expansion.germs import Germ, GermLike, base_of, germs_of
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.points import random_generator, sobol_points
 
-# --- OpenTURNS on the models of the expansions: run here, or looked up in a run that was stored.
-# python -m tests.campaigns.chaos --store
+# --- OpenTURNS on the models of the expansions (the extra `peers`).
 #
 # The rival is `LeastSquaresMetaModelSelection` with LARS and corrected leave-one-out, on the same points, in normal and
 # uniform germs and, for other laws, in the polynomials that it finds for the law itself; of all its degrees and norms
 # the one with the least *true* error is counted, which is kinder than any choice it could make by itself.  Seconds are
-# those of one thread, summed over its degrees and norms; beyond `--seconds` it gets no larger basis.
-#
-# What it answers hangs on the design, the model and its own version alone, and takes minutes of each cell: a run is
-# stored beside this file with those three, and looked up where all of them are the same.
+# those of one thread, summed over its degrees and norms; beyond `--rival` seconds of a cell it gets no larger basis.
 
-#: the stored run
-STORED: Final = Path(__file__).with_name("chaos_rival.json")
 #: most terms of a basis given to the rival, over the number of samples
 _SHARE: Final = 4
-#: seconds of the rival after which it gets no larger basis (`--store --seconds`)
-_SECONDS: Final = 600.0
 _NORMS: Final = (1.0, 0.75, 0.5)
-_FIGURES: Final = 1e-9  # of the numbers that tell one design from another
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rival:
-    """The best of the rival's fits of one model: relative mean square error, and what it took.
-
-    `told` are numbers that tell the design and the model from others (`fingerprint`); `fits` the number of degrees
-    and norms tried, `degree` and `norm` those of the best; `seconds` those of the processor.
-    """
-
-    model: str
-    samples: int
-    seed: int
-    true: float
-    seconds: float
-    fits: int
-    degree: int
-    norm: float
-    version: str
-    told: tuple[float, ...]
-
-
-def rival_present() -> bool:
-    """Whether OpenTURNS can be imported here."""
-    return find_spec("openturns") is not None
-
-
-def fingerprint(points: Array, outputs: Array) -> tuple[float, ...]:
-    """Numbers that change with any of the points (n, d) or the outputs (n,)."""
-    weights = np.cos(np.arange(1, outputs.size + 1))
-    scale = float(np.std(outputs))
-    return (
-        float(np.mean(outputs)) / scale, float(np.log(scale)), float(weights @ (outputs - outputs.mean())) / scale,
-        float(weights @ points @ np.sin(np.arange(1, points.shape[1] + 1))),
-    )  # fmt: skip
-
-
-def rival_fit(model: ChaosModel, samples: int, seed: int, most: float = _SECONDS) -> Rival:
-    """The least true error of OpenTURNS over degrees and norms; needs the package openturns."""
+def rival_fit(model: ChaosModel, samples: int, seed: int, most: float) -> tuple[float, float]:
+    """The least true error of OpenTURNS over degrees and norms, and its seconds; needs the package openturns."""
     import openturns as ot
 
     ot.Log.Show(ot.Log.NONE)
@@ -107,7 +58,7 @@ def rival_fit(model: ChaosModel, samples: int, seed: int, most: float = _SECONDS
     rows = np.where(own, model.inputs(points), points)
     check = np.where(own, model.inputs(checks), checks), truth
     families = [ot.StandardDistributionPolynomialFactory(law) for law in laws]
-    best, fits = (1.0, 0, 1.0), 0
+    best = 1.0
     for norm in _NORMS:
         enumerate_terms = ot.HyperbolicAnisotropicEnumerateFunction(len(laws), norm)
         basis = ot.OrthogonalProductPolynomialFactory(families, enumerate_terms)
@@ -118,13 +69,9 @@ def rival_fit(model: ChaosModel, samples: int, seed: int, most: float = _SECONDS
             if terms > max(_SHARE * samples, len(laws) + 1) or worse == 2 or late:
                 break
             error = _one(ot, laws, basis, terms, rows, outputs, check)
-            fits += 1
             worse = 0 if error < last else worse + 1
-            last, best = min(last, error), min(best, (error, degree, norm))
-    return Rival(
-        model=model.name, samples=samples, seed=seed, true=best[0], seconds=time.process_time() - begin, fits=fits,
-        degree=best[1], norm=best[2], version=metadata.version("openturns"), told=fingerprint(points, outputs),
-    )  # fmt: skip
+            last, best = min(last, error), min(best, error)
+    return best, time.process_time() - begin
 
 
 def _rival_law(ot: Any, law: Law, germ: GermLike) -> Any:
@@ -158,42 +105,6 @@ def _one(
     algorithm.run()
     found = algorithm.getResult().getMetaModel()(ot.Sample(check[0]))
     return relative_error(np.asarray(found)[:, 0], check[1])
-
-
-def stored(path: Path = STORED) -> dict[tuple[str, int, int], Rival]:
-    """(model, samples, seed) -> what was stored; empty where nothing was."""
-    if not path.is_file():
-        return {}
-    found = [Rival(**{**one, "told": tuple(one["told"])}) for one in json.loads(path.read_text(encoding="utf-8"))]
-    return {(one.model, one.samples, one.seed): one for one in found}
-
-
-def same_design(one: Rival, points: Array, outputs: Array) -> bool:
-    """Whether a stored run had this design (n, d) with these outputs (n,)."""
-    return bool(np.allclose(one.told, fingerprint(points, outputs), rtol=_FIGURES, atol=_FIGURES))
-
-
-def _write(path: Path, known: dict[tuple[str, int, int], Rival]) -> None:
-    lines = [json.dumps(asdict(known[key])) for key in sorted(known, key=lambda key: (key[1], key[0], key[2]))]
-    path.write_text("[\n" + ",\n".join(lines) + "\n]\n", encoding="utf-8")
-
-
-def store_rival(
-    models: Sequence[str], sizes: Sequence[int], seeds: Sequence[int], path: Path = STORED, seconds: float = _SECONDS
-) -> None:
-    """Run the rival where no run of its present version on the same design is stored, and store it, cell by cell."""
-    from threadpoolctl import threadpool_limits
-
-    version = metadata.version("openturns")
-    for samples, name, seed in product(sizes, models, seeds):
-        before, points = stored(path).get((name, samples, seed)), design(MODELS[name], samples, seed)
-        if before is not None and before.version == version and same_design(before, points, MODELS[name](points)):
-            continue
-        with threadpool_limits(limits=1, user_api="blas"):
-            found = rival_fit(MODELS[name], samples, seed, seconds)
-        _write(path, {**stored(path), (name, samples, seed): found})
-        tell(f"{name}, N = {samples}, seed {seed}: {found.true:.1e} in {found.seconds:.1f} s, degree {found.degree}, "
-             f"norm {found.norm:g}")  # fmt: skip
 
 
 #: points on which the true error is counted
@@ -469,11 +380,10 @@ def relative_error(predicted: Array, outputs: Array) -> float:
 
 
 # --- Sparse polynomial chaos measured: true and reported error on 22 models, beside OpenTURNS.
-# python -m tests.campaigns.chaos --sizes 64 128 --seeds 1 41 42
+# python -m tests.campaigns.chaos --sizes 64 128 --seeds 1 41 42 --rival 10
 #
-# The rival's numbers are those of the stored run, or measured here.  Times are those of the processor, one thread.
+# Times are those of the processor, one thread.
 
-#: the first is that of the stored rival
 SEEDS: Final = (1, 41, 42, 43, 44, 45, 46)
 
 #: of the variance: two errors below this are both exact
@@ -503,26 +413,19 @@ class Measured:
         return high <= 3.0 * low
 
 
-def _rival(name: str, samples: int, seed: int, known: dict[tuple[str, int, int], Rival]) -> Rival | None:
-    """The stored run of the rival, where that was on the same design."""
-    found = known.get((name, samples, seed))
-    points = design(MODELS[name], samples, seed)
-    return found if found is not None and same_design(found, points, MODELS[name](points)) else None
-
-
 def measure(
     names: Sequence[str],
     sizes: Sequence[int],
     seeds: Sequence[int],
+    rival: float | None = None,
     *,
     notice: Callable[[Measured], None] = lambda _: None,
 ) -> list[Measured]:
-    """Every model at every size and seed; the rival on the first seed, as it is stored.
+    """Every model at every size and seed; the rival beside it where it has seconds.
 
     A fit before the first one counted takes what is loaded once.
     """
     answer = []
-    known = stored()
     fit_chaos(design(MODELS["product"], 64, 0), MODELS["product"](design(MODELS["product"], 64, 0)), ("normal",) * 6)
     for name in names:
         model = MODELS[name]
@@ -534,12 +437,11 @@ def measure(
                 begin = time.process_time()
                 chaos = fit_chaos(points, outputs, model.germs)
                 seconds = time.process_time() - begin
-                rival = _rival(name, samples, seed, known) if seed == seeds[0] else None
+                theirs = (None, None) if rival is None else rival_fit(model, samples, seed, rival)
                 found = Measured(
                     model=name, samples=samples, seed=seed, true=relative_error(predict(chaos, check[0]), check[1]),
                     reported=chaos.cross_validation_error, seconds=seconds,
-                    chosen=f"{chaos.solver}, {chaos.transform}", rival_true=None if rival is None else rival.true,
-                    rival_seconds=None if rival is None else rival.seconds,
+                    chosen=f"{chaos.solver}, {chaos.transform}", rival_true=theirs[0], rival_seconds=theirs[1],
                 )  # fmt: skip
                 notice(found)
                 answer.append(found)
@@ -547,15 +449,19 @@ def measure(
 
 
 def verdicts(found: Sequence[Measured]) -> tuple[int, int, int]:
-    """How often no worse than the rival, better than it, and compared at all.
+    """How often no worse than the rival, better than it, and compared at all: medians over the seeds of each cell.
 
     No worse: within 5 %, or both exact.  Better: nearer to the truth, and not both exact.
     """
-    pairs = [(one.true, one.rival_true) for one in found if one.rival_true is not None]
+    cells: dict[tuple[str, int], list[tuple[float, float]]] = {}
+    for one in found:
+        if one.rival_true is not None:
+            cells.setdefault((one.model, one.samples), []).append((one.true, one.rival_true))
+    pairs = [np.median(cell, axis=0) for cell in cells.values()]
     exact = [max(pair) < EXACT for pair in pairs]
     no_worse = sum(same or ours <= _TOLERANCE * theirs for (ours, theirs), same in zip(pairs, exact, strict=True))
     better = sum(not same and ours < theirs for (ours, theirs), same in zip(pairs, exact, strict=True))
-    return no_worse, better, len(pairs)
+    return int(no_worse), int(better), len(pairs)
 
 
 def _number(value: float | None) -> str:
@@ -577,13 +483,17 @@ def table(found: Sequence[Measured]) -> str:
             f"{float(np.median([one.seconds for one in group])):.2f}", first.chosen,
         ]  # fmt: skip
         if rival:
-            cells += [_number(first.rival_true), f"{first.rival_seconds:.1f}" if first.rival_seconds else "-"]
+            theirs = [(one.rival_true, one.rival_seconds or 0.0) for one in group if one.rival_true is not None]
+            cells += [_number(float(x)) for x in np.median(theirs, axis=0)] if theirs else ["-", "-"]
         rows.append(cells)
     honest = sum(one.honest for one in found)
     lines = [markdown(header, rows), "", f"Reported within a factor 3 of the true error: {honest} of {len(found)}."]
     no_worse, better, compared = verdicts(found)
     if compared:
         lines.append(f"Against OpenTURNS on the same points: no worse in {no_worse}, better in {better} of {compared}.")
+    for samples in dict.fromkeys(one.samples for one in found):
+        told = verdicts([one for one in found if one.samples == samples])
+        lines.append(f"{samples} points: no worse {told[0]}, better {told[1]}, compared {told[2]}.")
     return "\n".join(lines)
 
 
@@ -593,19 +503,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--models", nargs="+", default=list(MODELS), choices=list(MODELS))
     parser.add_argument("--sizes", nargs="+", type=int, default=[64, 128, 256, 512])
     parser.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
-    parser.add_argument("--seconds", type=float, default=_SECONDS, help="of OpenTURNS for a model and size")
-    parser.add_argument("--store", action="store_true", help="run OpenTURNS on the first design, and store it")
+    parser.add_argument("--rival", type=float, metavar="SECONDS", help="run OpenTURNS beside, so long for a design")
     asked = parser.parse_args(arguments)
-    if asked.store:
-        store_rival(asked.models, asked.sizes, asked.seeds[:1], seconds=asked.seconds)
-        return 0
 
     def notice(one: Measured) -> None:
         rival = "" if one.rival_true is None else f", rival {one.rival_true:.1e} in {one.rival_seconds:.1f} s"
         tell(f"{one.model}, N = {one.samples}, seed {one.seed}: true {one.true:.1e}, reported {one.reported:.1e}, "
              f"{one.seconds:.2f} s, {one.chosen}{rival}")  # fmt: skip
 
-    print(table(measure(asked.models, asked.sizes, asked.seeds, notice=notice)))
+    print(table(measure(asked.models, asked.sizes, asked.seeds, asked.rival, notice=notice)))
     return 0
 
 

@@ -4,6 +4,7 @@ Outputs are quadratic forms of normal scores, y = c + b·z + z·A z, so that con
 every closed effect Var(E[y | z_u]) follows in closed form; Shapley effects and Kucherenko's indices are sums of those.
 
     python -m tests.campaigns.given [--quick]
+    python -m tests.campaigns.given --runs 12     runs of a model whose inputs are tied, beside brute force
 """
 
 from __future__ import annotations
@@ -19,14 +20,16 @@ from typing import Any, Final
 
 import numpy as np
 from scipy.special import ndtr, ndtri
+from scipy.stats import qmc
 
-from tests.campaigns import tell
+import uqsphere
+from tests.campaigns import table, tell
 from tests.campaigns.coverage import CoverageModel, CoverageRow, Hit, Tally, coverage_hit, coverage_models, summary
 from uqsphere.arrays import Array
 from uqsphere.given import Data, analyse_runs
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.joint import Dependence, Joint, conditional_scores, make_copula, make_joint
-from uqsphere.uq.law import make_law
+from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.points import random_generator
 
 _QUANTILES: Final = (0.05, 0.5, 0.95)
@@ -376,12 +379,132 @@ def given_text(rows: Sequence[CoverageRow], told: Sequence[str]) -> str:
     ])  # fmt: skip
 
 
+# --- Runs of a model whose inputs depend on each other: a sum in both orders of its equal inputs, and the borehole.
+
+_TIED_SUM: Final = [Dependence(of=("a", "b"), spearman=0.6)]
+_TIED_BOREHOLE: Final = [Dependence(of=("rw", "Kw"), spearman=0.6), Dependence(of=("Hu", "Hl"), spearman=0.5),
+                         Dependence(of=("Tu", "Tl", "L"), spearman=0.4)]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TiedModel:
+    """A model of tied inputs (n, d) -> (n,), and the limit that it is not to exceed."""
+
+    name: str
+    names: tuple[str, ...]
+    laws: tuple[Law, ...]
+    ties: list[Dependence]
+    function: Callable[[Array], Array]
+    limit: float
+
+
+def _tied_models() -> list[TiedModel]:
+    from tests.campaigns.chaos import MODELS as CHAOS
+
+    normals, borehole = (make_law("normal", {"mean": 0.0, "sd": 1.0}),) * 3, CHAOS["borehole"]
+    names = ("rw", "r", "Tu", "Hu", "Tl", "Hl", "L", "Kw")
+    return [
+        TiedModel("a + b + 0.3 c", ("a", "b", "c"), normals, _TIED_SUM, lambda x: x @ np.array([1.0, 1.0, 0.3]), 3.0),
+        TiedModel("0.3 c + b + a", ("c", "b", "a"), normals, _TIED_SUM, lambda x: x @ np.array([0.3, 1.0, 1.0]), 3.0),
+        TiedModel("borehole", names, borehole.laws, _TIED_BOREHOLE, borehole.function, 160.0),
+    ]
+
+
+def _brute(model: TiedModel, power: int = 18) -> dict[str, Any]:
+    """Answers by 2^power Sobol' points, and every closed effect by as many pairs that share the inputs of a subset."""
+    joint = make_joint(model.names, model.laws, model.ties)
+    d, correlation = len(joint.names), joint.correlation
+    assert correlation is not None
+    uniforms = qmc.Sobol(2 * d, seed=7).random_base2(power)
+    first, second = (np.asarray(ndtri(part)) for part in np.split(uniforms, 2, axis=1))
+
+    def answers(z: Array) -> Array:
+        y = model.function(np.column_stack([law.from_normal(z[:, k]) for k, law in enumerate(joint.laws)]))
+        return np.stack([y, y > model.limit])
+
+    z = first @ np.linalg.cholesky(correlation).T
+    own = answers(z)
+    mean, closed = own.mean(axis=1, keepdims=True), []
+    for u in (u for size in range(d + 1) for u in combinations(range(d), size)):
+        rest = [k for k in range(d) if k not in u]
+        slopes = np.linalg.solve(correlation[np.ix_(u, u)], correlation[np.ix_(u, rest)])
+        left = correlation[np.ix_(rest, rest)] - correlation[np.ix_(rest, u)] @ slopes
+        moved = z.copy()
+        moved[:, rest] = z[:, u] @ slopes + second[:, rest] @ np.linalg.cholesky(left).T
+        there = answers(moved)
+        # each form is exact at its own end
+        low, high = (
+            ((own - mean) * (there - mean)).mean(axis=1),
+            own.var(axis=1) - 0.5 * ((own - there) ** 2).mean(axis=1),
+        )
+        closed.append((u, np.where(low < 0.5 * own.var(axis=1), low, high) if u else np.zeros(2)))
+    shares = [shares_of({u: float(value[k]) for u, value in closed}, d) for k in range(2)]
+    found = {
+        "mean": {"y": float(mean[0, 0])},
+        "sd": {"y": float(own[0].std())},
+        "probability": {"y": float(mean[1, 0])},
+    }
+    for p in _QUANTILES:
+        found[f"quantile {p:g}"] = {"y": float(np.quantile(own[0], p))}
+    found |= {order: dict(zip(model.names, values, strict=True)) for order, values in shares[0].items()}
+    return {**found, "Shapley effect of failure": dict(zip(model.names, shares[1]["shapley"], strict=True))}
+
+
+def _run_of(model: TiedModel, seed: int) -> tuple[dict[str, dict[str, Any]], dict[str, float]]:
+    """What a run prints, as `_brute` has it, and the shares that its failure hangs on."""
+    study = uqsphere.load_study({
+        "seed": seed, "inputs": dict(zip(model.names, model.laws, strict=True)), "outputs": {"names": ["y"]},
+        "limits": {"high": {"quantity": "y", "strength": model.limit}},
+        "dependence": [{"of": list(tie.of), "spearman": tie.spearman} for tie in model.ties],
+        "analysis": {"cost": "1 us", "budget": {"evaluations": 100_000}, "quantiles": list(_QUANTILES)},
+    })  # fmt: skip
+    found = uqsphere.run(study, lambda x: {"y": model.function(np.column_stack([x[n] for n in model.names]))}).results
+    y, shares, limit = found.quantities["y"], found.sensitivity["y"], found.limits["high"]
+    told = {"mean": {"y": y.mean}, "sd": {"y": y.sd}, "probability": {"y": limit.miss}, "shapley": shares.shapley,
+            **{f"quantile {p:g}": {"y": y.quantiles[f"{p:g}"]} for p in _QUANTILES},
+            "first": shares.kucherenko.first, "total": shares.kucherenko.total,
+            "Shapley effect of failure": limit.drivers.shapley}  # fmt: skip
+    return told, dict(limit.governing_inputs or {})
+
+
+def tied_text(runs: int) -> str:
+    """How often the intervals of so many runs of each model hold what brute force says, and what failure hangs on."""
+    rows, lines = [], []
+    for model in _tied_models():
+        truth = _brute(model)
+        told = [_run_of(model, seed) for seed in range(1, 1 + runs)]
+        tell(model.name)
+        for kind, values in truth.items():
+            cells = [(e, value) for one, _ in told for name, value in values.items()
+                     if (e := one[kind].get(name)) is not None and e.value is not None]  # fmt: skip
+            held = sum(e.low <= value <= e.high for e, value in cells)
+            width = float(np.mean([0.5 * (e.high - e.low) for e, _ in cells])) if cells else math.nan
+            rows.append((model.name, kind, f"{held} of {len(cells)}", f"{width:.2g}"))
+        for name in model.names:
+            shares = [shares.get(name, math.nan) for _, shares in told]
+            lines.append(
+                (
+                    model.name,
+                    name,
+                    f"{min(shares):.3f} to {max(shares):.3f}",
+                    f"{truth['shapley'][name]:.3f}",
+                    f"{truth['Shapley effect of failure'][name]:.3f}",
+                )
+            )
+    header = ("model", "input", "failure hangs on", "Shapley effect of the output", "of failure")
+    return f"{table(('model', 'answer', 'held', 'half-width'), rows)}\n\n{table(header, lines)}"
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """All models with fitted laws; `--quick` has two of them, a few repetitions and the smaller size."""
     parser = argparse.ArgumentParser(description="coverage of the intervals of `uqsphere analyse`")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--repetitions", type=int, default=REPETITIONS)
+    parser.add_argument("--runs", type=int, help="runs of models whose inputs are tied, beside brute force")
     asked = parser.parse_args(arguments)
+    if asked.runs:
+        print(tied_text(asked.runs))
+        return 0
     told: list[str] = []
 
     def notice(line: str) -> None:

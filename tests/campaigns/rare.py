@@ -11,8 +11,10 @@ import argparse
 import math
 import sys
 import tempfile
+from ast import literal_eval
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -23,6 +25,9 @@ import uqsphere
 from tests.campaigns import table, tell
 from uqsphere.results.entries import Est
 from uqsphere.uq.law import Law, make_law
+from uqsphere.uq.rare import active, kriging
+from uqsphere.uq.rare.auto import find_probability
+from uqsphere.uq.rare.problem import LimitFunction
 
 Array = npt.NDArray[np.float64]
 
@@ -262,9 +267,6 @@ def measure(
     `covered`: share of the intervals that hold the reference; `wrong`: runs off by more than 20 % whose
     interval neither holds the reference nor is there a warning; `form`: first-order answer over the reference.
     """
-    from uqsphere.uq.rare.auto import find_probability
-    from uqsphere.uq.rare.problem import LimitFunction
-
     limit = LimitFunction(function=entry.function, dimension=entry.dimension)
     answers = [
         find_probability(limit, seed=1000 * seed + k, accuracy=accuracy, budget=budget) for k in range(repetitions)
@@ -351,15 +353,12 @@ FEW_PROBLEMS: Final = ("four branches", "two-sided", "RP14", "RP25", "RP35", "RP
 
 def few_call_text(repetitions: int, problems: Sequence[str] = FEW_PROBLEMS, at_once: int = 1) -> str:
     """`learn_probability` with at most 200 calls and as many seeds as there are repetitions, as a table."""
-    from uqsphere.uq.rare.active import learn_probability
-    from uqsphere.uq.rare.problem import LimitFunction
-
     rows, silent = [], 0
     for name in problems:
         tell(f"few calls: {name}")
         entry = problem(name)
         limit = LimitFunction(function=entry.function, dimension=entry.dimension)
-        found = [learn_probability(limit, seed=1 + k, budget=CALLS, at_once=at_once) for k in range(repetitions)]
+        found = [active.learn_probability(limit, seed=1 + k, budget=CALLS, at_once=at_once) for k in range(repetitions)]
         errors = np.abs([(one.estimate.value or 0.0) / entry.reference - 1.0 for one in found])
         lows = np.array([one.estimate.low or 0.0 for one in found])
         highs = np.array([math.inf if one.estimate.high is None else one.estimate.high for one in found])
@@ -465,7 +464,7 @@ between = [0.5, 2.0]
 for_probability = [0.01]
 [analysis]
 cost = "1 s"
-budget = {{ evaluations = 150, time = "1 h" }}
+budget = {{ evaluations = {runs}, time = "1 h" }}
 """
 #: 6 over the 99 % quantile of the kinked output at x = 1, from four million rows: known to 3e-4
 MARGIN_TRUTH: Final = 1.2137
@@ -477,19 +476,21 @@ def margin_model(v: dict[str, Array]) -> dict[str, Array]:
     return {"smooth": v["a"] * v["b"] + v["c"] * v["e"], "kinked": v["x"] * (v["a"] * v["b"] + kinks) * v["e"]}
 
 
-def margin_text(repetitions: int) -> str:
-    """The value of x that keeps the probability below 1 %, by seeds."""
+def margin_text(repetitions: int, runs: int) -> str:
+    """The value of x that keeps the probability below 1 % from so many runs, by seeds."""
     rows = []
     for seed in range(1, 1 + repetitions):
         tell(f"margin: seed {seed}")
         with tempfile.TemporaryDirectory() as place:
             file = Path(place) / "case.toml"
-            file.write_text(MARGIN_CASE.format(seed=seed), encoding="utf-8")
+            file.write_text(MARGIN_CASE.format(seed=seed, runs=runs), encoding="utf-8")
             study = uqsphere.load_study(file)
             one = uqsphere.run(study, out=file.with_suffix(""), model=margin_model).results.margins["high"]
-        e = one.values["0.01"]
-        held = e.low is not None and e.high is not None and e.low <= MARGIN_TRUTH <= e.high
-        rows.append((seed, e.value, e.low, e.high, "yes" if held else "no"))
+        if (e := one.values.get("0.01")) is None or e.low is None or e.high is None:
+            rows.append((seed, "none", "", "", "no"))
+            continue
+        rows.append((seed, f"{e.value:.4f}", e.low, e.high, "yes" if e.low <= MARGIN_TRUTH <= e.high else "no"))
+        tell(f"{e.value} {e.low} {e.high}")
     return table(("seed", "x at 1 %", "low", "high", "held"), rows)
 
 
@@ -498,14 +499,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Rare-event methods on public problems")
     parser.add_argument("--repetitions", type=int, default=10, help="runs of each problem (default 10)")
     parser.add_argument("--through-run", choices=[*BUDGETS], help="as studies of a user, with a budget in all")
-    parser.add_argument("--margin", action="store_true", help="the margin of a kinked output by 150 runs")
+    parser.add_argument("--margin", action="store_true", help="the margin of a kinked output")
+    parser.add_argument("--runs", type=int, default=150, help="runs of the margin in all (default 150)")
     parser.add_argument("--few", action="store_true", help="few calls alone")
     parser.add_argument("--at-once", type=int, default=1, help="calls that are chosen together (default 1)")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="another constant of learning")
     asked = parser.parse_args(arguments)
+    for name, value in (text.split("=") for text in asked.set):
+        setattr(kriging if hasattr(kriging, name) else active, name, literal_eval(value))
     if asked.margin or asked.few:
-        print(
-            margin_text(asked.repetitions) if asked.margin else few_call_text(asked.repetitions, at_once=asked.at_once)
-        )
+        few = partial(few_call_text, at_once=asked.at_once)
+        print(margin_text(asked.repetitions, asked.runs) if asked.margin else few(asked.repetitions))
         return 0
     if asked.through_run:
         names = [entry.name for entry in PROBLEMS] if asked.through_run == "cheap" else FEW_PROBLEMS

@@ -63,7 +63,7 @@ COMMANDS: Final = {
     "new": Command("write a commented study to start from", "studies", (
         _word("template", "TEMPLATE", "a name of `uqsphere list templates` (default: granite)", nargs="?",
               default="granite"),
-        Argument(("-o", "--output"), {"required": True, "metavar": "FILE", "type": Path}),
+        Argument(("-o", "--output"), {"metavar": "FILE", "type": Path, "help": "default: TEMPLATE.toml"}),
     )),
     "check": Command("validate a study; print the resolved scene and what a run will cost", "studies", _STUDY),
     "run": Command("run a study and write its report", "run", (

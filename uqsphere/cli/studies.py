@@ -69,13 +69,13 @@ def command_new(chosen: argparse.Namespace) -> int:
     found = shipped_studies()
     if chosen.template not in found:
         raise UsageError(f"unknown template {chosen.template!r} (allowed: {', '.join(found)})")
-    _write_new(chosen.output, found[chosen.template])
-    written = [str(chosen.output)]
-    said = [f"wrote {chosen.output}; next: uqsphere check {chosen.output}"]
+    place = chosen.output or Path(f"{chosen.template}.toml")
+    _write_new(place, found[chosen.template])
+    written, said = [str(place)], [f"wrote {place}; next: uqsphere check {place}"]
     study = found[chosen.template]
     # a study may have a model of its own, and tests of its own
     for source in (study.with_suffix(".py"), *sorted(study.parent.glob(f"{study.stem}_*.csv"))):
-        target = chosen.output.parent / source.name
+        target = place.parent / source.name
         if source.is_file() and not target.exists():
             _write_new(target, source)
             written.append(str(target))

@@ -274,7 +274,12 @@ def cut_off(contents: Contents) -> str:
     """What ended a run before it was done, which is said before anything else; empty for one that was done."""
     if contents.manifest.interrupted:
         return "The run was interrupted; the same command goes on."
-    return "The time budget ended the run; a longer one goes on." if contents.manifest.stopped_by_time else ""
+    if contents.manifest.stopped_by_time:
+        return "The time budget ended the run; a longer one goes on."
+    accuracy, most = contents.results.accuracy, contents.resolved.analysis.budget.evaluations
+    late = bool(accuracy.missed) or any(row.met is False for row in accuracy.questions)
+    by_count = late and "evaluations" in accuracy.stopped_by.values()
+    return f"The budget of {most:,} evaluations ended the run; a larger one goes on." if by_count else ""
 
 
 def _of_run(contents: Contents) -> Iterator[Caution]:
@@ -289,10 +294,8 @@ def _of_run(contents: Contents) -> Iterator[Caution]:
         yield from _of_quantity(name, entry)
     late = [row for row in results.accuracy.questions if row.met is False]
     if missed := len(late) or len(results.accuracy.missed):
-        by_count = "evaluations" in results.accuracy.stopped_by.values()
-        ended = ": the budget of evaluations ended the run" if by_count and not cut_off(contents) else ""
         of_limits = any(row.quantity.startswith("limits.") for row in late)
-        text = f"{missed} numbers are less accurate than asked{ended}."
+        text = f"{missed} numbers are less accurate than asked."
         yield Caution(rank=_UNKNOWN if of_limits else _LEFT, text=text)
     for text in results.warnings:
         yield Caution(rank=_LEFT, nearer=1.0, text=text if text.endswith(".") else f"{text}.")

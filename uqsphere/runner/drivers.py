@@ -23,6 +23,7 @@ from uqsphere.uq.estimate import Estimate, absent, finite, from_replicates
 from uqsphere.uq.failure_indices import (
     explained_share,
     given_failure,
+    held_open,
     indicator_indices,
     score_gradients,
     specimens_for_probability,
@@ -192,6 +193,7 @@ def _indices(work: Work, limit: Limit, shared: Shared) -> Fields:
         if orders is not None:
             orders = np.asarray(without(orders.astype(float), failed)).astype(np.int64)
         found = shapley_estimates(design, chance, orders)
+        found = {order: held_open(row, chance, chance.shape[0] * count) for order, row in found.items()}
         nothing = refused("inputs depend on each other: read the Shapley effects")
         return {**nothing, **about, **named("shapley", **found), "kucherenko": named("first", "total", **found)}
     if tied or isinstance(limit.model_factor, Law):
@@ -199,7 +201,9 @@ def _indices(work: Work, limit: Limit, shared: Shared) -> Fields:
         return {**about, **named("first", "total", first=plain.first, total=plain.total)}
     if isinstance(limit.strength, Law):
         every = (*names, strength_name(limit.name))
-    return {"of": "missing the aim", **named("first", "total", **indicator_indices(chance))}
+    found = indicator_indices(chance)
+    found["total"] = held_open(found["total"], chance, chance.shape[0] * count)
+    return {"of": "missing the aim", **named("first", "total", **found)}
 
 
 def _scores(work: Work, subsets: SubsetDesign | None, count: int) -> Array:

@@ -8,12 +8,13 @@ where the budget has room for it, else by the runs that were made.  The others k
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import Accuracy, Cost, Course, Missed, campaign, cost_of, indices_missed, speed_rows_of
@@ -32,7 +33,7 @@ from uqsphere.runner.questions.probabilities import (
     with_surrogate_design,
 )
 from uqsphere.runner.remote import Watch
-from uqsphere.runner.schedule import ALONG, FIRST_SAMPLE, LEARNED, REPLICATES, SURROGATE
+from uqsphere.runner.schedule import ALONG, FIRST_SAMPLE, REPLICATES, SURROGATE, least_learned
 from uqsphere.runner.surrogate_answers import (
     Answers,
     answers_of,
@@ -203,35 +204,36 @@ class Surrogates:
 
     def answer(self) -> None:
         """Fit the runs, and answer with what may be used."""
+        self.responses = self.fitted()
+        self._ask()
+
+    def fitted(self, more: Sequence[tuple[Array, Array]] = ()) -> dict[str, Response]:
+        """Responses fitted to the runs and `more`: points (n, D) and answers (n, q), nan where there is none.
+
+        Those help to fit: the design's own runs, drawn by the law, correct and judge what was fitted.
+        """
         assert self.design is not None
-        work, d = self.work, len(self.work.scene_names)
-        points, drop = germ_points(self.design.scores[0, :, :d], work.germs), work.study.analysis.on_failure == "drop"
+        work, d, drop = self.work, len(self.work.scene_names), self.work.study.analysis.on_failure == "drop"
+        normals = np.concatenate([self.design.scores[0], *(scores for scores, _ in more)])
+        answers = np.concatenate([self.design.answers[0], *(values for _, values in more)])
+        points, own = germ_points(normals[:, :d], work.germs), np.arange(len(normals)) < self.size
+        lost = ~np.isfinite(answers.T)
+        lost[:, own] = [self.design.lost(quantity)[0] for quantity in work.quantities]
         made: dict[str, Response] = {}
-        lost = np.array([self.design.lost(quantity)[0] for quantity in work.quantities])
         for pattern in np.unique(lost, axis=0):
             # outputs that miss the same rows are fitted together
-            these = [k for k, own in enumerate(lost) if (own == pattern).all()]
+            these = [k for k, one in enumerate(lost) if (one == pattern).all()]
             known = ~pattern
-            if self.size >= SURROGATE.first <= 2 * int(known.sum()) and (drop or known.all()):
-                fitted = cross_fit(
-                    points[known], self.design.answers[0][known][:, these], work.germs, active=work.active
-                )
-                made |= dict(zip([work.quantities[k] for k in these], fitted, strict=True))
-        self.responses = {
-            quantity: replace(made[quantity], noise=self.noise.get(quantity, 0.0))
-            for quantity in work.quantities
-            if quantity in made
-        }
-        self._ask()
+            if self.size >= SURROGATE.first <= 2 * int(known[own].sum()) and (drop or known[own].all()):
+                found = cross_fit(points[known], answers[known][:, these], work.germs, active=work.active)
+                found = [one.of_rows(own[known]) for one in found] if more else found
+                made |= dict(zip([work.quantities[k] for k in these], found, strict=True))
+        return {q: replace(made[q], noise=self.noise.get(q, 0.0)) for q in work.quantities if q in made}
 
     def take(self, others: Mapping[str, Response]) -> None:
         """Answer with other responses, which more runs than the design's have helped to fit, where they leave less."""
         have = self.responses
-        better = {
-            quantity: replace(one, noise=self.noise.get(quantity, 0.0))
-            for quantity, one in others.items()
-            if quantity not in have or one.error < have[quantity].error
-        }
+        better = {q: one for q, one in others.items() if q not in have or one.error < have[q].error}
         if any(one.usable for one in better.values()):
             self.responses = {q: (have | better)[q] for q in self.work.quantities if q in have | better}
             self._ask()
@@ -371,18 +373,20 @@ class _End:
         margins, sections = surrogate_margins(
             work, self.question.usable, affordable - self._to_learn(known), self.design
         )
-        self.question.take(sections)
-        alone = self.question.alone
-        before = self.question.found.limits | alone.limits
+        self.question.take({q: replace(one, noise=self.question.noise.get(q, 0.0)) for q, one in sections.items()})
+        before = self.question.found.limits | self.question.alone.limits
         limits, learned = before, Learned(limits={})
         if self.course.stopped != "time":
             learned = learn_limits(work, limits, self.design)
+            if learned.rows:
+                self.question.take(self.question.fitted(learned.rows))
             limits = with_surrogate_design(work, learned.limits, self.question.demands(), affordable)
         if self.question.rough and self.course.stopped != "time":
             self._with_all_runs()
-            alone = answers_of_runs(work, blocks_of_runs(self.design), self.question.rough)
-            after = self.question.found.limits | alone.limits
-            limits |= {n: _sharpened(limits[n], before[n], one) for n, one in after.items() if one is not before[n]}
+            self.question.alone = answers_of_runs(work, blocks_of_runs(self.design), self.question.rough)
+        alone = self.question.alone
+        after = self.question.found.limits | alone.limits
+        limits |= {n: _sharpened(limits[n], before[n], one) for n, one in after.items() if one is not before[n]}
         work.tell(alone.errors(self.design.count, METHOD))
         found = self.question.found
         answers = found.descriptions | alone.descriptions
@@ -412,7 +416,8 @@ class _End:
         wanted = sum(
             learnable(self.work, one, limits[one.name]) for one in self.work.study.limits if one.name in limits
         )
-        return min(LEARNED.least * wanted, left // 2, max(left - min(margin_runs(self.work), ALONG.first), 0))
+        least = least_learned(len(self.work.drawn.names)) * wanted
+        return min(least, left // 2, max(left - min(margin_runs(self.work), ALONG.first), 0))
 
     def _with_all_runs(self) -> None:
         """Runs that no surrogate can use still sharpen what sampling says: as far as the budget goes."""

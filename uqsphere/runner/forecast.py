@@ -33,6 +33,7 @@ from uqsphere.runner.schedule import (
     LEARNED,
     LOOK,
     MANY,
+    MOST_LEARNED,
     PILOT,
     RARE,
     REPLICATES,
@@ -42,6 +43,7 @@ from uqsphere.runner.schedule import (
     TABLE,
     WAYS,
     WAYS_CURVE,
+    least_learned,
     more_to_come,
     pilot_points,
 )
@@ -411,22 +413,24 @@ def room_of(study: Study, way: Way) -> list[str]:
     """What the budget of an expensive model has room for beside its design, and what not, with the way out."""
     if not way.surrogate or not study.limits:
         return []
-    half, found = way.affordable // 2, []
+    # one run is made twice, to see whether the model answers alike
+    half, small, found = (way.affordable - 1) // 2, "small probabilities", []
+    variables = len(study.random) + sum(isinstance(limit.model_factor, Law) for limit in study.limits)
+    learns, least = variables < MOST_LEARNED, least_learned(variables)
     if _moves(study) and study.margins is not None:
-        least, path = ALONG.first + ALONG.least, study.margins.axis.path
+        fewest, path = ALONG.first + least_learned(variables + 1, looks=1) * learns, study.margins.axis.path
         found.append(
-            f"margins over {path}: up to {min(half, ALONG.most):,} evaluations, of which those are learned from that "
-            "tell most of a probability that no surrogate shows"
-            if half >= least
-            else f"margins over {path}: no room; raise analysis.budget to {2 * least} evaluations at least"
+            f"margins over {path}: up to {min(half, ALONG.most):,} evaluations"
+            + ", of which those are learned from that tell most of a probability that no surrogate shows" * learns
+            if half >= fewest
+            else f"margins over {path}: no room; raise analysis.budget to {2 * fewest + 1} evaluations at least"
         )
-    found.append(
-        f"small probabilities: {LEARNED.least} to {min(half, LEARNED.most)} evaluations for each limit that the design "
-        "does not show"
-        if half >= LEARNED.least
-        else f"small probabilities: bounds alone; raise analysis.budget to {2 * LEARNED.least} evaluations at least"
-    )
-    return found
+    if variables > MOST_LEARNED:
+        return [*found, f"{small}: bounds alone, since more than {MOST_LEARNED} variables are too many to learn them"]
+    if half < least:
+        return [*found, f"{small}: bounds alone; raise analysis.budget to {2 * least + 1} evaluations at least"]
+    most = min(half, LEARNED.most)
+    return [*found, f"{small}: {least} to {most} evaluations for each limit that the design does not show"]
 
 
 # --- What a run will cost, estimated before anything heavy is loaded.

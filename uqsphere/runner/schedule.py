@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from uqsphere.study.document import FURTHER
+from uqsphere.uq.rare import LOOKS
 
 if TYPE_CHECKING:
     from uqsphere.study import Study
@@ -78,11 +79,12 @@ SLIDERS: Final = Schedule(first=2048, least=512, share=1 / 16)
 SURROGATE: Final = Schedule(first=32, least=8, judged=128, most=1024)
 #: inputs from which on `auto` begins with a screening of a black box
 MANY: Final = 50
-#: calls of an expensive model for one limit whose probability its design does not show: worth a beginning, and the most
-LEARNED: Final = Schedule(least=30, most=200)
-#: its runs over inputs and a free scalar: the fewest that a curve is drawn from, calls beside them that are worth a
-#: beginning, and the most runs
-ALONG: Final = Schedule(first=32, least=16, most=256)
+#: calls of an expensive model for one limit whose probability its design does not show, at the most
+LEARNED: Final = Schedule(most=200)
+#: variables of a limit that is learned, at the most: in more a Gaussian process does not follow it by so few calls
+MOST_LEARNED: Final = 10
+#: its runs over inputs and a free scalar: the fewest that a curve is drawn from, and the most
+ALONG: Final = Schedule(first=32, most=256)
 
 
 def pilot_points(budget: int) -> int:
@@ -92,6 +94,15 @@ def pilot_points(budget: int) -> int:
     [8, 64, 512, 512]
     """
     return min(PILOT.first, 1 << max(3, int(budget * PILOT.share).bit_length() - 1))
+
+
+def least_learned(variables: int, looks: int = LOOKS) -> int:
+    """Calls that learning takes beside runs that are known: its first points, two more than variables, and its looks.
+
+    >>> least_learned(5), least_learned(6, looks=1)
+    (22, 14)
+    """
+    return variables + 2 + looks * variables
 
 
 def more_to_come(study: Study) -> bool:

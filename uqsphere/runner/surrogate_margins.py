@@ -26,12 +26,11 @@ from uqsphere.runner.limits import SEEN, state_of
 from uqsphere.runner.questions.curves import asked_probabilities
 from uqsphere.runner.questions.margins import MarginAnswer, unmoved_margins
 from uqsphere.runner.questions.probabilities import (
-    MOST_VARIABLES,
     LimitSpace,
     limit_space,
     tied_strength,
 )
-from uqsphere.runner.schedule import ALONG
+from uqsphere.runner.schedule import ALONG, MOST_LEARNED, least_learned
 from uqsphere.study import Axis, Limit
 from uqsphere.uq.curve import Fragility, fit_lognormal_curve, fragility
 from uqsphere.uq.estimate import Estimate, absent
@@ -176,7 +175,7 @@ def _of_scalar(work: Work, limit: Limit, one: Response, steps: bool) -> _Exceedi
 def _over_scalar(work: Work, affordable: int, design: Sample) -> _Wide:
     """Runs over inputs and free scalar together, and the surrogates of all quantities fitted to them and the design.
 
-    Half of the room at first, and all of it where every surrogate can use more.
+    Half of the room at first, and all where every surrogate can use more, but for what it takes to begin to learn.
     """
     axis, wide = axis_of(work), _begun(work, design)
     room = min(ALONG.most, affordable - work.ledger.total)
@@ -184,9 +183,10 @@ def _over_scalar(work: Work, affordable: int, design: Sample) -> _Wide:
         reason = f"not searched for: a design over {axis.path} takes {ALONG.first} to {ALONG.most} more evaluations"
         return replace(wide, reason=reason)
     count = max(ALONG.first, 2 ** int(math.log2(room / 2)))
-    while count <= room:
+    most, learned = room, least_learned(len(work.drawn.names) + 1, looks=1)
+    while count <= most:
         wide = _wider(work, wide, count)
-        count *= 2
+        count, most = 2 * count, room - learned
         if wide.reason or not all(wide.responses[limit.quantity].usable for limit in work.study.limits):
             break
     return wide
@@ -263,11 +263,11 @@ def evaluate_along(work: Work, key: str, normals: Array, values: Array) -> Answe
 def _learned(work: Work, limit: Limit, wide: _Wide, room: int, before: MarginAnswer | None) -> MarginAnswer:
     """The values that no surrogate gives, each learned with an equal part of the room; the others as they were."""
     axis = axis_of(work)
-    if len(work.drawn.names) >= MOST_VARIABLES or tied_strength(work, limit) or not wide.runs:
+    if len(work.drawn.names) >= MOST_LEARNED or tied_strength(work, limit) or not wide.runs:
         return before or _nothing(f"{limit.quantity} has no surrogate over {axis.path}, and cannot be learned")
     targets = [p for p in asked_probabilities(work, limit) if before is None or before.values[p].value is None]
-    if room < ALONG.least:
-        said = f"it takes {ALONG.least} evaluations more at least to learn where {limit.name} has them"
+    if room < (least := least_learned(len(work.drawn.names) + 1, looks=1)):
+        said = f"it takes {least} evaluations more at least to learn where {limit.name} has them"
         return before or _nothing(f"{limit.quantity} has no surrogate over {axis.path}: {said}")
     space = limit_space(work, limit, work.study.limits.index(limit))
     inner = LimitFunction(function=_along(work, space), dimension=len(work.drawn.names) + 1,

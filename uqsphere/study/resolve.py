@@ -226,7 +226,9 @@ def _kind(data: Mapping[str, Raw], findings: Findings) -> bool | None:
     if isinstance(model, Mapping) and set(model) <= {"stochastic"}:
         parts.remove("model")
     for name in parts:
-        findings.add((name,), f"[{name}] belongs to a scene, and [{black[0]}] to a black box: leave one of them out")
+        own = "; a function, program or server is named with --model" if name == "model" else ""
+        text = f"[{name}] belongs to a scene, and [{black[0]}] to a black box: leave one of them out{own}"
+        findings.add((name,), text)
     return None if parts else True
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import Final
 
@@ -95,6 +95,23 @@ def indicator_indices(probabilities: Array) -> dict[str, list[Estimate]]:
         }
     idle = from_replicates(np.zeros(t.shape[0]), "a fixed strength", t.size)
     return {"first": [*first, idle], "total": [*total, idle]}
+
+
+def held_open(estimates: Sequence[Estimate], probabilities: Array, pairs: int) -> list[Estimate]:
+    """Indices of failures that are counted, 0 or 1, with intervals that reach as far as a change that no pair showed.
+
+    So many independent pairs of runs without one leave the probability c of a change below 1 - 0.05^(1/pairs), and an
+    index below c/(2 p (1 - p)).  What is integrated shows changes of any size.
+
+    >>> never = Estimate(value=0.0, low=0.0, high=0.0, std_error=0.0, method="", evaluations=0)
+    >>> round(held_open([never], np.array([0.0, 1.0]), 1000)[0].high, 4)
+    0.006
+    """
+    p = float(probabilities.mean())
+    if np.any((probabilities > 0.0) & (probabilities < 1.0)) or not 0.0 < p < 1.0:
+        return list(estimates)
+    least = min((1.0 - 0.05 ** (1.0 / pairs)) / (2.0 * p * (1.0 - p)), 1.0)
+    return [replace(e, high=max(e.high, least)) if e.high is not None else e for e in estimates]
 
 
 def explained_share(probabilities: Array) -> Estimate:

@@ -406,21 +406,21 @@ def within_rows(
     inputs = [j for j in active_inputs(fit) if along is None or j in along]
     if not inputs:
         return None
-    low, high = response.points.min(axis=0), response.points.max(axis=0)
-    inside = np.array(points)
-    inside[:, inputs] = np.clip(points[:, inputs], low[inputs], high[inputs])
-    rows = np.flatnonzero((inside != points).any(axis=1))
+    low, high = response.points.min(axis=0)[inputs], response.points.max(axis=0)[inputs]
+    beyond = [(points[:, j] < a) | (points[:, j] > b) for j, a, b in zip(inputs, low, high, strict=True)]
+    rows = np.flatnonzero(np.any(beyond, axis=0))
     if fit.constant or not rows.size or not response.error > 0.0:
         return None
-    degrees = fit.multi_indices.max(axis=0)
-    ranges = np.maximum(high - low, 1e-9)
-    away = np.maximum(np.abs(2.0 * points[rows] - low - high) / ranges, 1.0)[:, inputs]
-    grown = np.cosh(np.minimum(degrees[inputs] * np.arccosh(away), 700.0)).max(axis=1)
+    inside, degrees = points[rows], fit.multi_indices.max(axis=0)[inputs]
+    there = inside[:, inputs]
+    inside[:, inputs] = np.clip(there, low, high)
+    away = np.maximum(np.abs(2.0 * there - low - high) / np.maximum(high - low, 1e-9), 1.0)
+    grown = np.cosh(np.minimum(degrees * np.arccosh(away), 700.0)).max(axis=1)
     shares = np.minimum(GROWING * math.sqrt(response.error) * grown, 1.0)
     if shares.max() <= 1e-9:
         return None
     answer = np.array(values)
-    answer[rows] += shares * (predict(fit, inside[rows]) - answer[rows])
+    answer[rows] += shares * (predict(fit, inside) - answer[rows])
     return answer
 
 
@@ -691,21 +691,26 @@ def _drawn_shares(response: Response, fold: int, asked: Sequence[Subset], seed: 
         mixed = one.copy()
         mixed[:, list(subset)] = other[:, list(subset)]
         where.append(mixed)
-    points = np.concatenate(where)
+    points = np.asfortranarray(np.concatenate(where))  # one input is looked at after the other
     plain = predict(fit, points)
     drawn = [within_rows(response, fit, points, plain, [j]) for j in range(len(fit.germs))]
-    if all(values is None for values in drawn):
-        return np.zeros((len(drawn), len(asked)))
-    every = np.array([plain, *(plain if values is None else values for values in drawn)])
-    every = every.reshape(len(every), len(where), -1) / (float(np.abs(every).max()) or 1.0)
-    every -= every[:, :2].mean(axis=(1, 2), keepdims=True)
-    f, g, mixes = every[:, :1], every[:, 1:2], every[:, 2:]
-    variance = np.mean(every[:, :2] ** 2, axis=(1, 2))[:, None]
-    closed, total = np.mean(g * (mixes - f), axis=2) / variance, 0.5 * np.mean((f - mixes) ** 2, axis=2) / variance
-    at, columns = {subset: k for k, subset in enumerate(subsets)}, []
-    for part_of in asked:
-        known = [closed[:, at[j,]] for j in part_of.members if (j,) in at]
-        own = (total if part_of.kind == "total" else closed)[:, at[part_of.members]] if known else np.zeros(len(every))
-        columns.append(own - sum(known) if part_of.kind == "exact" else own)
-    table = np.stack(columns, axis=1)
-    return np.asarray(table[1:] - table[0])
+    unit = float(np.abs(plain).max()) or 1.0
+    own = _shares_of(plain / unit, subsets, asked)
+    return np.array([0.0 * own if values is None else _shares_of(values / unit, subsets, asked) - own
+                     for values in drawn])  # fmt: skip
+
+
+def _shares_of(values: Array, subsets: Sequence[tuple[int, ...]], asked: Sequence[Subset]) -> Array:
+    """Shares (m,) by values on two designs and on the second one mixed into the first in each of the subsets."""
+    lines = values.reshape(2 + len(subsets), -1)
+    lines = lines - lines[:2].mean()
+    f, g, mixes = lines[0], lines[1], lines[2:]
+    variance = np.mean(lines[:2] ** 2)
+    away = mixes - f
+    closed, total = np.mean(g * away, axis=1) / variance, 0.5 * np.mean(away**2, axis=1) / variance
+    at, found = {subset: k for k, subset in enumerate(subsets)}, np.zeros(len(asked))
+    for m, one in enumerate(asked):
+        known = [closed[at[j,]] for j in one.members if (j,) in at]
+        share = float((total if one.kind == "total" else closed)[at[one.members]]) if known else 0.0
+        found[m] = share - sum(known) if one.kind == "exact" else share
+    return found

@@ -27,7 +27,7 @@ from uqsphere.runner.campaign import MISS_KIND, Accuracy, Cost, Missed, campaign
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points
 from uqsphere.runner.limits import LimitAnswer, limits_missed, takes_over
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.runner.schedule import DESIGN_POINT, LEARNED, RARE, more_to_come
+from uqsphere.runner.schedule import DESIGN_POINT, LEARNED, MOST_LEARNED, RARE, least_learned, more_to_come
 from uqsphere.study import Limit
 from uqsphere.study.axis import strength_name
 from uqsphere.uq.estimate import Estimate
@@ -43,8 +43,6 @@ if TYPE_CHECKING:
     from uqsphere.uq.rare.active import ActiveAnswer
 
 METHOD: Final = "importance sampling"
-#: variables up to which a Gaussian process can follow a limit
-MOST_VARIABLES: Final = 10
 #: evaluations of a surrogate for a design point
 ON_SURROGATE: Final = 4000
 #: a design point stands where model and surrogate differ by at most so many of its residuals' scatter,
@@ -73,7 +71,8 @@ Demand = Callable[[Array], Array]
 class LimitSpace:
     """A limit in standard normal space: its function, and what it takes to come back.
 
-    `value` makes that of points (n, d), the quantity there and whether it is only known to be larger.
+    `value` makes that of points (n, d), the quantity there and whether it is only known to be larger.  `asked` are the
+    points that the model was asked for so far, and all its answers (n, q) there, nan where it gave none.
     """
 
     limit: Limit
@@ -81,6 +80,7 @@ class LimitSpace:
     value: Callable[[Array, Array, Flags], Array]
     weights: Array
     remaining: float
+    asked: list[tuple[Array, Array]] = field(default_factory=list)
 
     @property
     def own(self) -> float:
@@ -228,7 +228,7 @@ def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Arr
         weights, remaining = work.all_inputs.regression(strength_name(limit.name), names)
     factor = names.index(f"limits.{limit.name}.model_factor") if isinstance(limit.model_factor, Law) else None
     fixed = 1.0 if isinstance(limit.model_factor, Law) else limit.model_factor
-    calls = iter(range(10**9))
+    asked: list[tuple[Array, Array]] = []
 
     def value_of(normals: Array, quantity: Array, censored: Flags) -> Array:
         from scipy.special import ndtr
@@ -255,14 +255,16 @@ def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Arr
             return value_of(normals, demand(normals[:, :d]), np.zeros(len(normals), dtype=bool))
         # one evaluation stands for all rows where only model factors and strengths scatter
         rows = work.drawn.physical(normals)[: None if d else 1, :d]
-        answered = evaluate_points(work, f"rare-events.{at}.{next(calls)}", work.scene_names, rows)
-        quantity = np.where(is_answered(answered.status), answered.values[:, k], np.nan)
-        return value_of(normals, np.resize(quantity, len(normals)), np.resize(answered.censored[:, k], len(normals)))
+        answered = evaluate_points(work, f"rare-events.{at}.{len(asked)}", work.scene_names, rows)
+        values = np.where(is_answered(answered.status)[:, None], answered.values, np.nan)
+        asked.append((normals[: len(rows)], values))
+        late = np.resize(answered.censored[:, k], len(normals))
+        return value_of(normals, np.resize(values[:, k], len(normals)), late)
 
     function = LimitFunction(
         function=g, dimension=len(names), integrated=isinstance(limit.strength, Law), on_failure="bound"
     )
-    return LimitSpace(limit=limit, function=function, value=value_of, weights=weights, remaining=remaining)
+    return LimitSpace(limit=limit, function=function, value=value_of, weights=weights, remaining=remaining, asked=asked)
 
 
 # --- answers --------------------------------------------------------------------------------------
@@ -372,10 +374,11 @@ def find_design(work: Work, limit: Limit) -> DesignFound | str:
 
 @dataclass(frozen=True, kw_only=True)
 class Learned:
-    """Limits with what was learned of them, and calls by limit."""
+    """Limits with what was learned of them, calls by limit, and all points and answers (`LimitSpace.asked`)."""
 
     limits: dict[str, LimitAnswer]
     calls: dict[str, int] = field(default_factory=dict)
+    rows: list[tuple[Array, Array]] = field(default_factory=list)
 
 
 def learnable(work: Work, limit: Limit, answer: LimitAnswer) -> bool:
@@ -386,7 +389,7 @@ def learnable(work: Work, limit: Limit, answer: LimitAnswer) -> bool:
     if not takes_over(work, answer) or answer.beneath("miss") or tied_strength(work, limit):
         return False
     open_ = answer.accuracy_missed("miss", work.study.analysis.accuracy.probability)
-    return bool(open_) and len(work.drawn.names) <= MOST_VARIABLES
+    return bool(open_) and len(work.drawn.names) <= MOST_LEARNED
 
 
 def reserve(work: Work, limits: Mapping[str, LimitAnswer], affordable: int) -> int:
@@ -398,28 +401,28 @@ def reserve(work: Work, limits: Mapping[str, LimitAnswer], affordable: int) -> i
 
 def learn_limits(work: Work, limits: Mapping[str, LimitAnswer], design: Sample) -> Learned:
     """The limits, with active learning where one design was not enough and the budget has room; its runs are known."""
-    calls: dict[str, int] = {}
+    found = Learned(limits=dict(limits))
     todo = [(at, limit) for at, limit in enumerate(work.study.limits) if learnable(work, limit, limits[limit.name])]
     question = SmallProbabilities(
-        work=work, limits=dict(limits), todo=todo, go_on=partial(_learn, replace(work, spare=True), design, calls)
+        work=work, limits=found.limits, todo=todo, go_on=partial(_learn, replace(work, spare=True), design, found)
     )
     if campaign(work, question).stopped == "time" and question.todo:
         name = question.todo[0][1].name
         text = "active learning was cut off: the time was over, or the run was stopped"
         question.limits[name] = question.limits[name].with_check(text)
-    return Learned(limits=question.limits, calls=calls)
+    return found
 
 
 def _learn(
-    work: Work, design: Sample, counted: dict[str, int], at: int, limit: Limit, answer: LimitAnswer, room: float
+    work: Work, design: Sample, found: Learned, at: int, limit: Limit, answer: LimitAnswer, room: float
 ) -> tuple[LimitAnswer, list[SpeedRow]]:
-    """A limit followed by a Gaussian process where it is; `counted` takes the calls down."""
+    """A limit followed by a Gaussian process where it is; `found` takes down the calls and what they gave."""
     from uqsphere.uq.rare.active import METHOD as ACTIVE
     from uqsphere.uq.rare.active import learn_probability
 
-    calls = int(min(LEARNED.most, room))
-    if calls < LEARNED.least:
-        text = f"active learning was not begun: it takes {LEARNED.least} evaluations at least, {LEARNED.most} at most"
+    calls, least = int(min(LEARNED.most, room)), least_learned(len(work.drawn.names))
+    if calls < least:
+        text = f"active learning was not begun: it takes {least} evaluations at least, {LEARNED.most} at most"
         return answer.with_check(text), []
     space, asked = limit_space(work, limit, at), work.study.analysis.accuracy.probability
     learned = learn_probability(
@@ -435,7 +438,8 @@ def _learn(
     if learned.design is not None:
         # the process has runs of the model all about its design point
         updated = with_design(work, updated, learned.design, space)
-    counted[limit.name] = learned.calls
+    found.calls[limit.name] = learned.calls
+    found.rows.extend(space.asked)
     if not learned.estimate.value:
         return updated, []
     error = learned.estimate.half_width / learned.estimate.value

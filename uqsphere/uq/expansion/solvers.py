@@ -177,7 +177,7 @@ def forward_selection(task: Task) -> Path:
     basis = task.basis
     most = max(min(task.most, basis.shape[0]), 1)
     lanes = _Lanes(task, most)
-    least = _DEPENDENT * lanes.norms
+    least = np.maximum(_DEPENDENT * lanes.norms, 1e-300)
     left = lanes.norms.copy()  # square norms of the rows beyond the span of those taken
     correlations = lanes.residuals @ basis.T
     every = np.arange(lanes.masks.shape[0])

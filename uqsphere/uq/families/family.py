@@ -110,7 +110,7 @@ class Distances:
     drawn: Callable[[Parameters, Array, int, np.random.Generator], Columns] | None = None
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Family:
     """A family of laws.
 
@@ -181,6 +181,9 @@ class Family:
     strength: Strength | None = None
     tried: Distances | None = None
     kin: str = ""
+
+    def __repr__(self) -> str:
+        return f"<family {self.name}>"
 
     @property
     def keys(self) -> tuple[str, ...]:

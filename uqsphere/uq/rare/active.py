@@ -33,6 +33,7 @@ from scipy.special import ndtr, ndtri
 from uqsphere.arrays import Array
 from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.points import sobol_points
+from uqsphere.uq.rare import LOOKS
 from uqsphere.uq.rare.auto import find_probability
 from uqsphere.uq.rare.form import FormAnswer
 from uqsphere.uq.rare.importance import wide_mixture
@@ -50,28 +51,32 @@ from uqsphere.uq.rare.kriging import (
 from uqsphere.uq.rare.mixture import Component, Mixture, allocate, draw_mixture, joined, log_density
 from uqsphere.uq.rare.problem import REACH, Evaluator, LimitFunction, Spent, log_normal_density
 
-#: the process is fitted again once its points have grown by so much; candidates, and those that the variance is of
+# Constants that no formula gives were halved and doubled on public problems (docs/validation.md, "Few calls";
+# `python -m tests.campaigns.rare --few --set NAME=VALUE`).
+#: the process is fitted again once its points have grown by so much: six fits double them.  Candidates choose the next
+#: call and tell the doubt, which bears chance (the answer has points of its own); those that its variance is of
 GROWTH, CANDIDATES, NEAREST = 1.12, 6000, 600
 #: terms of the tetrachoric series: the fourth is below a tenth of the first
 TERMS = 4
-#: first points at least, three for each variable; of points that are known already, the most that are used
+#: first points at least, three for each variable; of points that are known already, the most that are used: the cube
+#: of their number is what a step costs
 FIRST, MOST_KNOWN = 10, 128
 #: values over their median where great ones begin to be pulled in; the likelihood says whether they are
 SQUEEZE = 0.5
-#: calls in a row that have to leave it sure enough
+#: calls in a row that have to leave it sure enough: one may be luck
 CALM = 2
-#: looks at untouched space for every variable, before the process is believed, and calls between two of them
-LOOKS, BETWEEN = 3, 4
-#: chosen points that tell how far off the process is, and how many right ones it is taken to have had before
+#: calls between two looks at untouched space
+BETWEEN = 4
+#: chosen points that tell how far off the process is: its scatter is known to 1/sqrt(2 · 16), 18 %; and how many right
+#: ones it is taken to have had before
 RECENT, TRUSTED = 16, 4
-#: factor on the process's standard deviations, which take its lengths for known: with it 95 % of the intervals hold on
-#: public problems (docs/validation.md, "Few calls")
+#: factor on the process's standard deviations, which take its lengths for known: with it 95 % of the intervals hold
 SAFE = 2.0
-#: values of a free scalar where a probability that is asked for is looked for
+#: values of a free scalar between which the logarithm of a probability is taken for straight, 0.375 of a score apart
 STEPS = 17
-#: candidates nearer to a point without an answer are not asked for again
+#: candidates nearer to a point without an answer than this, in normal scores, are not asked for again
 LOST = 0.3
-#: doubt that is said to be more than the answer can bear
+#: doubt from which on the interval is more than a factor 1.5 to either side, exp(1.96 · 0.2)
 DOUBT = 0.2
 METHOD = "active learning, Gaussian process"
 

@@ -16,11 +16,14 @@ import numpy as np
 
 from uqsphere.arrays import Array
 
-#: noise over the variance of the process: what rounding leaves of a smooth model
+# What no formula gives was halved and doubled as the constants of `active`.
+#: noise over the variance of the process: the root of 2e-16, rounding, is 1.5e-8; so little leaves a factor of 128
+#: points positive
 _NUGGET = 1e-9
 #: squared distance from the origin at which the trend is as strong as there: three standard deviations
 _FAR = 9.0
-#: where logarithms of lengths and of the trend's weight may lie, and where they are taken to lie before the data speak
+#: where logarithms of lengths and of the trend's weight may lie, and where they are taken to lie before the data speak:
+#: lengths from a fortieth of the surroundings, six scores, to ten times these; weights from none to all
 _LENGTHS, _TREND = (math.log(0.15), math.log(60.0), math.log(4.0)), (math.log(1e-3), math.log(1e5), math.log(10.0))
 #: weight of that belief, as a multiple of the squared logarithm
 _BELIEF = 0.05
