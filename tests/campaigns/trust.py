@@ -871,10 +871,11 @@ def scale_trials(seed: int, place: Path) -> Trial:
 
 def _command(line: str, place: Path) -> Outcome:
     """A line of the shell, `uqsphere` in it."""
-    line, began = line.replace("uqsphere", f"{sys.executable} -m uqsphere"), time.monotonic()
+    line, began = line.replace("uqsphere", f"{sys.executable} -m uqsphere"), os.times()
     done = subprocess.run(["bash", "-c", line], cwd=place, capture_output=True, text=True, check=False,
                           timeout=PATIENCE)  # fmt: skip
-    return Outcome(code=done.returncode, out=done.stdout, err=done.stderr, seconds=time.monotonic() - began)
+    seconds = sum(os.times()[2:4]) - sum(began[2:4])  # of the processor, those of children
+    return Outcome(code=done.returncode, out=done.stdout, err=done.stderr, seconds=seconds)
 
 
 def model_trials(seed: int, place: Path) -> Trial:
