@@ -223,7 +223,7 @@ def test_small_probabilities_keep_their_digits() -> None:
     states = [constant(-8.0), constant(-7.5)]
     union = make_union(states, np.eye(2), np.random.default_rng(0))
     p, q = ndtr(-8.0), ndtr(-7.5)
-    assert exceedance(union_state(union)).value == pytest.approx(p + q - p * q, rel=1e-9)
+    assert exceedance(union_state(union)).value == pytest.approx(p + q - p * q, rel=1e-9, abs=0.0)
 
 
 def test_shared_demand_against_numerical_integration() -> None:
