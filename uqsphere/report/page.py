@@ -203,7 +203,7 @@ def build_report(folder: Path, threads: int | None = None) -> Path:
 def _build(folder: Path, contents: Contents, threads: int | None) -> Path:
     """The figures and the page, in the units of the run; half of the chapters on another processor."""
     parts = CHAPTERS if "" in contents.parts else ()
-    half = len(parts) // 2
+    half = (len(parts) + 1) // 2
     with aside(lambda: _drawn(build_chapters(contents, parts[half:])), copied=may_copy(threads)) as later:
         front = _drawn([*service_chapters(contents), *build_chapters(contents, parts[:half])])
         shown = _shown(contents)

@@ -27,6 +27,7 @@ from uqsphere.runner.forecast import JUDGED
 from uqsphere.runner.kept import keep_data, named_files, write_sums
 from uqsphere.runner.sliders import save_sliders
 from uqsphere.runner.verdict import Judged, find_unsure, gather, judge
+from uqsphere.runner.workers import aside, may_copy
 from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.study import Study
 from uqsphere.study.axis import limit_of
@@ -211,9 +212,11 @@ def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None
     )
     store.take_over()
     save_points(work, store, found.sampled.sample)
-    save_courses(work, store, found.sampled.sample)
-    save_sliders(work, store, found.evidence, found.margins)
-    results = build_results(work, found, plan)
+    copied = not work.study.black_box and may_copy(work.threads)
+    with aside(lambda: save_courses(work, store, found.sampled.sample), copied=copied) as courses:
+        save_sliders(work, store, found.evidence, found.margins)
+        results = build_results(work, found, plan)
+        courses()
     further = further_rows(results)
     results = results.model_copy(update={"speed_error": (*results.speed_error, *(row for _, row in further))})
     ends = [ledger.seconds.get(part, ledger.elapsed) for part, _ in further]
