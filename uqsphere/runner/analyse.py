@@ -30,7 +30,7 @@ from uqsphere.runner.questions.margins import find_margins, judge_answers
 from uqsphere.runner.questions.probabilities import refine_limits
 from uqsphere.runner.questions.shapley import share_variance
 from uqsphere.runner.results import finish, finish_bare, judged_ways, told_early
-from uqsphere.runner.workers import aside, may_copy, processors
+from uqsphere.runner.workers import aside, may_copy
 from uqsphere.store import Store
 
 #: share of the budget that may be spent, with the most that margins and fracture take, for these to be answered beside
@@ -147,8 +147,7 @@ def _side_by_side(work: Work, store: Store, found: Findings, first: Analyses | N
     base, copied = deepcopy(work.ledger), may_copy(work.threads)
     side, own = replace(work, ledger=deepcopy(base)), work.within(work.study.analysis.budget.evaluations - reserved)
     if copied:
-        each = max(1, (processors() if work.threads is None else work.threads) // 2)
-        side, own = replace(side, threads=each, progress=None, reached=None), replace(own, threads=each)
+        side = replace(side, progress=None, reached=None)
     with aside(lambda: (_breaking(side, found.sampled, None), side.ledger), copied=copied) as broken:
         shared = _sharing(own, told_early(own, judged_ways(own, found)), None, first)
         breaking, spent = broken()

@@ -43,7 +43,6 @@ from uqsphere.store import csv_text, write_outputs
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from uqsphere.mechanics.gauges import GaugeRecord
     from uqsphere.mechanics.history import Balance, History
@@ -222,15 +221,6 @@ def _balance_finding(balance: Balance) -> str:
         dents = ", ".join(f"{1e6 * float(d):.2g} µm" for d in balance.dent[:, -1] if d > 0.0)
         text += f" and {100.0 * plastic / given:.2g} % is plastic; dents of {dents} stay"
     return text + "."
-
-
-def _record_label(figure: Figure, axes: Axes, history: History, factor: float, unit: str) -> None:
-    text = f"grey: after the record, which ends at {history.record_end * factor:.4g} {unit}"
-    if history.changes:
-        text += ";  dotted: contact lost,  dash-dotted: found again"
-    if history.record_end >= history.horizon and not history.changes:
-        text = f"in contact up to the end of the record at {history.record_end * factor:.4g} {unit}"
-    figure.suptitle(text, x=0.02, ha="left", fontsize=8.5)
 
 
 def _peaks(axes: Axes, history: History, factor: float) -> None:
