@@ -170,10 +170,11 @@ def _products(z: Array, degrees: Degrees) -> Array:
     """Products (n, T) of normed Hermite polynomials of the columns of z."""
     found = np.ones((len(z), len(degrees)))
     for k in range(z.shape[1]):
-        highest = int(degrees[:, k].max(initial=0))
-        if highest:
+        terms = np.flatnonzero(degrees[:, k])  # in sparse bases few of them have any one input
+        if len(terms):
+            highest = int(degrees[:, k].max())
             norm = np.sqrt([math.factorial(degree) for degree in range(highest + 1)])
-            found *= (np.polynomial.hermite_e.hermevander(z[:, k], highest) / norm)[:, degrees[:, k]]
+            found[:, terms] *= (np.polynomial.hermite_e.hermevander(z[:, k], highest) / norm)[:, degrees[terms, k]]
     return found
 
 
