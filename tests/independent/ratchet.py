@@ -89,10 +89,10 @@ def _pulse(breaks: Array, cubics: Array, frequency: float, piece: int, t: float)
 
 
 @numba.njit(cache=True)
-def _returning(t: float, inside: float, starts: Array, lengths: Array, waves: Array, bar: int, from_: int) -> float:
+def _returning(t, inside, starts, lengths, waves, bar, from_, count):
     """The wave that left a face at t, read on the step that `inside` lies in; from_: a step at or before it."""
     n = from_
-    while starts[n] + lengths[n] < inside:
+    while n < count - 1 and starts[n] + lengths[n] < inside:
         n += 1
     theta = (t - starts[n]) / lengths[n]
     top, bottom = 0.0, 0.0
@@ -108,13 +108,13 @@ def _returning(t: float, inside: float, starts: Array, lengths: Array, waves: Ar
 
 @numba.njit(cache=True)
 def _rates(t, middle, y, out, push, mu, faces, breaks, cubics, frequency, piece, trips, ends, starts, lengths, waves,
-           from_):  # fmt: skip
+           from_, count):  # fmt: skip
     push[0], push[1] = _pulse(breaks, cubics, frequency, piece, t), 0.0
     for bar in range(2):
         if ends[bar] != 0.0 and middle > trips[bar]:
             left = t - trips[bar]
             inside = left + 1e-9 * (middle - t)
-            push[bar] += ends[bar] * _returning(left, inside, starts, lengths, waves, bar, from_[bar])
+            push[bar] += ends[bar] * _returning(left, inside, starts, lengths, waves, bar, from_[bar], count)
     q1, q2 = _force(faces[0], y[0]), _force(faces[1], y[1])
     out[0] = 2.0 * push[0] - q1 - y[2]
     out[1] = y[2] - q2 - 2.0 * push[1]
@@ -143,9 +143,11 @@ def _march(mu, faces, breaks, cubics, frequency, trips, ends, jumps, record, rto
     h, stages, push = 1e-6, np.zeros((16, 3)), np.zeros(2)
     new, found, rate, dense = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((7, 3))
     from_, scale, peak, piece = np.zeros(2, dtype=np.int64), np.zeros(3), 0.0, 0
-    stuck, forced = 0, -1.0
+    forced = -1.0
     scale[0], scale[1], scale[2] = 1e-4, 1e-4, 1e-4
-    while n < kept:
+    for _ in range(20 * kept):
+        if n == kept:
+            break
         stop = jumps[at_jump] if at_jump < len(jumps) else record
         h = min(h, min(trips[0], trips[1]))
         if forced > 0.0:
@@ -161,7 +163,7 @@ def _march(mu, faces, breaks, cubics, frequency, trips, ends, jumps, record, rto
             if ends[bar] != 0.0 and middle > trips[bar]:
                 while from_[bar] + 1 < n and starts[from_[bar] + 1] <= t - trips[bar]:
                     from_[bar] += 1
-        rest = (mu, faces, breaks, cubics, frequency, piece, trips, ends, starts, lengths, waves, from_)
+        rest = (mu, faces, breaks, cubics, frequency, piece, trips, ends, starts, lengths, waves, from_, n)
         _rates(t, middle, y, stages[0], push, *rest)
         turned = False
         for k in range(2):
@@ -172,9 +174,6 @@ def _march(mu, faces, breaks, cubics, frequency, trips, ends, jumps, record, rto
                 _turn(face, y[k])
                 turned = True
         if turned:
-            stuck += 1
-            if stuck > 50:
-                return n, t, -1, -2
             continue
         for s in range(1, 13):
             for i in range(3):
@@ -262,7 +261,6 @@ def _march(mu, faces, breaks, cubics, frequency, trips, ends, jumps, record, rto
             waves[n, 0, i], waves[n, 1, i] = push[0] - q1, q2 + push[1]
             peak = max(peak, max(q1, q2))
         n += 1
-        stuck = 0
         t = stop if last else t + h
         for i in range(3):
             y[i] = new[i]
@@ -332,31 +330,36 @@ def _met(face: Array, x: float, rate: float) -> bool:
 
 @numba.njit(cache=True)
 def _at(series, laws, n, theta, out):
-    """Largest force, difference and stored energy at theta of step n."""
+    """Largest force, difference, stored energy and both approaches at theta of step n."""
     _dense(series[n, 1:], series[n, 0], theta, out)
     q1, q2 = _force(laws[n, 0], out[0]), _force(laws[n, 1], out[1])
-    return max(q1, q2), abs(q1 - q2), _stored(laws[n, 0], out[0]) + _stored(laws[n, 1], out[1])
+    return max(q1, q2), abs(q1 - q2), _stored(laws[n, 0], out[0]) + _stored(laws[n, 1], out[1]), out[0], out[1]
+
+
+@numba.njit(cache=True)
+def _top(series, laws, n, kind, look, out):
+    """The largest of one of these around a look, by golden sections."""
+    low, high, best = max(0.0, (look - 1.0) / LOOKS), min(1.0, (look + 1.0) / LOOKS), -math.inf
+    for _ in range(40):
+        one, two = low + 0.382 * (high - low), low + 0.618 * (high - low)
+        first, second = _at(series, laws, n, one, out)[kind], _at(series, laws, n, two, out)[kind]
+        low, high = (low, two) if first > second else (one, high)
+        best = max(best, max(first, second))
+    return best
 
 
 @numba.njit(cache=True)
 def _tops(series, laws, count):
     """Largest force, difference and energy of all steps."""
-    best, out = np.zeros(3), np.zeros(3)
+    best, out, seen = np.zeros(3), np.zeros(3), np.zeros((LOOKS + 1, 3))
     for n in range(count):
         for i in range(LOOKS + 1):
-            values = _at(series, laws, n, i / LOOKS, out)
-            for kind in range(3):
-                if values[kind] > best[kind] * (1.0 - 2e-2):
-                    best[kind] = max(best[kind], values[kind])
-                    low, high = max(0.0, (i - 1.0) / LOOKS), min(1.0, (i + 1.0) / LOOKS)
-                    for _ in range(40):
-                        one, two = low + 0.382 * (high - low), low + 0.618 * (high - low)
-                        first, second = _at(series, laws, n, one, out)[kind], _at(series, laws, n, two, out)[kind]
-                        if first > second:
-                            high = two
-                        else:
-                            low = one
-                        best[kind] = max(best[kind], max(first, second))
+            seen[i, 0], seen[i, 1], seen[i, 2], _, _ = _at(series, laws, n, i / LOOKS, out)
+        for kind in range(3):
+            for i in range(LOOKS + 1):
+                beside = max(seen[max(i - 1, 0), kind], seen[min(i + 1, LOOKS), kind])
+                if seen[i, kind] >= max(0.98 * best[kind], beside):
+                    best[kind] = max(best[kind], max(seen[i, kind], _top(series, laws, n, kind, i, out)))
     return best
 
 
@@ -414,8 +417,9 @@ def refer(scene: Scene, row: int, *, budget: int = 20_000, rtol: float = 1e-11) 
     if math.isinf(record) and lost < 0:  # the tail rule ends the record inside the last step
         end = _tail(starts, lengths, series, laws, count, _quiet(faces, top))
     unit, force, time = float(scales.approach[row]), float(scales.force[row]), float(scales.time[row])
-    reach = [_deepest(series[:count], laws[:count], starts, faces, k, math.inf) for k in range(2)]
-    early = [_deepest(series[:count], laws[:count], starts, faces, k, first_echo) for k in range(2)]
+    reach, early = (
+        [_deepest(series, laws, starts, count, k, until) for k in range(2)] for until in (math.inf, first_echo)
+    )
     where = (starts, lengths, series, laws, count)
     first, last = (_crossing(*where, 0.5 * top, side) for side in (False, True))
     rise = _crossing(*where, 0.9 * top, False) - _crossing(*where, 0.1 * top, False)
@@ -444,31 +448,24 @@ def refer(scene: Scene, row: int, *, budget: int = 20_000, rtol: float = 1e-11) 
     )  # fmt: skip
 
 
-def _deepest(series: Array, laws: Array, starts: Array, faces: Array, k: int, until: float) -> float:
+@numba.njit(cache=True)
+def _deepest(series, laws, starts, count, k, until):
     """Largest approach of a face in the steps that begin before a time."""
-    here = starts[: len(series)] < until * (1.0 - 1e-12)
-    best, out = 0.0, np.zeros(3)
-    for n in np.flatnonzero(here):
+    best, out, seen = 0.0, np.zeros(3), np.zeros(LOOKS + 1)
+    for n in range(count):
+        if starts[n] >= until * (1.0 - 1e-12):
+            break
         ends = max(series[n, 0, k], series[n, 0, k] + series[n, 1, k])
         if laws[n, k, _STATE] == VIRGIN or laws[n, k, _COUNT] > 0:
             best = max(best, ends if laws[n, k, _STATE] == VIRGIN else laws[n, k, _LARGEST])
             continue
         if ends < 0.5 * best:
             continue
-        theta = np.linspace(0.0, 1.0, 17)
-        values = []
-        for one in theta:
-            _dense(series[n, 1:], series[n, 0], one, out)
-            values.append(out[k])
-        i = int(np.argmax(values))
-        low, high = theta[max(i - 1, 0)], theta[min(i + 1, 16)]
-        for _ in range(50):
-            one, two = low + 0.382 * (high - low), low + 0.618 * (high - low)
-            _dense(series[n, 1:], series[n, 0], one, out)
-            first = out[k]
-            _dense(series[n, 1:], series[n, 0], two, out)
-            low, high = (low, two) if first > out[k] else (one, high)
-        best = max(best, *values, first, float(out[k]))
+        for i in range(LOOKS + 1):
+            seen[i] = _at(series, laws, n, i / LOOKS, out)[3 + k]
+        for i in range(LOOKS + 1):
+            if seen[i] >= max(0.98 * best, max(seen[max(i - 1, 0)], seen[min(i + 1, LOOKS)])):
+                best = max(best, max(seen[i], _top(series, laws, n, 3 + k, i, out)))
     return best
 
 

@@ -108,6 +108,7 @@ _BARS: Final = ("bars",)
 _BLOWS: Final = tuple(rig.name for rig in RIGS.values() if rig.blow)
 _ONE: Final = tuple(rig.name for rig in RIGS.values() if rig.contacts == 1)
 _WEIGHTS: Final = tuple(rig.name for rig in RIGS.values() if rig.mover == "hammer")
+_NO_FACE: Final = "not checked: nothing yields"
 _NO_ROW: Final = "not checked: no row was computed"
 _NO_YIELD: Final = "not checked: the yield strength of the bars is not given"
 
@@ -190,16 +191,15 @@ def _over_partner_onset(scene: Scene, answers: Answers) -> Array | str:
 
 
 def _depth(scene: Scene, answers: Answers) -> Array | str:
-    depths = _of_faces(scene, answers, lambda face, depth: depth)
-    return "not checked: nothing yields" if depths is None else depths
+    return _of_faces(scene, answers, lambda face, depth: depth)
 
 
-def _of_faces(scene: Scene, answers: Answers, pick: Callable[[Face, Array], Array]) -> Array | None:
-    """The largest over the faces that yield of what is picked at the depth of the largest force; None: none yields."""
+def _of_faces(scene: Scene, answers: Answers, pick: Callable[[Face, Array], Array]) -> Array | str:
+    """The largest over the faces that yield of what is picked at the depth of the largest force."""
     faces = [one.face for one in scene.partners if one is not None and isinstance(one.face, Face)]
     with np.errstate(all="ignore"):
         found = [pick(face, face.depth_at(np.asarray(answers.values["P_max"]))) for face in faces]
-    return np.maximum.reduce(found) if found else None
+    return np.maximum.reduce(found) if found else _NO_FACE
 
 
 def _other_onset(scene: Scene, answers: Answers) -> Array | str:
@@ -212,17 +212,16 @@ def _other_onset(scene: Scene, answers: Answers) -> Array | str:
             ratio = np.maximum(body.onset, sphere.onset) / np.minimum(body.onset, sphere.onset)
             crossed = (body.onset < sphere.onset) != (body.hardness < sphere.hardness)
             found.append(np.where(crossed & np.isfinite(ratio), 1.0, ratio))
-    return np.fmin.reduce(found) if found else "not checked: nothing yields"
+    return np.fmin.reduce(found) if found else _NO_FACE
 
 
 def _dent_over_radius(scene: Scene, answers: Answers) -> Array | str:
-    found = _of_faces(scene, answers, lambda face, depth: face.pressed(depth).dent / face.effective_radius)
-    return "not checked: nothing yields" if found is None else found
+    return _of_faces(scene, answers, lambda face, depth: face.pressed(depth).dent / face.effective_radius)
 
 
 def _dents(scene: Scene, answers: Answers, good: Flags) -> str:
     found = _of_faces(scene, answers, lambda face, depth: face.pressed(depth).dent)
-    assert found is not None
+    assert not isinstance(found, str)
     dent = found[good]
     flats_yield = bool((softest_partner(scene).onset <= sphere_body(scene.columns).onset).any())
     faces = "the bars" if scene.rig == "bars" else "what stands there"
@@ -262,19 +261,16 @@ def _imbalance(scene: Scene, answers: Answers) -> Array | str:
         return np.asarray(estimate * scene.scales.force / answers.values["P_max"])
 
 
-def _transits(scene: Scene, answers: Answers) -> Array | str:
-    c = scene.columns
-    with np.errstate(all="ignore"):
-        transit = 2.0 * c["sphere.radius"] / bars.wave_speed(c["sphere.E"], c["sphere.density"])
-        return np.asarray(answers.values["rise_time"] / transit)
+def _transits(time: str) -> Callable[[Scene, Answers], Array | str]:
+    """Passages of a wave through the sphere during the rise, or of one contact under load, of which that is 0.314."""
 
+    def measure(scene: Scene, answers: Answers) -> Array | str:
+        c = scene.columns
+        with np.errstate(all="ignore"):
+            transit = 2.0 * c["sphere.radius"] / bars.wave_speed(c["sphere.E"], c["sphere.density"])
+            return np.asarray(answers.values[time] / transit)
 
-def _transits_of_blow(scene: Scene, answers: Answers) -> Array | str:
-    """Of one contact: the whole time under load, which is smooth; its rise alone is 0.314 of it."""
-    c = scene.columns
-    with np.errstate(all="ignore"):
-        transit = 2.0 * c["sphere.radius"] / bars.wave_speed(c["sphere.E"], c["sphere.density"])
-        return np.asarray(answers.values["loaded_time"] / transit)
+    return measure
 
 
 def _struck_plate(scene: Scene) -> Partner | None:
@@ -360,7 +356,7 @@ def _chatter(scene: Scene, answers: Answers) -> Array | str:
 
 
 def _one_sided(scene: Scene, answers: Answers) -> Array | str:
-    ratio = np.asarray(answers.values["a_max"] / scene.columns["sphere.radius"])
+    ratio = _contact_over_radius(scene, answers)
     imbalance = answers.values.get("force_imbalance")
     return ratio if imbalance is None else np.where(imbalance > 0.1, ratio, np.nan)
 
@@ -423,7 +419,7 @@ RULES: Final[tuple[Rule, ...]] = (
                "{limit}; at the peak itself it may be less); one gauge does not stand for both faces",
          fine="forces in balance: they differ by at most {worst} of the largest (limit {limit})"),
     Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), in the rise time",
-         measure=_transits, warning=4.0, failure=3.0, rising=False, rigs=(*_BARS, *_WEIGHTS),
+         measure=_transits("rise_time"), warning=4.0, failure=3.0, rising=False, rigs=(*_BARS, *_WEIGHTS),
          words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while the force rises from "
                "10 % to 90 % (at least {limit}); too few for a quasi-static sphere",
          fine="sphere quasi-static: a wave, at sqrt(E/rho), crosses it at least {worst} times while the "
@@ -477,7 +473,7 @@ RULES: Final[tuple[Rule, ...]] = (
                "stresses inside and at the rim are those of Hertz on the same circle",
          fine="pressure near Hertz's: faces pressed to at most {worst} times the first yield (limit {limit})"),
     Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), under load",
-         measure=_transits_of_blow, warning=6.0, failure=4.0, rising=False, rigs=_ONE,
+         measure=_transits("loaded_time"), warning=6.0, failure=4.0, rising=False, rigs=_ONE,
          words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while it is pressed (at least {limit}); "
                "too few for a quasi-static sphere",
          fine="sphere quasi-static: a wave, at sqrt(E/rho), crosses it at least {worst} times while it is pressed "

@@ -427,7 +427,7 @@ def _look_further(mode, wanted, at, rate, push, push_rate, track, theta, flags, 
         _look_for_mean(mode, at, rate, push, push_rate, track, theta, flags, room, yielding, law)
 
 
-def _look_for(kind, plain):
+def _look_for(kind):
     """The function that does so for one function of both faces: as a constant its number costs no time."""
 
     @compiled(**INNER)
@@ -437,8 +437,10 @@ def _look_for(kind, plain):
             for j in range(LANES):
                 k = LANES + j
                 width = theta[j] / tracked.POINTS
-                left, left_slope = plain(kind, mode, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k])
-                right, right_slope = plain(
+                left, left_slope = searches.combine(
+                    kind, mode, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k]
+                )
+                right, right_slope = searches.combine(
                     kind, mode, at[i + 1, j], at[i + 1, k], width * rate[i + 1, j], width * rate[i + 1, k]
                 )
                 above = searches.highest_between(left, left_slope, right, right_slope)
@@ -473,11 +475,8 @@ def _look_at_forces(kind, push, push_rate, track, theta, flags, j):
         left, left_slope = right, right_slope
 
 
-_look_for_difference, _look_for_energy = (
-    _look_for(tracked.DIFFERENCE, searches.combine),
-    _look_for(tracked.ENERGY, searches.combine),
-)
-_look_for_mean = _look_for(tracked.MEAN, searches.mean_force)
+_look_for_difference, _look_for_energy = _look_for(tracked.DIFFERENCE), _look_for(tracked.ENERGY)
+_look_for_mean = _look_for(tracked.MEAN)
 
 
 @compiled(**INNER)
@@ -671,21 +670,14 @@ def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, 
 
 
 @compiled(**INNER)
-def value_of(series, m, theta):
-    """A series of a lane or face inside a step."""
-    total = 0.0
-    for k in range(ORDER, -1, -1):
-        total = total * theta + series[k, m]
-    return total
-
-
-@compiled(**INNER)
 def note_peaks(track, lane, force, places):
     """The force of the other face where a face's approach is the largest so far, at `places`; -1: it is not."""
     apart()
     for face in range(2):
         if places[face] >= 0.0:
-            track[tracked.OTHER + face, lane] = max(value_of(force, (1 - face) * LANES + lane, places[face]), 0.0)
+            track[tracked.OTHER + face, lane] = max(
+                searches.value_of(force, (1 - face) * LANES + lane, places[face]), 0.0
+            )
             track[tracked.CHATTER, lane] = track[tracked.TOUCHES, lane]
 
 
@@ -749,7 +741,7 @@ def note_whole(track, lane, x, force, rate, piece, before, length, theta, ends, 
         m = face * LANES + lane
         if track[tracked.LOST_FACE, lane] != face:
             continue
-        last = value_of(x, m, ends)
+        last = searches.value_of(x, m, ends)
         deepest = -last
         for i in range(tracked.POINTS):
             left, right = rate[i, m], rate[i + 1, m]

@@ -30,6 +30,7 @@ from uqsphere.mechanics.integrator.faces import (
     within_spring,
     wrong_branch,
 )
+from uqsphere.mechanics.integrator.searches import value_of
 from uqsphere.mechanics.integrator.step import (
     SCALES,
     SLOW_ROOM,
@@ -477,13 +478,13 @@ def march(
             ):
                 events.finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
                               local, out[r], yielding, law)  # fmt: skip
-                out[r, tracked.ANSWER_SPEED] = events.value_of(u, j, ending)
+                out[r, tracked.ANSWER_SPEED] = value_of(u, j, ending)
                 beyond[j], why = True, 2 + int(track[tracked.LOST_FACE, j])
             if why >= 2 or (why == 1 and own[j]):
-                at_u[j] = events.value_of(u, j, ending)
+                at_u[j] = value_of(u, j, ending)
                 for face in range(2):  # where a face leaves or changes its branch, the search has come by
                     m = face * LANES + j
-                    at[last_point, m] = grid[face, 0, last_point] if why >= 2 else events.value_of(x, m, ending)
+                    at[last_point, m] = grid[face, 0, last_point] if why >= 2 else value_of(x, m, ending)
             if why >= 2:  # the motion goes on from where a face left or touched
                 at_stop = False
                 touching[j] = 1 if why < 4 and x[0, (why - 2) * LANES + j] <= 0.0 else 0
@@ -505,7 +506,7 @@ def march(
             x[0, j], x[0, LANES + j], u[0, j] = at[last_point, j], at[last_point, LANES + j], at_u[j]
             if rigged:
                 for m in range(j, PAIR, LANES):
-                    free[0, m] = events.value_of(free, m, ending)
+                    free[0, m] = value_of(free, m, ending)
                     size[3 + m // LANES, j] = max(size[3 + m // LANES, j], abs(free[0, m]))
             if own[j]:
                 press_deeper(law, j, x)

@@ -31,6 +31,15 @@ def value(piece, face, theta):
 
 
 @compiled(**INNER)
+def value_of(series, m, theta):
+    """The same where the columns are the lanes or faces."""
+    total = 0.0
+    for k in range(ORDER, -1, -1):
+        total = total * theta + series[k, m]
+    return total
+
+
+@compiled(**INNER)
 def both(piece, face, theta):
     """Approach of a face inside a step and its derivative by theta."""
     total, rate = piece[face, ORDER], 0.0
@@ -53,17 +62,6 @@ def combine_own(kind, x1, x2, d1, d2, law, lane):
 
 
 @compiled(**INNER)
-def mean_force(kind, mode, x1, x2, d1, d2):
-    """Mean of both forces and its derivative, both forces x^(3/2) or, if linear, x."""
-    x1, d1 = (x1, d1) if x1 > 0.0 else (0.0, 0.0)
-    x2, d2 = (x2, d2) if x2 > 0.0 else (0.0, 0.0)
-    if mode == 1:
-        return 0.5 * (x1 + x2), 0.5 * (d1 + d2)
-    root1, root2 = math.sqrt(x1), math.sqrt(x2)
-    return 0.5 * (x1 * root1 + x2 * root2), 0.75 * (root1 * d1 + root2 * d2)
-
-
-@compiled(**INNER)
 def combine(kind, mode, x1, x2, d1, d2):
     """Value and derivative of a searched function from the approaches and their derivatives, both forces x^(3/2)."""
     if kind == tracked.FACE_A:
@@ -77,19 +75,21 @@ def combine(kind, mode, x1, x2, d1, d2):
     if mode == 1:
         if kind == tracked.DIFFERENCE:
             return x1 - x2, d1 - d2
+        if kind == tracked.MEAN:
+            return 0.5 * (x1 + x2), 0.5 * (d1 + d2)
         return 0.5 * (x1 * x1 + x2 * x2), x1 * d1 + x2 * d2
     root1, root2 = math.sqrt(x1), math.sqrt(x2)
     if kind == tracked.DIFFERENCE:
         return x1 * root1 - x2 * root2, 1.5 * (root1 * d1 - root2 * d2)
+    if kind == tracked.MEAN:
+        return 0.5 * (x1 * root1 + x2 * root2), 0.75 * (root1 * d1 + root2 * d2)
     return 0.4 * (x1 * x1 * root1 + x2 * x2 * root2), x1 * root1 * d1 + x2 * root2 * d2
 
 
 @compiled(**INNER)
 def _combined(kind, mode, x1, x2, d1, d2, own, law, lane):
     """The same, whether faces have laws of their own or not."""
-    if kind > tracked.FACE_B and (own or kind > tracked.ENERGY):
-        if kind == tracked.MEAN and not own:
-            return mean_force(kind, mode, x1, x2, d1, d2)
+    if kind > tracked.FACE_B and (own or kind == tracked.SHARE):
         return combine_own(kind, x1, x2, d1, d2, law, lane)
     return combine(kind, mode, x1, x2, d1, d2)
 

@@ -20,6 +20,7 @@ import math
 
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import face_force, log_start
+from uqsphere.mechanics.integrator.searches import value, value_of
 from uqsphere.mechanics.integrator.tracked import (
     BASE,
     BY_LOG,
@@ -235,16 +236,20 @@ def _larger_of(a, b, c, d):
     return larger(larger(size_of(a), size_of(b)), larger(size_of(c), size_of(d)))
 
 
-def _reached(x_11, y_11, x_12, y_12, x_15, y_15, x_16, y_16, u_15, u_16, scale_x, scale_u, local):
-    before = larger(larger(size_of(x_15), size_of(y_15)) / scale_x, size_of(u_15) / scale_u)
-    last = larger(larger(size_of(x_16), size_of(y_16)) / scale_x, size_of(u_16) / scale_u)
-    # theta^15 before + theta^16 last = local, by one step of a fixed-point iteration
+def _by_terms(before, last, local):
+    """theta at which theta^15 before + theta^16 last = local, by one step of a fixed-point iteration."""
     guess = smaller(_root_16(local / (before + last + 1e-300)), 8.0)
     two = guess * guess
     four = two * two
     eight = four * four
     reached = eight * four * two * guess * (before + guess * last)
-    theta = guess * _root_16(local / (reached + 1e-300))
+    return guess * _root_16(local / (reached + 1e-300))
+
+
+def _reached(x_11, y_11, x_12, y_12, x_15, y_15, x_16, y_16, u_15, u_16, scale_x, scale_u, local):
+    before = larger(larger(size_of(x_15), size_of(y_15)) / scale_x, size_of(u_15) / scale_u)
+    last = larger(larger(size_of(x_16), size_of(y_16)) / scale_x, size_of(u_16) / scale_u)
+    theta = _by_terms(before, last, local)
     # where a face nearly leaves, x = 0 lies close to the real axis: the last terms may still be small beyond the
     # circle in which the series holds, and its radius follows from how they grow over four powers
     late = _larger_of(x_15, y_15, x_16, y_16)
@@ -265,12 +270,7 @@ def _reached_of_rig(x_11, y_11, x_12, y_12, x_15, y_15, x_16, y_16, u_15, u_16, 
     last = larger(larger(size_of(x_16) / scale_x, size_of(y_16) / scale_y), size_of(u_16) / scale_u)
     before = larger(before, larger(size_of(v_15) / scale_v, size_of(w_15) / scale_w))
     last = larger(last, larger(size_of(v_16) / scale_v, size_of(w_16) / scale_w))
-    guess = smaller(_root_16(local / (before + last + 1e-300)), 8.0)
-    two = guess * guess
-    four = two * two
-    eight = four * four
-    reached = eight * four * two * guess * (before + guess * last)
-    theta = guess * _root_16(local / (reached + 1e-300))
+    theta = _by_terms(before, last, local)
     late_x, late_y = larger(size_of(x_15), size_of(x_16)), larger(size_of(y_15), size_of(y_16))
     theta = where(late_x > 1e-3 * local * scale_x, smaller(theta, _CIRCLE * _radius(x_11, x_12, late_x)), theta)
     theta = where(late_y > 1e-3 * local * scale_y, smaller(theta, _CIRCLE * _radius(y_11, y_12, late_y)), theta)
@@ -400,14 +400,6 @@ def _mean_slopes(first, second, third, fourth):
 
 
 @compiled(**INNER)
-def _at(series, m, theta):
-    total = 0.0
-    for k in range(TERMS - 1, -1, -1):
-        total = total * theta + series[k, m]
-    return total
-
-
-@compiled(**INNER)
 def _join(series, m, theta, left, left_slope, right, right_slope):
     """Put the cubic through values and slopes (by theta) at 0 and theta into a column of a series."""
     rise = (right - left) / theta
@@ -435,10 +427,10 @@ def step_from_touch(mode, j, h, inverse_mu, push, x, u, force, yielding, law, ri
         t = 1.0 * i / _TOUCH_STEPS
         half, full = t + 0.5 / _TOUCH_STEPS, t + 1.0 / _TOUCH_STEPS
         first = last
-        mid_a, mid_b = _at(push, j, half), _at(push, k, half)
+        mid_a, mid_b = value_of(push, j, half), value_of(push, k, half)
         second = _slopes(mode, inverse_mu, mid_a, mid_b, _moved(state, 0.5 * d, first), yielding, law, rig, j)
         third = _slopes(mode, inverse_mu, mid_a, mid_b, _moved(state, 0.5 * d, second), yielding, law, rig, j)
-        end_a, end_b = _at(push, j, full), _at(push, k, full)
+        end_a, end_b = value_of(push, j, full), value_of(push, k, full)
         fourth = _slopes(mode, inverse_mu, end_a, end_b, _moved(state, d, third), yielding, law, rig, j)
         state = _moved(state, d / 6.0, _mean_slopes(first, second, third, fourth))
         last = _slopes(mode, inverse_mu, end_a, end_b, state, yielding, law, rig, j)
@@ -485,14 +477,6 @@ SLOW_ROOM = 11
 _ROUNDS = 5
 #: terms that stay good after the rounds
 _GOOD = 10
-
-
-@compiled(**INNER)
-def _value(series, k_row, theta):
-    total = 0.0
-    for k in range(TERMS - 1, -1, -1):
-        total = total * theta + series[k_row, k]
-    return total
 
 
 @compiled(**INNER)
@@ -560,7 +544,7 @@ def _correct(lane, h, mu, push, s, springs):
 def _residual(lane, h, mu, push, s, springs, theta):
     """Largest error with which the series satisfies the equations at theta, as an error of an approach."""
     apart()
-    a, b, w = _value(s, 3, theta), _value(s, 4, theta), _value(s, 2, theta)
+    a, b, w = value(s, 3, theta), value(s, 4, theta), value(s, 2, theta)
     if not (a > 0.0 and b > 0.0):
         return math.inf
     push_a, push_b = 0.0, 0.0
