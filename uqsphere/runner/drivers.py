@@ -192,8 +192,7 @@ def _indices(work: Work, limit: Limit, shared: Shared) -> Fields:
         orders = orders_at(work, design, count)
         if orders is not None:
             orders = np.asarray(without(orders.astype(float), failed)).astype(np.int64)
-        found = shapley_estimates(design, chance, orders)
-        found = {order: held_open(row, chance, chance.shape[0] * count) for order, row in found.items()}
+        found = held_open(shapley_estimates(design, chance, orders), chance, chance.shape[0] * count)
         nothing = refused("inputs depend on each other: read the Shapley effects")
         return {**nothing, **about, **named("shapley", **found), "kucherenko": named("first", "total", **found)}
     if tied or isinstance(limit.model_factor, Law):
@@ -201,8 +200,7 @@ def _indices(work: Work, limit: Limit, shared: Shared) -> Fields:
         return {**about, **named("first", "total", first=plain.first, total=plain.total)}
     if isinstance(limit.strength, Law):
         every = (*names, strength_name(limit.name))
-    found = indicator_indices(chance)
-    found["total"] = held_open(found["total"], chance, chance.shape[0] * count)
+    found = held_open(indicator_indices(chance), chance, chance.shape[0] * count)
     return {"of": "missing the aim", **named("first", "total", **found)}
 
 

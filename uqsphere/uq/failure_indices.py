@@ -9,7 +9,7 @@ strengths of their own, both fail with probability T T'.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import Final
@@ -97,21 +97,26 @@ def indicator_indices(probabilities: Array) -> dict[str, list[Estimate]]:
     return {"first": [*first, idle], "total": [*total, idle]}
 
 
-def held_open(estimates: Sequence[Estimate], probabilities: Array, pairs: int) -> list[Estimate]:
+def held_open(
+    found: Mapping[str, Sequence[Estimate]], probabilities: Array, pairs: int
+) -> dict[str, Sequence[Estimate]]:
     """Indices of failures that are counted, 0 or 1, with intervals that reach as far as a change that no pair showed.
 
     So many independent pairs of runs without one leave the probability c of a change below 1 - 0.05^(1/pairs), and an
     index below c/(2 p (1 - p)).  What is integrated shows changes of any size.
 
     >>> never = Estimate(value=0.0, low=0.0, high=0.0, std_error=0.0, method="", evaluations=0)
-    >>> round(held_open([never], np.array([0.0, 1.0]), 1000)[0].high, 4)
+    >>> round(held_open({"total": [never]}, np.array([0.0, 1.0]), 1000)["total"][0].high, 4)
     0.006
     """
     p = float(probabilities.mean())
     if np.any((probabilities > 0.0) & (probabilities < 1.0)) or not 0.0 < p < 1.0:
-        return list(estimates)
+        return dict(found)
     least = min((1.0 - 0.05 ** (1.0 / pairs)) / (2.0 * p * (1.0 - p)), 1.0)
-    return [replace(e, high=max(e.high, least)) if e.high is not None else e for e in estimates]
+    return {
+        order: [e if e.high is None else replace(e, high=max(e.high, least)) for e in row]
+        for order, row in found.items()
+    }
 
 
 def explained_share(probabilities: Array) -> Estimate:
