@@ -277,10 +277,7 @@ def measured_figure(found: Sequence[Compared]) -> Picture:
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
-    axes.set_xlabel("measured, over the largest of its group")
-    axes.set_ylabel("predicted, over the same")
-    axes.grid()
-    canvas.legend_above(axes, 3)
+    canvas.frame(axes, x="measured, over the largest of its group", y="predicted, over the same", grid=True, legend=3)
     count = sum(math.isfinite(one.ratio) for one in found)
     finding = f"{count} published numbers beside what is computed for them; nothing was fitted."
     return canvas.Picture(name="measured", title="Predicted against measured", figure=figure, finding=finding)

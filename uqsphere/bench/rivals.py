@@ -131,13 +131,11 @@ def _solve_row(
 ) -> tuple[float, float]:
     """Largest approach and time of the first loss of contact (or end of the record) of one row, scaled."""
     from scipy.integrate import solve_ivp
-    from scipy.optimize import brentq
 
     mu = float(arguments["mass"][row])
     trips, ends = arguments["round_trips"][row], arguments["ends"][row]
     horizon = float(arguments["horizon"][row])
-    if not np.isfinite(horizon):
-        horizon = float(arguments["pulse_end"][row]) + AFTER
+    horizon = horizon if np.isfinite(horizon) else float(arguments["pulse_end"][row]) + AFTER
     pieces: list[tuple[float, Callable[[float], Array]]] = []
 
     def force(face: int, time: float) -> float:
@@ -154,7 +152,7 @@ def _solve_row(
         back = time - trips[1]
         return float(ends[1] * (force(1, back) + h(back))) if back > 0.0 else 0.0
 
-    peak, lost = 0.0, np.nan
+    peak, lost = 0.0, horizon
     state = np.zeros(3)
     stops = _stops(arguments, row, horizon)
     for begin, end in pairwise(stops):
@@ -166,23 +164,27 @@ def _solve_row(
             p1, p2 = max(y[0], 0.0) ** 1.5, max(y[1], 0.0) ** 1.5
             return [2.0 * f(t, inside) - p1 - y[2], y[2] - p2 - 2.0 * h(t), (p1 - p2) / mu]
 
-        events = [_leaves(face) for face in range(2)] if contact and begin > 0.0 else None
+        events = [_leaves(0), _leaves(1)] if contact and begin > 0.0 else None
         solve: Any = solve_ivp
         found = solve(slope, (begin, end), state, method=method, events=events, dense_output=True,
                           rtol=tolerance, atol=0.01 * tolerance)  # fmt: skip
         pieces.append((begin, found.sol))
-        for face in range(2):
-            rates = np.array([slope(t, y)[face] for t, y in zip(found.t, found.y.T, strict=True)])
-            peak = max(peak, float(found.y[face].max()))
-            for k in np.flatnonzero((rates[:-1] > 0.0) & (rates[1:] < 0.0)):
-                top = brentq(lambda t, face=face, slope=slope, sol=found.sol: slope(t, sol(t))[face], found.t[k],
-                             found.t[k + 1], xtol=1e-10)  # fmt: skip
-                peak = max(peak, float(found.sol(top)[face]))
+        peak = max(peak, _largest(found, slope, 0), _largest(found, slope, 1))
         state = found.y[:, -1]
         if found.status == 1:
             lost = float(found.t[-1])
             break
-    return peak, lost if np.isfinite(lost) else horizon
+    return peak, lost
+
+
+def _largest(found: Any, slope: Callable[[float, Array], list[float]], face: int) -> float:
+    """The largest approach at a face on one piece, from the roots of its rate on the dense output."""
+    from scipy.optimize import brentq
+
+    rates = np.array([slope(t, y)[face] for t, y in zip(found.t, found.y.T, strict=True)])
+    tops = [brentq(lambda t: slope(t, found.sol(t))[face], found.t[k], found.t[k + 1], xtol=1e-10)
+            for k in np.flatnonzero((rates[:-1] > 0.0) & (rates[1:] < 0.0))]  # fmt: skip
+    return max(float(found.y[face].max()), *(float(found.sol(top)[face]) for top in tops))
 
 
 def solve_scipy(scene: Scene, rows: int, method: str, tolerance: float, *, contact: bool) -> Array:

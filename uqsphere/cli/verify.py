@@ -141,7 +141,6 @@ def _look(found: Verification) -> None:
 
 def _repeat(found: Verification, chunks: int, seed: int, model: str | None) -> None:
     """Tables against results, results against evaluations, evaluations against the model."""
-    from uqsphere.results.tables import tables
     from uqsphere.runner.finished import open_run
     from uqsphere.runner.kept import kept_data
     from uqsphere.runner.rehearsal import private_folder, rehearse, stored_study
@@ -151,10 +150,7 @@ def _repeat(found: Verification, chunks: int, seed: int, model: str | None) -> N
     run = open_run(folder)
     for name in run.results.services:
         found.services[name] = verify_folder(folder / "services" / name, chunks=chunks, seed=seed)
-    for name, text in tables(run.results).items():
-        path = folder / "tables" / name
-        if not path.is_file() or read_whole(path).decode("utf-8", "replace") != text:
-            found.faults.append(f"tables/{name} is not what results.json says")
+    _compare_tables(found, run)
     resolved = read_resolved(folder)
     if resolved.hash != run.results.study.hash:
         raise FolderError("results.json and study.resolved.json belong to different studies")
@@ -192,6 +188,16 @@ def _repeat(found: Verification, chunks: int, seed: int, model: str | None) -> N
         _compare(found, run, study.model.tolerance, missing, unused, again)
 
 
+def _compare_tables(found: Verification, run: Run) -> None:
+    """The tables against results.json."""
+    from uqsphere.results.tables import tables
+
+    for name, text in tables(run.results).items():
+        path = found.folder / "tables" / name
+        if not path.is_file() or read_whole(path).decode("utf-8", "replace") != text:
+            found.faults.append(f"tables/{name} is not what results.json says")
+
+
 def _compare(found: Verification, run: Run, tolerance: float, missing: str | None, unused: int, again: Path) -> None:
     """Whether the run made once more in the folder `again` says the same; `missing` is what it lacked to get there."""
     manifest, moved = run.manifest, _moved(run)
@@ -202,13 +208,9 @@ def _compare(found: Verification, run: Run, tolerance: float, missing: str | Non
         )
     for entry in found.repeated:
         if not entry.same and entry.chunk not in found.fickle:
-            text = (
-                f"the evaluations {entry.chunk} come out differently now, by up to {entry.difference:.2g} of a number"
-            )
-            if moved and entry.difference <= _SLACK * tolerance:
-                found.notes.append(f"{text}, within the tolerance of the study")
-            else:
-                found.faults.append(text)
+            text = f"the evaluations {entry.chunk} come out differently, by up to {entry.difference:.2g} of a number"
+            within = entry.difference < _SLACK * tolerance * bool(moved)
+            (found.notes if within else found.faults).append(text + ", within the tolerance of the study" * within)
     if found.fickle:
         found.notes.append(
             "the model gives other answers to the same rows each time, so that no run of it can be repeated: give it a "

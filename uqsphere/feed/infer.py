@@ -138,23 +138,24 @@ def fit(tests: Specimens, request: Request, draws: int = DRAWS) -> tuple[Posteri
     drawn = [draw(few, replace(request, law=name), draws) for name in names]
     compared = compare(few, request)
     weights = _weights(names, compared)
+    shares, ratio = [weights[name] for name in names], None if math.isinf(request.ratio) else request.ratio
     for k, one in enumerate(compared):
         # a lognormal law that was compared is the one asked for by its bound
-        if one.law in names and (one.law != "lognormal" or (one.ratio or math.inf) == request.ratio):
+        if one.law in names and (one.law != "lognormal" or one.ratio == ratio):
             compared[k] = one.model_copy(update={"weight": weights[one.law]})
-    posterior = _joined(drawn, [weights[name] for name in names], tests, request, draws)
+    posterior = _joined(drawn, shares, tests, request, draws)
     counted = CountsEntry(
         specimens=len(tests), particles=tests.particles, broke=int(tests.weight[tests.broke].sum()),
         exact=int(tests.weight[tests.exact & tests.broke].sum()), repeated=int(tests.repeated.sum()), cell=cell,
     )  # fmt: skip
     entry = FitEntry(
-        law=request.law, size=request.size, ratio=None if math.isinf(request.ratio) else request.ratio,
+        law=request.law, size=request.size, ratio=ratio,
         tested=posterior.tested, classes=posterior.classes, title=request.title, seed=request.seed,
         made_up=request.made_up, tests=counted, method=drawn[0].method,
         converged=all(one.settled for one in drawn),
         parameters={one.model.law: _parameters(one, few, request) for one in drawn},
         sizes=tuple(_size(posterior, tests, size) for size in tests.sizes[:200]), laws=tuple(compared),
-        goodness=_goodness(few, drawn[int(np.argmax([weights[name] for name in names]))], request),
+        goodness=_goodness(few, drawn[int(np.argmax(shares))], request),
     )  # fmt: skip
     return posterior, entry.model_copy(update={"warnings": tuple(_warnings(entry, tests))})
 

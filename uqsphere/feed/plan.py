@@ -12,7 +12,6 @@ ln theta is taken for normal, every test adding its information.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -262,24 +261,24 @@ def plan_tests(
     go, measured = (next(one for one in grid if one.measured is kind) for kind in (False, True))
     about = normal(posterior, target)
     aim = (math.log1p(precision) if relative else precision) / _NINETY_FIVE
-    best = [one for one in grid if one.measured] + [one for one in grid if not one.measured][:40]
+    # all that are measured, and the first of the others
+    best = sorted(grid, key=lambda one: not one.measured)[: sum(one.measured for one in grid) + 40]
     # the normal law is a little narrower than the draws: what it forecasts is the share that is left
     now = float(target.std())
     scale = now / about.sd(np.zeros_like(about.covariance))
     path, taken = course(about, best, MOST_TESTS, aim / scale)
     long, _ = course(about, best, 30, 0.0)
-    after = {1: min(go.sd, measured.sd), 10: scale * long[10], 30: scale * long[30]}
-    shares = sorted(Counter(one.size for one in taken).items())
+    after = {1: _NINETY_FIVE * min(go.sd, measured.sd), **{n: _NINETY_FIVE * (scale * long[n]) for n in (10, 30)}}
+    sizes_taken = [one.size for one in taken]
     middle = float(np.median(target))
     # by what each adds to the precision of the target
     before = about.sd(np.zeros_like(about.covariance)) ** -2
     gains = [about.sd(information(about, one)) ** -2 - before for one in (measured, go)]
     return TestPlan(
         target=words, relative=relative, value=math.exp(middle) if relative else middle,
-        now=_NINETY_FIVE * now, go=go, measured=measured,
-        after={count: _NINETY_FIVE * sd for count, sd in after.items()},
+        now=_NINETY_FIVE * now, go=go, measured=measured, after=after,
         needed=len(taken) if path[-1] <= aim / scale else None,
-        sizes={size: count / len(taken) for size, count in shares},
+        sizes={size: sizes_taken.count(size) / len(taken) for size in sorted({*sizes_taken})},
         worth=gains[0] / gains[1] if gains[1] > 0.0 else math.inf, practice=_practice(about, sizes, scale),
     )  # fmt: skip
 

@@ -200,17 +200,21 @@ def draw_product(
         best, A, b = fit_t10(told.offered, told.t10, draws, rng)
         sources |= dict.fromkeys(("A", "b"), f"{len(told.t10)} tests, least squares of ln t10: sd {best['sd']:.2g}")
     alpha, sd = _drawn(plan.alpha, draws, rng), DISCREPANCY
-    if plan.curve == "trr" and alpha is None and told is not None and told.passing.size:
-        n = told.diameter[:, None] / told.sieves
-        best_alpha, sd, alpha = fit_alpha(n, told.t10, told.passing, draws, rng)
-        sources["alpha"] = f"{len(told.t10)} sieve curves: {best_alpha:.3g}, t_n off by {sd:.2g}"
-    elif plan.curve == "trr" and alpha is None:
-        alpha = np.exp(ALPHA[0] + ALPHA[1] * rng.standard_normal(draws))
-        sources["alpha"] = "lognormal about 0.6: no sieve curve tells it"
+    if plan.curve == "trr" and alpha is None:
+        alpha, sd, sources["alpha"] = _fitted_alpha(told, draws, rng)
     sd = sd if plan.discrepancy is None else plan.discrepancy
     sources["t_n"] = f"sd {sd:.2g} about the family at t_n = 0.5"
     curve = drawn_curve(Curve(law=plan.curve, alpha=0.0 if alpha is None else alpha, knots=plan.knots), draws, rng, sd)
     return Product(form=plan.form, A=A, b=b, threshold=plan.threshold, curve=curve, sources=sources), ""
+
+
+def _fitted_alpha(told: Fineness | None, draws: int, rng: np.random.Generator) -> tuple[Array, float, str]:
+    """Draws of the exponent by the sieve curves of the tests, or about its usual value; scatter of t_n, and source."""
+    if told is None or not told.passing.size:
+        usual = np.exp(ALPHA[0] + ALPHA[1] * rng.standard_normal(draws))
+        return usual, DISCREPANCY, "lognormal about 0.6: no sieve curve tells it"
+    best, sd, alpha = fit_alpha(told.diameter[:, None] / told.sieves, told.t10, told.passing, draws, rng)
+    return alpha, sd, f"{len(told.t10)} sieve curves: {best:.3g}, t_n off by {sd:.2g}"
 
 
 def _drawn(value: Law | float | None, draws: int, rng: np.random.Generator) -> Values:

@@ -133,6 +133,11 @@ class Answer:
         return None if self.target is None else self.target if self.aim == "survive" else 1.0 - self.target
 
     @property
+    def of(self) -> str:
+        """Its service, as a question ends."""
+        return f", {self.service}" if self.service else ""
+
+    @property
     def misses(self) -> list[float]:
         """The probabilities of missing the aim, by every way that is judged."""
         return [mode.miss for mode in self.modes if mode.miss is not None]
@@ -402,11 +407,10 @@ def _limit_answer(contents: Contents, group: dict[str, LimitEntry], service: str
     # the target of one limit holds for all that stand beside it without one
     first = next((limit for limit in deciding.values() if limit.target is not None), next(iter(deciding.values())))
     modes = sorted(_modes(contents, deciding, first), key=lambda mode: -(-1.0 if mode.miss is None else mode.miss))
-    verdict, reasons = _judged(deciding)
+    verdict, reasons, vetoed = _judged(deciding)
     answer = Answer(
         question="", big="", unit="", note="", verdict=verdict, reasons=reasons,
-        vetoed=verdict == "not established" and all(limit.met for limit in deciding.values()),
-        target=first.target, aim=first.aim, modes=tuple(modes), service=service,
+        vetoed=vetoed, target=first.target, aim=first.aim, modes=tuple(modes), service=service,
         checks=tuple(_check(name, limit) for name, limit in group.items() if name not in deciding),
         carried=_carried(deciding.values()),
         axis=_axis(contents, next((results.margins[n] for n in deciding if n in results.margins), None)),
@@ -442,14 +446,14 @@ def _solved(answer: Answer) -> Answer | None:
     if axis is None or target is None or not solved_for(answer):
         return None
     must = f"{plain_percent(target)} may break" if survive else f"{plain_percent(1.0 - target)} must break"
-    told, of = ranged(answer), f", {answer.service}" if answer.service else ""
+    told = ranged(answer)
     # a range of what may be is no range of what is allowed
     within = ", somewhere in" if "–" in told else ""
     note = f"Planned: {given(axis)}. " if axis.planned else ""
     best = next(((m.name, m.at_target) for m in answer.modes if m.at_target is not None and not m.assumed), None)
     if survive and best is not None and len(answer.modes) > 1:
         note += f"By {best[0].lower()} alone: {two(best[1] * axis.factor)} {axis.unit}."
-    question = f"{'Highest' if survive else 'Least'} {axis.words}{of} ({must}){within}"
+    question = f"{'Highest' if survive else 'Least'} {axis.words}{answer.of} ({must}){within}"
     reasons = answer.reasons or _as_planned(answer)
     return replace(answer, question=question, big=told, unit=axis.unit, note=note, reasons=reasons)
 
@@ -469,7 +473,7 @@ def _shares(answer: Answer) -> Answer:
     if not answer.fracture:
         question = f"Share {'beyond' if survive else 'short of'} the limit"
     question += f" at the planned {given(axis)}" if axis and axis.planned else ""
-    question += f", {answer.service}" if answer.service else ""
+    question += answer.of
     big, unit = (share_span(answer.misses, target), "%") if answer.misses else ("not known", "")
     note = "No target was set." if target is None else f"Target: at most {plain_percent(target)}."
     return replace(answer, question=question, big=big, unit=unit, note=note, second=_second(answer))
@@ -534,14 +538,15 @@ def solved_for(answer: Answer) -> list[float]:
 _ORDER: Final = ("not met", "not established", "undecided", "met")
 
 
-def _judged(group: dict[str, LimitEntry]) -> tuple[str, tuple[str, ...]]:
-    """The verdict of limits with one aim and its reasons: the worst of theirs."""
+def _judged(group: dict[str, LimitEntry]) -> tuple[str, tuple[str, ...], bool]:
+    """The verdict of limits with one aim and its reasons, the worst of theirs; whether it would be met but for them."""
     words = {name: limit.word for name, limit in group.items() if limit.target is not None}
     if not words:
-        return "", ()
+        return "", (), False
     worst = min(words.values(), key=_ORDER.index)
     reasons = [reason.text for name, word in words.items() if word == worst for reason in group[name].reasons]
-    return worst, tuple(f"{text[:1].upper()}{text[1:]}." for text in dict.fromkeys(reasons))[:3]
+    told = tuple(f"{text[:1].upper()}{text[1:]}." for text in dict.fromkeys(reasons))[:3]
+    return worst, told, worst == "not established" and all(limit.met for limit in group.values())
 
 
 def _with_tests(contents: Contents, answer: Answer) -> Answer:
@@ -635,17 +640,20 @@ def _between_rivals(answer: Answer) -> tuple[str, str] | None:
     own = [mode for mode in known if not mode.assumed]
     if axis is None or answer.aim != "survive" or not own:
         return None
-    mild = min(own, key=lambda mode: mode.broken or 0.0)
+    mild = min(own, key=_least_broken)
     places = {x for mode in known for x, _ in mode.curve}.union(filter(None, [axis.planned]))
     found = [one for x in sorted(places) for one in _ruled_out(mild, known, axis, x)]
     if not found:
         return None
     (_, fewest, _), where, names = max(found, key=lambda one: one[0])
-    place = f"{two(where * axis.factor)} {axis.unit}".rstrip()
-    place = f"the planned {given(axis)}" if where == axis.planned else place
-    stands = "the lower number" if solved_for(answer) else "the larger share"
+    place = f"the planned {given(axis)}" if where == axis.planned else f"{two(where * axis.factor)} {axis.unit}"
+    stands = ("the larger share", "the lower number")[bool(solved_for(answer))]
     said = f"None broken rules out {listed(names[:3])} (95 % sure); else {stands} holds."
-    return f"{-fewest:.0f} spheres at {place}", said
+    return f"{-fewest:.0f} spheres at {place}".rstrip(), said
+
+
+def _least_broken(mode: Mode) -> float:
+    return mode.broken or 0.0
 
 
 def _ruled_out(

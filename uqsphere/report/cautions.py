@@ -134,7 +134,7 @@ def cautions(parts: Mapping[str, Contents], called: Mapping[tuple[str, str], str
 
 def _of_limits(contents: Contents, names: Mapping[str, str]) -> Iterator[Caution]:
     """What other assumptions, tests that are few or made up, and ways that nobody judged do to limits."""
-    limits, verdicts = contents.results.limits, contents.results.verdicts
+    limits = contents.results.limits
     for name, called in names.items():
         head = f"{called.lower()}: " if len(names) > 1 else ""
         for caution in (*_moved(limits[name]), *_extrapolated(contents, name, limits[name])):
@@ -144,6 +144,12 @@ def _of_limits(contents: Contents, names: Mapping[str, str]) -> Iterator[Caution
         tests = dict.fromkeys(contents.tests[key] for key in made_up if key in contents.tests)
         told = listed([text.partition(" (")[0] for text in tests] or ["tests"])
         yield Caution(rank=_TURNS, nearer=-math.inf, text=f"the {told} are made up.", made_up=True)
+    yield from _unjudged(contents, names)
+
+
+def _unjudged(contents: Contents, names: Mapping[str, str]) -> Iterator[Caution]:
+    """Ways to break that no limit is on and nothing judges beside."""
+    limits, verdicts = contents.results.limits, contents.results.verdicts
     beside = any(v.not_judged or any(w.assumed for w in v.judged) for v in verdicts)
     places = {OUTPUTS[q].place for n in names if (q := limits[n].quantity) in OUTPUTS}
     left = [words for place, words in (("rim", "ring cracks"), ("core", "core tension")) if place not in places]
@@ -157,6 +163,13 @@ def log_odds(p: float) -> float:
     return math.log(p / (1.0 - p))
 
 
+def _to(limit: LimitEntry, other: float, text: str) -> Caution:
+    """How far another probability of missing the aim is from the limit's own, and whether it turns the verdict."""
+    miss, target = limit.miss.number, limit.target
+    turns = target is not None and (other > target) != (miss > target)
+    return Caution(rank=_TURNS if turns else _MOVED, nearer=-abs(log_odds(other) - log_odds(miss)), text=text)
+
+
 def _moved(limit: LimitEntry) -> Iterator[Caution]:
     """How far other assumptions, and few tests, move the probability of missing an aim.
 
@@ -165,18 +178,12 @@ def _moved(limit: LimitEntry) -> Iterator[Caution]:
     miss, target = limit.miss.value, limit.target
     if miss is None:
         return
-
-    def caution(other: float, text: str) -> Caution:
-        turns = target is not None and (other > target) != (miss > target)
-        moved = abs(log_odds(other) - log_odds(miss))
-        return Caution(rank=_TURNS if turns else _MOVED, nearer=-moved, text=text)
-
     furthest: dict[str, Caution] = {}
     for entry in limit.assumed:
         other = entry.miss.value
         if other is None or share(other) == share(miss):
             continue
-        told = caution(other, "")
+        told = _to(limit, other, "")
         over = (", over target" if other > miss else ", within target") if told.rank == _TURNS else ""
         told = replace(told, text=f"{share(other, target)} {assumption(entry)}{over}.")
         if -told.nearer > _MOVES and told < furthest.get(entry.assumption, Caution(rank=_LEFT, text="")):
@@ -185,7 +192,7 @@ def _moved(limit: LimitEntry) -> Iterator[Caution]:
     if limit.ignorance.known and limit.ignorance.fitted:
         high, tests = float(limit.ignorance.miss[1]), sum(entry.tests for entry in limit.ignorance.fitted)
         if high > miss and share(high) != share(miss):
-            yield caution(high, f"{tests} tests leave up to {share(high, target)} open.")
+            yield _to(limit, high, f"{tests} tests leave up to {share(high, target)} open.")
 
 
 def assumption(entry: AssumedEntry) -> str:

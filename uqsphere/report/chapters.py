@@ -31,6 +31,7 @@ from uqsphere.report.phrases import (
     limit_name,
     symbol,
 )
+from uqsphere.results import AnalysisEntry
 
 
 def _block(
@@ -197,29 +198,29 @@ def drivers_blocks(contents: Contents) -> Iterator[Block]:
 
 def screening_blocks(contents: Contents) -> Iterator[Block]:
     """Effects of one input at a time, those that move a quantity furthest first, and a model's own scatter."""
-    entry, own = (contents.results.analyses.get(name) for name in ("morris", "replicates"))
-    for quantity, split in own.values.items() if own else ():
+    entry, own = (contents.results.analyses.get(name, AnalysisEntry()) for name in ("morris", "replicates"))
+    for quantity, split in own.values.items():
         caption = f"Scatter of {symbol(quantity)} where a row is evaluated again, and by its inputs, 95 % intervals"
         parts = [part for row in split.values() for part in row.items()]
         rows = tuple((of, cell(one, "" if of.startswith("share") else quantity)) for of, one in parts)
         table = Table(caption=caption, header=("of", "estimate"), rows=rows)
         yield _block(f"What the model itself adds to {symbol(quantity)}", table, "analyses")
-    for quantity, found in entry.values.items() if entry else ():
+    for quantity, found in entry.values.items():
         names = sorted(found, key=lambda name: -(found[name]["mean absolute effect"].value or 0.0))
         columns = tuple(found[names[0]])
         lines = tuple((input_name(n), *(cell(found[n][column], quantity) for column in columns)) for n in names)
         caption = f"Change of {symbol(quantity)} as one input crosses half of its law (Morris), with 95 % intervals"
         table = Table(caption=caption, header=("input", *columns), rows=lines)
         yield _block(f"Screening of {symbol(quantity)}", table, "analyses")
-    if entry and entry.reason:
+    if entry.reason:
         yield _block("Screening", remark=f"No input was screened: {entry.reason}.")
 
 
 def fields_blocks(contents: Contents) -> Iterator[Block]:
     """Answers that are vectors: their bands, indices over places, and indices of all places together."""
-    entry = contents.results.analyses.get("fields")
+    entry = contents.results.analyses.get("fields", AnalysisEntry())
     for name, stored in contents.fields.items():
-        found = (entry.values if entry else {}).get(name, {})
+        found = entry.values.get(name, {})
         names = sorted(found, key=lambda n: -(found[n]["aggregated total"].value or 0.0))
         rows = tuple((input_name(n), *map(index_cell, found[n].values())) for n in names)
         answer = stored.answer
@@ -232,7 +233,7 @@ def fields_blocks(contents: Contents) -> Iterator[Block]:
         picture = field_figure(name, stored, over_time=contents.courses is not None)
         block = _block(f"{name} as a whole", table if rows else None, picture=picture, remark="" if rows else note)
         yield replace(block, files=("fields.nc", "tables/fields.csv"))
-    if entry and entry.reason:
+    if entry.reason:
         yield _block("Fields", remark=f"No field is answered: {entry.reason}.")
 
 

@@ -27,7 +27,6 @@ from uqsphere.quantities import display_unit, lookup, reading_units, unit_that_r
 from uqsphere.report.cautions import assumption
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.figures import canvas
-from uqsphere.report.figures.canvas import BLUE, INK, PAPER, Picture, mark, shorten
 from uqsphere.report.page import DRAW, margin_boxes, page_environment
 from uqsphere.report.phrases import (
     ABSENT,
@@ -82,6 +81,11 @@ class Change(Entry):
     chance: bool = Field(default=False, exclude=True)
 
     @property
+    def reads(self) -> str:
+        """The name whose unit it is read in; empty for a plain number."""
+        return self.subject if self.unit else ""
+
+    @property
     def key(self) -> tuple[str, str, str]:
         """Which answer it is."""
         return self.name, self.section, self.statistic
@@ -91,9 +95,9 @@ class Change(Entry):
         sides = self.before, self.after
         plain_say = say or estimate_text
         before, after = (
-            probability_text(side) if self.chance and say is None else plain_say(side, self.subject) for side in sides
+            probability_text(side) if self.chance and say is None else plain_say(side, self.reads) for side in sides
         )
-        difference = estimate_text(Est.of(self.difference, self.low, self.high), self.subject)
+        difference = estimate_text(Est.of(self.difference, self.low, self.high), self.reads)
         difference = "none" if self.difference == 0.0 else difference
         if self.relative is None or self.section == "sensitivity":
             return before, after, difference, ABSENT
@@ -211,15 +215,14 @@ def _answers(results: Results) -> Iterator[Change]:
             yield own(statistic=f"strength over demand, {words}", before=estimate)
     for name, entry in results.quantities.items():
         own = partial(Change, section="quantities", name=name)
-        united = partial(own, unit=entry.unit, subject=name if entry.unit else "")
+        united = partial(own, unit=entry.unit, subject=name)
         yield united(statistic="mean", before=entry.mean)
         yield united(statistic="standard deviation", before=entry.sd)
         for p, estimate in entry.quantiles.items():
             yield united(statistic=f"{100.0 * float(p):.12g} % quantile", before=estimate)
         yield own(statistic="censored share", chance=True, before=entry.censored_share)
     for name, margin in results.margins.items():
-        subject = margin.solve if margin.unit else ""
-        own = partial(Change, section="margins", name=f"limits.{name}", unit=margin.unit, subject=subject)
+        own = partial(Change, section="margins", name=f"limits.{name}", unit=margin.unit, subject=margin.solve)
         for p, estimate in margin.values.items():
             yield own(statistic=f"{margin.solve} at {100.0 * float(p):.12g} % exceedance", before=estimate)
     for name, indices in results.sensitivity.items():
@@ -372,7 +375,7 @@ def _units(changes: Iterable[Change]) -> dict[str, str]:
     """The unit in which each quantity of both runs is read; spreads follow what they are the spread of."""
     values: dict[str, list[float]] = {}
     for change in changes:
-        name = change.subject
+        name = change.reads
         if name and change.statistic != "standard deviation" and lookup(name).display:
             known = [float(side.value) for side in (change.before, change.after) if side.value is not None]
             values.setdefault(name, []).extend(known)
@@ -407,7 +410,7 @@ def _parts(found: Comparison, width: int) -> list[str]:
     rows: list[tuple[str, ...]] = [(key, *(str(getattr(side, key)) for side in (found.before, found.after)))
                                    for key in ("folder", "title", "seed", "version", "evaluations")]  # fmt: skip
     parts = [wrap(headline(found), width, ""), "", table(("", "before", "after"), rows, width), ""]
-    rows = [(c.what, shorten(c.before, 70), shorten(c.after, 70)) for c in found.causes]
+    rows = [(c.what, canvas.shorten(c.before, 70), canvas.shorten(c.after, 70)) for c in found.causes]
     changed = ["changed in the study", table(("what", "before", "after"), rows, width)]
     parts += [*(changed if rows else ["nothing was changed in the study"]), ""]
     rows = [(e.limit, loud(e.verdict_before), loud(e.verdict_after)) for e in found.limits]
@@ -454,7 +457,7 @@ def moved_rows(changes: Iterable[Change]) -> list[Change]:
     return sorted(rows, key=lambda c: names.index(c.name))
 
 
-def moved_picture(changes: Iterable[Change]) -> Picture | None:
+def moved_picture(changes: Iterable[Change]) -> canvas.Picture | None:
     """Relative differences with their intervals; None where nothing moved."""
     rows = moved_rows(changes)
     if not rows:
@@ -469,9 +472,9 @@ def moved_picture(changes: Iterable[Change]) -> Picture | None:
             axes.set_xscale("symlog", linthresh=max(least, 1e-3))
         axes.axvline(0.0, color=canvas.GREY, linewidth=0.8)
         for k, (row, (value, low, high)) in enumerate(zip(rows, ends, strict=True)):
-            axes.plot([low, high], [k, k], color=INK, linewidth=1.2, marker="|", markersize=7)
-            face = BLUE if row.verdict == SURE else PAPER
-            axes.plot(value, k, marker="o", markersize=7, color=BLUE, markerfacecolor=face)
+            axes.plot([low, high], [k, k], color=canvas.INK, linewidth=1.2, marker="|", markersize=7)
+            face = canvas.BLUE if row.verdict == SURE else canvas.PAPER
+            axes.plot(value, k, marker="o", markersize=7, color=canvas.BLUE, markerfacecolor=face)
             side = 1 if value >= 0.0 else -1
             canvas.note(axes, number_text(f"{value:+.3g}") + " %", (high if side > 0 else low, k), (6 * side, 0),
                         va="center", ha="left" if side > 0 else "right", fontsize=8.5)  # fmt: skip
@@ -480,11 +483,11 @@ def moved_picture(changes: Iterable[Change]) -> Picture | None:
         if wide:
             _percent_ticks(axes)
         axes.set_xlabel("difference, in per cent of the value before")
-        marks = [mark(BLUE, "changed", marker="o", linestyle="")]
+        marks = [canvas.mark(canvas.BLUE, "changed", marker="o", linestyle="")]
         if any(row.verdict == PERHAPS for row in rows):
-            marks.append(mark(BLUE, "perhaps", marker="o", markerfacecolor=PAPER, linestyle=""))
-        canvas.legend_above(axes, 3, [*marks, mark(INK, "95 % interval", marker="|")], 1.6)
-    return Picture(name="moved", title="What moved", figure=figure)
+            marks.append(canvas.mark(canvas.BLUE, "perhaps", marker="o", markerfacecolor=canvas.PAPER, linestyle=""))
+        canvas.legend_above(axes, 3, [*marks, canvas.mark(canvas.INK, "95 % interval", marker="|")], 1.6)
+    return canvas.Picture(name="moved", title="What moved", figure=figure)
 
 
 def _percent_ticks(axes: Axes) -> None:
@@ -508,7 +511,7 @@ def _percent_ticks(axes: Axes) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: number_text(f"{value:g}")))
 
 
-def fragility_picture(before: Contents, after: Contents, name: str) -> Picture | None:
+def fragility_picture(before: Contents, after: Contents, name: str) -> canvas.Picture | None:
     """Both fragility curves of a limit with their bands."""
     from uqsphere.report.figures.distributions import axis_label
     from uqsphere.report.figures.fragility import on_paper, probability_axis
@@ -520,7 +523,7 @@ def fragility_picture(before: Contents, after: Contents, name: str) -> Picture |
     with canvas.style():
         figure, (axes,) = canvas.new_figure(3.6)
         for entry, colour, line, word in zip(
-            entries, (BLUE, canvas.ORANGE), ("-", "--"), ("before", "after"), strict=True
+            entries, (canvas.BLUE, canvas.ORANGE), ("-", "--"), ("before", "after"), strict=True
         ):
             curve = np.array(entry.curve, dtype=float)
             curve = curve[on_paper(curve[:, 1], 1e-5)]
@@ -529,11 +532,12 @@ def fragility_picture(before: Contents, after: Contents, name: str) -> Picture |
             canvas.band(axes, x, low, high, colour)
             axes.plot(x, middle, color=colour, linestyle=line, label=word)
         probability_axis(axes)
-        axes.set_xlabel(axis_label(solve, shorten(input_name(solve), 50)))
-        axes.set_ylabel("probability of exceeding the strength")
+        canvas.frame(
+            axes, x=axis_label(solve, canvas.shorten(input_name(solve), 50)), y="probability of exceeding the strength"
+        )
         canvas.legend_above(axes, 3, line=1.6)
     title = f"Fragility of {limit_name(name)}, before and after"
-    return Picture(name=canvas.slug("fragility", name), title=title, figure=figure)
+    return canvas.Picture(name=canvas.slug("fragility", name), title=title, figure=figure)
 
 
 # --- the comparison as one self-contained page: figures inlined, no script, nothing fetched ------------------
@@ -618,7 +622,7 @@ def _limits(found: Comparison) -> list[dict[str, str]]:
         elif miss.difference is not None:
             line += " No difference is seen above the intervals."
         words = {"before": entry.verdict_before, "after": entry.verdict_after}
-        boxes.append({"name": shorten(entry.limit, 80), **words, "line": line})
+        boxes.append({"name": canvas.shorten(entry.limit, 80), **words, "line": line})
     return boxes
 
 
@@ -628,7 +632,7 @@ def _page(found: Comparison, parts: Mapping[str, list[Block]]) -> str:
 
     room, taken = MOST_INLINED, list[str]()
 
-    def placed(picture: Picture) -> Any:
+    def placed(picture: canvas.Picture) -> Any:
         nonlocal room
         # p_max and P_max are drawn under the same name
         taken.append(picture.name)

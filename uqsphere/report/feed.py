@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from operator import attrgetter
 from typing import Any, Final
 
 import numpy as np
@@ -12,35 +13,12 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.console import screen_width, table, wrap, writable
 from uqsphere.feed.answers import Answer as Told
-from uqsphere.feed.answers import FeedEntry
+from uqsphere.feed.answers import ClassEntry, FeedEntry
 from uqsphere.feed.fit import FitEntry, Interval, Posterior
 from uqsphere.feed.tests import Specimens
 from uqsphere.report.brief import Answer, Brief
 from uqsphere.report.cautions import Caution
-from uqsphere.report.figures.canvas import (
-    BLUE,
-    FAINT,
-    GREEN,
-    GREY,
-    INK,
-    MARKS,
-    ORANGE,
-    PAPER,
-    PURPLE,
-    RED,
-    SKY,
-    Picture,
-    band,
-    inline,
-    legend_above,
-    log_axis,
-    new_figure,
-    note,
-    render,
-    score,
-    shorten,
-    style,
-)
+from uqsphere.report.figures import canvas
 from uqsphere.report.page import set_page
 from uqsphere.report.phrases import Block, Chapter, Table, capital, counted
 from uqsphere.store import csv_text
@@ -97,7 +75,7 @@ def _feed_brief(entry: FeedEntry) -> Brief:
         _answer("Given to the particles", energy, 1.0 / 3600.0, "kWh/t"),
     )  # fmt: skip
     beyond = [one for one in entry.classes if one.extrapolated and one.mass > 0.0]
-    heaviest = max(beyond or entry.classes, key=lambda one: one.mass * (one.broken.ignorance or 0.0))
+    heaviest = _least_known(beyond or entry.classes)
     reason = "Beyond the tested sizes" if beyond else "Where the feed weighs most on what is not known"
     return Brief(
         title=_title(entry.title), answers=answers, drivers=_drivers(entry.broken), driven="share of the feed broken",
@@ -107,8 +85,13 @@ def _feed_brief(entry: FeedEntry) -> Brief:
     )  # fmt: skip
 
 
+def _least_known(classes: Sequence[ClassEntry]) -> ClassEntry:
+    """The class that weighs most on what is not known."""
+    return max(classes, key=lambda one: one.mass * (one.broken.ignorance or 0.0))
+
+
 def _title(text: str) -> str:
-    return shorten(text, 200) or "Untitled study"
+    return canvas.shorten(text, 200) or "Untitled study"
 
 
 def _drivers(answer: Told) -> tuple[tuple[str, float], ...]:
@@ -122,7 +105,7 @@ def _drivers(answer: Told) -> tuple[tuple[str, float], ...]:
 def told_cautions(texts: Iterable[str], *, made_up: bool = False) -> tuple[Caution, ...]:
     """Warnings as a brief has them, in their order; that tests are made up comes first, once."""
     first = (Caution(rank=0, text="The tests are made up: no number of this page is of a rock."),) if made_up else ()
-    rest = (f"{capital(shorten(text, 180)).rstrip('.')}." for text in texts if "made up" not in text)
+    rest = (f"{capital(canvas.shorten(text, 180)).rstrip('.')}." for text in texts if "made up" not in text)
     return (*first, *(Caution(rank=1, text=text) for text in rest))
 
 
@@ -278,15 +261,15 @@ def page_files(kind: str, brief: Brief, chapters: Sequence[Chapter]) -> dict[str
 
     files: dict[str, str] = {}
 
-    def drawn(picture: Picture) -> Any:
-        svg = render(picture)
+    def drawn(picture: canvas.Picture) -> Any:
+        svg = canvas.render(picture)
         files[f"figures/{picture.name}.svg"] = svg
         if picture.header:
             files[f"figures/{picture.name}.csv"] = csv_text(picture.header, [
                 ["" if cell is None else cell for cell in row] for row in picture.rows
             ])  # fmt: skip
         # the one text that is not escaped: made of escaped parts by the XML writer
-        return Markup(inline(svg, picture.name))
+        return Markup(canvas.inline(svg, picture.name))
 
     return {"report.html": set_page({"brief": brief, "kind": kind}, chapters, drawn), **files}
 
@@ -311,7 +294,7 @@ _CURVES, _DRAWS, _POINTS = 5, 400, 80
 _TICKS: Final = (0.001, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999)
 _LEAST: Final = 5e-4
 _ENDS: Final = (0.025, 0.5, 0.975)
-_COLOURS: Final = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
+_COLOURS: Final = (canvas.BLUE, canvas.RED, canvas.GREEN, canvas.PURPLE, canvas.ORANGE, canvas.SKY)
 #: levels of energy that tests without a measured energy of failure are gathered at
 _LEVELS: Final = 5
 
@@ -361,73 +344,73 @@ def _levels(tests: Specimens) -> Iterator[tuple[float, float, float]]:
         yield float(np.exp(np.log(tests.last[part]).mean())), share, float(weight.sum())
 
 
-def probability_plot(tests: Specimens, posterior: Posterior) -> Picture:
+def probability_plot(tests: Specimens, posterior: Posterior) -> canvas.Picture:
     """Share broken over energy by size: tests, those that outlasted theirs, and the law with what it leaves open."""
     some, rows = _some(posterior), list[tuple[float, float, float | None, str, float]]()
-    with style():
-        figure, (axes,) = new_figure(4.4)
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(4.4)
         reach = np.geomspace(0.3 * tests.last.min(), 3.0 * tests.last.max(), _POINTS)
         for k, (size, part) in enumerate(shown_sizes(tests)):
-            colour, mark = _COLOURS[k % len(_COLOURS)], MARKS[k % len(MARKS)]
-            low, middle, high = (score(one, _LEAST) for one in np.quantile(some.broken(reach, size), _ENDS, axis=0))
-            band(axes, reach, low, high, colour, 0.12)
+            colour, mark = _COLOURS[k % len(_COLOURS)], canvas.MARKS[k % len(canvas.MARKS)]
+            low, middle, high = (
+                canvas.score(one, _LEAST) for one in np.quantile(some.broken(reach, size), _ENDS, axis=0)
+            )
+            canvas.band(axes, reach, low, high, colour, 0.12)
             axes.plot(reach, middle, color=colour, linewidth=1.3)
             once = part.at(~part.repeated)
             measured = bool(once.exact.any())
             energy, share = kaplan_meier(once.at((once.exact | ~once.broke) & measured))
-            axes.plot(energy, score(share, _LEAST), mark, color=colour, markersize=4.5,
+            axes.plot(energy, canvas.score(share, _LEAST), mark, color=colour, markersize=4.5,
                       label=f"{1e3 * size:.3g} mm ({part.particles})")  # fmt: skip
             rows += [(size, float(e), float(s), "measured", 1.0) for e, s in zip(energy, share, strict=True)]
             for e, s, count in () if measured or not len(once) else _levels(once):
                 wide = 4.0 + 0.6 * count**0.5
-                axes.plot(e, score(s, _LEAST), mark, color=colour, markerfacecolor=PAPER, markersize=wide)
+                axes.plot(e, canvas.score(s, _LEAST), mark, color=colour, markerfacecolor=canvas.PAPER, markersize=wide)
                 rows.append((size, e, s, "offered", count))
             left = part.at(~part.broke).last
-            foot = float(score(_LEAST, _LEAST)) + 0.12 * (1 + k)
+            foot = float(canvas.score(_LEAST, _LEAST)) + 0.12 * (1 + k)
             axes.plot(left, np.full(len(left), foot), "|", color=colour, markersize=7)
             rows += [(size, float(e), None, "left whole", 1.0) for e in left]
-        axes.set_yticks(score(np.array(_TICKS), _LEAST), [f"{100 * p:g}" for p in _TICKS])
-        axes.set_ylim(float(score(_LEAST, _LEAST)), float(score(1.0 - _LEAST, _LEAST)))
+        axes.set_yticks(canvas.score(np.array(_TICKS), _LEAST), [f"{100 * p:g}" for p in _TICKS])
+        axes.set_ylim(float(canvas.score(_LEAST, _LEAST)), float(canvas.score(1.0 - _LEAST, _LEAST)))
         axes.set_ylabel("share broken [%]")
         axes.grid(True, axis="y")
-        log_axis(axes, "x", float(reach[0]), float(reach[-1]))
-        axes.set_xlabel("energy that a particle takes up [J/kg]")
-        legend_above(axes, 3)
+        canvas.log_axis(axes, "x", float(reach[0]), float(reach[-1]))
+        canvas.frame(axes, x="energy that a particle takes up [J/kg]", legend=3)
     finding = (
         "Filled: energies at failure. Open: shares broken at an energy that was offered. Ticks: particles left whole, "
         "at their last energy. Bands: 95 % of what the tests leave open."
     )
     header = ("size [m]", "energy [J/kg]", "share", "what", "particles")
     title = "Share broken over energy, by size"
-    return Picture(name="tests", title=title, finding=finding, figure=figure, header=header, rows=tuple(rows))
+    return canvas.Picture(name="tests", title=title, finding=finding, figure=figure, header=header, rows=tuple(rows))
 
 
-def size_plot(tests: Specimens, posterior: Posterior, feed: FeedEntry | None) -> Picture:
+def size_plot(tests: Specimens, posterior: Posterior, feed: FeedEntry | None) -> canvas.Picture:
     """Energy that breaks half over size, with its band, the tested range and the classes of a feed."""
     some, (low, high) = _some(posterior), posterior.tested
     classes = [] if feed is None else [one.size for one in feed.classes[:-1] if one.mass > 0.0]
     ends = (min([low, *classes]) / 1.3, max([high, *classes]) * 1.3)
     sizes = np.geomspace(*ends, _POINTS) if posterior.size != "class" else np.array(posterior.classes)
     half = np.quantile(some.energy_at(0.5, sizes), _ENDS, axis=0)
-    with style():
-        figure, (axes,) = new_figure(3.6)
-        axes.axvspan(1e3 * low, 1e3 * high, color=FAINT, alpha=0.5, linewidth=0.0, label="sizes tested")
-        band(axes, 1e3 * sizes, half[0], half[2], BLUE, 0.2, label="95 %")
-        axes.plot(1e3 * sizes, half[1], color=BLUE, marker="o" if posterior.size == "class" else None)
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(3.6)
+        axes.axvspan(1e3 * low, 1e3 * high, color=canvas.FAINT, alpha=0.5, linewidth=0.0, label="sizes tested")
+        canvas.band(axes, 1e3 * sizes, half[0], half[2], canvas.BLUE, 0.2, label="95 %")
+        axes.plot(1e3 * sizes, half[1], color=canvas.BLUE, marker="o" if posterior.size == "class" else None)
         for size, part in shown_sizes(tests):
             energy, share = kaplan_meier(part) if part.exact.any() and not part.repeated.any() else (np.empty(0),) * 2
-            if len(share) > 1 and share[0] < 0.5 < share[-1]:
+            if share.min(initial=1.0) < 0.5 < share.max(initial=0.0):
                 at = float(np.interp(0.5, share, energy))
-                axes.plot(1e3 * size, at, "o", color=INK, markerfacecolor=PAPER, markersize=6)
+                axes.plot(1e3 * size, at, "o", color=canvas.INK, markerfacecolor=canvas.PAPER, markersize=6)
         if classes:
             floor = np.full(len(classes), 0.9 * float(half[0].min()))
-            axes.plot(1e3 * np.array(classes), floor, "|", color=RED, markersize=10, label="classes of the feed")
-        log_axis(axes, "x", 1e3 * float(sizes[0]) / 1.05, 1e3 * float(sizes[-1]) * 1.05)
-        log_axis(axes, "y", 0.8 * float(half[0].min()), 1.1 * float(half[2].max()))
-        axes.set_xlabel("diameter [mm]")
-        axes.set_ylabel("energy that breaks half [J/kg]")
+            axes.plot(1e3 * np.array(classes), floor, "|", color=canvas.RED, markersize=10, label="classes of the feed")
+        canvas.log_axis(axes, "x", 1e3 * float(sizes[0]) / 1.05, 1e3 * float(sizes[-1]) * 1.05)
+        canvas.log_axis(axes, "y", 0.8 * float(half[0].min()), 1.1 * float(half[2].max()))
+        canvas.frame(axes, x="diameter [mm]", y="energy that breaks half [J/kg]")
         axes.grid(True)
-        legend_above(axes, 3)
+        canvas.legend_above(axes, 3)
     rows = tuple(zip(*(column.tolist() for column in (sizes, *half)), strict=True))
     beyond = [size for size in classes if not low / 1.19 <= size <= high * 1.19]
     finding = "Circles: medians of the tests of one size." + (
@@ -435,101 +418,98 @@ def size_plot(tests: Specimens, posterior: Posterior, feed: FeedEntry | None) ->
         if beyond else ""
     )  # fmt: skip
     header, title = ("size [m]", "low [J/kg]", "median [J/kg]", "high [J/kg]"), "Energy that breaks half, over size"
-    return Picture(name="size", title=title, finding=finding, figure=figure, header=header, rows=rows)
+    return canvas.Picture(name="size", title=title, finding=finding, figure=figure, header=header, rows=rows)
 
 
-def parameters_plot(posterior: Posterior, entry: FitEntry) -> Picture:
+def parameters_plot(posterior: Posterior, entry: FitEntry) -> canvas.Picture:
     """The posterior of every parameter beside its prior, over its logarithm."""
     law, parameters = next(iter(entry.parameters.items()))
     names = [name for name in parameters if name in posterior.draws]
-    with style():
-        figure, all_axes = new_figure(0.6 + 1.15 * len(names), rows=len(names))
+    with canvas.style():
+        figure, all_axes = canvas.new_figure(0.6 + 1.15 * len(names), rows=len(names))
         for axes, name in zip(all_axes, names, strict=True):
             drawn = posterior.draws[name][posterior.which == law]
             values, told = np.log(drawn[np.isfinite(drawn)]), parameters[name]
             grid = np.linspace(values.mean() - 4.5 * values.std(), values.mean() + 4.5 * values.std(), 61)
             heights, edges = np.histogram(values, bins=grid, density=True)
-            band(axes, np.exp(edges), np.zeros(len(edges)), np.append(heights, 0.0), BLUE, 0.35, step="post")
+            canvas.band(
+                axes, np.exp(edges), np.zeros(len(edges)), np.append(heights, 0.0), canvas.BLUE, 0.35, step="post"
+            )
             if told.prior is not None and told.prior[1] < 50.0:
                 z = (grid - np.log(told.prior[0])) / told.prior[1]
                 height = np.exp(-0.5 * z * z) / (told.prior[1] * np.sqrt(2.0 * np.pi))
-                axes.plot(np.exp(grid), height, color=GREY, linestyle="--")
-            log_axis(axes, "x", float(np.exp(grid[0])), float(np.exp(grid[-1])))
+                axes.plot(np.exp(grid), height, color=canvas.GREY, linestyle="--")
+            canvas.log_axis(axes, "x", float(np.exp(grid[0])), float(np.exp(grid[-1])))
             axes.set_yticks([])
             unit = f" [{told.unit}]" if told.unit not in ("", "1") else ""
             axes.set_xlabel(f"{name}{unit}{'' if told.told else ': these tests do not tell it'}")
     finding = "Filled: what the tests leave open. Dashed: the prior. Densities are over the logarithm."
-    return Picture(name="posterior", title=f"Parameters of the {law} law", finding=finding, figure=figure)
+    return canvas.Picture(name="posterior", title=f"Parameters of the {law} law", finding=finding, figure=figure)
 
 
-def classes_plot(entry: FeedEntry) -> Picture:
+def classes_plot(entry: FeedEntry) -> canvas.Picture:
     """Share broken by class, with what more tests would tell and what a lot adds."""
     classes = [one for one in entry.classes if one.mass > 0.0][::-1]
     at = np.arange(len(classes))
     value = np.array([100.0 * (one.broken.value or 0.0) for one in classes])
-    with style():
-        figure, (axes,) = new_figure(3.8)
-        colours = [FAINT if one.extrapolated else SKY for one in classes]
-        bars = axes.bar(at, value, color=colours, edgecolor=GREY, linewidth=0.6, width=0.8)
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(3.8)
+        colours = [(canvas.SKY, canvas.FAINT)[one.extrapolated] for one in classes]
+        bars = axes.bar(at, value, color=colours, edgecolor=canvas.GREY, linewidth=0.6, width=0.8)
         for bar, one in zip(bars, classes, strict=True):
-            bar.set_hatch("//" if one.extrapolated else "")
+            bar.set_hatch("//" * one.extrapolated)
         intervals = (
-            ("low", "high", BLUE, "ignorance: more tests"),
-            ("lot_low", "lot_high", RED, "and scatter of a lot"),
+            ("", -0.14, canvas.BLUE, "ignorance: more tests"),
+            ("lot_", 0.14, canvas.RED, "and scatter of a lot"),
         )
-        for k, (low, high, colour, label) in enumerate(intervals):
-            ends = np.array([[getattr(one.broken, key) for key in (low, high)] for one in classes], dtype=float)
+        for of, aside, colour, label in intervals:
+            both = attrgetter(f"broken.{of}low", f"broken.{of}high")
+            ends = np.array([both(one) for one in classes], dtype=float)
             known = np.isfinite(ends).all(axis=1)
             if known.any():
                 a, b = 100.0 * ends[known].T
-                axes.vlines(at[known] + (0.14 if k else -0.14), a, b, color=colour, linewidth=2.2, label=label)
+                axes.vlines(at[known] + aside, a, b, color=colour, linewidth=2.2, label=label)
         axes.set_xticks(at, [f"{1e3 * one.size:.3g}" for one in classes], rotation=45)
-        axes.set_xlabel("size of the class [mm] (hatched: beyond the tested sizes)")
-        axes.set_ylabel("share broken [%]")
+        canvas.frame(axes, x="size of the class [mm] (hatched: beyond the tested sizes)", y="share broken [%]")
         axes.set_ylim(0.0, 104.0)
         axes.grid(True, axis="y")
-        legend_above(axes, 2)
+        canvas.legend_above(axes, 2)
     header = ("size [m]", "mass", "broken", "low", "high", "lot_low", "lot_high", "ignorance", "scatter")
-    rows = tuple(
-        (one.size, one.mass, one.broken.value, one.broken.low, one.broken.high, one.broken.lot_low, one.broken.lot_high,
-         one.broken.ignorance, one.broken.scatter)
-        for one in entry.classes
-    )  # fmt: skip
-    worst = max(entry.classes, key=lambda one: one.mass * (one.broken.ignorance or 0.0))
-    finding = f"Least is known where it counts at {1e3 * worst.size:.3g} mm."
-    return Picture(
+    told = attrgetter("size", "mass", "broken.value", *(f"broken.{key}" for key in header[3:]))
+    rows = tuple(map(told, entry.classes))
+    finding = f"Least is known where it counts at {1e3 * _least_known(entry.classes).size:.3g} mm."
+    return canvas.Picture(
         name="classes", title="Share broken by class", finding=finding, figure=figure, header=header, rows=rows
     )
 
 
-def product_plot(entry: FeedEntry) -> Picture:
+def product_plot(entry: FeedEntry) -> canvas.Picture:
     """The product's curve with its band, beside the feed's."""
     sieve, feed, value, low, high = (
         np.array([getattr(one, name) for one in entry.curve]) for name in ("sieve", "feed", "value", "low", "high")
     )
-    with style():
-        figure, (axes,) = new_figure(3.8)
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(3.8)
         x = 1e3 * sieve
-        band(axes, x, 100.0 * low, 100.0 * high, BLUE, 0.2, label="95 %")
-        axes.plot(x, 100.0 * value, color=BLUE, label="product")
-        axes.plot(x, 100.0 * feed, color=GREY, linestyle="--", label="feed")
+        canvas.band(axes, x, 100.0 * low, 100.0 * high, canvas.BLUE, 0.2, label="95 %")
+        axes.plot(x, 100.0 * value, color=canvas.BLUE, label="product")
+        axes.plot(x, 100.0 * feed, color=canvas.GREY, linestyle="--", label="feed")
         for share, answer in ((80.0, entry.p80), (50.0, entry.p50)):
             if answer.value is not None:
-                axes.plot(1e3 * answer.value, share, "o", color=INK, markerfacecolor=PAPER, markersize=6)
-                note(
+                axes.plot(1e3 * answer.value, share, "o", color=canvas.INK, markerfacecolor=canvas.PAPER, markersize=6)
+                canvas.note(
                     axes, f"P{share:.0f} {1e3 * answer.value:.3g} mm", (1e3 * answer.value, share), (-7, 4), ha="right"
                 )
         if entry.fines_sieve is not None:
-            axes.axvline(1e3 * entry.fines_sieve, color=RED, linewidth=1.0, linestyle=":", label="fines")
-        log_axis(axes, "x", max(float(x[0]), 1e-3 * float(x[-1])), float(x[-1]))
+            axes.axvline(1e3 * entry.fines_sieve, color=canvas.RED, linewidth=1.0, linestyle=":", label="fines")
+        canvas.log_axis(axes, "x", max(float(x[0]), 1e-3 * float(x[-1])), float(x[-1]))
         axes.set_ylim(0.0, 102.0)
-        axes.set_xlabel("sieve [mm]")
-        axes.set_ylabel("finer, by mass [%]")
+        canvas.frame(axes, x="sieve [mm]", y="finer, by mass [%]")
         axes.grid(True)
-        legend_above(axes, 4)
+        canvas.legend_above(axes, 4)
     rows = tuple(zip(*(column.tolist() for column in (sieve, feed, value, low, high)), strict=True))
     finding = "The band holds what the tests, the product's numbers and the family of the curve leave open."
     if entry.lot is not None:
         finding = finding.replace("leave open", "leave open, and the scatter of lots")
-    return Picture(name="product", title="Product of the feed", finding=finding, figure=figure, rows=rows,
-                   header=("sieve [m]", "feed", "product", "low", "high"))  # fmt: skip
+    return canvas.Picture(name="product", title="Product of the feed", finding=finding, figure=figure, rows=rows,
+                          header=("sieve [m]", "feed", "product", "low", "high"))  # fmt: skip

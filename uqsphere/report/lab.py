@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
@@ -11,22 +10,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.mechanics.pulses import pulse_value
-from uqsphere.report.figures.canvas import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    ORANGE,
-    PURPLE,
-    RED,
-    Picture,
-    band,
-    inline,
-    legend_above,
-    new_figure,
-    render,
-    style,
-)
+from uqsphere.report.figures import canvas
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,42 +38,39 @@ def _course(axes: Axes, time: Array, values: Array, scale: float, colour: str, l
 def _frame(axes: Sequence[Axes], columns: Sequence[int]) -> None:
     """Zero, grid and legend of every panel."""
     for place, count in zip(axes, columns, strict=True):
-        place.axhline(0.0, color=GREY, linewidth=0.6)
-        place.grid()
-        legend_above(place, count)
+        place.axhline(0.0, color=canvas.GREY, linewidth=0.6)
+        canvas.frame(place, grid=True, legend=count)
 
 
 def pulse_figure(record: Record, cut: CutPulse, pulse: MeasuredPulse | None) -> str:
     """SVG text: the record with the window of its pulse, and the pulse with the cubics that stand for it."""
-    with style():
-        figure, (whole, part) = new_figure(5.6, rows=2)
+    with canvas.style():
+        figure, (whole, part) = canvas.new_figure(5.6, rows=2)
         time = record.time * 1e6
-        _course(whole, time, record.strain[:, 0], 1e6, BLUE, "record, baseline taken off")
+        _course(whole, time, record.strain[:, 0], 1e6, canvas.BLUE, "record, baseline taken off")
         begin, end = cut.begin * 1e6, (cut.begin + cut.step * (len(cut.strain) - 1)) * 1e6
-        whole.axvspan(begin, end, color=ORANGE, alpha=0.18, linewidth=0.0, label="window of the pulse")
-        for k, colour in zip(range(1, record.strain.shape[1]), (PURPLE, GREEN), strict=False):
+        whole.axvspan(begin, end, color=canvas.ORANGE, alpha=0.18, linewidth=0.0, label="window of the pulse")
+        for k, colour in zip(range(1, record.strain.shape[1]), (canvas.PURPLE, canvas.GREEN), strict=False):
             _course(whole, time, record.strain[:, k], 1e6, colour, "other bar", linewidth=0.7)
         if record.held[:, 0].any():
             held = np.where(record.held[:, 0], record.strain[:, 0], np.nan) * 1e6
-            whole.plot(time, held, color=RED, linewidth=2.0, label="missing")
-        whole.set_ylabel("strain [µm/m]\ntension positive")
-        whole.set_xlabel("time of the record [µs]")
+            whole.plot(time, held, color=canvas.RED, linewidth=2.0, label="missing")
+        canvas.frame(whole, x="time of the record [µs]", y="strain [µm/m]\ntension positive")
         whole.set_xlim(time[0], time[-1])
         own = np.asarray(cut.step * np.arange(len(cut.strain)), dtype=float)
-        _course(part, own * 1e6, cut.strain, 1e6, GREY, "samples")
+        _course(part, own * 1e6, cut.strain, 1e6, canvas.GREY, "samples")
         if pulse is not None:
             fine = np.linspace(0.0, pulse.duration, 1001)
             curve = pulse.peak * pulse_value(pulse.pulse(1, {}), 0, np.minimum(fine, pulse.duration * (1.0 - 1e-12)))
-            part.plot(fine * 1e6, curve * 1e6, color=INK, linewidth=1.2, label=f"{len(pulse.breaks) - 1} cubics")
+            part.plot(fine * 1e6, curve * 1e6, color=canvas.INK, linewidth=1.2, label=f"{len(pulse.breaks) - 1} cubics")
             joints = np.asarray(pulse.breaks)
-            part.plot(joints * 1e6, np.interp(joints, fine, curve) * 1e6, linestyle="none", marker="|", color=ORANGE,
-                      markersize=7, label="joints")  # fmt: skip
-        part.set_ylabel("strain [µm/m]\ncompression positive")
-        part.set_xlabel("time since the begin of the pulse [µs]")
+            part.plot(joints * 1e6, np.interp(joints, fine, curve) * 1e6, linestyle="none", marker="|",
+                      color=canvas.ORANGE, markersize=7, label="joints")  # fmt: skip
+        canvas.frame(part, x="time since the begin of the pulse [µs]", y="strain [µm/m]\ncompression positive")
         part.set_xlim(0.0, own[-1] * 1e6)
         _frame((whole, part), (3, 3))
     finding = f"The pulse reaches {cut.strain.max() * 1e6:.4g} microstrain and lasts {own[-1] * 1e6:.4g} µs."
-    return render(Picture(name="record", title="Record and pulse", finding=finding, figure=figure))
+    return canvas.render(canvas.Picture(name="record", title="Record and pulse", finding=finding, figure=figure))
 
 
 def forces_figure(read: Reading) -> str:
@@ -97,15 +78,18 @@ def forces_figure(read: Reading) -> str:
     between the faces."""
     faces, forces, found = read.faces, read.forces, read.inverse
     time, end = forces.time * 1e6, None if read.inverse is None else read.inverse.departure
-    with style():
-        figure, axes = new_figure(7.6, rows=3, sharex=True)
+    with canvas.style():
+        figure, axes = canvas.new_figure(7.6, rows=3, sharex=True)
         waves, above, below = axes
-        _course(waves, time, faces.incident, 1e6, BLUE, "incident", linewidth=1.1)
-        _course(waves, time, faces.reflected, 1e6, PURPLE, "reflected", linestyle=":", linewidth=1.1)
-        _course(waves, time, faces.transmitted, 1e6, ORANGE, "transmitted", linestyle="--", linewidth=1.1)
-        for face, force, colour, line in (("A", forces.force_a, BLUE, "-"), ("B", forces.force_b, ORANGE, "--")):
+        _course(waves, time, faces.incident, 1e6, canvas.BLUE, "incident", linewidth=1.1)
+        _course(waves, time, faces.reflected, 1e6, canvas.PURPLE, "reflected", linestyle=":", linewidth=1.1)
+        _course(waves, time, faces.transmitted, 1e6, canvas.ORANGE, "transmitted", linestyle="--", linewidth=1.1)
+        for face, force, colour, line in (
+            ("A", forces.force_a, canvas.BLUE, "-"),
+            ("B", forces.force_b, canvas.ORANGE, "--"),
+        ):
             low, high = forces.interval(face)
-            band(above, time, low * 1e-3, high * 1e-3, colour, 0.2)
+            canvas.band(above, time, low * 1e-3, high * 1e-3, colour, 0.2)
             _course(above, time, force, 1e-3, colour, f"force at {face}, 95 %", linestyle=line, linewidth=1.8)
             if found is not None:
                 fitted = found.fitted_a if face == "A" else found.fitted_b
@@ -113,24 +97,23 @@ def forces_figure(read: Reading) -> str:
                            label=f"model at {face}")  # fmt: skip
                 _course(below, time, force - fitted, 1e-3, colour, f"record less model at {face}", linestyle=line)
         if found is None:
-            _course(below, time, forces.force_a - forces.force_b, 1e-3, INK, "force at A less force at B")
+            _course(below, time, forces.force_a - forces.force_b, 1e-3, canvas.INK, "force at A less force at B")
         waves.set_ylabel("strain at the faces\n[µm/m]")
         above.set_ylabel("contact force\n[kN]")
-        below.set_ylabel("difference\n[kN]")
-        below.set_xlabel("time since the wave reached the sphere [µs]")
+        canvas.frame(below, x="time since the wave reached the sphere [µs]", y="difference\n[kN]")
         if end is not None:
             for place in axes:
-                place.axvspan(end.earliest * 1e6, end.latest * 1e6, color=RED, alpha=0.15, linewidth=0.0)
-                place.axvline(end.time * 1e6, color=RED, linewidth=1.0, linestyle="-.")
-            above.plot([], [], color=RED, linestyle="-.", label="elastic contact ends")
+                place.axvspan(end.earliest * 1e6, end.latest * 1e6, color=canvas.RED, alpha=0.15, linewidth=0.0)
+                place.axvline(end.time * 1e6, color=canvas.RED, linewidth=1.0, linestyle="-.")
+            above.plot([], [], color=canvas.RED, linestyle="-.", label="elastic contact ends")
         elif found is not None:
-            above.plot([], [], color=GREEN, label="elastic throughout")
+            above.plot([], [], color=canvas.GREEN, label="elastic throughout")
         _frame(axes, (3, 3, 2))
         waves.set_xlim(0.0, time[-1])
     peak = read.peaks["B"]
     finding = f"The largest force at B is {peak.value * 1e-3:.4g} kN" + (", which is doubted." if peak.doubts else ".")
     finding += "" if end is None else f" The elastic contact ends at {end.time * 1e6:.4g} µs."
-    return render(Picture(name="forces", title="Forces of a test", finding=finding, figure=figure))
+    return canvas.render(canvas.Picture(name="forces", title="Forces of a test", finding=finding, figure=figure))
 
 
 # --- sheets ---------------------------------------------------------------------------------------------------
@@ -144,8 +127,6 @@ th { border-bottom: 1px solid #666; } ul { margin: 0; padding-left: 5mm; font-si
 .figures { display: flex; gap: 3mm; } .figures div { width: 50%; } svg { width: 100%; height: auto; }
 @page { size: A4; margin: 10mm; }
 """
-#: a colour of the theme, and what it is on paper
-_THEMED: Final = re.compile(r"var\(--[a-z]+, (#[0-9a-f]{6})\)")
 #: notes that fit on the sheet
 _NOTES = 16
 
@@ -193,7 +174,7 @@ def lab_sheet(
     if len(notes) > _NOTES:
         said.append(f"<li>and {len(notes) - _NOTES} more</li>")
     # a sheet is paper: it has the colours of paper, not of a theme
-    papers = [_THEMED.sub(r"\1", inline(svg, f"figure{k}")) for k, svg in enumerate(figures)]
+    papers = [canvas.on_paper(canvas.inline(svg, f"figure{k}")) for k, svg in enumerate(figures)]
     drawn = "".join(f"<div>{svg}</div>" for svg in papers)
     body = [_table(header, rows), f'<div class="figures">{drawn}</div>', "<h2>Read and mended</h2>"]
     return _page(f"Test {name}", "\n".join([*body, "<ul>", *said, "</ul>"]))

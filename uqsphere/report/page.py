@@ -22,7 +22,7 @@ from uqsphere.report.brief import make_brief
 from uqsphere.report.chapters import CHAPTERS, build_chapters, service_chapters
 from uqsphere.report.contents import Contents, read_contents, units_of
 from uqsphere.report.figures.brief import curve_drawings, mode_dots
-from uqsphere.report.figures.canvas import APOSTROPHE, Picture, inline, render, shorten
+from uqsphere.report.figures.canvas import APOSTROPHE, Picture, inline, on_paper, render, shorten
 from uqsphere.report.phrases import Block, Chapter, short_share, two
 from uqsphere.report.tables import commands, repeat_rows
 from uqsphere.report.whatif import panels
@@ -422,8 +422,6 @@ def _numbers_of(block: Block) -> tuple[str, ...]:
 
 # --- The page as a typeset document, by WeasyPrint, which is an optional extra.
 
-#: what a browser takes from the theme and a typesetter does not know
-_VARIABLE: Final = re.compile(r"var\(--[a-z]+, (#[0-9a-f]{6})\)")
 _LACKING: Final = "the PDF needs the extra: pip install 'uqsphere[pdf]'"
 #: page numbers, and what the screen alone needs left out
 _SHEET: Final = """
@@ -474,7 +472,7 @@ def build_pdf(folder: Path, *, full: bool = False) -> Path:
     """
     check_pdf()
     path = folder / "report.pdf"
-    text = _VARIABLE.sub(r"\1", (folder / "report.html").read_text(encoding="utf-8"))
+    text = on_paper((folder / "report.html").read_text(encoding="utf-8"))
     if full:
         text = text.replace('<details class="annex">', '<details class="annex" open>')
     write_atomically(path, _printed(typeset(text)))

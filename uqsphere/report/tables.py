@@ -478,24 +478,7 @@ def parts_table(contents: Contents, name: str) -> Table | None:
     if "factors" not in entry.model_fields_set:
         return None
     subject, solve = contents.subject(entry.solve), input_name(entry.solve)
-    rows: list[tuple[str, str]] = []
-    factor = reserve(contents, entry, limit)
-    if factor is not None:
-        word = "reserve" if factor >= 1.0 else "shortfall (reserve below 1)"
-        # in three digits, never more than it is
-        whole = f"{math.floor(100.0 * factor + 1e-9) / 100.0:.2f}" if factor < 100.0 else f"{math.floor(factor)}"
-        told = whole if factor >= 1.0 else f"{factor:.3g}"
-        rows.append((f"{word} in {solve}: the answer against the planned value", told))
-    factors, of = entry.factors, entry.factors.fractiles_of
-    if factors.medians:
-        # safe above 1 where the sphere is to survive, short where it is to break
-        safe = "safety factor" if limit.aim == "survive" else "strength over demand (above 1: short of breaking)"
-        fractiles = f"{plain_percent(of.strength)} fractile of the strength over {plain_percent(of.demand)} fractile"
-        apart = "of the demand (each by itself, without their dependence)"
-        rows += [
-            (f"{safe} as planned: median strength over median demand", _ranged(contents, name, factors.medians, 0.5)),
-            (f"{safe} as planned: {fractiles} {apart}", _ranged(contents, name, factors.fractiles, of.demand)),
-        ]
+    rows = [*_reserve_rows(contents, entry, limit), *_factor_rows(contents, name)]
     rows += _partial_rows(entry, limit)
     split = entry.split
     for spread, words in (
@@ -518,6 +501,29 @@ def parts_table(contents: Contents, name: str) -> Table | None:
         rows.append(("probability of missing the aim that the tests leave open", told))
     caption = f"Margin of {limit_name(name)}; the answer is where {plain_percent(entry.probability or 0.0)} exceed it"
     return Table(caption=caption, header=("", "value"), rows=tuple(rows)) if rows else None
+
+
+def _reserve_rows(contents: Contents, entry: MarginEntry, limit: LimitEntry) -> Iterator[tuple[str, str]]:
+    factor = reserve(contents, entry, limit)
+    if factor is not None:
+        word = "reserve" if factor >= 1.0 else "shortfall (reserve below 1)"
+        # in three digits, never more than it is
+        whole = f"{math.floor(100.0 * factor + 1e-9) / 100.0:.2f}" if factor < 100.0 else f"{math.floor(factor)}"
+        told = whole if factor >= 1.0 else f"{factor:.3g}"
+        yield f"{word} in {input_name(entry.solve)}: the answer against the planned value", told
+
+
+def _factor_rows(contents: Contents, name: str) -> Iterator[tuple[str, str]]:
+    factors, of = contents.results.margins[name].factors, contents.results.margins[name].factors.fractiles_of
+    if factors.medians:
+        # safe above 1 where the sphere is to survive, short where it is to break
+        survive = contents.results.limits[name].aim == "survive"
+        safe = "safety factor" if survive else "strength over demand (above 1: short of breaking)"
+        fractiles = f"{plain_percent(of.strength)} fractile of the strength over {plain_percent(of.demand)} fractile"
+        apart = "of the demand (each by itself, without their dependence)"
+        medians = _ranged(contents, name, factors.medians, 0.5)
+        yield f"{safe} as planned: median strength over median demand", medians
+        yield f"{safe} as planned: {fractiles} {apart}", _ranged(contents, name, factors.fractiles, of.demand)
 
 
 def reserve(contents: Contents, entry: MarginEntry, limit: LimitEntry) -> float | None:
@@ -699,30 +705,30 @@ def measure_table(entry: MeasureEntry | None, caption: str) -> Table | None:
         return None
     probability = entry.of == "probability"
     # one power of ten for the whole column
-    largest = max((abs(row.sway.value or 0.0) for row in entry.rows), default=0.0) if probability else 0.0
+    largest = max(abs(row.sway.value or 0.0) for row in entry.rows) if probability else 0.0
     power = math.floor(math.log10(largest)) if 0.0 < largest < 0.1 else 0
-    rows: list[tuple[str, ...]] = []
-    for row in entry.rows:
-        seen, count, sway = row.observations, specimens(entry, row), row.sway
-        tests = (thousands(count) if count else "none") + ("" if seen is None else f" (the law rests on {seen})")
-        ends = (None if end is None else 10.0**-power * end for end in (sway.value, sway.low, sway.high))
-        parts = (cell(Est.of(*ends)), two_digits(row.part)) if probability else (index_cell(row.effect),)
-        rows.append((input_name(row.input), *parts, tests))
+    rows = tuple((input_name(row.input), *_worth(entry, row, power)) for row in entry.rows)
     wanted = f"{100.0 * entry.wanted:g} %"
-    header: tuple[str, ...] = (
-        "input",
-        "share of the variance",
-        f"tests in all until {wanted} of today’s variance is left to it",
-    )
-    note = "Numbers of tests rise with the share, and have its relative interval."
-    if probability:
-        scale = f" [{powers(f'1e{power}').removeprefix('1 × ')}]" if power else ""
-        side = "the probability to the contrary" if (entry.probability or 0.0) > 0.5 else "the probability"
-        moves = f"tests in all until its error moves {side} by {wanted} of its value"
-        change = f"change of the probability per standard deviation{scale}"
-        header = ("input", change, "share in its uncertainty", moves)
-        note = "Shares and numbers of tests rise with the square of the change, and have twice its relative interval."
-    return Table(caption=caption, header=header, rows=tuple(rows), note=note)
+    if not probability:
+        left = f"tests in all until {wanted} of today’s variance is left to it"
+        note = "Numbers of tests rise with the share, and have its relative interval."
+        return Table(caption=caption, header=("input", "share of the variance", left), rows=rows, note=note)
+    scale = f" [{powers(f'1e{power}').removeprefix('1 × ')}]" if power else ""
+    side = "the probability to the contrary" if (entry.probability or 0.0) > 0.5 else "the probability"
+    moves = f"tests in all until its error moves {side} by {wanted} of its value"
+    change = f"change of the probability per standard deviation{scale}"
+    note = "Shares and numbers of tests rise with the square of the change, and have twice its relative interval."
+    return Table(caption=caption, header=("input", change, "share in its uncertainty", moves), rows=rows, note=note)
+
+
+def _worth(entry: MeasureEntry, row: MeasureRow, power: int) -> tuple[str, ...]:
+    """What not knowing an input does, a change in units of 10^power, and the tests that make it small."""
+    seen, count, sway = row.observations, specimens(entry, row), row.sway
+    tests = (thousands(count) if count else "none") + ("" if seen is None else f" (the law rests on {seen})")
+    if entry.of != "probability":
+        return index_cell(row.effect), tests
+    ends = (None if end is None else 10.0**-power * end for end in (sway.value, sway.low, sway.high))
+    return cell(Est.of(*ends)), two_digits(row.part), tests
 
 
 def design_table(contents: Contents, name: str) -> Table | None:

@@ -22,8 +22,8 @@ from uqsphere.report.brief import PLACES
 from uqsphere.report.contents import Contents, law_of, stored_law, units_of
 from uqsphere.report.figures.canvas import shorten
 from uqsphere.report.phrases import short_input, unit_text
-from uqsphere.results import NO_RIG, VerdictEntry
-from uqsphere.results.entries import SliderEntry, Sliders, SurfaceEntry
+from uqsphere.results import Results, VerdictEntry
+from uqsphere.results.entries import MarginEntry, SliderEntry, Sliders, SurfaceEntry
 from uqsphere.study.axis import strength_name
 from uqsphere.uq.joint import correlation_from_spearman
 from uqsphere.uq.law import Law
@@ -64,9 +64,7 @@ class _NotHere(Exception):
 
 def panels(contents: Contents) -> list[Panel]:
     """A panel for the study's own rig and for each of its services that has limits."""
-    parts = {} if contents.results.rig == NO_RIG else {"": contents}
-    parts |= contents.services
-    parts = {name: part for name, part in parts.items() if part.results.limits}
+    parts = {name: part for name, part in contents.parts.items() if part.results.limits}
     found = []
     for name, part in parts.items():
         with reading_units(units_of(part.results)):
@@ -108,6 +106,13 @@ def _data(contents: Contents, service: str, room: int) -> dict[str, object]:
         "asked": {name: _packed(columns[name][kept]) for name in asked},
         "moved": {name: _packed(columns[name][few_kept]) for name in moved},
         "limits": limits,
+        **_moving(contents, sliders, service),
+    }
+
+
+def _moving(contents: Contents, sliders: Sliders, service: str) -> dict[str, object]:
+    """What moves the demands, or why nothing does."""
+    return {
         "axes": [[one.name, one.middle, one.half] for one in sliders.axes],
         "sliders": [_slider(contents, one, service) for one in sliders.sliders] if sliders.surfaces else [],
         "surfaces": {name: _surface(one) for name, one in sliders.surfaces.items()},
@@ -174,11 +179,6 @@ def _limit(contents: Contents, name: str, columns: dict[str, Array]) -> dict[str
     quantity, label = OUTPUTS.get(entry.quantity.partition(".")[0]), shorten(name, 30)
     if quantity is not None and quantity.fracture:
         label = PLACES.get(quantity.place, name)
-    margin = results.margins.get(name)
-    solved = None if margin is None or not margin.value else margin.value.value
-    judged = next((v for v in results.verdicts if (v.aim, v.target) == (entry.aim, entry.target)), None)
-    if judged is not None and not any(one.name == name for one in judged.judged):
-        judged = None
     return {
         "name": name,
         "title": shorten(name, 40),
@@ -196,10 +196,21 @@ def _limit(contents: Contents, name: str, columns: dict[str, Array]) -> dict[str
         "word": entry.word if entry.target is not None else "",
         "reasons": [reason.text for reason in entry.reasons],
         "stays": [reason.text for reason in entry.reasons if reason.code in _STAYS],
-        "solve": margin.solve if margin is not None and solved is not None else "",
-        "solved": solved,
-        **_judged(contents, judged, name, positive),
+        **_solved(results.margins.get(name)),
+        **_judged(contents, _verdict_on(results, name), name, positive),
     }
+
+
+def _solved(margin: MarginEntry | None) -> dict[str, object]:
+    solved = None if margin is None or not margin.value else margin.value.value
+    return {"solve": "" if margin is None or solved is None else margin.solve, "solved": solved}
+
+
+def _verdict_on(results: Results, name: str) -> VerdictEntry | None:
+    """The verdict that a limit is judged in."""
+    entry = results.limits[name]
+    judged = next((v for v in results.verdicts if (v.aim, v.target) == (entry.aim, entry.target)), None)
+    return judged if judged is not None and any(one.name == name for one in judged.judged) else None
 
 
 def _number(contents: Contents, name: str) -> float:
@@ -237,7 +248,7 @@ def _tie(contents: Contents, name: str) -> tuple[str, float] | None:
     plain = len(groups) == 1 and len(others) == 1 and groups[0].copula == "gaussian" and groups[0].spearman is not None
     if not plain or others[0] not in contents.points:
         raise _NotHere("its strength depends on other inputs than by one Spearman correlation")
-    if any(others[0] in group.of and len([one for one in group.of if one in contents.points]) > 1
+    if any(others[0] in group.of and len(contents.points.keys() & group.of) > 1
            for group in contents.resolved.dependence):  # fmt: skip
         raise _NotHere("what its strength depends on depends on further inputs")
     return others[0], float(groups[0].spearman or 0.0)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self
 
-from pydantic import Field, StrictBool, StrictInt, StrictStr, StringConstraints, model_validator
+from pydantic import Field, StrictBool, StrictInt, StrictStr, model_validator
 
 from uqsphere.results.entries import (
     Aim,
@@ -27,6 +27,7 @@ from uqsphere.results.entries import (
     Range,
     Share,
     ShareKey,
+    Status,
     read_entry,
 )
 
@@ -511,9 +512,7 @@ class ModelEntry(Entry):
     measured_error: dict[Name, Number | None]
     evaluations: dict[Name, Count]
     failures: Count
-    failure_reasons: dict[Annotated[StrictStr, StringConstraints(pattern=r"^-?\d{1,6}$")], Count] = Field(
-        default_factory=dict
-    )
+    failure_reasons: dict[Status, Count] = Field(default_factory=dict)
     numbers: dict[Name, Number | None] = Field(default_factory=dict)
     considered: dict[Name, CandidateEntry] = Field(default_factory=dict)
     fallback_share: Share | None = None

@@ -19,7 +19,7 @@ from uqsphere.arrays import Array
 from uqsphere.errors import FolderError
 from uqsphere.files import read_whole
 from uqsphere.results import AssumedEntry, FractureEntry, MeasureEntry, QuantityEntry, Results
-from uqsphere.results.entries import Est
+from uqsphere.results.entries import Est, MarginEntry
 from uqsphere.store import csv_text, write_atomically
 from uqsphere.uq.fields import Band, FieldAnswer
 
@@ -113,9 +113,9 @@ def _limit_rows(results: Results) -> list[Row]:
     return rows
 
 
-def _values(of: Row, values: Mapping[str, Est]) -> list[Row]:
-    """The values of a curve at its probabilities."""
-    return [[*of, p, *_row(e)] for p, e in values.items()]
+def _values(of: Row, values: Mapping[str, Est], family: Row) -> list[Row]:
+    """The values of a curve at its probabilities, with what it is of in a family."""
+    return [[*of, p, *_row(e), *family] for p, e in values.items()]
 
 
 def _verdict_rows(results: Results) -> list[Row]:
@@ -130,24 +130,31 @@ def _verdict_rows(results: Results) -> list[Row]:
     ]  # fmt: skip
 
 
+def _of_family(name: str, entry: MarginEntry) -> tuple[list[Row], list[Row]]:
+    """Values and points of the curves of a family."""
+    values: list[Row] = []
+    curves: list[Row] = []
+    for member in entry.family.members:
+        of: Row = [entry.family.path, member.value]
+        values += _values([name, entry.solve, entry.unit], member.values, of)
+        curves += [[name, *point, *of] for point in member.curve]
+    return values, curves
+
+
 def _margin_tables(results: Results) -> Tables:
     """Values at the probabilities asked for, and the curves; over the energy too where that was asked for."""
     margins = results.margins
     over = {name: entry.against for name, entry in margins.items() if entry.against}
-    values = [row for name, entry in margins.items() for row in _values([name, entry.solve, entry.unit], entry.values)]
-    values += [row for name, entry in over.items() for row in _values([name, entry.quantity, entry.unit], entry.values)]
-    curves: list[Row] = [[name, *point] for name, entry in margins.items() for point in entry.curve]
-    family: tuple[str, ...] = ()
-    if any(entry.family for entry in margins.values()):
-        family = ("family", "family_value")
-        # the curves of the study itself have no value of a family
-        values, curves = ([[*row, "", ""] for row in rows] for rows in (values, curves))
-        for name, entry in margins.items():
-            for member in entry.family.members:
-                of = [entry.family.path, member.value]
-                values += [[*row, *of] for row in _values([name, entry.solve, entry.unit], member.values)]
-                curves += [[name, *point, *of] for point in member.curve]
-    curves += [["any", *point, *("" for _ in family)] for point in results.fracture.curve]
+    family = ("family", "family_value") * any(entry.family for entry in margins.values())
+    # the curves of the study itself have no value of a family
+    blank: Row = [""] * len(family)
+    values = [row for n, e in margins.items() for row in _values([n, e.solve, e.unit], e.values, blank)]
+    values += [row for n, e in over.items() for row in _values([n, e.quantity, e.unit], e.values, blank)]
+    curves: list[Row] = [[name, *point, *blank] for name, entry in margins.items() for point in entry.curve]
+    for name, entry in margins.items():
+        more = _of_family(name, entry)
+        values, curves = values + more[0], curves + more[1]
+    curves += [["any", *point, *blank] for point in results.fracture.curve]
     found: Tables = {
         "margins": (("limit", "solve", "unit", "exceedance", *_ESTIMATE, *family), values),
         "fragility": (("limit", "value", "probability", "low", "high", *family), curves),

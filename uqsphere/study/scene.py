@@ -25,8 +25,8 @@ from uqsphere.study.document import (
     TargetTable,
 )
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion, unknown
-from uqsphere.study.numbers import Reading, read_number
-from uqsphere.study.particle_tables import FROM_TESTS, ProductTable
+from uqsphere.study.numbers import Reading, read_fixed, read_number
+from uqsphere.study.particle_tables import FROM_TESTS, ProductTable, known_platens
 from uqsphere.study.study import EndImpedance, Source
 from uqsphere.study.tables import BAR_ENDS
 from uqsphere.uq.law import Law, make_law
@@ -426,6 +426,26 @@ def read_gauges(document: Document, scene: Scene, findings: Findings) -> tuple[G
         else:
             found.append(gauge)
     return tuple(found)
+
+
+def read_platens(
+    raw: str | Mapping[str, Raw], place: Place, scene: Scene, findings: Findings
+) -> tuple[float, float] | None:
+    """Young's modulus and Poisson ratio of what a strength was measured between; an infinite modulus if rigid.
+
+    None, with the fault noted, where there are none.
+    """
+    if isinstance(raw, Mapping):
+        E = read_fixed(raw["E"], (*place, "E"), INPUTS["bars.E"], findings)
+        nu = read_fixed(raw["nu"], (*place, "nu"), INPUTS["bars.nu"], findings)
+        return None if E is None or nu is None else (E, nu)
+    if raw == "bars":
+        stiffness, ratio = scene.mean("bars.E"), scene.mean("bars.nu")
+        if scene.options.get("rig.kind", "bars") != "bars" and findings.clean(place):
+            said = 'there are no bars here: say what it was measured between, platens = "rigid" or a material'
+            findings.add(place, said)
+        return None if stiffness is None or ratio is None else (stiffness, ratio)
+    return known_platens(raw)
 
 
 # --- whether the numbers go together ----------------------------------------------------------------

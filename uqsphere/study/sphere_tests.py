@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -20,19 +20,16 @@ from uqsphere.mechanics.carried import pole_of
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.criteria import demand as demand_of
 from uqsphere.mechanics.outputs import Columns, at_force, follows_force
-from uqsphere.quantities import INPUTS
 from uqsphere.study.document import RIG_TABLES
 from uqsphere.study.faults import Findings, Misplaced, Place, Raw
-from uqsphere.study.numbers import Reading, Tested, read_fixed
-from uqsphere.study.particle_tables import ENERGY_OF, SphereTestsTable, known_platens
-from uqsphere.study.scene import Scene
+from uqsphere.study.numbers import Reading, Tested
+from uqsphere.study.particle_tables import ENERGY_OF, SphereTestsTable
+from uqsphere.study.scene import Scene, read_platens
 from uqsphere.study.tables import read_table
+from uqsphere.study.tests import Measured, read_measured, share_of
 from uqsphere.uq.families import LawError
 from uqsphere.uq.fitting import fitted_law
 from uqsphere.uq.law import Law
-
-if TYPE_CHECKING:
-    from uqsphere.study.tests import Measured
 
 #: columns at the failure of every test, (n,) each, by the names of the nomenclature
 State = Mapping[str, Any]
@@ -75,7 +72,6 @@ def read_sphere_tests(
 ) -> Reading | None:
     """The law of the strength against a demand; None, with the faults noted, where there is none."""
     table = read_table(SphereTestsTable, raw, findings, place)
-    from uqsphere.study.tests import read_measured
 
     file, key = _file_of(table, place, findings)
     _check_measured(table, place, demand, findings)
@@ -127,7 +123,7 @@ def _with_energy(
     energy = columns.get("energy")
     if energy is None:
         return state
-    both = energy / _share(sphere, platens) if table.energy_is == "sphere" else energy
+    both = energy / share_of(sphere["E"], sphere["nu"], platens) if table.energy_is == "sphere" else energy
     return {**state, "energy": both, "specific_energy": both / state["mass"], "impact_energy": energy,
             "specific_impact_energy": energy / state["mass"]}  # fmt: skip
 
@@ -186,15 +182,12 @@ def _compare_rates(place: Place, demand: Demand, scene: Scene, findings: Finding
 
 def _columns(table: SphereTestsTable, file: str, measured: Measured, density: float) -> dict[str, Array]:
     """Force or energy, diameter and rate of every test in SI; raises Misplaced for tests that are no strengths."""
-    from uqsphere.feed.tests import RIGS
-
     if table.censored is not None and table.outcome is not None:
         raise Misplaced("outcome is given too: leave one of them out", "censored")
-    offered = ~np.isin(measured.rig, [name for name, at_failure in RIGS.items() if at_failure])
     alike = measured.particles > 1
     again = (measured.blows > 1) | (np.bincount(measured.specimen)[measured.specimen] > 1)
     for key, wrong, said in (
-        ("rig", offered, "this rig gives what was offered, not what broke the sphere"),
+        ("rig", ~measured.at_failure, "this rig gives what was offered, not what broke the sphere"),
         ("particles", alike, "a strength takes one particle a row"),
         ("specimen", again, "a strength takes one blow a particle"),
     ):
@@ -208,26 +201,6 @@ def _columns(table: SphereTestsTable, file: str, measured: Measured, density: fl
         kind, value = "energy", value * mass
     found = {"diameter": measured.diameter, kind: value}
     return found if measured.rate is None else {**found, "rate": measured.rate}
-
-
-def read_platens(
-    raw: str | Mapping[str, Raw], place: Place, scene: Scene, findings: Findings
-) -> tuple[float, float] | None:
-    """Young's modulus and Poisson ratio of what a strength was measured between; an infinite modulus if rigid.
-
-    None, with the fault noted, where there are none.
-    """
-    if isinstance(raw, Mapping):
-        E = read_fixed(raw["E"], (*place, "E"), INPUTS["bars.E"], findings)
-        nu = read_fixed(raw["nu"], (*place, "nu"), INPUTS["bars.nu"], findings)
-        return None if E is None or nu is None else (E, nu)
-    if raw == "bars":
-        stiffness, ratio = scene.mean("bars.E"), scene.mean("bars.nu")
-        if scene.options.get("rig.kind", "bars") != "bars" and findings.clean(place):
-            said = 'there are no bars here: say what it was measured between, platens = "rigid" or a material'
-            findings.add(place, said)
-        return None if stiffness is None or ratio is None else (stiffness, ratio)
-    return known_platens(raw)
 
 
 def _law(table: SphereTestsTable, state: State, stopped: Flags, demand: Demand) -> Law:
@@ -291,21 +264,14 @@ def _strengths(state: State, of: Demand, parameters: Mapping[str, float]) -> Arr
 # --- energies ------------------------------------------------------------------------------------------
 
 
-def _share(sphere: Mapping[str, float], partner: tuple[float, float]) -> float:
-    """The sphere's share of the energy of a contact."""
-    from uqsphere.feed.laws import particle_share
-
-    return float(particle_share(sphere["E"], sphere["nu"], *partner))
-
-
 def _beside(state: State, sphere: Mapping[str, float], platens: tuple[float, float], scene: Scene) -> State:
     """The state at failure with the energies that the study's own partners would store beside the sphere's share."""
-    share = _share(sphere, platens)
+    share = share_of(sphere["E"], sphere["nu"], platens)
     own = share * state["energy"] + state["dissipated"]
     found = {"energy_sphere": own, "specific_energy_sphere": own / state["mass"]}
     tables = [table for table in RIG_TABLES[str(scene.options.get("rig.kind", "bars"))] if table != "bars"]
     partners = [(scene.mean(f"{table}.E"), scene.mean(f"{table}.nu")) for table in tables]
-    shares = [_share(sphere, (E, nu)) for E, nu in partners if E is not None and nu is not None]
+    shares = [share_of(sphere["E"], sphere["nu"], (E, nu)) for E, nu in partners if E is not None and nu is not None]
     if shares:
         both = (own - state["dissipated"]) * len(shares) / sum(shares)
         found |= {"energy": both, "specific_energy": both / state["mass"]}

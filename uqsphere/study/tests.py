@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.feed.tests import (
     RIGS,
     THROWN,
@@ -66,6 +66,18 @@ class Measured:
     t10: Array | None = None
     sieves: tuple[float, ...] = ()
     passing: Array | None = None
+
+    @property
+    def at_failure(self) -> Flags:
+        """Rows whose rig gives the energy at failure, not what was offered."""
+        return np.array([RIGS[str(rig)] for rig in self.rig], dtype=bool)
+
+
+def share_of(E: float, nu: float, partner: tuple[float, float]) -> float:
+    """A particle's share of the energy of its contact with a partner of a Young's modulus and a Poisson ratio."""
+    from uqsphere.feed.laws import particle_share
+
+    return float(particle_share(E, nu, *partner))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -342,8 +354,6 @@ def _shares(
     table: TestsTable, measured: Measured, particles: Particles, place: Place, findings: Findings
 ) -> tuple[Array, Array]:
     """The particle's share of a contact's energy, and K_e, of every row; what is missing for them is noted."""
-    from uqsphere.feed.laws import particle_share
-
     forces = measured.kind == "force"
     thrown = np.isin(measured.rig, THROWN)
     meant = np.where(forces, "contact", np.where(measured.kind == "speed", "input", str(table.energy_is)))
@@ -366,7 +376,7 @@ def _shares(
     n, own = len(measured.value), particles.E / (1.0 - particles.nu**2)
     other = np.where(alike, own, E / (1.0 - nu * nu))
     stiffness = 1.0 / (1.0 / own + 1.0 / other)
-    share = np.where(alike, 0.5, float(particle_share(particles.E, particles.nu, E, nu)))
+    share = np.where(alike, 0.5, share_of(particles.E, particles.nu, (E, nu)))
     if measured.stiffness is not None:
         # of the particle's own stiffness that was measured: k_p = K_e k_s/(k_s - K_e)
         stiffness = measured.stiffness
@@ -473,8 +483,7 @@ def _fineness_of(measured: Measured, own: Array, offered: Array, table: TestsTab
     n = len(own)
     t10 = np.full(n, np.nan) if measured.t10 is None else measured.t10
     passing = np.full((n, 0), np.nan) if measured.passing is None else measured.passing
-    at_failure = np.array([RIGS[str(rig)] for rig in measured.rig])
-    given = np.where(at_failure | (table.energy_is == "sphere"), own, offered)
+    given = np.where(measured.at_failure | (table.energy_is == "sphere"), own, offered)
     keep = (measured.broken > 0) & (np.isfinite(t10) | np.isfinite(passing).any(axis=1))
     return Fineness(diameter=measured.diameter[keep], offered=given[keep], t10=t10[keep],
                     sieves=np.array(measured.sieves), passing=passing[keep])  # fmt: skip

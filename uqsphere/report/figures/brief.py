@@ -213,18 +213,13 @@ def _curve(answers: Sequence[Answer], sheet: Sheet, number: int) -> str:
     shown = [m for m in modes if len(lines[m.name]) > 1]
     if len(shown) > 1:
         parts.append(_band([lines[m.name] for m in shown]))
-    for p in _TICKS:
-        y, words = paper.y(p), f"{100 * p:g}{' %' if p == 0.99 else ''}"
-        parts.append(_line(paper.left, y, paper.right, y, "grid"))
-        parts.append(_text(paper.left - 5, y + 0.35 * size, words, at="end", kind="soft"))
-    parts += _scale(paper)
+    parts += _scales(paper)
     paper.taken += _under_bars(paper, answers)
     for answer in answers:
         parts += _target(paper, answer, first=answer is answers[0])
     for mode in shown:
         parts.append(_path(lines[mode.name], f"curve {_kind(mode)}"))
-    for tests in {answer.tests: answer for answer in answers}.values():
-        parts += _tests(paper, tests, told=number == 1)
+    parts += _tests(paper, answers, told=number == 1)
     parts += _planned(paper, answers)
     for answer in answers:
         parts += _cross(paper, answer)
@@ -249,9 +244,14 @@ def _band(lines: Sequence[Sequence[tuple[float, float]]]) -> str:
     return _path(edge, "band")
 
 
-def _scale(paper: _Paper) -> list[str]:
-    size, axis = paper.sheet.type, paper.axis
-    parts = [_line(paper.left, paper.bottom, paper.right, paper.bottom, "axis")]
+def _scales(paper: _Paper) -> list[str]:
+    """Both axes with their numbers."""
+    size, axis, parts = paper.sheet.type, paper.axis, list[str]()
+    for p in _TICKS:
+        y, words = paper.y(p), f"{100 * p:g}{' %' if p == 0.99 else ''}"
+        parts.append(_line(paper.left, y, paper.right, y, "grid"))
+        parts.append(_text(paper.left - 5, y + 0.35 * size, words, at="end", kind="soft"))
+    parts.append(_line(paper.left, paper.bottom, paper.right, paper.bottom, "axis"))
     for mark in _nice(paper.low, paper.high, axis.factor, 8 if paper.sheet.width > 400 else 6):
         x = paper.x(mark / axis.factor)
         parts += [
@@ -285,7 +285,13 @@ def _target(paper: _Paper, answer: Answer, *, first: bool) -> list[str]:
     return parts
 
 
-def _tests(paper: _Paper, answer: Answer, *, told: bool) -> list[str]:
+def _tests(paper: _Paper, answers: Sequence[Answer], *, told: bool) -> list[str]:
+    """Every series of tests once."""
+    every = {answer.tests: answer for answer in answers}.values()
+    return [part for answer in every for part in _series(paper, answer, told=told)]
+
+
+def _series(paper: _Paper, answer: Answer, *, told: bool) -> list[str]:
     points = [(paper.x(v), paper.y(p)) for v, p in answer.tests if paper.inside(v)]
     parts = [_circle(x, y, 3.6, "test") for x, y in points]
     # no word stands on a test
@@ -311,18 +317,28 @@ def _names(paper: _Paper, lines: dict[str, list[tuple[float, float]]], modes: Se
         points += [(paper.x(planned), y) for y in np.arange(paper.top, paper.bottom, 0.5 * size).tolist()]
     for mode, level in zip(modes, _NAMED, strict=False):
         name, placed = shorten(mode.name.lower(), 30), ""
-        wide = 0.6 * size * len(name)
-        places = [(p, value) for p in (level, *_LEVELS) if (value := paper.at(mode, p)) is not None]
+        spots = list(_spots(paper, mode, level, 0.6 * size * len(name), points))
         for crowded in (False, True):
-            for (p, value), left in product(places, (False, True)):
-                # below a curve that rises to the right, above it on its left
-                x, y = paper.x(value) + (-4 if left else 4), paper.y(p) + (0.0 if left else 0.8 * size)
-                begin = x - 6.0 - wide if left else x + 6.0
-                over = any(begin < a < begin + wide and y - size < b < y + 0.3 * size for a, b in points)
-                if over <= crowded and paper.left < begin and begin + wide < paper.right and not placed:
+            for x, y, left, over in spots:
+                if over <= crowded and not placed:
                     placed = _beside(paper, x, y, name, left=left, kind=f"strong halo {_kind(mode)}")
         parts.append(placed)
     return parts
+
+
+def _spots(
+    paper: _Paper, mode: Mode, level: float, wide: float, points: Sequence[tuple[float, float]]
+) -> Iterator[tuple[float, float, bool, bool]]:
+    """Where the name of a curve has room: below one that rises to the right, or above it on its left; and whether
+    another curve runs there."""
+    size = paper.sheet.type
+    places = [(p, value) for p in (level, *_LEVELS) if (value := paper.at(mode, p)) is not None]
+    for (p, value), left in product(places, (False, True)):
+        x, y = paper.x(value) + (-4 if left else 4), paper.y(p) + (0.0 if left else 0.8 * size)
+        begin = x - 6.0 - wide if left else x + 6.0
+        if paper.left < begin and begin + wide < paper.right:
+            over = any(begin < a < begin + wide and y - size < b < y + 0.3 * size for a, b in points)
+            yield x, y, left, over
 
 
 def _cross(paper: _Paper, answer: Answer) -> list[str]:

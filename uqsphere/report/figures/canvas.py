@@ -262,6 +262,18 @@ def legend_above(axes: Axes, columns: int, handles: Iterable[Artist] | None = No
     )  # fmt: skip
 
 
+def frame(axes: Axes, *, x: str = "", y: str = "", grid: bool = False, legend: int = 0) -> None:
+    """What stands around a drawing: names of its axes, a grid, a legend above in so many columns."""
+    if x:
+        axes.set_xlabel(x)
+    if y:
+        axes.set_ylabel(y)
+    if grid:
+        axes.grid()
+    if legend:
+        legend_above(axes, legend)
+
+
 def mark(colour: str, label: str, **line: Any) -> Artist:
     """A line or a mark as a legend shows it."""
     from matplotlib.lines import Line2D
@@ -360,16 +372,7 @@ def _plain(element: ElementTree.Element, asked: set[str]) -> None:
     element.tail = None
     if element.get("id") not in asked:
         element.attrib.pop("id", None)
-    if found := element.get("style"):
-        # the reader's machine may lack the font that was measured with; it is wide, so others fit
-        element.set("style", found.replace("font-family: 'DejaVu Sans'; ", "").replace("'DejaVu Sans'", _FACE))
-    if element.get("transform", "").startswith("rotate(-0 "):
-        del element.attrib["transform"]
-    for key in ("x", "y", "transform"):
-        if key in element.attrib:
-            element.set(key, _NUMBER.sub(lambda number: _short(float(number[0])), element.attrib[key]))
-    if "d" in element.attrib:
-        element.set("d", slim(element.attrib["d"]))
+    _short_attributes(element)
     if element.tag in (f"{_SVG}text", f"{_SVG}tspan"):
         element.text = APOSTROPHE.sub("’", element.text or "")
     elif not (element.text or "").strip():
@@ -383,6 +386,20 @@ def _plain(element: ElementTree.Element, asked: set[str]) -> None:
         bare = child.tag == f"{_SVG}g" and not child.attrib
         kept += list(child) if bare else [] if idle else [child]
     element[:] = kept
+
+
+def _short_attributes(element: ElementTree.Element) -> None:
+    """Style, places and paths with what is seen alone."""
+    if found := element.get("style"):
+        # the reader's machine may lack the font that was measured with; it is wide, so others fit
+        element.set("style", found.replace("font-family: 'DejaVu Sans'; ", "").replace("'DejaVu Sans'", _FACE))
+    if element.get("transform", "").startswith("rotate(-0 "):
+        del element.attrib["transform"]
+    for key in ("x", "y", "transform"):
+        if key in element.attrib:
+            element.set(key, _NUMBER.sub(lambda number: _short(float(number[0])), element.attrib[key]))
+    if "d" in element.attrib:
+        element.set("d", slim(element.attrib["d"]))
 
 
 def _describe(root: ElementTree.Element, picture: Picture) -> None:
@@ -429,6 +446,11 @@ def _own(key: str, value: str, prefix: str) -> str:
         for colour, name in _THEME.items():
             value = value.replace(colour, f"var(--{name}, {colour})")
     return value
+
+
+def on_paper(text: str) -> str:
+    """A page or drawing with the colours of paper, which a typesetter knows, in place of the theme's."""
+    return re.sub(r"var\(--[a-z]+, (#[0-9a-f]{6})\)", r"\1", text)
 
 
 def slug(*words: str) -> str:

@@ -6,25 +6,11 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
+from uqsphere.arrays import Array
 from uqsphere.report.contents import Contents
-from uqsphere.report.figures.canvas import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    MARKS,
-    ORANGE,
-    RED,
-    SKY,
-    Picture,
-    legend_above,
-    log_axis,
-    mark,
-    new_figure,
-    spread,
-    style,
-    wrap,
-)
+from uqsphere.report.figures import canvas
 from uqsphere.report.phrases import limit_name, symbol
 from uqsphere.results.entries import AccuracyTable
 from uqsphere.runner.account import FURTHER
@@ -33,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-_COLOURS: Final = (BLUE, ORANGE, GREEN, RED, SKY)
+_COLOURS: Final = (canvas.BLUE, canvas.ORANGE, canvas.GREEN, canvas.RED, canvas.SKY)
 #: series with a label; the rest is drawn thin
 _LABELLED: Final = 10
 #: errors below this share of what was asked lie below the axis: they would leave the rest no room
@@ -51,7 +37,7 @@ _FRACTURE: Final = {
 }
 #: answers that no stage pursues are marks alone
 _FURTHER_MARK: Final[dict[str, Any]] = {
-    "marker": "o", "markersize": 3.5, "markerfacecolor": "none", "markeredgecolor": GREY, "markeredgewidth": 0.8,
+    "marker": "o", "markersize": 3.5, "markerfacecolor": "none", "markeredgecolor": canvas.GREY, "markeredgewidth": 0.8,
 }  # fmt: skip
 _STYLES: Final = ("-", "--", ":", "-.")
 
@@ -115,42 +101,48 @@ def error_series(contents: Contents) -> list[Series]:
     return list(found.values())
 
 
-def _drawing(contents: Contents, column: int, name: str, title: str, label: str) -> Picture | None:
+def _drawing(contents: Contents, column: int, name: str, title: str, label: str) -> canvas.Picture | None:
     """Every error over what it took: courses with a mark for each method, answers that no stage pursues as marks."""
-    series = [s for s in error_series(contents) if any(p[column] > 0.0 for p in s.points)]
+    series = _shown(contents, column)
     if not series:
         return None
-    series.sort(key=lambda s: -s.points[-1][2])
     further = [s.points[-1] for s in series if s.kind in FURTHER]
     pursued = [s for s in series if s.kind not in FURTHER]
     methods = sorted({s.method for s in pursued})
     labelled = _labelled(pursued)
-    with style():
-        figure, (axes,) = new_figure(3.9)
-        xs = [p[column] for s in series for p in s.points if p[column] > 0.0]
-        ys = [1.0, *(p[2] for s in series for p in s.points)]
-        wide = max(max(xs) / min(xs), 10.0**0.5) ** 0.1
-        log_axis(axes, "x", min(xs) / wide, max(xs) * wide)
-        log_axis(axes, "y", max(min(ys) / 2.0, _LEAST), max(ys) * 2.0)
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(3.9)
+        _limits(axes, np.array([(p[column], p[2]) for s in series for p in s.points]))
         axes.plot([p[column] for p in further], [p[2] for p in further], linestyle="", **_FURTHER_MARK)
         for k, s in enumerate(pursued):
-            points, own = [p for p in s.points if p[column] > 0.0], _of_method(methods.index(s.method))
-            axes.plot([p[column] for p in points], [p[2] for p in points], markersize=4.5, color=own["colour"],
-                      marker=own["marker"], linestyle=_STYLES[k % len(_STYLES)],
-                      linewidth=1.2 if s in labelled else 0.6)  # fmt: skip
-        axes.axhline(1.0, color=INK, linewidth=1.0, linestyle=(0, (6, 3)))
+            own, points = _of_method(methods.index(s.method)), np.array(s.points)
+            axes.plot(points[:, column], points[:, 2], markersize=4.5, color=own["colour"], marker=own["marker"],
+                      linestyle=_STYLES[k % len(_STYLES)], linewidth=1.2 if s in labelled else 0.6)  # fmt: skip
+        axes.axhline(1.0, color=canvas.INK, linewidth=1.0, linestyle=(0, (6, 3)))
         _end_labels(axes, labelled, column)
-        axes.set_xlabel(label)
-        axes.set_ylabel("error over what was asked")
-        axes.grid()
+        canvas.frame(axes, x=label, y="error over what was asked", grid=True)
         handles = _handles(methods, bool(further), sum(s.points[-1][2] < _LEAST for s in series))
-        legend_above(axes, 2, handles)
-    return Picture(name=name, title=title, figure=figure)
+        canvas.legend_above(axes, 2, handles)
+    return canvas.Picture(name=name, title=title, figure=figure)
+
+
+def _shown(contents: Contents, column: int) -> list[Series]:
+    """Series of points that have a place, those that end with the largest error first."""
+    known = ((s, tuple(p for p in s.points if p[column] > 0.0)) for s in error_series(contents))
+    return sorted((replace(s, points=points) for s, points in known if points), key=lambda s: -s.points[-1][2])
+
+
+def _limits(axes: Axes, points: Array) -> None:
+    """Axes about the points (n, 2) and an error of one."""
+    (x, y), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    wide = max(right / x, 10.0**0.5) ** 0.1
+    canvas.log_axis(axes, "x", x / wide, right * wide)
+    canvas.log_axis(axes, "y", max(min(1.0, y) / 2.0, _LEAST), max(1.0, top) * 2.0)
 
 
 def _of_method(k: int) -> dict[str, str]:
     """The colour and the mark of the k-th method."""
-    return {"colour": _COLOURS[k % len(_COLOURS)], "marker": MARKS[k % len(MARKS)]}
+    return {"colour": _COLOURS[k % len(_COLOURS)], "marker": canvas.MARKS[k % len(canvas.MARKS)]}
 
 
 def _labelled(pursued: list[Series]) -> list[Series]:
@@ -161,19 +153,22 @@ def _labelled(pursued: list[Series]) -> list[Series]:
 
 def _handles(methods: list[str], further: bool, below: int) -> list[Artist]:
     """What each mark is."""
-    found = [mark(label=wrap(name, 30, lines=3), markersize=5, **_of_method(k)) for k, name in enumerate(methods)]
-    found += [mark(GREY, "read off the same rows", linestyle="", **_FURTHER_MARK)] if further else []
-    found.append(mark(INK, "what was asked", linewidth=1.0, linestyle=(0, (6, 3))))
-    return [*found, mark(INK, f"not shown: {below} below {_LEAST:g}", linestyle="")] if below else found
+    found = [
+        canvas.mark(label=canvas.wrap(name, 30, lines=3), markersize=5, **_of_method(k))
+        for k, name in enumerate(methods)
+    ]
+    found += [canvas.mark(canvas.GREY, "read off the same rows", linestyle="", **_FURTHER_MARK)] if further else []
+    found.append(canvas.mark(canvas.INK, "what was asked", linewidth=1.0, linestyle=(0, (6, 3))))
+    return [*found, canvas.mark(canvas.INK, f"not shown: {below} below {_LEAST:g}", linestyle="")] if below else found
 
 
 def _end_labels(axes: Axes, series: list[Series], column: int) -> None:
     """Labels in a column on the right, at the height of their last point as far as there is room."""
     low, high = (math.log10(v) for v in axes.get_ylim())
     wanted = [math.log10(s.points[-1][2]) for s in series]
-    places = spread(wanted, 0.062 * (high - low), low + 0.03 * (high - low), high - 0.03 * (high - low))
+    places = canvas.spread(wanted, 0.062 * (high - low), low + 0.03 * (high - low), high - 0.03 * (high - low))
     # without room at its ends, which matplotlib searches along the line for long
-    arrow = {"arrowstyle": "-", "color": GREY, "linewidth": 0.5, "shrinkA": 0.0, "shrinkB": 0.0, "patchA": None,
+    arrow = {"arrowstyle": "-", "color": canvas.GREY, "linewidth": 0.5, "shrinkA": 0.0, "shrinkB": 0.0, "patchA": None,
              "relpos": (-0.02, 0.5)}  # fmt: skip
     for s, place in zip(series, places, strict=True):
         last = s.points[-1]
@@ -182,11 +177,11 @@ def _end_labels(axes: Axes, series: list[Series], column: int) -> None:
                       arrowprops=arrow)  # fmt: skip
 
 
-def convergence_figure(contents: Contents) -> Picture | None:
+def convergence_figure(contents: Contents) -> canvas.Picture | None:
     """Error over what was asked against the evaluations spent."""
     return _drawing(contents, 0, "convergence", "Error against evaluations", "model evaluations")
 
 
-def speed_figure(contents: Contents) -> Picture | None:
+def speed_figure(contents: Contents) -> canvas.Picture | None:
     """Error over what was asked against the seconds of this machine."""
     return _drawing(contents, 1, "speed", "Error against time", "seconds since the start, this machine")

@@ -11,25 +11,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit
 from uqsphere.report.contents import Contents, Samples, law_of
-from uqsphere.report.figures.canvas import (
-    BLUE,
-    GREY,
-    INK,
-    ORANGE,
-    PAPER,
-    RED,
-    Picture,
-    band,
-    legend_above,
-    mark,
-    name_rows,
-    new_figure,
-    note,
-    shorten,
-    slug,
-    style,
-    wrap,
-)
+from uqsphere.report.figures import canvas
 from uqsphere.report.phrases import limit_name, listed, plain_percent, share_text, short_input, symbol, unit_text
 from uqsphere.report.tables import ranked
 from uqsphere.results import IndexEntry, QuantityEntry
@@ -115,7 +97,7 @@ def _scale(values: Array, strengths: list[_Strength], factor: float) -> _Scale:
     return _Scale(low=low - margin, high=high + margin, logarithmic=False, factor=factor)
 
 
-def distribution_figure(contents: Contents, quantity: str) -> Picture | None:
+def distribution_figure(contents: Contents, quantity: str) -> canvas.Picture | None:
     """Density of the samples with median and 90 % range, the strengths on the same axis, the censored share.
 
     None where there is nothing to draw: no sample, or the same value in all of them.
@@ -126,8 +108,8 @@ def distribution_figure(contents: Contents, quantity: str) -> Picture | None:
     if not float(np.ptp(samples.values)) > 1e-9 * float(np.abs(samples.values).max()):
         return None
     strengths, rows = _strengths(contents, quantity), list[tuple[Any, ...]]()
-    with style():
-        figure, (axes,) = new_figure(3.0 if not strengths else 3.3)
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(3.0 if not strengths else 3.3)
         scale = _scale(samples.values, strengths, display_unit(quantity)[1])
         if scale.logarithmic:
             axes.set_xscale("log")
@@ -142,8 +124,8 @@ def distribution_figure(contents: Contents, quantity: str) -> Picture | None:
         axes.set_yticks([])
         axes.spines["left"].set_visible(False)
         axes.set_xlabel(axis_label(quantity))
-    return Picture(
-        name=slug("distribution", quantity), title=f"Distribution of {symbol(quantity)}", figure=figure,
+    return canvas.Picture(
+        name=canvas.slug("distribution", quantity), title=f"Distribution of {symbol(quantity)}", figure=figure,
         header=("what", "from", "to", "share"), rows=tuple(rows),
     )  # fmt: skip
 
@@ -170,8 +152,8 @@ def _density(axes: Axes, samples: Samples, scale: _Scale, rows: list[tuple[Any, 
              for a, b, c in zip(edges[:-1], edges[1:], counts, strict=True)]  # fmt: skip
     # per width of the axis as drawn, so that areas compare on a logarithmic axis too
     heights = counts / total * scale.width / np.diff(scale.place(edges))
-    axes.stairs(heights, edges * scale.factor, fill=True, color=BLUE, alpha=0.35, linewidth=0.0)
-    axes.stairs(heights, edges * scale.factor, color=BLUE, linewidth=1.2)
+    axes.stairs(heights, edges * scale.factor, fill=True, color=canvas.BLUE, alpha=0.35, linewidth=0.0)
+    axes.stairs(heights, edges * scale.factor, color=canvas.BLUE, linewidth=1.2)
     late = samples.values[samples.censored]
     if len(late) == 0:
         return float(heights.max())
@@ -181,7 +163,9 @@ def _density(axes: Axes, samples: Samples, scale: _Scale, rows: list[tuple[Any, 
     left, right = (float((np.exp if scale.logarithmic else np.asarray)(middle + s * half)) * scale.factor
                    for s in (-1.0, 1.0))  # fmt: skip
     height = len(late) / total * scale.width / (2.0 * half)
-    axes.bar(left, height, right - left, align="edge", facecolor="none", edgecolor=RED, hatch="///", linewidth=1.0)
+    axes.bar(
+        left, height, right - left, align="edge", facecolor="none", edgecolor=canvas.RED, hatch="///", linewidth=1.0
+    )
     return max(float(heights.max()), height)
 
 
@@ -189,7 +173,7 @@ def _strength_curve(axes: Axes, strength: _Strength, scale: _Scale, rows: list[t
     """The density of a strength, or a line where it has one value; the height of it, the law added to the rows."""
     if strength.law is None:
         rows += [(f"strength of {name}", strength.value, strength.value, 1.0) for name in strength.names]
-        axes.axvline(strength.value * scale.factor, color=RED, linestyle="--", ymax=0.8)
+        axes.axvline(strength.value * scale.factor, color=canvas.RED, linestyle="--", ymax=0.8)
         return 0.0
     cuts = scale.cuts(scale.low, scale.high, 61)
     parts = zip(cuts[:-1], cuts[1:], np.diff(strength.law.cdf(cuts)), strict=True)
@@ -198,8 +182,8 @@ def _strength_curve(axes: Axes, strength: _Strength, scale: _Scale, rows: list[t
     x = scale.cuts(scale.low, scale.high, 300)
     density = np.nan_to_num(strength.law.pdf(x), nan=0.0, posinf=0.0)
     heights = density * scale.width * (x if scale.logarithmic else 1.0)
-    axes.plot(x * scale.factor, heights, color=RED, linestyle="--")
-    band(axes, x * scale.factor, np.zeros_like(x), heights, RED, 0.12)
+    axes.plot(x * scale.factor, heights, color=canvas.RED, linestyle="--")
+    canvas.band(axes, x * scale.factor, np.zeros_like(x), heights, canvas.RED, 0.12)
     return float(heights.max())
 
 
@@ -208,9 +192,9 @@ def _marks(axes: Axes, entry: QuantityEntry, tallest: float, factor: float) -> N
     low, middle, high = (entry.quantiles.get(p, Est()).value for p in ("0.05", "0.5", "0.95"))
     y = 1.1 * tallest
     if low is not None and high is not None:
-        axes.plot([low * factor, high * factor], [y, y], color=INK, linewidth=1.2, marker="|", markersize=8)
+        axes.plot([low * factor, high * factor], [y, y], color=canvas.INK, linewidth=1.2, marker="|", markersize=8)
     if middle is not None:
-        axes.plot([middle * factor], [y], marker="o", markersize=6, color=INK, markerfacecolor=PAPER)
+        axes.plot([middle * factor], [y], marker="o", markersize=6, color=canvas.INK, markerfacecolor=canvas.PAPER)
 
 
 def _curve_legend(axes: Axes, samples: Samples, strengths: list[_Strength], quantity: str) -> None:
@@ -220,16 +204,16 @@ def _curve_legend(axes: Axes, samples: Samples, strengths: list[_Strength], quan
     share = float(samples.censored.mean())
     handles: list[Any] = []
     if share < 1.0:
-        handles.append(Patch(facecolor=BLUE, alpha=0.35, label=symbol(quantity, 24)))
-        handles.append(mark(INK, "median, 5 to 95 %", marker="o", markerfacecolor=PAPER))
+        handles.append(Patch(facecolor=canvas.BLUE, alpha=0.35, label=symbol(quantity, 24)))
+        handles.append(canvas.mark(canvas.INK, "median, 5 to 95 %", marker="o", markerfacecolor=canvas.PAPER))
     if share > 0.0:
         words = f"{plain_percent(share)} outlast the record"
-        handles.append(Patch(facecolor="none", edgecolor=RED, hatch="///", label=words))
+        handles.append(Patch(facecolor="none", edgecolor=canvas.RED, hatch="///", label=words))
     for strength in strengths[:3]:
         names = listed([limit_name(name, 24) for name in strength.names])
         names = names if len(strength.names) == 1 or len(names) <= 26 else f"{len(strength.names)} limits"
-        handles.append(mark(RED, f"strength of {names}", linestyle="--"))
-    legend_above(axes, 1 if max(len(str(handle.get_label())) for handle in handles) > 34 else 2, handles, 1.8)
+        handles.append(canvas.mark(canvas.RED, f"strength of {names}", linestyle="--"))
+    canvas.legend_above(axes, 1 if max(len(str(handle.get_label())) for handle in handles) > 34 else 2, handles, 1.8)
 
 
 # --- shares of the variance: a violin for what is likely, a whisker for 95 % ----------------------------
@@ -250,25 +234,25 @@ def draw_indices(
     words: tuple[str, str] = ("alone (first)", "with interactions (total)"),
 ) -> Figure:
     """A row for each of `names`, from the top; the indices in it above each other, each with its violin."""
-    with style():
-        figure, (axes,) = new_figure(1.15 + 0.52 * len(names))
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(1.15 + 0.52 * len(names))
         ends = [0.0]
         for row, name in enumerate(names):
-            ends.append(_index_mark(axes, first[name], row - 0.19, BLUE, "o"))
-            ends.append(_index_mark(axes, total[name], row + 0.19, ORANGE, "D"))
-        name_rows(axes, [wrap(labels[name], 24) for name in names])
+            ends.append(_index_mark(axes, first[name], row - 0.19, canvas.BLUE, "o"))
+            ends.append(_index_mark(axes, total[name], row + 0.19, canvas.ORANGE, "D"))
+        canvas.name_rows(axes, [canvas.wrap(labels[name], 24) for name in names])
         axes.spines["left"].set_visible(False)
-        axes.axvline(0.0, color=GREY, linewidth=0.8)
+        axes.axvline(0.0, color=canvas.GREY, linewidth=0.8)
         axes.set_xlim(min(0.0, axes.get_xlim()[0]), max(1.0, *ends) * 1.22)
         axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
         axes.grid(axis="x")
         axes.set_xlabel(axis)
         handles = [
-            mark(BLUE, words[0], alpha=0.9, marker="o", markeredgecolor=INK),
-            mark(ORANGE, words[1], marker="D", markerfacecolor=PAPER, markeredgecolor=INK),
-            mark(INK, "95 % interval", linewidth=1.0, marker="|", markersize=6),
+            canvas.mark(canvas.BLUE, words[0], alpha=0.9, marker="o", markeredgecolor=canvas.INK),
+            canvas.mark(canvas.ORANGE, words[1], marker="D", markerfacecolor=canvas.PAPER, markeredgecolor=canvas.INK),
+            canvas.mark(canvas.INK, "95 % interval", linewidth=1.0, marker="|", markersize=6),
         ]
-        legend_above(axes, 3, handles, 1.8)
+        canvas.legend_above(axes, 3, handles, 1.8)
     return figure
 
 
@@ -284,29 +268,29 @@ def _index_mark(axes: Axes, estimate: Est, y: float, colour: str, marker: str) -
     if error > 0.0:
         x = np.linspace(max(value - 3.0 * error, _LEFT), min(value + 3.0 * error, _RIGHT), 61)
         half = _HALF * np.exp(-0.5 * ((x - value) / error) ** 2)
-        band(axes, x, y - half, y + half, colour, 0.45)
-    axes.plot([low, high], [y, y], color=INK, linewidth=1.0, marker="|", markersize=5)
-    face = colour if marker == "o" else PAPER
-    axes.plot([value], [y], marker=marker, markersize=4.5, color=INK, markerfacecolor=face)
-    note(axes, share_text(estimate), (max(high, value, 0.0), y), (6, 0), va="center", fontsize=8.0)
+        canvas.band(axes, x, y - half, y + half, colour, 0.45)
+    axes.plot([low, high], [y, y], color=canvas.INK, linewidth=1.0, marker="|", markersize=5)
+    face = colour if marker == "o" else canvas.PAPER
+    axes.plot([value], [y], marker=marker, markersize=4.5, color=canvas.INK, markerfacecolor=face)
+    canvas.note(axes, share_text(estimate), (max(high, value, 0.0), y), (6, 0), va="center", fontsize=8.0)
     return float(max(high, value))
 
 
-def group_figure(contents: Contents, quantity: str) -> Picture | None:
+def group_figure(contents: Contents, quantity: str) -> canvas.Picture | None:
     """Closed and total indices of groups of inputs; None where none is known."""
     groups = contents.results.sensitivity.get(quantity, IndexEntry()).groups
     names = [n for n, e in groups.total.items() if e.value is not None]
     if not names:
         return None
     names.sort(key=lambda n: -groups.total[n].number)
-    labels, axis = {n: shorten(n, 40) for n in names}, f"share of the variance of {symbol(quantity, 24)}"
+    labels, axis = {n: canvas.shorten(n, 40) for n in names}, f"share of the variance of {symbol(quantity, 24)}"
     words = ("by themselves (closed)", "with interactions (total)")
     figure = draw_indices(names, labels, groups.first, groups.total, axis, words)
     title = f"What groups of inputs do to {symbol(quantity)}"
-    return Picture(name=slug("groups", quantity), title=title, figure=figure)
+    return canvas.Picture(name=canvas.slug("groups", quantity), title=title, figure=figure)
 
 
-def sensitivity_figure(contents: Contents, quantity: str) -> Picture | None:
+def sensitivity_figure(contents: Contents, quantity: str) -> canvas.Picture | None:
     """First and total indices with their uncertainty, the largest on top; None where there are none."""
     entry = contents.results.sensitivity.get(quantity, IndexEntry())
     shown = ranked(entry)[:MOST_INPUTS]
@@ -314,7 +298,9 @@ def sensitivity_figure(contents: Contents, quantity: str) -> Picture | None:
         return None
     labels, axis = {n: short_input(n) for n in shown}, f"share of the variance of {symbol(quantity, 24)}"
     figure = draw_indices(shown, labels, entry.first, entry.total, axis)
-    return Picture(name=slug("sensitivity", quantity), title=f"What drives {symbol(quantity)}", figure=figure)
+    return canvas.Picture(
+        name=canvas.slug("sensitivity", quantity), title=f"What drives {symbol(quantity)}", figure=figure
+    )
 
 
 # --- answers that are vectors -----------------------------------------------------------------------------
@@ -323,23 +309,22 @@ def sensitivity_figure(contents: Contents, quantity: str) -> Picture | None:
 _TOLD: Final = 0.5
 
 
-def field_figure(name: str, stored: Stored, *, over_time: bool) -> Picture:
+def field_figure(name: str, stored: Stored, *, over_time: bool) -> canvas.Picture:
     """The band above, with the intervals of its ends; below it the total index of the inputs that matter most."""
     from matplotlib.colors import to_hex
 
     answer, places = stored.answer, stored.places * (1e6 if over_time else 1.0)
-    with style():
-        figure, axes = new_figure(5.0 if stored.inputs else 3.2, rows=2 if stored.inputs else 1, sharex=True)
+    with canvas.style():
+        figure, axes = canvas.new_figure(5.0 if stored.inputs else 3.2, rows=2 if stored.inputs else 1, sharex=True)
         above = axes[0]
         for k, level in enumerate(answer.levels):
             ends = answer.quantiles
-            band(above, places, ends.low[k], ends.high[k], BLUE, 0.35)
+            canvas.band(above, places, ends.low[k], ends.high[k], canvas.BLUE, 0.35)
             middle = level == 0.5
             above.plot(
-                places, ends.value[k], color=BLUE, linewidth=1.4 if middle else 0.7, label=f"{100.0 * level:g} %"
+                places, ends.value[k], color=canvas.BLUE, linewidth=1.4 if middle else 0.7, label=f"{100.0 * level:g} %"
             )
-        above.set_ylabel("force [N]" if over_time else name)
-        legend_above(above, len(answer.levels))
+        canvas.frame(above, y="force [N]" if over_time else name, legend=len(answer.levels))
         if stored.inputs:
             total = answer.total
             largest = np.argsort(-np.nan_to_num(total.value).mean(axis=1))[:5]
@@ -348,9 +333,10 @@ def field_figure(name: str, stored: Stored, *, over_time: bool) -> Picture:
                 known = total.high[j] - total.low[j] < _TOLD
                 value = np.where(known, total.value[j], np.nan)
                 (line,) = axes[1].plot(places, value, label=short_input(stored.inputs[j]))
-                band(axes[1], places, total.low[j], total.high[j], to_hex(line.get_color()), where=known)
+                canvas.band(axes[1], places, total.low[j], total.high[j], to_hex(line.get_color()), where=known)
             axes[1].set_ylim(0.0, 1.0)
-            axes[1].set_ylabel("total index")
-            legend_above(axes[1], 2)
+            canvas.frame(axes[1], y="total index", legend=2)
         axes[-1].set_xlabel("time since first touch [µs]" if over_time else "place")
-    return Picture(name=f"field-{slug(name)}", title=f"{name}: band and what makes its scatter", figure=figure)
+    return canvas.Picture(
+        name=f"field-{canvas.slug(name)}", title=f"{name}: band and what makes its scatter", figure=figure
+    )

@@ -10,28 +10,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit
 from uqsphere.report.contents import Contents
-from uqsphere.report.figures.canvas import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    MARKS,
-    ORANGE,
-    PAPER,
-    PURPLE,
-    RED,
-    SKY,
-    WARM,
-    Picture,
-    band,
-    mark,
-    new_figure,
-    note,
-    score,
-    shorten,
-    slug,
-    style,
-)
+from uqsphere.report.figures import canvas
 from uqsphere.report.figures.distributions import axis_label, log_ticks
 from uqsphere.report.phrases import (
     ABSENT,
@@ -73,8 +52,8 @@ _LEAST, _LAST = 1e-6, 1e-15
 #: what stands on probability paper, the roundest first
 _TICKS: Final = (0.5, 0.01, 0.99, 0.1, 0.9, 0.001, 0.999, 1e-6, 1e-5, 1e-4, 0.9999, 0.99999, 0.999999)
 #: letters on the curves that they stand on
-_BOX: Final = {"facecolor": PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
-_COLOURS: Final = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY, INK)
+_BOX: Final = {"facecolor": canvas.PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
+_COLOURS: Final = (canvas.BLUE, canvas.RED, canvas.GREEN, canvas.PURPLE, canvas.ORANGE, canvas.SKY, canvas.INK)
 
 
 def rises(entry: MarginEntry) -> bool:
@@ -88,7 +67,7 @@ def on_paper(p: Array, least: float) -> slice:
     return slice(max(int(inside[0]) - 1, 0), int(inside[-1]) + 2) if len(inside) else slice(None)
 
 
-def fragility_figure(contents: Contents, name: str) -> Picture | None:
+def fragility_figure(contents: Contents, name: str) -> canvas.Picture | None:
     """Probability of exceeding over the free scalar, with its band, the operating point and the target."""
     entry = contents.results.margins.get(name)
     if not entry or len(entry.curve) < 2:
@@ -96,37 +75,42 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
     factor = display_unit(contents.subject(entry.solve))[1]
     curve = np.array(entry.curve, dtype=float)
     here, limit = contents.at_mean(entry.solve), contents.results.limits[name]
-    with style():
-        figure, (axes,) = new_figure(3.9)
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(3.9)
         kept = _interesting(curve[:, 1], curve[:, 0], here)
         x = curve[kept, 0] * factor
-        middle, low, high = (score(curve[kept, k], _LAST) for k in (1, 2, 3))
-        band(axes, x, low, high, BLUE)
-        axes.plot(x, middle, color=BLUE)
+        middle, low, high = (canvas.score(curve[kept, k], _LAST) for k in (1, 2, 3))
+        canvas.band(axes, x, low, high, canvas.BLUE)
+        axes.plot(x, middle, color=canvas.BLUE)
         x_scale(axes, x)
         z = lognormal_scores(entry, curve[kept, :2])
         if np.isfinite(z).any():
-            axes.plot(x, z, color=INK, linestyle="--", linewidth=1.0)
-            note(axes, "dashed: lognormal", (1.0, 0.0), (-4, 4), xycoords="axes fraction", ha="right", va="bottom")
+            axes.plot(x, z, color=canvas.INK, linestyle="--", linewidth=1.0)
+            canvas.note(
+                axes, "dashed: lognormal", (1.0, 0.0), (-4, 4), xycoords="axes fraction", ha="right", va="bottom"
+            )
         _asked_points(axes, entry, factor, x, contents.subject(entry.solve), limit.aim)
         if limit.target is not None:
             accepted = limit.target if limit.aim == "survive" else 1.0 - limit.target
             _target_line(axes, accepted, limit.aim, rises(entry), _crossing(axes, curve[kept, :2], factor, accepted))
-        bottom, top = np.clip(axes.get_ylim(), score(_LEAST), -score(_LEAST))
+        bottom, top = np.clip(axes.get_ylim(), canvas.score(_LEAST), -canvas.score(_LEAST))
         axes.set_ylim(bottom - 0.08 * (top - bottom), top + 0.05 * (top - bottom))
         if here is not None and x[0] <= here * factor <= x[-1]:
             _operating_point(axes, here * factor, limit.exceedance, rises(entry))
         _yielding_bars(axes, entry, factor, x)
         probability_axis(axes)
-        axes.set_xlabel(solved_label(contents, entry.solve))
-        axes.set_ylabel(f"probability that {symbol(limit.quantity, 24)}\nexceeds the strength")
-    return Picture(name=slug("fragility", name), title=f"Fragility: {limit_name(name)}", figure=figure)
+        canvas.frame(
+            axes,
+            x=solved_label(contents, entry.solve),
+            y=f"probability that {symbol(limit.quantity, 24)}\nexceeds the strength",
+        )
+    return canvas.Picture(name=canvas.slug("fragility", name), title=f"Fragility: {limit_name(name)}", figure=figure)
 
 
 def solved_label(contents: Contents, solve: str) -> str:
     """The axis of the free scalar: its mean where it scatters."""
     word = "mean " if solve in contents.resolved.random else ""
-    return axis_label(contents.subject(solve), word + shorten(input_name(solve), 50))
+    return axis_label(contents.subject(solve), word + canvas.shorten(input_name(solve), 50))
 
 
 def _interesting(p: Array, x: Array, here: float | None) -> slice:
@@ -182,11 +166,13 @@ def _yielding_bars(axes: Axes, entry: MarginEntry, factor: float, x: Array) -> N
     span = (max(begin, x[0]), x[-1]) if rising else (x[0], min(begin, x[-1]))
     if not span[0] < span[1]:
         return
-    axes.axvspan(*span, ymin=0.965, ymax=1.0, facecolor="none", edgecolor=INK, hatch="////", linewidth=0.0, alpha=0.6)
+    axes.axvspan(
+        *span, ymin=0.965, ymax=1.0, facecolor="none", edgecolor=canvas.INK, hatch="////", linewidth=0.0, alpha=0.6
+    )
     if contact is not None and x[0] < begin < x[-1]:
-        axes.axvline(begin, color=INK, linewidth=0.9, linestyle="-.")
+        axes.axvline(begin, color=canvas.INK, linewidth=0.9, linestyle="-.")
     words = f"hatched: bars yield in more than {plain_percent(bars.contact_probability)} of the rows"
-    note(axes, words, (1.0, 1.0), (0, 3), xycoords="axes fraction", ha="right", va="bottom")
+    canvas.note(axes, words, (1.0, 1.0), (0, 3), xycoords="axes fraction", ha="right", va="bottom")
 
 
 def _asked_points(axes: Axes, entry: MarginEntry, factor: float, x: Array, subject: str, aim: str) -> None:
@@ -196,16 +182,16 @@ def _asked_points(axes: Axes, entry: MarginEntry, factor: float, x: Array, subje
     for p, estimate in sorted(entry.values.items(), key=lambda item: float(item[0]) != own):
         if estimate.value is None or not x[0] <= estimate.value * factor <= x[-1]:
             continue
-        place = estimate.value * factor, float(score(float(p)))
-        axes.plot(*place, marker="o", color=BLUE, markerfacecolor=PAPER, markersize=5)
+        place = estimate.value * factor, float(canvas.score(float(p)))
+        axes.plot(*place, marker="o", color=canvas.BLUE, markerfacecolor=canvas.PAPER, markersize=5)
         if any(abs(place[1] - other) < 0.45 for other in labelled):
             continue
         labelled.append(place[1])
         answer = float(p) == own
         # the brief has two digits, and a third where two would leave the safe side
         text = safe_side(estimate, subject, at_most=at_most(entry, aim), digits=3)
-        note(axes, text if answer else rounded(estimate, subject, 2), place, (7 if rising else -7, -3), va="top",
-             ha="left" if rising else "right", fontweight="bold" if answer else "normal", bbox=_BOX)  # fmt: skip
+        canvas.note(axes, text if answer else rounded(estimate, subject, 2), place, (7 if rising else -7, -3), va="top",
+                    ha="left" if rising else "right", fontweight="bold" if answer else "normal", bbox=_BOX)  # fmt: skip
 
 
 def _crossing(axes: Axes, curve: Array, factor: float, accepted: float) -> float:
@@ -221,13 +207,13 @@ def _across(axes: Axes, x: float) -> float:
 
 def _target_line(axes: Axes, accepted: float, aim: str, rising: bool, crossing: float) -> None:
     """The accepted probability, labelled where the curve lies below it if there is room, else at the other end."""
-    y = float(score(accepted))
-    axes.axhline(y, color=RED, linestyle="--", linewidth=1.2)
+    y = float(canvas.score(accepted))
+    axes.axhline(y, color=canvas.RED, linestyle="--", linewidth=1.2)
     words = f"target: {'at most' if aim == 'survive' else 'at least'} {plain_percent(accepted)}"
     # labels of points lie where the curve is above the line
     left = rising == ((crossing if rising else 1.0 - crossing) > 0.4)
-    note(axes, words, (0.0 if left else 1.0, y), (4 if left else -4, 3), xycoords=("axes fraction", "data"),
-         ha="left" if left else "right", va="bottom", color=WARM)  # fmt: skip
+    canvas.note(axes, words, (0.0 if left else 1.0, y), (4 if left else -4, 3), xycoords=("axes fraction", "data"),
+                ha="left" if left else "right", va="bottom", color=canvas.WARM)  # fmt: skip
 
 
 def _operating_point(axes: Axes, x: float, exceedance: Est, rising: bool) -> None:
@@ -236,20 +222,20 @@ def _operating_point(axes: Axes, x: float, exceedance: Est, rising: bool) -> Non
     if p is None:
         return
     bottom, top = axes.get_ylim()
-    y, sign = float(score(p)), "D"
+    y, sign = float(canvas.score(p)), "D"
     if not _LEAST <= p <= 1.0 - _LEAST:  # an arrow: it lies beyond the axis
         y, sign = (bottom, "v") if p < _LEAST else (top, "^")
     elif exceedance.low is not None and exceedance.high is not None:
-        axes.plot([x, x], score([exceedance.low, exceedance.high]), color=INK, linewidth=1.4)
-    axes.plot(x, y, marker=sign, markersize=8, color=ORANGE, markeredgecolor=INK, clip_on=False, zorder=5)
+        axes.plot([x, x], canvas.score([exceedance.low, exceedance.high]), color=canvas.INK, linewidth=1.4)
+    axes.plot(x, y, marker=sign, markersize=8, color=canvas.ORANGE, markeredgecolor=canvas.INK, clip_on=False, zorder=5)
     across = _across(axes, x)
     below = (across if rising else 1.0 - across) <= 0.6
     end, right = bottom if below else top, rising == below
-    axes.plot([x, x], [y, end], color=INK, linewidth=0.8, linestyle=":")
+    axes.plot([x, x], [y, end], color=canvas.INK, linewidth=0.8, linestyle=":")
     # clear of the word for the dashed line at the bottom, and of the hatches at the top
     up = (17 if right and across > 0.35 else 4) if below else -12
-    note(axes, f"as planned: {plain_percent(p)}", (x, end), (5 if right else -5, up), ha="left" if right else "right",
-         va="bottom" if below else "top")  # fmt: skip
+    canvas.note(axes, f"as planned: {plain_percent(p)}", (x, end), (5 if right else -5, up),
+                ha="left" if right else "right", va="bottom" if below else "top")  # fmt: skip
     axes.set_ylim(bottom, top)
 
 
@@ -258,10 +244,12 @@ def probability_axis(axes: Axes) -> None:
     low, high = axes.get_ylim()
     seen: list[float] = []
     for p in _TICKS:
-        height = float(score(p))
-        if low <= height <= high and all(abs(height - float(score(q))) > 0.055 * (high - low) for q in seen):
+        height = float(canvas.score(p))
+        if low <= height <= high and all(abs(height - float(canvas.score(q))) > 0.055 * (high - low) for q in seen):
             seen.append(p)
-    axes.set_yticks([float(score(p)) for p in seen], [f"{100.0 * p:.6f}".rstrip("0").rstrip(".") + " %" for p in seen])
+    axes.set_yticks(
+        [float(canvas.score(p)) for p in seen], [f"{100.0 * p:.6f}".rstrip("0").rstrip(".") + " %" for p in seen]
+    )
     axes.set_ylim(low, high)
     axes.grid()
 
@@ -269,7 +257,7 @@ def probability_axis(axes: Axes) -> None:
 # --- families over another number, and curves over the specific energy ----------------------------------
 
 
-def family_figure(contents: Contents, name: str) -> Picture | None:
+def family_figure(contents: Contents, name: str) -> canvas.Picture | None:
     """The curves of a family; None where fewer than two could be computed."""
     entry = contents.results.margins[name]
     path = entry.family.path
@@ -278,8 +266,8 @@ def family_figure(contents: Contents, name: str) -> Picture | None:
         return None
     factor = display_unit(contents.subject(entry.solve))[1]
     handles, ends = [], list[float]()
-    with style():
-        figure, (axes,) = new_figure(3.7)
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(3.7)
         labels = member_values(path, [member.value for member in members], 3)
         for k, (member, label) in enumerate(zip(members, labels, strict=True)):
             curve = np.array(member.curve, dtype=float)
@@ -287,21 +275,24 @@ def family_figure(contents: Contents, name: str) -> Picture | None:
             x, p = curve[kept, 0] * factor, curve[kept, 1]
             ends += [float(x[0]), float(x[-1])]
             colour = _COLOURS[k % len(_COLOURS)]
-            own: dict[str, Any] = {"marker": MARKS[k % len(MARKS)], "markersize": 4.5}
-            axes.plot(x, score(p), color=colour)
+            own: dict[str, Any] = {"marker": canvas.MARKS[k % len(canvas.MARKS)], "markersize": 4.5}
+            axes.plot(x, canvas.score(p), color=colour)
             # marks at the probabilities asked for alone: those of all curves are to be compared
             asked = [(e.value * factor, float(q)) for q, e in member.values.items() if e.value is not None]
             points = np.array([point for point in asked if x[0] <= point[0] <= x[-1]]).reshape(-1, 2)
-            axes.plot(points[:, 0], score(points[:, 1]), color=colour, linestyle="none", **own)
-            handles.append(mark(colour, number_text(label), **own))
+            axes.plot(points[:, 0], canvas.score(points[:, 1]), color=colour, linestyle="none", **own)
+            handles.append(canvas.mark(colour, number_text(label), **own))
         x_scale(axes, np.array([min(ends), max(ends)]))
-        axes.set_ylim(float(score(1e-3)) - 0.2, float(score(0.999)) + 0.2)
+        axes.set_ylim(float(canvas.score(1e-3)) - 0.2, float(canvas.score(0.999)) + 0.2)
         probability_axis(axes)
-        axes.set_xlabel(solved_label(contents, entry.solve))
-        axes.set_ylabel(f"probability that {symbol(contents.results.limits[name].quantity, 24)}\nexceeds the strength")
-        axes.legend(handles=handles, title=shorten(input_name(path), 30), title_fontsize=9.0, loc="upper left")
-    return Picture(
-        name=slug("fragility-family", name), title=f"Fragility of {limit_name(name)} over {input_name(path)}",
+        canvas.frame(
+            axes,
+            x=solved_label(contents, entry.solve),
+            y=f"probability that {symbol(contents.results.limits[name].quantity, 24)}\nexceeds the strength",
+        )
+        axes.legend(handles=handles, title=canvas.shorten(input_name(path), 30), title_fontsize=9.0, loc="upper left")
+    return canvas.Picture(
+        name=canvas.slug("fragility-family", name), title=f"Fragility of {limit_name(name)} over {input_name(path)}",
         figure=figure, header=(path, entry.solve, "probability", "low", "high"),
         rows=tuple((float(m.value), *map(float, point)) for m in members for point in m.curve),
     )  # fmt: skip
@@ -318,7 +309,7 @@ def family_table(contents: Contents, name: str) -> Table:
     fitted = [member.lognormal.dispersion for member in members]
     rows.append(("dispersion of the lognormal curve", *(estimate_text(found) if found else ABSENT for found in fitted)))
     solved = begin(entry.solve, input_name(entry.solve))
-    caption = f"{solved} at which {limit_name(name)} is exceeded, by {shorten(input_name(path), 40)}"
+    caption = f"{solved} at which {limit_name(name)} is exceeded, by {canvas.shorten(input_name(path), 40)}"
     header = ("probability", *map(number_text, member_values(path, [m.value for m in members])))
     return Table(caption=caption, header=header, rows=tuple(rows))
 
@@ -340,7 +331,7 @@ def energy_block(contents: Contents, name: str) -> list[Block]:
     return [
         Block(
             heading=heading, table=margins_table(view, name), remarks=(remark,),
-            picture=picture and replace(picture, name=slug("fragility-energy", name), title=heading),
+            picture=picture and replace(picture, name=canvas.slug("fragility-energy", name), title=heading),
             files=("tables/margins.csv", "tables/fragility_energy.csv"),
         )
     ]  # fmt: skip
@@ -389,7 +380,7 @@ def fracture_table(contents: Contents) -> Table | None:
     return Table(caption=caption, header=("", "value (95 % interval)"), rows=tuple(rows))
 
 
-def interplay_figure(contents: Contents) -> Picture | None:
+def interplay_figure(contents: Contents) -> canvas.Picture | None:
     """Probability of exceeding each limit, and of fracture by any, over the free scalar."""
     found, margins = contents.results.fracture, contents.results.margins
     if len(found.curve) < 2:
@@ -398,31 +389,30 @@ def interplay_figure(contents: Contents) -> Picture | None:
     factor = display_unit(solve)[1]
     union = np.array(found.curve, dtype=float)
     here, x = contents.at_mean(solve), union[:, 0] * factor
-    with style():
-        figure, (axes,) = new_figure(4.3)
-        middle, low, high = (score(union[:, k], _FAR) for k in (1, 2, 3))
-        band(axes, x, low, high, GREY, 0.35)
-        axes.plot(x, middle, color=INK, linewidth=3.0, alpha=0.55, label="any of them")
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(4.3)
+        middle, low, high = (canvas.score(union[:, k], _FAR) for k in (1, 2, 3))
+        canvas.band(axes, x, low, high, canvas.GREY, 0.35)
+        axes.plot(x, middle, color=canvas.INK, linewidth=3.0, alpha=0.55, label="any of them")
         drawn = [n for n in found.limits[:MOST_CURVES] if n in margins and len(margins[n].curve) > 1]
         for k, name in enumerate(drawn):
             curve = np.array(margins[name].curve, dtype=float)
             curve = curve[(curve[:, 0] >= union[0, 0] * 0.999) & (curve[:, 0] <= union[-1, 0] * 1.001)]
             # not known to a factor of two, it may seem to lie above that of any of them
             known = np.where(curve[:, 3] > _KNOWN * curve[:, 2], np.nan, curve[:, 1])
-            axes.plot(curve[:, 0] * factor, score(known, _FAR), color=_COLOURS[k % len(_COLOURS)],
-                      linestyle=_STYLES[k % len(_STYLES)], label=shorten(limit_name(name), 28))  # fmt: skip
+            axes.plot(curve[:, 0] * factor, canvas.score(known, _FAR), color=_COLOURS[k % len(_COLOURS)],
+                      linestyle=_STYLES[k % len(_STYLES)], label=canvas.shorten(limit_name(name), 28))  # fmt: skip
         x_scale(axes, x)
-        axes.set_ylim(float(score(_LEAST)), float(score(1.0 - 1e-4)))
+        axes.set_ylim(float(canvas.score(_LEAST)), float(canvas.score(1.0 - 1e-4)))
         if here is not None and union[0, 0] <= here <= union[-1, 0]:
-            axes.axvline(here * factor, color=INK, linewidth=0.8, linestyle=":")
+            axes.axvline(here * factor, color=canvas.INK, linewidth=0.8, linestyle=":")
             left = _across(axes, here * factor) > 0.3
-            note(axes, "as planned", (here * factor, axes.get_ylim()[0]), (-4 if left else 4, 4),
-                 ha="right" if left else "left")  # fmt: skip
+            canvas.note(axes, "as planned", (here * factor, axes.get_ylim()[0]), (-4 if left else 4, 4),
+                        ha="right" if left else "left")  # fmt: skip
         probability_axis(axes)
         axes.legend(loc="upper left")
-        axes.set_xlabel(solved_label(contents, solve))
-        axes.set_ylabel("probability of reaching the strength")
-    return Picture(name="interplay", title="Interplay of the limits", figure=figure)
+        canvas.frame(axes, x=solved_label(contents, solve), y="probability of reaching the strength")
+    return canvas.Picture(name="interplay", title="Interplay of the limits", figure=figure)
 
 
 # --- strength tests as a probability plot: on the paper of the fitted law its points lie on a straight line -
@@ -455,7 +445,7 @@ def fitted_tests(contents: Contents, name: str) -> FittedTests | None:
     )
 
 
-def probability_plot(known: FittedTests) -> Picture:
+def probability_plot(known: FittedTests) -> canvas.Picture:
     """Tests, fitted law and the 95 % band of the laws that the tests allow."""
     from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
@@ -471,15 +461,15 @@ def probability_plot(known: FittedTests) -> Picture:
     lines = np.log(fitted.scale) + spread * (inverse[:, None] * heights - centre[:, None])
     ends = np.exp(np.quantile(lines, [0.025, 0.975], axis=0))
     stopped = tests.values[~tests.failed]
-    with style():
-        figure, (axes,) = new_figure(3.7)
-        axes.fill_betweenx(heights, ends[0] * factor, ends[1] * factor, color=BLUE, alpha=0.2, linewidth=0.0)
-        axes.plot(law.ppf(paper.below(heights)) * factor, heights, color=BLUE)
-        axes.plot(tests.values[tests.failed] * factor, positions, linestyle="none", marker="o", color=INK,
-                  markerfacecolor=PAPER, markersize=5.5)  # fmt: skip
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(3.7)
+        axes.fill_betweenx(heights, ends[0] * factor, ends[1] * factor, color=canvas.BLUE, alpha=0.2, linewidth=0.0)
+        axes.plot(law.ppf(paper.below(heights)) * factor, heights, color=canvas.BLUE)
+        axes.plot(tests.values[tests.failed] * factor, positions, linestyle="none", marker="o", color=canvas.INK,
+                  markerfacecolor=canvas.PAPER, markersize=5.5)  # fmt: skip
         if stopped.size:
-            axes.plot(stopped * factor, np.full(stopped.size, low), linestyle="none", marker=">", color=ORANGE,
-                      markeredgecolor=INK, markersize=7, clip_on=False, zorder=5)  # fmt: skip
+            axes.plot(stopped * factor, np.full(stopped.size, low), linestyle="none", marker=">", color=canvas.ORANGE,
+                      markeredgecolor=canvas.INK, markersize=7, clip_on=False, zorder=5)  # fmt: skip
         every = np.concatenate([tests.values, law.ppf(paper.below(heights))]) * factor
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(MaxNLocator(7))
@@ -489,11 +479,14 @@ def probability_plot(known: FittedTests) -> Picture:
         ticks = [p for p in _PAPER_TICKS if low <= float(paper.height(np.array([p]))[0]) <= high]
         axes.set_yticks(paper.height(np.array(ticks)).tolist(), [f"{100.0 * p:g} %" for p in ticks])
         axes.set_ylim(low, high)
-        axes.grid()
-        axes.set_xlabel(axis_label(quantity, f"strength against {shorten(symbol(quantity), 40)}"))
-        axes.set_ylabel("share of the tests\nthat has broken")
-    return Picture(
-        name=slug("strength", known.limit), title=f"Strength tests: {limit_name(known.limit)}",
+        canvas.frame(
+            axes,
+            x=axis_label(quantity, f"strength against {canvas.shorten(symbol(quantity), 40)}"),
+            y="share of the tests\nthat has broken",
+            grid=True,
+        )
+    return canvas.Picture(
+        name=canvas.slug("strength", known.limit), title=f"Strength tests: {limit_name(known.limit)}",
         figure=figure,
         header=("what", "strength", "share that has failed", "least (95 %)", "largest (95 %)"),
         rows=_drawn(known, heights, ends),

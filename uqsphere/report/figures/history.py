@@ -18,25 +18,7 @@ from uqsphere.mechanics.history import equilibrium, rod_length, rod_record, show
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.mechanics.stress.tables import outside
 from uqsphere.quantities import display_unit, format_value, reading_units, unit_that_reads
-from uqsphere.report.figures.canvas import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    ORANGE,
-    PAPER,
-    PURPLE,
-    RED,
-    Picture,
-    legend_above,
-    mark,
-    new_figure,
-    note,
-    render,
-    style,
-    time_unit,
-    wrap,
-)
+from uqsphere.report.figures import canvas
 from uqsphere.report.figures.scene import draw_field, field_rows, stress_image, stress_picture
 from uqsphere.report.phrases import number_text
 from uqsphere.store import csv_text, write_outputs
@@ -65,12 +47,12 @@ def history_figure(history: History) -> str:
 
     Contacts lost and found, the end of the record and the largest pressures are marked.
     """
-    return render(draw_history(history))
+    return canvas.render(draw_history(history))
 
 
 def xt_figure(scene: Scene, history: History, row: int = 0) -> str:
     """SVG text of the wave fronts in both bars over place and time, the sphere at x = 0."""
-    return render(draw_xt(scene, history, row))
+    return canvas.render(draw_xt(scene, history, row))
 
 
 def _thinned(history: History) -> npt.NDArray[np.int64]:
@@ -82,27 +64,27 @@ def _thinned(history: History) -> npt.NDArray[np.int64]:
     return np.unique(np.concatenate([even, jumps, jumps + 1, np.array(peaks)]))
 
 
-def draw_history(history: History) -> Picture:
+def draw_history(history: History) -> canvas.Picture:
     """The picture of `history_figure`."""
-    unit, factor = time_unit(history.horizon)
+    unit, factor = canvas.time_unit(history.horizon)
     keep = _thinned(history)
     t, end = history.time[keep] * factor, history.record_end
     panels = _panels(history)
-    with style():
-        figure, axes = new_figure(8.4, rows=len(panels), sharex=True)
+    with canvas.style():
+        figure, axes = canvas.new_figure(8.4, rows=len(panels), sharex=True)
         for place, (label, courses) in zip(axes, panels, strict=True):
             for name, course, colour, line in courses:
                 place.plot(t, course[keep], color=colour, linestyle=line, linewidth=1.3, label=name)
             place.set_ylabel(label)
-            place.axhline(0.0, color=GREY, linewidth=0.6)
+            place.axhline(0.0, color=canvas.GREY, linewidth=0.6)
             place.grid()
             for change in history.changes[:_CHANGES]:
-                colour, line = (RED, ":") if change.kind == "lost" else (GREY, "-.")
+                colour, line = (canvas.RED, ":") if change.kind == "lost" else (canvas.GREY, "-.")
                 place.axvline(change.time * factor, color=colour, linewidth=0.8, linestyle=line)
             if end < history.horizon:
-                place.axvspan(end * factor, history.horizon * factor, color=GREY, alpha=0.10, linewidth=0.0)
+                place.axvspan(end * factor, history.horizon * factor, color=canvas.GREY, alpha=0.10, linewidth=0.0)
             if len(courses) > 1 and "pressure" not in label:
-                legend_above(place, len(courses))
+                canvas.legend_above(place, len(courses))
         _peaks(axes[1], history, factor)
         axes[-1].set_xlim(0.0, history.horizon * factor)
         axes[-1].set_xlabel(f"time since first touch [{unit}]")
@@ -112,7 +94,7 @@ def draw_history(history: History) -> Picture:
         elif end >= history.horizon:
             text = f"in contact up to the end of the record at {end * factor:.4g} {unit}"
         figure.suptitle(text, x=0.02, ha="left", fontsize=8.5)
-    return Picture(name="history", title="One scene over time", finding=history_finding(history), figure=figure)
+    return canvas.Picture(name="history", title="One scene over time", finding=history_finding(history), figure=figure)
 
 
 def _panels(history: History) -> list[tuple[str, list[tuple[str, Array, str, str]]]]:
@@ -120,11 +102,11 @@ def _panels(history: History) -> list[tuple[str, list[tuple[str, Array, str, str
     rig = RIGS[history.motion.scene.rig]
     (force_unit, force), (pressure_unit, pressure) = display_unit("P_max"), display_unit("p_max")
     a, b = ("incident face A", "receiving face B") if rig.name == "bars" else (f"A, {rig.behind}", f"B, {rig.ahead}")
-    faces = [("a", a, BLUE, "-"), ("b", b, ORANGE, "--")][1 if rig.contacts == 1 else 0 :]
+    faces = [("a", a, canvas.BLUE, "-"), ("b", b, canvas.ORANGE, "--")][1 if rig.contacts == 1 else 0 :]
     kind = "mean pressure, ○ centre" if _yields(history) else "contact pressure"
-    speeds = [("sphere", history.velocity, GREEN, "-")]
+    speeds = [("sphere", history.velocity, canvas.GREEN, "-")]
     if rig.name != "bars" and history.balance is not None:
-        tables = [(rig.behind, BLUE, "-"), (rig.ahead, ORANGE, "--")]
+        tables = [(rig.behind, canvas.BLUE, "-"), (rig.ahead, canvas.ORANGE, "--")]
         partners = zip(tables, history.balance.partner, strict=True)
         speeds += [(table, speed, colour, line) for (table, colour, line), speed in partners if table]
     found = [
@@ -135,13 +117,13 @@ def _panels(history: History) -> list[tuple[str, list[tuple[str, Array, str, str
     ]  # fmt: skip
     if rig.name == "load_cell" and history.gauges:
         gauge = history.gauges[0]
-        found.append(("strain at the gauge\n[µm/m]", [(gauge.name, 1e6 * gauge.strain, PURPLE, "-")]))
+        found.append(("strain at the gauge\n[µm/m]", [(gauge.name, 1e6 * gauge.strain, canvas.PURPLE, "-")]))
     if rig.name == "bars":
         waves = [
-            ("towards A", history.incident, BLUE, "-"),
-            ("from A", history.leaving_a, PURPLE, ":"),
-            ("from B", history.leaving_b, ORANGE, "--"),
-            ("towards B", history.returning, GREEN, "-."),
+            ("towards A", history.incident, canvas.BLUE, "-"),
+            ("from A", history.leaving_a, canvas.PURPLE, ":"),
+            ("from B", history.leaving_b, canvas.ORANGE, "--"),
+            ("towards B", history.returning, canvas.GREEN, "-."),
         ]
         found.append(("waves in the bars\n[m/s]", waves))
     return found
@@ -151,7 +133,7 @@ def _yields(history: History) -> bool:
     return history.balance is not None and bool(history.balance.dent.max() > 0.0)
 
 
-def balance_picture(balance: Balance, hertz: Sequence[float]) -> Picture:
+def balance_picture(balance: Balance, hertz: Sequence[float]) -> canvas.Picture:
     """Force over approach with the loop of what yields, Hertz beside it, and where the energy is over time.
 
     `hertz` are the Hertz constants of the faces, 0 where nothing stands.
@@ -160,17 +142,17 @@ def balance_picture(balance: Balance, hertz: Sequence[float]) -> Picture:
     energy_unit = unit_that_reads("energy", [float(balance.stored.sum(axis=0).max())])
     with reading_units({"energy": energy_unit}):
         scale = display_unit("energy")[1]
-    unit, factor = time_unit(float(balance.time[-1]))
+    unit, factor = canvas.time_unit(float(balance.time[-1]))
     columns: dict[str, Array] = {"time [s]": balance.time}
     parts = [
-        ("stored", balance.stored.sum(axis=0), BLUE, "-"),
-        ("plastic", balance.plastic.sum(axis=0), RED, "-."),
-        ("sphere's motion", balance.kinetic, GREEN, "--"),
-        ("passed on at B", balance.passed[1], ORANGE, ":"),
+        ("stored", balance.stored.sum(axis=0), canvas.BLUE, "-"),
+        ("plastic", balance.plastic.sum(axis=0), canvas.RED, "-."),
+        ("sphere's motion", balance.kinetic, canvas.GREEN, "--"),
+        ("passed on at B", balance.passed[1], canvas.ORANGE, ":"),
     ]
-    with style():
-        figure, (loop, over) = new_figure(7.0, rows=2)
-        for pole, (name, colour, line) in enumerate((("A", BLUE, "-"), ("B", ORANGE, "--"))):
+    with canvas.style():
+        figure, (loop, over) = canvas.new_figure(7.0, rows=2)
+        for pole, (name, colour, line) in enumerate((("A", canvas.BLUE, "-"), ("B", canvas.ORANGE, "--"))):
             if not hertz[pole] > 0.0:
                 continue
             approach, pressed = balance.approach[pole], balance.force[pole]
@@ -180,27 +162,23 @@ def balance_picture(balance: Balance, hertz: Sequence[float]) -> Picture:
             if pole == 1:
                 x = np.linspace(0.0, float(approach.max()), 100)
                 y = hertz[pole] * x**1.5 * force
-                loop.plot(x * 1e6, y, color=GREY, linestyle=":", linewidth=1.2, label="Hertz")
+                loop.plot(x * 1e6, y, color=canvas.GREY, linestyle=":", linewidth=1.2, label="Hertz")
         loop.set_xlim(left=min(0.0, 1.05e6 * float(balance.approach.max()) * -0.02))
         loop.set_ylim(0.0, 1.15 * force * float(balance.force.max()))
-        loop.set_xlabel("approach [µm]")
-        loop.set_ylabel(f"force [{force_unit}]")
+        canvas.frame(loop, x="approach [µm]", y=f"force [{force_unit}]")
         loop.legend(loc="upper left")
         for name, course, colour, line in parts:
             if np.abs(course).max() > 0.0:
                 over.plot(balance.time * factor, course * scale, color=colour, linestyle=line, label=name)
-        over.set_xlabel(f"time since first touch [{unit}]")
-        over.set_ylabel(f"energy [{energy_unit}]")
-        legend_above(over, 4)
-        over.grid()
+        canvas.frame(over, x=f"time since first touch [{unit}]", y=f"energy [{energy_unit}]", grid=True, legend=4)
         loop.grid()
     columns |= {f"{name} [J]": course for name, course, _, _ in parts}
     rows = tuple(zip(*(column.tolist() for column in columns.values()), strict=True))
-    return Picture(name="balance", title="Force over approach, and where the energy is", header=tuple(columns),
-                   rows=rows, finding=_balance_finding(balance), figure=figure)  # fmt: skip
+    return canvas.Picture(name="balance", title="Force over approach, and where the energy is", header=tuple(columns),
+                          rows=rows, finding=_balance_finding(balance), figure=figure)  # fmt: skip
 
 
-def loop_figure(contents: Contents) -> Picture | None:
+def loop_figure(contents: Contents) -> canvas.Picture | None:
     """Force over approach of the hardest scene and where its energy is; None where no face yields."""
     from uqsphere.mechanics.history import Balance
 
@@ -230,15 +208,15 @@ def _peaks(axes: Axes, history: History, factor: float) -> None:
     axes.set_ylim(top=1.3 * scale * max((peak.pressure for peak in peaks), default=1.0))
     for peak in peaks:
         at = peak.time * factor, peak.pressure * scale
-        axes.plot(*at, marker="o", color=INK, markerfacecolor=PAPER, markersize=5)
+        axes.plot(*at, marker="o", color=canvas.INK, markerfacecolor=canvas.PAPER, markersize=5)
         right = peak.time > 0.7 * history.horizon
         words = f"{format_value(peak.pressure, 'p_max')} at {peak.face}"
-        note(axes, words, at, (-6 if right else 6, 5), ha="right" if right else "left", fontsize=8.5)
+        canvas.note(axes, words, at, (-6 if right else 6, 5), ha="right" if right else "left", fontsize=8.5)
 
 
 def history_finding(history: History) -> str:
     """What happens, in sentences."""
-    unit, factor = time_unit(history.horizon)
+    unit, factor = canvas.time_unit(history.horizon)
     if history.first_peak is None:
         return "The sphere is never pressed."
     first = history.first_peak
@@ -263,42 +241,44 @@ def history_finding(history: History) -> str:
 # --- x-t diagram --------------------------------------------------------------------------------------
 
 
-def draw_xt(scene: Scene, history: History, row: int = 0) -> Picture:
+def draw_xt(scene: Scene, history: History, row: int = 0) -> canvas.Picture:
     """The picture of `xt_figure`: fronts solid, tails of the pulse dashed, paler the weaker the reflection."""
     c0 = float(bars.wave_speed(scene.columns["bars.E"][row], scene.columns["bars.density"][row]))
     trips = [float(trip) for trip in scene.round_trips[row]]
     ends, pulse = [float(end) for end in scene.reflections[row]], float(scene.pulse.end[row])
-    # as long as the record, with at least one round trip where something comes back
-    finite = [trip for trip in trips if math.isfinite(trip)]
-    echoes = [trip for trip, end in zip(trips, ends, strict=True) if end != 0.0 and math.isfinite(trip)]
-    last = max(1.15 * history.record_end, 1.1 * max(echoes, default=0.0), 0.5 * max(finite, default=history.record_end))
-    if scene.infinite and math.isfinite(pulse):
-        # nothing comes back: the arrival is all there is to see
-        last = min(last, 6.0 * pulse)
+    last = _last_shown(scene, history, trips, ends)
     lengths = [0.5 * c0 * trip if math.isfinite(trip) else 0.6 * c0 * last for trip in trips]
-    unit, factor = time_unit(last)
-    with style():
-        figure, (axes,) = new_figure(5.6)
+    unit, factor = canvas.time_unit(last)
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(5.6)
         for delay, line in ((0.0, "-"), (pulse, "--")):
             if math.isfinite(delay):
                 _fronts(axes, [length / c0 for length in lengths], (c0, factor), trips, ends, last, delay, line)
         touching = [0.0, min(history.record_end, last) * factor]
-        axes.plot([0.0, 0.0], touching, color=RED, linewidth=3.5, solid_capstyle="butt")
+        axes.plot([0.0, 0.0], touching, color=canvas.RED, linewidth=3.5, solid_capstyle="butt")
         _bars(axes, scene.infinite, lengths, ends, history)
         axes.set_ylim(-lengths[0] / c0 * factor, last * factor)
-        axes.set_xlabel("place along the bars, sphere at 0 [m]")
-        axes.set_ylabel(f"time since first touch [{unit}]")
-        axes.grid()
-        handles = [mark(INK, "front"), mark(RED, "in contact", linewidth=3.5)]
-        handles[1:1] = [mark(INK, "tail of the pulse", linestyle="--")] if math.isfinite(pulse) else []
+        canvas.frame(axes, x="place along the bars, sphere at 0 [m]", y=f"time since first touch [{unit}]", grid=True)
+        handles = [canvas.mark(canvas.INK, "front"), canvas.mark(canvas.RED, "in contact", linewidth=3.5)]
+        handles[1:1] = [canvas.mark(canvas.INK, "tail of the pulse", linestyle="--")] if math.isfinite(pulse) else []
         axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3, borderpad=0.0)
         if history.record_end < last:
             lost = any(change.kind == "lost" for change in history.changes)
             ending = f"{'contact lost' if lost else 'end of the record'} at {history.record_end * factor:.4g} {unit}"
-            box = {"facecolor": PAPER, "edgecolor": "none", "pad": 1.0, "alpha": 0.85}
-            note(axes, ending, (0.0, history.record_end * factor), (6, 3), color=INK, bbox=box)
-    return Picture(name="xt", title="Wave fronts in both bars over place and time", figure=figure,
-                   finding=_xt_finding(history, trips, ends, pulse))  # fmt: skip
+            box = {"facecolor": canvas.PAPER, "edgecolor": "none", "pad": 1.0, "alpha": 0.85}
+            canvas.note(axes, ending, (0.0, history.record_end * factor), (6, 3), color=canvas.INK, bbox=box)
+    return canvas.Picture(name="xt", title="Wave fronts in both bars over place and time", figure=figure,
+                          finding=_xt_finding(history, trips, ends, pulse))  # fmt: skip
+
+
+def _last_shown(scene: Scene, history: History, trips: list[float], ends: list[float]) -> float:
+    """The end of the diagram [s]: as long as the record, with at least one round trip where something comes back."""
+    finite = [trip for trip in trips if math.isfinite(trip)]
+    echoes = [trip for trip, end in zip(trips, ends, strict=True) if end != 0.0 and math.isfinite(trip)]
+    last = max(1.15 * history.record_end, 1.1 * max(echoes, default=0.0), 0.5 * max(finite, default=history.record_end))
+    pulse = float(scene.pulse.end[history.motion.row])
+    # where nothing comes back the arrival is all there is to see
+    return min(last, 6.0 * pulse) if scene.infinite else last
 
 
 def _bars(axes: Axes, infinite: bool, lengths: list[float], ends: list[float], history: History) -> None:
@@ -306,17 +286,17 @@ def _bars(axes: Axes, infinite: bool, lengths: list[float], ends: list[float], h
     axes.set_xlim(-1.04 * lengths[0], 1.04 * lengths[1])
     for x, end, name in ((-lengths[0], ends[0], "incident bar"), (lengths[1], ends[1], "receiving bar")):
         words = {1.0: "free", -1.0: "fixed", 0.0: "absorbing"}.get(end, number_text(f"R = {end:.3g}"))
-        axes.axvline(x, color=GREY, linewidth=0.0 if infinite else 2.0)
-        note(axes, f"{name}, {'no' if infinite else words} end", (0.0 if x < 0.0 else 1.0, 1.0), (0, 4),
-             xycoords="axes fraction", ha="left" if x < 0.0 else "right")  # fmt: skip
+        axes.axvline(x, color=canvas.GREY, linewidth=0.0 if infinite else 2.0)
+        canvas.note(axes, f"{name}, {'no' if infinite else words} end", (0.0 if x < 0.0 else 1.0, 1.0), (0, 4),
+                    xycoords="axes fraction", ha="left" if x < 0.0 else "right")  # fmt: skip
     for gauge in history.gauges:
         place = -gauge.position if gauge.bar == "incident" else gauge.position
-        axes.axvline(place, color=GREEN, linewidth=0.9, linestyle=":")
-        note(axes, "gauge", (place, 0.02), (3, 2), xycoords=("data", "axes fraction"), va="bottom", rotation=90,
-             fontsize=7.5, color=GREEN)  # fmt: skip
+        axes.axvline(place, color=canvas.GREEN, linewidth=0.9, linestyle=":")
+        canvas.note(axes, "gauge", (place, 0.02), (3, 2), xycoords=("data", "axes fraction"), va="bottom", rotation=90,
+                    fontsize=7.5, color=canvas.GREEN)  # fmt: skip
 
 
-def draw_rod(history: History, length: float) -> Picture:
+def draw_rod(history: History, length: float) -> canvas.Picture:
     """Axial stress in the rod ahead of the sphere over place and time."""
     motion, table = history.motion, history.motion.scene.partners[1]
     assert table is not None
@@ -324,17 +304,17 @@ def draw_rod(history: History, length: float) -> Picture:
     times = np.linspace(0.0, shown_time(history), _PLACES)
     strain = np.stack([rod_record(motion, float(place), times).strain for place in places], axis=1)
     stress = 1e-6 * strain * float(motion.scene.columns[f"{table.table}.E"][motion.row])
-    with style():
-        figure, (axes,) = new_figure(4.6)
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(4.6)
         stress_image(axes, stress, (0.0, length, 0.0, times[-1] * 1e6), "MPa")
         for gauge in history.gauges:
-            axes.axvline(gauge.position, color=INK, linestyle="--", linewidth=0.9)
+            axes.axvline(gauge.position, color=canvas.INK, linestyle="--", linewidth=0.9)
         axes.set_xlabel("place along the rod, sphere at 0 [m]")
     finding = f"The wave carries up to {-float(stress.min()):.3g} MPa of compression"
     if stress.max() > 0.01 * np.abs(stress).max():
         finding += f", and {float(stress.max()):.3g} MPa of tension comes back"
-    return Picture(name="xt", title="Stress in the rod over place and time", figure=figure,
-                   finding=f"{finding}; dashed: gauge.")  # fmt: skip
+    return canvas.Picture(name="xt", title="Stress in the rod over place and time", figure=figure,
+                          finding=f"{finding}; dashed: gauge.")  # fmt: skip
 
 
 def _fronts(
@@ -361,8 +341,8 @@ def _fronts(
         axes.plot(ways, [abs(begin) * factor, end * factor], color=colour, linestyle=line, linewidth=width,
                   alpha=max(0.25, strength))  # fmt: skip
 
-    axes.plot([-c0 * runs[0], 0.0], [(delay - runs[0]) * factor, delay * factor], color=INK, linestyle=line)
-    for side, colour in ((0, BLUE), (1, ORANGE)):
+    axes.plot([-c0 * runs[0], 0.0], [(delay - runs[0]) * factor, delay * factor], color=canvas.INK, linestyle=line)
+    for side, colour in ((0, canvas.BLUE), (1, canvas.ORANGE)):
         strength, start = 1.0, delay
         for _ in range(_MOST_TRIPS):
             if strength < _FAINT or start > last:
@@ -375,11 +355,11 @@ def _fronts(
             start += trips[side]
             if start < last:
                 # each wave that comes back sends a part of itself through the sphere
-                draw(1 - side, (start, start + runs[1 - side]), GREY, 0.9, 0.6 * strength)
+                draw(1 - side, (start, start + runs[1 - side]), canvas.GREY, 0.9, 0.6 * strength)
 
 
 def _xt_finding(history: History, trips: list[float], ends: list[float], pulse: float) -> str:
-    unit, factor = time_unit(history.horizon)
+    unit, factor = canvas.time_unit(history.horizon)
     text = "The pulse reaches the sphere at time zero"
     text += f" and lasts {pulse * factor:.4g} {unit}." if math.isfinite(pulse) else " and never ends."
     for name, trip, end in zip(("incident", "receiving"), trips, ends, strict=True):
@@ -402,24 +382,24 @@ _LEVEL: Final = 0.05
 # --- gauges -------------------------------------------------------------------------------------------
 
 
-def draw_gauges(history: History) -> Picture:
+def draw_gauges(history: History) -> canvas.Picture:
     """Signals of the gauges in microstrain over microseconds, what arrives when, and where waves overlap."""
     records = history.gauges[:_PANELS]
     end = min(shown_time(history), *(float(record.time[-1]) for record in records))
     begin = min(float(record.time[0]) for record in records)
-    with style():
-        figure, axes = new_figure(1.0 + 1.9 * len(records), rows=len(records), sharex=True)
+    with canvas.style():
+        figure, axes = canvas.new_figure(1.0 + 1.9 * len(records), rows=len(records), sharex=True)
         for place, record in zip(axes, records, strict=True):
             keep = record.time <= end
             time, strain = record.time[keep], record.strain[keep]
-            place.plot(time * 1e6, strain * 1e6, color=BLUE, linewidth=1.2)
-            place.axhline(0.0, color=GREY, linewidth=0.6)
+            place.plot(time * 1e6, strain * 1e6, color=canvas.BLUE, linewidth=1.2)
+            place.axhline(0.0, color=canvas.GREY, linewidth=0.6)
             low, high = min(strain.min(), 0.0), max(strain.max(), 0.0)
             room = max(high - low, 1e-12)
             place.set_ylim((low - 0.08 * room) * 1e6, (high + 0.3 * room) * 1e6)
             for overlap in record.overlaps:
                 stop = min(overlap.end, end)
-                place.axvspan(overlap.begin * 1e6, stop * 1e6, color=ORANGE, alpha=0.22, linewidth=0.0)
+                place.axvspan(overlap.begin * 1e6, stop * 1e6, color=canvas.ORANGE, alpha=0.22, linewidth=0.0)
             _arrivals(place, history, record, begin, end)
             place.set_ylabel("strain [10⁻⁶]")
             place.set_title(f"{record.bar} bar, {record.position:.4g} m from the sphere", fontsize=9.5)
@@ -428,7 +408,9 @@ def draw_gauges(history: History) -> Picture:
         axes[-1].set_xlabel("time since first touch [µs]")
         if any(record.overlaps for record in records):
             figure.suptitle("shaded: two waves at the gauge at once", x=0.02, ha="left", fontsize=8.5)
-    return Picture(name="gauges", title="Signals of the strain gauges", finding=gauges_finding(history), figure=figure)
+    return canvas.Picture(
+        name="gauges", title="Signals of the strain gauges", finding=gauges_finding(history), figure=figure
+    )
 
 
 def gauges_finding(history: History) -> str:
@@ -457,9 +439,9 @@ def _arrivals(axes: Axes, history: History, record: GaugeRecord, begin: float, e
             # words of waves that come close upon one another go below each other
             line = line + 1 if time - before < 0.13 * (end - begin) else 0
             before = time
-            axes.axvline(time * 1e6, color=GREY, linewidth=0.7, linestyle=":")
-            note(axes, word, (time * 1e6, 1.0), (3, -3 - 11 * line), xycoords=("data", "axes fraction"), va="top",
-                 fontsize=8.5, color=INK)  # fmt: skip
+            axes.axvline(time * 1e6, color=canvas.GREY, linewidth=0.7, linestyle=":")
+            canvas.note(axes, word, (time * 1e6, 1.0), (3, -3 - 11 * line), xycoords=("data", "axes fraction"),
+                        va="top", fontsize=8.5, color=canvas.INK)  # fmt: skip
 
 
 def gauge_rows(history: History) -> tuple[list[str], list[list[Any]]]:
@@ -488,7 +470,7 @@ def wave_forces(history: History) -> tuple[BarForces | None, str]:
         return None, str(error)
 
 
-def draw_forces(history: History) -> Picture:
+def draw_forces(history: History) -> canvas.Picture:
     """Forces at both faces by one, two and three waves beside those of the contacts, and their imbalance."""
     found, reason = wave_forces(history)
     end = found.end if found is not None else min(history.record_end, shown_time(history))
@@ -496,33 +478,31 @@ def draw_forces(history: History) -> Picture:
     exact = history.motion.forces_at(times)
     unit, scale = display_unit("P_max")
     balance, finding = equilibrium(history, _LEVEL), _forces_finding(history, found, reason)
-    with style():
-        figure, (above, below) = new_figure(5.2, rows=2, sharex=True, height_ratios=[2, 1])
-        for k, (colour, name) in enumerate(((GREY, "contact A"), (ORANGE, "contact B"))):
+    with canvas.style():
+        figure, (above, below) = canvas.new_figure(5.2, rows=2, sharex=True, height_ratios=[2, 1])
+        for k, (colour, name) in enumerate(((canvas.GREY, "contact A"), (canvas.ORANGE, "contact B"))):
             above.plot(times * 1e6, exact[:, k] * scale, color=colour, linewidth=4.0, alpha=0.5 - 0.1 * k, label=name)
         if found is not None:
-            for course, colour, line, name in ((found.two_wave, BLUE, "-", "two waves"),
-                                               (found.one_wave, RED, "--", "one wave"),
-                                               (found.three_wave, GREEN, ":", "three waves")):  # fmt: skip
+            for course, colour, line, name in ((found.two_wave, canvas.BLUE, "-", "two waves"),
+                                               (found.one_wave, canvas.RED, "--", "one wave"),
+                                               (found.three_wave, canvas.GREEN, ":", "three waves")):  # fmt: skip
                 above.plot(found.time * 1e6, course * scale, color=colour, linestyle=line, linewidth=1.3, label=name)
-        above.set_ylabel(f"force [{unit}]")
-        legend_above(above, 5)
-        above.grid()
-        below.semilogy(times[1:] * 1e6, np.maximum(force_imbalance(exact[1:, 0], exact[1:, 1]), 1e-5), color=PURPLE)
-        below.axhline(_LEVEL, color=INK, linewidth=0.8, linestyle="--")
-        below.axvspan(balance.until * 1e6, end * 1e6, color=GREY, alpha=0.10, linewidth=0.0)
+        canvas.frame(above, y=f"force [{unit}]", grid=True, legend=5)
+        below.semilogy(
+            times[1:] * 1e6, np.maximum(force_imbalance(exact[1:, 0], exact[1:, 1]), 1e-5), color=canvas.PURPLE
+        )
+        below.axhline(_LEVEL, color=canvas.INK, linewidth=0.8, linestyle="--")
+        below.axvspan(balance.until * 1e6, end * 1e6, color=canvas.GREY, alpha=0.10, linewidth=0.0)
         if balance.lasting is not None:
-            below.axvline(balance.lasting * 1e6, color=GREEN, linewidth=1.0)
+            below.axvline(balance.lasting * 1e6, color=canvas.GREEN, linewidth=1.0)
         below.set_ylim(1e-4, 3.0)
         below.set_yticks([1e-4, 1e-3, 1e-2, 1e-1, 1.0], ["0.0001", "0.001", "0.01", "0.1", "1"])
         below.minorticks_off()
-        below.set_ylabel("imbalance R")
-        below.set_xlabel("time at the faces since first touch [µs]")
-        below.grid()
+        canvas.frame(below, x="time at the faces since first touch [µs]", y="imbalance R", grid=True)
         below.set_xlim(0.0, end * 1e6)
-        figure.suptitle(wrap(finding, 105, lines=3), x=0.02, ha="left", fontsize=8.5)
+        figure.suptitle(canvas.wrap(finding, 105, lines=3), x=0.02, ha="left", fontsize=8.5)
     title = "Forces at both faces as the gauges give them"
-    return Picture(name="forces", title=title, finding=finding, figure=figure)
+    return canvas.Picture(name="forces", title=title, finding=finding, figure=figure)
 
 
 def _forces_finding(history: History, found: BarForces | None, reason: str) -> str:
@@ -590,12 +570,12 @@ def write_history(found: History, folder: Path) -> list[Path]:
         if scene.rig == "bars":
             contents |= {"xt.svg": xt_figure(scene, found), **_bar_pictures(found)}
         elif math.isfinite(length := rod_length(motion)) and length > 0.0:
-            contents["xt.svg"] = render(draw_rod(found, length))
+            contents["xt.svg"] = canvas.render(draw_rod(found, length))
         if found.balance is not None and (scene.rig != "bars" or _yields(found)):
             hertz = [0.0 if one is None else float(one.hertz_constant[motion.row]) for one in scene.partners]
-            contents["balance.svg"] = render(balance_picture(found.balance, hertz))
+            contents["balance.svg"] = canvas.render(balance_picture(found.balance, hertz))
         if not outside(ratio, nu):
-            contents["stress.svg"] = render(stress_picture(ratio, nu, pressure))
+            contents["stress.svg"] = canvas.render(stress_picture(ratio, nu, pressure))
         return write_outputs(folder, contents)
 
 
@@ -637,4 +617,4 @@ def _bar_pictures(found: History) -> dict[str, str]:
     forces = force_rows(found)
     if forces is not None:
         contents["bar_forces.csv"] = csv_text(*forces)
-    return contents | {f"{picture.name}.svg": render(picture) for picture in pictures}
+    return contents | {f"{picture.name}.svg": canvas.render(picture) for picture in pictures}

@@ -15,24 +15,7 @@ from uqsphere.mechanics.stress.series import Load, series_stress, surface_stress
 from uqsphere.mechanics.stress.tables import core_ratio, outside
 from uqsphere.quantities import display_unit, format_value, reading_units, unit_that_reads
 from uqsphere.report.contents import Contents
-from uqsphere.report.figures.canvas import (
-    BLUE,
-    GREY,
-    INK,
-    LIGHT,
-    ON_LIGHT,
-    ORANGE,
-    PAPER,
-    RED,
-    Picture,
-    band,
-    legend_above,
-    mark,
-    new_figure,
-    note,
-    style,
-    time_unit,
-)
+from uqsphere.report.figures import canvas
 from uqsphere.report.phrases import Table, input_name, value_text
 
 if TYPE_CHECKING:
@@ -41,10 +24,10 @@ if TYPE_CHECKING:
 
     from uqsphere.mechanics.history import History
 
-_FACES: Final = (("force_a", "incident face A", BLUE), ("force_b", "receiving face B", ORANGE))
+_FACES: Final = (("force_a", "incident face A", canvas.BLUE), ("force_b", "receiving face B", canvas.ORANGE))
 
 
-def force_band_figure(contents: Contents) -> Picture | None:
+def force_band_figure(contents: Contents) -> canvas.Picture | None:
     """Median and 5 to 95 % of the force at both faces, one above the other; None where no scene was followed."""
     from matplotlib.patches import Patch
 
@@ -52,24 +35,28 @@ def force_band_figure(contents: Contents) -> Picture | None:
     if courses is None:
         return None
     seconds = np.array(courses["time"], dtype=float)
-    (unit, factor), (force_unit, scale) = time_unit(float(seconds[-1])), display_unit("P_max")
+    (unit, factor), (force_unit, scale) = canvas.time_unit(float(seconds[-1])), display_unit("P_max")
     t, largest = seconds * factor, max(max(courses["hardest"][face]) for face, _, _ in _FACES)
-    with style():
-        figure, axes = new_figure(5.0, rows=2, sharex=True, sharey=True)
+    with canvas.style():
+        figure, axes = canvas.new_figure(5.0, rows=2, sharex=True, sharey=True)
         for place, (face, words, colour) in zip(axes, _FACES, strict=True):
             low, middle, high = (np.array(courses[face][level]) * scale for level in ("0.05", "0.5", "0.95"))
-            band(place, t, low, high, colour, 0.30)
+            canvas.band(place, t, low, high, colour, 0.30)
             place.plot(t, middle, color=colour)
-            place.plot(t, np.array(courses["hardest"][face]) * scale, color=RED, linestyle="--", linewidth=1.2)
+            place.plot(t, np.array(courses["hardest"][face]) * scale, color=canvas.RED, linestyle="--", linewidth=1.2)
             place.set_ylabel(f"force [{force_unit}]")
-            place.annotate(words, (0.99, 0.97), xycoords="axes fraction", ha="right", va="top", color=INK)
+            place.annotate(words, (0.99, 0.97), xycoords="axes fraction", ha="right", va="top", color=canvas.INK)
             place.grid()
             place.set_xlim(0.0, t[-1])
             place.set_ylim(0.0, 1.12 * largest * scale)
         axes[-1].set_xlabel(f"time since first touch [{unit}]")
-        hardest = mark(RED, "the hardest row", linestyle="--", linewidth=1.2)
-        legend_above(axes[0], 3, [mark(BLUE, "median"), Patch(facecolor=BLUE, alpha=0.30, label="5 to 95 %"), hardest])
-    return Picture(name="force-band", title="Contact force over time", figure=figure)
+        hardest = canvas.mark(canvas.RED, "the hardest row", linestyle="--", linewidth=1.2)
+        canvas.legend_above(
+            axes[0],
+            3,
+            [canvas.mark(canvas.BLUE, "median"), Patch(facecolor=canvas.BLUE, alpha=0.30, label="5 to 95 %"), hardest],
+        )
+    return canvas.Picture(name="force-band", title="Contact force over time", figure=figure)
 
 
 def hardest_table(contents: Contents) -> Table | None:
@@ -126,7 +113,7 @@ def _half(
     palette = matplotlib.colormaps[colours].resampled(len(levels) + 2)
     shades = [palette(k + 1) for k in range(len(levels))]
     drawn = axes.contourf(*points, values, levels=levels, colors=shades, extend="max", norm=BoundaryNorm(levels, 256))
-    axes.contour(*points, values, levels=levels, colors=[ON_LIGHT], linewidths=0.4)
+    axes.contour(*points, values, levels=levels, colors=[canvas.ON_LIGHT], linewidths=0.4)
     return drawn
 
 
@@ -138,20 +125,20 @@ def _draw_halves(
 
     # what is compressed stays white on dark paper too
     across, along = grid
-    axes.add_patch(Circle((0.0, 0.0), 1.0, facecolor=LIGHT, edgecolor="none", zorder=0.5))
+    axes.add_patch(Circle((0.0, 0.0), 1.0, facecolor=canvas.LIGHT, edgecolor="none", zorder=0.5))
     right = _half(axes, (across, along), fields[0], _TENSION, "YlOrRd")
     left = _half(axes, (-across, along), fields[1], _SHEAR, "Blues")
-    axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, edgecolor=GREY, linewidth=1.0))
+    axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, edgecolor=canvas.GREY, linewidth=1.0))
     opening = float(np.degrees(np.arcsin(contact_ratio)))
     for middle in (90.0, 270.0):
-        axes.add_patch(Arc((0.0, 0.0), 2.0, 2.0, theta1=middle - opening, theta2=middle + opening, color=INK,
+        axes.add_patch(Arc((0.0, 0.0), 2.0, 2.0, theta1=middle - opening, theta2=middle + opening, color=canvas.INK,
                            linewidth=4.0))  # fmt: skip
-    axes.plot([0.0, 0.0], [-1.0, 1.0], color=GREY, linewidth=0.8)
-    axes.plot(0.0, core, marker="o", color=RED, markersize=6.0, markeredgecolor=PAPER, zorder=5)
+    axes.plot([0.0, 0.0], [-1.0, 1.0], color=canvas.GREY, linewidth=0.8)
+    axes.plot(0.0, core, marker="o", color=canvas.RED, markersize=6.0, markeredgecolor=canvas.PAPER, zorder=5)
     return right, left
 
 
-def stress_picture(contact_ratio: float, nu: float, pressure: float) -> Picture:
+def stress_picture(contact_ratio: float, nu: float, pressure: float) -> canvas.Picture:
     """Half section with the largest principal stress (right) and half with the largest shear (left).
 
     Parameters
@@ -169,18 +156,18 @@ def stress_picture(contact_ratio: float, nu: float, pressure: float) -> Picture:
         raise ValueError(f"no picture for a/r = {contact_ratio:g}, nu = {nu:g}: outside the tables of the stress")
     tension, shear, across, along = _field(contact_ratio, nu)
     value, depth = (float(part) for part in core_ratio(contact_ratio, nu))
-    with style():
-        figure, (axes,) = new_figure(4.7)
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(4.7)
         right, left = _draw_halves(axes, contact_ratio, (across, along), (tension / value, shear), 1.0 - depth)
         words = f"core tension {format_value(value * pressure, 'core_tension', 3)}"
-        box = {"facecolor": PAPER, "edgecolor": "none", "pad": 1.5, "alpha": 0.9}
-        note(axes, words, (0.0, 1.0 - depth), (14, -4), color=INK, bbox=box)
+        box = {"facecolor": canvas.PAPER, "edgecolor": "none", "pad": 1.5, "alpha": 0.9}
+        canvas.note(axes, words, (0.0, 1.0 - depth), (14, -4), color=canvas.INK, bbox=box)
         axes.set_aspect("equal")
         axes.set_xlim(-1.08, 1.08)
         axes.set_ylim(-1.08, 1.08)
         axes.set_axis_off()
-        axes.text(-1.05, 1.02, "largest shear", color=INK)
-        axes.text(1.05, 1.02, "largest principal stress", color=INK, ha="right")
+        axes.text(-1.05, 1.02, "largest shear", color=canvas.INK)
+        axes.text(1.05, 1.02, "largest principal stress", color=canvas.INK, ha="right")
         for drawn, place, words in (
             (right, "right", "largest principal stress over the core tension (white: compressed)"),
             (left, "left", "largest shear over the contact pressure p_0"),
@@ -193,7 +180,7 @@ def stress_picture(contact_ratio: float, nu: float, pressure: float) -> Picture:
         f"apart by {format_value(value * pressure, 'core_tension', 3)}, {depth:.2g} r below either contact; "
         "the tension at the rim of the contact is steeper and larger, and cuts rings."
     )
-    return Picture(
+    return canvas.Picture(
         name="stress",
         title="Stress inside the sphere at the largest force",
         finding=finding,
@@ -219,14 +206,14 @@ _NODES: Final = (48, 160)
 #: a region needs this share of its bar's picture for a name
 _ROOM: Final = 0.012
 #: what a name stands on, so that it is read on the darkest stress too
-_LABEL: Final = {"boxstyle": "round,pad=0.2", "facecolor": LIGHT, "edgecolor": "none", "alpha": 0.7}
+_LABEL: Final = {"boxstyle": "round,pad=0.2", "facecolor": canvas.LIGHT, "edgecolor": "none", "alpha": 0.7}
 
 
 def stress_image(axes: Axes, stress: Array, extent: tuple[float, float, float, float], unit: str) -> None:
     """Stress over place and time [µs] from compression to tension, with its scale beside it."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    colours = LinearSegmentedColormap.from_list("stress", [BLUE, "#b9d9ec", PAPER, "#f3d9a4", RED])
+    colours = LinearSegmentedColormap.from_list("stress", [canvas.BLUE, "#b9d9ec", canvas.PAPER, "#f3d9a4", canvas.RED])
     top = max(float(np.abs(stress).max()), 1e-12)
     image = axes.imshow(stress, origin="lower", aspect="auto", cmap=colours, vmin=-top, vmax=top, extent=extent,
                         interpolation="nearest")  # fmt: skip
@@ -234,27 +221,27 @@ def stress_image(axes: Axes, stress: Array, extent: tuple[float, float, float, f
     axes.set_ylabel("time since first touch [µs]")
 
 
-def draw_field(view: FieldView) -> Picture:
+def draw_field(view: FieldView) -> canvas.Picture:
     """Stress in both bars over place and time, with the regions that the fronts bound, as in the paper's Fig. 3."""
     (left, right), begin, last = view.reach, view.begin, view.last
     unit, factor = _stress_unit(view)
-    with style():
-        figure, (axes,) = new_figure(6.2)
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(6.2)
         stress_image(axes, view.stress * factor, (-left, right, begin * 1e6, last * 1e6), unit)
         _fronts(axes, view)
-        axes.plot([0.0, 0.0], [0.0, min(view.record_end, last) * 1e6], color=ON_LIGHT, linewidth=3.0)
+        axes.plot([0.0, 0.0], [0.0, min(view.record_end, last) * 1e6], color=canvas.ON_LIGHT, linewidth=3.0)
         _names(axes, view)
         for found in view.tensions:
             if found.time < last:
                 place = -found.position if found.bar == BARS[0] else found.position
-                axes.plot(place, found.time * 1e6, marker="o", markersize=6, color=ON_LIGHT, markerfacecolor=LIGHT,
-                          clip_on=False, zorder=5)  # fmt: skip
+                axes.plot(place, found.time * 1e6, marker="o", markersize=6, color=canvas.ON_LIGHT,
+                          markerfacecolor=canvas.LIGHT, clip_on=False, zorder=5)  # fmt: skip
         axes.set_xlim(-left, right)
         axes.set_ylim(begin * 1e6, last * 1e6)
         axes.set_xlabel("place along the bars, sphere at 0 [m]")
         axes.set_title("incident bar  |  receiving bar", fontsize=9.5)
-    return Picture(name="field", title="Stress in both bars over place and time", finding=_field_finding(view),
-                   figure=figure)  # fmt: skip
+    return canvas.Picture(name="field", title="Stress in both bars over place and time", finding=_field_finding(view),
+                          figure=figure)  # fmt: skip
 
 
 def _stress_unit(view: FieldView) -> tuple[str, float]:
@@ -268,7 +255,7 @@ def _fronts(axes: Axes, view: FieldView) -> None:
     for delay, line in ((0.0, "-"), (view.pulse_end, "--")):
         if not math.isfinite(delay):
             continue
-        drawn: dict[str, Any] = {"color": ON_LIGHT, "linestyle": line, "linewidth": 0.8, "alpha": 0.8}
+        drawn: dict[str, Any] = {"color": canvas.ON_LIGHT, "linestyle": line, "linewidth": 0.8, "alpha": 0.8}
         for bar, sign in ((0, -1.0), (1, 1.0)):
             ends = np.array([0.0, sign * view.reach[bar]])
             out = np.array([0.0, view.reach[bar] / view.wave_speed])
@@ -299,7 +286,7 @@ def _names(axes: Axes, view: FieldView) -> None:
     for name, inside in regions.items():
         if inside.mean() > _ROOM:
             axes.text(float(x[inside].mean()), float(t[inside].mean()) * 1e6, name.strip(), ha="center", va="center",
-                      fontsize=9.0, color=ON_LIGHT, bbox=_LABEL)  # fmt: skip
+                      fontsize=9.0, color=canvas.ON_LIGHT, bbox=_LABEL)  # fmt: skip
 
 
 def _field_finding(view: FieldView) -> str:
@@ -339,7 +326,7 @@ def field_rows(history: History) -> tuple[list[str], list[list[Any]]]:
 _STRIDES: Final = (3, 2)
 
 
-def bars_figure(contents: Contents) -> Picture | None:
+def bars_figure(contents: Contents) -> canvas.Picture | None:
     """Stress in both bars over place and time; None where no scene was followed."""
     stored = (contents.courses or {}).get("hardest", {}).get("bars")
     if stored is None:
@@ -357,7 +344,7 @@ def bars_figure(contents: Contents) -> Picture | None:
     )
 
 
-def stress_inside_figure(contents: Contents) -> Picture | None:
+def stress_inside_figure(contents: Contents) -> canvas.Picture | None:
     """Half sections of the sphere at its largest pressure; None where the tables of the stress do not reach."""
     contact = (contents.courses or {}).get("hardest", {}).get("contact")
     if contact is None or outside(contact["ratio"], contact["nu"]):
