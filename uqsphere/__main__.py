@@ -1,7 +1,5 @@
 """``python -m uqsphere``."""
 
-import sys
+from uqsphere.cli import program
 
-from uqsphere.cli import main
-
-sys.exit(main())
+program()
