@@ -420,12 +420,12 @@ def room_of(study: Study, way: Way) -> list[str]:
     if _moves(study) and study.margins is not None:
         # beside the design, and what its limits are left to be learned by
         more = (least_learned(variables + 1, looks=1) + least * len(study.limits)) * learns
-        fewest, path = 1 + SURROGATE.first + ALONG.first + more, study.margins.axis.path
+        fewest, path = ALONG.first + more, study.margins.axis.path
         found.append(
             f"margins over {path}: up to {min(half, ALONG.most):,} evaluations"
             + ", of which those are learned from that tell most of a probability that no surrogate shows" * learns
-            if way.affordable >= fewest
-            else f"margins over {path}: no room; raise analysis.budget to {fewest} evaluations at least"
+            if half >= fewest
+            else f"margins over {path}: no room; raise analysis.budget to {2 * fewest + 1} evaluations at least"
         )
     if variables > MOST_LEARNED:
         return [*found, f"{small}: bounds alone, since more than {MOST_LEARNED} variables are too many to learn them"]
