@@ -20,7 +20,6 @@ from uqsphere.report.figures.fragility import family_table
 from uqsphere.report.tables import accuracy_table
 from uqsphere.runner.account import FURTHER
 from uqsphere.runner.finished import Run
-from uqsphere.runner.questions.curves import GAP
 from uqsphere.study import Study
 
 Array = npt.NDArray[np.float64]
@@ -76,13 +75,9 @@ def test_a_question_is_met_or_says_what_is_missed(run: Run) -> None:
 
 def test_every_shortfall_of_a_curve_says_what_it_would_take(run: Run) -> None:
     found = [text for text in run.results.accuracy.missed if text.startswith("margins high")]
-    assert any("the steps of the curve" in text for text in found)
     for text in found:
         assert "evaluations" in text, text
-    entry = run.results.document()["margins"]["high"]
-    assert entry["steps"]["step"] > GAP == entry["steps"]["asked"]
-    assert entry["steps"]["needed"] > entry["steps"]["evaluations"]
-    assert entry["band"]["half_width"] > 0.0
+    assert run.results.document()["margins"]["high"]["band"]["half_width"] > 0.0
 
 
 def test_the_page_names_every_shortfall(run: Run) -> None:

@@ -550,7 +550,7 @@ def left_open(
             laws[number] = fitted_again(laws[number], laws[number].from_normal(column))
         for k, pair in enumerate(pairs):
             both = drawn[:, [at[name] for name in pair]].argsort(axis=0).argsort(axis=0)
-            ranks[number, k] = np.corrcoef(both.T)[0, 1]
+            ranks[number, k] = np.asarray(np.corrcoef(both.T))[0, 1]
     moved = [inputs] * LAWS
     if pairs:
         opened = [_open(tie, column, generator) for tie, column in zip(ties, ranks.T, strict=True)]

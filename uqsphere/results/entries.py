@@ -510,17 +510,6 @@ class BandEntry(Part):
     needed: Number | None = None
 
 
-class StepsEntry(Part):
-    """How far apart the values of a curve lie."""
-
-    NEEDS = ("step", "asked", "evaluations", "needed")
-
-    step: Number = 0.0
-    asked: Number = 0.0
-    evaluations: Number = 0.0
-    needed: Number = 0.0
-
-
 class MemberEntry(Entry):
     """A curve at another value of another number."""
 
@@ -530,7 +519,6 @@ class MemberEntry(Entry):
     lognormal: Maybe[LognormalEntry] = Field(default_factory=LognormalEntry)
     reason: StrictStr | None = None
     band: Maybe[BandEntry] = Field(default_factory=BandEntry)
-    steps: Maybe[StepsEntry] = Field(default_factory=StepsEntry)
 
 
 class FamilyEntry(Part):
@@ -659,7 +647,6 @@ class MarginEntry(Entry):
     family: Maybe[FamilyEntry] = Field(default_factory=FamilyEntry)
     against: Maybe[AgainstEntry] = Field(default_factory=AgainstEntry)
     band: Maybe[BandEntry] = Field(default_factory=BandEntry)
-    steps: Maybe[StepsEntry] = Field(default_factory=StepsEntry)
     probability: Number | None = None
     value: Maybe[Est] = Field(default_factory=Est)
     factors: Maybe[FactorsEntry] = Field(default_factory=FactorsEntry)

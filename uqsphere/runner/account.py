@@ -22,7 +22,7 @@ from uqsphere.results import (
     ToleranceEntry,
 )
 from uqsphere.results.entries import CarriedEntry, CheckEntry, Curve, Est
-from uqsphere.runner.campaign import INDEX_KIND, MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, Missed, rounded
+from uqsphere.runner.campaign import INDEX_KIND, MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, Missed
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.forecast import forecast
 from uqsphere.uq.estimate import Estimate
@@ -215,29 +215,18 @@ def _row(
 
 
 def _of_curves(name: str, margin: MarginAnswer) -> Iterator[QuestionRow]:
-    """The bands of the curve of a limit and of those of its family, and their steps."""
+    """The bands of the curve of a limit and of those of its family."""
     for at, band in {"": margin.band, **margin.bands}.items():
-        if band is not None:
-            told = [(band.missed(), band.table()["needed"])] if band.missed() else []
-            text = "band of the curve, over the smaller side"
-            yield _of_curve(name, at, "band", text, band.asked, (band.half_width, band.evaluations), told)
-    for at, steps in {"": margin.coarse, **margin.steps}.items():
-        if steps is not None:
-            told = [(steps.missed(), rounded(steps.needed))]
-            text = "largest step of the curve, in normal scores"
-            yield _of_curve(name, at, "steps", text, steps.asked, (steps.step, steps.evaluations), told)
-
-
-def _of_curve(
-    name: str, at: str, kind: str, question: str, asked: float, reached: tuple[float, int],
-    told: Sequence[tuple[str, int | None]],
-) -> QuestionRow:  # fmt: skip
-    subject, head = (f"margins.{name} at {at}", f"{name}: at {at}") if at else (f"margins.{name}", name)
-    missed = [
-        Missed(subject=subject, kind=kind, said=f"margins {head}: {text}", cost=Cost(needed=needed))
-        for text, needed in told
-    ]
-    return _row(subject, question, asked, reached, missed)
+        if band is None:
+            continue
+        subject, head = (f"margins.{name} at {at}", f"{name}: at {at}") if at else (f"margins.{name}", name)
+        told = [
+            Missed(subject=subject, kind="band", said=f"margins {head}: {text}",
+                   cost=Cost(needed=band.table()["needed"]))
+            for text in [band.missed()] if text
+        ]  # fmt: skip
+        question = "band of the curve, over the smaller side"
+        yield _row(subject, question, band.asked, (band.half_width, band.evaluations), told)
 
 
 def _worst(estimates: Sequence[Estimate], scale: float) -> tuple[float | None, int | None]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, reduce
 from typing import Final
@@ -112,14 +112,12 @@ class Look:
     def grid(self) -> list[float]:
         return sorted(self.samples)
 
-    def fits(self, limit: Limit) -> bool:
-        """Whether the demands of a limit are known in full."""
-        return all(sample.knows(limit.quantity) for sample in self.samples.values())
-
     def states(self, limit: Limit, values: Sequence[float]) -> list[LimitState]:
-        """States of a limit at some values, every row's demand interpolated."""
+        """States of a limit at some values, every row's demand interpolated; none of a row that lacks one."""
         stack = np.stack([self.samples[value].answer(limit.quantity) for value in self.grid])
-        demands = interpolate_rows(self.grid, stack, np.asarray(values))
+        known = np.isfinite(stack).all(axis=0)
+        demands = interpolate_rows(self.grid, np.where(known, stack, 1.0), np.asarray(values))
+        demands[:, ~known] = np.nan
         points = self.samples[self.grid[0]]
         judge = judge_of(self.work, limit)
         return [judge(points, rows, x) for rows, x in zip(demands, values, strict=True)]
@@ -186,6 +184,7 @@ class AxisRows:
         found = evaluate_along(self.work, wanted, self.tag)
         self.rows |= {value: self.rows[value].join(own) if value in self.rows else own for value, own in found.items()}
         self.used = start
+        self.__dict__.pop("every", None)
         self._fits.clear()
         self._tables.clear()
 
@@ -208,25 +207,38 @@ class AxisRows:
             )
         return self._fits[quantity, over]
 
-    def curve_of(self, quantity: str, judge: Judge, over: str = "") -> Curve:
-        """What the rows say of a quantity over the scalar, or `over` another quantity."""
-        sample = reduce(Sample.join, self.rows.values())
+    @cached_property
+    def every(self) -> Sample:
+        """All rows of each replicate, those of one value after those of another."""
+        return reduce(Sample.join, self.rows.values())
+
+    def curve_of(
+        self, quantity: str, judge: Judge, over: str = "", own: Callable[[float], LimitState] | None = None
+    ) -> Curve:
+        """What the rows say of a quantity over the scalar, or `over` another quantity; `own` where some of them have no
+        plain number."""
+        sample = self.every
         places: Array | None = None
         if over:
             places = sample.answer(over)
         elif not self.free:
             every = self.rows.items()
             places = np.concatenate([np.full(rows.status.shape, value) for value, rows in every], axis=1)
-        demands = sample.answer(quantity)
-        return Curve(
-            fit=self.fit(quantity, over), many=self.many, rows=sample, demands=demands, places=places, judge=judge
-        )
+        plain = own or (lambda value: judge(sample, sample.answer(quantity), value))
+        return Curve(fit=self.fit(quantity, over), many=self.many, rows=sample, own=plain, places=places, judge=judge)
 
     def table(self, limit: Limit) -> Array:
         """Probability of exceeding a limit (K, R) at the values of the grid."""
         if limit.name not in self._tables:
-            self._tables[limit.name] = self.curve_of(limit.quantity, judge_of(self.work, limit)).table(self.grid)
+            state = state_of(self.work, limit, self.every)
+            curve = self.curve_of(limit.quantity, judge_of(self.work, limit),
+                                  own=lambda value: at_value(self.work, limit, state, value))  # fmt: skip
+            self._tables[limit.name] = curve.table(self.grid)
         return self._tables[limit.name]
+
+    def lost(self, quantity: str) -> float:
+        """Share of the rows without a number of a quantity."""
+        return float(1.0 - np.isfinite(self.every.answer(quantity)).mean())
 
     def states(self, limit: Limit, values: Sequence[float], count: int) -> list[LimitState]:
         """States of a limit at any values within the grid, on the first `count` of the many points."""

@@ -61,7 +61,7 @@ DESIGN_POINT: Final = 1000
 LOOK: Final = Schedule(first=2, most=9)
 CURVE: Final = Schedule(first=4, least=2, most=64, share=0.1)
 CURVE_VALUES: Final = 40
-FREE_CURVE: Final = Schedule(first=64, most=1024)
+FREE_CURVE: Final = Schedule(first=64, least=8, most=1024)
 CHECKED: Final = 128
 #: rows that are followed to their fracture: those whose first loading is, specimens drawn from them, and values and
 #: rows of the curve of all limits together

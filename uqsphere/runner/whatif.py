@@ -383,7 +383,7 @@ def margin_left_open(
     work: Work,
     sampled: Sampled,
     limit: Limit,
-    rows: AxisRows | None,
+    rows: AxisRows,
     value: Estimate,
     *,
     probability: float,
@@ -391,7 +391,7 @@ def margin_left_open(
 ) -> Fields:
     """What the tests of a strength leave open of the value at a probability, and how many more would tell.
 
-    Empty where the strength was not fitted to tests; `rows` are those of the curve, if there are any.
+    Empty where the strength was not fitted to tests; `rows` are those of the curve.
     """
     strength = limit.strength
     if not (isinstance(strength, Law) and is_fitted(strength)):
@@ -399,9 +399,6 @@ def margin_left_open(
     try:
         if value.value is None:
             left = MarginOpenEntry(reason=value.reason)
-        elif rows is None:
-            reason = "the demands are not known in full, so that no rows serve all values"
-            left = MarginOpenEntry(tests=count_tests(strength), reason=reason)
         else:
             laws = _laws_of(work, limit, strength, MANY_LAWS)
             left = _value_range(limit, strength, laws, rows, value.value, probability, rising)

@@ -93,7 +93,7 @@ def fit_axis(values: Sequence[float | Array], normals: Sequence[Array], answers:
     """Fit answers (R, n_j) at points (R, n_j, d) of J values of the scalar; replicate r is of fold r modulo `FOLDS`.
 
     In place of one value there may be one for every row, (R, n_j).  The degree is that whose predictions of rows not
-    seen are best.  Logarithms are taken of what is positive.
+    seen are best.  Logarithms are taken of what is positive.  Rows without an answer (nan) are left out.
 
     >>> normals = [np.random.default_rng(k).standard_normal((8, 4, 1)) for k in range(5)]
     >>> values = [1.0, 1.5, 2.0, 3.0, 4.0]
@@ -104,14 +104,15 @@ def fit_axis(values: Sequence[float | Array], normals: Sequence[Array], answers:
     """
     pairs = zip(values, answers, strict=True)
     places = np.concatenate([np.broadcast_to(np.asarray(v, dtype=float), y.shape).reshape(-1) for v, y in pairs])
-    positive = bool(places.min() > 0.0), all(bool((rows > 0.0).all()) for rows in answers)
+    positive = bool(places.min() > 0.0), not any(bool((rows <= 0.0).any()) for rows in answers)
     places = np.log(places) if positive[0] else places
     y = np.concatenate([rows.reshape(-1) for rows in answers])
     y = np.log(y) if positive[1] else y
     z = np.concatenate([points.reshape(points.shape[0] * points.shape[1], points.shape[2]) for points in normals])
     fold = np.concatenate([np.repeat(np.arange(rows.shape[0]) % FOLDS, rows.shape[1]) for rows in answers])
     ends = float(places.min()), float(places.max())
-    u = _scaled(places, ends)
+    known = np.isfinite(y)
+    u, z, y, fold = _scaled(places, ends)[known], z[known], y[known], fold[known]
     least = min(int((fold != k).sum()) for k in range(FOLDS))
     best: tuple[float, list[Array], Degrees] | None = None
     for terms in _bases(z.shape[1], len(values), least // ROWS_PER_TERM):
@@ -227,7 +228,8 @@ class Curve:
 
     fit : the response, fitted to the rows
     many : points at which the response answers for all that were not evaluated
-    rows, demands : rows and what they gave, (R, N)
+    rows : rows of the model, (R, N)
+    own : what they say at a value; of one without an answer the response stands
     places : where on the axis each of them lies, (R, N); None where what they gave holds at every value
     judge : what is asked of a demand
     """
@@ -235,7 +237,7 @@ class Curve:
     fit: AxisFit
     many: Sample
     rows: Sample
-    demands: Array
+    own: Callable[[float], LimitState]
     places: Array | None
     judge: Judge
 
@@ -257,11 +259,11 @@ class Curve:
         # of a fixed strength a row tells only on which side it lies: none may happen to lie on the wrong one, and of
         # the many the share beyond it is known to one of them, evenly (1/12 of its square)
         least, one = 0.0, 0.0
-        if not isinstance(self.judge(self.rows, self.demands, values[0]).strength, Law):
+        if not isinstance(self.own(values[0]).strength, Law):
             least, one = 1.0, 1.0 / (12.0 * self.many.size * self.many.count)
         if self.places is None:
             missed = np.array([self._missed(self.fit.predict(x, self._row_products), x).mean(axis=1) for x in values])
-            return _spread_by(fitted + missed, least * variance / self.demands.size + one)
+            return _spread_by(fitted + missed, least * variance / self.rows.size + one)
         return self._corrected(np.asarray(values), fitted, variance, least, one)
 
     def _corrected(self, values: Array, fitted: Array, variance: Array, least: float, one: float) -> Array:
@@ -294,9 +296,10 @@ class Curve:
 
     def _missed(self, predicted: Array, value: float) -> Array:
         """What the response is off by in every row (R, N)."""
-        below, above = tails(self.judge(self.rows, self.demands, value))
-        own = below / np.where(below + above > 0.0, below + above, 1.0)
-        return np.asarray(own - self._expected(self.rows, predicted, value)[0])
+        below, above = tails(self.own(value))
+        told = below + above > 0.0
+        own = below / np.where(told, below + above, 1.0)
+        return np.where(told, own - self._expected(self.rows, predicted, value)[0], 0.0)
 
     def _expected(self, points: Sample, predicted: Array, value: float) -> tuple[Array, Array]:
         """Probabilities (R, n) if rows scatter about the response as those not seen do, and the variance about them."""

@@ -2,16 +2,14 @@
 
 A look at few rows over the whole range tells where the curves rise, by each row's demands interpolated between the
 values looked at.  There a few rows are evaluated at every value of the curve, and twice as many where it is not known
-as well as asked.  A limit whose demands are censored has no such curve: it is sampled value by value, and stretches
-over which it is steep are halved.
+as well as asked.  Demands that are censored count as they are; a row without an answer is left to the others.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -19,32 +17,27 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.quantities import format_value, lookup
 from uqsphere.results import SpeedRow
-from uqsphere.runner.axis_rows import AxisRows, Look, at_value, axis_of, evaluate_along, judge_of
-from uqsphere.runner.campaign import Accuracy, Cost, Course, campaign, cost_of, rounded, speed_rows_of
-from uqsphere.runner.evaluate import OutOfBudget, Work
-from uqsphere.runner.limits import state_of
+from uqsphere.runner.axis_rows import AxisRows, Look, axis_of, evaluate_along, judge_of
+from uqsphere.runner.campaign import Accuracy, Cost, Course, campaign, rounded, speed_rows_of
+from uqsphere.runner.evaluate import MOST_DROPPED, OutOfBudget, Work
 from uqsphere.runner.schedule import CURVE, CURVE_VALUES, FREE_CURVE, LOOK, REPLICATES
 from uqsphere.runner.whatif import probabilities_by_tests
 from uqsphere.study import Limit
 from uqsphere.study.axis import spaced, with_number
 from uqsphere.units import told_apart
-from uqsphere.uq.curve import METHOD as STEPWISE
 from uqsphere.uq.curve import Fragility, LognormalCurve, fit_lognormal_curve, fragility, half_widths
 from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.whatif import probability
 
 #: times that a range is widened which turned out too narrow
 WIDER: Final = 3
 #: the smallest probability whose band a curve is made for, over the smallest that is asked for
 BELOW: Final = 0.5
-#: points of each replicate at one value, value by value: as many as the budget allows for the first look
-STEP_POINTS: Final = (64, 32, 16, 8)
-#: rounds in which steep stretches are halved: those that span more than this in normal scores
-ROUNDS: Final = 4
-GAP: Final = 0.6
 NO_COST: Final = Cost()
 KIND: Final = "half-width of the band over the smaller side of its probability"
 METHOD: Final = "rows along the free scalar, beside a polynomial of them"
+#: share of the rows without an answer from which on it is told
+LOST: Final = MOST_DROPPED
+NO_ANSWERS: Final = "half of the evaluations, or more, have no answer"
 LATE: Final = "the time was over, or the run was stopped, before the curve was known"
 
 
@@ -87,30 +80,6 @@ class Band:
         }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Coarse:
-    """A curve whose neighbouring values lie further apart than wanted: the largest step in normal scores, what the
-    curve took, what it would take, and why it ended."""
-
-    step: float
-    evaluations: int
-    needed: float
-    why: str
-    asked: float = GAP
-
-    def missed(self) -> str:
-        """What is said of it: what was reached and asked, and what it would cost."""
-        return (
-            f"the steps of the curve: neighbours differ by up to {told_apart(self.step, self.asked)} normal scores, "
-            f"asked {self.asked:g} (about {rounded(self.needed):,} evaluations of the curve would reach it, "
-            f"unless it jumps there; {self.why})"
-        )
-
-    def table(self) -> dict[str, Any]:
-        """The entry of results.json."""
-        return {"step": self.step, "asked": self.asked, "evaluations": self.evaluations, "needed": rounded(self.needed)}
-
-
 def widest(table: Array, least: float) -> float:
     """The largest half-width of a curve (K, R) over the smaller side, where that is not below `least`."""
     widths, side = half_widths(table)
@@ -124,13 +93,12 @@ def widest(table: Array, least: float) -> float:
 class Found:
     """What there is of the curves: the look, if one was made, the rows, and the course of every limit's band.
 
-    `note` is a remark, `reason` why there are no curves.
+    `reason` is why there are no curves.
     """
 
     look: Look | None = None
     rows: AxisRows | None = None
     bands: dict[str, Band] = field(default_factory=dict)
-    note: str = ""
     reason: str = ""
 
 
@@ -145,7 +113,7 @@ def find_rows(
 ) -> Found:
     """Rows where the curves of some limits rise, for about `most` evaluations; at least what a curve takes.
 
-    `least` is the smallest probability of interest.  Limits whose demands are not known in full have no share in it.
+    `least` is the smallest probability of interest.
     """
     axis, before = axis_of(work), work.ledger.total
     left = work.study.analysis.budget.evaluations - before
@@ -157,49 +125,54 @@ def find_rows(
         return Found(reason=_shortage(work, cost))
     found = evaluate_along(work, dict.fromkeys(axis.grid(LOOK.most), (0, LOOK.first)), tag)
     look = Look(work=work, samples=found)
-    limits = [limit for limit in limits if look.fits(limit)]
-    if not limits:
-        return Found(look=look)
     allowed = min(max(most, 3 * each), left)
     count = next((n for n in (CURVE.first, CURVE.least) if cost + (n - CURVE.least) * each <= allowed), CURVE.least)
     ends = _region(work, limits, look, least)
     for _ in range(WIDER):
         rows = AxisRows(work=work, tag=tag, grid=spaced(*ends, CURVE_VALUES))
         rows.begin(count)
-        kept = [limit for limit in limits if rows.knows(limit.quantity)]
-        if not kept:
-            return Found(look=look)
-        wider = _widened(kept, rows, look, least)
+        limits = _answered(rows, limits)
+        if not limits:
+            break
+        wider = _widened(limits, rows, look, least)
         if wider == ends or work.ledger.total + count * each > work.study.analysis.budget.evaluations:
             break
         ends = wider
-    return _found(look, _Bands(rows=rows, limits=kept, least=2.0 * least, most=before + min(most, left), called=called))
+    return _found(
+        look, _Bands(rows=rows, limits=limits, least=2.0 * least, most=before + min(most, left), called=called)
+    )
 
 
 def _find_free(work: Work, limits: Sequence[Limit], least: float, most: int, tag: str, called: str) -> Found:
     """The same where the scalar is a strength: the rows of one value serve all."""
     axis = axis_of(work)
-    cost = REPLICATES * FREE_CURVE.first if work.scene_names else 1
-    if work.ledger.total + cost > work.study.analysis.budget.evaluations:
-        return Found(reason=_shortage(work, cost))
+    left = work.study.analysis.budget.evaluations - work.ledger.total
+    count = min(FREE_CURVE.first, left // REPLICATES) if work.scene_names else FREE_CURVE.first
+    if count < FREE_CURVE.least:
+        return Found(reason=_shortage(work, REPLICATES * FREE_CURVE.least))
     rows = AxisRows(work=work, tag=tag, grid=[axis.low, axis.high])
-    rows.begin(FREE_CURVE.first)
-    limits = [limit for limit in limits if rows.knows(limit.quantity)]
-    if not limits:
-        return Found()
+    rows.begin(count)
+    limits = _answered(rows, limits)
     sample = rows.at(axis.low)
     look = Look(work=work, samples={axis.low: sample, axis.high: sample})
     grid = spaced(*_region(work, limits, look, least), CURVE_VALUES)
-    rows = AxisRows(work=work, tag=tag, grid=grid, rows={grid[0]: sample}, used=FREE_CURVE.first)
+    rows = AxisRows(work=work, tag=tag, grid=grid, rows={grid[0]: sample}, used=count)
     return _found(look, _Bands(rows=rows, limits=limits, least=2.0 * least, most=most, called=called))
+
+
+def _answered(rows: AxisRows, limits: Sequence[Limit]) -> list[Limit]:
+    """The limits of which most rows have a demand."""
+    return [limit for limit in limits if rows.lost(limit.quantity) < 0.5]
 
 
 def _found(look: Look, question: _Bands) -> Found:
     """The curves as accurate as asked, or as is affordable."""
+    if not question.limits:
+        return Found(reason=NO_ANSWERS)
     work = question.rows.work
     before = work.ledger.total - question.size
     bands = question.answer(campaign(work, question), before)
-    return Found(look=look, rows=question.rows, bands=bands, note=question.note)
+    return Found(look=look, rows=question.rows, bands=bands)
 
 
 def _region(work: Work, limits: Sequence[Limit], look: Look, least: float) -> tuple[float, float]:
@@ -258,7 +231,6 @@ class _Bands:
     most: int
     called: str = ""
     judged: int = 0
-    note: str = ""
     begun: bool = False
     full: bool = False
 
@@ -282,10 +254,9 @@ class _Bands:
         rows, highest = self.rows, FREE_CURVE.most if self.rows.free else CURVE.most
         wanted = [value for value in self._wide() if rows.rows[value].count < highest]
         cost, self.full = sum(rows.rows[value].size for value in wanted), not wanted
-        if self.note or not wanted or cost > min(room, self.most - rows.work.ledger.total):
+        if not wanted or cost > min(room, self.most - rows.work.ledger.total):
             return False
         rows.double(wanted)
-        self.note = "" if all(rows.knows(limit.quantity) for limit in self.limits) else "some rows have no answer"
         return True
 
     def _wide(self) -> list[float]:
@@ -332,105 +303,12 @@ class _Bands:
         }
 
 
-# --- value by value --------------------------------------------------------------------------------------
-
-
-def _steps_of(table: Sequence[Array]) -> Array:
-    """Differences in normal scores between neighbouring values of a curve, (K - 1,)."""
-    from scipy.special import ndtri
-
-    means = np.clip([float(row.mean()) for row in table], 1e-5, 1.0 - 1e-5)
-    return np.asarray(np.abs(np.diff(ndtri(means))))
-
-
-def _steep(found: Mapping[float, Mapping[str, Array]], names: Iterable[str]) -> list[float]:
-    """Middles of the stretches over which a curve moves too far for interpolation."""
-    grid, middles = sorted(found), set()
-    for name in names:
-        gaps = _steps_of([found[value][name] for value in grid])
-        for gap, (left, right) in zip(gaps, pairwise(grid), strict=True):
-            if gap > GAP:
-                middles.add(spaced(left, right, 3)[1])
-    return sorted(middles)
-
-
-def _sampled(
-    work: Work, limits: Sequence[Limit], tag: str, count: int, each: int
-) -> tuple[dict[float, dict[str, Array]], str]:
-    """Probabilities (R,) of every limit by value, steep stretches halved, and what ended it."""
-    axis, budget = axis_of(work), work.study.analysis.budget.evaluations
-    todo = axis.grid(LOOK.most)
-    found: dict[float, dict[str, Array]] = {}
-    for _ in range(ROUNDS + 1):
-        for value in todo:
-            # a strength leaves the demands what they are: the rows of one value serve all
-            if axis.moves_rows or not found:
-                if work.ledger.total + count * each > budget:
-                    return found, "the budget of evaluations was used up"
-                try:
-                    sample = evaluate_along(work, {value: (0, count)}, tag)[value]
-                except OutOfBudget:
-                    return found, "the time was over, or the run was stopped"
-            states = {limit.name: at_value(work, limit, state_of(work, limit, sample), value) for limit in limits}
-            found[value] = {name: probability(state) for name, state in states.items()}
-        todo = _steep(found, [limit.name for limit in limits])
-        if not todo:
-            break
-    return found, ""
-
-
-def _value_by_value(
-    work: Work, limits: Sequence[Limit], least: float, tag: str, called: str
-) -> dict[str, CurveFound | str]:
-    """The curve of every limit from one end of the range to the other, or why there is none.
-
-    `least` is the smaller side of a probability from which on its interval counts.
-    """
-    each = REPLICATES if work.scene_names else 1
-    left = work.study.analysis.budget.evaluations - work.ledger.total
-    values = LOOK.most if axis_of(work).moves_rows else 1
-    count = next((n for n in STEP_POINTS if n * each * values <= left), 0)
-    names = [limit.name for limit in limits]
-    if not count:
-        return dict.fromkeys(names, _shortage(work, STEP_POINTS[-1] * each * values))
-    before = work.ledger.total
-    found, ended = _sampled(work, limits, tag, count, each)
-    if len(found) < LOOK.most:
-        return dict.fromkeys(names, "the time was over, or the run was stopped, before the whole range was looked at")
-    answers: dict[str, CurveFound | str] = {}
-    for name in names:
-        usable = [value for value in sorted(found) if np.isfinite(found[value][name]).all()]
-        if len(usable) < 2:
-            answers[name] = "at fewer than two values is there an answer in every replicate"
-            continue
-        table = np.array([found[value][name] for value in usable])
-        spent, rows = work.ledger.total - before, count * each
-        wide, asked = widest(table, least), work.study.analysis.accuracy.curve
-        work.tell(speed_rows_of(STEPWISE, f"margins.{name}{called}", spent, wide, KIND))
-        answers[name] = CurveFound(
-            grid=np.array(usable), table=table, samples=count, evaluations=spent,
-            band=Band(half_width=wide, asked=asked, evaluations=spent, cost=cost_of([(spent, wide / asked)])),
-            coarse=_coarse(_steps_of(list(table)), rows, spent, ended),
-        )  # fmt: skip
-    return answers
-
-
-def _coarse(gaps: Array, each: int, evaluations: int, ended: str) -> Coarse | None:
-    """What a curve with such steps lacks, by the values that halving them would take; None where it lacks nothing."""
-    wide = gaps[gaps > GAP]
-    if not wide.size:
-        return None
-    more = sum(2 ** math.ceil(math.log2(gap / GAP)) - 1 for gap in wide)
-    why = ended or f"a stretch is halved no more than {ROUNDS} times"
-    return Coarse(step=float(wide.max()), evaluations=evaluations, needed=evaluations + more * each, why=why)
-
-
 # --- the curves of a study --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurveFound:
-    """A curve of one limit: values (K,), every replicate's probabilities (K, R), and the rows, if they are few.
+    """A curve of one limit: values (K,), every replicate's probabilities (K, R), and the rows.
 
     `samples` is the number of points of each replicate behind one probability; `values` are the free scalar's at the
     probabilities asked for.
@@ -440,17 +318,15 @@ class CurveFound:
     table: Array
     samples: int
     evaluations: int
-    band: Band | None
-    coarse: Coarse | None = None
-    rows: AxisRows | None = None
+    band: Band
+    rows: AxisRows
     values: Mapping[float, Estimate] = field(default_factory=dict)
     note: str = ""
 
     def missed(self) -> list[str]:
         """What the curve lacks: what was reached, asked, and would be taken of each."""
         texts = [self.note] if self.note else []
-        texts += [self.band.missed()] if self.band is not None and self.band.missed() else []
-        texts += [self.coarse.missed()] if self.coarse is not None else []
+        texts += [self.band.missed()] if self.band.missed() else []
         return texts + [f"{p:g}: {e.reason}" for p, e in self.values.items() if e.value is None and e.reason]
 
     def answer(self, targets: Sequence[float]) -> Fragility:
@@ -472,8 +348,7 @@ class CurveFound:
             "values": self.values,
             "curve": [list(row) for row in self.answer(()).curve],
             "lognormal": lognormal_table(self.lognormal()),
-            **({} if self.band is None else {"band": self.band.table()}),
-            **({} if self.coarse is None else {"steps": self.coarse.table()}),
+            "band": self.band.table(),
         }
 
 
@@ -514,24 +389,22 @@ def curves_along(
     before = work.ledger.total
     smallest = min(min(p, 1.0 - p) for limit in limits for p in asked_probabilities(work, limit))
     seen = find_rows(work, limits, least=BELOW * smallest, most=most, tag=tag, called=called)
-    if seen.reason:
+    rows = seen.rows
+    if rows is None:
         return dict.fromkeys((limit.name for limit in limits), seen.reason)
     found: dict[str, CurveFound | str] = {}
     for limit in limits:
-        if seen.rows is not None and seen.rows.knows(limit.quantity):
-            grid, table = _with_outer(limit, seen.rows, seen.look)
-            found[limit.name] = CurveFound(
-                grid=grid, table=table, samples=seen.rows.samples, evaluations=work.ledger.total - before,
-                rows=seen.rows, note=seen.note, band=seen.bands.get(limit.name),
-            )  # fmt: skip
-    rest = [limit for limit in limits if limit.name not in found]
-    found |= _value_by_value(work, rest, smallest, tag, called) if rest else {}
-    answers: dict[str, CurveFound | str] = {}
-    for limit in limits:
-        one = found[limit.name]
-        asked = asked_probabilities(work, limit)
-        answers[limit.name] = one if isinstance(one, str) else replace(one, values=one.answer(asked).values)
-    return answers
+        if limit.name not in seen.bands:
+            found[limit.name] = NO_ANSWERS
+            continue
+        lost, (grid, table) = rows.lost(limit.quantity), _with_outer(limit, rows, seen.look)
+        one = CurveFound(
+            grid=grid, table=table, samples=rows.samples, evaluations=work.ledger.total - before, rows=rows,
+            band=seen.bands[limit.name],
+            note=f"{100.0 * lost:.2g} % of the evaluations have no answer, the others stand for them" * (lost > LOST),
+        )  # fmt: skip
+        found[limit.name] = replace(one, values=one.answer(asked_probabilities(work, limit)).values)
+    return found
 
 
 def _with_outer(limit: Limit, rows: AxisRows, look: Look | None) -> tuple[Array, Array]:
@@ -620,7 +493,7 @@ class EnergyCurve:
         }
 
 
-def energy_curve(rows: AxisRows | None, limit: Limit, quantity: str, probabilities: Sequence[float]) -> EnergyCurve:
+def energy_curve(rows: AxisRows, limit: Limit, quantity: str, probabilities: Sequence[float]) -> EnergyCurve:
     """The fragility of a limit over `quantity`, a positive answer that rises with the free scalar of the rows.
 
     Comminution asks for the probability that a particle breaks at a given specific energy, as a drop-weight test finds
@@ -629,11 +502,10 @@ def energy_curve(rows: AxisRows | None, limit: Limit, quantity: str, probabiliti
     over the inputs of the probability that the strength is below D(e, z), where D is the demand of a specimen with the
     inputs z at the value of the scalar at which the quantity is e: the same rows lie where their own energies are.
     """
-    if rows is None or rows.free:
-        reason = "the demands are not known in full at every speed, so that rows cannot be ordered"
-        return EnergyCurve.none(quantity, reason)
-    if not rows.knows(quantity):
-        return EnergyCurve.none(quantity, f"{quantity} is not known in full in every row")
+    if rows.free:
+        return EnergyCurve.none(quantity, f"{quantity} does not move with the free number")
+    if unknown := [name for name in (quantity, limit.quantity) if not rows.knows(name)]:
+        return EnergyCurve.none(quantity, f"{unknown[0]} is not known in full in every row")
     if not all(bool((sample.answer(quantity) > 0.0).all()) for sample in rows.rows.values()):
         return EnergyCurve.none(quantity, f"{quantity} is zero in some rows")
     low, high = (float(np.median(rows.rows[end(rows.rows)].answer(quantity))) for end in (min, max))

@@ -26,7 +26,6 @@ from uqsphere.runner.limits import state_of
 from uqsphere.runner.questions.curves import (
     LATE,
     Band,
-    Coarse,
     CurveFound,
     EnergyCurve,
     accepted,
@@ -56,8 +55,8 @@ class MarginAnswer:
 
     `lognormal` is the lognormal curve beside it, or why there is none; `family` holds the curves at other values of
     another number, as tables for results.json, and `about` what the margin is made of; `against` is the curve over the
-    specific energy, where that is asked for; `band` is how well the curve is known, `coarse` what its steps lack;
-    `bands` and `steps` hold the same of the curves of the family, by what they are called.
+    specific energy, where that is asked for; `band` is how well the curve is known, `bands` the same of the curves
+    of the family, by what they are called.
     """
 
     values: Mapping[float, Estimate]
@@ -68,9 +67,7 @@ class MarginAnswer:
     about: Fields = field(default_factory=dict)
     against: EnergyCurve | None = None
     band: Band | None = None
-    coarse: Coarse | None = None
     bands: dict[str, Band] = field(default_factory=dict)
-    steps: dict[str, Coarse] = field(default_factory=dict)
 
     @property
     def value(self) -> float | None:
@@ -83,7 +80,7 @@ class MarginAnswer:
         assert study.margins is not None
         path, family = study.margins.axis.path, study.margins.family
         own = quantity_of(path, {limit.name: limit.quantity for limit in study.limits})
-        parts = {"against": self.against, "band": self.band, "steps": self.coarse}
+        parts = {"against": self.against, "band": self.band}
         return {
             "solve": path,
             "unit": lookup(own).unit,
@@ -152,9 +149,7 @@ def _margin(
         about=describe_margin(work, sampled, limit, decisive(work, limit), found),
         against=(against and energy_curve(found.rows, limit, against, asked_probabilities(work, limit))) or None,
         band=found.band,
-        coarse=found.coarse,
-        bands={at: one.band for at, one in drawn.items() if one.band is not None},
-        steps={at: one.coarse for at, one in drawn.items() if one.coarse is not None},
+        bands={at: one.band for at, one in drawn.items()},
     )
 
 
