@@ -230,10 +230,6 @@ def _brief(found: Document, data: Data) -> Brief:
     known = _shares(found, data.outputs[0])[1]
     shares = sorted(((e.number, source) for source, e in known.items() if e.value is not None), reverse=True)
     drivers = tuple((shorten(source, 30), min(value, 1.0)) for value, source in shares[:2] if value > 0.0)
-    told = [text for entry in found["outputs"].values() for text in entry["notes"]]
-    for name, entry in found["sensitivity"].items():
-        refused = [] if entry["chaos"]["usable"] else [entry["chaos"]["reason"]]
-        told += [f"{shorten(name, 30)}: {text}" for text in (*entry["disagree"], *refused)]
     laws, measure = "laws given", ("More runs", "They narrow what is left open of indices and quantiles.")
     if found["laws"] != "known":
         laws = "laws fitted to the runs"
@@ -244,9 +240,18 @@ def _brief(found: Document, data: Data) -> Brief:
         drivers=drivers if sum(value for _, value in drivers) <= 1.0 else drivers[:1],
         driven=shorten(data.outputs[0], 40),
         measure=measure,
-        cautions=told_cautions(told),
+        cautions=told_cautions(_told(found)),
         footer=f"{found['rows']:,} runs · {len(data.inputs)} inputs · {laws}".replace(",", "\u202f"),
     )
+
+
+def _told(found: Document) -> list[str]:
+    """What is to be said of the outputs and of their expansions."""
+    told = [text for entry in found["outputs"].values() for text in entry["notes"]]
+    for name, entry in found["sensitivity"].items():
+        refused = [] if entry["chaos"]["usable"] else [entry["chaos"]["reason"]]
+        told += [f"{shorten(name, 30)}: {text}" for text in (*entry["disagree"], *refused)]
+    return told
 
 
 def _index(entry: Document) -> str:

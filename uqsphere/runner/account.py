@@ -182,11 +182,12 @@ def _pursued(
     for name, indices in found.sensitivity.items():
         refused = "" if indices.missed else indices.text
         yield name, "worst index", "indices", asked.sobol, indices.estimates(), 1.0, refused
+    words = {"exceedance": "exceedance", "miss": "missing the aim"}
     for name, limit in found.sampled.limits.items():
-        for which in ("exceedance", "miss") if limit.aim == "break" else ("miss",):
+        for which in limit.pursued:
             estimate: Estimate = getattr(limit, which)
-            question = f"probability of {'missing the aim' if which == 'miss' else 'exceedance'}, over itself"
-            exempt, scale = NO_MATTER if limit.beneath(which) else "", estimate.value or math.nan
+            question = f"probability of {words[which]}, over itself"
+            exempt, scale = NO_MATTER * limit.beneath(which), estimate.value or math.nan
             yield f"limits.{name}", question, which, asked.probability, [estimate], scale, exempt
 
 

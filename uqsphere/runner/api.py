@@ -159,16 +159,21 @@ def run(
         try:
             found = analyse(replace(work, progress=log.watch(progress)), store, log.listen(notice))
         except OutOfBudget as nothing:
-            if work.ledger.interrupted:
-                raise KeyboardInterrupt from nothing
-            if engine.fault():
-                raise ModelError(engine.fault()) from nothing
-            raise UsageError(
-                "the time budget ended before there was anything to answer with; what was evaluated is kept, and a "
-                "longer --budget goes on with it"
-            ) from nothing
+            raise _nothing_found(work.ledger.interrupted, engine.fault()) from nothing
         log.write("counted", evaluations=work.ledger.total, reused=work.ledger.reused, stages=work.ledger.seconds)
         return replace(found, keeper=keeper)
+
+
+def _nothing_found(interrupted: bool, fault: str) -> BaseException:
+    """What ends a run that has nothing to answer with."""
+    if interrupted:
+        return KeyboardInterrupt()
+    if fault:
+        return ModelError(fault)
+    return UsageError(
+        "the time budget ended before there was anything to answer with; what was evaluated is kept, and a "
+        "longer --budget goes on with it"
+    )
 
 
 def _check_usage(study: Study, model: str | BlackBox | None, executor: object) -> None:

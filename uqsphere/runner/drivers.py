@@ -189,9 +189,7 @@ def _indices(work: Work, limit: Limit, shared: Shared) -> Fields:
             nothing = refused(reason)
             kucherenko = dict.fromkeys(("first", "total"), nothing["first"])
             return {**nothing, "shapley": nothing["first"], "kucherenko": kucherenko}
-        orders = orders_at(work, design, count)
-        if orders is not None:
-            orders = np.asarray(without(orders.astype(float), failed)).astype(np.int64)
+        orders = orders_at(work, design, failed)
         found = held_open(shapley_estimates(design, chance, orders), chance, chance.shape[0] * count)
         nothing = refused("inputs depend on each other: read the Shapley effects")
         return {**nothing, **about, **named("shapley", **found), "kucherenko": named("first", "total", **found)}

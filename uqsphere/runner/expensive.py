@@ -551,35 +551,32 @@ def _refused(quantity: str, one: Response | None) -> Missed:
 
 def keep_answers(work: Work, sampled: Sampled, one: Expensive) -> Sampled:
     """Sampled distributions and limits, with those of surrogates where sampling fell short and they did less."""
-    limits, usable = dict(sampled.limits), one.question.usable
-    descriptions = dict(sampled.descriptions) | {
-        name: described
-        for name, described in one.question.found.descriptions.items()
-        if name in usable
-        and 1.0 < _lack(work, {name: sampled.descriptions[name]}, {}) > _lack(work, {name: described}, {})
+    found, usable = one.question.found, one.question.usable
+    described = {
+        name: own
+        for name, own in found.descriptions.items()
+        if name in usable and 1.0 < _lack(work, {name: sampled.descriptions[name]}, {}) > _lack(work, {name: own}, {})
     }
-    for name, limit in one.question.found.limits.items():
-        lacks = _lack(work, {}, {name: limits[name]})
-        if limit.quantity in usable and 1.0 < lacks > _lack(work, {}, {name: limit}):
-            limits[name] = replace(
-                limits[name],
-                exceedance=limit.exceedance,
-                miss=limit.miss,
-                margin=limit.margin,
-                checks=(*limits[name].checks, "the probability is that of the surrogate"),
-            )
+    limits = {
+        name: _of_surrogate(sampled.limits[name], own)
+        for name, own in found.limits.items()
+        if own.quantity in usable and 1.0 < _lack(work, {}, {name: sampled.limits[name]}) > _lack(work, {}, {name: own})
+    }
+    kept = {*described, *(f"limits.{name}" for name in limits)}
+    limits = dict(sampled.limits) | limits
     limits = with_surrogate_design(work, limits, one.question.demands(), work.study.analysis.budget.evaluations)
-    kept = {name for name, given in descriptions.items() if given is not sampled.descriptions[name]}
-    kept |= {f"limits.{name}" for name, given in limits.items() if given.miss is not sampled.limits[name].miss}
+    sampled = replace(sampled, descriptions=dict(sampled.descriptions) | described, limits=limits)
     costs = {missed.accuracy: missed.cost for missed in sampled.missed}
-    lacking = [m for m in [*find_missed(work, descriptions, {}), *limits_missed(work, limits)] if m.subject in kept]
-    return replace(
-        sampled,
-        descriptions=descriptions,
-        limits=limits,
-        missed=[missed for missed in sampled.missed if missed.subject not in kept]
-        + [replace(missed, cost=costs.get(missed.accuracy, missed.cost)) for missed in lacking],
-    )
+    lacking = [*find_missed(work, sampled.descriptions, {}), *limits_missed(work, limits)]
+    missed = [one for one in sampled.missed if one.subject not in kept]
+    missed += [replace(one, cost=costs.get(one.accuracy, one.cost)) for one in lacking if one.subject in kept]
+    return replace(sampled, missed=missed)
+
+
+def _of_surrogate(answer: LimitAnswer, own: LimitAnswer) -> LimitAnswer:
+    """A limit with the probability that a surrogate gives it."""
+    told = replace(answer, exceedance=own.exceedance, miss=own.miss, margin=own.margin)
+    return told.with_check("the probability is that of the surrogate")
 
 
 def keep_margins(work: Work, found: Mapping[str, MarginAnswer], one: Expensive) -> dict[str, MarginAnswer]:

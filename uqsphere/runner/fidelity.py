@@ -242,6 +242,13 @@ def _own_error(work: Work, few: Scene, full: Answers, scatter: Array) -> Mapping
     return _summary(differences(full, closer, work.quantities, scatter), work.quantities)
 
 
+def _tried(study: Study, count: int) -> list[str]:
+    """The cheaper fidelities that so many points compare: that which is asked for, or all by enough points."""
+    asked = study.model.fidelity
+    enough = count >= (PILOT.least if asked == "auto" else 2)
+    return [fidelity for fidelity in cheaper_fidelities(study) if enough and asked in (fidelity, "auto")]
+
+
 def first_look(work: Work) -> Pilot:
     """Evaluate a pilot sample with the full model, compare what is cheaper, and choose.
 
@@ -262,11 +269,8 @@ def first_look(work: Work) -> Pilot:
     same = _head(full, half)
     scatter = np.array([_scatter(full, name) for name in work.quantities])
     asked, bound = study.model.fidelity, allowed_error(study)
-    tried = [
-        f for f in cheaper_fidelities(study) if (asked == f and count > 1) or (asked == "auto" and count >= PILOT.least)
-    ]
     candidates = []
-    for fidelity in tried:
+    for fidelity in _tried(study, count):
         cheap = solved(work, f"pilot.{fidelity}", few, work.quantities, fidelity=fidelity)
         candidates.append(_candidate(fidelity, cheap, same, few, work, scatter, row_cost(cheap) / row_cost(full)))
     taken = _choose(candidates, bound) if asked == "auto" else None

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Final, TypedDict
 
@@ -384,29 +384,41 @@ def choose_way(study: Study, cost: float | None = None, seconds: float | None = 
     balance = overhead / max(min(planned, analysis.budget.evaluations) - runs, 1)
     crossover = max(balance, CHEAP)
 
-    def way(surrogate: bool, why: str) -> Way:
-        if surrogate and affordable < analysis.budget.evaluations:
-            why += (f"; budget.time, {_two(seconds)} s, has room for {affordable:,} of the "
-                    f"{analysis.budget.evaluations:,} evaluations of the budget")  # fmt: skip
-        return Way(surrogate=surrogate, why=why, sampling=planned, runs=runs, crossover=crossover,
-                   balance=balance, affordable=affordable)  # fmt: skip
+    way = Way(surrogate=False, why=_why_sampled(study), sampling=planned, runs=runs, crossover=crossover,
+              balance=balance, affordable=affordable)  # fmt: skip
+    if not way.why:
+        way = _by_cost(way, cost)
+    if way.surrogate and affordable < analysis.budget.evaluations:
+        room = (f"; budget.time, {_two(seconds)} s, has room for {affordable:,} of the "
+                f"{analysis.budget.evaluations:,} evaluations of the budget")  # fmt: skip
+        way = replace(way, why=way.why + room)
+    return way
 
+
+def _why_sampled(study: Study) -> str:
+    """Why a study is sampled whatever an evaluation costs, or an empty text."""
     if not study.random:
-        return way(False, "the model has no random input")
+        return "the model has no random input"
     if not study.black_box:
-        return way(False, "the impact model is so cheap that sampling takes less time than a surrogate")
-    if "auto" not in analysis.methods:
-        return way(False, "the study lists its methods")
-    if affordable < FIRST_SAMPLE:
-        return way(True, f"the budget has no room for the {FIRST_SAMPLE:,} evaluations that sampling begins with")
+        return "the impact model is so cheap that sampling takes less time than a surrogate"
+    return "" if "auto" in study.analysis.methods else "the study lists its methods"
+
+
+def _by_cost(way: Way, cost: float | None) -> Way:
+    """The way that the cost of an evaluation decides, and why."""
+    if way.affordable < FIRST_SAMPLE:
+        why = f"the budget has no room for the {FIRST_SAMPLE:,} evaluations that sampling begins with"
+        return replace(way, surrogate=True, why=why)
     if cost is None:
-        return way(False, "the cost of an evaluation is not known")
-    told = f"sampling is forecast to take {planned:,} evaluations, a surrogate some {runs}"
-    if cost > crossover:
-        return way(True, f"{told} and the time of its fits, which is less at this cost of an evaluation")
-    if cost > balance:
-        return way(False, f"{told}, but a model of a millisecond or less is sampled, which answers more, in any case")
-    return way(False, f"{told}, but its fits take longer than sampling so cheap a model")
+        return replace(way, why="the cost of an evaluation is not known")
+    told = f"sampling is forecast to take {way.sampling:,} evaluations, a surrogate some {way.runs}"
+    if cost > way.crossover:
+        why = f"{told} and the time of its fits, which is less at this cost of an evaluation"
+        return replace(way, surrogate=True, why=why)
+    dear = "a model of a millisecond or less is sampled, which answers more, in any case"
+    return replace(
+        way, why=f"{told}, but {dear if cost > way.balance else 'its fits take longer than sampling so cheap a model'}"
+    )
 
 
 def room_of(study: Study, way: Way) -> list[str]:
@@ -523,14 +535,13 @@ def plan_run(study: Study) -> Plan:
     """
     if study.rig == "none":
         return {"services": {name: plan_run(service) for name, service in study.services.items()}}
-    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     way = choose_way(study)
     parts = forecast(study, way.affordable, way.surrogate)
     told = study.analysis.cost is not None or "auto" not in study.analysis.methods
     known = not study.black_box or told or way.surrogate
     plan: Plan = {
         "evaluations": int(min(sum(part.likely for part in parts), way.affordable)),
-        "processors": processors,
+        "processors": _processors(),
         "seconds": None,
         "scene": None,
         "most": min(sum(part.most for part in parts), way.affordable),
@@ -545,12 +556,21 @@ def plan_run(study: Study) -> Plan:
     if study.black_box:
         _time_black_box(study, plan, way)
     else:
-        numbers, limits = _scene_numbers(study), len(study.limits)
-        plan["scene"] = {name: number for name, number in numbers.items() if name != "steps"}
-        beside = {"rare events": _LIMIT * limits, "margins": _CURVE_PLAN * limits * _curves(study)}
-        _time_parts(plan, (numbers["steps"] or 0.0) * _STEP_SECONDS / processors, beside)
-        plan["seconds"] = round(_START + sum(part["seconds"] for part in plan["parts"]), 1)
+        _time_scene(study, plan)
     return plan
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _time_scene(study: Study, plan: Plan) -> None:
+    """Give the plan of an impact its scaled numbers and its seconds."""
+    numbers, limits = _scene_numbers(study), len(study.limits)
+    plan["scene"] = {name: number for name, number in numbers.items() if name != "steps"}
+    beside = {"rare events": _LIMIT * limits, "margins": _CURVE_PLAN * limits * _curves(study)}
+    _time_parts(plan, (numbers["steps"] or 0.0) * _STEP_SECONDS / plan["processors"], beside)
+    plan["seconds"] = round(_START + sum(part["seconds"] for part in plan["parts"]), 1)
 
 
 def _time_black_box(study: Study, plan: Plan, way: Way) -> None:

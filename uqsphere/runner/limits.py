@@ -85,6 +85,11 @@ class LimitAnswer:
         return f"{which}: half-width {told_apart(relative, asked)} of the probability, asked {asked:g}"
 
     @property
+    def pursued(self) -> tuple[str, ...]:
+        """The probabilities whose accuracy is pursued."""
+        return ("exceedance", "miss") if self.aim == "break" else ("miss",)
+
+    @property
     def met(self) -> bool | None:
         """Whether the target is met; None: undecided, or no target."""
         return None if self.target is None else target_met(self.miss, self.target)
@@ -142,7 +147,7 @@ def limits_missed(work: Work, limits: Mapping[str, LimitAnswer]) -> list[Missed]
     return [
         Missed(subject=f"limits.{name}", kind=which, said=f"limit {name}: {text}")
         for name, limit in limits.items()
-        for which in (("exceedance", "miss") if limit.aim == "break" else ("miss",))
+        for which in limit.pursued
         if (text := limit.accuracy_missed(which, asked))
     ]
 

@@ -85,10 +85,6 @@ def build_results(work: Work, found: Findings, plan: PlanEntry) -> Results:
     """The content of results.json."""
     study, fracture = work.study, found.fracture
     judged = judge(work, found)
-    every = [*found.sampled.missed, *(one for indices in found.sensitivity.values() for one in indices.missed)]
-    missed = [one for one in every if study.analysis.pursues(one.kind)]
-    told = [one.text for one in missed]
-    told += [f"margins {name}: {text}" for name, margin in found.margins.items() for text in margin.missed]
     content = {
         **_heading(study),
         "inputs": _inputs(work),
@@ -109,17 +105,22 @@ def build_results(work: Work, found: Findings, plan: PlanEntry) -> Results:
         "validity": _checks(found),
         "plan": plan,
         "speed_error": work.ledger.rows,
-        "accuracy": {
-            "met": not told,
-            "missed": told,
-            "stopped_by": found.stops,
-            "questions": questions(work, found, missed),
-        },
+        "accuracy": _accuracy(work, found),
         "paper": compare_with_paper(study),
         **({} if study.rig == "bars" else {"rig": study.rig}),
         **_nested(work.services),
     }
     return Results.model_validate(content)
+
+
+def _accuracy(work: Work, found: Findings) -> Fields:
+    """What of the accuracy was reached, and what was not."""
+    every = [*found.sampled.missed, *(one for indices in found.sensitivity.values() for one in indices.missed)]
+    missed = [one for one in every if work.study.analysis.pursues(one.kind)]
+    told = [one.text for one in missed]
+    told += [f"margins {name}: {text}" for name, margin in found.margins.items() for text in margin.missed]
+    rows = questions(work, found, missed)
+    return {"met": not told, "missed": told, "stopped_by": found.stops, "questions": rows}
 
 
 def _limit(found: Findings, judged: Judged, name: str) -> Fields:

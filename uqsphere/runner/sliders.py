@@ -100,27 +100,26 @@ def find_sliders(work: Work, evidence: Evidence | None, margins: Mapping[str, Ma
 
 def _sliders(study: Study, margins: Mapping[str, MarginAnswer]) -> list[SliderEntry]:
     """The numbers that can be moved: what is solved for, the load, sizes and stiffness."""
-    means = study.at_means()
-    free = study.margins.axis.path if study.margins is not None and study.margins.axis.kind == "number" else None
-    names = [
-        name for name in dict.fromkeys([*([free] if free else []), *_LOADS, *_OTHERS]) if means.get(name, 0.0) > 0.0
-    ]
-    if study.record is not None:
-        names = [name for name in names if name != SPEED]  # the speed is that of the record
+    means, axis = study.at_means(), None if study.margins is None else study.margins.axis
+    free = axis.path if axis is not None and axis.kind == "number" else ""
+    # the speed of a record is its own
+    taken = {SPEED} if study.record is not None else set()
     found = []
-    for name in names:
-        base, low, high = means[name], 1.0 / _NEAR, _NEAR
-        if name == free or name in _LOADS:
-            answers = [e.value / base for m in margins.values() for e in m.values.values() if e.value]
-            answers = [ratio for ratio in answers if 1.0 / _FARTHEST < ratio < _FARTHEST] if name == free else []
-            low, high = (
-                min([1.0 / _WIDE, *(r / _BEYOND for r in answers)]),
-                max([_WIDE, *(r * _BEYOND for r in answers)]),
-            )
-        entry = _slider(study, name, base, (low * base, high * base))
-        if entry is not None:
-            found.append(entry)
+    for name in dict.fromkeys([free, *_LOADS, *_OTHERS]):
+        if name in taken or not (base := means.get(name, 0.0)) > 0.0:
+            continue
+        answers = [e.value / base for m in margins.values() for e in m.values.values() if e.value and name == free]
+        wide = _WIDE if name == free or name in _LOADS else _NEAR
+        reached = [1.0 / wide, wide, *_reached(answers)]
+        entry = _slider(study, name, base, (min(reached) * base, max(reached) * base))
+        found += [] if entry is None else [entry]
     return found[:_MOST]
+
+
+def _reached(answers: Sequence[float]) -> list[float]:
+    """Ratios to the study's number that a slider goes to, to show what was solved for."""
+    near = [ratio for ratio in answers if 1.0 / _FARTHEST < ratio < _FARTHEST]
+    return [end for ratio in near for end in (ratio / _BEYOND, ratio * _BEYOND)]
 
 
 def _slider(study: Study, name: str, base: float, ends: tuple[float, float]) -> SliderEntry | None:

@@ -75,19 +75,26 @@ def answers_of(work: Work, runs: int, usable: Mapping[str, Response]) -> Answers
         found = {
             quantity: told[quantity].shares(index_shares(one, work.study.seed)) for quantity, one in usable.items()
         }
-    lacking = shortfalls(work, descriptions, limits)
-    for quantity, described in descriptions.items():
+    answers = Answers(descriptions=descriptions, limits=limits, indices=found)
+    return replace(answers, lacking=_lacking(work, answers))
+
+
+def _lacking(work: Work, answers: Answers) -> dict[Accuracy, float]:
+    """Half-widths over what is asked, inf where there is no answer."""
+    limits, lacking = answers.limits, shortfalls(work, answers.descriptions, answers.limits)
+    for quantity, described in answers.descriptions.items():
         if described.mean.value is None and described.mean.why not in NEVER and work.study.analysis.pursues("mean"):
             lacking[Accuracy(quantity, "mean")] = math.inf
-    for limit in _limits(work, usable):
+    for limit in work.study.limits:
         # what active learning goes on with is not waited for
-        if limits[limit.name].miss.value is None and not learnable(work, limit, limits[limit.name]):
+        one = limits.get(limit.name)
+        if one is not None and one.miss.value is None and not learnable(work, limit, one):
             lacking[Accuracy(f"limits.{limit.name}", "miss")] = math.inf
-    for quantity, rows in found.items():
+    for quantity, rows in answers.indices.items():
         ratio = (widest(rows) or 0.0) / work.study.analysis.accuracy.sobol
         if ratio > 1.0:
             lacking[Accuracy(quantity, "indices")] = ratio
-    return Answers(descriptions=descriptions, limits=limits, indices=found, lacking=lacking)
+    return lacking
 
 
 def _limits(work: Work, usable: Container[str]) -> list[Limit]:

@@ -23,7 +23,7 @@ from uqsphere.model import Answered, is_answered
 from uqsphere.runner.axis_rows import axis_of
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_points
 from uqsphere.runner.limits import SEEN, state_of
-from uqsphere.runner.questions.curves import asked_probabilities
+from uqsphere.runner.questions.curves import asked_probabilities, unknown_values
 from uqsphere.runner.questions.margins import MarginAnswer, unmoved_margins
 from uqsphere.runner.questions.probabilities import (
     LimitSpace,
@@ -262,13 +262,15 @@ def evaluate_along(work: Work, key: str, normals: Array, values: Array) -> Answe
 
 def _learned(work: Work, limit: Limit, wide: _Wide, room: int, before: MarginAnswer | None) -> MarginAnswer:
     """The values that no surrogate gives, each learned with an equal part of the room; the others as they were."""
-    axis = axis_of(work)
+    axis, known = axis_of(work), {} if before is None else before.values
+    lacking = f"{limit.quantity} has no surrogate over {axis.path}"
     if len(work.drawn.names) >= MOST_LEARNED or tied_strength(work, limit) or not wide.runs:
-        return before or _nothing(f"{limit.quantity} has no surrogate over {axis.path}, and cannot be learned")
-    targets = [p for p in asked_probabilities(work, limit) if before is None or before.values[p].value is None]
+        return before or _nothing(f"{lacking}, and cannot be learned")
     if room < (least := least_learned(len(work.drawn.names) + 1, looks=1)):
         said = f"it takes {least} evaluations more at least to learn where {limit.name} has them"
-        return before or _nothing(f"{limit.quantity} has no surrogate over {axis.path}: {said}")
+        return before or _nothing(f"{lacking}: {said}")
+    known = {p: e for p, e in known.items() if e.value is not None}
+    targets = [p for p in asked_probabilities(work, limit) if p not in known]
     space = limit_space(work, limit, work.study.limits.index(limit))
     inner = LimitFunction(function=_along(work, space), dimension=len(work.drawn.names) + 1,
                           integrated=space.function.integrated, on_failure="bound")  # fmt: skip
@@ -284,8 +286,7 @@ def _learned(work: Work, limit: Limit, wide: _Wide, room: int, before: MarginAns
         return np.asarray(miss if limit.aim == "survive" else 1.0 - miss)
 
     told = _answer(work, limit, exceeding, len(wide.values) + evaluator.count, METHOD_LEARNED)
-    kept = {} if before is None else {p: e for p, e in before.values.items() if e.value is not None}
-    return replace(told, values={p: kept.get(p, told.values[p]) for p in told.values})
+    return replace(told, values={**told.values, **known})
 
 
 def _along(work: Work, space: LimitSpace) -> Callable[[Array], Array]:
@@ -347,10 +348,9 @@ def _answer(work: Work, limit: Limit, exceeding: _Exceeding, runs: int, method: 
     known: dict[float, Array] = {}
 
     def along(grid: Array) -> list[Fragility]:
-        for value in grid:
-            if float(value) not in known:
-                known[float(value)] = exceeding(float(value))
-        tables = _agreeing(np.array([known[float(value)] for value in grid]))
+        places = grid.tolist()
+        known.update({value: exceeding(value) for value in places if value not in known})
+        tables = _agreeing(np.array([known[value] for value in places]))
         return [fragility(grid, tables[:, side], targets, samples=POINTS, evaluations=runs) for side in range(3)]
 
     grid = np.array(axis_of(work).grid(VALUES))
@@ -358,16 +358,14 @@ def _answer(work: Work, limit: Limit, exceeding: _Exceeding, runs: int, method: 
     # interpolation between the values of the curve costs more than noise does: answers get values close by
     close = [x for e in drawn for f in e.values.values() if f.value is not None for x in _about(grid, f.value)]
     told = along(np.unique([*grid, *close]))
-    tables = np.array([known[float(value)] for value in grid])
+    tables = np.array([known[value] for value in grid.tolist()])
     values = {p: _value(p, told[0].values[p], told[1].values[p], told[2].values[p], runs, method) for p in targets}
-    missed = [f"{p:g}: {e.reason}" for p, e in values.items() if e.value is None and e.reason]
     family = work.study.margins.family
-    if family is not None:
-        missed.append(f"the curves over {family.path} are not drawn off a surrogate")
+    without = [] if family is None else [f"the curves over {family.path} are not drawn off a surrogate"]
     return MarginAnswer(
         values=values,
         curve=_widest(drawn),
-        missed=missed,
+        missed=[*unknown_values(values), *without],
         lognormal=fit_lognormal_curve(grid, tables[:, 0], evaluations=runs),
     )
 

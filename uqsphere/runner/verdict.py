@@ -202,6 +202,12 @@ def _more(base: Estimate, gained: Array) -> Estimate:
     )
 
 
+def _held(one: Limit) -> tuple[object, ...]:
+    """The demand and the strength: limits that have both in common are one way to break, not two."""
+    demand = (one.criterion, one.parameters) if one.criterion else (one.quantity, {})
+    return (*demand, one.strength, one.model_factor)
+
+
 def _judged_with(work: Work, limit: Limit) -> tuple[Limit, ...]:
     """The limits of the file that one is judged by, itself the first: every way to break once.
 
@@ -209,16 +215,10 @@ def _judged_with(work: Work, limit: Limit) -> tuple[Limit, ...]:
     """
     if not means_fracture(limit):
         return (limit,)
-
-    def held(one: Limit) -> tuple[object, ...]:
-        """The demand and the strength: limits that have both in common are one way to break, not two."""
-        demand = (one.criterion, one.parameters) if one.criterion else (one.quantity, {})
-        return (*demand, one.strength, one.model_factor)
-
     others = [one for one in work.study.limits if means_fracture(one) and one.name != limit.name]
     found = [limit]
     for one in others:
-        if one.aim == limit.aim and all(held(one) != held(known) for known in found):
+        if one.aim == limit.aim and all(_held(one) != _held(known) for known in found):
             found.append(one)
     ways = {breaks_by(one) for one in found}
     found += [one for one in others if one.aim != limit.aim and breaks_by(one) not in ways]

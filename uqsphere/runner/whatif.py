@@ -225,21 +225,23 @@ def _under_laws(
     inputs = {name: law for name, law in fitted.items() if name != key}
     weights = _weights(work, inputs, sample)
     shifts = {} if state.shift is None else _shifts(work, key, inputs, sample)
-    tails = _tails(work, limit.strength, key, state) if isinstance(limit.strength, Law) and key in fitted else None
+    tails = _tails(work, fitted[key], key, state) if key in fitted else None
     value = answer.exceedance.value
     offset = math.nan if value is None else logit(value, 1.0 - value) - logit(*sides(state))
 
+    offset = offset if math.isfinite(offset) else 0.0
+
     def exceedance(names: Sequence[str]) -> Array:
-        weighted = [weights[name] for name in names if name in weights]
-        moved = [shifts[name] for name in names if name in shifts]
+        other = tails if key in names else None
+        weighted, moved = ([one[name] for name in names if name in one] for one in (weights, shifts))
         found = np.empty(LAWS)
         for k in range(LAWS):
             whatif = WhatIf(
-                strength=(tails[0][k], tails[1][k]) if tails and key in names else None,
+                strength=other and (other[0][k], other[1][k]),
                 weights=np.prod([one[k] for one in weighted], axis=0) if weighted else None,
                 shift=np.sum([one[k] for one in moved], axis=0) if moved else None,
             )
-            found[k] = probability_of_logit(logit(*sides(state, whatif)) + (offset if math.isfinite(offset) else 0.0))
+            found[k] = probability_of_logit(logit(*sides(state, whatif)) + offset)
         return found
 
     return exceedance

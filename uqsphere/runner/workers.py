@@ -523,11 +523,15 @@ class _Pieces:
             cut = (_Piece(start=k, stop=k + 1, deaths=LIVES - 2) for k in reversed(range(piece.start, piece.stop)))
             self.todo.extendleft(cut)
             return None
-        where = where_of(self.task.names, self.rows[piece.start])
+        return self._row_failed(error, piece.start, STATUS_TIME if late else STATUS_DIED)
+
+    def _row_failed(self, error: Exception, row: int, status: int) -> Answered:
+        """A row that has failed by itself; raises ModelError where that ends the run."""
+        where = where_of(self.task.names, self.rows[row])
         note = f"the model {told(Path(self.task.model or '').name, 80)}: {error}, {where}"
         if not self.task.go_on:
             raise ModelError(note)
-        return failed_rows(1, len(self.task.columns), STATUS_TIME if late else STATUS_DIED, note)
+        return failed_rows(1, len(self.task.columns), status, note)
 
 
 def gather(

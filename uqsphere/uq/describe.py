@@ -242,10 +242,10 @@ def quantile_estimates(
         reach = woodruff_reach(below, n)
         low, high = hazen(ordered, max(p - reach, 0.0)), hazen(upper, min(p + reach, 1.0))
         if not (math.isfinite(low) and math.isfinite(high) and math.isfinite(value)):
-            shares = (("censored", censored), ("failed", failed & kept))
-            parts = [f"the {what} share ({100.0 * rows.sum() / total:.2f} %)" for what, rows in shares if rows.any()]
+            shares = {"censored": float(censored.mean()), "failed": float((failed & kept).mean())}
+            parts = [f"the {what} share ({100.0 * share:.2f} %)" for what, share in shares.items() if share]
             answers[p] = absent("beyond " + " and ".join(parts), method, total, Why.CENSORED)
-            exempt += [p] if censored.any() else []
+            exempt += [p] * bool(shares["censored"])
             continue
         middle = value if highest == value else 0.5 * (value + highest)
         answers[p] = Estimate(value=middle, low=low, high=high, std_error=0.5 * (high - low) / factor, method=method,

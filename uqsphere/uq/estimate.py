@@ -88,6 +88,17 @@ class Estimate:
             return math.inf
         return 0.5 * (self.high - self.low)
 
+    def apart(self, other: Estimate) -> bool:
+        """Whether the two intervals have nothing in common."""
+        if self.low is None or self.high is None or other.low is None or other.high is None:
+            return False
+        return self.low > other.high or self.high < other.low
+
+    def holding(self, other: Estimate) -> Estimate:
+        """The same with an interval that holds both."""
+        ends = [end for end in (self.low, self.high, other.low, other.high) if end is not None]
+        return replace(self, low=min(ends), high=max(ends))
+
     def as_dict(self) -> dict[str, float | int | str | None]:
         """Ready for JSON: value, low, high, std_error, method, evaluations, and reason where there is one."""
         table: dict[str, float | int | str | None] = {

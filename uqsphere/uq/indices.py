@@ -316,16 +316,7 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
                               text=f"No index is given: {_NO_SCATTER}.")  # fmt: skip
     large = _large(y, y.ab) if y.ba is None else ()
     chosen = large, _large(y, y.groups)
-    answers = _answers(y, *chosen)
-    known = None if surrogate is None else blocks.split(surrogate.outputs)
-    if surrogate is None or known is None or not known.varies:
-        found = {order: _estimates(rows, methods, y.evaluations) for order, (rows, methods) in answers.items()}
-    else:
-        # the surrogate's indices by order: (m,), or (R, m) as many points of the replicates tell them
-        truths = surrogate.indices
-        if surrogate.many is not None:
-            truths = {order: rows for order, (rows, _) in _answers(blocks.split(surrogate.many), *chosen).items()}
-        found = _controlled(y, known, truths, answers, chosen)
+    found = _helped(y, blocks, surrogate, chosen)
     if y.a.shape[1] < _FEW:
         found = {
             order: [_with_room(estimate, _ROOM_TOTAL if "total" in order else _ROOM) for estimate in row]
@@ -337,6 +328,21 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
         group_first=found["group_first"], group_total=found["group_total"], large=large,
         text=choice_text(blocks, len(large)) + helped,
     )  # fmt: skip
+
+
+def _helped(
+    y: Outputs, blocks: Blocks, surrogate: Surrogate | None, chosen: tuple[tuple[int, ...], tuple[int, ...]]
+) -> dict[str, list[Estimate]]:
+    """The indices by order, corrected by a surrogate where there is one that varies."""
+    answers = _answers(y, *chosen)
+    known = None if surrogate is None else blocks.split(surrogate.outputs)
+    if surrogate is None or known is None or not known.varies:
+        return {order: _estimates(rows, methods, y.evaluations) for order, (rows, methods) in answers.items()}
+    # the surrogate's indices by order: (m,), or (R, m) as many points of the replicates tell them
+    truths = surrogate.indices
+    if surrogate.many is not None:
+        truths = {order: rows for order, (rows, _) in _answers(blocks.split(surrogate.many), *chosen).items()}
+    return _controlled(y, known, truths, answers, chosen)
 
 
 def _with_room(estimate: Estimate, room: float) -> Estimate:

@@ -97,16 +97,19 @@ def carried_far(study: Study) -> list[CheckEntry]:
     ratios: dict[str, dict[str, float]] = {name: {} for name in FAR}
     for limit in limits:
         assert limit.platens is not None
-        there = float(contact.reduced_modulus(E, nu, *limit.platens))
-        ratios["carried_far"][limit.name] = max(max(there / own, own / there) for own in here)
-        if (tested := limit.tested) is None:
+        there, tested = float(contact.reduced_modulus(E, nu, *limit.platens)), limit.tested
+        ratios["carried_far"][limit.name] = max(_apart(there, own) for own in here)
+        if tested is not None:
+            ratios["carried_size"][limit.name] = _apart(tested.diameter / (2.0 * radius), 1.0)
+        if tested is None or tested.growth is None or "rate_0" in limit.parameters:
             continue
-        size = tested.diameter / (2.0 * radius)
-        ratios["carried_size"][limit.name] = max(size, 1.0 / size)
-        rate = None if tested.growth is None or "rate_0" in limit.parameters else _growth(study, scene)
-        if rate is not None and tested.growth is not None:
-            ratios["carried_rate"][limit.name] = max(rate / tested.growth, tested.growth / rate)
+        if (rate := _growth(study, scene)) is not None:
+            ratios["carried_rate"][limit.name] = _apart(rate, tested.growth)
     return [_far(check, found) for check, found in ratios.items() if found]
+
+
+def _apart(one: float, other: float) -> float:
+    return max(one / other, other / one)
 
 
 def _far(check: str, ratios: Mapping[str, float]) -> CheckEntry:

@@ -327,7 +327,7 @@ class CurveFound:
         """What the curve lacks: what was reached, asked, and would be taken of each."""
         texts = [self.note] if self.note else []
         texts += [self.band.missed()] if self.band.missed() else []
-        return texts + [f"{p:g}: {e.reason}" for p, e in self.values.items() if e.value is None and e.reason]
+        return texts + unknown_values(self.values)
 
     def answer(self, targets: Sequence[float]) -> Fragility:
         """The curve with its intervals, and the values at some probabilities."""
@@ -360,6 +360,11 @@ def lognormal_table(fitted: LognormalCurve | str) -> dict[str, Any]:
         "median": fitted.median, "dispersion": fitted.dispersion, "rising": fitted.rising,
         "largest_gap": fitted.gap, "largest_gap_at": fitted.gap_at,
     }  # fmt: skip
+
+
+def unknown_values(values: Mapping[float, Estimate]) -> list[str]:
+    """Why values are not known, each by its probability."""
+    return [f"{p:g}: {e.reason}" for p, e in values.items() if e.value is None and e.reason]
 
 
 def accepted(limit: Limit) -> float | None:

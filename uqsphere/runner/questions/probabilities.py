@@ -283,20 +283,20 @@ def _joined(work: Work, limit: Limit, answer: LimitAnswer, rare: RareAnswer, spa
 
 def narrower(own: Estimate, old: Estimate) -> tuple[Estimate, str]:
     """The narrower of two estimates that agree; where they do not, one that holds both, and why."""
-    if own.value is None or own.low is None or own.high is None:
+    if own.value is None:
         both = replace(own, high=min(1.0 if end is None else end for end in (own.high, old.high)))
         return (both if old.value is None else old), f"importance sampling: {own.reason}"
-    if old.value is None or old.low is None or old.high is None:
+    if old.value is None:
         return own, ""
     if own.half_width >= old.half_width and old.value >= DOUBTFUL:
         return old, "sampling was as accurate: its answer is kept"
-    if not (own.low > old.high or own.high < old.low) or chance_of(old, own) > BY_CHANCE:
+    if not own.apart(old) or chance_of(old, own) > BY_CHANCE:
         return own, f"plain sampling agrees: {old.value:.3g}"
-    if own.low > old.high and old.value < DOUBTFUL and own.value < LACKING * old.value:
+    if old.value < DOUBTFUL and old.value < own.value < LACKING * old.value:
         return own, f"plain sampling gave {old.value:.3g}: it lacks the rare great terms of so small a probability"
     text = f"plain sampling gave {old.value:.3g}, outside of this: the interval holds both"
-    low, high = min(own.low, old.low), max(own.high, old.high)
-    return replace(own, low=low, high=high, std_error=(high - low) / 4.0), text
+    both = own.holding(old)
+    return replace(both, std_error=0.5 * both.half_width), text
 
 
 def chance_of(old: Estimate, own: Estimate) -> float:
@@ -459,18 +459,17 @@ def _with_learned(limit: Limit, answer: LimitAnswer, learned: ActiveAnswer) -> L
     checks = [*answer.checks, f"active learning: {learned.calls} calls, {learned.modes} {parts} of the failure domain"]
     if learned.warning:
         checks.append(learned.warning)
-    if own.value is None or own.low is None or own.high is None:
+    if own.value is None:
         return replace(answer, checks=(*checks, f"active learning: {own.reason}"))
-    low, high = own.low, own.high
-    if learned.warning and old.high is not None:
+    if learned.warning and own.high is not None and old.high is not None:
         # what the process may have missed is bounded by what the runs of the design did not show
-        high = max(high, old.high)
-    if old.value is not None and old.low is not None and old.high is not None and (low > old.high or high < old.low):
+        own = replace(own, high=max(own.high, old.high))
+    if old.value is not None and own.apart(old):
         checks.append(f"the surrogate gave {old.value:.3g}, outside of this: the interval holds both")
-        low, high = min(low, old.low), max(high, old.high)
-    if learned.warning and old.value is not None and old.half_width < 0.5 * (high - low):
+        own = own.holding(old)
+    if learned.warning and old.value is not None and old.half_width < own.half_width:
         return replace(answer, checks=(*checks, "what was known before is known better, and kept"))
-    own = replace(own, low=low, high=high, std_error=(high - low) / 3.92)
+    own = replace(own, std_error=own.half_width / 1.96)
     exceeded = own if limit.aim == "survive" else complement(own)
     return replace(answer, exceedance=exceeded, miss=own, modes=learned.modes or None, checks=tuple(checks))
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Flags
 from uqsphere.model import is_answered
 from uqsphere.results import AnalysisEntry, SpeedRow
 from uqsphere.runner.campaign import INDEX_KIND, Accuracy, campaign, indices_missed, speed_rows_of
@@ -17,6 +18,7 @@ from uqsphere.runner.questions.indices import Pairs, Sensitivity, Shared, depend
 from uqsphere.runner.questions.replicates import without_noise
 from uqsphere.runner.schedule import REPLICATES, SHAPLEY
 from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.sample import without
 from uqsphere.uq.shapley import (
     MOST_EXACT,
     SubsetDesign,
@@ -41,12 +43,14 @@ def _design(work: Work) -> SubsetDesign:
     return subset_design(d, exact=False)
 
 
-def orders_at(work: Work, design: SubsetDesign, count: int) -> npt.NDArray[np.int64] | None:
-    """The orders (R, count, d) of a design of random orders, None of an exact one."""
+def orders_at(work: Work, design: SubsetDesign, failed: Flags) -> npt.NDArray[np.int64] | None:
+    """The orders (R, n, d) of the base points (R, count) of random orders that have not failed; None of an exact
+    design."""
     if design.exact:
         return None
-    seed = work.study.seed
-    return np.stack([orders_of(design, count=count, seed=seed, task=TASK, replicate=r) for r in range(REPLICATES)])
+    seed, count = work.study.seed, failed.shape[1]
+    orders = [orders_of(design, count=count, seed=seed, task=TASK, replicate=r) for r in range(REPLICATES)]
+    return without(np.stack(orders), failed)
 
 
 def _evaluate(work: Work, design: SubsetDesign, start: int, count: int) -> Pairs:
@@ -106,9 +110,7 @@ class ShapleyEffects:
         more = _evaluate(work, self.design, start, count)
         self.pairs = more if self.pairs is None else self.pairs.join(more)
         whole, failed = self.pairs.whole(), self.pairs.failed
-        orders = orders_at(work, self.design, failed.shape[1])
-        if orders is not None and failed.any():
-            orders = np.stack([row[~bad][: whole.shape[1]] for row, bad in zip(orders, failed, strict=True)])
+        orders = orders_at(work, self.design, failed)
         self.found = {q: shapley_estimates(self.design, whole[..., k], orders) for k, q in enumerate(work.quantities)}
         return True
 
