@@ -22,6 +22,7 @@ from uqsphere.runner.schedule import (
     ALONG,
     CARRIED,
     CAUTION,
+    CHECKED,
     CURVE,
     CURVE_VALUES,
     DESIGN_POINT,
@@ -65,13 +66,7 @@ _ROUGHEST: Final = 200_000
 #: curves: the look and twice the first rows, thrice at the most; seven times where a strength is fixed, of which a row
 #: tells on which side it lies alone; the design point and the checks at the answer of each limit
 _LOOK, _ROWS = REPLICATES * LOOK.first * LOOK.most, REPLICATES * CURVE.first * CURVE_VALUES
-_CURVE, _CURVE_MOST, _CURVE_FIXED, _ANSWER = _LOOK + 2 * _ROWS, _LOOK + 3 * _ROWS, _LOOK + 7 * _ROWS, 1_117
-#: the search of a rare limit
-_RARE: Final = 6_000
-#: runs that a surrogate of a smooth model is content with: for up to five inputs, and beyond
-_RUNS, _RUNS_MANY = 64, 256
-
-
+_CURVE, _CURVE_MOST, _CURVE_FIXED, _ANSWER = (*(_LOOK + k * _ROWS for k in (2, 3, 7)), DESIGN_POINT + CHECKED)
 #: the part in which the ways to break are judged
 JUDGED: Final = "ways to break"
 
@@ -206,7 +201,8 @@ def _rare(study: Study, budget: float) -> tuple[float, float]:
         for limit in limits
     )
     design = DESIGN_POINT if share >= DESIGN_POINT else 0
-    return rare * min(_RARE, share) + (len(limits) - rare) * design, len(limits) * min(RARE.most, share)
+    # a search goes on to twice the least that is worth beginning
+    return rare * min(2 * RARE.least, share) + (len(limits) - rare) * design, len(limits) * min(RARE.most, share)
 
 
 def fracture_limits(study: Study) -> tuple[Limit, ...]:
@@ -274,6 +270,16 @@ def _begins(study: Study) -> bool:
     return study.black_box and (study.model.stochastic or len(study.random) >= MANY)
 
 
+def _surrogate_runs(inputs: int) -> int:
+    """Runs that a surrogate of a smooth model is content with: twice the terms of a quadratic, in whole stages.
+
+    >>> [_surrogate_runs(inputs) for inputs in (1, 5, 10)]
+    [64, 64, 256]
+    """
+    stages = math.log2((inputs + 1) * (inputs + 2) / SURROGATE.first)
+    return SURROGATE.first << max(1, math.ceil(stages))
+
+
 def _planned(study: Study, budget: float, surrogate: bool) -> Iterator[tuple[str, float, float]]:
     """Name, likely and most evaluations of every part, as if nothing had been spent before it."""
     analysis = study.analysis
@@ -282,7 +288,7 @@ def _planned(study: Study, budget: float, surrogate: bool) -> Iterator[tuple[str
     first = (timed, timed) if study.black_box else _pilot(study, budget)
     yield "pilot", *first
     if surrogate:
-        runs, wide = (_RUNS if len(study.random) <= 5 else _RUNS_MANY), _moves(study)
+        runs, wide = _surrogate_runs(len(study.random)), _moves(study)
         # of one design, the first of which are those that were timed
         yield "surrogate", (2 * runs if wide else runs) - first[0], SURROGATE.most + (ALONG.most if wide else 0)
     else:
