@@ -22,7 +22,14 @@ from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_sample, n
 from uqsphere.runner.forecast import Way, choose_way
 from uqsphere.runner.limits import LimitAnswer, limits_missed
 from uqsphere.runner.questions.distributions import METHOD, Sampled, find_missed, shortfalls
-from uqsphere.runner.questions.indices import CHAOS, Sensitivity, dependent_names
+from uqsphere.runner.questions.indices import (
+    CHAOS,
+    NO_SURROGATE,
+    About,
+    Sensitivity,
+    dependent_names,
+    without_sets,
+)
 from uqsphere.runner.questions.margins import MarginAnswer
 from uqsphere.runner.questions.probabilities import (
     Demand,
@@ -41,14 +48,13 @@ from uqsphere.runner.surrogate_answers import (
     blocks_of_runs,
     settle_heavy,
     tails_of,
-    widest,
 )
 from uqsphere.runner.surrogate_margins import margin_runs, surrogate_margins
 from uqsphere.uq import response
 from uqsphere.uq.describe import Description
-from uqsphere.uq.estimate import Estimate, Why, absent
+from uqsphere.uq.estimate import Estimate, absent, widest
 from uqsphere.uq.expansion import germ_points
-from uqsphere.uq.indices import WORTHLESS
+from uqsphere.uq.indices import believable
 from uqsphere.uq.response import Response, cross_fit, group_shares, pair_shares, spread_of
 from uqsphere.uq.sample import Sample
 
@@ -467,17 +473,17 @@ class _End:
         work, one = self.work, self.question.responses.get(quantity)
         found = self.question.found.indices.get(quantity)
         names, asked = work.scene_names, work.study.analysis.accuracy.sobol
-        about: dict[str, Any] = {"kind": None, "error": None, "evaluations": 0}
+        about = NO_SURROGATE
         if one is not None:
             about = {"kind": CHAOS, "error": one.error, "evaluations": one.count, "usable": one.usable,
                      "reason": one.reason, "degree": one.degree, "terms": one.terms}  # fmt: skip
         if one is None or found is None:
             return self._without_indices(quantity, about)
-        width = widest(found) or 0.0
+        width = widest(*found.values())
         missed = []
         if width > asked:
             missed = [indices_missed(quantity, width, asked, cost=self._cost(Accuracy(quantity, "indices")))]
-        given = {order: [_believable(e) for e in row] for order, row in found.items()}
+        given = {order: believable(row) for order, row in found.items()}
         return Sensitivity(
             first=dict(zip(names, given["first"], strict=True)),
             total=dict(zip(names, given["total"], strict=True)),
@@ -488,10 +494,10 @@ class _End:
             text="Indices are those of the surrogate; their intervals hold what it leaves of the variance.",
             missed=missed,
             estimators="Off the coefficients of the surrogate, or by sampling it where its output was transformed.",
-            **_sets(work, one, ""),
+            **_sets(work, one),
         )
 
-    def _without_indices(self, quantity: str, about: dict[str, Any]) -> Sensitivity:
+    def _without_indices(self, quantity: str, about: About) -> Sensitivity:
         work, sampling = self.work, self.priced.way.sampling
         tied = dependent_names(work)
         reason = (
@@ -499,36 +505,26 @@ class _End:
             if tied
             else "no surrogate may be used, and sampled indices are beyond the budget"
         )
-        rows = dict.fromkeys(work.scene_names, absent(reason, response.METHOD, work.ledger.total))
+        nothing = absent(reason, response.METHOD, work.ledger.total)
         cost = Cost(f" ({sampling:,} evaluations)", sampling)
         missed = [indices_missed(quantity, None, work.study.analysis.accuracy.sobol, f": {reason}", cost)]
-        return Sensitivity(first=rows, total=dict(rows), surrogate=about, sampled={}, expanded={}, agree=None,
-                           text=f"No index is given: {reason}.", missed=missed,
-                           **_sets(work, None, reason))  # fmt: skip
+        none = Sensitivity.none(work.scene_names, nothing, surrogate=about, missed=missed,
+                                text=f"No index is given: {reason}.")  # fmt: skip
+        return without_sets(work, none, replace(nothing, evaluations=0))
 
 
-def _sets(work: Work, one: Response | None, reason: str) -> dict[str, Any]:
-    """Indices of pairs and groups where the study asks for them, off the surrogate; absent where there is none."""
+def _sets(work: Work, one: Response) -> dict[str, Any]:
+    """Indices of pairs and groups where the study asks for them, off the surrogate."""
     names, analysis, seed = work.scene_names, work.study.analysis, work.study.seed
     pairs = [(i, j) for i in range(len(names)) for j in range(i + 1, len(names))] if analysis.second_order else []
     labels = [f"{names[i]}|{names[j]}" for i, j in pairs]
     groups = [[names.index(name) for name in members] for members in analysis.groups.values()]
-    if one is None:
-        nothing = absent(reason, response.METHOD, 0)
-        return {"second": dict.fromkeys(labels, nothing), "group_first": dict.fromkeys(analysis.groups, nothing),
-                "group_total": dict.fromkeys(analysis.groups, nothing)}  # fmt: skip
     first, total = group_shares(one, groups, seed) if groups else ([], [])
     return {
         "second": dict(zip(labels, pair_shares(one, pairs, seed) if pairs else [], strict=True)),
         "group_first": dict(zip(analysis.groups, first, strict=True)),
         "group_total": dict(zip(analysis.groups, total, strict=True)),
     }
-
-
-def _believable(estimate: Estimate) -> Estimate:
-    if estimate.value is None or estimate.half_width <= WORTHLESS:
-        return estimate
-    return absent("the interval spans the whole range", estimate.method, estimate.evaluations, Why.NOT_KNOWN)
 
 
 def _sharpened(answer: LimitAnswer, before: LimitAnswer, more: LimitAnswer) -> LimitAnswer:

@@ -21,7 +21,7 @@ from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study import Limit
 from uqsphere.uq import response
 from uqsphere.uq.describe import Description, describe
-from uqsphere.uq.estimate import NEVER, Estimate, Why
+from uqsphere.uq.estimate import NEVER, Estimate, Why, widest
 from uqsphere.uq.expansion import germ_points
 from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, without_moments
 from uqsphere.uq.points import random_generator
@@ -49,13 +49,8 @@ class Answers:
         """Rows of the speed-error table."""
         rows = speed_rows(self.descriptions, self.limits, runs, method)
         for quantity, found in self.indices.items():
-            rows += speed_rows_of(method, quantity, runs, widest(found), INDEX_KIND)
+            rows += speed_rows_of(method, quantity, runs, widest(*found.values()) or None, INDEX_KIND)
         return rows
-
-
-def widest(found: Mapping[str, Sequence[Estimate]]) -> float | None:
-    """The largest half-width of indices that are given; None where none is."""
-    return max((e.half_width for row in found.values() for e in row if e.value is not None), default=None)
 
 
 def answers_of(work: Work, runs: int, usable: Mapping[str, Response]) -> Answers:
@@ -91,7 +86,7 @@ def _lacking(work: Work, answers: Answers) -> dict[Accuracy, float]:
         if one is not None and one.miss.value is None and not learnable(work, limit, one):
             lacking[Accuracy(f"limits.{limit.name}", "miss")] = math.inf
     for quantity, rows in answers.indices.items():
-        ratio = (widest(rows) or 0.0) / work.study.analysis.accuracy.sobol
+        ratio = widest(*rows.values()) / work.study.analysis.accuracy.sobol
         if ratio > 1.0:
             lacking[Accuracy(quantity, "indices")] = ratio
     return lacking

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
@@ -120,6 +121,11 @@ def finite(value: float) -> float | None:
 def exact(value: float, method: str = "one evaluation, nothing random") -> Estimate:
     """A number without uncertainty: the answer of a scene in which nothing is random."""
     return Estimate(value=value, low=value, high=value, std_error=0.0, method=method, evaluations=1)
+
+
+def widest(*rows: Iterable[Estimate]) -> float:
+    """The largest half-width of the answers that are there; 0 where none is."""
+    return max((e.half_width for row in rows for e in row if e.value is not None), default=0.0)
 
 
 def absent(reason: Absent | str, method: str, evaluations: int, why: Why = Why.REFUSED) -> Estimate:

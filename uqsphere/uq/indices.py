@@ -12,7 +12,7 @@ ratios would each carry the bias of a ratio of few points.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Final, TypeAlias
@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, absent, corrected, from_replicates, student
+from uqsphere.uq.estimate import Estimate, Why, absent, corrected, from_replicates, student
 from uqsphere.uq.expansion import Chaos, germ_points, predict
 from uqsphere.uq.points import sobol_points
 
@@ -254,6 +254,17 @@ def _method(name: str, order: str) -> str:
 
 #: an index whose half-width is above this is withheld: the interval spans the whole range
 WORTHLESS: Final = 0.5
+
+
+def believable(row: Iterable[Estimate]) -> list[Estimate]:
+    """Indices, without those whose interval says nothing, since it is as wide as the range of an index."""
+    reason = "not known: rare samples carry so much of the variance that the interval spans the whole range"
+    return [
+        absent(reason, e.method, e.evaluations, Why.NOT_KNOWN)
+        if e.value is not None and e.half_width > WORTHLESS
+        else e
+        for e in row
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +30,7 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.schedule import INDICES, REPLICATES, TABLE
 from uqsphere.runner.similarity import CUT_SHORT, Tabled, begin_table
 from uqsphere.units import told_apart
-from uqsphere.uq.estimate import Estimate, Why, absent
+from uqsphere.uq.estimate import Estimate, Why, absent, widest
 from uqsphere.uq.heavy_tails import (
     FEW_CARRIERS,
     NONE_SEEN,
@@ -43,10 +43,10 @@ from uqsphere.uq.heavy_tails import (
 )
 from uqsphere.uq.indices import (
     METHOD,
-    WORTHLESS,
     Blocks,
     SampledIndices,
     Surrogate,
+    believable,
     cross_check,
     ordered,
     sampled_indices,
@@ -101,17 +101,11 @@ def shares_with_tails(
 
 def _admitted(quantity: str, indices: Sensitivity, before: Sensitivity, asked: float) -> Sensitivity:
     """Indices whose intervals were widened beyond what was asked, with that said, of the width that they have now."""
-    width = _width(indices)
-    if width <= asked or (indices.missed and width <= _width(before)):
+    width = indices.width
+    if width <= asked or (indices.missed and width <= before.width):
         return indices
     why = " (so few samples carry the variance: how many evaluations would reach it is not known)"
     return replace(indices, missed=[indices_missed(quantity, width, asked, why)])
-
-
-def _width(indices: Sensitivity) -> float:
-    """The largest half-width of the indices that there are."""
-    rows = (indices.first, indices.total, indices.shapley)
-    return max((e.half_width for row in rows for e in row.values() if e.value is not None), default=0.0)
 
 
 def _each(indices: Sensitivity, change: Callable[[Estimate], Estimate], every: bool = False) -> Sensitivity:
@@ -150,19 +144,6 @@ def blocks_of(work: Work) -> Blocks:
         second=analysis.second_order and len(names) > 1,
         groups=tuple(tuple(names.index(name) for name in group) for group in analysis.groups.values()),
     )
-
-
-def pick_and_freeze(work: Work, key: str, start: int, count: int, blocks: Blocks | None = None) -> tuple[Array, Flags]:
-    """Outputs (R, count, blocks, q) and failures (R, count) of more base points of the design.
-
-    Without `blocks` those of first and total indices alone, d + 2.
-    """
-    blocks = blocks or Blocks(inputs_count=len(work.scene_names))
-    answered = evaluate_points(work, key, work.scene_names, design_rows(work, start, count, blocks))
-    shape = (REPLICATES, count, blocks.count)
-    values = answered.values.reshape(*shape, len(work.quantities))
-    failed = ~is_answered(answered.status).reshape(shape)
-    return values, np.asarray(failed.any(axis=2))
 
 
 def design_rows(work: Work, start: int, count: int, blocks: Blocks) -> Array:
@@ -230,6 +211,11 @@ CHAOS = "polynomial chaos"
 HELD_OUT = "share of the variance left unexplained (held out)"
 
 
+#: what is said of a surrogate, and where none was fitted
+About: TypeAlias = Mapping[str, Any]
+NO_SURROGATE: Final[About] = {"kind": None, "error": None, "evaluations": 0}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity:
     """Indices of one quantity: which are given, both ways that found them, and how they agree.
@@ -241,7 +227,7 @@ class Sensitivity:
 
     first: dict[str, Estimate]
     total: dict[str, Estimate]
-    surrogate: dict[str, Any]
+    surrogate: About
     sampled: dict[str, list[Estimate]]
     expanded: dict[str, list[Estimate]]
     agree: bool | None
@@ -253,6 +239,25 @@ class Sensitivity:
     group_first: dict[str, Estimate] = field(default_factory=dict)
     group_total: dict[str, Estimate] = field(default_factory=dict)
     estimators: str = ""
+
+    @classmethod
+    def none(
+        cls,
+        names: Sequence[str],
+        nothing: Estimate,
+        *,
+        surrogate: About = NO_SURROGATE,
+        text: str = "",
+        missed: Sequence[Missed] = (),
+    ) -> Sensitivity:
+        """No index of the inputs, and why."""
+        return cls(first=dict.fromkeys(names, nothing), total=dict.fromkeys(names, nothing), surrogate=surrogate,
+                   sampled={}, expanded={}, agree=None, text=text or str(nothing.reason), missed=[*missed])  # fmt: skip
+
+    @property
+    def width(self) -> float:
+        """The largest half-width of the first and total indices and Shapley effects that there are."""
+        return widest(self.first.values(), self.total.values(), self.shapley.values())
 
     def estimates(self) -> list[Estimate]:
         """Every index that is given."""
@@ -284,6 +289,13 @@ class Pairs:
 
     values: Array
     failed: Flags
+
+    @classmethod
+    def evaluated(cls, work: Work, key: str, rows: Array, shape: tuple[int, int, int]) -> Pairs:
+        """The outputs of such rows (n, d)."""
+        answered = evaluate_points(work, key, work.scene_names, rows)
+        failed = ~is_answered(answered.status).reshape(shape)
+        return cls(values=answered.values.reshape(*shape, -1), failed=np.asarray(failed.any(axis=2)))
 
     def join(self, other: Pairs) -> Pairs:
         """These runs and those that continue them."""
@@ -328,7 +340,7 @@ class Expansion:
     """
 
     indices: dict[str, list[Estimate]] = field(default_factory=dict)
-    about: dict[str, Any] = field(default_factory=lambda: {"kind": None, "error": None, "evaluations": 0})
+    about: About = NO_SURROGATE
     chaos: Chaos | None = None
 
 
@@ -373,7 +385,7 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
         points, column = rows_of(fitted, replicate, used)
         if len(points) < least:
             reason = f"{len(points)} samples with an answer are too few for an expansion in {d} inputs: {least} are due"
-            return Expansion(about={"kind": None, "error": None, "evaluations": 0, "reason": reason})
+            return Expansion(about={**NO_SURROGATE, "reason": reason})
         # as an answer of its own, the interval has to hold the choice of terms too
         again = fits and not alone
         if again:
@@ -406,19 +418,6 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
     return Expansion(indices=found, about=about, chaos=mean_expansion(fits))
 
 
-def _refused(work: Work, reason: str) -> Sensitivity:
-    nothing = {name: absent(reason, METHOD, 0) for name in work.scene_names}
-    return Sensitivity(
-        first=nothing,
-        total=dict(nothing),
-        surrogate={"kind": None, "error": None, "evaluations": 0},
-        sampled={},
-        expanded={},
-        agree=None,
-        text=reason,
-    )
-
-
 def _more(start: int, widths: list[float], asked: float) -> int:
     """Base points to add to every replicate: what the widest interval calls for, at most three times what is there.
 
@@ -443,30 +442,55 @@ def _no_finer(work: Work, estimates: Sequence[Estimate]) -> list[Estimate]:
     ]
 
 
-def _believable(estimates: list[Estimate]) -> list[Estimate]:
-    """Indices whose interval says nothing, since it is as wide as the range of an index, are withheld."""
-    reason = "not known: rare samples carry so much of the variance that the interval spans the whole range"
-    return [
-        absent(reason, e.method, e.evaluations) if e.value is not None and e.half_width > WORTHLESS else e
-        for e in estimates
-    ]
+@dataclass(kw_only=True)
+class PairedRuns:
+    """What all indices off pairs of runs have in common as questions."""
+
+    work: Work
+    pairs: Pairs | None = None
+    method: str = METHOD
+
+    @property
+    def spent(self) -> int:
+        """Evaluations of pairs so far."""
+        return 0 if self.pairs is None else int(self.pairs.values[..., 0].size)
+
+    @property
+    def asked(self) -> float:
+        """Half-width that the study asks for."""
+        return self.work.study.analysis.accuracy.sobol
+
+    def add(self, more: Pairs) -> None:
+        """Go on with more of them."""
+        self.pairs = more if self.pairs is None else self.pairs.join(more)
+
+    def widths(self) -> dict[str, float]:
+        """The largest half-width of every quantity that has an index."""
+        raise NotImplementedError
+
+    def lacking(self) -> dict[Accuracy, float]:
+        """Half-width over what is asked of the quantities whose indices are wider."""
+        return {Accuracy(q, "indices"): w / self.asked for q, w in self.widths().items() if w > self.asked}
+
+    def errors(self) -> list[SpeedRow]:
+        """The widest index of every quantity."""
+        rows = [speed_rows_of(self.method, q, self.spent, w, INDEX_KIND) for q, w in self.widths().items()]
+        return [one for row in rows for one in row]
 
 
 @dataclass(kw_only=True)
-class Indices:
+class Indices(PairedRuns):
     """Sobol' indices of every quantity, from the base points that were drawn so far (a `Question`).
 
     Where more of them would take more evaluations than a table of the scaled answers, that is made, and asked at many
     more points; the model's own then tell by how much it is off.
     """
 
-    work: Work
     expansions: dict[str, Expansion]
     blocks: Blocks
     judged: int = 0
     tabled: Tabled = field(default_factory=Tabled)
     answers_of_table: Array | None = None
-    pairs: Pairs | None = None
     others: Array | None = None
     drawn: dict[str, SampledIndices] = field(default_factory=dict)
     found: dict[str, dict[str, list[Estimate]]] = field(default_factory=dict)
@@ -479,11 +503,6 @@ class Indices:
     def size(self) -> int:
         """Evaluations that the indices rest on."""
         return 0 if self.pairs is None else int(self.pairs.whole()[..., 0].size) + self.tabled.taken
-
-    @property
-    def asked(self) -> float:
-        """Half-width that the study asks for."""
-        return self.work.study.analysis.accuracy.sobol
 
     def advance(self, room: float) -> bool:
         """More base points, as many as the widest interval calls for; False where they have no room."""
@@ -499,12 +518,12 @@ class Indices:
             count = INDICES.least
         if self._cost(count) > room:
             return False
-        values, failed = pick_and_freeze(self.work, f"sensitivity.{start}", start, count, self.blocks)
-        more = Pairs(values=values, failed=failed)
-        self.pairs = more if self.pairs is None else self.pairs.join(more)
+        rows, shape = design_rows(self.work, start, count, self.blocks), (REPLICATES, count, self.blocks.count)
+        more = Pairs.evaluated(self.work, f"sensitivity.{start}", rows, shape)
+        self.add(more)
         self._expand(start, count)
         self._estimate()
-        if not start and not failed.any():
+        if not start and not more.failed.any():
             self._begin_table(room - self._cost(count))
         return True
 
@@ -569,23 +588,13 @@ class Indices:
                 found[quantity] = Surrogate(outputs=outputs[:, :n], many=outputs)
         return found
 
-    def _widths(self) -> dict[str, float]:
-        """The largest half-width of every quantity that has an index."""
-        widths: dict[str, float] = {}
-        for quantity, drawn in self.drawn.items():
-            rows = (*self.found[quantity]["first"], *self.found[quantity]["total"], *_sets(drawn))
-            known = [e.half_width for e in rows if e.value is not None]
-            widths |= {quantity: max(known)} if known else {}
-        return widths
-
-    def lacking(self) -> dict[Accuracy, float]:
-        """Half-width over what is asked of the quantities whose indices are wider."""
-        return {Accuracy(q, "indices"): w / self.asked for q, w in self._widths().items() if w > self.asked}
-
-    def errors(self) -> list[SpeedRow]:
-        """The widest index of every quantity."""
-        spent = 0 if self.pairs is None else self.pairs.values[..., 0].size
-        return [row for q, w in self._widths().items() for row in speed_rows_of(METHOD, q, spent, w, INDEX_KIND)]
+    def widths(self) -> dict[str, float]:
+        found = self.found
+        return {
+            q: widest(found[q]["first"], found[q]["total"], _sets(drawn))
+            for q, drawn in self.drawn.items()
+            if any(e.value is not None for e in (*found[q]["first"], *found[q]["total"], *_sets(drawn)))
+        }
 
     def answer(self, course: Course) -> Shared:
         """The indices of every quantity, of the model itself where it was sampled, else of its expansion."""
@@ -625,7 +634,7 @@ def find_sensitivity(work: Work, sampled: Sampled) -> Shared:
     """Indices of every quantity, or why there are none."""
     reason, stopped = _why_none(work, sampled)
     if reason:
-        refused = {q: _refused(work, reason) for q in work.quantities}
+        refused = {q: Sensitivity.none(work.scene_names, absent(reason, METHOD, 0)) for q in work.quantities}
         if stopped == "failures":
             refused = {
                 q: replace(one, missed=[Missed(subject=q, kind="indices", said=f"{q}: indices: none: {reason}")])
@@ -648,9 +657,12 @@ def _sets(drawn: SampledIndices) -> list[Estimate]:
     return [*drawn.second.values(), *drawn.group_first, *drawn.group_total]
 
 
-def _beyond(drawn: SampledIndices) -> float:
-    """The largest half-width among pairs and groups."""
-    return max((e.half_width for e in _sets(drawn) if e.value is not None), default=0.0)
+def without_sets(work: Work, indices: Sensitivity, nothing: Estimate) -> Sensitivity:
+    """The same with no index of the pairs and groups that the study asks for, and why."""
+    names, analysis = work.scene_names, work.study.analysis
+    pairs = combinations(names, 2) if analysis.second_order else ()
+    groups = dict.fromkeys(analysis.groups, nothing)
+    return replace(indices, second={f"{a}|{b}": nothing for a, b in pairs}, group_first=groups, group_total=groups)
 
 
 def _with_sets(
@@ -660,19 +672,15 @@ def _with_sets(
     names, analysis = work.scene_names, work.study.analysis
     if drawn is None:
         reason = "indices of pairs and groups are sampled, which was not asked for or is beyond the budget"
-        nothing = absent(reason, METHOD, 0)
-        pairs = combinations(names, 2) if analysis.second_order else ()
-        drawn_second = {f"{a}|{b}": nothing for a, b in pairs}
-        groups = dict.fromkeys(analysis.groups, nothing)
-        return replace(indices, second=drawn_second, group_first=groups, group_total=dict(groups))
-    width = _beyond(drawn)
+        return without_sets(work, indices, absent(reason, METHOD, 0))
+    width = widest(_sets(drawn))
     said = f"{quantity}: indices of pairs and groups: half-width {told_apart(width, asked)}, asked {asked:g}"
     late = [Missed(subject=quantity, kind="indices", said=said, cost=cost)] if width > asked else []
     return replace(
         indices,
         second={f"{names[i]}|{names[j]}": e for (i, j), e in drawn.second.items()},
-        group_first=dict(zip(analysis.groups, _believable(drawn.group_first), strict=True)),
-        group_total=dict(zip(analysis.groups, _believable(drawn.group_total), strict=True)),
+        group_first=dict(zip(analysis.groups, believable(drawn.group_first), strict=True)),
+        group_total=dict(zip(analysis.groups, believable(drawn.group_total), strict=True)),
         estimators=drawn.text,
         missed=indices.missed + late,
     )
@@ -685,10 +693,6 @@ def _beside_salib(indices: Sensitivity, outputs: Array) -> Sensitivity:
     agree, text = salib_check(tuple(indices.first), indices.sampled, outputs)
     told = " ".join(part for part in (indices.text, text) if part)
     return replace(indices, text=told, agree=indices.agree if agree else False)
-
-
-def _widest(indices: dict[str, list[Estimate]]) -> float:
-    return max((e.half_width for e in (*indices["first"], *indices["total"]) if e.value is not None), default=0.0)
 
 
 def _conclude(
@@ -704,17 +708,8 @@ def _conclude(
     given = sampled or expanded
     if not given:
         reason = about.get("reason") or "no method that was asked for gives indices within the budget"
-        nothing = {name: absent(reason, METHOD, 0) for name in names}
-        return Sensitivity(
-            first=nothing,
-            total=dict(nothing),
-            surrogate=about,
-            sampled=sampled,
-            expanded=expanded,
-            agree=None,
-            text=reason,
-            missed=[indices_missed(quantity, None, asked, f": {reason}")],
-        )
+        missed = [indices_missed(quantity, None, asked, f": {reason}")]
+        return Sensitivity.none(names, absent(reason, METHOD, 0), surrogate=about, missed=missed)
     agree: bool | None = None
     if sampled and expanded:
         agree, text = cross_check(list(names), sampled, expanded)
@@ -725,8 +720,8 @@ def _conclude(
     else:
         text = "Only one method was asked for."
     given = dict(zip(("first", "total"), ordered(given["first"], given["total"]), strict=True))
-    width = _widest(given)
-    given = {order: _believable(row) for order, row in given.items()}
+    width = widest(given["first"], given["total"])
+    given = {order: believable(row) for order, row in given.items()}
     missed = [indices_missed(quantity, width, asked, cost=cost)] if width > asked else []
     return Sensitivity(
         first=dict(zip(names, given["first"], strict=True)),

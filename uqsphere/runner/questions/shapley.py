@@ -9,15 +9,22 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Flags
-from uqsphere.model import is_answered
-from uqsphere.results import AnalysisEntry, SpeedRow
-from uqsphere.runner.campaign import INDEX_KIND, Accuracy, campaign, indices_missed, speed_rows_of
-from uqsphere.runner.evaluate import Work, evaluate_points
+from uqsphere.results import AnalysisEntry
+from uqsphere.runner.campaign import Accuracy, campaign, indices_missed
+from uqsphere.runner.evaluate import Work
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.runner.questions.indices import Pairs, Sensitivity, Shared, dependent_names, find_sensitivity, share_heavy
+from uqsphere.runner.questions.indices import (
+    PairedRuns,
+    Pairs,
+    Sensitivity,
+    Shared,
+    dependent_names,
+    find_sensitivity,
+    share_heavy,
+)
 from uqsphere.runner.questions.replicates import without_noise
 from uqsphere.runner.schedule import REPLICATES, SHAPLEY
-from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.estimate import Estimate, widest
 from uqsphere.uq.sample import without
 from uqsphere.uq.shapley import (
     MOST_EXACT,
@@ -61,39 +68,26 @@ def _evaluate(work: Work, design: SubsetDesign, start: int, count: int) -> Pairs
         for r in range(REPLICATES)
     ]
     rows = np.stack(points).reshape(-1, len(work.scene_names))
-    answered = evaluate_points(work, f"{TASK}.{start}", work.scene_names, rows)
-    shape = (REPLICATES, count, design.rows)
-    failed = ~is_answered(answered.status).reshape(shape)
-    return Pairs(values=answered.values.reshape(*shape, -1), failed=np.asarray(failed.any(axis=2)))
-
-
-def _widest(found: dict[str, list[Estimate]]) -> float:
-    return max((e.half_width for row in found.values() for e in row if e.value is not None), default=0.0)
+    return Pairs.evaluated(work, f"{TASK}.{start}", rows, (REPLICATES, count, design.rows))
 
 
 @dataclass(kw_only=True)
-class ShapleyEffects:
+class ShapleyEffects(PairedRuns):
     """Shapley effects and Kucherenko's indices of every quantity, from the pairs of runs so far (a `Question`)."""
 
-    work: Work
     design: SubsetDesign
-    pairs: Pairs | None = None
+    method: str = METHOD
     found: dict[str, dict[str, list[Estimate]]] = field(default_factory=dict)
 
     @property
     def size(self) -> int:
         """Evaluations so far."""
-        return 0 if self.pairs is None else int(self.pairs.values[..., 0].size)
+        return self.spent
 
     @property
     def judged(self) -> int:
         """Evaluations from which on an accuracy may be given up."""
         return SHAPLEY.judged * REPLICATES * self.design.rows
-
-    @property
-    def asked(self) -> float:
-        """Half-width that the study asks for."""
-        return self.work.study.analysis.accuracy.sobol
 
     def advance(self, room: float) -> bool:
         """More base points, twice or four times what is there, else what can be paid; False where too few have room.
@@ -102,30 +96,20 @@ class ShapleyEffects:
         """
         work, start = self.work, 0 if self.pairs is None else self.pairs.failed.shape[1]
         affordable = int(room // (REPLICATES * self.design.rows)) // SHAPLEY.least * SHAPLEY.least
-        width = max((_widest(rows) for rows in self.found.values()), default=self.asked)
+        width = max(self.widths().values(), default=self.asked)
         wanted = SHAPLEY.first if not start else start if width <= 2.0 * self.asked else 3 * start
         count = wanted if wanted <= affordable else min(start or wanted, affordable)
         if count < SHAPLEY.least or count < 0.25 * start:
             return False
-        more = _evaluate(work, self.design, start, count)
-        self.pairs = more if self.pairs is None else self.pairs.join(more)
+        self.add(_evaluate(work, self.design, start, count))
+        assert self.pairs is not None
         whole, failed = self.pairs.whole(), self.pairs.failed
         orders = orders_at(work, self.design, failed)
         self.found = {q: shapley_estimates(self.design, whole[..., k], orders) for k, q in enumerate(work.quantities)}
         return True
 
-    def lacking(self) -> dict[Accuracy, float]:
-        """Half-width over what is asked of the quantities whose indices are wider."""
-        widths = {q: _widest(rows) for q, rows in self.found.items()}
-        return {Accuracy(q, "indices"): w / self.asked for q, w in widths.items() if w > self.asked}
-
-    def errors(self) -> list[SpeedRow]:
-        """The widest index of every quantity."""
-        return [
-            row
-            for q, rows in self.found.items()
-            for row in speed_rows_of(METHOD, q, self.size, _widest(rows), INDEX_KIND)
-        ]
+    def widths(self) -> dict[str, float]:
+        return {q: widest(*rows.values()) for q, rows in self.found.items()}
 
 
 def share_variance(work: Work, sampled: Sampled, first: Mapping[str, AnalysisEntry] | None) -> Shared:
@@ -160,7 +144,7 @@ def _share_dependent(work: Work, refused: dict[str, Sensitivity]) -> Shared:
             text = f"{text}; for the former not enough of the budget was left"
             answers[q] = replace(refused[q], text=text, missed=missed)
             continue
-        width = _widest(found)
+        width = widest(*found.values())
         answers[q] = replace(
             refused[q],
             text=f"{text}. Shapley effects are summed over {how}; they add up to the whole variance.",
