@@ -356,7 +356,7 @@ def test_an_executor_that_is_lost_leaves_what_is_done(box: Any, tmp_path: Path) 
 
 
 def test_an_address_that_is_none_is_refused() -> None:
-    from uqsphere.runner.cluster import dask_cluster
+    from uqsphere.runner.workers import dask_cluster
 
     for address in ("localhost", "http://x", "tcp://", ""):
         with pytest.raises(UsageError, match="--dask"), dask_cluster(address, 1):
@@ -365,7 +365,7 @@ def test_an_address_that_is_none_is_refused() -> None:
 
 def test_a_cluster_gives_the_same_bytes_and_survives_its_workers(box: Any, tmp_path: Path, study_from: Any) -> None:
     pytest.importorskip("distributed")
-    from uqsphere.runner.cluster import dask_cluster
+    from uqsphere.runner.workers import dask_cluster
 
     study, reference = box("expensive", "analysis.accuracy.sobol=5.0")
     alone = uqsphere.run(study, out=tmp_path / "alone", model=reference, threads=1)

@@ -17,7 +17,7 @@ from uqsphere.arrays import Array
 from uqsphere.cli import main
 from uqsphere.errors import UsageError
 from uqsphere.given import Data, analyse_runs, analysis, known_laws, read_data
-from uqsphere.given.analysis import quantile_interval
+from uqsphere.given.analysis import combinations, quantile_interval
 from uqsphere.given.answers import (
     _answer,
     left_open,
@@ -29,7 +29,6 @@ from uqsphere.given.answers import (
     with_ties,
 )
 from uqsphere.given.page import analysis_page, analysis_text, study_text
-from uqsphere.given.table import combinations
 from uqsphere.uq.beyond_variance import rank_indices
 from uqsphere.uq.estimate import Estimate, sd_alone
 from uqsphere.uq.fitting import fit_marginal, fitted_law, plausible, plausible_laws

@@ -30,7 +30,7 @@ from uqsphere.mechanics.design import (
 from uqsphere.mechanics.history import trace
 from uqsphere.mechanics.outputs import Path as LoadingPath
 from uqsphere.mechanics.scene import Scene
-from uqsphere.planning.window import Plan, judge_points, plan_blow, plan_test, request_of, subject_of
+from uqsphere.planning import Plan, judge_points, plan_blow, plan_test, request_of, subject_of
 from uqsphere.study import Study, load_study
 
 EXACT, SOLVER = 1e-12, 2e-4

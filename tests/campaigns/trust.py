@@ -814,7 +814,7 @@ def worker_trials(seed: int, place: Path) -> Trial:
 
     def trial(number: int) -> tuple[Outcome, list[str]]:
         import uqsphere
-        from uqsphere.runner.cluster import dask_cluster
+        from uqsphere.runner.workers import dask_cluster
 
         rng, found, began = random.Random(1000 * seed + number), Kills(), time.process_time()
         case = write_case(place / "case", 0.001)
@@ -836,8 +836,7 @@ def worker_trials(seed: int, place: Path) -> Trial:
 @contextlib.contextmanager
 def _workers(count: int, dask: bool) -> Iterator[Any]:
     """Processes of this machine, or workers of a cluster on it."""
-    from uqsphere.runner.cluster import dask_cluster
-    from uqsphere.runner.workers import LocalWorkers
+    from uqsphere.runner.workers import LocalWorkers, dask_cluster
 
     with dask_cluster("local", count) if dask else contextlib.closing(LocalWorkers(count)) as executor:
         yield executor

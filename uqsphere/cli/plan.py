@@ -15,7 +15,7 @@ from uqsphere.errors import UsageError
 from uqsphere.quantities import format_value
 
 if TYPE_CHECKING:
-    from uqsphere.planning.window import Chart, Plan, Window
+    from uqsphere.planning import Chart, Plan, Window
     from uqsphere.study import Study
 
 #: most points of a map in one direction, and striker lengths
@@ -67,7 +67,7 @@ def command_plan(chosen: argparse.Namespace) -> int:
     study = study_of(chosen)
     if not study.black_box and study.rig != "bars":
         return _plan_blow(study, chosen, grid[0])
-    from uqsphere.planning.window import plan_test, request_of
+    from uqsphere.planning import plan_test, request_of
 
     request = request_of(study, speeds=speeds, rises=rises, lengths=lengths, level=chosen.imbalance,
                          quantile=chosen.quantile, grid=grid)  # fmt: skip
@@ -82,7 +82,7 @@ def command_plan(chosen: argparse.Namespace) -> int:
 
 def _plan_blow(study: Study, chosen: argparse.Namespace, count: int) -> int:
     """The plan of a rig that is moved by one number."""
-    from uqsphere.planning.window import plan_blow
+    from uqsphere.planning import plan_blow
     from uqsphere.store import csv_text, write_outputs
 
     for name in ("speed", "rise", "length"):
@@ -224,7 +224,7 @@ def _text(found: Plan) -> str:
 
 
 def _write(folder: Path, found: Plan, title: str) -> list[str]:
-    from uqsphere.planning.pictures import plan_figure
+    from uqsphere.planning import plan_figure
     from uqsphere.store import csv_text, write_outputs
 
     windows = [

@@ -291,7 +291,7 @@ def _watched_run(study: Study, chosen: argparse.Namespace, seconds: float | None
             # the impact model takes its time to compile, and always comes back
             around.enter_context(Silence(progress, progress.seconds, limit_text(study)))
         if chosen.dask is not None:
-            from uqsphere.runner.cluster import dask_cluster
+            from uqsphere.runner.workers import dask_cluster
 
             executor = around.enter_context(dask_cluster(chosen.dask, chosen.jobs))
         asked = around.enter_context(patience(progress.say))

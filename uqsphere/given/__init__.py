@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from uqsphere.given.analysis import analyse_runs, known_laws
-from uqsphere.given.table import Data, read_data
+from uqsphere.given.analysis import Data, analyse_runs, known_laws, read_data
 
 __all__ = ["Data", "analyse_runs", "known_laws", "read_data"]

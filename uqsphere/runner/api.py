@@ -91,10 +91,9 @@ def run(
     from threadpoolctl import threadpool_limits
 
     from uqsphere.runner.analyse import analyse
-    from uqsphere.runner.cluster import workers_of
     from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work
     from uqsphere.runner.finished import Keeper
-    from uqsphere.runner.workers import Engine
+    from uqsphere.runner.workers import Engine, workers_of
 
     _check_usage(study, model, executor)
     check_range(study)
