@@ -340,7 +340,7 @@ class Expansion:
     """
 
     indices: dict[str, list[Estimate]] = field(default_factory=dict)
-    about: About = NO_SURROGATE
+    about: About = field(default_factory=lambda: NO_SURROGATE)
     chaos: Chaos | None = None
 
 
