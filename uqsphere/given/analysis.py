@@ -227,11 +227,11 @@ _APART: Final = 3.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Laws:
-    """The laws of the inputs that vary, by column, and those that are plausible with weights; why there are none."""
+    """The laws of the inputs that vary, by their columns, with what the runs leave open; why there are none."""
 
     columns: tuple[int, ...]
     inputs: Joint | None
-    plausible: tuple[tuple[tuple[Law, float], ...], ...]
+    others: tuple[tuple[Law, ...], ...]
     reason: str = ""
 
 
@@ -271,7 +271,7 @@ def analyse_runs(data: Data, *, known: Joint | None = None, seed: int = 0) -> tu
             laws = _tied(data, laws, ties)
         combined = [one.text(data.inputs) for one in combinations(data.x)]
         if combined:
-            laws = replace(laws, inputs=None, plausible=(), reason=combined[0])
+            laws = replace(laws, inputs=None, others=(), reason=combined[0])
         answers = {name: _answered(data, k, laws, ties, seed) for k, name in enumerate(data.outputs)}
     document = {
         "schema_version": SCHEMA_VERSION,
@@ -312,7 +312,7 @@ def _fitted(data: Data, seed: int) -> tuple[Document, _Laws]:
     from uqsphere.uq.points import random_generator
 
     marginals: Document = {}
-    columns, laws, plausible, unknown = [], [], [], []
+    columns, laws, others, unknown = [], [], [], []
     for k, name in enumerate(data.inputs):
         values = data.x[:, k]
         generator = random_generator(seed=seed, task=f"analyse {name}")
@@ -323,25 +323,23 @@ def _fitted(data: Data, seed: int) -> tuple[Document, _Laws]:
             continue
         columns.append(k)
         laws.append(law)
-        plausible.append(open_)
+        others.append((law,) * _LAWS if law.family.observed else tuple(open_))
     names = tuple(data.inputs[k] for k in columns)
     reason = f"no law was found for {', '.join(unknown)}" if unknown else "" if names else "no input varies"
     inputs = None if reason else Joint(names=names, laws=tuple(laws))
-    return marginals, _Laws(columns=tuple(columns), inputs=inputs, plausible=tuple(plausible), reason=reason)
+    return marginals, _Laws(columns=tuple(columns), inputs=inputs, others=tuple(others), reason=reason)
 
 
-def _marginal(
-    values: Array, generator: np.random.Generator
-) -> tuple[Document, Law | None, tuple[tuple[Law, float], ...]]:
-    """One input: every law that was tried, which is taken, and those that are plausible with their weights."""
+def _marginal(values: Array, generator: np.random.Generator) -> tuple[Document, Law | None, list[Law]]:
+    """One input: every law that was tried, which is taken, and what the observations leave open of it."""
     from uqsphere.uq.fitting import fit_marginal, plausible, plausible_laws, possible_laws
 
     try:
         fits = fit_marginal(values)
     except ValueError as error:
         same = float(values[0]) if np.ptp(values) == 0.0 else None
-        return {"chosen": None, "reason": str(error), "fits": [], "fixed": same}, None, ()
-    best, kept = fits[0], plausible(fits)
+        return {"chosen": None, "reason": str(error), "fits": [], "fixed": same}, None, []
+    best = fits[0]
     entry: Document = {
         "chosen": best.law.family.name,
         "parameters": _parameters(best.law),
@@ -354,7 +352,7 @@ def _marginal(
             }
             for f in fits
         ],
-        "weights": {fit.law.family.name: weight for fit, weight in kept},
+        "weights": {fit.law.family.name: weight for fit, weight in plausible(fits)},
         "reason": None,
     }
     law = best.law
@@ -371,7 +369,7 @@ def _marginal(
         others = plausible_laws(fits, _LAWS, generator)
     entry["mean"], entry["sd"] = law.mean(), law.sd()
     entry["mean_left_open"], entry["sd_left_open"] = _left_open(law, others)
-    return entry, law, tuple((fit.law, weight) for fit, weight in kept)
+    return entry, law, others
 
 
 def _left_open(law: Law, others: Sequence[Law]) -> Iterator[list[float] | None]:
@@ -425,7 +423,7 @@ def _given(data: Data, known: Joint) -> tuple[Document, _Laws]:
             "mean_left_open": None,
             "sd_left_open": None,
         }
-    return marginals, _Laws(columns=tuple(range(len(known.names))), inputs=known, plausible=())
+    return marginals, _Laws(columns=tuple(range(len(known.names))), inputs=known, others=())
 
 
 def _tied(data: Data, laws: _Laws, ties: Sequence[TiedPair]) -> _Laws:
@@ -436,12 +434,12 @@ def _tied(data: Data, laws: _Laws, ties: Sequence[TiedPair]) -> _Laws:
         if abs(tie.spearman) > _SAME:
             one, other = (data.inputs[k] for k in tie.columns)
             reason = f"{other} tells the same as {one}: leave one of them out"
-            return replace(laws, inputs=None, plausible=(), reason=reason)
+            return replace(laws, inputs=None, others=(), reason=reason)
     try:
         inputs = with_ties(laws.inputs.names, laws.inputs.laws, ties, data.inputs)
     except LawError as error:
         reason = f"the dependences of the inputs cannot be followed: {error}"
-        return replace(laws, inputs=None, plausible=(), reason=reason)
+        return replace(laws, inputs=None, others=(), reason=reason)
     return replace(laws, inputs=inputs)
 
 
@@ -546,7 +544,7 @@ def _expansion(
             reason = str(error)
     if laws.inputs is None or response is None or scores is None or reason:
         return None, {"usable": False, "error": response and response.error, "reason": reason}, None
-    opened = left_open(laws.inputs, laws.plausible, ties, data.inputs, scores, len(data.x), generator)
+    opened = left_open(laws.inputs, laws.others, ties, data.inputs, scores, len(data.x), generator)
     answers = given_answers(response, laws.inputs, opened, quantiles=_QUANTILES, seed=seed, task=name)
     found = {
         order: {
@@ -570,7 +568,7 @@ def _hopeless(y: Array, laws: _Laws, rows: int) -> str:
         return "the output does not vary"
     # over kernel densities, fitted to the same runs, intervals were counted to hold too rarely
     kernels = [n for n, law in zip(laws.inputs.names, laws.inputs.laws, strict=True) if law.family.observed]
-    if laws.plausible and kernels:
+    if laws.others and kernels:
         return f"no family fits {kernels[0]}: what its kernel density leaves open is not known well enough"
     needed = least_rows(len(laws.columns))
     if rows < needed:

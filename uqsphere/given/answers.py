@@ -17,12 +17,11 @@ from typing import Final
 import numpy as np
 from scipy.special import expit, logit, ndtri
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Places
 from uqsphere.uq.copulas import ARCHIMEDEAN, Archimedean, Elliptical
 from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.expansion import germ_points
 from uqsphere.uq.families import LawError
-from uqsphere.uq.fitting import fitted_again
 from uqsphere.uq.indices import Blocks
 from uqsphere.uq.joint import (
     Dependence,
@@ -163,8 +162,16 @@ class LeftOpen:
 
 
 def score_table(law: Law, others: Sequence[Law]) -> Array:
-    """Scores (laws, grid) under other laws of the values that have the scores of a grid under `law`."""
+    """Scores (laws, grid) under other laws of the values that have the scores of a grid under `law`.
+
+    A kernel density is followed by the shares of its observations, with the same bandwidth.
+    """
+    from uqsphere.uq.fitting import possible_tails
+
     x = law.from_normal(_GRID)
+    if law.family.observed:
+        generator = random_generator(seed=0, task=f"given: observations {len(law.data)} {law.data[0]!r}")
+        return scores_of(*possible_tails(law, x, len(others), generator))
     return np.array([scores_of(other.cdf(x), other.sf(x)) for other in others])
 
 
@@ -416,8 +423,10 @@ CHOICES: Final = ("gaussian", "clayton", "gumbel", "frank")
 _BETTER: Final = 2.0
 #: the same, beyond which a copula is out of the question
 _FAR: Final = 4.0
-#: most runs of a rehearsal: more leave nothing open that would matter
-_ROWS: Final = 20_000
+#: laws that each input is offered for the choice of those that belong together: of more, the chosen are liker
+_OFFERED: Final = 400
+#: runs of a rehearsal
+_ROWS: Final = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -521,7 +530,7 @@ def with_ties(names: Sequence[str], laws: Sequence[Law], ties: Sequence[TiedPair
 
 def left_open(
     inputs: Joint,
-    plausible: Sequence[Sequence[tuple[Law, float]]],
+    others: Sequence[Sequence[Law]],
     ties: Sequence[TiedPair],
     every: Sequence[str],
     scores: Array,
@@ -530,40 +539,112 @@ def left_open(
 ) -> LeftOpen | None:
     """Laws and dependences that n runs leave open, in the form that the answers are asked in.
 
-    A rehearsal draws n runs of the inputs as they are taken to be, each by one of its `plausible` laws (law, weight),
-    and fits all of it again: the laws, each within its family, and the rank correlations.  What is made of one
-    rehearsal belongs together, as it does in the runs: where the mean of one input came out high, so did that of
-    another that is tied to it.
+    Inputs that depend on each other were seen in the same runs: where the mean of one came out high, so did that of
+    the other.  A rehearsal draws n runs of the inputs as they are taken to be; what these runs would make of means,
+    standard deviations and rank correlations belongs together, and every law is given to the rehearsal that it fits.
+    Rehearsals are few: they are turned and stretched until they have the covariance that n runs have (`_steadied`).
     """
-    if not plausible:
+    if not others:
         return None
-    at, rows = {name: k for k, name in enumerate(inputs.names)}, min(n, _ROWS)
-    pairs = [(every[i], every[j]) for i, j in (tie.columns for tie in ties)]
-    taken = [
-        [table[k][0] for k in generator.choice(len(table), LAWS, p=[weight for _, weight in table])]
-        for table in plausible
-    ]
-    ranks = np.empty((LAWS, len(ties)))
-    for number in range(LAWS):
-        drawn = inputs.scores(generator.standard_normal((rows, len(inputs.names))))
-        for laws, column in zip(taken, drawn.T, strict=True):
-            laws[number] = fitted_again(laws[number], laws[number].from_normal(column))
-        for k, pair in enumerate(pairs):
-            both = drawn[:, [at[name] for name in pair]].argsort(axis=0).argsort(axis=0)
-            ranks[number, k] = np.asarray(np.corrcoef(both.T))[0, 1]
+    at = {name: k for k, name in enumerate(inputs.names)}
+    pairs = [(at[every[tie.columns[0]]], at[every[tie.columns[1]]]) for tie in ties]
+    tables = [score_table(law, open_[:_OFFERED]) for law, open_ in zip(inputs.laws, others, strict=True)]
+    rows = min(n, _ROWS)
+    drawn = inputs.scores(generator.standard_normal((LAWS * rows, len(inputs.names))))
+    rehearsed = drawn.reshape(LAWS, rows, -1)
+    ranked = []
+    for pair in pairs:  # Fisher's transform of their rank correlations
+        ranks = rehearsed[:, :, list(pair)].argsort(axis=1).argsort(axis=1).astype(float)
+        ranks -= ranks.mean(axis=1, keepdims=True)
+        found = (ranks[:, :, 0] * ranks[:, :, 1]).sum(axis=1) / (ranks[:, :, 0] ** 2).sum(axis=1)
+        ranked.append(np.arctanh(np.clip(found, -0.9999, 0.9999)))
+    told = np.column_stack([rehearsed.mean(axis=1), rehearsed.std(axis=1), *ranked])
+    # of a standard deviation near 1, that of its square is twice its own
+    squares = 0.5 * (drawn - drawn.mean(axis=0)) ** 2
+    moves = np.column_stack([drawn, squares, *(rank_influence(drawn[:, list(pair)]) for pair in pairs)])
+    asked, d = _steadied(told, moves, math.sqrt(rows / n), n), len(inputs.names)
+    for k, table in enumerate(tables):
+        tables[k] = table[_assigned(table, -asked[:, [k, d + k]])]
     moved = [inputs] * LAWS
     if pairs:
-        opened = [_open(tie, column, generator) for tie, column in zip(ties, ranks.T, strict=True)]
-        moved = _tied_otherwise(inputs, opened, pairs)
-    tables = [score_table(law, laws) for law, laws in zip(inputs.laws, taken, strict=True)]
+        opened = [_open(tie, shift, generator) for tie, shift in zip(ties, asked.T[2 * d :], strict=True)]
+        moved = _tied_otherwise(inputs, opened, [(every[i], every[j]) for i, j in (tie.columns for tie in ties)])
     return LeftOpen(
         tables=np.stack(tables, axis=1), inputs=tuple(moved), low=scores.min(axis=0), high=scores.max(axis=0)
     )
 
 
-def _open(tie: TiedPair, ranks: Array, generator: np.random.Generator) -> list[tuple[float, Archimedean | None]]:
-    """Spearman's correlations (K,) that other runs have shown, each with a copula, None for the Gaussian."""
-    values, kinds = np.clip(ranks, -0.99, 0.99), list(tie.weights)
+def _steadied(told: Array, moves: Array, part: float, n: int) -> Array:
+    """What rehearsals tell (K, m), with mean zero and the very covariance that n runs give it.
+
+    Some dozens of rehearsals scatter and correlate by chance, which would be that of every analysis: answers that rest
+    on one direction would have intervals that are always too short.  `moves` (rows, m) are the influences of single
+    rows on what is told, whose covariance over n - 3 is due (that of Fisher's transform, and nearly of the others).
+    Where K are too few for that many, they keep their correlations, times `part` for rehearsals of other than n rows.
+    """
+    centred = told - told.mean(axis=0)
+    scatter, due = (np.atleast_2d(np.cov(columns, rowvar=False)) for columns in (centred, moves))
+    due = due / max(n - 3, 1)
+    correlations = [matrix / np.sqrt(np.outer(np.diag(matrix), np.diag(matrix))) for matrix in (scatter, due)]
+    if min(float(np.linalg.eigvalsh(matrix)[0]) for matrix in correlations) <= 1e-9:
+        return np.asarray(centred * part)
+    # not the unbiased one: what is asked of the laws are means of squares over all K
+    centred = centred * math.sqrt(len(told) / (len(told) - 1.0))
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(scatter), centred.T).T @ np.linalg.cholesky(due).T)
+
+
+def _assigned(tables: Array, asked: Array) -> Places:
+    """Which table (of M, grid) goes with which mean and width that is asked for (K, 2): the like of it, one each.
+
+    Runs that came out low, or narrow, leave open a law that is higher, or wider.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    grid, normal = np.linspace(-8.0, 8.0, tables.shape[1]), np.asarray(ndtri((np.arange(200) + 0.5) / 200.0))
+    values = np.array([np.interp(normal, table, grid) for table in tables])
+    offered = _whitened(np.column_stack([values.mean(axis=1), values.std(axis=1)]))
+    distances = ((_whitened(asked)[:, None, :] - offered[None, :, :]) ** 2).sum(axis=2)
+    return np.asarray(linear_sum_assignment(distances)[1], dtype=np.int64)
+
+
+def _whitened(columns: Array) -> Array:
+    """Columns (n, 2) with mean zero and variance one, the second without what it shares with the first."""
+    centred = columns - columns.mean(axis=0)
+    first = centred[:, 0] / max(float(centred[:, 0].std()), 1e-300)
+    second = centred[:, 1] - first * float((first * centred[:, 1]).mean())
+    return np.column_stack([first, second / max(float(second.std()), 1e-300)])
+
+
+def rank_influence(pair: Array) -> Array:
+    """What each row of a sample (n, 2) moves Fisher's transform of Spearman's correlation by, times n: (n,), mean 0.
+
+    With u and v the shares of the sample below, the influence on the correlation r is 12 (u v + E[U; V > v] +
+    E[V; U > u]) less its mean (C. Croux, C. Dehon, Statistical Methods & Applications 19, 2010, 497), on artanh r that
+    over 1 - r².
+
+    >>> rows = np.random.default_rng(1).standard_normal((4000, 2))
+    >>> bool(abs(rank_influence(rows).std() - 1.0) < 0.03)
+    True
+    """
+    n = len(pair)
+    order = pair.argsort(axis=0)
+    below = (order.argsort(axis=0) + 0.5) / n
+    u, v = below.T
+
+    def beyond(of: Array, along: Places) -> Array:
+        sums, sorted_ = np.empty(n), of[along]
+        sums[along] = (np.cumsum(sorted_[::-1])[::-1] - 0.5 * sorted_) / n
+        return sums
+
+    r = float(np.clip(12.0 * np.mean((u - 0.5) * (v - 0.5)), -0.9999, 0.9999))
+    moved = 12.0 * (u * v + beyond(u, order[:, 1]) + beyond(v, order[:, 0]))
+    return np.asarray((moved - moved.mean()) / (1.0 - r * r))
+
+
+def _open(tie: TiedPair, shifts: Array, generator: np.random.Generator) -> list[tuple[float, Archimedean | None]]:
+    """Spearman's correlation and copula that other runs would have shown, None for the Gaussian."""
+    values = np.tanh(math.atanh(min(max(tie.spearman, -0.99), 0.99)) - shifts)
+    kinds = list(tie.weights)
     drawn = generator.choice(len(kinds), size=len(values), p=list(tie.weights.values()))
     copulas: list[Archimedean | None] = [None] * len(values)
     said = [kinds[k] for k in drawn]

@@ -412,33 +412,17 @@ def _simulated(name: str, n: int, shape: float = 1.0) -> Array:
     return _distance(tried.below(_SAMPLES, n, shape, generator))
 
 
-def _likeliest(family: Family, values: Array) -> Law:
-    """The member of a family that ordered observations are likeliest by.  Raises LawError or ValueError for none."""
-    assert family.tried is not None
-    if family.positive and not values[0] > 0.0:
-        raise LawError(f"{family.name} needs positive observations", "fit")
-    own = dict(family.tried.fit(values) if family.tried.fit else family.fit(values, -math.inf, math.inf))
-    bounds = own.pop("lower", None), own.pop("upper", None)
-    return replace(make_law(family.name, own, *bounds), data=tuple(values.tolist()))
-
-
-def fitted_again(law: Law, values: Array) -> Law:
-    """The law of the same family by other observations (n,); itself where these have none."""
-    try:
-        return replace(_likeliest(law.family, np.sort(values)), data=())
-    except (LawError, ValueError, FloatingPointError, OverflowError):
-        return law
-
-
 def _fitted(name: str, values: Array, normal: float) -> Fit | None:
     """A family fitted to ordered observations; `normal` is the criterion of the normal law."""
     n, family = values.size, FAMILIES[name]
     tried = family.tried
-    if tried is None:
+    if tried is None or (family.positive and not values[0] > 0.0):
         return None
     try:
         with np.errstate(over="ignore", under="ignore"):
-            law = _likeliest(family, values)
+            own = dict(tried.fit(values) if tried.fit else family.fit(values, -math.inf, math.inf))
+            bounds = own.pop("lower", None), own.pop("upper", None)
+            law = replace(make_law(name, own, *bounds), data=tuple(values.tolist()))
             density = law.pdf(values)
     except (LawError, ValueError, FloatingPointError, OverflowError):
         return None
