@@ -23,10 +23,11 @@ from uqsphere.errors import AccessError, ModelError, StudyError, TooManyFailures
 from uqsphere.report.page import GOES_ON, build_report, write_draft
 from uqsphere.results import Results
 from uqsphere.results.entries import Manifest
+from uqsphere.runner.beside import aside, may_copy
 from uqsphere.runner.chunks import CHUNK, block_size
 from uqsphere.runner.evaluate import Ledger
 from uqsphere.runner.remote import Task
-from uqsphere.runner.workers import LocalWorkers, TimeOver, WorkerDied, aside, gather, may_copy
+from uqsphere.runner.workers import LocalWorkers, TimeOver, WorkerDied, gather
 from uqsphere.study import Study
 
 #: rows with 0.7 < x1 < 0.701 misbehave: a few in the first thousands

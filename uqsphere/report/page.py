@@ -28,8 +28,8 @@ from uqsphere.report.tables import commands, repeat_rows
 from uqsphere.report.whatif import panels
 from uqsphere.results import Results
 from uqsphere.results.entries import Manifest, read_resolved
+from uqsphere.runner.beside import aside, may_copy
 from uqsphere.runner.kept import write_sums
-from uqsphere.runner.workers import aside, may_copy
 from uqsphere.store import csv_text, write_atomically
 
 if TYPE_CHECKING:

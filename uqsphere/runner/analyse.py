@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from uqsphere.runner.account import Findings
+from uqsphere.runner.beside import aside, may_copy
 from uqsphere.runner.drivers import Drivers, find_drivers
 from uqsphere.runner.evaluate import Work, draw
 from uqsphere.runner.expensive import Expensive, answer_expensive, keep_answers, keep_indices, keep_margins, price
@@ -30,7 +31,6 @@ from uqsphere.runner.questions.margins import find_margins, judge_answers
 from uqsphere.runner.questions.probabilities import refine_limits
 from uqsphere.runner.questions.shapley import share_variance
 from uqsphere.runner.results import finish, finish_bare, judged_ways, told_early
-from uqsphere.runner.workers import aside, may_copy
 from uqsphere.store import Store
 
 #: share of the budget that may be spent, with the most that margins and fracture take, for these to be answered beside

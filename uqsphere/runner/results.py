@@ -17,6 +17,7 @@ from uqsphere.results import NO_RIG, PlanEntry, Results
 from uqsphere.results.entries import CheckEntry, Fields, Manifest, PricesEntry
 from uqsphere.results.tables import tables
 from uqsphere.runner.account import Findings, account, further_rows, questions
+from uqsphere.runner.beside import aside, may_copy
 from uqsphere.runner.courses import save_courses
 from uqsphere.runner.deterministic import compare_with_paper
 from uqsphere.runner.evaluate import Work
@@ -27,7 +28,6 @@ from uqsphere.runner.forecast import JUDGED
 from uqsphere.runner.kept import keep_data, named_files, write_sums
 from uqsphere.runner.sliders import save_sliders
 from uqsphere.runner.verdict import Judged, find_unsure, gather, judge
-from uqsphere.runner.workers import aside, may_copy
 from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.study import Study
 from uqsphere.study.axis import limit_of

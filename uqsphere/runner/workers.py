@@ -8,7 +8,6 @@ import json
 import logging
 import math
 import os
-import pickle
 import queue
 import signal
 import subprocess
@@ -16,14 +15,13 @@ import sys
 import threading
 import time
 import uuid
-import warnings
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, Final, NoReturn, Protocol, TypeVar, cast
+from typing import IO, Any, Final, Protocol, TypeVar
 
 from uqsphere.arrays import Array
 from uqsphere.errors import AccessError, ModelError, TooManyFailures, UqsphereError, UsageError, told
@@ -50,8 +48,6 @@ _ROUNDS: Final = 10
 _REAPED: Final = 1.0
 #: the name under which a process has its mark in its environment
 _MARK: Final = "UQSPHERE_WORKER"
-#: what tells Linux to end a process with the one that started it (prctl.h)
-_END_WITH_PARENT: Final = 1
 _START: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from uqsphere.runner.remote import serve; serve()"
 )
@@ -102,73 +98,6 @@ class TimeOver(Exception):
 def processors() -> int:
     """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-# --- a part of a run on another processor -------------------------------------------------------------------
-
-
-def may_copy(threads: int | None) -> bool:
-    """Whether a copy of this process can work beside it: more than one processor may be used, and no other thread is
-    there that would be missing in a copy."""
-    many = processors() if threads is None else min(threads, processors())
-    return sys.platform == "linux" and many > 1 and threading.active_count() == 1
-
-
-@contextlib.contextmanager
-def aside(function: Callable[[], T], *, copied: bool) -> Iterator[Callable[[], T]]:
-    """Have `function()` done by a copy of this process while the block goes on; what is yielded waits for its answer.
-
-    Where it is not `copied`, or its process is lost, it is done here.  It changes nothing of what this process holds.
-    """
-    if not copied:
-        found = function()
-        yield lambda: found
-        return
-    own = os.getpid()
-    read, write = os.pipe()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # threads of linear algebra, none of which is at work
-        child = os.fork()
-    if not child:
-        _answer_for(own, function, write)
-    os.close(write)
-
-    def answer() -> T:
-        with os.fdopen(os.dup(read), "rb") as pipe:
-            said = pipe.read()
-        failed, content = pickle.loads(said) if said else (False, function())
-        if failed:
-            raise cast("Exception", content)
-        return cast("T", content)
-
-    try:
-        yield answer
-    finally:
-        os.close(read)
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
-
-
-def _answer_for(owner: int, function: Callable[[], object], write: int) -> NoReturn:
-    """What a copy of a process does: it ends with its owner, and says nothing but its answer."""
-    import ctypes
-
-    try:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGKILL)
-        null = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(null, 1)
-        os.dup2(null, 2)
-        if os.getppid() == owner:
-            said: tuple[bool, object]
-            try:
-                said = False, function()
-            except Exception as error:
-                said = True, error
-            with os.fdopen(write, "wb") as pipe:
-                pipe.write(pickle.dumps(said, pickle.HIGHEST_PROTOCOL))
-    finally:
-        os._exit(0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -131,10 +131,11 @@ def march(
     softens = False
     for r in range(laws.shape[0] if laws.shape[1] > 0 else 0):
         softens |= laws[r, tracked.LAW_PILE_UP, 0] == 0.0 or laws[r, tracked.LAW_PILE_UP, 1] == 0.0
-    yielding, switched, own = (
+    yielding, switched, own, turned = (
         laws.shape[1] > 0,
         np.zeros(lanes, dtype=np.bool_),
         np.zeros(lanes, dtype=np.bool_),
+        np.full(PAIR, -1.0),
     )
     # what stands at the poles, the series of U_A and -U_B, where in a step faces are pressed deepest
     rig, free, places, bends = bare(owned[26]), bare(owned[27]), bare(owned[28][0]), bare(owned[28][1])
@@ -206,6 +207,7 @@ def march(
             on_slow[j], calm[j], beyond[j] = False, decay_time(mass[r], local), False
             if yielding:
                 new_faces(law, j, laws[r])
+                turned[j], turned[LANES + j] = -1.0, -1.0
                 own[j] = of_its_own(law, j)
             steady[j] = (
                 1.0 if breaks[r, -1] == math.inf and trips[0, j] == math.inf and trips[1, j] == math.inf else -1.0
@@ -276,10 +278,12 @@ def march(
             if row[j] < 0:
                 continue
             if own[j] and touching[j] == 0:
-                # what jumped may have turned a face against its branch: the step is made again on the other one
+                # what jumped may have turned a face against its branch: the step is made again on the other one, and
+                # kept there; the force of both is the same where they meet, and at rest rounding would choose for ever
                 for m in range(j, PAIR, LANES):
-                    if may_be_wrong(law, m, x, h[j]) and wrong_branch(law, m, x, h[j], track, j):
-                        switched[j] = True
+                    doubtful = turned[m] < time[j] and may_be_wrong(law, m, x, h[j])
+                    if doubtful and wrong_branch(law, m, x, h[j], track, j):
+                        switched[j], turned[m] = True, time[j]
             if touching[j] == 1:
                 theta[j] = 1.0
                 step_from_touch(mode, j, h[j], inverse_mu[j], push, x, u, force, yielding, law, rig, free)
