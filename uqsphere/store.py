@@ -19,7 +19,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -213,6 +213,8 @@ class Store:
     damaged: list[str] = field(default_factory=list)
     mark: dict[str, Json] = field(default_factory=dict)
     index: dict[str, list[str]] = field(default_factory=dict)
+    #: whether another process can store here what is seen after `look`
+    shared: ClassVar[bool] = True
 
     def close(self) -> None:
         """Give the folder free."""

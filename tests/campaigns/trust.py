@@ -141,6 +141,9 @@ def watched(arguments: Sequence[str], *roots: Path, do: Callable[[list[str]], in
     started = time.process_time()
     signal.setitimer(signal.ITIMER_REAL, PATIENCE)
     code = -1
+    # beside another thread nothing is done in a copy of the process, where it would not be seen
+    over = threading.Event()
+    threading.Thread(target=over.wait, daemon=True).start()
     with guarded(*roots) as seen:
         try:
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -152,6 +155,7 @@ def watched(arguments: Sequence[str], *roots: Path, do: Callable[[list[str]], in
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             signal.signal(signal.SIGALRM, before)
+            over.set()
         forbidden = tuple(seen)
     seconds = time.process_time() - started
     return Outcome(code=code, out=out.getvalue(), err=err.getvalue(), seconds=seconds, forbidden=forbidden)

@@ -184,7 +184,7 @@ def _largest(found: Any, slope: Callable[[float, Array], list[float]], face: int
     rates = np.array([slope(t, y)[face] for t, y in zip(found.t, found.y.T, strict=True)])
     tops = [brentq(lambda t: slope(t, found.sol(t))[face], found.t[k], found.t[k + 1], xtol=1e-10)
             for k in np.flatnonzero((rates[:-1] > 0.0) & (rates[1:] < 0.0))]  # fmt: skip
-    return max(float(found.y[face].max()), *(float(found.sol(top)[face]) for top in tops))
+    return max([float(found.y[face].max()), *(float(found.sol(top)[face]) for top in tops)])
 
 
 def solve_scipy(scene: Scene, rows: int, method: str, tolerance: float, *, contact: bool) -> Array:

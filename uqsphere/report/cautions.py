@@ -239,7 +239,7 @@ def _of_checks(contents: Contents, names: Mapping[str, str]) -> Iterator[Caution
         groups.setdefault(effect, []).append(f"{check_words(check)} ({often})")
     for effect, texts in groups.items():
         others = len(texts) - 1
-        more = f", {others} more assumption{' fails' if others == 1 else 's fail'}" if others else ""
+        more = f", {others} more fail{'s' if others == 1 else ''}" if others else ""
         yield Caution(rank=_UNKNOWN, nearer=-1.0, text=f"{texts[0]}{more}: {effect}.")
 
 

@@ -144,14 +144,15 @@ def _reserved(work: Work) -> int:
 def _side_by_side(work: Work, store: Store, found: Findings, first: Analyses | None, reserved: int) -> Findings:
     """Margins and fracture beside what shares the variance out, each with its own part of the budget: on two
     processors where there are two, with the same answers where there is one."""
-    base, copied = deepcopy(work.ledger), may_copy(work.threads)
+    base, copied = deepcopy(work.ledger), store.shared and may_copy(work.threads)
     side, own = replace(work, ledger=deepcopy(base)), work.within(work.study.analysis.budget.evaluations - reserved)
     if copied:
         side = replace(side, progress=None, reached=None)
-    with aside(lambda: (_breaking(side, found.sampled, None), side.ledger), copied=copied) as broken:
+    with aside(lambda: (_breaking(side, found.sampled, None), side.ledger, store.damaged), copied=copied) as broken:
         shared = _sharing(own, told_early(own, judged_ways(own, found)), None, first)
-        breaking, spent = broken()
+        breaking, spent, damaged = broken()
     work.ledger.follow(spent, base)
+    store.damaged[:] = sorted({*store.damaged, *damaged})
     store.look()
     return replace(shared, **breaking)
 

@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -56,6 +56,11 @@ class Rehearsal:
     used: set[str] = field(default_factory=set)
     damaged: list[str] = field(default_factory=list)
     repeated: list[Repeated] = field(default_factory=list)
+    #: what was used and repeated is known to this process alone
+    shared: ClassVar[bool] = False
+
+    def look(self) -> None:
+        """What is stored stays as it was."""
 
     def load(self, key: str) -> npt.NDArray[Any] | None:
         """The stored chunk, or None for one that is to be evaluated again."""

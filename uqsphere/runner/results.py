@@ -213,7 +213,7 @@ def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None
     )
     store.take_over()
     save_points(work, store, found.sampled.sample)
-    copied = not work.study.black_box and may_copy(work.threads)
+    copied = store.shared and not work.study.black_box and may_copy(work.threads)
     with aside(lambda: save_courses(work, store, found.sampled.sample), copied=copied) as courses:
         save_sliders(work, store, found.evidence, found.margins)
         results = build_results(work, found, plan)

@@ -62,6 +62,9 @@ from uqsphere.mechanics.integrator.vectors import apart
 ARMED = 1e-13
 #: dx/dt that has no sign, scaled: a turn leaves so little
 STILL = 1e-10
+#: turns to the other branch and back at one time, beyond which a face is at rest where both meet: the force of both is
+#: the same there, and rounding would choose between them for ever
+MOST_TURNS = 8
 
 
 @compiled(**INNER)

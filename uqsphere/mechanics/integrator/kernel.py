@@ -17,6 +17,7 @@ import numpy as np
 from uqsphere.mechanics.integrator import events, incoming, tracked
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
+    MOST_TURNS,
     largest_approach,
     may_be_wrong,
     may_switch,
@@ -135,7 +136,7 @@ def march(
         laws.shape[1] > 0,
         np.zeros(lanes, dtype=np.bool_),
         np.zeros(lanes, dtype=np.bool_),
-        np.full(PAIR, -1.0),
+        np.zeros((2, PAIR)),
     )
     # what stands at the poles, the series of U_A and -U_B, where in a step faces are pressed deepest
     rig, free, places, bends = bare(owned[26]), bare(owned[27]), bare(owned[28][0]), bare(owned[28][1])
@@ -207,7 +208,7 @@ def march(
             on_slow[j], calm[j], beyond[j] = False, decay_time(mass[r], local), False
             if yielding:
                 new_faces(law, j, laws[r])
-                turned[j], turned[LANES + j] = -1.0, -1.0
+                turned[0, j], turned[0, LANES + j] = -1.0, -1.0
                 own[j] = of_its_own(law, j)
             steady[j] = (
                 1.0 if breaks[r, -1] == math.inf and trips[0, j] == math.inf and trips[1, j] == math.inf else -1.0
@@ -278,12 +279,14 @@ def march(
             if row[j] < 0:
                 continue
             if own[j] and touching[j] == 0:
-                # what jumped may have turned a face against its branch: the step is made again on the other one, and
-                # kept there; the force of both is the same where they meet, and at rest rounding would choose for ever
+                # what jumped may have turned a face against its branch: the step is made again on the other one
                 for m in range(j, PAIR, LANES):
-                    doubtful = turned[m] < time[j] and may_be_wrong(law, m, x, h[j])
+                    if turned[0, m] != time[j]:
+                        turned[0, m], turned[1, m] = time[j], 0.0
+                    doubtful = turned[1, m] < MOST_TURNS and may_be_wrong(law, m, x, h[j])
                     if doubtful and wrong_branch(law, m, x, h[j], track, j):
-                        switched[j], turned[m] = True, time[j]
+                        switched[j] = True
+                        turned[1, m] += 1.0
             if touching[j] == 1:
                 theta[j] = 1.0
                 step_from_touch(mode, j, h[j], inverse_mu[j], push, x, u, force, yielding, law, rig, free)

@@ -32,7 +32,6 @@ from uqsphere.mechanics.integrator.tracked import (
     ANSWER_NEAREST,
     ANSWER_RISE,
     ANSWER_RISES,
-    ANSWER_UNLOADINGS,
     ANSWER_WIDTH,
     ANSWER_WIDTHS,
     ANSWER_X_MAX,
@@ -285,13 +284,6 @@ class Scaled:
     path: tuple[Array, Array, Array] | None = None
 
 
-def _local_share(arguments: Mapping[str, Array], wanted: int) -> float:
-    """Error allowed in one step over the tolerance."""
-    share = _LOCAL_DIFFERENCE if wanted & WANT_DIFFERENCE else _LOCAL
-    timed = arguments["rigs"].shape[1] == 0 and wanted & (WANT_WIDTH | WANT_CONTACT)
-    return min(share, _LOCAL_TAIL) if timed and not np.isfinite(arguments["horizon"]).all() else share
-
-
 def march_rows(
     arguments: Mapping[str, Array],
     mode: int,
@@ -309,7 +301,10 @@ def march_rows(
     from uqsphere.mechanics.integrator.kernel import march
     from uqsphere.mechanics.integrator.tracked import TERMS
 
-    share = _local_share(arguments, wanted)
+    share = _LOCAL_DIFFERENCE if wanted & WANT_DIFFERENCE else _LOCAL
+    bars_only = arguments["rigs"].shape[1] == 0
+    if bars_only and wanted & (WANT_WIDTH | WANT_CONTACT) and not np.isfinite(arguments["horizon"]).all():
+        share = min(share, _LOCAL_TAIL)
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than the approaches need
     local = share * tolerance * (1.0 if mode == MODES["full"] else 0.1)
     n = len(arguments["mass"])
@@ -348,8 +343,6 @@ def integrate(
         return found
     wanted, mode = wishes(quantities, scene.demands), MODES[fidelity]
     arguments = scaled_arguments(scene, rows)
-    # in other rigs the speeds at the end are answers too
-    enough = _local_share(arguments, wanted) if scene.rig == "bars" else 3.0
 
     def run(block: slice) -> None:
         def march(picked: Places, closer: float, graze: Array | None) -> Scaled:
@@ -360,7 +353,7 @@ def integrate(
 
         here = rows[block]
         part = march(np.arange(len(here)), tolerance, None)
-        _repeat_undecided(march, part, tolerance, peak_only=wanted == 0, enough=enough)
+        _repeat_undecided(march, part, tolerance, peak_only=wanted == 0)
         found.answers[here], found.others[here] = part.answers, part.others
         found.status[here], found.steps[here] = part.status, part.steps
 
@@ -534,17 +527,16 @@ def _other_times(answers: Array) -> Array:
     return others
 
 
-def _to_repeat(found: Scaled, tolerance: float, peak_only: bool, enough: float) -> list[tuple[float, Places]]:
+def _to_repeat(found: Scaled, tolerance: float, peak_only: bool) -> list[tuple[float, Places]]:
     """Rows whose end of contact needs closer integration: (share of the tolerance, rows).
 
     An error of tolerance x_max in the approach moves the end of contact by that over the rate at which the
     face leaves; where this is more than the tolerance of the time itself, or where a face nearly left, the row is
-    integrated again.  Faces that have yielded leave slowly: of them a sharpness of `enough` does, of others 3.
+    integrated again.
     """
     answers = found.answers
     with np.errstate(all="ignore"):
         sharpness = answers[:, ANSWER_LOSS_RATE] * answers[:, ANSWER_CONTACT] / answers[:, ANSWER_X_MAX]
-    sharpness = np.where(answers[:, ANSWER_UNLOADINGS] > 0.0, sharpness * (3.0 / enough), sharpness)
     # the same for a face that nearly left, a threshold that is nearly missed, a long motion
     long = (found.steps > _MANY_STEPS) & (not peak_only)
     near = np.isfinite(answers[:, ANSWER_NEAREST]) | long | _jumping(answers, tolerance)
@@ -589,13 +581,13 @@ def _farther(answers: Array, one: Array, other: Array) -> Flags:
     return np.asarray(np.nan_to_num(ends[1], nan=-1.0) > np.nan_to_num(ends[0], nan=-1.0))
 
 
-def _repeat_undecided(march: March, found: Scaled, tolerance: float, *, peak_only: bool, enough: float = 3.0) -> None:
+def _repeat_undecided(march: March, found: Scaled, tolerance: float, *, peak_only: bool) -> None:
     """Integrate rows of a block more closely until their end of contact is certain or has two answers.
 
     `found` is brought up to date; undecided rows get the status for it.  With `peak_only` nothing beyond the largest
-    approach is asked for.  enough: see `_to_repeat`.
+    approach is asked for.
     """
-    repetitions = _to_repeat(found, tolerance, peak_only, enough)
+    repetitions = _to_repeat(found, tolerance, peak_only)
     while repetitions:
         factor, rows = repetitions.pop(0)
         closer = max(_FINEST, factor * tolerance)
