@@ -1,6 +1,7 @@
 """The rigs: what stands at the two poles of the sphere, who moves at first touch, and which numbers that takes.
 
-A new rig is one entry of `RIGS`, its table in `study/document.py` and how that is read in `study/scene.py`.  Numbering (R...) of docs/theory.md.
+A new rig is one entry of `RIGS`, its table in `study/document.py` and how that is read in `study/scene.py`.
+Numbering (R...) of docs/theory.md.
 """
 
 from __future__ import annotations
