@@ -224,7 +224,9 @@ def feed_text(entry: FeedEntry) -> str:
         why = f" ({'; '.join(goal.reasons)})" if goal.reasons else ""
         asked = f"target, at least {100 * goal.broken:.3g} % broken, {100 * goal.at_least:.3g} % sure: {goal.verdict}"
         more = [f"{asked}; its probability is {100 * goal.probability:.3g} %{why}"]
-    return _in_terminal(said, [answers_table(entry)], more, entry.warnings)
+    answers = answers_table(entry)
+    header, *rows = (row[:5] + row[7:] for row in (answers.header, *answers.rows))  # standard deviations: on the page
+    return _in_terminal(said, [replace(answers, header=header, rows=tuple(rows))], more, entry.warnings)
 
 
 def _feed_parts(entry: FeedEntry) -> list[Chapter]:
