@@ -9,7 +9,9 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
+
+from uqsphere.arrays import Values
 
 
 class UnitError(ValueError):
@@ -95,7 +97,7 @@ class Quantity:
     censored: str = ""
     rough: int = 0
     needs: tuple[str, ...] = ()
-    formula: Callable[[Mapping[str, Any]], Any] | None = None
+    formula: Callable[[Mapping[str, Values]], Values] | None = None
 
     @property
     def unit(self) -> str:
@@ -107,11 +109,11 @@ class Quantity:
         """Axis label in the display unit, without the meaning: ``p_max [GPa]``."""
         return f"{self.symbol} [{self.display}]" if self.display else self.symbol
 
-    def allows(self, value: float) -> bool:
-        """Whether `value` (SI) lies inside the bounds of meaning."""
+    def allows(self, value: Values) -> Values:
+        """Whether each value (SI) lies inside the bounds of meaning."""
         if self.closed:
-            return self.lower <= value <= self.upper
-        return self.lower < value < self.upper
+            return (self.lower <= value) & (value <= self.upper)
+        return (self.lower < value) & (value < self.upper)
 
 
 def units_of(dimension: str) -> list[str]:

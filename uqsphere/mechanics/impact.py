@@ -173,7 +173,7 @@ def light_sphere_applies(scene: Scene) -> bool:
     there = behind is not None and ahead is not None and behind.kind == "mass" and scene.horizon is None
     if not there or ahead is None or np.any(ahead.reflection):
         return False
-    return all(partner is None or _path_of(partner, scene) is None for partner in scene.partners)
+    return all(_path_of(partner, scene) is None for partner in scene.there)
 
 
 def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answers:

@@ -22,6 +22,7 @@ from uqsphere.mechanics.carried import CARRIED, in_the_test, needs_of
 from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, demand, product_fineness
 from uqsphere.mechanics.damage import Softening, broken
 from uqsphere.mechanics.integrator.tracked import DOMAIN, NOT_FINITE, SCALED
+from uqsphere.mechanics.partners import Partner
 from uqsphere.mechanics.rigs import RIGS, loss_to_waves
 from uqsphere.mechanics.scene import BROKEN, Scales, Scene, answered
 from uqsphere.mechanics.yielding import Press
@@ -325,44 +326,58 @@ def _side(scene: Scene, pole: int, x: Array) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
-    """Columns of a scene whose faces are not alike, or yield: each face's own ("sides") and those of the row.
+#: columns of a row that are the largest over its faces, each on its own
+_LARGEST: Final = ("P_max", "alpha_max", "a_max", "p_max", "p_mean", "p_hertz", "dent_left")
+#: the force at the other pole when a face is at its peak
+_OPPOSITE: Final = {"a": "force_b_at_a", "b": "force_a_at_b"}
 
-    Each is the largest over the faces on its own.  Inside the sphere the stress depends on what presses at the other
-    pole as well: `balance` is that force over the face's own, at its peak.
-    """
-    rig, one_contact = RIGS[scene.rig], scene.partners[0] is None
-    if rig.name == "bars" and scene.struck.face is None and scene.stiffness_left is None:
+
+def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
+    """Columns of a scene whose faces are not alike, or yield: each face's own ("sides") and those of the row."""
+    if scene.rig == "bars" and scene.struck.face is None and scene.stiffness_left is None:
         return {}
-    sides, firsts, force = [], [], scene.scales.force
-    for pole, name in enumerate("ab"):
-        if scene.partners[pole] is None:
-            continue
-        side = _side(scene, pole, tracked[f"x_{name}"])
-        if rig.name != "bars":
-            other = 0.0 if one_contact else force * tracked["force_b_at_a" if name == "a" else "force_a_at_b"]
-            pressed = side["P_max"]
-            side["balance"] = np.zeros(1) if one_contact else np.where(pressed > 0.0, other / pressed, 0.0)
-        sides.append(Columns(side))
-        if f"x_first_{name}" in tracked:
-            firsts.append(Columns(_side(scene, pole, tracked[f"x_first_{name}"])))
-    found: dict[str, Any] = {"sides": sides}
-    for column in ("P_max", "alpha_max", "a_max", "p_max", "p_mean", "p_hertz", "dent_left"):
-        found[column] = partial(_largest, sides, column)
-    found["dissipated"] = lambda: sum(side["dissipated"] for side in sides)
-    if scene.contact_law == "damage":
-        # of one blow: `after_blows` counts them
-        found["damaged"], found["blow"] = partial(_largest, sides, "damage"), lambda: np.ones(len(scene))
-        found["blow_censored"] = lambda: 1.0 - broken(_largest(sides, "damage"), scene.columns["contact.gamma"])
-    if not one_contact and "difference" in tracked:
-        found["force_imbalance"] = lambda: force * tracked["difference"] / _largest(sides, "P_max")
-    if firsts:
+    poles = {name: pole for pole, name in enumerate("ab") if scene.partners[pole] is not None}
+    sides = [_face(scene, name, tracked) for name in poles]
+    found: dict[str, Any] = {column: partial(_largest, sides, column) for column in _LARGEST}
+    if "x_first_a" in tracked or "x_first_b" in tracked:
+        firsts = [Columns(_side(scene, pole, tracked[f"x_first_{name}"])) for name, pole in poles.items()]
         found["first_peak"] = partial(_largest, firsts, "p_max")
-    if one_contact:
+    more = _of_forces(scene, tracked, sides) | _of_damage(scene, sides) | _energies(scene, tracked, sides)
+    return {"sides": sides} | found | more
+
+
+def _face(scene: Scene, name: str, tracked: Mapping[str, Array]) -> Columns:
+    """The columns of one face.
+
+    Inside the sphere the stress depends on what presses at the other pole as well: `balance` is that force over the
+    face's own, at its peak.
+    """
+    side = _side(scene, "ab".index(name), tracked[f"x_{name}"])
+    if scene.rig != "bars":
+        other = 0.0 if len(scene.there) == 1 else scene.scales.force * tracked[_OPPOSITE[name]]
+        side["balance"] = np.where(side["P_max"] > 0.0, other / side["P_max"], 0.0)
+    return Columns(side)
+
+
+def _of_forces(scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]) -> dict[str, Any]:
+    """What the forces at both poles are together: with one contact its own, and half of it at the centre."""
+    force, found = scene.scales.force, dict[str, Any]()
+    if len(sides) == 1:
         found["mean_force_max"] = lambda: 0.5 * sides[0]["P_max"]
-    if rig.name != "bars":
+    elif "difference" in tracked:
+        found["force_imbalance"] = lambda: force * tracked["difference"] / _largest(sides, "P_max")
+    if scene.rig != "bars":
         found["force_at_centre"] = found.get("mean_force_max") or (lambda: force * tracked["mean_force"])
-    return found | _energies(scene, tracked, sides)
+    return found
+
+
+def _of_damage(scene: Scene, sides: Sequence[Columns]) -> dict[str, Any]:
+    """Columns of one blow on a sphere that takes damage: `after_blows` counts them."""
+    if scene.contact_law != "damage":
+        return {}
+    done = partial(_largest, sides, "damage")
+    return {"damaged": done, "blow": lambda: np.ones(len(scene)),
+            "blow_censored": lambda: 1.0 - broken(done(), scene.columns["contact.gamma"])}  # fmt: skip
 
 
 def _largest(sides: Sequence[Columns], column: str) -> Array:
@@ -370,34 +385,42 @@ def _largest(sides: Sequence[Columns], column: str) -> Array:
 
 
 def _energies(scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]) -> dict[str, Any]:
-    """Energy in both contacts, and the sphere's share of it: chi of what is stored, all where the sphere yields."""
-    there = [partner for partner in scene.partners if partner is not None]
+    """Energy in both contacts and what they dissipate, and the sphere's share of them (`_energy_of_sphere`)."""
     unit = scene.scales.force * scene.scales.approach
-    static = scene.contact_dynamics == "elastic" and scene.struck.face is not None and scene.rig != "platens"
 
     def energy() -> Values:
-        if not static:
+        if not _is_static(scene):
             return unit * tracked["stored"]
         # the faces are not at their largest together: of what they would hold by Hertz this is what they held
         at_most, elastic = (sum(side[name] for side in sides) for name in ("stored", "elastic"))
         return unit * tracked["stored"] * (at_most / elastic) if "stored" in tracked else at_most
 
-    def of_sphere() -> Values:
-        if len(sides) == 1 or scene.rig == "bars":
-            own = there[0].share * energy()
-        elif static or "stored_sphere" not in tracked:
-            own = sum(partner.share * side["stored"] for partner, side in zip(there, sides, strict=True))
-        else:
-            own = unit * tracked["stored_sphere"]
-        if all(partner.face is None for partner in there):
-            return own
-        crushed = (
-            np.where(partner.takes > 0.0, partner.takes * side["dissipated"], 0.0)
-            for partner, side in zip(there, sides, strict=True)
-        )  # fmt: skip
-        return own + sum(crushed)
+    return {
+        "energy": energy,
+        "energy_sphere": lambda: _energy_of_sphere(scene, tracked, sides, energy),
+        "dissipated": lambda: sum(side["dissipated"] for side in sides),
+    }
 
-    return {"energy": energy, "energy_sphere": of_sphere}
+
+def _is_static(scene: Scene) -> bool:
+    """Whether the struck face yields by its largest force alone, outside the equations of motion."""
+    return scene.contact_dynamics == "elastic" and scene.struck.face is not None and scene.rig != "platens"
+
+
+def _energy_of_sphere(
+    scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns], energy: Callable[[], Values]
+) -> Values:
+    """chi of what is stored at each face, and what the sphere dissipates: all where it yields itself."""
+    faces = list(zip(scene.there, sides, strict=True))
+    if len(sides) == 1 or scene.rig == "bars":
+        own = scene.struck.share * energy()
+    elif _is_static(scene) or "stored_sphere" not in tracked:
+        own = sum(partner.share * side["stored"] for partner, side in faces)
+    else:
+        own = scene.scales.force * scene.scales.approach * tracked["stored_sphere"]
+    if all(partner.face is None for partner in scene.there):
+        return own
+    return own + sum(np.where(one.takes > 0.0, one.takes * side["dissipated"], 0.0) for one, side in faces)
 
 
 def _of_blow(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Array]:
@@ -416,7 +439,7 @@ def _of_blow(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Array]:
     def carried() -> Values:
         total = 0.0 * scales.force
         for partner, name in ((behind, "a"), (ahead, "b")):
-            if partner is not None and partner.kind in ("bar", "plate") and f"carried_{name}" in tracked:
+            if partner is not None and _carrying([partner]) and f"carried_{name}" in tracked:
                 total = total + scales.force**2 * scales.time / partner.impedance * tracked[f"carried_{name}"]
         loss = loss_to_waves(scene)
         return total if loss is None else total + loss * offered()
@@ -424,43 +447,40 @@ def _of_blow(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Array]:
     return found | {"carried_off": carried}
 
 
+def _carrying(partners: Iterable[Partner]) -> bool:
+    """Whether one of them carries off waves."""
+    return any(one.kind in ("bar", "plate") for one in partners)
+
+
 def _half(scales: Scales) -> Array:
     """Kinetic energy of the blow [J]."""
     return 0.5 * scales.force * scales.approach
 
 
-def _lacking(scene: Scene) -> dict[str, str]:
-    """What formulas read and the rig of a scene does not have -> why not."""
-    rig, found = RIGS[scene.rig], {}
-    if rig.contacts == 1:
-        found["difference"] = "with one contact the other force is nothing: the imbalance is 1 by definition"
-    if rig.name == "bars":
-        found |= dict.fromkeys(("parting", "touches"), "the record of bars ends at the first loss of contact")
-        found["carried_off"] = "bars carry waves both ways: history shows them"
-    else:
-        found["gap"] = "the record ends where the bodies part: retouches counts the gaps before the largest force"
-    if not rig.blow:
-        why = "no body meets the sphere with a speed: a wave, or a slow press, loads it"
-        found |= dict.fromkeys(("offered", "leaving", "parting_speed"), why)
-    elif loss_to_waves(scene) is None and not any(one and one.kind in ("bar", "plate") for one in scene.partners):
-        found["carried_off"] = "what stands at the poles carries nothing off here (a thick target: give its density)"
-    if rig.name == "platens":
-        found |= dict.fromkeys(
-            ("parting", "touches", "contact", "width", "carried_off", "impulse", "above"),
-            "platens press slowly and stay",
-        )
-        if not {"platens.speed", "platens.loading_rate"} & scene.columns.keys():
-            found["rise"] = 'how fast the platens press is not given: add speed = "1 mm/min" or loading_rate'
-    if rig.name != "bars" and not any(one is not None and np.any(one.reflection) for one in scene.partners):
-        found["x_first"] = "no wave comes back to the sphere"
-    if scene.contact_law == "damage":
-        found["dent_left"] = "a contact that takes damage keeps no dent"
-    elif all(one is None or one.face is None for one in scene.partners):
-        why = 'both bodies are elastic: add a table [contact] with law = "plastic"'
-        found |= dict.fromkeys(("dent_left", "dissipated"), why)
-    if scene.contact_law != "damage":
-        found["blow"] = 'blows leave no damage: add a table [contact] with law = "damage"'
-    return found
+#: columns that formulas read and some scenes do not have, which scenes, and why not
+_LACKING: Final[tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...]] = (
+    (("difference",), lambda s: RIGS[s.rig].contacts == 1,
+     "with one contact the other force is nothing: the imbalance is 1 by definition"),
+    (("parting", "touches"), lambda s: s.rig == "bars", "the record of bars ends at the first loss of contact"),
+    (("carried_off",), lambda s: s.rig == "bars", "bars carry waves both ways: history shows them"),
+    (("gap",), lambda s: s.rig != "bars",
+     "the record ends where the bodies part: retouches counts the gaps before the largest force"),
+    (("offered", "leaving", "parting_speed"), lambda s: not RIGS[s.rig].blow,
+     "no body meets the sphere with a speed: a wave, or a slow press, loads it"),
+    (("carried_off",), lambda s: RIGS[s.rig].blow and loss_to_waves(s) is None and not _carrying(s.there),
+     "what stands at the poles carries nothing off here (a thick target: give its density)"),
+    (("parting", "touches", "contact", "width", "carried_off", "impulse", "above"), lambda s: s.rig == "platens",
+     "platens press slowly and stay"),
+    (("rise",), lambda s: s.rig == "platens" and s.columns.keys().isdisjoint(("platens.speed", "platens.loading_rate")),
+     'how fast the platens press is not given: add speed = "1 mm/min" or loading_rate'),
+    (("x_first",), lambda s: s.rig != "bars" and not any(np.any(one.reflection) for one in s.there),
+     "no wave comes back to the sphere"),
+    (("dent_left",), lambda s: s.contact_law == "damage", "a contact that takes damage keeps no dent"),
+    (("dent_left", "dissipated"), lambda s: s.contact_law != "damage" and all(one.face is None for one in s.there),
+     'both bodies are elastic: add a table [contact] with law = "plastic"'),
+    (("blow",), lambda s: s.contact_law != "damage",
+     'blows leave no damage: add a table [contact] with law = "damage"'),
+)  # fmt: skip
 
 
 def absent_in(scene: Scene, quantity: str) -> str:
@@ -474,8 +494,7 @@ def absent_in(scene: Scene, quantity: str) -> str:
     if missing := sorted({name for name in roots if "." in name} - scene.columns.keys()):
         tables = " and ".join(sorted({f"[{name.partition('.')[0]}]" for name in missing}))
         return f"{quantity} needs {' and '.join(missing)}: add them in the table {tables}"
-    lacking = _lacking(scene)
-    return next((lacking[name] for name in lacking if name in roots), "")
+    return next((why for names, where, why in _LACKING if not roots.isdisjoint(names) and where(scene)), "")
 
 
 # --- answers of a batch -------------------------------------------------------------------------------
@@ -508,6 +527,17 @@ class Answers:
     record: Array
     steps: Places
     others: Mapping[str, Array] = field(default_factory=dict)
+
+    def at(self, rows: Places | Flags | slice) -> Answers:
+        """The answers of some of the rows."""
+        return Answers(
+            values={name: column[rows] for name, column in self.values.items()},
+            censored={name: column[rows] for name, column in self.censored.items()},
+            status=self.status[rows],
+            record=self.record[rows],
+            steps=self.steps[rows],
+            others={name: column[rows] for name, column in self.others.items()},
+        )
 
 
 def _value(scene: Scene, columns: Columns, quantity: str) -> Array:
@@ -605,8 +635,7 @@ def answers_from(
 def _wider_than_its_rod(scene: Scene, made: Mapping[str, Any]) -> Flags:
     """Rows of a rig other than bars whose contact is wider than the end of a bar that it is on."""
     found = np.zeros(len(scene), dtype=bool)
-    there = [partner for partner in scene.partners if partner is not None]
-    for partner, side in zip(there, made.get("sides", ()), strict=False):
+    for partner, side in zip(scene.there, made.get("sides", ()), strict=False):
         if partner.kind == "bar" and scene.rig != "bars":
             with np.errstate(invalid="ignore"):
                 found |= 2.0 * side["a_max"] > scene.columns[f"{partner.table}.diameter"]
@@ -616,24 +645,21 @@ def _wider_than_its_rod(scene: Scene, made: Mapping[str, Any]) -> Flags:
 def merged_answers(*parts: tuple[Places, Answers]) -> Answers:
     """Answers of one batch from those of some of its rows each; together they are all of them."""
     places, found = np.concatenate([rows for rows, _ in parts]), [part for _, part in parts]
-    order = None if np.all(places[1:] > places[:-1]) else np.argsort(places)
-
-    def put(columns: Iterable[npt.NDArray[_Kind]]) -> npt.NDArray[_Kind]:
-        whole = np.concatenate(list(columns))
-        return whole if order is None else whole[order]
-
-    others: dict[str, Array] = {}
     if any(part.others for part in found):
-        for name in found[0].values:
-            others[name] = put(part.others.get(name, np.full(len(part.status), np.nan)) for part in found)
-    return Answers(
-        values={name: put(part.values[name] for part in found) for name in found[0].values},
-        censored={name: put(part.censored[name] for part in found) for name in found[0].censored},
-        status=put(part.status for part in found),
-        record=put(part.record for part in found),
-        steps=put(part.steps for part in found),
-        others=others,
+        found = [replace(p, others=p.others or dict.fromkeys(p.values, np.full(len(p.status), np.nan))) for p in found]
+    whole = Answers(
+        values=_joined([part.values for part in found]),
+        censored=_joined([part.censored for part in found]),
+        status=np.concatenate([part.status for part in found]),
+        record=np.concatenate([part.record for part in found]),
+        steps=np.concatenate([part.steps for part in found]),
+        others=_joined([part.others for part in found]),
     )
+    return whole if np.all(places[1:] > places[:-1]) else whole.at(np.argsort(places))
+
+
+def _joined(tables: Sequence[Mapping[str, npt.NDArray[_Kind]]]) -> dict[str, npt.NDArray[_Kind]]:
+    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
 # --- equal blows on a sphere that takes damage: stiffness and fracture energy carried from one to the next ----
@@ -673,24 +699,12 @@ def after_blows(
             values={**found.values, "broke_at": counted},
             censored={**found.censored, "broke_at": ~breaks & answered(found.status)},
         )
-        parts.append((alive[last], _rows(told, last)))
+        parts.append((alive[last], told.at(last)))
         left[alive] = left[alive] * (1.0 - done)
         alive = alive[~last]
         if len(alive) == 0:
             break
     return merged_answers(*parts)
-
-
-def _rows(answers: Answers, which: Flags) -> Answers:
-    """Some rows of a batch of answers."""
-    return Answers(
-        values={name: column[which] for name, column in answers.values.items()},
-        censored={name: column[which] for name, column in answers.censored.items()},
-        status=answers.status[which],
-        record=answers.record[which],
-        steps=answers.steps[which],
-        others={name: column[which] for name, column in answers.others.items()},
-    )
 
 
 # --- the path to fracture -----------------------------------------------------------------------------

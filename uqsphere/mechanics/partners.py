@@ -182,7 +182,7 @@ def law_of(columns: Mapping[str, Array], table: str, *, rigid: bool = False, at_
 
 def softest_partner(scene: Scene) -> Body:
     """What the partner that yields first has of the law, row by row; infinite where none has an onset."""
-    tables = dict.fromkeys(partner.table for partner in scene.partners if partner is not None)
+    tables = dict.fromkeys(partner.table for partner in scene.there)
     return reduce(softer, [body_of(scene.columns, table, scene.rigid_contact) for table in tables])
 
 

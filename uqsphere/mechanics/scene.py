@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
@@ -367,24 +367,18 @@ class Scene:
     options: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.rig not in RIGS:
-            raise ValueError(f"unknown rig {self.rig!r} (allowed: {', '.join(RIGS)})")
-        if self.shape not in SHAPES and self.record is None:
-            raise ValueError(f"unknown pulse shape {self.shape!r} (allowed: {', '.join(SHAPES)})")
-        if self.contact_law not in CONTACT_LAWS:
-            raise ValueError(f"unknown contact law {self.contact_law!r} (allowed: {', '.join(CONTACT_LAWS)})")
-        if (self.shape == "measured") != (self.record is not None):
-            raise ValueError("a record belongs to the shape 'measured', and that shape needs one")
-        if self.shape not in STRIKER_SHAPES and not STRIKER_COLUMNS.isdisjoint(self.columns):
-            raise ValueError(f"a {self.shape} pulse does not follow from the striker's material or diameter")
+        words = (("rig", self.rig, RIGS), ("pulse shape", self.shape, SHAPES | {"measured": None}),
+                 ("contact law", self.contact_law, CONTACT_LAWS))  # fmt: skip
+        for what, found, allowed in words:
+            if found not in allowed:
+                raise ValueError(f"unknown {what} {found!r} (allowed: {', '.join(allowed)})")
         if missing := [name for name in self._needed if name not in self.columns]:
             raise ValueError(f"the scene lacks {', '.join(missing)}")
         if unknown := [name for name in self.columns if name not in INPUTS]:
             raise ValueError(f"unknown numbers of a scene: {', '.join(unknown)}")
-        if self.rig == "bars" and self.shape == "step" and self.horizon is None and self.infinite:
-            raise ValueError("a step pulse never ends: the record needs a horizon")
-        if self.horizon is not None and not 0.0 < self.horizon < np.inf:
-            raise ValueError(f"the horizon must be positive and finite, found {self.horizon!r} s")
+        for contradicts, why in _CONTRADICTIONS:
+            if contradicts(self):
+                raise ValueError(why.format(self))
         rows = {np.shape(column) for column in self.columns.values()}
         if len(rows) != 1 or len(next(iter(rows))) != 1:
             raise ValueError(f"every column must have shape (n,), found {sorted(map(str, rows))}")
@@ -494,6 +488,11 @@ class Scene:
         return partners_of(self)
 
     @property
+    def there(self) -> tuple[Partner, ...]:
+        """The partners that there are, A first."""
+        return tuple(one for one in self.partners if one is not None)
+
+    @property
     def contacts(self) -> int:
         """Faces at which the sphere is pressed."""
         return RIGS[self.rig].contacts
@@ -501,7 +500,7 @@ class Scene:
     @property
     def struck(self) -> Partner:
         """The partner whose face the scale factors are those of: the one that is struck first, A if both are."""
-        return next(one for one in self.partners if one is not None)
+        return self.there[0]
 
     @cached_property
     def closing_speed(self) -> Array:
@@ -591,10 +590,7 @@ class Scene:
         for name, column in self.columns.items():
             if name.partition(".")[2] in _CHECKED_ONLY and self.contact_law == "hertz":
                 continue
-            bound = INPUTS[name]
-            inside = (column >= bound.lower) & (column <= bound.upper)
-            if not bound.closed:
-                inside &= (column != bound.lower) & (column != bound.upper)
+            inside = np.asarray(INPUTS[name].allows(column))
             if name.endswith(("end_radius", "face_radius", "onset_pressure", "hardness")):
                 inside |= column == np.inf
             codes[~inside] = 1
@@ -604,10 +600,9 @@ class Scene:
                 codes[~(np.isfinite(number) & (number > 0.0))] = 1
             # what is shorter than this beside t_c is lost in the rounding of the times
             codes[scales.duration < _SHORTEST * scales.time] = 1
-            for partner in self.partners:
-                if partner is not None and partner.face is not None:
-                    codes[~partner.face.valid] = 1
-            if any(one is not None and one.kind == "bar" for one in self.partners):
+            for face in (one.face for one in self.there if one.face is not None):
+                codes[~face.valid] = 1
+            if any(one.kind == "bar" for one in self.there):
                 brief = (self.round_trips < _SHORTEST * scales.time[:, None]) & (self.reflections != 0.0)
                 codes[brief.any(axis=1)] = 1
             if self.rig != "bars":
@@ -621,3 +616,16 @@ class Scene:
                 too_long = self.pulse.end > self.round_trips[:, 0] * (1.0 + 1e-9)
                 codes[(codes == 0) & too_long & (self.reflections[:, 0] != 0.0)] = 2
         return codes
+
+
+#: what the words of a scene and its columns may not be together, and why
+_CONTRADICTIONS: Final[tuple[tuple[Callable[[Scene], bool], str], ...]] = (
+    (lambda s: (s.shape == "measured") != (s.record is not None),
+     "a record belongs to the shape 'measured', and that shape needs one"),
+    (lambda s: s.shape not in STRIKER_SHAPES and not STRIKER_COLUMNS.isdisjoint(s.columns),
+     "a {0.shape} pulse does not follow from the striker's material or diameter"),
+    (lambda s: s.rig == "bars" and s.shape == "step" and s.horizon is None and s.infinite,
+     "a step pulse never ends: the record needs a horizon"),
+    (lambda s: s.horizon is not None and not 0.0 < s.horizon < np.inf,
+     "the horizon must be positive and finite, found {0.horizon!r} s"),
+)  # fmt: skip

@@ -119,8 +119,8 @@ def _contact_over_radius(scene: Scene, answers: Answers) -> Array | str:
 
 def _bars_of(scene: Scene) -> list[tuple[Partner, Array]]:
     """Partners that are bars, and their diameters."""
-    there = dict.fromkeys(one.table for one in scene.partners if one is not None and one.kind == "bar")
-    first = {one.table: one for one in scene.partners if one is not None}
+    there = dict.fromkeys(one.table for one in scene.there if one.kind == "bar")
+    first = {one.table: one for one in scene.there}
     return [(first[table], scene.columns[f"{table}.diameter"]) for table in there]
 
 
@@ -181,8 +181,8 @@ def _static(body_of: Callable[[Scene], Body]) -> Callable[[Scene, Answers, Flags
 def _over_partner_onset(scene: Scene, answers: Answers) -> Array | str:
     """The pressure that the largest force is at each face over that at which its partner yields; the largest."""
     found = []
-    for one in dict.fromkeys(one.table for one in scene.partners if one is not None):
-        partner = next(part for part in scene.partners if part is not None and part.table == one)
+    for one in dict.fromkeys(one.table for one in scene.there):
+        partner = next(part for part in scene.there if part.table == one)
         onset = body_of(scene.columns, one, scene.rigid_contact).onset
         pressure = contact.pressure_at_force(answers.values["P_max"], partner.modulus, partner.effective_radius)
         found.append(pressure / np.where(np.isfinite(onset), _positive(onset), np.nan))
@@ -196,7 +196,7 @@ def _depth(scene: Scene, answers: Answers) -> Array | str:
 
 def _of_faces(scene: Scene, answers: Answers, pick: Callable[[Face, Array], Array]) -> Array | str:
     """The largest over the faces that yield of what is picked at the depth of the largest force."""
-    faces = [one.face for one in scene.partners if one is not None and isinstance(one.face, Face)]
+    faces = [one.face for one in scene.there if isinstance(one.face, Face)]
     with np.errstate(all="ignore"):
         found = [pick(face, face.depth_at(np.asarray(answers.values["P_max"]))) for face in faces]
     return np.maximum.reduce(found) if found else _NO_FACE
@@ -206,7 +206,7 @@ def _other_onset(scene: Scene, answers: Answers) -> Array | str:
     """Onset of the harder body over that of the softer one, the least of the faces that yield; 1 where the harder body
     has the lower hardness."""
     sphere, found = sphere_body(scene.columns), []
-    for one in (one for one in scene.partners if one is not None and isinstance(one.face, Face)):
+    for one in (one for one in scene.there if isinstance(one.face, Face)):
         body = body_of(scene.columns, one.table, scene.rigid_contact)
         with np.errstate(invalid="ignore", divide="ignore"):
             ratio = np.maximum(body.onset, sphere.onset) / np.minimum(body.onset, sphere.onset)
@@ -274,7 +274,7 @@ def _transits(time: str) -> Callable[[Scene, Answers], Array | str]:
 
 
 def _struck_plate(scene: Scene) -> Partner | None:
-    return next((one for one in scene.partners if one is not None and one.kind == "plate"), None)
+    return next((one for one in scene.there if one.kind == "plate"), None)
 
 
 def _thin_plate(scene: Scene, answers: Answers) -> Array | str | None:

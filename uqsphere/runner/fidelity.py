@@ -266,7 +266,7 @@ def first_look(work: Work) -> Pilot:
     scene, half = scene_of(study, values, count), max(count // 2, 1)
     few = scene_of(study, {name: column[:half] for name, column in values.items()}, half)
     full = solved(work, "pilot.full", scene, all_with(scene, work.quantities))
-    same = _head(full, half)
+    same = full.at(slice(half))
     scatter = np.array([_scatter(full, name) for name in work.quantities])
     asked, bound = study.model.fidelity, allowed_error(study)
     candidates = []
@@ -305,16 +305,6 @@ def solved(
         work.store, key, scene, about,
         lambda: solve_scene(scene, fidelity, tolerance=tolerance, threads=threads, quantities=quantities),
     )  # fmt: skip
-
-
-def _head(answers: Answers, count: int) -> Answers:
-    """The first rows of a batch of answers."""
-    return replace(
-        answers,
-        values={name: column[:count] for name, column in answers.values.items()},
-        censored={name: column[:count] for name, column in answers.censored.items()},
-        **{key: getattr(answers, key)[:count] for key in ("status", "record", "steps")},
-    )
 
 
 def _scatter(full: Answers, name: str) -> float:

@@ -92,7 +92,7 @@ def carried_far(study: Study) -> list[CheckEntry]:
     if not limits:
         return []
     scene = scene_of(study, {})
-    here = [float(one.modulus[0]) for one in scene.partners if one is not None]
+    here = [float(one.modulus[0]) for one in scene.there]
     E, nu, radius = (float(scene.columns[f"sphere.{key}"][0]) for key in ("E", "nu", "radius"))
     ratios: dict[str, dict[str, float]] = {name: {} for name in FAR}
     for limit in limits:
