@@ -8,13 +8,16 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.errors import AccessError, ModelError, ModelRaised, UsageError, told
 from uqsphere.files import read_given
+
+if TYPE_CHECKING:
+    from types import FunctionType
 
 BlackBox = Callable[[dict[str, npt.NDArray[np.float64]]], Mapping[str, Any]]
 
@@ -236,9 +239,7 @@ def _parts_of(value: object, seen: set[int]) -> Iterator[bytes]:
     What can change (lists, tables, the attributes of an object, names that a function gives values to) may be a counter
     or a cache, and is left out.
     """
-    import dis
     import functools
-    import inspect
     from types import FunctionType, MethodType
 
     if id(value) in seen:
@@ -256,17 +257,24 @@ def _parts_of(value: object, seen: set[int]) -> Iterator[bytes]:
     elif isinstance(value, MethodType):
         yield from _parts_of(value.__func__, seen)
     elif isinstance(value, FunctionType):
-        with contextlib.suppress(OSError, TypeError):
-            yield inspect.getsource(value).encode()
-        outside = inspect.getclosurevars(value)
-        counters = {
-            step.argval for step in dis.get_instructions(value) if step.opname in ("STORE_DEREF", "STORE_GLOBAL")
-        }
-        for name, part in sorted({**outside.globals, **outside.nonlocals}.items()):
-            if name in counters:
-                continue
-            yield name.encode()
-            yield from _parts_of(part, seen)
-        yield from _parts_of((*(value.__defaults__ or ()), *(value.__kwdefaults__ or {}).items()), seen)
+        yield from _parts_of_function(value, seen)
     elif callable(value) and isinstance(getattr(type(value), "__call__", None), FunctionType):  # noqa: B004
         yield from _parts_of(type(value).__call__, seen)
+
+
+def _parts_of_function(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
+    """Its source, what it takes from outside but for the names that it gives values to, and its defaults."""
+    import dis
+    import inspect
+
+    with contextlib.suppress(OSError, TypeError):
+        yield inspect.getsource(function).encode()
+    outside = inspect.getclosurevars(function)
+    counters = {
+        step.argval for step in dis.get_instructions(function) if step.opname in ("STORE_DEREF", "STORE_GLOBAL")
+    }
+    for name, part in sorted({**outside.globals, **outside.nonlocals}.items()):
+        if name not in counters:
+            yield name.encode()
+            yield from _parts_of(part, seen)
+    yield from _parts_of((*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).items()), seen)

@@ -194,11 +194,7 @@ class Server:
         missing = [name for name in names if name not in inputs]
         if missing:
             raise ModelError(f"model.inputs names {missing[0]!r}, which is no input of the study")
-        if self.sizes is None:
-            self.sizes = [int(size) for size in self._ask("InputSizes")["inputSizes"]]
-            if sum(self.sizes) != len(names):
-                raise ModelError(f"{table.name} takes {sum(self.sizes)} inputs, {len(names)} are named in model.inputs")
-        cuts = np.cumsum(self.sizes)[:-1]
+        cuts = np.cumsum(self._sizes(len(names)))[:-1]
         rows = np.stack([np.asarray(inputs[name], dtype=float) for name in names], axis=1)
         found = np.full((len(rows), len(answers)), np.nan)
         for k, row in enumerate(rows):
@@ -208,6 +204,14 @@ class Server:
                 raise ModelError(f"{table.name} gave {len(given)} outputs, {len(answers)} are named in model.answers")
             found[k] = given
         return {name: found[:, k] for k, name in enumerate(answers)}
+
+    def _sizes(self, count: int) -> list[int]:
+        """How many of its `count` inputs each vector holds that the server takes; asked once."""
+        if self.sizes is None:
+            self.sizes = [int(size) for size in self._ask("InputSizes")["inputSizes"]]
+            if sum(self.sizes) != count:
+                raise ModelError(f"{self.table.name} takes {sum(self.sizes)} inputs, {count} are named in model.inputs")
+        return self.sizes
 
     def _ask(self, what: str, **more: Raw) -> dict[str, Raw]:
         """The answer to one request."""

@@ -291,15 +291,8 @@ def answer_black_box(
     found = call_black_box(box, given)
     if not isinstance(found, Mapping):
         raise ModelError(f"the model must return a dict of output name -> array, found {told(type(found).__name__)}")
-    found = _unfolded(found, outputs)
     due = [needed is None or name in needed for name in outputs]
-    try:
-        columns = [_output(found, name, len(rows), must) for name, must in zip(outputs, due, strict=True)]
-    except ModelError:
-        raise
-    except Exception as error:  # a mapping of the model's own answers as it likes
-        raise ModelError(f"what the model returned cannot be read: {type(error).__name__}: {told(error)}") from error
-    values = np.stack(columns, axis=1)
+    values = _outputs(_unfolded(found, outputs), dict(zip(outputs, due, strict=True)), len(rows))
     known: npt.NDArray[np.bool_] = np.isfinite(values)
     finite = np.all(known[:, due], axis=1)
     note = ""
@@ -343,6 +336,16 @@ def _unfolded(found: Mapping[str, npt.ArrayLike], outputs: Sequence[str]) -> Map
 def _no_rows(quantities: Sequence[str]) -> Answered:
     empty = np.zeros((0, len(quantities)))
     return Answered(values=empty, censored=empty.astype(bool), status=np.zeros(0, dtype=np.int64))
+
+
+def _outputs(found: Mapping[str, npt.ArrayLike], due: Mapping[str, bool], count: int) -> Array:
+    """The outputs of the model as (count, q) numbers."""
+    try:
+        return np.stack([_output(found, name, count, must) for name, must in due.items()], axis=1)
+    except ModelError:
+        raise
+    except Exception as error:  # a mapping of the model's own answers as it likes
+        raise ModelError(f"what the model returned cannot be read: {type(error).__name__}: {told(error)}") from error
 
 
 def _output(found: Mapping[str, npt.ArrayLike], name: str, count: int, due: bool) -> Array:

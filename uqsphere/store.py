@@ -19,7 +19,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,9 @@ import numpy.typing as npt
 import uqsphere
 from uqsphere.errors import AccessError, FolderError
 from uqsphere.files import LARGEST_ARRAY, Json, chunk_of, digest_of, load_document, read_whole, refuse_links
+
+if TYPE_CHECKING:
+    from filelock import FileLock
 
 #: name of a stored chunk: its key and the first 16 digits of the checksum of its content
 CHUNK_NAME = re.compile(r"(?P<key>[a-z0-9.-]+)_(?P<digest>[0-9a-f]{16})\.npy")
@@ -346,6 +349,19 @@ def _check_owner(
     return another
 
 
+def _locked(folder: Path) -> FileLock:
+    """The lock of a folder, taken; FolderError where another process has it."""
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(folder / ".lock", timeout=0)
+    with _system_errors(folder):
+        try:
+            lock.acquire()
+        except Timeout as error:  # an OSError itself, so it must not get to the outer block
+            raise FolderError(f"{folder} is locked: another run is at work on it") from error
+    return lock
+
+
 def open_store(
     folder: Path,
     resolved: dict[str, Json],
@@ -373,8 +389,6 @@ def open_store(
     AccessError
         When the system refuses to create or write it.
     """
-    from filelock import FileLock, Timeout
-
     with _system_errors(folder):
         occupied = folder.exists() and not folder.is_dir()
     if occupied:
@@ -383,13 +397,7 @@ def open_store(
     _check_owner(folder, study_hash, resolved, model, fresh, extension)
     with _system_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(folder / ".lock", timeout=0)
-    with _system_errors(folder):
-        try:
-            lock.acquire()
-        except Timeout as error:  # an OSError itself, so it must not get to the outer block
-            raise FolderError(f"{folder} is locked: another run is at work on it") from error
-    store = Store(folder=folder, lock=lock)
+    store = Store(folder=folder, lock=_locked(folder))
     try:
         # once more, now that nobody else can change it
         extended = _check_owner(folder, study_hash, resolved, model, fresh, extension)

@@ -142,10 +142,10 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
     table = UNITS[dimension]
     example = example or next(iter(table))
     allowed = ", ".join(unit for unit in table if unit.isascii() and "^" not in unit)
+    with_unit, such = ("", "0.25") if dimension == "number" else (" with a unit", f'"1.5 {example}"')
     if isinstance(text, bool) or not isinstance(text, (int, float, str)):
         names: dict[type, str] = {bool: "a boolean", list: "an array", dict: "a table", type(None): "nothing"}
-        kind = names.get(type(text), f"a {type(text).__name__}")
-        raise UnitError(f"expected a number{'' if dimension == 'number' else ' with a unit'}, found {kind}")
+        raise UnitError(f"expected a number{with_unit}, found {names.get(type(text), f'a {type(text).__name__}')}")
     if isinstance(text, (int, float)):
         if dimension != "number":
             bare = bare_number(text)
@@ -154,8 +154,7 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
     stripped = text.strip()
     match = _NUMBER.match(stripped)
     if match is None:
-        such = "0.25" if dimension == "number" else f'"1.5 {example}"'
-        raise UnitError(f"{text!r} is not a number{'' if dimension == 'number' else ' with a unit'}, such as {such}")
+        raise UnitError(f"{text!r} is not a number{with_unit}, such as {such}")
     number, unit = match.group(), stripped[match.end() :].strip()
     if dimension == "number":
         if unit:

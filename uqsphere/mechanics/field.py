@@ -32,6 +32,12 @@ class Waves:
     leaving_a: Array
     leaving_b: Array
 
+    @classmethod
+    def none(cls, count: int) -> Waves:
+        """Where nothing moves."""
+        still = np.zeros(count)
+        return cls(incident=still, returning=still, leaving_a=still, leaving_b=still)
+
 
 def leaving(motion: Motion, bar: int, times: Array, *, sides: Array | None = None) -> Array:
     """The wave that leaves a face at `times` [s], (m,) [m/s]: g_A of the incident bar (0), k_B of the receiving (1).

@@ -365,18 +365,10 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
     lost = next((change.time for change in changes if change.kind == "lost" and scene.rig == "bars"), np.inf)
     first, later = largest(found, 0.0, lost), largest(found, lost, horizon)
     times, sides = _instants(found, points, [event.time for event in (*changes, first, later) if event is not None])
-    states = found.states_at(times)
-    still = np.zeros(len(times))
-    waves = Waves(incident=still, returning=still, leaving_a=still, leaving_b=still)
-    if scene.rig == "bars":
-        waves = waves_at(found, times, sides=sides)
-    forces = list(found.forces_at(times).T)
+    states, forces = found.states_at(times), found.forces_at(times).T
+    waves = waves_at(found, times, sides=sides) if scene.rig == "bars" else Waves.none(len(times))
     balance = balance_of(found, times) if fidelity == "full" and damper is None else None
-    if balance is not None and balance.dent.max() > 0.0:
-        approaches, pressures = list(balance.approach), list(balance.mean_pressure)
-    else:
-        approaches = [states[:, 0], states[:, 1]]
-        pressures = [np.asarray(found.pressure_at(force, pole)) for pole, force in enumerate(forces)]
+    approaches, pressures = _pressed(found, states, forces, balance)
     # without mass the sphere moves with the mean of the two bar ends; the integrator has no velocity for it
     velocity = waves.incident + waves.returning if fidelity == "massless" else states[:, 2]
     scales = scene.scales
@@ -389,6 +381,13 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
         modulus=float(scales.modulus[row]), effective_radius=float(scales.effective_radius[row]),
         hertz_constant=float(scales.hertz_constant[row]), fidelity=fidelity, motion=found, balance=balance,
     )  # fmt: skip
+
+
+def _pressed(found: Motion, states: Array, forces: Array, balance: Balance | None) -> tuple[Array, Array]:
+    """Approaches and pressures (2, m) of both faces, as the balance has them where a dent stays."""
+    if balance is not None and balance.dent.max() > 0.0:
+        return balance.approach, balance.mean_pressure
+    return states[:, :2].T, np.stack([found.pressure_at(force, pole) for pole, force in enumerate(forces)])
 
 
 def force_courses(courses: Sequence[Motion], times: Array) -> Array:

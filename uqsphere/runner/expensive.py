@@ -226,10 +226,9 @@ class Surrogates:
         lost = ~np.isfinite(answers.T)
         lost[:, own] = [self.design.lost(quantity)[0] for quantity in work.quantities]
         made: dict[str, Response] = {}
-        for pattern in np.unique(lost, axis=0):
-            # outputs that miss the same rows are fitted together
-            these = [k for k, one in enumerate(lost) if (one == pattern).all()]
-            known = ~pattern
+        # outputs that miss the same rows are fitted together
+        for known in ~np.unique(lost, axis=0):
+            these = np.flatnonzero((lost != known).all(axis=1)).tolist()
             if self.size >= SURROGATE.first <= 2 * int(known[own].sum()) and (drop or known[own].all()):
                 found = cross_fit(points[known], answers[known][:, these], work.germs, active=work.active)
                 found = [one.of_rows(own[known]) for one in found] if more else found

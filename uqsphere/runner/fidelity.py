@@ -71,6 +71,11 @@ class Candidate:
         return self.fallback is not None and _passes(self.mixed_error, bound)
 
     @property
+    def told_error(self) -> dict[str, float | None]:
+        """The error of what serves: by itself, or mixed with `full`."""
+        return self.error if self.fallback_share == 0.0 else self.mixed_error
+
+    @property
     def mixed_cost(self) -> float:
         """Cost of a row of the mixture over that of a row of `full`."""
         return self.fallback_share + (1.0 - self.fallback_share) * self.cost
@@ -275,11 +280,13 @@ def first_look(work: Work) -> Pilot:
         candidates.append(_candidate(fidelity, cheap, same, few, work, scatter, row_cost(cheap) / row_cost(full)))
     taken = _choose(candidates, bound) if asked == "auto" else None
     chosen = taken.fidelity if taken else asked.replace("auto", "full")
-    measured: Mapping[str, float | None] = candidates[0].error if candidates else {}
+    measured: Mapping[str, float | None] = {}
     if taken:
-        measured = taken.error if taken.fallback_share == 0.0 else taken.mixed_error
-    elif chosen == "full":
-        measured = _own_error(work, few, same, scatter) if count > 1 else {}
+        measured = taken.told_error
+    elif chosen != "full":
+        measured = candidates[0].error if candidates else {}
+    elif count > 1:
+        measured = _own_error(work, few, same, scatter)
     return Pilot(
         chosen=chosen,
         why=_why(asked, chosen, taken, measured, candidates, bound),

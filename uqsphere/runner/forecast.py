@@ -539,8 +539,9 @@ def plan_run(study: Study) -> Plan:
 
     Seconds are None for a black box whose cost is not given, and so is its way where the cost decides.
     """
+    services = {name: plan_run(service) for name, service in study.services.items()}
     if study.rig == "none":
-        return {"services": {name: plan_run(service) for name, service in study.services.items()}}
+        return {"services": services}
     way = choose_way(study)
     parts = forecast(study, way.affordable, way.surrogate)
     told = study.analysis.cost is not None or "auto" not in study.analysis.methods
@@ -557,8 +558,8 @@ def plan_run(study: Study) -> Plan:
     }
     if room := room_of(study, way):
         plan["room"] = room
-    if study.services:
-        plan["services"] = {name: plan_run(service) for name, service in study.services.items()}
+    if services:
+        plan["services"] = services
     if study.black_box:
         _time_black_box(study, plan, way)
     else:

@@ -263,12 +263,8 @@ def evaluate_along(work: Work, key: str, normals: Array, values: Array) -> Answe
 def _learned(work: Work, limit: Limit, wide: _Wide, room: int, before: MarginAnswer | None) -> MarginAnswer:
     """The values that no surrogate gives, each learned with an equal part of the room; the others as they were."""
     axis, known = axis_of(work), {} if before is None else before.values
-    lacking = f"{limit.quantity} has no surrogate over {axis.path}"
-    if len(work.drawn.names) >= MOST_LEARNED or tied_strength(work, limit) or not wide.runs:
-        return before or _nothing(f"{lacking}, and cannot be learned")
-    if room < (least := least_learned(len(work.drawn.names) + 1, looks=1)):
-        said = f"it takes {least} evaluations more at least to learn where {limit.name} has them"
-        return before or _nothing(f"{lacking}: {said}")
+    if why := _not_learned(work, limit, wide, room):
+        return before or _nothing(f"{limit.quantity} has no surrogate over {axis.path}{why}")
     known = {p: e for p, e in known.items() if e.value is not None}
     targets = [p for p in asked_probabilities(work, limit) if p not in known]
     space = limit_space(work, limit, work.study.limits.index(limit))
@@ -287,6 +283,15 @@ def _learned(work: Work, limit: Limit, wide: _Wide, room: int, before: MarginAns
 
     told = _answer(work, limit, exceeding, len(wide.values) + evaluator.count, METHOD_LEARNED)
     return replace(told, values={**told.values, **known})
+
+
+def _not_learned(work: Work, limit: Limit, wide: _Wide, room: int) -> str:
+    """Why the values of a limit cannot be learned, or an empty text."""
+    if len(work.drawn.names) >= MOST_LEARNED or tied_strength(work, limit) or not wide.runs:
+        return ", and cannot be learned"
+    if room < (least := least_learned(len(work.drawn.names) + 1, looks=1)):
+        return f": it takes {least} evaluations more at least to learn where {limit.name} has them"
+    return ""
 
 
 def _along(work: Work, space: LimitSpace) -> Callable[[Array], Array]:

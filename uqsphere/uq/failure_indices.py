@@ -367,7 +367,7 @@ def failure_shares(
     >>> failure_shares(scores, np.array([1.0, 1.0, 0.0, 0.0]))[0].tolist()
     [1.0, 0.0]
     """
-    from scipy.special import ndtr, ndtri
+    from scipy.special import ndtri
 
     n = len(weight)
     mass = float(weight.sum())
@@ -387,16 +387,21 @@ def failure_shares(
             return np.square(centre / length), BY_DIRECTION
         weights, remaining = regression or (np.zeros(scores.shape[1]), 1.0)
         return linear_shares(joint, centre / length, np.zeros(scores.shape[1]), weights, remaining), BY_DIRECTION
-    own_scores = scores if joint is None else joint.scores(scores)
-    information = [_divergence(ndtr(own_scores[:, k]), weight) for k in range(scores.shape[1])]
+    information = _divergences(scores if joint is None else joint.scores(scores), weight, strength)
+    total = sum(information)
+    return (np.array(information) / total, BY_INFORMATION) if total > 0.0 else None
+
+
+def _divergences(scores: Array, weight: Array, strength: Array | None) -> list[float]:
+    """Divergence of every input's law given failure from its own, that of an integrated strength the last."""
+    from scipy.special import ndtr, ndtri
+
+    found = [_divergence(ndtr(column), weight) for column in scores.T]
     if strength is not None:
         edges = ndtri(np.arange(_CLASSES + 1) / _CLASSES)
         below = ndtr(np.minimum(edges[:, None], strength)).sum(axis=1)
-        information.append(max(_relative_entropy(np.diff(below) / mass), 0.0))
-    total = sum(information)
-    if not total > 0.0:
-        return None
-    return np.array(information) / total, BY_INFORMATION
+        found.append(max(_relative_entropy(np.diff(below) / float(weight.sum())), 0.0))
+    return found
 
 
 def _divergence(levels: Array, weight: Array) -> float:

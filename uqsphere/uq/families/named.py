@@ -38,25 +38,23 @@ class Functions:
     pdf: Callable[..., Array]
     moments: Callable[..., tuple[float, float]]
 
+    def mean_and_variance(self, numbers: Shapes) -> tuple[float, float]:
+        """As plain floats, of the law with these shapes."""
+        mean, variance = self.moments(*numbers)
+        return float(mean), float(variance)
+
+    def tail_order(self, numbers: Shapes, quantile: Callable[..., Array]) -> float:
+        """The first moment that a tail does not have, 1 or 2; infinite where both are there."""
+        far = np.abs(quantile(np.array([1e-6, 1e-12]), *numbers))
+        moments = self.mean_and_variance(numbers) if far[1] > _HEAVY * far[0] else (0.0, 0.0)
+        return next((order for order, moment in enumerate(moments, start=1) if not math.isfinite(moment)), math.inf)
+
 
 def wrapped(name: str, law: Functions, shapes: tuple[str, ...] = ()) -> Family:
     """A family whose functions are those of another package's law, moved by `loc` and stretched by `scale`."""
 
     def own(function: Callable[..., Array]) -> Standard:
         return lambda values, numbers: np.asarray(function(values, *numbers), dtype=float)
-
-    def moments(numbers: Shapes) -> tuple[float, float]:
-        mean, variance = law.moments(*numbers)
-        return float(mean), float(variance)
-
-    def order(numbers: Shapes, quantile: Callable[..., Array]) -> float:
-        far = np.abs(quantile(np.array([1e-6, 1e-12]), *numbers))
-        if not far[1] > _HEAVY * far[0]:
-            return math.inf
-        mean, variance = moments(numbers)
-        if math.isfinite(variance):
-            return math.inf
-        return 2.0 if math.isfinite(mean) else 1.0
 
     def canonical(given: dict[str, float], lower: float, upper: float) -> dict[str, float]:
         _check_tails(name, law, tuple(given[key] for key in shapes), shapes[0] if shapes else "")
@@ -81,10 +79,10 @@ def wrapped(name: str, law: Functions, shapes: tuple[str, ...] = ()) -> Family:
         ppf=own(law.ppf),
         isf=own(law.isf),
         pdf=own(law.pdf),
-        mean=lambda numbers: moments(numbers)[0],
-        sd=lambda numbers: math.sqrt(moments(numbers)[1]),
-        heavy_lower=lambda numbers: order(numbers, law.ppf),
-        heavy_upper=lambda numbers: order(numbers, law.isf),
+        mean=lambda numbers: law.mean_and_variance(numbers)[0],
+        sd=lambda numbers: math.sqrt(law.mean_and_variance(numbers)[1]),
+        heavy_lower=partial(law.tail_order, quantile=law.ppf),
+        heavy_upper=partial(law.tail_order, quantile=law.isf),
         fit=no_fit,
     )
 

@@ -13,8 +13,10 @@ doi 10.1111/j.1467-9469.2011.00756.x).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import count, islice
 
 import numpy as np
 
@@ -199,35 +201,39 @@ def importance_sampling(
     """
     begun = evaluator.count
     block = max(block, 2 * len(mixture.components))
-    counts, drawn_mixture = _as_drawn(mixture, block)
     table: _Drawn | None = None
-    blocks, goal = 0, 1
+    stages = _blocks(evaluator, mixture, block, most, seed=seed, task=task)
+    done, more = 0, 1
     while True:
-        stage = []
-        try:
-            while blocks < goal:
-                left = min(evaluator.left, most - (evaluator.count - begun))
-                if left < REPLICATES * block:
-                    if blocks and (rest := int(left) // REPLICATES) >= len(mixture.components):
-                        # a last, smaller block of its own leaves nothing over
-                        few, drawn = _as_drawn(mixture, rest)
-                        stage.append(_one_block(evaluator, drawn, few, seed, f"{task}, the rest", 0))
-                    raise Spent
-                stage.append(_one_block(evaluator, drawn_mixture, counts, seed, task, blocks))
-                blocks += 1
-        except Spent:
-            goal = 0
+        stage = list(islice(stages, more))
         for fresh in stage:
             table = fresh if table is None else table.join(fresh)
         if table is None:
             return _nothing(evaluator, mixture, evaluator.count - begun)
         estimate = _estimate(table, evaluator.count - begun, evaluator.limit.integrated)
-        if goal == 0 or (estimate.value and estimate.half_width <= accuracy * estimate.value):
+        if len(stage) < more or (estimate.value and estimate.half_width <= accuracy * estimate.value):
             break
         if stop is not None and stop(table.weights):
             break
-        goal = 2 * blocks if blocks < 4 else blocks + max(1, blocks // 2)
-    return _summary(table, estimate, drawn_mixture)
+        done += more
+        more = done if done < 4 else done // 2
+    return _summary(table, estimate, _as_drawn(mixture, block)[1])
+
+
+def _blocks(
+    evaluator: Evaluator, mixture: Mixture, block: int, most: float, *, seed: int, task: str
+) -> Iterator[_Drawn]:
+    """Blocks of points until the budget, or `most` evaluations, are spent; a last, smaller one leaves nothing over."""
+    begun, (counts, drawn) = evaluator.count, _as_drawn(mixture, block)
+    with suppress(Spent):
+        for number in count():
+            left = min(evaluator.left, most - (evaluator.count - begun))
+            if left < REPLICATES * block:
+                break
+            yield _one_block(evaluator, drawn, counts, seed, task, number)
+        if number and (rest := int(left) // REPLICATES) >= len(mixture.components):
+            few, last = _as_drawn(mixture, rest)
+            yield _one_block(evaluator, last, few, seed, f"{task}, the rest", 0)
 
 
 def _as_drawn(mixture: Mixture, block: int) -> tuple[Sequence[int], Mixture]:
