@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypedDict, Unpack
 
 import numpy as np
 
@@ -29,6 +29,31 @@ if TYPE_CHECKING:
     from uqsphere.runner.workers import Executor, Workers
 
 
+class Watch(TypedDict, total=False):
+    """What a run heeds on its way, and whom it tells; None: as if it were not there.
+
+    seconds : float
+        Time budget in place of the study's.
+    progress : callable(stage, done, total)
+    notice : callable(text)
+        Told the verdict on the limits as soon as it is known, before the sensitivities are refined.
+    stop : callable() -> bool
+        Asked before every call of the model; once it is true the run ends with what is there, and its manifest says
+        `interrupted`.  The same study in the same folder goes on from there.
+    reached : callable(rows)
+        Told the errors of every stage: dicts with `quantity`, `error`, `error_kind`, `evaluations`.
+    draft : callable(results, manifest)
+        Given the results as far as they are known when the verdicts are, before curves and indices.
+    """
+
+    seconds: float | None
+    progress: Callable[[str, int, int], None] | None
+    notice: Callable[[str], None] | None
+    stop: Callable[[], bool] | None
+    reached: Callable[[list[dict[str, Any]]], None] | None
+    draft: Callable[[Results, Manifest], None] | None
+
+
 def run(
     study: Study,
     model: str | BlackBox | None = None,
@@ -38,12 +63,7 @@ def run(
     threads: int | None = None,
     fresh: bool = False,
     extend: bool = False,
-    seconds: float | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
-    notice: Callable[[str], None] | None = None,
-    stop: Callable[[], bool] | None = None,
-    reached: Callable[[list[dict[str, Any]]], None] | None = None,
-    draft: Callable[[Results, Manifest], None] | None = None,
+    **watch: Unpack[Watch],
 ) -> Run:
     """Run a study, with the model that a black-box study is about.
 
@@ -67,19 +87,8 @@ def run(
         Drop what an earlier run of the same study stored.
     extend : bool
         Let a folder of another study with the same inputs be gone on with (`uqsphere.runner.api`).
-    seconds : float, optional
-        Time budget in place of the study's.
-    progress : callable(stage, done, total), optional
-    notice : callable(text), optional
-        Told the verdict on the limits as soon as it is known, before the sensitivities are refined.
-    stop : callable() -> bool, optional
-        Asked before every call of the model; once it is true the run ends with what is there, and its manifest says
-        `interrupted`.  The same study in the same folder goes on from there.
-    reached : callable(rows), optional
-        Told the errors of every stage: dicts with `quantity`, `error`, `error_kind`, `evaluations`.
-
-    draft : callable(results, manifest), optional
-        Given the results as far as they are known when the verdicts are, before curves and indices.
+    **watch : `Watch`
+        What the run heeds and whom it tells: `seconds`, `progress`, `notice`, `stop`, `reached`, `draft`.
 
     Raises
     ------
@@ -88,79 +97,88 @@ def run(
     KeyboardInterrupt
         When `stop` ends the run before there is anything to report.
     """
-    from threadpoolctl import threadpool_limits
-
-    from uqsphere.runner.analyse import analyse
-    from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work
     from uqsphere.runner.finished import Keeper
-    from uqsphere.runner.workers import Engine, workers_of
 
-    _check_usage(study, model, executor)
-    check_range(study)
-    check_quantities(study)
-    reference = model if isinstance(model, str) else None
-    seconds = study.analysis.budget.time if seconds is None else seconds
+    conduct = _Conduct(model=model, executor=executor, threads=threads, fresh=fresh, extend=extend, watch=watch)
+    conduct.check(study)
     keeper = Keeper() if out is None else None
     folder = keeper.folder if keeper is not None else Path(str(out))
-    digest = None if model is None else model_digest(model)
-    engine = Engine(
-        given=workers_of(executor),
-        most=threads,
-        model=reference,
-        limited=study.analysis.time_limit is not None,
-    )
+    seconds = watch.get("seconds")
+    found = conduct.run(study, folder, study.analysis.budget.time if seconds is None else seconds)
+    return replace(found, keeper=keeper)
 
-    def one(service: Study, place: Path, left: float) -> Run:
-        return run(service, out=place, executor=executor, threads=threads, fresh=fresh, extend=extend, seconds=left,
-                   progress=progress, notice=notice, stop=stop, reached=reached)  # fmt: skip
 
-    with contextlib.ExitStack() as opened:
-        opened.callback(engine.close)
-        if digest is not None:
-            engine.load(digest, seconds)
-        store = open_store(
-            folder,
-            {**study.resolved(), "overrides": list(study.overrides), "model_reference": reference},
-            study.text,
-            study.hash,
-            fresh=fresh,
-            model=digest,
-            extension=why_not_extended if extend else None,
-        )
-        opened.callback(store.close)
-        # the seconds are shared evenly among the parts to come, the rig's own run among them
-        end, services = time.monotonic() + seconds, dict[str, Results]()
+@dataclass(frozen=True, kw_only=True)
+class _Conduct:
+    """By which model, where and with whose eyes on it a study is run, and each of its services."""
+
+    model: str | BlackBox | None
+    executor: Executor | Workers | None
+    threads: int | None
+    fresh: bool
+    extend: bool
+    watch: Watch
+
+    def check(self, study: Study) -> None:
+        """Refuse a study that has no answer this way."""
+        _check_usage(study, self.model, self.executor)
+        check_range(study)
+        check_quantities(study)
+
+    def run(self, study: Study, folder: Path, seconds: float) -> Run:
+        """The run of a study in a folder."""
+        from threadpoolctl import threadpool_limits
+
+        from uqsphere.runner.analyse import analyse
+        from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work
+        from uqsphere.runner.workers import Engine, workers_of
+
+        model, watch = self.model, self.watch
+        reference, digest = model if isinstance(model, str) else None, None if model is None else model_digest(model)
+        engine = Engine(
+            given=workers_of(self.executor), most=self.threads, model=reference,
+            limited=study.analysis.time_limit is not None,
+        )  # fmt: skip
+        with contextlib.ExitStack() as opened:
+            opened.callback(engine.close)
+            if digest is not None:
+                engine.load(digest, seconds)
+            meaning = {**study.resolved(), "overrides": list(study.overrides), "model_reference": reference}
+            store = open_store(
+                folder, meaning, study.text, study.hash, fresh=self.fresh, model=digest,
+                extension=why_not_extended if self.extend else None,
+            )  # fmt: skip
+            opened.callback(store.close)
+            services, left = self._serve(study, folder, seconds)
+            work = Work(
+                study=study, store=store, ledger=Ledger(), fidelity="full", threads=self.threads, model=reference,
+                black_box=model if callable(model) else None, digest=digest, engine=engine, seconds=left,
+                stop=watch.get("stop"), reached=watch.get("reached"), draft=watch.get("draft"), services=services,
+            )  # fmt: skip
+            engine.over = lambda: work.ledger.elapsed > left
+            # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
+            opened.enter_context(threadpool_limits(limits=1, user_api="blas"))
+            log = opened.enter_context(logged(folder, hash=study.hash, fresh=self.fresh))
+            try:
+                told = log.watch(watch.get("progress"))
+                found = analyse(replace(work, progress=told), store, log.listen(watch.get("notice")))
+            except OutOfBudget as nothing:
+                raise _nothing_found(work.ledger.interrupted, engine.fault()) from nothing
+            log.write("counted", evaluations=work.ledger.total, reused=work.ledger.reused, stages=work.ledger.seconds)
+            return found
+
+    def _serve(self, study: Study, folder: Path, seconds: float) -> tuple[dict[str, Results], float]:
+        """The results of the services of a study, and the seconds that are left for its own rig.
+
+        The seconds are shared evenly among the parts to come, the rig's own run among them.
+        """
+        end, found = time.monotonic() + seconds, dict[str, Results]()
+        inner = replace(self, model=None, watch={**self.watch, "draft": None})
         for name, service in study.services.items():
-            left = max(end - time.monotonic(), 0.0) / (len(study.parts) - len(services))
-            services[name] = one(service, folder / "services" / name, left).results
-        left = end - time.monotonic() if services else seconds
-        work = Work(
-            study=study,
-            store=store,
-            ledger=Ledger(),
-            fidelity="full",
-            threads=threads,
-            model=reference,
-            black_box=model if callable(model) else None,
-            digest=digest,
-            engine=engine,
-            progress=progress,
-            seconds=left,
-            stop=stop,
-            reached=reached,
-            draft=draft,
-            services=services,
-        )
-        engine.over = lambda: work.ledger.elapsed > left
-        # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
-        opened.enter_context(threadpool_limits(limits=1, user_api="blas"))
-        log = opened.enter_context(logged(folder, hash=study.hash, fresh=fresh))
-        try:
-            found = analyse(replace(work, progress=log.watch(progress)), store, log.listen(notice))
-        except OutOfBudget as nothing:
-            raise _nothing_found(work.ledger.interrupted, engine.fault()) from nothing
-        log.write("counted", evaluations=work.ledger.total, reused=work.ledger.reused, stages=work.ledger.seconds)
-        return replace(found, keeper=keeper)
+            inner.check(service)
+            left = max(end - time.monotonic(), 0.0) / (len(study.parts) - len(found))
+            found[name] = inner.run(service, folder / "services" / name, left).results
+        return found, end - time.monotonic() if found else seconds
 
 
 def _nothing_found(interrupted: bool, fault: str) -> BaseException:

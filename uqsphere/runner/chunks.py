@@ -20,10 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.black_box import BlackBox
 from uqsphere.errors import AccessError
 from uqsphere.model import STATUS_NOT_FINITE, Answered
-from uqsphere.runner.remote import Task, evaluate_rows
+from uqsphere.runner.remote import Task
 from uqsphere.runner.workers import Engine
 from uqsphere.store import PART_END, Store
 from uqsphere.study import Study
@@ -259,15 +258,14 @@ def collect(
     *,
     store: Store | None,
     engine: Engine,
-    box: BlackBox | None,
-    threads: int | None,
+    answer: Callable[[Array], Answered],
     go_on: Callable[[], bool],
     tell: Callable[[int], None],
 ) -> Gathered:
     """Answers of rows (n, d) of the question `key`, each evaluated once in the life of the result folder.
 
-    Chunks are stored when they are whole; parts of a chunk that takes long, as they are finished.  `go_on` is asked
-    before every block, and `tell` is told how many rows are done.
+    Chunks are stored when they are whole; parts of a chunk that takes long, as they are finished.  `answer` evaluates
+    a block where that is done here, `go_on` is asked before every block, and `tell` is told how many rows are done.
     """
     sheet = _Sheet(task, rows, key, store)
     done = reused = sheet.done
@@ -279,7 +277,7 @@ def collect(
             if not go_on():
                 return
             began = time.perf_counter()
-            answered = evaluate_rows(task, rows[start:stop], box, threads)
+            answered = answer(rows[start:stop])
             yield start, stop, answered, time.perf_counter() - began
 
     try:

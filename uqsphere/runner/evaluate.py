@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from uqsphere.model import (
 from uqsphere.results import Results, SpeedRow
 from uqsphere.results.entries import Manifest
 from uqsphere.runner.chunks import Gathered, chosen_columns, collect
-from uqsphere.runner.remote import Task
+from uqsphere.runner.remote import Task, evaluate_rows
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.runner.workers import Engine
 from uqsphere.store import Store
@@ -272,8 +272,7 @@ def evaluate_points(
         key,
         store=work.store,
         engine=work.engine,
-        box=work.black_box,
-        threads=work.threads,
+        answer=partial(evaluate_rows, task, box=work.black_box, threads=work.threads),
         go_on=go_on,
         tell=tell,
     )
@@ -303,7 +302,8 @@ def _repeat_one(work: Work, store: Store, task: Task, rows: Array, found: Gather
     row = rows[known[:1]]
 
     def once() -> Array:
-        again = collect(task, row, "again", store=None, engine=work.engine, box=work.black_box, threads=1,
+        answer = partial(evaluate_rows, task, box=work.black_box, threads=1)
+        again = collect(task, row, "again", store=None, engine=work.engine, answer=answer,
                         go_on=lambda: True, tell=lambda done: None)  # fmt: skip
         return np.asarray(again.answered.values[0])
 

@@ -8,7 +8,7 @@ tests would settle what these leave undecided.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -229,22 +229,23 @@ def _under_laws(
     value = answer.exceedance.value
     offset = math.nan if value is None else logit(value, 1.0 - value) - logit(*sides(state))
 
-    offset = offset if math.isfinite(offset) else 0.0
-
     def exceedance(names: Sequence[str]) -> Array:
-        other = tails if key in names else None
         weighted, moved = ([one[name] for name in names if name in one] for one in (weights, shifts))
-        found = np.empty(LAWS)
-        for k in range(LAWS):
-            whatif = WhatIf(
-                strength=other and (other[0][k], other[1][k]),
-                weights=np.prod([one[k] for one in weighted], axis=0) if weighted else None,
-                shift=np.sum([one[k] for one in moved], axis=0) if moved else None,
-            )
-            found[k] = probability_of_logit(logit(*sides(state, whatif)) + offset)
-        return found
+        whatifs = _each_law(weighted, moved, tails if key in names else None)
+        logits = [logit(*sides(state, whatif)) for whatif in whatifs]
+        return np.array([probability_of_logit(x + (offset if math.isfinite(offset) else 0.0)) for x in logits])
 
     return exceedance
+
+
+def _each_law(weights: Sequence[Array], shifts: Sequence[Array], tails: tuple[Array, Array] | None) -> Iterator[WhatIf]:
+    """The first, the second, ... of the other laws of some variables together."""
+    for k in range(LAWS):
+        yield WhatIf(
+            strength=tails and (tails[0][k], tails[1][k]),
+            weights=np.prod([one[k] for one in weights], axis=0) if weights else None,
+            shift=np.sum([one[k] for one in shifts], axis=0) if shifts else None,
+        )
 
 
 # --- other laws of a strength that is given -----------------------------------------------------------------

@@ -92,20 +92,23 @@ def carried_far(study: Study) -> list[CheckEntry]:
     if not limits:
         return []
     scene = scene_of(study, {})
-    here = [float(one.modulus[0]) for one in scene.there]
+    ratios = {limit.name: _ratios(study, scene, limit) for limit in limits}
+    checks = {check: {name: found[check] for name, found in ratios.items() if check in found} for check in FAR}
+    return [_far(check, found) for check, found in checks.items() if found]
+
+
+def _ratios(study: Study, scene: Scene, limit: Limit) -> dict[str, float]:
+    """By how much the test of a limit and its service are apart, by check."""
+    assert limit.platens is not None
     E, nu, radius = (float(scene.columns[f"sphere.{key}"][0]) for key in ("E", "nu", "radius"))
-    ratios: dict[str, dict[str, float]] = {name: {} for name in FAR}
-    for limit in limits:
-        assert limit.platens is not None
-        there, tested = float(contact.reduced_modulus(E, nu, *limit.platens)), limit.tested
-        ratios["carried_far"][limit.name] = max(_apart(there, own) for own in here)
-        if tested is not None:
-            ratios["carried_size"][limit.name] = _apart(tested.diameter / (2.0 * radius), 1.0)
-        if tested is None or tested.growth is None or "rate_0" in limit.parameters:
-            continue
-        if (rate := _growth(study, scene)) is not None:
-            ratios["carried_rate"][limit.name] = _apart(rate, tested.growth)
-    return [_far(check, found) for check, found in ratios.items() if found]
+    there, tested = float(contact.reduced_modulus(E, nu, *limit.platens)), limit.tested
+    found = {"carried_far": max(_apart(there, float(one.modulus[0])) for one in scene.there)}
+    if tested is None:
+        return found
+    found["carried_size"] = _apart(tested.diameter / (2.0 * radius), 1.0)
+    if tested.growth is not None and "rate_0" not in limit.parameters and (rate := _growth(study, scene)) is not None:
+        found["carried_rate"] = _apart(rate, tested.growth)
+    return found
 
 
 def _apart(one: float, other: float) -> float:

@@ -350,34 +350,21 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
     The output itself is expanded, no transform of it: only then are the
     indices of the expansion known exactly, as those of a control variate must be.
     """
-    from uqsphere.uq.expansion import (
-        chaos_indices,
-        fit_again,
-        fit_chaos,
-        germ_points,
-        judge,
-        padded,
-        validation_error,
-    )
+    from uqsphere.uq.expansion import chaos_indices, fit_again, judge, validation_error
     from uqsphere.uq.expansion.shares import error_with_tails
     from uqsphere.uq.indices import mean_expansion
 
     d, alone = len(work.scene_names), not work.study.analysis.samples_indices
     # where pairs of runs correct what a table is off by, it has more points to fit to
     sample, fitted = sampled.sample, sampled.sample if alone else sampled.rows
-    active = work.active
-    least = 4 * (int(active.sum()) + 1)
+    least = 4 * (int(work.active.sum()) + 1)
     # many inputs take the rows of several randomisations for one fit
     joined = min(-(-least // sample.count), max(1, sample.replicates // (2 * _LEAST_FITS)))
     count = min(FITS, sample.replicates // (2 * joined))
     used = min(max(joined * FIT_POINTS, least), joined * fitted.count)
 
     def rows_of(sample: Sample, block: int, most: int | None = None) -> tuple[Array, Array]:
-        """Points and outputs of the rows with an answer among the first ones of some randomisations."""
-        own = slice(joined * block, joined * (block + 1))
-        keep = ~sample.failed[own].ravel()[:most]
-        scores = sample.scores[own, :, :d].reshape(-1, d)[:most]
-        return germ_points(scores[keep], work.germs), sample.answer(quantity)[own].ravel()[:most][keep]
+        return _answered_rows(work, sample, quantity, slice(joined * block, joined * (block + 1)), most)
 
     fits: list[Chaos] = []
     errors = []
@@ -387,15 +374,7 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
             reason = f"{len(points)} samples with an answer are too few for an expansion in {d} inputs: {least} are due"
             return Expansion(about={**NO_SURROGATE, "reason": reason})
         # as an answer of its own, the interval has to hold the choice of terms too
-        again = fits and not alone
-        if again:
-            fits.append(fit_again(fits[0], points, column))
-        else:
-            # the mean of the fits takes one set of germs
-            germs = fits[0].germs if fits else work.germs
-            own_germs = [germ for germ, own in zip(germs, active, strict=True) if own]
-            one = fit_chaos(points[:, active], column, own_germs, plain=True, settled=bool(fits))
-            fits.append(padded(one, active, work.germs))
+        fits.append(fit_again(fits[0], points, column) if fits and not alone else _fit(work, points, column, fits))
         # held out: other randomisations altogether
         errors.append(validation_error(fits[-1], *rows_of(sample, count + replicate)))
     error = float(np.mean(errors))
@@ -416,6 +395,25 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
         return Expansion(about=about)
     found = chaos_indices(fits, error=own, evaluations=evaluations)
     return Expansion(indices=found, about=about, chaos=mean_expansion(fits))
+
+
+def _answered_rows(work: Work, sample: Sample, quantity: str, own: slice, most: int | None) -> tuple[Array, Array]:
+    """Points and outputs of the rows with an answer among the first ones of some randomisations."""
+    from uqsphere.uq.expansion import germ_points
+
+    d, keep = len(work.scene_names), ~sample.failed[own].ravel()[:most]
+    scores = sample.scores[own, :, :d].reshape(-1, d)[:most]
+    return germ_points(scores[keep], work.germs), sample.answer(quantity)[own].ravel()[:most][keep]
+
+
+def _fit(work: Work, points: Array, column: Array, before: Sequence[Chaos]) -> Chaos:
+    """Chaos in the inputs that matter; the mean of several fits takes one set of germs, that of the first."""
+    from uqsphere.uq.expansion import fit_chaos, padded
+
+    germs = before[0].germs if before else work.germs
+    own = [germ for germ, matters in zip(germs, work.active, strict=True) if matters]
+    one = fit_chaos(points[:, work.active], column, own, plain=True, settled=bool(before))
+    return padded(one, work.active, work.germs)
 
 
 def _more(start: int, widths: list[float], asked: float) -> int:
