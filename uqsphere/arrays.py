@@ -13,6 +13,8 @@ Flags: TypeAlias = npt.NDArray[np.bool_]
 Places: TypeAlias = npt.NDArray[np.int64]
 #: a number or an array of numbers: what elementwise formulas take, and give back of the same kind
 Values: TypeAlias = Any
+#: numbers or flags of any kind, plain or in columns with names: the content of one stored array
+Cells: TypeAlias = npt.NDArray[Any]
 
 
 class _Special:

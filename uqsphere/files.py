@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
+from uqsphere.arrays import Cells
 from uqsphere.errors import AccessError, FolderError, UsageError
 
 if TYPE_CHECKING:
@@ -179,7 +180,7 @@ def array_of(data: bytes) -> npt.NDArray[np.float64]:
     return found
 
 
-def chunk_of(data: bytes) -> npt.NDArray[Any]:
+def chunk_of(data: bytes) -> Cells:
     """The array of an .npy file of float64, or of rows of plain numbers with names; sizes as with `array_of`.
 
     Raises

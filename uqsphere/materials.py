@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, Final
+from typing import Final
 
+from uqsphere.files import Json
 from uqsphere.units import parse_value
 
 #: What a material can be used for: the sphere, bars and strikers, whatever else the sphere meets.
@@ -83,7 +84,7 @@ def material_names(kind: str) -> tuple[str, ...]:
     return tuple(library()[kind])
 
 
-def _material(name: str, kind: str, table: Mapping[str, Any]) -> Material:
+def _material(name: str, kind: str, table: Mapping[str, Json]) -> Material:
     """One table of the library, which the tests hold to be complete: anything strange in it raises."""
     properties = {}
     for key, entry in table.items():

@@ -19,12 +19,12 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 import uqsphere
+from uqsphere.arrays import Cells
 from uqsphere.errors import AccessError, FolderError
 from uqsphere.files import LARGEST_ARRAY, Json, chunk_of, digest_of, load_document, read_whole, refuse_links
 
@@ -43,7 +43,6 @@ _MARK = "study.resolved.json"
 #: list of the files that commands have written into a folder of the user's
 _WRITTEN = ".uqsphere-files"
 #: a stored array: numbers, or rows of plain numbers with names
-Stored = npt.NDArray[Any]
 #: says why a study cannot extend the one that a folder holds, from what both mean; empty if it can
 Extension = Callable[[dict[str, Json], dict[str, Json]], str]
 
@@ -182,7 +181,7 @@ def _cell(value: object) -> object:
     return repr(value) if isinstance(value, float) else value
 
 
-def read_chunk(path: Path) -> Stored | None:
+def read_chunk(path: Path) -> Cells | None:
     """The array of a stored chunk; None where its content is not what its name says.
 
     Raises
@@ -243,7 +242,7 @@ class Store:
                         with contextlib.suppress(OSError):
                             path.unlink()
 
-    def load(self, key: str) -> Stored | None:
+    def load(self, key: str) -> Cells | None:
         """The stored chunk of a key, or None if there is none that is whole."""
         for name in self.index.get(key, []):
             path = self.folder / "evaluations" / name
@@ -265,7 +264,7 @@ class Store:
         """The keys of stored chunks that begin so."""
         return [key for key in self.index if key.startswith(beginning)]
 
-    def save(self, key: str, values: Stored, *, durable: bool = True) -> None:
+    def save(self, key: str, values: Cells, *, durable: bool = True) -> None:
         """Store a chunk once, for good; `durable` as in `write_atomically`."""
         buffer = io.BytesIO()
         np.save(buffer, values, allow_pickle=False)

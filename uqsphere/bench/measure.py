@@ -12,13 +12,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.bench.rivals import METHODS, BenchScene, bench_scenes, scattered_scene, solve_scipy
 from uqsphere.errors import FolderError
+from uqsphere.files import Json
 from uqsphere.mechanics import closed_form
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator import tracked as layout
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from uqsphere.report.figures.canvas import Picture
 
 
-def describe_machine() -> dict[str, Any]:
+def describe_machine() -> dict[str, Json]:
     """Processor, processors this process may use, Python and packages; nothing that names a machine or a user."""
     model = platform.processor() or platform.machine()
     cpu = Path("/proc/cpuinfo")
@@ -253,7 +254,7 @@ def _rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     return ["| " + " | ".join(row) + " |" for row in (header, ["---"] * len(header), *rows)]
 
 
-def bench_text(content: dict[str, Any], entries: Sequence[Entry]) -> str:
+def bench_text(content: dict[str, Json], entries: Sequence[Entry]) -> str:
     """The whole benchmark in Markdown."""
     machine = content["machine"]
     packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
@@ -355,7 +356,7 @@ def cost_figure(cost: dict[str, list[tuple[float, float]]]) -> Picture:
     )  # fmt: skip
 
 
-def run_bench(folder: Path, *, quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
+def run_bench(folder: Path, *, quick: bool, notice: Callable[[str], None]) -> dict[str, Json]:
     """Measure speed against error on this machine and write bench.json, bench.md and figures/*.svg to `folder`.
 
     Raises

@@ -9,13 +9,13 @@ from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, TextIO, TypeAlias
+from typing import Final, TextIO, TypeAlias
 
 import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
-from uqsphere.files import open_given
+from uqsphere.files import Json, open_given
 from uqsphere.given.answers import (
     TiedPair,
     given_answers,
@@ -39,7 +39,7 @@ _MOST_COLUMNS: Final = 128
 
 
 #: a part of analysis.json
-Document: TypeAlias = dict[str, Any]
+Document: TypeAlias = dict[str, Json]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,11 +10,11 @@ Numbering (R...) of docs/theory.md; section 6 of it has what was published for e
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Values
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.yielding import CAP_PILE_UP, Face
 
@@ -39,7 +39,7 @@ def needs_of(parameters: Mapping[str, float]) -> tuple[str, ...]:
     return (*CARRIERS[list(CARRIERS)[int(parameters["carrier"])]], *rate)
 
 
-def pole_of(columns: Mapping[str, Any], modulus: Array, radius: Array) -> Face | None:
+def pole_of(columns: Mapping[str, Values], modulus: Array, radius: Array) -> Face | None:
     """The law of a sphere's pole between harder platens; None where its onset or its hardness is not given."""
     law = [columns.get(f"sphere.{key}") for key in ("onset_pressure", "hardness")]
     if any(part is None for part in law):
@@ -50,8 +50,8 @@ def pole_of(columns: Mapping[str, Any], modulus: Array, radius: Array) -> Face |
 
 
 def in_the_test(
-    columns: Mapping[str, Any], parameters: Mapping[str, float], *, yields: bool = False
-) -> tuple[Array, dict[str, Any]]:
+    columns: Mapping[str, Values], parameters: Mapping[str, float], *, yields: bool = False
+) -> tuple[Array, dict[str, Values]]:
     """The slow force in the test, (n,) [N], and what `uqsphere.mechanics.outputs.at_force` is to know of it.
 
     force: F = P_max; centre: F = (P_A + P_B)/2 at its largest, (R19); energy: F = (5 U/(4 chi))^0.6 beta^0.4 from the

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -56,7 +56,7 @@ def product_fineness(specific_energy: Values, A: Values, b: Values) -> Array:
     return np.asarray(-np.asarray(A) * np.expm1(-np.asarray(b) * np.asarray(specific_energy)), dtype=float)
 
 
-Columns = Mapping[str, Any]
+Columns = Mapping[str, Values]
 Parameters = Mapping[str, float]
 #: further quantities: name -> criterion and its parameters
 Demands = Mapping[str, tuple[str, Parameters]]
@@ -147,13 +147,13 @@ class Criterion:
         return (*self.needs, *(("loading_rate", "P_max") if "rate_0" in parameters else ()))
 
 
-class _Face(Mapping[str, Any]):
+class _Face(Mapping[str, Values]):
     """Columns of one face: its own, and those of the row beside."""
 
     def __init__(self, own: Columns, row: Columns) -> None:
         self._own, self._row = own, row
 
-    def __getitem__(self, name: str) -> Any:
+    def __getitem__(self, name: str) -> Values:
         return self._own[name] if name in self._own else self._row[name]
 
     def __contains__(self, name: object) -> bool:

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Values
+from uqsphere.files import Json
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.damage import Softening
 from uqsphere.mechanics.damper import Damper, move_with_damper
@@ -589,7 +590,7 @@ class FieldView:
         count = self.stress.shape[0]
         return np.asarray(self.begin + (np.arange(count) + 0.5) / count * (self.last - self.begin))
 
-    def as_document(self) -> dict[str, Any]:
+    def as_document(self) -> dict[str, Json]:
         """As JSON: the stress in whole kilopascals, a text an instant; what is infinite as null."""
         return {
             "reach": list(self.reach),
@@ -604,7 +605,7 @@ class FieldView:
         }
 
     @classmethod
-    def from_document(cls, found: Mapping[str, Any]) -> FieldView:
+    def from_document(cls, found: Mapping[str, Json]) -> FieldView:
         """The view of `as_document`.
 
         Raises

@@ -15,11 +15,11 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, Values
 from uqsphere.mechanics.damage import Softening, broken
 from uqsphere.mechanics.outputs import Answers, answers_from, merged_answers
 from uqsphere.mechanics.partners import Partner
@@ -38,7 +38,7 @@ class Blow:
     restitution: Array
 
 
-def reduced_mass(mass: Any, partner: Any = math.inf) -> Array:
+def reduced_mass(mass: Values, partner: Values = math.inf) -> Array:
     """M* = M m/(M + m) [kg] of a sphere and a free partner; a partner that does not move has m = inf. (R6)."""
     return np.asarray(mass / (1.0 + mass / np.asarray(partner, dtype=float)))
 
@@ -69,7 +69,7 @@ def _elastic(lam: Array) -> Mapping[str, Array]:
     return {name: np.asarray(series(inside)) for name, series in _table().items()}
 
 
-def blow(hertz_constant: Any, mass: Any, speed: Any, impedance: Any = math.inf) -> Blow:
+def blow(hertz_constant: Values, mass: Values, speed: Values, impedance: Values = math.inf) -> Blow:
     """An elastic blow of reduced mass M* at speed v on a partner of impedance Z [N s/m], (R10) to (R13).
 
     Parameters
@@ -99,7 +99,7 @@ def blow(hertz_constant: Any, mass: Any, speed: Any, impedance: Any = math.inf) 
     )
 
 
-def yielding_depth(face: Face | Softening, mass: Any, speed: Any) -> Array:
+def yielding_depth(face: Face | Softening, mass: Values, speed: Values) -> Array:
     """z = alpha/alpha_y to which a blow presses a face that yields: M* v²/2 = W(z) P_y alpha_y, (R23).
 
     The face's `pressed` has force, pressure, dent and work at that depth, its `restitution` the speed after.
@@ -107,7 +107,7 @@ def yielding_depth(face: Face | Softening, mass: Any, speed: Any) -> Array:
     return face.depth_of_work(0.5 * mass * np.square(speed) / (face.onset_force * face.onset_approach))
 
 
-def light_sphere_constant(behind: Any, ahead: Any) -> Array:
+def light_sphere_constant(behind: Values, ahead: Values) -> Array:
     """beta of two faces in series, a sphere without mass between them, (R15): beta/2^1.5 for equal faces."""
     return np.asarray((np.asarray(behind) ** (-2.0 / 3.0) + np.asarray(ahead) ** (-2.0 / 3.0)) ** -1.5)
 

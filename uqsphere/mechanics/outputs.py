@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
-from typing import Any, Final, TypeVar
+from typing import Final, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -29,11 +29,13 @@ from uqsphere.mechanics.yielding import Press
 from uqsphere.units import Quantity
 
 _Kind = TypeVar("_Kind", bound=np.generic)
+#: what a column is given as: numbers, a function that is called when it is read, or the columns of every face
+Known: TypeAlias = "float | Array | Callable[[], Values] | list[Columns]"
 #: scale factors of a scene that formulas read beside its own columns
 _SCALES: Final = ("modulus", "effective_radius", "hertz_constant", "mass", "force", "approach", "time", "speed")
 
 
-def offered_energy(columns: Mapping[str, Any]) -> Array:
+def offered_energy(columns: Mapping[str, Values]) -> Array:
     """Ecs of (31) [J/kg]: what a blow offers, and where nothing strikes what both contacts have taken up."""
     strikes = "offered" in columns or "specific_impact_energy" in columns
     return np.asarray(columns["specific_impact_energy" if strikes else "specific_energy"])
@@ -166,13 +168,13 @@ OUTPUTS.update(
 )
 
 
-class Columns(Mapping[str, Any]):
+class Columns(Mapping[str, Values]):
     """Columns of n rows by name, (n,) each: what is known, and every quantity of `OUTPUTS`, computed when read.
 
     What is known may be a function without arguments, which is called when its column is read for the first time.
     """
 
-    def __init__(self, known: Mapping[str, Any]) -> None:
+    def __init__(self, known: Mapping[str, Known]) -> None:
         self._known = dict(known)
 
     def __getitem__(self, name: str) -> Values:
@@ -197,7 +199,7 @@ class Columns(Mapping[str, Any]):
         return len(self._known)
 
 
-def columns_of(scene: Scene, rows: Places | slice = slice(None)) -> dict[str, Any]:
+def columns_of(scene: Scene, rows: Places | slice = slice(None)) -> dict[str, Known]:
     """Numbers and scale factors of some rows of a scene."""
     scales = {name: getattr(scene.scales, name)[rows] for name in _SCALES}
     return {**{name: column[rows] for name, column in scene.columns.items()}, **scales}
@@ -252,7 +254,7 @@ def follows_force(quantity: str) -> bool:
     return quantity in OUTPUTS and OUTPUTS[quantity].follows != "" and "product.A" not in _roots(quantity, {})
 
 
-def at_force(force: Values, known: Mapping[str, Any]) -> Columns:
+def at_force(force: Values, known: Mapping[str, Values]) -> Columns:
     """Columns of n spheres that are loaded slowly up to a force [N].
 
     Parameters
@@ -294,7 +296,7 @@ def pressed_to(scene: Scene, rows: Places, force: Array) -> dict[str, Array]:
 # --- faces that are not alike ---------------------------------------------------------------------------
 
 
-def _side(scene: Scene, pole: int, x: Array) -> dict[str, Any]:
+def _side(scene: Scene, pole: int, x: Array) -> dict[str, Known]:
     """What the face at a pole has taken at its largest approach, x alpha_c: force, pressures, circle, dent, work.
 
     `p_field` is the Hertz pressure of the same force on the same circle: the stress inside follows from that.
@@ -332,13 +334,13 @@ _LARGEST: Final = ("P_max", "alpha_max", "a_max", "p_max", "p_mean", "p_hertz", 
 _OPPOSITE: Final = {"a": "force_b_at_a", "b": "force_a_at_b"}
 
 
-def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
+def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Known]:
     """Columns of a scene whose faces are not alike, or yield: each face's own ("sides") and those of the row."""
     if scene.rig == "bars" and scene.struck.face is None and scene.stiffness_left is None:
         return {}
     poles = {name: pole for pole, name in enumerate("ab") if scene.partners[pole] is not None}
     sides = [_face(scene, name, tracked) for name in poles]
-    found: dict[str, Any] = {column: partial(_largest, sides, column) for column in _LARGEST}
+    found: dict[str, Known] = {column: partial(_largest, sides, column) for column in _LARGEST}
     if "x_first_a" in tracked or "x_first_b" in tracked:
         firsts = [Columns(_side(scene, pole, tracked[f"x_first_{name}"])) for name, pole in poles.items()]
         found["first_peak"] = partial(_largest, firsts, "p_max")
@@ -355,13 +357,14 @@ def _face(scene: Scene, name: str, tracked: Mapping[str, Array]) -> Columns:
     side = _side(scene, "ab".index(name), tracked[f"x_{name}"])
     if scene.rig != "bars":
         other = 0.0 if len(scene.there) == 1 else scene.scales.force * tracked[_OPPOSITE[name]]
-        side["balance"] = np.where(side["P_max"] > 0.0, other / side["P_max"], 0.0)
+        pressed = Columns(side)["P_max"]
+        side["balance"] = np.where(pressed > 0.0, other / pressed, 0.0)
     return Columns(side)
 
 
-def _of_forces(scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]) -> dict[str, Any]:
+def _of_forces(scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]) -> dict[str, Known]:
     """What the forces at both poles are together: with one contact its own, and half of it at the centre."""
-    force, found = scene.scales.force, dict[str, Any]()
+    force, found = scene.scales.force, dict[str, Known]()
     if len(sides) == 1:
         found["mean_force_max"] = lambda: 0.5 * sides[0]["P_max"]
     elif "difference" in tracked:
@@ -371,7 +374,7 @@ def _of_forces(scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Colum
     return found
 
 
-def _of_damage(scene: Scene, sides: Sequence[Columns]) -> dict[str, Any]:
+def _of_damage(scene: Scene, sides: Sequence[Columns]) -> dict[str, Known]:
     """Columns of one blow on a sphere that takes damage: `after_blows` counts them."""
     if scene.contact_law != "damage":
         return {}
@@ -384,7 +387,7 @@ def _largest(sides: Sequence[Columns], column: str) -> Array:
     return np.asarray(np.maximum.reduce([side[column] for side in sides]))
 
 
-def _energies(scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]) -> dict[str, Any]:
+def _energies(scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]) -> dict[str, Known]:
     """Energy in both contacts and what they dissipate, and the sphere's share of them (`_energy_of_sphere`)."""
     unit = scene.scales.force * scene.scales.approach
 
@@ -423,14 +426,14 @@ def _energy_of_sphere(
     return own + sum(np.where(one.takes > 0.0, one.takes * side["dissipated"], 0.0) for one, side in faces)
 
 
-def _of_blow(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Array]:
+def _of_blow(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Known]:
     """Columns of bodies that meet: energy offered, speeds after, energy carried off by waves."""
     if not RIGS[scene.rig].blow:
         return {}
     scales, (behind, ahead) = scene.scales, scene.partners
     # P_c alpha_c = m V_c², (R5)
     offered = partial(_half, scales)
-    found: dict[str, Any] = {"offered": offered}
+    found: dict[str, Known] = {"offered": offered}
     if "end_speed" in tracked:
         back = tracked["end_speed"] if behind is None else tracked["end_speed_a"]
         found["leaving"] = lambda: -back
@@ -632,10 +635,11 @@ def answers_from(
     return Answers(values=values, censored=censored, status=status, record=record, steps=steps)
 
 
-def _wider_than_its_rod(scene: Scene, made: Mapping[str, Any]) -> Flags:
+def _wider_than_its_rod(scene: Scene, made: Mapping[str, Known]) -> Flags:
     """Rows of a rig other than bars whose contact is wider than the end of a bar that it is on."""
     found = np.zeros(len(scene), dtype=bool)
-    for partner, side in zip(scene.there, made.get("sides", ()), strict=False):
+    sides = made.get("sides")
+    for partner, side in zip(scene.there, sides if isinstance(sides, list) else (), strict=False):
         if partner.kind == "bar" and scene.rig != "bars":
             with np.errstate(invalid="ignore"):
                 found |= 2.0 * side["a_max"] > scene.columns[f"{partner.table}.diameter"]

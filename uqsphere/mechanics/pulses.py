@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -201,7 +201,7 @@ PRESETS: Final[dict[str, tuple[str, Mapping[str, float]]]] = {
 }
 
 
-def build_pulse(shape: str, duration: Values, numbers: Mapping[str, Any] | None = None) -> Pulse:
+def build_pulse(shape: str, duration: Values, numbers: Mapping[str, Values] | None = None) -> Pulse:
     """Pieces of the pulses of n rows.
 
     Parameters

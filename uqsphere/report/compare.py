@@ -17,12 +17,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from pydantic import Field
 
 from uqsphere.console import plain, screen_width, table, wrap, writable
+from uqsphere.files import Json
 from uqsphere.quantities import display_unit, lookup, reading_units, unit_that_reads
 from uqsphere.report.cautions import assumption
 from uqsphere.report.contents import Contents, read_contents
@@ -232,13 +233,13 @@ def _answers(results: Results) -> Iterator[Change]:
                 yield Change(section="sensitivity", name=name, statistic=f"{kind} of {variable}", before=estimate)
 
 
-def _difference(before: Est, after: Est) -> dict[str, Any]:
+def _difference(before: Est, after: Est) -> dict[str, float | None]:
     """Difference, low, high, relative difference and significance; empty where one of the two is not known."""
     a, b = ((side.value, side.low, side.high) for side in (before, after))
     if None in a or None in b:
         return {}
     difference, low, high, significance = difference_interval(a, b)  # type: ignore[arg-type]
-    found: dict[str, Any] = {"difference": difference, "low": low, "high": high}
+    found: dict[str, float | None] = {"difference": difference, "low": low, "high": high}
     relative = difference / abs(before.number) if before.value else math.inf
     found["relative"] = relative if math.isfinite(relative) else None
     # two exact answers that agree are no evidence of anything
@@ -267,7 +268,7 @@ _APART: Final = ("hash", "title", "written_by", "order", "sources", "overrides",
 _ABSENT: Final = object()
 
 
-def _flat(node: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+def _flat(node: Json, place: str = "") -> Iterator[tuple[str, Json]]:
     """Every leaf with its path; a law is a leaf, and so is a list."""
     if isinstance(node, Mapping) and "dist" not in node:
         for key, value in node.items():
@@ -279,7 +280,7 @@ def _flat(node: Any, place: str = "") -> Iterator[tuple[str, Any]]:
 def _causes(before: Resolved, after: Resolved) -> list[Cause]:
     """What of the study differs: inputs first (fixed or random), then the rest."""
     found = []
-    sides: list[dict[str, Any]] = []
+    sides: list[dict[str, Json]] = []
     for resolved in (before, after):
         document = resolved.document()
         numbers = {f"input {k}": v for k, v in {**document["fixed"], **document["random"]}.items()}
@@ -297,7 +298,7 @@ def _causes(before: Resolved, after: Resolved) -> list[Cause]:
     return found
 
 
-def _said(value: Any, name: str) -> str:
+def _said(value: Json, name: str) -> str:
     """A number, a law or an option in words."""
     if value is _ABSENT:
         return "absent"
@@ -632,7 +633,7 @@ def _page(found: Comparison, parts: Mapping[str, list[Block]]) -> str:
 
     room, taken = MOST_INLINED, list[str]()
 
-    def placed(picture: canvas.Picture) -> Any:
+    def placed(picture: canvas.Picture) -> str:
         nonlocal room
         # p_max and P_max are drawn under the same name
         taken.append(picture.name)

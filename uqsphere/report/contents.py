@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.errors import AccessError, FolderError
-from uqsphere.files import load_document, read_whole
+from uqsphere.files import Json, load_document, read_whole
 from uqsphere.quantities import lookup, unit_that_reads
 from uqsphere.results import NO_RIG, Results, read_results
 from uqsphere.results.entries import LawTable, Manifest, Resolved, Sliders, read_entry, read_manifest, read_resolved
@@ -51,7 +51,7 @@ class Contents:
     samples: Mapping[str, Samples] = field(default_factory=dict)
     failed: float = 0.0
     points: Mapping[str, Array] = field(default_factory=dict)
-    courses: Mapping[str, Any] | None = None
+    courses: Mapping[str, Json] | None = None
     fields: Mapping[str, Stored] = field(default_factory=dict)
     services: Mapping[str, Contents] = field(default_factory=dict)
     #: the randomisation that each row belongs to (n,), and what its page may move
@@ -227,7 +227,7 @@ def _following(results: Results) -> Values:
     yield from ((name, [results.model.numbers.get(key)]) for key, name in _NUMBERS.items())
 
 
-def units_of(*runs: Results, courses: Mapping[str, Any] | None = None) -> dict[str, str]:
+def units_of(*runs: Results, courses: Mapping[str, Json] | None = None) -> dict[str, str]:
     """The unit of every quantity and input by name.
 
     A quantity that was asked for decides by its mean and its quantiles; what else is read in its unit follows. A

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from operator import attrgetter
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -263,7 +263,7 @@ def page_files(kind: str, brief: Brief, chapters: Sequence[Chapter]) -> dict[str
 
     files: dict[str, str] = {}
 
-    def drawn(picture: canvas.Picture) -> Any:
+    def drawn(picture: canvas.Picture) -> str:
         svg = canvas.render(picture)
         files[f"figures/{picture.name}.svg"] = svg
         if picture.header:
@@ -273,7 +273,7 @@ def page_files(kind: str, brief: Brief, chapters: Sequence[Chapter]) -> dict[str
         # the one text that is not escaped: made of escaped parts by the XML writer
         return Markup(canvas.inline(svg, picture.name))
 
-    return {"report.html": set_page({"brief": brief, "kind": kind}, chapters, drawn), **files}
+    return {"report.html": set_page({"title": brief.title, "brief": brief, "kind": kind}, chapters, drawn), **files}
 
 
 def fit_page(entry: FitEntry, posterior: Posterior, tests: Specimens) -> dict[str, str]:

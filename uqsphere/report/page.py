@@ -27,13 +27,14 @@ from uqsphere.report.phrases import Block, Chapter, short_share, two
 from uqsphere.report.tables import commands, repeat_rows
 from uqsphere.report.whatif import panels
 from uqsphere.results import Results
-from uqsphere.results.entries import Manifest, read_resolved
+from uqsphere.results.entries import Fields, Manifest, read_resolved
 from uqsphere.runner.beside import aside, may_copy
 from uqsphere.runner.kept import write_sums
 from uqsphere.store import csv_text, write_atomically
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from weasyprint import Document
 
 # --- What paper has beside the page: number, title and day of the run in the margins, lines that keep numbers whole.
 
@@ -259,7 +260,7 @@ def _plain(value: Any) -> Any:
     return unbroken(shorten(value, LONGEST))
 
 
-def _loose(value: str) -> Any:
+def _loose(value: str) -> str:
     """A cell of a table of very many columns: its intervals may part after their "to", so that no column is cut off."""
     from markupsafe import Markup, escape
 
@@ -267,7 +268,7 @@ def _loose(value: str) -> Any:
 
 
 #: what sets a picture into the page that is being made
-DRAW: Final[ContextVar[Callable[[Picture], Any]]] = ContextVar("drawing of the page")
+DRAW: Final[ContextVar[Callable[[Picture], str]]] = ContextVar("drawing of the page")
 
 
 @cache
@@ -293,7 +294,7 @@ def _own_text(name: str) -> str:
     return resources.files("uqsphere.report").joinpath(name).read_text("utf-8")
 
 
-def _shown(contents: Contents) -> dict[str, Any]:
+def _shown(contents: Contents) -> Fields:
     """What the page shows beside its chapters."""
     from markupsafe import Markup, escape
 
@@ -308,13 +309,13 @@ def _shown(contents: Contents) -> dict[str, Any]:
     }
 
 
-def _page(shown: Mapping[str, Any], chapters: Sequence[Chapter]) -> str:
+def _page(shown: Mapping[str, object], chapters: Sequence[Chapter]) -> str:
     """The text of the page; the figures that it has no room for stay files."""
     from markupsafe import Markup
 
     room = MOST_INLINED
 
-    def drawn(picture: Picture) -> Any:
+    def drawn(picture: Picture) -> str:
         nonlocal room
         element = inline(picture.svg, picture.name)
         room -= len(element.encode())
@@ -329,18 +330,18 @@ def _page(shown: Mapping[str, Any], chapters: Sequence[Chapter]) -> str:
 
 
 #: what a page has that no run stands behind
-_NO_RUN: Final[dict[str, Any]] = {
+_NO_RUN: Final[Fields] = {
     "kind": "report", "version": "", "margin_boxes": "", "curves": (), "modes": (), "panels": (), "script": "",
     "policy": "", "repeat": (), "commands": (), "words": (), "black_box": False, "two": two,
 }  # fmt: skip
 
 
-def set_page(shown: Mapping[str, Any], chapters: Sequence[Chapter], draw: Callable[[Picture], Any]) -> str:
+def set_page(shown: Mapping[str, object], chapters: Sequence[Chapter], draw: Callable[[Picture], str]) -> str:
     """The text of a page: its brief and the evidence behind it, whatever it is of; `draw` sets its pictures."""
     environment = page_environment()
     DRAW.set(draw)
     pictures = [block.picture.name for block in _blocks(chapters) if block.picture is not None]
-    more = {"chapters": chapters, "numbers_of": _numbers_of, "linked": True, "title": shown["brief"].title}
+    more = {"chapters": chapters, "numbers_of": _numbers_of, "linked": True}
     numbers = {name: k for k, name in enumerate(pictures, 1)}
     template = environment.get_template("template.html")
     return template.render({**_NO_RUN, **more, **shown}, figure_numbers=numbers) + "\n"
@@ -349,8 +350,8 @@ def set_page(shown: Mapping[str, Any], chapters: Sequence[Chapter], draw: Callab
 # --- The brief: one sheet, on top of the page and a page of its own.
 
 
-def _brief_parts(contents: Contents) -> dict[str, Any]:
-    """What the template of the brief shows."""
+def _brief_parts(contents: Contents, ended: str | None = None) -> Fields:
+    """What the template of the brief shows; `ended`: in place of how the run ended."""
     from markupsafe import Markup
 
     brief, modes = make_brief(contents), []
@@ -359,10 +360,11 @@ def _brief_parts(contents: Contents) -> dict[str, Any]:
         dots = [Markup(mode_dots(mode, answer)) for mode in answer.modes]
         modes += [(answer, list(zip(answer.modes, dots, texts, strict=True)))] if texts else []
     curves = [[Markup(drawing) for drawing in one] for one in curve_drawings(brief.answers)]
-    return {"two": two, "brief": brief, "curves": curves, "modes": modes}
+    brief = brief if ended is None else replace(brief, ended=ended)
+    return {"two": two, "title": brief.title, "brief": brief, "curves": curves, "modes": modes}
 
 
-def _panel_parts(contents: Contents) -> dict[str, Any]:
+def _panel_parts(contents: Contents) -> Fields:
     """The what-if panels and their script, which the page's policy knows by its hash: no other one runs."""
     from markupsafe import Markup
 
@@ -383,8 +385,7 @@ def write_draft(folder: Path, results: Results, manifest: Manifest) -> None:
         return
     contents = Contents(results=results, manifest=manifest, resolved=read_resolved(folder), samples={}, failed=0.0)
     with reading_units(units_of(results)):
-        shown = _brief_parts(contents)
-    shown["brief"] = replace(shown["brief"], ended=GOES_ON)
+        shown = _brief_parts(contents, GOES_ON)
     text = page_environment().get_template("brief.html").render(shown, linked=False)
     write_atomically(folder / "report.html", text + "\n", durable=False)
 
@@ -479,7 +480,7 @@ def build_pdf(folder: Path, *, full: bool = False) -> Path:
     return path
 
 
-def _printed(document: Any) -> bytes:
+def _printed(document: Document) -> bytes:
     """A document as PDF; the typesetter's remarks on styles of the screen are nobody's business."""
     log = logging.getLogger("weasyprint")
     before = log.level
@@ -492,7 +493,7 @@ def _printed(document: Any) -> bytes:
     return buffer.getvalue()
 
 
-def typeset(text: str, sheet: str = _SHEET) -> Any:
+def typeset(text: str, sheet: str = _SHEET) -> Document:
     """The page laid out on paper, a `weasyprint.Document`: chapters in the list on the first pages have their page."""
     from weasyprint import CSS, HTML
     from weasyprint.urls import URLFetcher

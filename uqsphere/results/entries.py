@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple, Self, TypeAlias, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -29,7 +29,7 @@ from pydantic import (
 )
 
 from uqsphere.errors import FolderError
-from uqsphere.files import load_document
+from uqsphere.files import Json, load_document
 from uqsphere.uq.estimate import Estimate
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class Entry(BaseModel):
         validate_by_name=True,
     )
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, Json]:
         """Plain JSON values, with the keys that were given."""
         return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
@@ -342,7 +342,7 @@ class Resolved(Entry):
     kind: Literal["scene", "black box"]
     fixed: dict[Name, Number]
     random: dict[Name, LawTable]
-    options: dict[Name, Any] = Field(default_factory=dict)
+    options: dict[Name, Json] = Field(default_factory=dict)
     materials: dict[Name, StrictStr] = Field(default_factory=dict)
     sources: dict[Name, SourceTable] = Field(default_factory=dict)
     limits: dict[Name, LimitTable]

@@ -10,13 +10,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypedDict, Unpack
+from typing import TYPE_CHECKING, Final, TypedDict, Unpack
 
 import numpy as np
 
 import uqsphere
 from uqsphere.black_box import BlackBox, model_digest
 from uqsphere.errors import ModelError, UsageError
+from uqsphere.files import Json
 from uqsphere.model import NO_DAMPER, scene_of
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.results import Results
@@ -50,7 +51,7 @@ class Watch(TypedDict, total=False):
     progress: Callable[[str, int, int], None] | None
     notice: Callable[[str], None] | None
     stop: Callable[[], bool] | None
-    reached: Callable[[list[dict[str, Any]]], None] | None
+    reached: Callable[[list[dict[str, Json]]], None] | None
     draft: Callable[[Results, Manifest], None] | None
 
 

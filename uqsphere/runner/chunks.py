@@ -14,12 +14,12 @@ import json
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Final, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Cells
 from uqsphere.errors import AccessError
 from uqsphere.model import STATUS_NOT_FINITE, Answered
 from uqsphere.runner.remote import Task
@@ -77,7 +77,7 @@ def fingerprint(meaning: bytes, rows: Array) -> str:
     return digest.hexdigest()
 
 
-def packed(answered: Answered) -> npt.NDArray[Any]:
+def packed(answered: Answered) -> Cells:
     """Answers as they are stored: 8 bytes for each value, and flags only where there are any.
 
     Plain rows (n, q) of numbers where every row was answered as asked, else with a byte for each flag.
@@ -94,7 +94,7 @@ def packed(answered: Answered) -> npt.NDArray[Any]:
     return table
 
 
-def unpacked(stored: npt.NDArray[Any] | None, rows: int, columns: int) -> Answered | None:
+def unpacked(stored: Cells | None, rows: int, columns: int) -> Answered | None:
     """The answers of a stored chunk; None where it is not what `packed` makes of so many rows and columns."""
     if stored is None or len(stored.shape) == 0 or len(stored) != rows:
         return None
@@ -302,7 +302,6 @@ def collect(
 
 # --- Answers of the pilot, and what breaks first along a loading, stored like all others.
 
-Table: TypeAlias = npt.NDArray[Any]
 Found = TypeVar("Found")
 
 #: characters of all the names of criteria: numpy reads no array whose columns take more than 10,000 to tell, and each
@@ -356,7 +355,7 @@ def _plain(value: npt.ArrayLike) -> str | float:
     return hashlib.blake2b(np.ascontiguousarray(value).tobytes(), digest_size=8).hexdigest()
 
 
-def _columns(found: object) -> Iterator[tuple[str, Table]]:
+def _columns(found: object) -> Iterator[tuple[str, Cells]]:
     """Names and columns of what was found; those of a mapping begin with its first letter."""
     if isinstance(found, np.ndarray):
         yield "rows", found
@@ -369,7 +368,7 @@ def _columns(found: object) -> Iterator[tuple[str, Table]]:
             yield part.name, value
 
 
-def _found(table: Table, kind: type[Found]) -> Found | None:
+def _found(table: Cells, kind: type[Found]) -> Found | None:
     """What a table holds; None where it lacks a column."""
     own = {name: np.ascontiguousarray(table[name]) for name in table.dtype.names or ()}
     if kind is np.ndarray:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.files import Json
 from uqsphere.model import as_integrated, scene_of
 from uqsphere.runner.evaluate import Work
 from uqsphere.store import Store, csv_text, write_atomically, write_json
@@ -29,7 +30,7 @@ _HARDNESS = ("P_max", "p_max", "core_tension", "energy")
 LEVELS = (0.05, 0.5, 0.95)
 
 
-def force_band(work: Work, every: Sample) -> dict[str, Any] | None:
+def force_band(work: Work, every: Sample) -> dict[str, Json] | None:
     """Quantiles of the contact forces at each instant over the first scenes of the sample.
 
     The scenes are the first points of every randomisation, so that they spread over the inputs as the sample does.

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from uqsphere.model import (
     where_of,
 )
 from uqsphere.results import Results, SpeedRow
-from uqsphere.results.entries import Manifest
+from uqsphere.results.entries import Fields, Manifest
 from uqsphere.runner.chunks import Gathered, chosen_columns, collect
 from uqsphere.runner.remote import Task, evaluate_rows
 from uqsphere.runner.schedule import REPLICATES
@@ -128,7 +127,7 @@ class Work:
     #: asked between calls of the model; true ends the run as its time budget would, with what is there
     stop: Callable[[], bool] | None = None
     #: told the errors of a stage, the rows of the speed-error table
-    reached: Callable[[list[dict[str, Any]]], None] | None = None
+    reached: Callable[[list[Fields]], None] | None = None
     #: given what is known once the verdicts are
     draft: Callable[[Results, Manifest], None] | None = None
     #: the rows only help to answer for others: one without an answer is no failure of the study

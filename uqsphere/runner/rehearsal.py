@@ -12,14 +12,14 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, ClassVar, cast
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Cells
 from uqsphere.black_box import model_digest
 from uqsphere.errors import FolderError, StudyError, UsageError
-from uqsphere.files import read_whole
+from uqsphere.files import Json, read_whole
 from uqsphere.results import Results
 from uqsphere.store import Store
 from uqsphere.study import Study, load_study
@@ -62,7 +62,7 @@ class Rehearsal:
     def look(self) -> None:
         """What is stored stays as it was."""
 
-    def load(self, key: str) -> npt.NDArray[Any] | None:
+    def load(self, key: str) -> Cells | None:
         """The stored chunk, or None for one that is to be evaluated again."""
         found = self.source.load(key)
         if found is None:
@@ -80,7 +80,7 @@ class Rehearsal:
     def take_over(self) -> None:
         """The folder is the study's own."""
 
-    def save(self, key: str, values: npt.NDArray[Any], *, durable: bool = True) -> None:
+    def save(self, key: str, values: Cells, *, durable: bool = True) -> None:
         """Compare what was evaluated now with what is stored; a part of a chunk waits for the rest."""
         if key not in self.chosen:
             return
@@ -94,7 +94,7 @@ class Rehearsal:
         self.repeated.append(Repeated(chunk=key, rows=len(stored), same=same, difference=difference, digest=digest))
 
 
-def _difference(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
+def _difference(a: Cells, b: Cells) -> float:
     if a.dtype != b.dtype or a.shape != b.shape:
         return float("inf")
     if a.dtype.names is not None:
@@ -110,7 +110,9 @@ def _difference(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
 # --- the stored study -------------------------------------------------------------------------------
 
 
-def stored_study(text: str, resolved: Mapping[str, Any], place: Path, data: Mapping[str, bytes] | None = None) -> Study:
+def stored_study(
+    text: str, resolved: Mapping[str, Json], place: Path, data: Mapping[str, bytes] | None = None
+) -> Study:
     """The study of a result folder, read from its text and from nothing else.
 
     Parameters

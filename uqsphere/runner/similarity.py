@@ -13,12 +13,13 @@ from __future__ import annotations
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.model import as_integrated, scene_of
+from uqsphere.results.entries import Fields
 from uqsphere.runner.campaign import rounded
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_points
@@ -410,7 +411,7 @@ def begin_table(work: Work, before: Tabled, paired: int, forecast: float, room: 
     return Tabled(similarity=made, taken=taken, paired=paired, forecast=int(min(forecast, 1e12)))
 
 
-def table_entry(sampling: Tabled, indices: Tabled) -> dict[str, Any]:
+def table_entry(sampling: Tabled, indices: Tabled) -> Fields:
     """What is said of tables in results.json."""
     used = [one for one in (sampling, indices) if one.similarity is not None and one.rows]
     return {
@@ -423,7 +424,7 @@ def table_entry(sampling: Tabled, indices: Tabled) -> dict[str, Any]:
     }
 
 
-def table_saved(sampling: Tabled, indices: Tabled) -> dict[str, Any]:
+def table_saved(sampling: Tabled, indices: Tabled) -> Fields:
     """What tables saved, against the forecast of what sampling alone would take."""
     used = [one for one in (sampling, indices) if one.similarity is not None and one.rows]
     taken, forecast = sum(one.paired + one.taken for one in used), sum(one.forecast for one in used)

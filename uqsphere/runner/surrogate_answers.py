@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -122,7 +121,7 @@ def _described(
     return found, limits, bool(plain)
 
 
-def _sample(work: Work, points: Sample, found: Mapping[str, Any]) -> Sample:
+def _sample(work: Work, points: Sample, found: Mapping[str, Array]) -> Sample:
     """The points with values (R, n) by quantity as their answers; those of the other quantities are nan."""
     shape = next(iter(found.values())).shape
     values = np.stack([found.get(quantity, np.full(shape, np.nan)) for quantity in work.quantities], axis=-1)

@@ -21,6 +21,8 @@ from uqsphere.study.numbers import Tested
 from uqsphere.uq.law import Law, make_law
 
 if TYPE_CHECKING:
+    from chaospy import Distribution
+
     from uqsphere.feed.answers import FeedPlan
     from uqsphere.study.feed import Particles
     from uqsphere.study.tests import TestsPlan
@@ -227,7 +229,7 @@ class Study(metaclass=_FromTables):
         laws = self.laws()
         return make_joint(tuple(laws), tuple(laws.values()), [tie_of(group) for group in self.dependence])
 
-    def to_chaospy(self) -> Any:
+    def to_chaospy(self) -> Distribution:
         """The joint law of the random inputs as a distribution of chaospy; `uqsphere.uq.interop.joint_to_chaospy`."""
         from uqsphere.uq.interop import joint_to_chaospy
 
@@ -251,7 +253,7 @@ class Study(metaclass=_FromTables):
 
     def resolved(self) -> dict[str, Json]:
         """The study as plain JSON values: SI, every default explicit, no infinities."""
-        laws, later = self.laws(), dict[str, Any]()
+        laws, later = self.laws(), dict[str, Json]()
         # the order of the random variables decides which point of a sequence goes to which of them
         meaning = {
             "title": self.title,

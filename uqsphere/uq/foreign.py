@@ -7,15 +7,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.uq.families import LawError
 from uqsphere.uq.families.named import PREFIX, Functions, named_family, wrapped
 from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import Law, checked, make_law
+
+if TYPE_CHECKING:
+    from chaospy import Distribution
 
 #: a law, its table as in a study, or a distribution of scipy.stats or chaospy
 LawLike: TypeAlias = Any
@@ -174,7 +178,7 @@ def _compared(law: Law, quantile: Callable[[Array], Array], same: float = _SAME)
     return law
 
 
-def _of_chaospy(given: Any) -> Law:
+def _of_chaospy(given: Distribution) -> Law:
     """The law of chaospy by its parameters where these are known here, else by its functions."""
     law = _unrolled(given)
     if law is not None:
@@ -186,7 +190,7 @@ def _of_chaospy(given: Any) -> Law:
     return law
 
 
-def _unrolled(given: Any) -> Law | None:
+def _unrolled(given: Distribution) -> Law | None:
     """A law of chaospy, which is another one truncated, or moved and stretched; None where the last is not known."""
     shift, scale = 0.0, 1.0
     while (inner := getattr(given, "_dist", None)) is not None:
@@ -209,11 +213,11 @@ def _unrolled(given: Any) -> Law | None:
     return _of_scipy(str(name), *map(float, shapes), shift + scale * float(loc), scale * float(unit))
 
 
-def _number(value: Any) -> float:
+def _number(value: npt.ArrayLike) -> float:
     return float(np.ravel(value)[0])
 
 
-def _functions(law: Any) -> Functions:
+def _functions(law: Distribution) -> Functions:
     """The functions of a distribution of chaospy; its upper tail is what its distribution function leaves of 1."""
 
     def shaped(function: Callable[[Array], Array]) -> Callable[[Array], Array]:

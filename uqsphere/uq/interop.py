@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -17,10 +17,16 @@ from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import Law
 from uqsphere.uq.response import Response
 
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    from chaospy import Distribution
+    from numpoly import ndpoly
+
 # --- chaospy ----------------------------------------------------------------------------------------------------
 
 #: laws that chaospy has exactly, for its own three-term recurrences
-_CHAOSPY: Final[Mapping[str, Callable[[Any, Law], Any]]] = {
+_CHAOSPY: Final[Mapping[str, Callable[[ModuleType, Law], Distribution]]] = {
     "normal": lambda chaospy, law: chaospy.Normal(law.parameters["mean"], law.parameters["sd"]),
     "uniform": lambda chaospy, law: chaospy.Uniform(law.lower, law.upper),
     "lognormal": lambda chaospy, law: chaospy.LogNormal(law.parameters["log_mean"], law.parameters["log_sd"]),
@@ -30,7 +36,7 @@ _CHAOSPY: Final[Mapping[str, Callable[[Any, Law], Any]]] = {
 }  # fmt: skip
 
 
-def joint_to_chaospy(inputs: Joint) -> Any:
+def joint_to_chaospy(inputs: Joint) -> Distribution:
     """The joint law as a distribution of chaospy: `J` of independent laws, `Nataf` where a Gaussian copula ties them.
 
     Laws that chaospy has not, or truncated ones, keep the functions of this package, bounded by their quantiles at
@@ -46,7 +52,7 @@ def joint_to_chaospy(inputs: Joint) -> Any:
     return chaospy.Nataf(chaospy.J(*laws), inputs.correlation)
 
 
-def _law_to_chaospy(chaospy: Any, law: Law) -> Any:
+def _law_to_chaospy(chaospy: ModuleType, law: Law) -> Distribution:
     made = _CHAOSPY.get(law.family.name)
     if made is not None and (law.family.bounded or (np.isinf(law.lower) and np.isinf(law.upper))):
         return made(chaospy, law)
@@ -58,7 +64,7 @@ def _law_to_chaospy(chaospy: Any, law: Law) -> Any:
     )  # fmt: skip
 
 
-def expansion_to_chaospy(response: Response) -> Any:
+def expansion_to_chaospy(response: Response) -> ndpoly:
     """The mean of a response's fits as a polynomial of chaospy in q0, q1, ..., its germs.
 
     Raises UsageError where it is none: of an output that was expanded by its logarithm, say, or in two pieces.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Cells, Flags
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,13 +123,13 @@ class Sample:
         """One replicate cut into `count` blocks of consecutive rows, which serve as replicates."""
         return self._each(lambda own, _: own[0].reshape(count, -1, *own.shape[2:]), self)
 
-    def _each(self, change: Callable[[npt.NDArray[Any], npt.NDArray[Any]], npt.NDArray[Any]], other: Sample) -> Sample:
+    def _each(self, change: Callable[[Cells, Cells], Cells], other: Sample) -> Sample:
         rows = ("scores", "inputs", "answers", "censored", "status", "failed")
         changed: dict[str, Any] = {name: change(getattr(self, name), getattr(other, name)) for name in rows}
         return replace(self, **changed)
 
 
-def without(rows: npt.NDArray[Any], failed: Flags) -> npt.NDArray[Any]:
+def without(rows: Cells, failed: Flags) -> Cells:
     """The same number of rows that have not failed from every replicate: rows (R, n, ...) become (R, n', ...)."""
     if not failed.any():
         return rows

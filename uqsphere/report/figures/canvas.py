@@ -177,7 +177,7 @@ class Picture:
     figure: Figure | None = None
     svg: str = ""
     header: tuple[str, ...] = ()
-    rows: tuple[tuple[Any, ...], ...] = ()
+    rows: tuple[tuple[object, ...], ...] = ()
 
 
 #: what no XML may hold, as UTF-8: a name in a figure may come from a stranger's folder
@@ -308,7 +308,7 @@ def log_axis(axes: Axes, which: str, low: float, high: float) -> None:
     getattr(axes, f"set_{which}lim")(low, high)
 
 
-def score(p: Any, least: float = 1e-6) -> Array:
+def score(p: npt.ArrayLike, least: float = 1e-6) -> Array:
     """Normal scores of probabilities, which are kept `least` away from 0 and 1."""
     from scipy.special import ndtri
 

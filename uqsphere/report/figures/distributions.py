@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -20,7 +20,9 @@ from uqsphere.results.tables import Stored
 from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 #: a range of more than this ratio is drawn on a logarithmic axis
@@ -107,7 +109,7 @@ def distribution_figure(contents: Contents, quantity: str) -> canvas.Picture | N
         return None
     if not float(np.ptp(samples.values)) > 1e-9 * float(np.abs(samples.values).max()):
         return None
-    strengths, rows = _strengths(contents, quantity), list[tuple[Any, ...]]()
+    strengths, rows = _strengths(contents, quantity), list[tuple[object, ...]]()
     with canvas.style():
         figure, (axes,) = canvas.new_figure(3.0 if not strengths else 3.3)
         scale = _scale(samples.values, strengths, display_unit(quantity)[1])
@@ -130,7 +132,7 @@ def distribution_figure(contents: Contents, quantity: str) -> canvas.Picture | N
     )  # fmt: skip
 
 
-def log_ticks(axis: Any) -> None:
+def log_ticks(axis: Axis) -> None:
     """Round numbers at a logarithmic axis."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -139,7 +141,7 @@ def log_ticks(axis: Any) -> None:
     axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
 
 
-def _density(axes: Axes, samples: Samples, scale: _Scale, rows: list[tuple[Any, ...]]) -> float:
+def _density(axes: Axes, samples: Samples, scale: _Scale, rows: list[tuple[object, ...]]) -> float:
     """Histogram of what was seen and a hatched bar for what outlasted its record; areas are shares.
 
     The height of what is drawn; the bars are added to the rows, in SI.
@@ -169,7 +171,7 @@ def _density(axes: Axes, samples: Samples, scale: _Scale, rows: list[tuple[Any, 
     return max(float(heights.max()), height)
 
 
-def _strength_curve(axes: Axes, strength: _Strength, scale: _Scale, rows: list[tuple[Any, ...]]) -> float:
+def _strength_curve(axes: Axes, strength: _Strength, scale: _Scale, rows: list[tuple[object, ...]]) -> float:
     """The density of a strength, or a line where it has one value; the height of it, the law added to the rows."""
     if strength.law is None:
         rows += [(f"strength of {name}", strength.value, strength.value, 1.0) for name in strength.names]
@@ -202,7 +204,7 @@ def _curve_legend(axes: Axes, samples: Samples, strengths: list[_Strength], quan
     from matplotlib.patches import Patch
 
     share = float(samples.censored.mean())
-    handles: list[Any] = []
+    handles: list[Artist] = []
     if share < 1.0:
         handles.append(Patch(facecolor=canvas.BLUE, alpha=0.35, label=symbol(quantity, 24)))
         handles.append(canvas.mark(canvas.INK, "median, 5 to 95 %", marker="o", markerfacecolor=canvas.PAPER))

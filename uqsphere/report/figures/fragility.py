@@ -493,11 +493,11 @@ def probability_plot(known: FittedTests) -> canvas.Picture:
     )  # fmt: skip
 
 
-def _drawn(known: FittedTests, heights: Array, ends: Array) -> tuple[tuple[Any, ...], ...]:
+def _drawn(known: FittedTests, heights: Array, ends: Array) -> tuple[tuple[object, ...], ...]:
     """The tests, and the law with its band, in SI: at a share the strength and its ends."""
     tests = known.tests
     shares = plotting_positions(tests.failed)
-    rows: list[tuple[Any, ...]] = [
+    rows: list[tuple[object, ...]] = [
         ("test", float(value), float(share), "", "")
         for value, share in zip(np.sort(tests.values[tests.failed]), np.sort(shares), strict=True)
     ]

@@ -444,7 +444,7 @@ def _arrivals(axes: Axes, history: History, record: GaugeRecord, begin: float, e
                         va="top", fontsize=8.5, color=canvas.INK)  # fmt: skip
 
 
-def gauge_rows(history: History) -> tuple[list[str], list[list[Any]]]:
+def gauge_rows(history: History) -> tuple[list[str], list[list[object]]]:
     """Heading and rows of gauges.csv: time [us] on an even grid, and the strain of every gauge [1e-6]."""
     motion = history.motion
     begin = min(float(record.time[0]) for record in history.gauges)
@@ -520,7 +520,7 @@ def _forces_finding(history: History, found: BarForces | None, reason: str) -> s
     return f"{text}, and from {1e6 * balance.lasting:.4g} us on {until} (grey: after it)."
 
 
-def force_rows(history: History) -> tuple[list[str], list[list[Any]]] | None:
+def force_rows(history: History) -> tuple[list[str], list[list[object]]] | None:
     """Heading and rows of bar_forces.csv; None where the gauges allow no wave analysis."""
     found, _ = wave_forces(history)
     if found is None:

@@ -307,7 +307,7 @@ def _field_finding(view: FieldView) -> str:
     )
 
 
-def field_rows(history: History) -> tuple[list[str], list[list[Any]]]:
+def field_rows(history: History) -> tuple[list[str], list[list[object]]]:
     """Heading and rows of field.csv: place, time, stress and velocity on a grid of both bars."""
     (left, right), last = extent(history)
     places = np.concatenate([-left * (1.0 - np.arange(_NODES[0] // 2) / (_NODES[0] // 2)), [0.0],

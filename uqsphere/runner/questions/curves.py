@@ -10,13 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.files import Json
 from uqsphere.quantities import format_value, lookup
 from uqsphere.results import SpeedRow
+from uqsphere.results.entries import Fields
 from uqsphere.runner.axis_rows import AxisRows, Look, axis_of, evaluate_along, judge_of
 from uqsphere.runner.campaign import Accuracy, Cost, Course, campaign, rounded, speed_rows_of
 from uqsphere.runner.evaluate import MOST_DROPPED, OutOfBudget, Work
@@ -70,7 +72,7 @@ class Band:
             return text
         return f"{text}; a budget of about {rounded(self.cost.needed / self.share):,} has room for as many"
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> dict[str, Json]:
         """The entry of results.json."""
         return {
             "half_width": self.half_width,
@@ -341,7 +343,7 @@ class CurveFound:
         """The lognormal curve beside it, or why there is none."""
         return fit_lognormal_curve(self.grid, self.table, evaluations=self.evaluations)
 
-    def member(self, value: float) -> dict[str, Any]:
+    def member(self, value: float) -> Fields:
         """The entry of results.json for a curve of a family."""
         return {
             "value": value,
@@ -352,7 +354,7 @@ class CurveFound:
         }
 
 
-def lognormal_table(fitted: LognormalCurve | str) -> dict[str, Any]:
+def lognormal_table(fitted: LognormalCurve | str) -> Fields:
     """A lognormal curve for results.json; with the reason where there is none."""
     if isinstance(fitted, str):
         return {"median": None, "dispersion": None, "reason": fitted}
@@ -486,7 +488,7 @@ class EnergyCurve:
         """No curve, and why."""
         return cls(quantity=quantity, lognormal=reason, reason=reason)
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> Fields:
         """The entry of results.json."""
         return {
             "quantity": self.quantity,

@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
+from uqsphere.files import Json
 from uqsphere.model import is_answered
 from uqsphere.results import SpeedRow
 from uqsphere.results.entries import Fields
@@ -212,7 +213,7 @@ HELD_OUT = "share of the variance left unexplained (held out)"
 
 
 #: what is said of a surrogate, and where none was fitted
-About: TypeAlias = Mapping[str, Any]
+About: TypeAlias = dict[str, Json]
 NO_SURROGATE: Final[About] = {"kind": None, "error": None, "evaluations": 0}
 
 
