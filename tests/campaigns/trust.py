@@ -999,6 +999,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--start", type=int, default=0)
     parser.add_argument("--keep", type=Path, help="a folder for studies that failed")
     chosen = parser.parse_args(arguments)
+    if unknown := sorted(set(chosen.parts) - set(PARTS)):
+        parser.error(f"no part is called {unknown[0]}: {', '.join(PARTS)}")
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
     rows = []
     for part in chosen.parts or PARTS:
