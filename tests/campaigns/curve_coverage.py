@@ -43,18 +43,22 @@ strength = {strength}
 solve = "{solve}"
 between = {between}
 for_probability = [0.01, 0.1, 0.5, 0.9, 0.99]
+[analysis]
+on_failure = "drop"
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """A(v, s), B(s), the strength, and how many inputs make s; `solve` is what is free."""
+    """A(v, s), B(s), the strength, and how many inputs make s; `solve` is what is free, `lost` the share of the
+    rows that have no answer, by an input of their own."""
 
     a: Callable[[Array | float, Array], Array]
     b: Callable[[Array], Array] = np.zeros_like
     strength: str = LAW
     inputs: int = 1
     solve: str = "v"
+    lost: float = 0.0
     between: tuple[float, float] = (0.05, 60.0)
 
     def sum_of(self, columns: Mapping[str, Array]) -> Array:
@@ -64,11 +68,12 @@ class Model:
     def demands(self, columns: Mapping[str, Array]) -> dict[str, Array]:
         """The model as a black box."""
         s = self.sum_of(columns)
-        return {"y": self.a(columns["v"], s) * np.exp(0.1 * columns["z"]) + self.b(s)}
+        demands = self.a(columns["v"], s) * np.exp(0.1 * columns["z"]) + self.b(s)
+        return {"y": np.where(ndtr(columns["l"]) < self.lost, np.nan, demands) if self.lost else demands}
 
     def study(self, folder: Path) -> Study:
         """The study that asks for its curve."""
-        names = ["z", *(f"s{k}" for k in range(self.inputs))]
+        names = ["z", *(f"s{k}" for k in range(self.inputs)), *(["l"] if self.lost else [])]
         inputs = "\n".join(f'{name} = {{ dist = "normal", mean = 0.0, sd = 1.0 }}' for name in names)
         text = STUDY.format(inputs=inputs, strength=self.strength, solve=self.solve, between=list(self.between))
         (folder / "study.toml").write_text(text, encoding="utf-8")
@@ -101,6 +106,7 @@ MODELS: Final[dict[str, Model]] = {
     "bent": Model(a=lambda v, s: v ** (0.5 + 0.05 * np.tanh(2.0 * s)) * np.exp(0.1 * np.abs(s))),
     "five inputs": Model(a=lambda v, s: np.sqrt(v) * np.exp(0.1 * s), inputs=5),
     "falling": Model(a=lambda v, s: np.exp(0.1 * s) / np.sqrt(v), between=(0.01, 20.0)),
+    "kink, rows lost": Model(a=_root, b=lambda s: np.maximum(0.0, 0.2 * s + 0.05), lost=0.002),
     "power, fixed": Model(a=_root, strength="1.5"),
     "kink, fixed": Model(a=_root, b=lambda s: np.maximum(0.0, 0.2 * s + 0.05), strength="1.5"),
     "jump, fixed": Model(a=lambda v, s: np.sqrt(v) * np.where(s > 0.5, 1.3, 1.0), strength="1.5"),
@@ -111,7 +117,9 @@ MODELS: Final[dict[str, Model]] = {
 
 def found_by(model: Model, study: Study, seed: int, most: int) -> CurveFound | str:
     """The curve of one seed with about so many evaluations."""
-    work = Work(study=replace(study, seed=seed), store=None, ledger=Ledger(), fidelity="model", black_box=model.demands)
+    # a run has sampled before: its rows are of those that some may be lost of
+    ledger = Ledger(evaluations={"model": 8192})
+    work = Work(study=replace(study, seed=seed), store=None, ledger=ledger, fidelity="model", black_box=model.demands)
     return curves_along(work, study.limits, most=most)["a"]
 
 

@@ -256,17 +256,16 @@ class Curve:
         """
         pairs = [self._expected(self.many, self.fit.predict(x, self._many_products), x) for x in values]
         fitted, variance = np.array([p.mean(axis=1) for p, _ in pairs]), np.array([v.mean() for _, v in pairs])
-        # of a fixed strength a row tells only on which side it lies: none may happen to lie on the wrong one, and of
-        # the many the share beyond it is known to one of them, evenly (1/12 of its square)
-        least, one = 0.0, 0.0
-        if not isinstance(self.own(values[0]).strength, Law):
-            least, one = 1.0, 1.0 / (12.0 * self.many.size * self.many.count)
+        # what rows scatter about the response bounds the spread below, as few rows may happen to agree; and of a fixed
+        # strength the share of the many beyond it is known to one of them, evenly (1/12 of its square)
+        counted = not isinstance(self.own(values[0]).strength, Law)
+        one = 1.0 / (12.0 * self.many.size * self.many.count) if counted else 0.0
         if self.places is None:
             missed = np.array([self._missed(self.fit.predict(x, self._row_products), x).mean(axis=1) for x in values])
-            return _spread_by(fitted + missed, least * variance / self.rows.size + one)
-        return self._corrected(np.asarray(values), fitted, variance, least, one)
+            return _spread_by(fitted + missed, variance / self.rows.size + one)
+        return self._corrected(np.asarray(values), fitted, variance, one)
 
-    def _corrected(self, values: Array, fitted: Array, variance: Array, least: float, one: float) -> Array:
+    def _corrected(self, values: Array, fitted: Array, variance: Array, one: float) -> Array:
         """What the response answers (K, R), corrected by the rows near each value, over the smaller side of it."""
         assert self.places is not None
         mean = fitted.mean(axis=1)
@@ -278,7 +277,7 @@ class Curve:
         step = float(at[1] - at[0])
         # how much more rows scatter than the response expects, around: few rows hold none of the rare
         wide = _weights(at, places.ravel(), 2.0 * REACHES[0] * step)
-        ratio = np.maximum((wide @ missed.ravel() ** 2) / np.maximum(wide @ expected.ravel(), 1e-300), least)
+        ratio = np.maximum((wide @ missed.ravel() ** 2) / np.maximum(wide @ expected.ravel(), 1e-300), 1.0)
         near = _weights(at, at, REACHES[0] * step)
         near /= near.sum(axis=1, keepdims=True)
         tables, floors, biases, totals = [], [], [], []
