@@ -229,10 +229,10 @@ def test_a_fracture_energy_comes_back_as_it_was_given(study: Study, rows: AxisRo
     for p, estimate in found.values.items():
         assert estimate.value == pytest.approx(median * math.exp(spread * ndtri(p)), rel=1e-9)
     assert not isinstance(found.lognormal, str)
-    # replicates lie as far apart as rows do from their fit, some 1e-9, of which the mean of their medians keeps a part
+    # replicates lie as far apart as rows do from their fit, some 1e-6, of which the means of theirs keep a part
     assert found.lognormal.median.value == pytest.approx(median, rel=1e-8)
     assert found.lognormal.dispersion.value == pytest.approx(spread, rel=1e-7)
-    assert found.lognormal.gap < 1e-9
+    assert found.lognormal.gap < 1e-7
 
 
 def pressure_exceeds(energies: np.ndarray, count: int) -> np.ndarray:
