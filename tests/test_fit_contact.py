@@ -78,6 +78,20 @@ def test_an_elastic_test_has_no_onset():
         fit_contact(made(np.random.default_rng(2), top=0.8, noise=1e-8), diameter=0.02)
 
 
+def test_units_may_end_the_names_and_platens_are_bars_or_plates(tmp_path, capsys):
+    one = made(np.random.default_rng(3))
+    text = "displacement_um,force_kN\n"
+    text += "".join(f"{1e6 * d:.9g},{1e-3 * p:.9g}\n" for d, p in zip(one.displacement, one.force, strict=True))
+    (tmp_path / "test.csv").write_text(text)
+    found = {}
+    for platens in ("rigid", "hard_4340", "tungsten_carbide"):
+        asked = ["fit-contact", str(tmp_path / "test.csv"), "--diameter", "20 mm", "--json", "--platens", platens]
+        assert main(asked) == 0
+        found[platens] = json.loads(capsys.readouterr().out)["sphere_modulus"]["value"]
+    # the softer the platens, the stiffer the sphere
+    assert found["rigid"] < found["tungsten_carbide"] < found["hard_4340"]
+
+
 def test_faults_of_a_file_are_located(tmp_path, capsys):
     path = write(tmp_path, made(np.random.default_rng(3)), header="displacement,force [kN]")
     with pytest.raises(RecordError, match="no unit"):

@@ -192,6 +192,28 @@ accuracy = { mean = 0.02, quantile = 0.05, sobol = 0.2, probability = 0.03 }
 )
 
 
+FIXED = """
+[sphere]
+E = "52 GPa"
+nu = 0.25
+radius = "10 mm"
+density = "2650 kg/m3"
+[bars]
+E = "200 GPa"
+nu = 0.3
+density = "7850 kg/m3"
+yield_strength = "0.8 GPa"
+diameter = "40 mm"
+infinite = true
+[striker]
+speed = "0.5 m/s"
+length = "0.8 m"
+[limits.force]
+quantity = "P_max"
+strength = "1 kN"
+"""
+
+
 def exact_union(pressure: float, force: float, tie: float = 0.0) -> float:
     """1 - P(both strengths hold): the logarithms of strength over demand are two normals, by Owen (1956)."""
     impedance = math.pi * 0.03**2 * math.sqrt(210e9 * 7850.0)
@@ -339,6 +361,14 @@ def test_a_small_budget_leaves_the_union_and_says_so(tmp_path: Path, small_text:
     found = uqsphere.run(uqsphere.load_study(path), out=tmp_path / "r").results.document()["fracture"]
     assert found["union"]["value"] > 0.0
     assert "budget" in found["reason"]
+
+
+def test_a_sphere_without_scatter_breaks_at_its_force(tmp_path: Path) -> None:
+    path = tmp_path / "fixed.toml"
+    path.write_text(FIXED, encoding="utf-8")
+    found = uqsphere.run(uqsphere.load_study(path), out=tmp_path / "r").results.document()["fracture"]
+    assert found["union"]["value"] == 1.0
+    assert found["force"]["median"]["value"] == pytest.approx(1000.0, rel=1e-9)
 
 
 def test_what_cannot_mean_fracture_is_refused(tmp_path: Path, small_text: str) -> None:

@@ -148,7 +148,7 @@ COMMANDS: Final = {
     "fit-contact": Command("onset, hardness and pile-up from a slow test on a sphere between two platens", "records", (
         _path("record", "FILE.csv", "displacement and force, loaded and let go"),
         _word("--diameter", "LENGTH", 'of the sphere, such as "20 mm"', required=True),
-        _word("--platens", "NAME", "a material of the bars, or rigid; E of the sphere follows", default="rigid"),
+        _word("--platens", "NAME", "a material of bars or plates, or rigid; E of the sphere follows", default="rigid"),
         _word("--nu", None, "Poisson ratio of the sphere (default 0.25)", type=float, default=0.25),
         _word("--columns", "D,F", "columns that count: displacement, force"),
         _word("--displacement-unit", "UNIT", "such as um", default=""),

@@ -499,9 +499,11 @@ def command_fit_contact(chosen: argparse.Namespace) -> int:
     diameter = number_of(chosen.diameter, "length", "--diameter", above=0.0)
     machine = chosen.machine_stiffness
     stiffness = math.inf if machine is None else number_of(machine, "stiffness", "--machine-stiffness", above=0.0)
-    if not 0.0 <= chosen.nu < 0.5 or (chosen.pile_up is not None and not 1.0 <= chosen.pile_up <= 3.0):
-        raise UsageError("--nu must lie from 0 to below 0.5, --pile-up from 1 to 3")
-    known = library()["bars"]
+    if not 0.0 <= chosen.nu < 0.5:
+        raise UsageError(f"--nu {chosen.nu:g}: it lies from 0 to below 0.5")
+    if chosen.pile_up is not None and not 1.0 <= chosen.pile_up <= 3.0:
+        raise UsageError(f"--pile-up {chosen.pile_up:g}: it lies from 1 to 3")
+    known = {**library()["bars"], **library()["plates"]}
     if chosen.platens != "rigid" and chosen.platens not in known:
         raise UsageError(f"--platens: found {chosen.platens!r}, allowed: rigid, {', '.join(known)}")
     with _told(chosen.record):
@@ -512,7 +514,8 @@ def command_fit_contact(chosen: argparse.Namespace) -> int:
     if chosen.platens != "rigid":
         bar = {key: entry.value for key, entry in known[chosen.platens].properties.items()}
         soft = (1.0 - bar["nu"] ** 2) / bar["E"]
-        if fit.onset.high > (onset := float(metal_onset(bar["yield_strength"], bar["nu"]))) / 1.3:
+        onset = float(metal_onset(bar.get("yield_strength", math.inf), bar["nu"]))
+        if fit.onset.high > onset / 1.3:
             notes.append(f"the platens yield from {onset / 1e9:.3g} GPa on: what was fitted may be theirs")
     return _answer_fit(chosen, fit, soft, notes)
 

@@ -407,7 +407,8 @@ RULES: Final[tuple[Rule, ...]] = (
     Rule(name="bar_yield_contact", meaning="contact pressure over that at which the bars yield (elastic contact)",
          measure=_over_bar_onset, warning=1.0, laws=("hertz", "damage"), rigs=_BARS,
          further=_static(softest_partner),
-         words="the bars yield under the sphere, p_0 reaches {worst} times the pressure at which they begin to",
+         words="the bars yield under the sphere, p_0 reaches {worst} times the pressure at which they begin to; "
+               "harder bars or inserts, thinner bars or a shorter pulse help",
          fine="bars elastic under the sphere: p_0 at most {worst} times the pressure at which they begin to yield"),
     Rule(name="bar_yield_pulse", meaning="stress of the pulse over the bars' yield strength (elastic waves)",
          measure=_pulse_over_yield, warning=1.0, rigs=_BARS,

@@ -97,7 +97,8 @@ def read_loading(path: str | Path, *, columns: Sequence[str] = (), units: Sequen
         raise RecordError(f"name two columns, displacement and force, by --columns D,F; the file has {listed}")
     at, found = [place_of(table, name) for name in columns], []
     for place, dimension, unit, what in zip(at, ("length", "force"), units, ("displacement", "force"), strict=True):
-        used = unit or table.units[place]
+        ending = table.names[place].rpartition("_")[2]
+        used = unit or table.units[place] or (ending if ending in UNITS[dimension] else "")
         if used not in UNITS[dimension]:
             said = f"the {what} has the unit {used!r}" if used else f"the {what} has no unit"
             known = ", ".join(u for u in UNITS[dimension] if u.isascii())

@@ -154,7 +154,7 @@ def _unjudged(contents: Contents, names: Mapping[str, str]) -> Iterator[Caution]
     places = {OUTPUTS[q].place for n in names if (q := limits[n].quantity) in OUTPUTS}
     left = [words for place, words in (("rim", "ring cracks"), ("core", "core tension")) if place not in places]
     if not contents.black_box and not beside and places and left:
-        yield Caution(rank=_UNKNOWN, text=f"{listed(left)} are not judged.")
+        yield Caution(rank=_UNKNOWN, text=f"{listed(left)} {'are' if 'ring cracks' in left else 'is'} not judged.")
 
 
 def log_odds(p: float) -> float:

@@ -117,6 +117,19 @@ def margins_table(contents: Contents, name: str, *, only_own: bool = False) -> T
         caption=f"{begin(solve, input_name(solve))} at which {what} with a given probability",
         header=tuple(header),
         rows=tuple(rows),
+        note=_when_bars_yield(entry, subject),
+    )
+
+
+def _when_bars_yield(entry: MarginEntry, subject: str) -> str:
+    """Where bars that are elastic by law begin to yield; empty where they do not, or nobody knows."""
+    share, bars = plain_percent(entry.bars.contact_probability), entry.bars
+    if bars.contact.value is not None:
+        return f"The bars yield under the sphere in {share} of the rows at {cell(bars.contact, subject)}."
+    return (
+        f"The bars yield in more than {share} of the rows at every value."
+        if bars.contact_everywhere == "yields"
+        else ""
     )
 
 

@@ -288,7 +288,7 @@ def _at_fracture(work: Work, pool: Sample, together: AnyLimit, drawn: Breaking) 
     names, d = work.scene_names, len(work.scene_names)
     if d == 0:
         distinct, rows = distinct[:1], np.zeros_like(rows)
-    physical = pool.inputs[:, :, :d].reshape(-1, d)[distinct]
+    physical = pool.inputs[:, :, :d].reshape(pool.size, d)[distinct]
     scene = scene_of(work.study, {name: physical[:, k] for k, name in enumerate(names)}, len(distinct))
     paths = [path for limit in limits if (path := path_of(limit.quantity, work.study.demands)) is not None]
     shares = drawn.shares.reshape(len(limits), -1).T
