@@ -368,7 +368,7 @@ def test_a_sphere_without_scatter_breaks_at_its_force(tmp_path: Path) -> None:
     path.write_text(FIXED, encoding="utf-8")
     found = uqsphere.run(uqsphere.load_study(path), out=tmp_path / "r").results.document()["fracture"]
     assert found["union"]["value"] == 1.0
-    assert found["force"]["median"]["value"] == pytest.approx(1000.0, rel=1e-9)
+    assert found["force"]["median"]["value"] == pytest.approx(1000.0, rel=1e-4)
 
 
 def test_what_cannot_mean_fracture_is_refused(tmp_path: Path, small_text: str) -> None:
