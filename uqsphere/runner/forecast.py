@@ -384,7 +384,7 @@ def choose_way(study: Study, cost: float | None = None, seconds: float | None = 
     runs = sum(part.likely for part in forecast(study, surrogate=True))
     affordable = analysis.budget.evaluations
     if cost and cost * affordable > seconds:
-        affordable = int(seconds / cost)
+        affordable = max(int(seconds / cost), 1)
     overhead = OVERHEAD + FITS * len(analysis.quantities)
     # sampling ends with the budget, whatever accuracy it was forecast to take more for
     balance = overhead / max(min(planned, analysis.budget.evaluations) - runs, 1)
