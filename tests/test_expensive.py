@@ -337,7 +337,7 @@ def test_budgets_below_the_smallest_designs(ask) -> None:
     assert not results["accuracy"]["met"]
     for seconds in (70, 5):  # seven runs, and not even one
         with pytest.raises(UsageError, match="smallest design takes 8"):
-            ask(Counted(ishigami), f"analysis.budget.time='{seconds} s'", out="none")
+            ask(Counted(ishigami), f"analysis.budget.time='{seconds} s'", out=f"none{seconds}")
 
 
 def test_rows_without_an_answer_are_left_out_where_the_study_says_so(ask) -> None:
