@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.mechanics import bars
 from uqsphere.mechanics.field import BARS, last_time
 from uqsphere.mechanics.gauges import BarForces, bar_forces, force_imbalance, gauge_strain
 from uqsphere.mechanics.history import equilibrium, rod_length, rod_record, shown_time, view_field
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from uqsphere.mechanics.gauges import GaugeRecord
     from uqsphere.mechanics.history import Balance, History
-    from uqsphere.mechanics.scene import Scene
     from uqsphere.report.contents import Contents
 
 #: instants of a drawn course
@@ -37,9 +36,6 @@ _POINTS: Final = 1200
 _PLACES: Final = 160
 #: changes of contact with a line of their own; a sphere that rattles has more than can be told apart
 _CHANGES: Final = 12
-#: reflections weaker than this, and more of them than this, are not drawn
-_FAINT: Final = 0.02
-_MOST_TRIPS: Final = 12
 
 
 def history_figure(history: History) -> str:
@@ -50,9 +46,9 @@ def history_figure(history: History) -> str:
     return canvas.render(draw_history(history))
 
 
-def xt_figure(scene: Scene, history: History, row: int = 0) -> str:
-    """SVG text of the wave fronts in both bars over place and time, the sphere at x = 0."""
-    return canvas.render(draw_xt(scene, history, row))
+def xt_figure(history: History) -> str:
+    """SVG text of the stress in both bars over place and time, with the wave fronts, the sphere at x = 0."""
+    return canvas.render(draw_xt(history))
 
 
 def _thinned(history: History) -> npt.NDArray[np.int64]:
@@ -241,59 +237,14 @@ def history_finding(history: History) -> str:
 # --- x-t diagram --------------------------------------------------------------------------------------
 
 
-def draw_xt(scene: Scene, history: History, row: int = 0) -> canvas.Picture:
-    """The picture of `xt_figure`: fronts solid, tails of the pulse dashed, paler the weaker the reflection."""
-    c0 = float(bars.wave_speed(scene.columns["bars.E"][row], scene.columns["bars.density"][row]))
-    trips = [float(trip) for trip in scene.round_trips[row]]
-    ends, pulse = [float(end) for end in scene.reflections[row]], float(scene.pulse.end[row])
-    last = _last_shown(scene, history, trips, ends)
-    lengths = [0.5 * c0 * trip if math.isfinite(trip) else 0.6 * c0 * last for trip in trips]
-    unit, factor = canvas.time_unit(last)
-    with canvas.style():
-        figure, (axes,) = canvas.new_figure(5.6)
-        for delay, line in ((0.0, "-"), (pulse, "--")):
-            if math.isfinite(delay):
-                _fronts(axes, [length / c0 for length in lengths], (c0, factor), trips, ends, last, delay, line)
-        touching = [0.0, min(history.record_end, last) * factor]
-        axes.plot([0.0, 0.0], touching, color=canvas.RED, linewidth=3.5, solid_capstyle="butt")
-        _bars(axes, scene.infinite, lengths, ends, history)
-        axes.set_ylim(-lengths[0] / c0 * factor, last * factor)
-        canvas.frame(axes, x="place along the bars, sphere at 0 [m]", y=f"time since first touch [{unit}]", grid=True)
-        handles = [canvas.mark(canvas.INK, "front"), canvas.mark(canvas.RED, "in contact", linewidth=3.5)]
-        handles[1:1] = [canvas.mark(canvas.INK, "tail of the pulse", linestyle="--")] if math.isfinite(pulse) else []
-        axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3, borderpad=0.0)
-        if history.record_end < last:
-            lost = any(change.kind == "lost" for change in history.changes)
-            ending = f"{'contact lost' if lost else 'end of the record'} at {history.record_end * factor:.4g} {unit}"
-            box = {"facecolor": canvas.PAPER, "edgecolor": "none", "pad": 1.0, "alpha": 0.85}
-            canvas.note(axes, ending, (0.0, history.record_end * factor), (6, 3), color=canvas.INK, bbox=box)
-    return canvas.Picture(name="xt", title="Wave fronts in both bars over place and time", figure=figure,
-                          finding=_xt_finding(history, trips, ends, pulse))  # fmt: skip
-
-
-def _last_shown(scene: Scene, history: History, trips: list[float], ends: list[float]) -> float:
-    """The end of the diagram [s]: as long as the record, with at least one round trip where something comes back."""
-    finite = [trip for trip in trips if math.isfinite(trip)]
-    echoes = [trip for trip, end in zip(trips, ends, strict=True) if end != 0.0 and math.isfinite(trip)]
-    last = max(1.15 * history.record_end, 1.1 * max(echoes, default=0.0), 0.5 * max(finite, default=history.record_end))
-    pulse = float(scene.pulse.end[history.motion.row])
-    # where nothing comes back the arrival is all there is to see
-    return min(last, 6.0 * pulse) if scene.infinite else last
-
-
-def _bars(axes: Axes, infinite: bool, lengths: list[float], ends: list[float], history: History) -> None:
-    """The far ends of both bars with what they do to a wave, and the gauges."""
-    axes.set_xlim(-1.04 * lengths[0], 1.04 * lengths[1])
-    for x, end, name in ((-lengths[0], ends[0], "incident bar"), (lengths[1], ends[1], "receiving bar")):
-        words = {1.0: "free", -1.0: "fixed", 0.0: "absorbing"}.get(end, number_text(f"R = {end:.3g}"))
-        axes.axvline(x, color=canvas.GREY, linewidth=0.0 if infinite else 2.0)
-        canvas.note(axes, f"{name}, {'no' if infinite else words} end", (0.0 if x < 0.0 else 1.0, 1.0), (0, 4),
-                    xycoords="axes fraction", ha="left" if x < 0.0 else "right")  # fmt: skip
-    for gauge in history.gauges:
-        place = -gauge.position if gauge.bar == "incident" else gauge.position
-        axes.axvline(place, color=canvas.GREEN, linewidth=0.9, linestyle=":")
-        canvas.note(axes, "gauge", (place, 0.02), (3, 2), xycoords=("data", "axes fraction"), va="bottom", rotation=90,
-                    fontsize=7.5, color=canvas.GREEN)  # fmt: skip
+def draw_xt(history: History) -> canvas.Picture:
+    """Stress in both bars over place and time, the sphere at x = 0, with fronts, regions, far ends and gauges."""
+    scene, words = history.motion.scene, []
+    for name, end in zip(BARS, scene.reflections[history.motion.row].tolist(), strict=True):
+        what = {1.0: "free", -1.0: "fixed", 0.0: "absorbing"}.get(end, number_text(f"R = {end:.3g}"))
+        words.append(f"{name} bar, {'no' if scene.infinite else what} end")
+    gauges = [-one.position if one.bar == BARS[0] else one.position for one in history.gauges]
+    return replace(draw_field(view_field(history), gauges, "  |  ".join(words)), name="xt")
 
 
 def draw_rod(history: History, length: float) -> canvas.Picture:
@@ -315,59 +266,6 @@ def draw_rod(history: History, length: float) -> canvas.Picture:
         finding += f", and {float(stress.max()):.3g} MPa of tension comes back"
     return canvas.Picture(name="xt", title="Stress in the rod over place and time", figure=figure,
                           finding=f"{finding}; dashed: gauge.")  # fmt: skip
-
-
-def _fronts(
-    axes: Axes,
-    runs: list[float],
-    scale: tuple[float, float],
-    trips: list[float],
-    ends: list[float],
-    last: float,
-    delay: float,
-    line: str,
-) -> None:
-    """The fronts that leave the sphere's faces and come back, the one that arrives first, and what passes through.
-
-    `runs` are the times that a front takes through each bar; `scale` the speed of waves, and a second as it is drawn.
-    """
-    c0, factor = scale
-
-    def draw(side: int, times: tuple[float, float], colour: str, width: float, strength: float) -> None:
-        """A front between the sphere and the far end of a bar, from or to which it goes at these times."""
-        begin, end = times
-        far = (-1.0 if side == 0 else 1.0) * c0 * runs[side]
-        ways = [0.0, far] if begin >= 0.0 else [far, 0.0]
-        axes.plot(ways, [abs(begin) * factor, end * factor], color=colour, linestyle=line, linewidth=width,
-                  alpha=max(0.25, strength))  # fmt: skip
-
-    axes.plot([-c0 * runs[0], 0.0], [(delay - runs[0]) * factor, delay * factor], color=canvas.INK, linestyle=line)
-    for side, colour in ((0, canvas.BLUE), (1, canvas.ORANGE)):
-        strength, start = 1.0, delay
-        for _ in range(_MOST_TRIPS):
-            if strength < _FAINT or start > last:
-                break
-            draw(side, (start, start + runs[side]), colour, 1.4, strength)
-            strength *= abs(ends[side])
-            if strength < _FAINT or not math.isfinite(trips[side]):
-                break
-            draw(side, (-(start + runs[side]), start + 2.0 * runs[side]), colour, 1.4, strength)
-            start += trips[side]
-            if start < last:
-                # each wave that comes back sends a part of itself through the sphere
-                draw(1 - side, (start, start + runs[1 - side]), canvas.GREY, 0.9, 0.6 * strength)
-
-
-def _xt_finding(history: History, trips: list[float], ends: list[float], pulse: float) -> str:
-    unit, factor = canvas.time_unit(history.horizon)
-    text = "The pulse reaches the sphere at time zero"
-    text += f" and lasts {pulse * factor:.4g} {unit}." if math.isfinite(pulse) else " and never ends."
-    for name, trip, end in zip(("incident", "receiving"), trips, ends, strict=True):
-        if end != 0.0 and math.isfinite(trip):
-            text += f" The wave reflected in the {name} bar is back after {trip * factor:.4g} {unit}."
-    if history.record_end < history.horizon:
-        text += f" Contact is lost at {history.record_end * factor:.4g} {unit}."
-    return text
 
 
 # --- What the bars see of one scene as figures and tables: gauge signals, and forces by wave analysis.
@@ -555,7 +453,7 @@ _COLUMNS = {
 def write_history(found: History, folder: Path) -> list[Path]:
     """Table and pictures of a history in `folder`; the paths.
 
-    history.csv, history.svg, xt.svg; field.csv, field.svg; forces.svg and, where the gauges allow it, bar_forces.csv;
+    history.csv, history.svg; xt.svg, field.csv; forces.svg and, where the gauges allow it, bar_forces.csv;
     gauges.csv, gauges.svg where there are gauges; stress.svg within the range of its tables.
     """
     scene, motion = found.motion.scene, found.motion
@@ -568,7 +466,7 @@ def write_history(found: History, folder: Path) -> list[Path]:
             "history.svg": history_figure(found),
         }
         if scene.rig == "bars":
-            contents |= {"xt.svg": xt_figure(scene, found), **_bar_pictures(found)}
+            contents |= _bar_pictures(found)
         elif math.isfinite(length := rod_length(motion)) and length > 0.0:
             contents["xt.svg"] = canvas.render(draw_rod(found, length))
         if found.balance is not None and (scene.rig != "bars" or _yields(found)):
@@ -610,7 +508,7 @@ def _columns(found: History) -> tuple[list[str], list[Array]]:
 def _bar_pictures(found: History) -> dict[str, str]:
     """What the bars see, by file name."""
     contents = {"field.csv": csv_text(*field_rows(found))}
-    pictures = [draw_field(view_field(found)), draw_forces(found)]
+    pictures = [draw_xt(found), draw_forces(found)]
     if found.gauges:
         contents["gauges.csv"] = csv_text(*gauge_rows(found))
         pictures.append(draw_gauges(found))

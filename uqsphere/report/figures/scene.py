@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -221,8 +222,13 @@ def stress_image(axes: Axes, stress: Array, extent: tuple[float, float, float, f
     axes.set_ylabel("time since first touch [µs]")
 
 
-def draw_field(view: FieldView) -> canvas.Picture:
-    """Stress in both bars over place and time, with the regions that the fronts bound, as in the paper's Fig. 3."""
+def draw_field(
+    view: FieldView, gauges: Sequence[float] = (), words: str = "incident bar  |  receiving bar"
+) -> canvas.Picture:
+    """Stress in both bars over place and time, with the regions that the fronts bound, as in the paper's Fig. 3.
+
+    `gauges` are places along the bars [m], the sphere at 0; `words` stand above.
+    """
     (left, right), begin, last = view.reach, view.begin, view.last
     unit, factor = _stress_unit(view)
     with canvas.style():
@@ -231,6 +237,10 @@ def draw_field(view: FieldView) -> canvas.Picture:
         _fronts(axes, view)
         axes.plot([0.0, 0.0], [0.0, min(view.record_end, last) * 1e6], color=canvas.ON_LIGHT, linewidth=3.0)
         _names(axes, view)
+        for place in (place for place in gauges if -left < place < right):
+            axes.axvline(place, color=canvas.ON_LIGHT, linewidth=0.9, linestyle=":")
+            canvas.note(axes, "gauge", (place, 0.02), (3, 2), xycoords=("data", "axes fraction"), va="bottom",
+                        rotation=90, fontsize=7.5, color=canvas.ON_LIGHT, bbox=_LABEL)  # fmt: skip
         for found in view.tensions:
             if found.time < last:
                 place = -found.position if found.bar == BARS[0] else found.position
@@ -239,7 +249,7 @@ def draw_field(view: FieldView) -> canvas.Picture:
         axes.set_xlim(-left, right)
         axes.set_ylim(begin * 1e6, last * 1e6)
         axes.set_xlabel("place along the bars, sphere at 0 [m]")
-        axes.set_title("incident bar  |  receiving bar", fontsize=9.5)
+        axes.set_title(words, fontsize=9.5)
     return canvas.Picture(name="field", title="Stress in both bars over place and time", finding=_field_finding(view),
                           figure=figure)  # fmt: skip
 
