@@ -10,12 +10,13 @@ import pytest
 from conftest import SUM
 
 import uqsphere
-from uqsphere.runner.account import FACTOR
 from uqsphere.runner.campaign import cost_of
 from uqsphere.runner.forecast import forecast, plan_run, plan_text
 from uqsphere.runner.questions.curves import KIND, Band
 from uqsphere.study import Study, load_study
 
+#: between what is likely and what is taken
+FACTOR = 2.0
 STUDIES = Path(__file__).parents[1] / "studies"
 
 
@@ -122,16 +123,13 @@ def test_a_plan_warns_of_quantities_that_may_be_rough() -> None:
 # --- the account ------------------------------------------------------------------------------------------
 
 
-def test_the_account_adds_up_and_says_why_parts_differ(study_from: Callable[..., Study], tmp_path: Path) -> None:
+def test_the_account_adds_up(study_from: Callable[..., Study], tmp_path: Path) -> None:
     study = study_from(text=SUM)
     found = uqsphere.run(study, out=tmp_path / "r", model=lambda x: {"y": x["a"] + x["b"]})
     results = found.results.document()
     parts = {row["part"]: row for row in results["plan"]["parts"]}
     assert sum(row["taken"] for row in parts.values()) == sum(results["model"]["evaluations"].values())
     assert parts["sampling"]["taken"] == results["quantities"]["y"]["mean"]["evaluations"]
-    for row in parts.values():
-        far = max(row["likely"], row["taken"], 1) > 2.0 * max(min(row["likely"], row["taken"]), 1)
-        assert bool(row["why"]) == far, row
     curve = [row for row in results["speed_error"] if row["quantity"] == "margins.high"]
     bands = [row for row in curve if row["error_kind"] == KIND]
     assert bands

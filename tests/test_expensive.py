@@ -219,8 +219,7 @@ def test_more_budget_takes_no_margin_and_no_design_point_from_a_surrogate(
     values = ishigami({"x1": x[:, 0], "x2": x[:, 1], "x3": x[:, 2]})
     assert at["low"] <= float(np.quantile(values, 0.9)) <= at["high"]
     assert sum(results["model"]["evaluations"].values()) <= 2700
-    told = [part["why"] for part in results["plan"]["parts"] if part["part"] == "sampling"]
-    assert told == ["A surrogate was not good enough, and the model was sampled."]
+    assert "the model is sampled" in results["plan"]["why"]
 
 
 FAR = '[limits.far]\nquantity = "z"\nstrength = { dist = "normal", mean = 12.0, sd = 0.5 }\n'

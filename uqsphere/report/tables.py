@@ -383,11 +383,11 @@ def plan_table(contents: Contents) -> Table | None:
 
 
 def part_row(part: PartEntry, seconds: float | None) -> tuple[str, str]:
-    """A part of the run: planned and taken, in what time, and why they differ."""
+    """A part of the run: planned and taken, and in what time."""
     text = f"planned {thousands(part.likely)}, at most {thousands(part.most)}; took {thousands(part.taken)}"
     if seconds is not None and seconds >= 0.05:
         text += f" in {thousands(round(seconds)) if seconds >= 10.0 else f'{seconds:.2g}'} s"
-    return str(part.part), f"{text}. {powers(str(part.why))}" if part.why else text
+    return str(part.part), text
 
 
 def methods_table(contents: Contents) -> Table:

@@ -541,7 +541,6 @@ class PartEntry(Entry):
     likely: Count
     most: Count
     taken: Count
-    why: StrictStr = ""
 
 
 class PlanEntry(Part):

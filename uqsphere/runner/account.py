@@ -1,4 +1,4 @@
-"""What a run found, and its account: beside each part what was planned and what it took, and why they differ."""
+"""What a run found, and its account: beside each part what was planned and what it took."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from uqsphere.results import (
     ToleranceEntry,
 )
 from uqsphere.results.entries import CarriedEntry, CheckEntry, Curve, Est
-from uqsphere.runner.campaign import INDEX_KIND, MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, Missed
+from uqsphere.runner.campaign import Cost, Missed
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.forecast import forecast
 from uqsphere.uq.estimate import Estimate
@@ -58,42 +58,13 @@ class Findings:
     unsure: Unsure | None = None
 
 
-#: factor between planned and taken from which on a reason is given
-FACTOR: Final = 2.0
-#: what sampling answers, by how the names of its errors begin
-_ANSWERS: Final = {QUANTILE_KIND: "The worst quantile", MEAN_KIND: "The mean", MISS_KIND: "The probability"}
-#: why stages end before the accuracy is reached
-_ENDED: Final = {
-    "evaluations": "the next stage would have passed the budget",
-    "time": "the time was over, or the run was stopped",
-    "out of reach": "what is left was seen to be out of the budget's reach and given up",
-    "failures": "rows without an answer ended it",
-}
-_SEARCHES: Final = ("importance sampling", "subset simulation")
-_MOMENT: Final = "The moment of fracture takes rows of the full model, at the value planned or along the load."
-#: why a part takes less than was likely, and why it takes more
-_REASONS: Final = {
-    "pilot": ("Fewer models were compared than there are.", "The first runs of the model were timed."),
-    "sampling": ("The quantities are smoother than was assumed, and their errors fell faster.", ""),
-    "sensitivity": ("Fewer runs were paired for the indices than was assumed.", ""),
-    "surrogate": ("The model is smoother than was assumed, and fewer runs gave the accuracy.",
-                  "The model is less smooth than was assumed, and the surrogate needed more runs."),
-    "rare events": ("Sampling had the probabilities well enough already.",
-                    "The search for the design points took more than the least that it can."),
-    "margins": ("The first rows were enough.",
-                "The bands, or the values asked for, took more rows than the first ones, or a demand jumps."),
-    "fracture": (_MOMENT, _MOMENT),
-}  # fmt: skip
-
-
-def account(work: Work, found: Findings, *, planned: bool, surrogate: bool, affordable: int) -> tuple[PartEntry, ...]:
+def account(work: Work, *, planned: bool, affordable: int) -> tuple[PartEntry, ...]:
     """Every part with the evaluations that were likely, the most, and those taken.
 
     Parameters
     ----------
     work : the run, its ledger closed for every part.
-    found : what the run found: why its stages ended.
-    planned, surrogate : whether it was to be answered through a surrogate, and whether it was.
+    planned : whether it was to be answered through a surrogate.
     affordable : evaluations that the budget had room for.
     """
     parts = {part.name: part for part in forecast(work.study, affordable, planned)}
@@ -101,46 +72,8 @@ def account(work: Work, found: Findings, *, planned: bool, surrogate: bool, affo
     rows = []
     for name in [*parts, *(name for name in taken if name not in parts and taken[name])]:
         likely, most = (parts[name].likely, parts[name].most) if name in parts else (0, 0)
-        spent, why = taken.get(name, 0), ""
-        if max(likely, spent, 1) > FACTOR * max(min(likely, spent), 1):
-            why = _why(name, work, found, more=spent > likely, surrogate=surrogate)
-            if planned and not surrogate and not likely and name != "surrogate":
-                why = "A surrogate was not good enough, and the model was sampled."
-            elif not (why or spent):
-                why = "Nothing was left for it."
-        rows.append(PartEntry(part=name, likely=likely, most=most, taken=spent, why=why))
+        rows.append(PartEntry(part=name, likely=likely, most=most, taken=taken.get(name, 0)))
     return tuple(rows)
-
-
-def _why(part: str, work: Work, found: Findings, *, more: bool, surrogate: bool) -> str:
-    """Why a part took much more or less than was likely, in a sentence; nothing where that is not known."""
-    ended = _ENDED.get(found.stops.get("sensitivity" if part == "sensitivity" else "sampling", ""), "")
-    staged = part in ("sampling", "sensitivity")
-    if staged and more:
-        late = f"; it ended since {ended}" if ended else ""
-        return f"{_slowest(part, work.ledger.rows)} took more points than a smooth, nearly normal quantity does{late}."
-    if part == "surrogate" and not surrogate:
-        return "The surrogate was found too rough, and no more runs were made for it."
-    if (staged or part == "surrogate") and not more and ended:
-        return f"It ended early: {ended}."
-    if part == "rare events" and more and any(row.method in _SEARCHES for row in work.ledger.rows):
-        return "A probability was too small for plain sampling, and its failures were searched for."
-    return _REASONS.get(part, ("", ""))[more]
-
-
-def _slowest(part: str, history: Sequence[SpeedRow]) -> str:
-    """The answer of a part with the largest error over its standard deviation, as it is called."""
-    told = {INDEX_KIND: "The indices"} if part == "sensitivity" else _ANSWERS
-    last = {
-        (row.quantity, head): float(row.error or 0.0)
-        for row in history
-        for head in told
-        if row.error_kind.startswith(head)
-    }
-    if not last:
-        return "It"
-    quantity, head = max(last, key=lambda key: last[key])
-    return f"{told[head]} of {quantity.removeprefix('limits.')}"
 
 
 # --- Every accuracy that a run was asked for: what was reached, and what the rest would take.

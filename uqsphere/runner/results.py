@@ -209,7 +209,7 @@ def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None
         why=way.why if expensive is None else expensive.why,
         sampling_evaluations=way.sampling,
         surrogate_evaluations=way.runs,
-        parts=account(work, found, planned=way.surrogate, surrogate=taken == "surrogate", affordable=way.affordable),
+        parts=account(work, planned=way.surrogate, affordable=way.affordable),
     )
     store.take_over()
     save_points(work, store, found.sampled.sample)
