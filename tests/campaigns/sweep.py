@@ -280,16 +280,22 @@ def _answers(found: Answers) -> list[_Answer]:
     return [(found.values, found.censored), *([(found.others, None)] if found.others else [])]
 
 
+#: sums that an error is measured by, where it is not the quantity itself: the approach, and the work done on the faces
+_UNITS: Final = MappingProxyType({"dent": ("alpha_max",), "plastic_work": ("plastic_work", "energy")})
+
+
 def _error(name: str, found: _Answer, truth: _Answer, tolerance: float) -> Array:
     """Error of one quantity over the tolerance.
 
-    It is relative, but for the force imbalance, a difference of two forces over the largest: absolute.  A time
+    It is relative, but for the force imbalance, a difference of two forces over the largest: absolute, and for what is
+    left of larger numbers that it is the difference of: dent and plastic work, nothing at the onset (`_UNITS`).  A time
     that one side says was cut off by the record's end and the other says was not differs without bound, unless
     both times agree.
     """
     value, expected = np.asarray(found[0][name]), np.asarray(truth[0][name])
+    unit = np.abs(sum(np.asarray(truth[0][part]) for part in _UNITS.get(name, (name,))))
     with np.errstate(all="ignore"):
-        error = np.abs(value - expected) / (1.0 if name == "force_imbalance" else np.abs(expected)) / tolerance
+        error = np.abs(value - expected) / (1.0 if name == "force_imbalance" else unit) / tolerance
     error = np.where(value == expected, 0.0, error)
     if found[1] is not None and truth[1] is not None and name in truth[1]:
         error = np.where((found[1][name] != truth[1][name]) & (error > ALLOWED), np.inf, error)

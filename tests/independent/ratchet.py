@@ -300,18 +300,42 @@ def _quiet(faces: Array, peak: float) -> float:
 
 
 @numba.njit(cache=True)
+def _higher(series, laws, n, theta, out):
+    """The higher of both approaches above the dents at theta of step n."""
+    _dense(series[n, 1:], series[n, 0], theta, out)
+    return max(out[0] - laws[n, 0, _DENT], out[1] - laws[n, 1, _DENT])
+
+
+@numba.njit(cache=True)
 def _tail(starts, lengths, series, laws, count, level):
-    """First time in the last step at which both approaches above the dents are below a level, or NaN."""
-    out, low, high, n = np.zeros(3), 0.0, math.nan, count - 1
+    """First time in the last step at which both approaches above the dents are below a level, or NaN.
+
+    Where one falls as the other rises the higher one has an edge, which may be below the level between two looks.
+    """
+    out, seen, n = np.zeros(3), np.zeros(LOOKS + 3), count - 1
+    seen[0] = seen[-1] = math.inf
     for i in range(LOOKS + 1):
-        _dense(series[n, 1:], series[n, 0], i / LOOKS, out)
-        if max(out[0] - laws[n, 0, _DENT], out[1] - laws[n, 1, _DENT]) < level:
-            low, high = max(i - 1.0, 0.0) / LOOKS, i / LOOKS
+        seen[i + 1] = _higher(series, laws, n, i / LOOKS, out)
+    low, high = 0.0, math.nan
+    for i in range(LOOKS + 1):
+        begin, end = max(i - 1.0, 0.0) / LOOKS, min(i + 1.0, LOOKS) / LOOKS
+        if seen[i + 1] < level:
+            low, high = begin, i / LOOKS
             break
+        if seen[i + 1] < 2.0 * level and seen[i + 1] <= min(seen[i], seen[i + 2]):
+            a, b = begin, end
+            for _ in range(40):
+                one, two = a + 0.382 * (b - a), a + 0.618 * (b - a)
+                if _higher(series, laws, n, one, out) < _higher(series, laws, n, two, out):
+                    b = two
+                else:
+                    a = one
+            if _higher(series, laws, n, 0.5 * (a + b), out) < level:
+                low, high = begin, 0.5 * (a + b)
+                break
     for _ in range(60):
         mid = 0.5 * (low + high)
-        _dense(series[n, 1:], series[n, 0], mid, out)
-        if max(out[0] - laws[n, 0, _DENT], out[1] - laws[n, 1, _DENT]) >= level:
+        if _higher(series, laws, n, mid, out) >= level:
             low = mid
         else:
             high = mid

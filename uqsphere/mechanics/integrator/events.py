@@ -16,6 +16,7 @@ from uqsphere.mechanics.integrator import searches, tracked
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
     ARMED,
+    approach_at,
     face_yielded,
     largest_approach,
     largest_force,
@@ -562,9 +563,15 @@ _ANSWER_OF = (
 
 
 @compiled(**INNER)
-def _outermost(path, scale, start, length, crest, count, ended, level, backward):
-    """Time at which the larger approach first reaches `level`, or last on the way back; arrays of one lane."""
+def _outermost(level, backward, ended, path, branches, scale, start, length, crest, count, lane, yielding, law):
+    """Time at which the larger approach first reaches `level`, or last on the way back; arrays of one lane.
+
+    Of faces with laws of their own `level` is a force: what approach that is follows from the branch of a step, its
+    spring (0 on virgin loading) and dent, branches (steps, 2, 2).
+    """
     apart()
+    virgin_a = approach_at(law, lane, level) if yielding else level
+    virgin_b = approach_at(law, LANES + lane, level) if yielding else level
     for i in range(count):
         n = count - 1 - i if backward else i
         if crest[n] < level:
@@ -573,7 +580,11 @@ def _outermost(path, scale, start, length, crest, count, ended, level, backward)
         a, b = (end, 0.0) if backward else (0.0, end)
         best = math.nan
         for face in range(2):
-            found = searches.passage(path[n], face, level, 1.0, a, b)
+            height = virgin_b if face == 1 else virgin_a
+            if yielding:
+                spring, dent = branches[n, face, 0], branches[n, face, 1]
+                height = (level / spring) ** (2.0 / 3.0) if spring > 0.0 else height - dent
+            found = searches.passage(path[n], face, height, 1.0, a, b)
             if math.isnan(best) or (found > best if backward else found < best):
                 best = found
         if not math.isnan(best):
@@ -582,22 +593,21 @@ def _outermost(path, scale, start, length, crest, count, ended, level, backward)
 
 
 @compiled(**INNER)
-def _passages(power, wanted, path, scale, start, length, crest, count, ended, largest, shift):
+def _passages(power, wanted, ended, largest, shift, steps):
     """Width, whether it is censored, and rise of the larger force, its thresholds times `shift`; NaN if not wanted.
 
-    power: that of the force in what the path holds: 2/3 for approaches, 1 for the forces themselves.
+    power: that of the force in what the thresholds are shares of: 2/3 for approaches, 1 for the forces themselves.
     """
     apart()
     width, censored, rise = math.nan, 0.0, math.nan
     if wanted & tracked.WANT_WIDTH:
         half = largest * 0.5**power * shift
-        above = _outermost(path, scale, start, length, crest, count, ended, half, False)
-        below = _outermost(path, scale, start, length, crest, count, ended, half, True)
+        above, below = _outermost(half, False, ended, *steps), _outermost(half, True, ended, *steps)
         # the last crossing is the record's end itself where the force is still above
         width, censored = below - above, 1.0 if below >= ended * (1.0 - 1e-14) else 0.0
     if wanted & tracked.WANT_RISE:
-        tenth = _outermost(path, scale, start, length, crest, count, ended, largest * 0.1**power * shift, False)
-        nine = _outermost(path, scale, start, length, crest, count, ended, largest * 0.9**power * shift, False)
+        tenth = _outermost(largest * 0.1**power * shift, False, ended, *steps)
+        nine = _outermost(largest * 0.9**power * shift, False, ended, *steps)
         rise = nine - tenth
     return width, censored, rise
 
@@ -625,8 +635,8 @@ def _finish_faces(track, lane, out, yielding, law):
 
 
 @compiled(**INNER)
-def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, unsure, out, yielding, law):
-    """Answers of a row that has ended, in scaled variables; path, scale, start, length, crest of its lane.
+def finish(mode, wanted, track, lane, path, branches, scale, start, length, crest, count, unsure, out, yielding, law):
+    """Answers of a row that has ended, in scaled variables; path, branches, scale, start, length, crest of its lane.
 
     unsure: share by which a threshold may be off.
     """
@@ -653,11 +663,12 @@ def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, 
     out[tracked.ANSWER_DEPTH], out[tracked.ANSWER_NEAREST] = track[tracked.DEPTH, lane], track[tracked.NEAREST, lane]
     if wanted & (tracked.WANT_WIDTH | tracked.WANT_RISE) == 0:
         return
+    steps = path, branches, scale, start, length, crest, count, lane, yielding, law
     for k in range(3):
         # each threshold is also taken a little lower and higher: where it is then passed one oscillation sooner or
         # later, the answer is a jump
         shift = 1.0 + (k - 1.0) * unsure
-        width, censored, rise = _passages(power, wanted, path, scale, start, length, crest, count, ended, top, shift)
+        width, censored, rise = _passages(power, wanted, ended, top, shift, steps)
         if k == 1:
             out[tracked.ANSWER_WIDTH], out[tracked.ANSWER_WIDTH_CENSORED] = width, censored
             out[tracked.ANSWER_RISE] = rise

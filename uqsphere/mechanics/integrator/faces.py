@@ -228,6 +228,39 @@ def face_force(law, m, above):
 
 
 @compiled(**INNER)
+def _virgin(law, m, approach):
+    """Force of a face at its largest approach so far, and its derivative; elastic below the onset."""
+    onset, z = law[ONSET, m], approach / law[ONSET, m] if law[ONSET, m] > 0.0 else 0.0
+    if z <= 1.0:
+        lost = law[BASE, m] * approach ** law[GAMMA, m] if law[GAMMA, m] > 0.0 else 0.0
+        side = math.sqrt(approach)
+        return (law[STIFFNESS, m] + lost) * side * approach, (
+            1.5 * law[STIFFNESS, m] + (1.5 + law[GAMMA, m]) * lost
+        ) * side
+    b, y = law[SOFTENING, m], math.sqrt(z)
+    # (C4)
+    slope = 1.5 * ((1.0 + b) * y - 1.0) / (y + b - 1.0) if b > 0.0 else 1.5
+    return law[UNIT, m] * _virgin_force(z, b), law[UNIT, m] * slope / onset
+
+
+@compiled(**INNER)
+def approach_at(law, m, force):
+    """Approach at which virgin loading reaches a force, by Newton's method from that of Hertz, which lies below.
+
+    Hertz and what follows the onset are convex.  What takes damage bends down before `breaks`, where it is largest.
+    """
+    apart()
+    found, breaks = (force / law[STIFFNESS, m]) ** (2.0 / 3.0), law[BREAKS, m]
+    for _ in range(60):
+        reached, slope = _virgin(law, m, min(found, breaks))
+        following = min(found - (reached - force) / slope, 0.5 * (found + breaks))
+        if abs(following - found) <= 1e-15 * found:
+            break
+        found = following
+    return found
+
+
+@compiled(**INNER)
 def stored_energy(law, m, above):
     """Elastic energy of a face and its derivative by the approach, (C10), in units of P_c alpha_c."""
     force, slope = face_force(law, m, above)

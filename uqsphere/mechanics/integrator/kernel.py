@@ -18,6 +18,7 @@ from uqsphere.mechanics.integrator import events, incoming, tracked
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
     MOST_TURNS,
+    face_force,
     largest_approach,
     may_be_wrong,
     may_switch,
@@ -172,9 +173,11 @@ def march(
     kept_steps = (
         np.empty((lanes, capacity)), np.empty((lanes, capacity)), np.empty((lanes, capacity)),
         np.empty((lanes, capacity)), np.empty((lanes, capacity, 3, TERMS)), np.empty((2 * lanes * capacity, TERMS)),
+        np.empty((lanes, capacity, 2, 2)),
     )  # fmt: skip
     start, length, scale, crests = bare(kept_steps[0]), bare(kept_steps[1]), bare(kept_steps[2]), bare(kept_steps[3])
-    path, wave = bare(kept_steps[4]), bare(kept_steps[5])
+    # series of the approaches; of faces with laws of their own the spring and the dent of a step beside them
+    path, wave, branches = bare(kept_steps[4]), bare(kept_steps[5]), bare(kept_steps[6])
     store = wanted & (tracked.WANT_RISE | tracked.WANT_WIDTH | tracked.WANT_WHOLE) != 0
     whole = wanted & tracked.WANT_WHOLE != 0
     # whether a lane goes on after its first loss, with which its other answers are known
@@ -450,12 +453,10 @@ def march(
             if store:
                 for face in range(2):
                     m = face * LANES + j
+                    for k in range(TERMS):
+                        path[j, n, face, k] = x[k, m]
                     if yielding:
-                        for k in range(TERMS):
-                            path[j, n, face, k] = force[k, m]
-                    else:
-                        for k in range(TERMS):
-                            path[j, n, face, k] = x[k, m]
+                        branches[j, n, face, 0], branches[j, n, face, 1] = law[tracked.SPRING, m], law[tracked.DENT, m]
             for bar in range(2):
                 if before + trips[bar, j] < end[j]:
                     gives = rig[tracked.RIG_GIVES, bar * LANES + j]
@@ -473,6 +474,12 @@ def march(
                     kept[n, 4, k] = force[k, LANES + j] * power
                     power *= ending
                 if yielding:
+                    # the series of a force ends a power of the step before that of its approach: what is left out at
+                    # the end of the step goes to the last term, which errs by a fortieth of it inside
+                    for m in range(j, PAIR, LANES):
+                        kept[n, 3 + m // LANES, TERMS - 1] += (
+                            face_force(law, m, value_of(x, m, ending))[0] - value_of(force, m, ending)
+                        )
                     kept[n, 0, 0] += law[tracked.DENT, j]
                     kept[n, 1, 0] += law[tracked.DENT, LANES + j]
             touching[j] = 0
@@ -483,8 +490,8 @@ def march(
                 and graze[r] == 0.0
                 and track[tracked.LOST, j] == track[tracked.ENDED, j]
             ):
-                events.finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
-                              local, out[r], yielding, law)  # fmt: skip
+                events.finish(mode, wanted, track, j, path[j], branches[j], scale[j], start[j], length[j], crests[j],
+                              count[j], local, out[r], yielding, law)  # fmt: skip
                 out[r, tracked.ANSWER_SPEED] = value_of(u, j, ending)
                 beyond[j], why = True, 2 + int(track[tracked.LOST_FACE, j])
             if why >= 2 or (why == 1 and own[j]):
@@ -571,8 +578,8 @@ def march(
                 events.finish_whole(track, j, path[j], scale[j], length[j], count[j], out[r])
             if done:
                 if not beyond[j]:
-                    events.finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
-                                  local, out[r], yielding, law)  # fmt: skip
+                    events.finish(mode, wanted, track, j, path[j], branches[j], scale[j], start[j], length[j],
+                                  crests[j], count[j], local, out[r], yielding, law)  # fmt: skip
                     out[r, tracked.ANSWER_SPEED] = u[0, j]
                 out[r, tracked.ANSWER_SPEEDS], out[r, tracked.ANSWER_SPEEDS + 1] = free[0, j], -free[0, LANES + j]
                 status[r] = tracked.OK
