@@ -401,3 +401,15 @@ strength = {{ dist = "normal", mean = "5 kN", sd = "0.5 kN" }}
     assert main(["plan", str(file), "--out", str(tmp_path / "out"), "--json"]) == 0
     assert (tmp_path / "out" / "plan.csv").is_file()
     assert main(["plan", str(file), "--speed", "1,2"]) == 2
+
+
+def test_a_true_pressure_above_the_hardness_is_never_reached() -> None:
+    bare = {f"bars.insert_{key}": None for key in ("E", "yield_strength", "thickness")}
+    windows = {}
+    for meaning in ("hertz", "pressure"):
+        changed = {**bare, "bars.material": "steel", "limits.crushing.strength_is": meaning}
+        study = load_study(STUDIES / "granite_10mm_test.toml", changed)
+        request = request_of(study, rises=(0.0, 100e-6), grid=(12, 3))
+        windows[meaning] = plan_test(study, request).charts[0].windows
+    assert windows["hertz"]
+    assert not windows["pressure"]

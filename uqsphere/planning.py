@@ -282,7 +282,8 @@ def judge_points(
 ) -> tuple[Scene, Breaks, list[dict[str, Array]]]:
     """Fracture at n points of speed [m/s] and ramp [s], and the usages (n, m) for every length of the request."""
     columns = {name: np.full(len(speeds), value) for name, value in subject.columns.items()} | {"striker.speed": speeds}
-    scene = ramp_scene(columns, rises, rigid_contact=subject.rigid_contact, demands=subject.demands)
+    law = "plastic" if subject.dents else "hertz"
+    scene = ramp_scene(columns, rises, rigid_contact=subject.rigid_contact, demands=subject.demands, law=law)
     names = [limit.quantity for limit in subject.limits]
     breaks = break_on_ramp(scene, names, subject.paths, subject.strengths, fidelity=subject.fidelity)
     rigs = (

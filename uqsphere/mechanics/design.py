@@ -29,7 +29,8 @@ from uqsphere.mechanics.scene import Scene, answered
 
 #: bounds of a test in the order in which ties are decided, and what it means that one is broken
 CONSTRAINTS: Final[dict[str, str]] = {
-    "speed": "the force stays too small, however long striker and bars are",
+    "speed": "the force stays too small, or a contact that yields has a hardness below the strength, however long "
+    "striker and bars are",
     "reflection": "a reflected wave is back before the sphere breaks",
     "length": "the pulse falls before the sphere breaks, or the striker is too short for the ramp",
     "equilibrium": "the forces at the two faces differ too much when the sphere breaks",
@@ -115,6 +116,7 @@ def ramp_scene(
     *,
     rigid_contact: bool = False,
     demands: Demands = MappingProxyType({}),
+    law: str = "hertz",
 ) -> Scene:
     """n scenes under a pulse that rises linearly over `rise` (n,) [s] and stays, in bars without reflections.
 
@@ -124,8 +126,9 @@ def ramp_scene(
         Numbers of the scenes, SI; those of the pulse are left aside, and the striker's length.
     rise : (n,) array
         0 and more [s].
-    rigid_contact, demands
-        See `uqsphere.mechanics.scene.Scene`.
+    rigid_contact, demands, law
+        See `uqsphere.mechanics.scene.Scene`.  What yields is read off the largest force: motions that yield until the
+        ramp's end take minutes a map.
 
     Raises
     ------
@@ -141,7 +144,7 @@ def ramp_scene(
     horizon = float(np.max(rise + _LASTING * scales.time))
     unending["pulse.duration"] = np.full_like(rise, 4.0 * horizon)
     return Scene(columns=unending, shape="ramp", infinite=True, rigid_contact=rigid_contact, horizon=horizon,
-                 demands=demands)  # fmt: skip
+                 demands=demands, contact_law=law, contact_dynamics="elastic")  # fmt: skip
 
 
 def break_on_ramp(
