@@ -213,8 +213,8 @@ def _compare(found: Verification, run: Run, tolerance: float, missing: str | Non
             (found.notes if within else found.faults).append(text + ", within the tolerance of the study" * within)
     if found.fickle:
         found.notes.append(
-            "the model gives other answers to the same rows each time, so that no run of it can be repeated: give it a "
-            "generator with a seed of its own, made in every call"
+            "the model gives other answers to the same rows each time, so that no run of it can be repeated: say "
+            "[model] stochastic = true"
         )
     if missing and (manifest.stopped_by_time or manifest.interrupted):
         who = "the time budget" if manifest.stopped_by_time else "the user"

@@ -281,12 +281,12 @@ def cut_off(contents: Contents) -> str:
     """What ended a run before it was done, which is said before anything else; empty for one that was done."""
     if contents.manifest.interrupted:
         return "The run was interrupted; the same command goes on."
-    if contents.manifest.stopped_by_time:
-        return "The time budget ended the run; a longer one goes on."
-    accuracy, most = contents.results.accuracy, contents.resolved.analysis.budget.evaluations
+    accuracy, budget = contents.results.accuracy, contents.resolved.analysis.budget
     late = bool(accuracy.missed) or any(row.met is False for row in accuracy.questions)
+    if contents.manifest.stopped_by_time or (late and "time" in accuracy.stopped_by.values()):
+        return f"The time budget of {budget.time:g} s ended the run; a longer one goes on."
     by_count = late and "evaluations" in accuracy.stopped_by.values()
-    return f"The budget of {most:,} evaluations ended the run; a larger one goes on." if by_count else ""
+    return f"The budget of {budget.evaluations:,} evaluations ended the run; a larger one goes on." if by_count else ""
 
 
 def _of_run(contents: Contents) -> Iterator[Caution]:

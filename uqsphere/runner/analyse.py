@@ -62,6 +62,10 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
         found = _by_sampling(work, store, pilot, expensive, first, notice)
         if notice is not None and store.damaged:
             notice(f"damaged chunks were found and evaluated again: {', '.join(store.damaged)}")
+    if work.study.analysis.budget.evaluations < whole.study.analysis.budget.evaluations:
+        # the evaluations that the time has room for
+        late = {part: "time" if stop == "evaluations" else stop for part, stop in found.stops.items()}
+        found = replace(found, stops=late)
     return finish(whole, store, priced, expensive, found)
 
 

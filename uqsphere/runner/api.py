@@ -196,6 +196,8 @@ def _nothing_found(interrupted: bool, fault: str) -> BaseException:
 
 def _check_usage(study: Study, model: str | BlackBox | None, executor: object) -> None:
     """Refuse a study that cannot be run, or not with such a model or executor."""
+    if not isinstance(study, Study):
+        raise UsageError(f"a study is due, of uqsphere.load_study or uqsphere.Study: found {type(study).__name__}")
     if study.receiving_damper is not None:
         raise UsageError(NO_DAMPER)
     if not study.parts:

@@ -290,15 +290,17 @@ def evaluate_points(
 
 
 def _repeat_one(work: Work, store: Store, task: Task, rows: Array, found: Gathered) -> None:
-    """Evaluate one answered row of a black box once more, which is not counted: a stored one where some are.
+    """Evaluate one answered row of a black box once more, which is not counted: the last stored one where some are.
 
+    By itself it stands at another place of its call, so that noise from a generator with a seed is told too.
     Half of the digits must agree: a model in vector arithmetic may round a row by itself otherwise than among others.
     """
     known = np.flatnonzero(is_answered(found.answered.status))
     if known.size == 0:
         return
     work.ledger.repeated = True
-    row = rows[known[:1]]
+    at = known[min(found.reused, known.size) - 1]
+    row = rows[[at]]
 
     def once() -> Array:
         answer = partial(evaluate_rows, task, box=work.black_box, threads=1)
@@ -309,14 +311,14 @@ def _repeat_one(work: Work, store: Store, task: Task, rows: Array, found: Gather
     def same(a: Array, b: Array) -> bool:
         return bool(np.allclose(a, b, rtol=_HALF_OF_THE_DIGITS, atol=0.0, equal_nan=True))
 
-    first, now = found.answered.values[known[0]], once()
+    first, now = found.answered.values[at], once()
     if same(first, now):
         return
     if found.reused == 0 or not same(now, once()):
         raise ModelError(
             f"the model is not deterministic: the same row gives {first[0]:.6g} and {now[0]:.6g} as "
-            f"{task.columns[0]!r}, {where_of(task.names, row[0])}; give it a generator with a seed of its own, made in "
-            "every call, or say [model] stochastic = true"
+            f"{task.columns[0]!r}, {where_of(task.names, row[0])}; say [model] stochastic = true, "
+            "and its own scatter is told apart from that of the inputs"
         )
     raise FolderError(
         f"{store.folder}: the stored answers are not those of the model as it is now: {task.columns[0]!r} was "

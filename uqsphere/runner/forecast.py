@@ -443,14 +443,23 @@ def room_of(study: Study, way: Way) -> list[str]:
             f"margins over {path}: up to {min(half, ALONG.most):,} evaluations"
             + ", of which those are learned from that tell most of a probability that no surrogate shows" * learns
             if half >= fewest
-            else f"margins over {path}: no room; raise analysis.budget to {2 * fewest + 1} evaluations at least"
+            else f"margins over {path}: no room; {_raised(study, way, 2 * fewest + 1)}"
         )
     if variables > MOST_LEARNED:
         return [*found, f"{small}: bounds alone, since more than {MOST_LEARNED} variables are too many to learn them"]
     if half < least:
-        return [*found, f"{small}: bounds alone; raise analysis.budget to {2 * least + 1} evaluations at least"]
+        return [*found, f"{small}: bounds alone; {_raised(study, way, 2 * least + 1)}"]
     most = min(half, LEARNED.most)
     return [*found, f"{small}: {least} to {most} evaluations for each limit that the design does not show"]
+
+
+def _raised(study: Study, way: Way, count: int) -> str:
+    """What to raise for a number of evaluations: the time where it has no room for those of the budget."""
+    analysis, told = study.analysis, f"raise analysis.budget to {count} evaluations at least"
+    if way.affordable == analysis.budget.evaluations or not analysis.cost:
+        return told
+    late = f"raise analysis.budget.time to {_two(analysis.cost * count)} s at least"
+    return late if count <= analysis.budget.evaluations else f"{told}, and {late.removeprefix('raise ')}"
 
 
 # --- What a run will cost, estimated before anything heavy is loaded.

@@ -172,7 +172,7 @@ class Surrogate:
             if off.any():
                 ends = f"{self.lowest[k]:.6g} to {self.highest[k]:.6g}"
                 raise UsageError(f"{name} = {x[off][0, k]:.6g} lies outside of {ends}, which the rows cover: "
-                                 "run the study with a law that reaches there")  # fmt: skip
+                                 "more rows reach farther, and so does a wider law")  # fmt: skip
         if self.spread is not None:
             scores = law_scores(self.laws, x)
             off = np.einsum("ni,ij,nj->n", scores, self.spread, scores) > self.reach
@@ -242,7 +242,7 @@ def load_surrogate(path: str | Path) -> Surrogate:
     except OSError as error:
         raise AccessError(f"{path} cannot be read: {error}") from error
     except (TypeError, ValueError, BadZipFile) as error:
-        raise UsageError(f"{path} holds no surrogate: {error}") from error
+        raise UsageError(f"{path} holds no surrogate") from error
     try:
         told = json.loads(str(arrays["document"]))
         laws = tuple(_law_of(law) for law in told["laws"])
