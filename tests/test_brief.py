@@ -12,7 +12,7 @@ from report_folders import estimate, limit, put, write_folder
 
 from uqsphere.cli import main
 from uqsphere.mechanics.validity import RULES
-from uqsphere.report.brief import Answer, Axis, Mode, make_brief, ranged, span
+from uqsphere.report.brief import Answer, Axis, Mode, make_brief, ranged, share_span, span
 from uqsphere.report.cautions import check_words
 from uqsphere.report.contents import read_contents
 from uqsphere.report.phrases import short_share
@@ -148,3 +148,9 @@ def test_a_way_without_a_number_opens_the_safe_end() -> None:
     ):
         answer = Answer(question="", big="", unit="", note="", aim=aim, axis=axis, target=0.01, modes=modes)
         assert ranged(answer) == told
+
+
+def test_a_way_that_was_not_seen_has_its_bound() -> None:
+    unseen = Mode(limit="f", name="f", place="", miss=0.0, high=0.26)
+    answer = Answer(question="", big="", unit="", note="", aim="survive", axis=None, target=None, modes=(unseen,))
+    assert share_span(answer.misses, None) == "0–26"

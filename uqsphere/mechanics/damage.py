@@ -190,6 +190,11 @@ def critical_approach(energy: Values, share: Values, hertz_constant: Values, gam
     return np.asarray((energy / whole) ** 0.4)
 
 
+def over_peak(damage: Values, gamma: Values) -> Values:
+    """A damage over that of the force's peak."""
+    return damage / (peak_damage(gamma) * (1.0 - _AT_PEAK))
+
+
 def broken(damage: Values, gamma: Values) -> Flags:
     """Whether a damage is that of the force's peak."""
-    return np.asarray(damage >= peak_damage(gamma) * (1.0 - _AT_PEAK))
+    return np.asarray(over_peak(damage, gamma) >= 1.0)

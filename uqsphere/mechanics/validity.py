@@ -15,6 +15,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.criteria import CRITERIA, DIAMETERS, ENERGIES, Criterion, Demands, in_range, ranges_of
+from uqsphere.mechanics.damage import over_peak
 from uqsphere.mechanics.outputs import Answers, offered_energy
 from uqsphere.mechanics.partners import Partner, body_of, softest_partner, sphere_body
 from uqsphere.mechanics.rigs import GRAVITY, RIGS, loss_to_waves, terminal_speed
@@ -141,6 +142,10 @@ def _over_onset(scene: Scene, answers: Answers, body: Body, absent: str) -> Arra
 
 def _over_bar_onset(scene: Scene, answers: Answers) -> Array | str:
     return _over_onset(scene, answers, softest_partner(scene), _NO_YIELD)
+
+
+def _over_peak_damage(scene: Scene, answers: Answers) -> Array:
+    return np.asarray(over_peak(answers.values["damage"], scene.columns["contact.gamma"]))
 
 
 def _sphere(scene: Scene) -> Body:
@@ -410,6 +415,11 @@ RULES: Final[tuple[Rule, ...]] = (
          words="the bars yield under the sphere, p_0 reaches {worst} times the pressure at which they begin to; "
                "harder bars or inserts, thinner bars or a shorter pulse help",
          fine="bars elastic under the sphere: p_0 at most {worst} times the pressure at which they begin to yield"),
+    Rule(name="broken_by_damage", meaning="damage over that at which a sphere breaks (a limit of its own counts it)",
+         measure=_over_peak_damage, warning=1.0, laws=("damage",),
+         words="the sphere breaks by the law of damage, which no limit on a force or a pressure counts; a limit on the "
+               "damage of 3/(3 + 2 gamma) does",
+         fine="the sphere holds by the law of damage: at most {worst} of the damage at which it breaks"),
     Rule(name="bar_yield_pulse", meaning="stress of the pulse over the bars' yield strength (elastic waves)",
          measure=_pulse_over_yield, warning=1.0, rigs=_BARS,
          words="the pulse makes the bars yield, its stress reaches {worst} times their yield strength",

@@ -139,8 +139,9 @@ class Answer:
 
     @property
     def misses(self) -> list[float]:
-        """The probabilities of missing the aim, by every way that is judged."""
-        return [mode.miss for mode in self.modes if mode.miss is not None]
+        """The probabilities of missing the aim, by every way that is judged; of one not seen its bound too."""
+        unseen = [mode.high for mode in self.modes if mode.miss == 0.0 and mode.high]
+        return [mode.miss for mode in self.modes if mode.miss is not None] + unseen
 
     @property
     def group(self) -> str:
@@ -348,9 +349,10 @@ def _mode(contents: Contents, name: str, limit: LimitEntry) -> Mode:
         place, words = "core" if "tension" in criterion or "link" in criterion else "", name
     else:
         place = "" if quantity.follows == "energy" else quantity.place
-        words = PLACES.get(place, "")
+        words = PLACES.get(place, "") if place or quantity.follows == "energy" else ""
     around = [limit.miss.value, *(entry.miss.value for entry in limit.assumed)]
     around += list(limit.ignorance.miss) if limit.ignorance.known else []
+    around += [limit.miss.high] if limit.miss.value == 0.0 else []
     known = [float(value) for value in around if value is not None]
     mode = Mode(
         limit=name, name=words or shorten(name, 40), place=place, miss=limit.miss.value,

@@ -39,6 +39,7 @@ _FOUND: Final = {
     "deep_dent": "a dent changes the curvature of a face",
     "insert_thickness": "the inserts are thin beside the contact",
     "reachable": "a strength lies above the hardness, which no pressure exceeds",
+    "broken_by_damage": "the sphere breaks by the law of damage",
     "bar_yield_pulse": "the pulse makes the bars yield",
     "force_balance": "the two contact forces differ",
     "quasi_static_sphere": "waves cross the sphere too few times while the force rises",
@@ -263,6 +264,8 @@ def _broken_at(margin: MarginEntry, check: CheckEntry) -> float:
 
 def _effect(contents: Contents, check: str, names: Mapping[str, str]) -> str:
     """What a broken check does to the answers; empty where it moves none of them."""
+    if check == "broken_by_damage":
+        return "more break than stated"
     quantities = {name: contents.results.limits[name].quantity for name in names}
     lower = [name for name, quantity in quantities.items() if quantity in _LOWER.get(check, frozenset())]
     if lower:
