@@ -34,13 +34,20 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.given.answers import variance_shares
-from uqsphere.uq import beyond_variance, curve, tolerance
+from uqsphere.uq import (
+    Dependence,
+    Estimate,
+    Joint,
+    LimitState,
+    beyond_variance,
+    curve,
+    random_generator,
+    sobol_points,
+    tails,
+    tolerance,
+)
 from uqsphere.uq.curve import LognormalCurve
-from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.foreign import LawLike, as_law, joint_of
-from uqsphere.uq.joint import Dependence, Joint
-from uqsphere.uq.limit_state import LimitState, tails
-from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.surrogate import Surrogate, fit_surrogate, load_surrogate
 from uqsphere.uq.weibull import STRENGTHS, StrengthFit, fit_strength, make_tests
 

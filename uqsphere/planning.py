@@ -50,9 +50,8 @@ from uqsphere.report.figures.canvas import (
     shorten,
     style,
 )
-from uqsphere.study import Limit, Study
-from uqsphere.study.axis import SPEED
-from uqsphere.uq.law import Law
+from uqsphere.study import SPEED, Limit, Study
+from uqsphere.uq import Law
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

@@ -21,7 +21,7 @@ from uqsphere.feed.population import Feed, Outcome, breaking, draws_for, populat
 from uqsphere.feed.product import Fineness, Product, ProductPlan, draw_product
 from uqsphere.files import Json, read_whole
 from uqsphere.mechanics.criteria import DIAMETERS, ENERGIES
-from uqsphere.uq.points import random_generator
+from uqsphere.uq import random_generator
 
 FEED_FILE, TABLE_FILE = "feed.json", "feed-draws.csv"
 #: ends of a 95 % interval

@@ -48,7 +48,7 @@ from uqsphere.feed.likelihood import (
     terms,
 )
 from uqsphere.feed.tests import Specimens
-from uqsphere.uq.points import random_generator
+from uqsphere.uq import random_generator
 from uqsphere.uq.weibull import SAME, STRENGTHS, fitted_parameters, make_tests, pivots
 
 #: priors of logarithms: phi in 0.41 to 2.4 and gamma in 2.0 to 7.9 by 95 %, the published ranges; sigma 0.23 to 1.6;

@@ -23,8 +23,7 @@ from uqsphere.arrays import Array
 from uqsphere.feed import laws
 from uqsphere.feed.fit import Posterior
 from uqsphere.feed.product import Product
-from uqsphere.uq.law import Law
-from uqsphere.uq.points import sobol_points
+from uqsphere.uq import Law, sobol_points
 
 #: series of blows of a spectrum: in so many randomisations, which tell its error, and draws that are asked with them
 SERIES, RANDOMISATIONS, SPECTRUM_DRAWS = 512, 8, 200

@@ -24,7 +24,7 @@ from scipy.special import betainc, ndtr, ndtri
 
 from uqsphere.arrays import Array, Places, Values
 from uqsphere.mechanics.criteria import product_fineness
-from uqsphere.uq.law import Law
+from uqsphere.uq import Law
 
 #: t10 by its name in a study, and what its b is: dimension in a study
 FORMS: Final = {"jk": "mass_per_energy", "tavares": "number", "tavares_own": "number", "shi_kojovic": "f_mat"}

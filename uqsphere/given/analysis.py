@@ -26,11 +26,9 @@ from uqsphere.given.answers import (
     ties_of,
     with_ties,
 )
+from uqsphere.uq import Joint, Law, LawError
 from uqsphere.uq.estimate import Estimate, absent, mean_alone, sd_alone
 from uqsphere.uq.expansion.germs import germs_of
-from uqsphere.uq.families import LawError
-from uqsphere.uq.joint import Joint
-from uqsphere.uq.law import Law
 from uqsphere.uq.surrogate import Surrogate, law_scores, least_rows, response_from, surrogate_from
 
 #: bytes of a file, and columns that are looked at
@@ -309,7 +307,7 @@ def _dependence(data: Data, *, fitted: bool) -> tuple[tuple[TiedPair, ...], list
 
 
 def _fitted(data: Data, seed: int) -> tuple[Document, _Laws]:
-    from uqsphere.uq.points import random_generator
+    from uqsphere.uq import random_generator
 
     marginals: Document = {}
     columns, laws, others, unknown = [], [], [], []
@@ -450,8 +448,8 @@ def _answered(
     data: Data, column: int, laws: _Laws, ties: Sequence[TiedPair], seed: int
 ) -> tuple[Document, Document, Surrogate | None]:
     """What is known of one output: its distribution, what drives it, and its surrogate."""
+    from uqsphere.uq import random_generator
     from uqsphere.uq.beyond_variance import rank_indices
-    from uqsphere.uq.points import random_generator
 
     name = data.outputs[column]
     y = data.y[:, column]
@@ -527,7 +525,7 @@ def _expansion(
     data: Data, y: Array, laws: _Laws, ties: Sequence[TiedPair], key: tuple[int, str]
 ) -> tuple[Document | None, Document, Surrogate | None]:
     """What an expansion tells, where it passes its check, what there is to say about it, and the expansion."""
-    from uqsphere.uq.points import random_generator
+    from uqsphere.uq import random_generator
 
     seed, name = key
     generator = random_generator(seed=seed, task=f"analyse expansion {name}")

@@ -18,10 +18,9 @@ import numpy as np
 from scipy.special import expit, logit, ndtri
 
 from uqsphere.arrays import Array, Places
+from uqsphere.uq import Estimate, Law, LawError, absent, random_generator, sobol_points
 from uqsphere.uq.copulas import ARCHIMEDEAN, Archimedean, Elliptical
-from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.expansion import germ_points
-from uqsphere.uq.families import LawError
 from uqsphere.uq.indices import Blocks
 from uqsphere.uq.joint import (
     Dependence,
@@ -32,8 +31,6 @@ from uqsphere.uq.joint import (
     make_copula,
     make_joint,
 )
-from uqsphere.uq.law import Law
-from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.response import METHOD, Response, answered, index_shares, share_of_noise
 from uqsphere.uq.shapley import BLOCK, MOST_EXACT, orders_of, shapley_estimates, subset_design, subset_scores
 from uqsphere.uq.surrogate import FARTHEST, scores_of

@@ -36,7 +36,7 @@ from uqsphere.report.phrases import (
 )
 from uqsphere.results import LimitEntry, Results
 from uqsphere.results.entries import MarginEntry
-from uqsphere.study.axis import limit_of, strength_name
+from uqsphere.study import limit_of, strength_name
 
 #: the ways of breaking by the place where each begins, `uqsphere.quantities.Quantity.place`, as `study.Way` calls them
 PLACES: Final = {

@@ -27,7 +27,7 @@ from uqsphere.report.phrases import (
 )
 from uqsphere.results import AssumedEntry, LimitEntry, QuantityEntry, Results
 from uqsphere.results.entries import CheckEntry, MarginEntry
-from uqsphere.study.axis import strength_name
+from uqsphere.study import strength_name
 
 #: what a check finds where it is broken
 _FOUND: Final = {

@@ -20,10 +20,10 @@ from uqsphere.results.entries import LawTable, Manifest, Resolved, Sliders, read
 from uqsphere.results.tables import Stored, read_fields
 from uqsphere.runner.export import read_points
 from uqsphere.runner.schedule import REPLICATES
-from uqsphere.study.axis import quantity_of, strength_name
+from uqsphere.study import quantity_of, strength_name
 from uqsphere.study.columns import open_observations
+from uqsphere.uq import Law, make_law
 from uqsphere.uq.families import Family, LawError, family_stored
-from uqsphere.uq.law import Law, make_law
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,10 +24,9 @@ from uqsphere.report.figures.canvas import shorten
 from uqsphere.report.phrases import short_input, unit_text
 from uqsphere.results import Results, VerdictEntry
 from uqsphere.results.entries import MarginEntry, SliderEntry, Sliders, SurfaceEntry
-from uqsphere.study.axis import strength_name
+from uqsphere.study import strength_name
+from uqsphere.uq import Law, LimitState, miss
 from uqsphere.uq.joint import correlation_from_spearman
-from uqsphere.uq.law import Law
-from uqsphere.uq.limit_state import LimitState, miss
 from uqsphere.uq.whatif import logit
 
 #: characters of base64 that the rows of a page may take; the most rows that are asked again, and that are moved

@@ -30,7 +30,7 @@ from pydantic import (
 
 from uqsphere.errors import FolderError
 from uqsphere.files import Json, load_document
-from uqsphere.uq.estimate import Estimate
+from uqsphere.uq import Estimate
 
 if TYPE_CHECKING:
     from uqsphere.mechanics.validity import Check

@@ -25,7 +25,7 @@ from uqsphere.results.entries import CarriedEntry, CheckEntry, Curve, Est
 from uqsphere.runner.campaign import Cost, Missed
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.forecast import forecast
-from uqsphere.uq.estimate import Estimate
+from uqsphere.uq import Estimate
 
 if TYPE_CHECKING:
     from uqsphere.runner.drivers import Drivers

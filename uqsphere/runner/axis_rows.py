@@ -15,10 +15,8 @@ from uqsphere.runner.evaluate import Work, evaluate_points, with_answered
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study import Axis, Limit
+from uqsphere.uq import LimitState, Sample, sobol_points
 from uqsphere.uq.curve import AxisFit, Curve, Judge, fit_axis, interpolate_rows
-from uqsphere.uq.limit_state import LimitState
-from uqsphere.uq.points import sobol_points
-from uqsphere.uq.sample import Sample
 from uqsphere.uq.whatif import WhatIf, probability
 
 #: points that are drawn at a time

@@ -11,7 +11,7 @@ from uqsphere.files import Json
 from uqsphere.model import as_integrated, scene_of
 from uqsphere.runner.evaluate import Work
 from uqsphere.store import Store, csv_text, write_atomically, write_json
-from uqsphere.uq.sample import Sample
+from uqsphere.uq import Sample
 
 if TYPE_CHECKING:
     from uqsphere.mechanics.integrator.solve import Motion

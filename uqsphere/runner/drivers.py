@@ -16,8 +16,8 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Sensitivity, Shared
 from uqsphere.runner.questions.shapley import TASK, orders_at
 from uqsphere.runner.schedule import REPLICATES
-from uqsphere.study import Limit
-from uqsphere.study.axis import limit_of, strength_name
+from uqsphere.study import Limit, limit_of, strength_name
+from uqsphere.uq import Law, Sample, random_generator, without
 from uqsphere.uq.beyond_variance import delta_estimates, pawn_estimates
 from uqsphere.uq.estimate import Estimate, absent, finite, from_replicates
 from uqsphere.uq.failure_indices import (
@@ -33,10 +33,7 @@ from uqsphere.uq.failure_indices import (
 )
 from uqsphere.uq.fitting import count_tests
 from uqsphere.uq.indices import Blocks, sampled_indices, uniform_halves
-from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, score_given_inputs, score_of, tails
-from uqsphere.uq.points import random_generator
-from uqsphere.uq.sample import Sample, without
 
 if TYPE_CHECKING:
     from uqsphere.uq.shapley import SubsetDesign

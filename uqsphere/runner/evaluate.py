@@ -30,10 +30,8 @@ from uqsphere.runner.schedule import REPLICATES
 from uqsphere.runner.workers import Engine
 from uqsphere.store import Store
 from uqsphere.study import Study
+from uqsphere.uq import Joint, Sample, sobol_points
 from uqsphere.uq.expansion.germs import GermLike, germs_of
-from uqsphere.uq.joint import Joint
-from uqsphere.uq.points import sobol_points
-from uqsphere.uq.sample import Sample
 
 #: share of failed rows above which `on_failure = "drop"` gives up
 MOST_DROPPED = 0.01

@@ -50,13 +50,11 @@ from uqsphere.runner.surrogate_answers import (
     tails_of,
 )
 from uqsphere.runner.surrogate_margins import margin_runs, surrogate_margins
-from uqsphere.uq import response
+from uqsphere.uq import Estimate, Sample, absent, response, widest
 from uqsphere.uq.describe import Description
-from uqsphere.uq.estimate import Estimate, absent, widest
 from uqsphere.uq.expansion import germ_points
 from uqsphere.uq.indices import believable
 from uqsphere.uq.response import Response, cross_fit, group_shares, pair_shares, spread_of
-from uqsphere.uq.sample import Sample
 
 #: runs that are timed by themselves
 FEW: Final = 8

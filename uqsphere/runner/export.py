@@ -17,7 +17,7 @@ from uqsphere.results.entries import SampleNames, read_entry
 from uqsphere.results.tables import table_cells
 from uqsphere.runner.evaluate import Work
 from uqsphere.store import Store, plain_cell, write_atomically, write_json, write_outputs
-from uqsphere.uq.sample import Sample
+from uqsphere.uq import Sample
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -87,7 +87,7 @@ def surrogate_of(folder: Path, output: str | None, *, rows: int, plain: bool) ->
     from threadpoolctl import threadpool_limits
 
     from uqsphere.study import load_study
-    from uqsphere.uq.points import random_generator
+    from uqsphere.uq import random_generator
     from uqsphere.uq.surrogate import fit_surrogate
 
     frame = load_samples(folder)

@@ -19,8 +19,7 @@ from uqsphere.runner.evaluate import Work, draw
 from uqsphere.runner.schedule import PILOT, pilot_points
 from uqsphere.runner.similarity import Tabled, table_entry, table_saved
 from uqsphere.study import Limit, Study
-from uqsphere.uq.estimate import finite
-from uqsphere.uq.law import Law
+from uqsphere.uq import Law, finite
 
 if TYPE_CHECKING:
     from uqsphere.mechanics.outputs import Answers

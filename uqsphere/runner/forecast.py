@@ -48,11 +48,10 @@ from uqsphere.runner.schedule import (
     more_to_come,
     pilot_points,
 )
-from uqsphere.study import Limit, Study
+from uqsphere.study import Limit, Study, means_fracture
 from uqsphere.study.document import FURTHER
 from uqsphere.study.faults import one_of
-from uqsphere.study.study import means_fracture
-from uqsphere.uq.law import Law
+from uqsphere.uq import Law
 
 #: Student's t of sixteen replicates
 _T: Final = 2.13

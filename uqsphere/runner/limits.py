@@ -14,13 +14,11 @@ from uqsphere.results import LimitEntry
 from uqsphere.results.entries import Fields
 from uqsphere.runner.campaign import Missed
 from uqsphere.runner.evaluate import Work
-from uqsphere.study import Limit
-from uqsphere.study.axis import strength_name
+from uqsphere.study import Limit, strength_name
 from uqsphere.units import told_apart
+from uqsphere.uq import Estimate, Law, Sample, absent, exact
 from uqsphere.uq.describe import controlled_probability
-from uqsphere.uq.estimate import Estimate, absent, exact
 from uqsphere.uq.failure_indices import BY_DIRECTION, failure_shares
-from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import (
     LimitState,
     by_replicate,
@@ -32,7 +30,6 @@ from uqsphere.uq.limit_state import (
     tails,
     target_met,
 )
-from uqsphere.uq.sample import Sample
 
 TABLED = "randomised quasi-Monte Carlo, controlled by a table, strength integrated"
 #: a probability below this is not chased for its relative accuracy by plain sampling

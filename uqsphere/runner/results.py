@@ -29,9 +29,8 @@ from uqsphere.runner.kept import keep_data, named_files, write_sums
 from uqsphere.runner.sliders import save_sliders
 from uqsphere.runner.verdict import Judged, find_unsure, gather, judge
 from uqsphere.store import Store, write_atomically, write_json
-from uqsphere.study import Study
-from uqsphere.study.axis import limit_of
-from uqsphere.uq.estimate import finite
+from uqsphere.study import Study, limit_of
+from uqsphere.uq import finite
 
 SCHEMA_VERSION: Final = 1
 _DEPENDENCIES = ("numpy", "scipy", "numba", "chaospy", "pandas", "matplotlib")

@@ -24,14 +24,10 @@ from uqsphere.runner.fidelity import solved
 from uqsphere.runner.schedule import SLIDERS
 from uqsphere.runner.verdict import Evidence
 from uqsphere.store import Store, write_json
-from uqsphere.study import Study
-from uqsphere.study.axis import SPEED, spaced, with_number
-from uqsphere.study.study import Way, law_json, ways_of
+from uqsphere.study import SPEED, Study, Way, law_json, spaced, ways_of, with_number
+from uqsphere.uq import Law, LawError, sobol_points
 from uqsphere.uq.expansion.germs import Indices, hyperbolic_indices, orthonormal_values, products
 from uqsphere.uq.expansion.solvers import solve_rows
-from uqsphere.uq.families import LawError
-from uqsphere.uq.law import Law
-from uqsphere.uq.points import sobol_points
 
 if TYPE_CHECKING:
     from uqsphere.runner.questions.margins import MarginAnswer

@@ -18,14 +18,12 @@ from uqsphere.runner.questions.indices import Sensitivity, dependent_names, shar
 from uqsphere.runner.questions.probabilities import learnable
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study import Limit
-from uqsphere.uq import response
+from uqsphere.uq import Sample, random_generator, response
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.estimate import NEVER, Estimate, Why, widest
 from uqsphere.uq.expansion import germ_points
 from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, without_moments
-from uqsphere.uq.points import random_generator
 from uqsphere.uq.response import Answered, Response, answered, extended, index_shares, joined
-from uqsphere.uq.sample import Sample
 
 #: points of each replicate that a surrogate is evaluated at, and where these alone would miss an accuracy
 LARGE, LARGER = 4096, 32_768

@@ -32,14 +32,11 @@ from uqsphere.runner.questions.probabilities import (
 )
 from uqsphere.runner.schedule import ALONG, MOST_LEARNED, least_learned
 from uqsphere.study import Axis, Limit
+from uqsphere.uq import Estimate, LawError, Sample, absent, random_generator, sobol_points
 from uqsphere.uq.curve import Fragility, fit_lognormal_curve, fragility
-from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.expansion import fit_outputs, germ_points
-from uqsphere.uq.families import LawError
-from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.problem import REACH, Evaluator, LimitFunction
 from uqsphere.uq.response import FOLDS, METHOD, Response, cross_fit, joined, with_residuals
-from uqsphere.uq.sample import Sample
 from uqsphere.uq.whatif import probability
 
 if TYPE_CHECKING:

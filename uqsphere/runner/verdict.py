@@ -32,12 +32,8 @@ from uqsphere.runner.fidelity import solved
 from uqsphere.runner.questions.fracture import AnyLimit, tied_otherwise
 from uqsphere.runner.schedule import REPLICATES, WAYS, WAYS_CURVE
 from uqsphere.runner.whatif import find_assumed, find_ignorance
-from uqsphere.study import Limit, Study
-from uqsphere.study.axis import spaced, strength_name
-from uqsphere.study.study import Way, Ways, breaks_by, means_fracture, ways_of
-from uqsphere.uq.estimate import Estimate, exact, student
-from uqsphere.uq.limit_state import complement, target_met
-from uqsphere.uq.sample import Sample
+from uqsphere.study import Limit, Study, Way, Ways, breaks_by, means_fracture, spaced, strength_name, ways_of
+from uqsphere.uq import Estimate, Sample, complement, exact, student, target_met
 from uqsphere.uq.whatif import root
 
 if TYPE_CHECKING:

@@ -21,15 +21,9 @@ from uqsphere.runner.axis_rows import AxisRows
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.limits import LimitAnswer, state_of, told_by_runs
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.study import Limit
-from uqsphere.study.axis import spaced, strength_name
-from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.families import LawError
+from uqsphere.study import Limit, spaced, strength_name
+from uqsphere.uq import Estimate, Law, LawError, LimitState, Sample, miss, random_generator, target_met
 from uqsphere.uq.fitting import count_tests, is_fitted, laws_of_more_tests, possible_laws, possible_tails
-from uqsphere.uq.law import Law
-from uqsphere.uq.limit_state import LimitState, miss, target_met
-from uqsphere.uq.points import random_generator
-from uqsphere.uq.sample import Sample
 from uqsphere.uq.whatif import (
     MOST_TESTS,
     WhatIf,

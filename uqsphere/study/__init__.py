@@ -4,14 +4,28 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from uqsphere.study.axis import ENERGY, Axis
+from uqsphere.study.axis import ENERGY, SPEED, Axis, limit_of, quantity_of, spaced, strength_name, with_number
 from uqsphere.study.document import Accuracy, Analysis, Budget, Dependence, Gauge, ModelChoice
 from uqsphere.study.faults import Raw
 from uqsphere.study.resolve import load_study
-from uqsphere.study.study import EndImpedance, Family, Limit, Margins, Source, Study
+from uqsphere.study.study import (
+    EndImpedance,
+    Family,
+    Limit,
+    Margins,
+    Source,
+    Study,
+    Way,
+    Ways,
+    breaks_by,
+    law_json,
+    means_fracture,
+    ways_of,
+)
 
 __all__ = [
     "ENERGY",
+    "SPEED",
     "Accuracy",
     "Analysis",
     "Axis",
@@ -25,9 +39,20 @@ __all__ = [
     "ModelChoice",
     "Source",
     "Study",
+    "Way",
+    "Ways",
+    "breaks_by",
     "json_schema",
+    "law_json",
+    "limit_of",
     "load_study",
+    "means_fracture",
+    "quantity_of",
     "shipped_studies",
+    "spaced",
+    "strength_name",
+    "ways_of",
+    "with_number",
 ]
 
 

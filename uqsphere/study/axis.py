@@ -13,7 +13,7 @@ from uqsphere.arrays import Array
 from uqsphere.mechanics.bars import section
 from uqsphere.mechanics.contact import sphere_mass
 from uqsphere.quantities import INPUTS
-from uqsphere.uq.law import Law
+from uqsphere.uq import Law
 
 if TYPE_CHECKING:
     from uqsphere.study.study import Limit, Study

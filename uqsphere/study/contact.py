@@ -16,7 +16,7 @@ from uqsphere.study.document import ContactTable, Document, LimitTable, ModelCho
 from uqsphere.study.faults import Findings, one_of, shown, suggestion
 from uqsphere.study.scene import Scene, take_from_library
 from uqsphere.study.sphere_tests import is_sphere_tests
-from uqsphere.uq.law import Law
+from uqsphere.uq import Law
 
 #: numbers of [contact], and the law that each belongs to
 _OF_LAW: Final = dict.fromkeys(LAW, "plastic") | {"gamma": "damage", "fracture_energy": "damage"}

@@ -27,7 +27,7 @@ from uqsphere.study.particle_tables import (
     SizesTable,
 )
 from uqsphere.units import UNITS, Quantity
-from uqsphere.uq.law import Law
+from uqsphere.uq import Law
 
 if TYPE_CHECKING:
     from uqsphere.feed.population import Sizes

@@ -24,7 +24,7 @@ from uqsphere.study.sphere_tests import (
 )
 from uqsphere.study.study import Limit
 from uqsphere.units import Quantity
-from uqsphere.uq.law import Law
+from uqsphere.uq import Law
 
 MOST_LIMITS: Final = 50
 #: pressures [Pa] that a strength is likely to be

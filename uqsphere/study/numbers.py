@@ -18,10 +18,10 @@ from uqsphere.study.faults import Findings, Misplaced, Place, Raw, one_of, shown
 from uqsphere.study.particle_tables import ENERGY_OF, FitStrengthTable
 from uqsphere.study.tables import bounds_in_words, declared, fixed_value, likely_unit, number_value, read_table
 from uqsphere.units import UNITS, Quantity, UnitError
+from uqsphere.uq import Law, make_law
 from uqsphere.uq.families import FAMILIES, Family, LawError, family_named
 from uqsphere.uq.families.observed import DRAWN
 from uqsphere.uq.fitting import LEAST_TESTS, count_tests, fitted_law
-from uqsphere.uq.law import Law, make_law
 
 #: parameters of a law that are values of the quantity itself
 _WHERE: Final = ("mean", "mode", "lower", "upper")

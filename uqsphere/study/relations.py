@@ -15,8 +15,7 @@ from uqsphere.study.numbers import Reading, plain_quantity, read_fixed
 from uqsphere.study.scene import Scene
 from uqsphere.study.study import Family, Margins, Study, tie_of
 from uqsphere.units import Quantity
-from uqsphere.uq.families import LawError
-from uqsphere.uq.law import Law, make_law
+from uqsphere.uq import Law, LawError, make_law
 
 MOST_DEPENDENCES: Final = 100
 MOST_GROUPS: Final = 50
@@ -125,7 +124,7 @@ def _check_strength(table: Dependence, place: Place, findings: Findings) -> None
 
 def _check_together(tables: Sequence[Dependence], random: Sequence[str], findings: Findings) -> None:
     """Refuse the first dependence that contradicts those before it."""
-    from uqsphere.uq.joint import make_joint
+    from uqsphere.uq import make_joint
 
     # Only the names that are tied matter, and a study can have many more.
     tied = [name for name in random if any(name in table.of for table in tables)]

@@ -29,7 +29,7 @@ from uqsphere.study.numbers import Reading, read_fixed, read_number
 from uqsphere.study.particle_tables import FROM_TESTS, ProductTable, known_platens
 from uqsphere.study.study import EndImpedance, Source
 from uqsphere.study.tables import BAR_ENDS
-from uqsphere.uq.law import Law, make_law
+from uqsphere.uq import Law, make_law
 
 if TYPE_CHECKING:
     from uqsphere.records.pulse import Bar

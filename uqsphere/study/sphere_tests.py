@@ -27,9 +27,8 @@ from uqsphere.study.particle_tables import ENERGY_OF, SphereTestsTable
 from uqsphere.study.scene import Scene, read_platens
 from uqsphere.study.tables import read_table
 from uqsphere.study.tests import Measured, read_measured, share_of
-from uqsphere.uq.families import LawError
+from uqsphere.uq import Law, LawError
 from uqsphere.uq.fitting import fitted_law
-from uqsphere.uq.law import Law
 
 #: columns at the failure of every test, (n,) each, by the names of the nomenclature
 State = Mapping[str, Any]

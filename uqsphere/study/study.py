@@ -18,7 +18,7 @@ from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.study.axis import Axis
 from uqsphere.study.document import Accuracy, Analysis, Dependence, Gauge, ModelChoice
 from uqsphere.study.numbers import Tested
-from uqsphere.uq.law import Law, make_law
+from uqsphere.uq import Law, make_law
 
 if TYPE_CHECKING:
     from chaospy import Distribution
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from uqsphere.feed.answers import FeedPlan
     from uqsphere.study.feed import Particles
     from uqsphere.study.tests import TestsPlan
+    from uqsphere.uq import Dependence as Tie
+    from uqsphere.uq import Joint
     from uqsphere.uq.interop import SalibDesign
-    from uqsphere.uq.joint import Dependence as Tie
-    from uqsphere.uq.joint import Joint
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,7 +224,7 @@ class Study(metaclass=_FromTables):
 
     def inputs(self) -> Joint:
         """The random variables of `laws` with their dependence, as the uncertainty side reads them."""
-        from uqsphere.uq.joint import make_joint
+        from uqsphere.uq import make_joint
 
         laws = self.laws()
         return make_joint(tuple(laws), tuple(laws.values()), [tie_of(group) for group in self.dependence])
@@ -285,7 +285,7 @@ class Study(metaclass=_FromTables):
 
 def tie_of(group: Dependence) -> Tie:
     """A dependence as the uncertainty side reads it."""
-    from uqsphere.uq.joint import Dependence as Tie
+    from uqsphere.uq import Dependence as Tie
 
     return Tie(of=group.of, spearman=group.spearman, kendall=group.kendall, copula=group.copula, dof=group.dof)
 

@@ -33,7 +33,7 @@ from uqsphere.study.faults import Findings, Misplaced, Place, Raw, one_of, shown
 from uqsphere.study.numbers import plain_quantity, read_number
 from uqsphere.study.particle_tables import ENERGY_OF, TestColumns, TestsTable, known_platens
 from uqsphere.units import Quantity, UnitError, parse_value
-from uqsphere.uq.law import Law
+from uqsphere.uq import Law
 
 if TYPE_CHECKING:
     from uqsphere.feed.infer import Request

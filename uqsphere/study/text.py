@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final
 from uqsphere.errors import Problem, StudyError, UsageError
 from uqsphere.files import TooLarge, read_given
 from uqsphere.study.faults import Findings, Place, Raw, render_place, shown, suggestion
-from uqsphere.uq.families import LawError
+from uqsphere.uq import LawError
 from uqsphere.uq.foreign import law_table
 
 if TYPE_CHECKING:

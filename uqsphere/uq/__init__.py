@@ -2,3 +2,38 @@
 
 Knows only arrays and callables rows -> rows; the physics is somewhere else.
 """
+
+from __future__ import annotations
+
+from uqsphere.uq.estimate import Estimate, absent, exact, finite, student, widest
+from uqsphere.uq.families import LawError
+from uqsphere.uq.joint import Dependence, Joint, make_joint
+from uqsphere.uq.law import Law, make_law
+from uqsphere.uq.limit_state import LimitState, complement, miss, score_of, tails, target_met
+from uqsphere.uq.points import random_generator, sobol_points
+from uqsphere.uq.sample import Sample, without
+
+__all__ = [
+    "Dependence",
+    "Estimate",
+    "Joint",
+    "Law",
+    "LawError",
+    "LimitState",
+    "Sample",
+    "absent",
+    "complement",
+    "exact",
+    "finite",
+    "make_joint",
+    "make_law",
+    "miss",
+    "random_generator",
+    "score_of",
+    "sobol_points",
+    "student",
+    "tails",
+    "target_met",
+    "widest",
+    "without",
+]

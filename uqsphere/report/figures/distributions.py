@@ -17,7 +17,7 @@ from uqsphere.report.tables import ranked
 from uqsphere.results import IndexEntry, QuantityEntry
 from uqsphere.results.entries import Est, Ests
 from uqsphere.results.tables import Stored
-from uqsphere.uq.law import Law
+from uqsphere.uq import Law
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

@@ -32,8 +32,8 @@ from uqsphere.report.phrases import (
 from uqsphere.report.tables import margins_table
 from uqsphere.results.entries import Est, MarginEntry
 from uqsphere.runner.questions.curves import member_values
+from uqsphere.uq import Law
 from uqsphere.uq.families import FAMILIES
-from uqsphere.uq.law import Law
 from uqsphere.uq.weibull import (
     STRENGTHS,
     StrengthFit,

@@ -24,7 +24,7 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.margins import decisive
 from uqsphere.runner.schedule import CARRIED
 from uqsphere.study import Limit, Study
-from uqsphere.uq.estimate import Estimate, absent
+from uqsphere.uq import Estimate, absent
 
 #: share of the budget for the curves of one carrier: with the sample and the margins less than half of it
 CURVES: Final = 0.05

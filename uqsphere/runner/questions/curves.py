@@ -24,11 +24,10 @@ from uqsphere.runner.campaign import Accuracy, Cost, Course, campaign, rounded, 
 from uqsphere.runner.evaluate import MOST_DROPPED, OutOfBudget, Work
 from uqsphere.runner.schedule import CURVE, CURVE_VALUES, FREE_CURVE, LOOK, REPLICATES
 from uqsphere.runner.whatif import probabilities_by_tests
-from uqsphere.study import Limit
-from uqsphere.study.axis import spaced, with_number
+from uqsphere.study import Limit, spaced, with_number
 from uqsphere.units import told_apart
+from uqsphere.uq import Estimate
 from uqsphere.uq.curve import Fragility, LognormalCurve, fit_lognormal_curve, fragility, half_widths
-from uqsphere.uq.estimate import Estimate
 
 #: times that a range is widened which turned out too narrow
 WIDER: Final = 3

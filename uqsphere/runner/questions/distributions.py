@@ -28,10 +28,9 @@ from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_sample, w
 from uqsphere.runner.limits import LimitAnswer, controlled_limits, judge_limits, limits_missed, takes_over
 from uqsphere.runner.schedule import REPLICATES, SAMPLING, TABLE, more_to_come
 from uqsphere.runner.similarity import CUT_SHORT, Tabled, begin_table
+from uqsphere.uq import Sample, absent, exact
 from uqsphere.uq.describe import Description, describe, describe_controlled, lacking
-from uqsphere.uq.estimate import absent, exact
 from uqsphere.uq.heavy_tails import describe_heavy
-from uqsphere.uq.sample import Sample
 
 METHOD = "randomised quasi-Monte Carlo"
 TABLE_METHOD = f"{METHOD}, controlled by a table"

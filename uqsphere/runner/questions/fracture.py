@@ -32,12 +32,9 @@ from uqsphere.runner.questions.margins import MarginAnswer
 from uqsphere.runner.questions.probabilities import DOUBTFUL, search_failures
 from uqsphere.runner.schedule import FRACTURE, FRACTURE_CURVE, RARE, REPLICATES, SPECIMENS
 from uqsphere.study import Limit
+from uqsphere.uq import Estimate, Law, Sample, absent, random_generator, student
 from uqsphere.uq.curve import fragility
-from uqsphere.uq.estimate import Estimate, absent, student
-from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import exceedance, pick_replicates
-from uqsphere.uq.points import random_generator
-from uqsphere.uq.sample import Sample
 from uqsphere.uq.union import (
     Breaking,
     Union,

@@ -19,7 +19,7 @@ from uqsphere.runner.evaluate import Work, evaluate_whole
 from uqsphere.runner.questions import morris, replicates
 from uqsphere.study import Study
 from uqsphere.study.document import FURTHER
-from uqsphere.uq.points import random_generator
+from uqsphere.uq import random_generator
 from uqsphere.uq.tolerance import tolerance_limits
 
 #: what they answer, by name

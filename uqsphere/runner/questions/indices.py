@@ -31,6 +31,7 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.schedule import INDICES, REPLICATES, TABLE
 from uqsphere.runner.similarity import CUT_SHORT, Tabled, begin_table
 from uqsphere.units import told_apart
+from uqsphere.uq import Sample, without
 from uqsphere.uq.estimate import Estimate, Why, absent, widest
 from uqsphere.uq.heavy_tails import (
     FEW_CARRIERS,
@@ -53,7 +54,6 @@ from uqsphere.uq.indices import (
     sampled_indices,
     uniform_halves,
 )
-from uqsphere.uq.sample import Sample, without
 
 # --- variances that are not there, or rest on a handful of samples -------------------------------------------
 

@@ -40,13 +40,9 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.probabilities import find_design
 from uqsphere.runner.schedule import CHECKED, CURVE
 from uqsphere.runner.whatif import margin_left_open
-from uqsphere.study import Limit, Study
-from uqsphere.study.axis import SPEED, quantity_of, strength_name
+from uqsphere.study import SPEED, Limit, Study, quantity_of, strength_name
+from uqsphere.uq import Estimate, Law, LimitState, Sample, absent
 from uqsphere.uq.curve import LognormalCurve, fit_lognormal_curve, fragility
-from uqsphere.uq.estimate import Estimate, absent
-from uqsphere.uq.law import Law
-from uqsphere.uq.limit_state import LimitState
-from uqsphere.uq.sample import Sample
 
 
 @dataclass(frozen=True, kw_only=True)

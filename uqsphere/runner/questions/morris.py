@@ -14,8 +14,8 @@ from uqsphere.results.entries import Est
 from uqsphere.runner.evaluate import Work, evaluate_whole
 from uqsphere.runner.schedule import MANY
 from uqsphere.study import Study
+from uqsphere.uq import random_generator
 from uqsphere.uq.estimate import Estimate, absent, mean_alone, sd_alone
-from uqsphere.uq.points import random_generator
 
 #: trajectories: the largest effect of a smooth model is then known to about a fifth, for 32 (d + 1) evaluations
 TRAJECTORIES: Final = 32

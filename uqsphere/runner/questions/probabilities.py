@@ -28,16 +28,13 @@ from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points
 from uqsphere.runner.limits import LimitAnswer, limits_missed, takes_over
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.schedule import DESIGN_POINT, LEARNED, MOST_LEARNED, RARE, least_learned, more_to_come
-from uqsphere.study import Limit
-from uqsphere.study.axis import strength_name
-from uqsphere.uq.estimate import Estimate
+from uqsphere.study import Limit, strength_name
+from uqsphere.uq import Estimate, Law, Sample
 from uqsphere.uq.failure_indices import linear_shares
-from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import complement, score_of, shifted_score, strength_tails
 from uqsphere.uq.rare.auto import RareAnswer, find_probability
 from uqsphere.uq.rare.form import FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction
-from uqsphere.uq.sample import Sample
 
 if TYPE_CHECKING:
     from uqsphere.uq.rare.active import ActiveAnswer

@@ -20,7 +20,7 @@ from uqsphere.results import AnalysisEntry
 from uqsphere.results.entries import Est
 from uqsphere.runner.evaluate import Work, draw, evaluate_whole
 from uqsphere.study import Study
-from uqsphere.uq.estimate import Estimate, absent
+from uqsphere.uq import Estimate, absent
 
 if TYPE_CHECKING:
     from uqsphere.runner.questions.indices import Sensitivity

@@ -24,8 +24,7 @@ from uqsphere.runner.questions.indices import (
 )
 from uqsphere.runner.questions.replicates import without_noise
 from uqsphere.runner.schedule import REPLICATES, SHAPLEY
-from uqsphere.uq.estimate import Estimate, widest
-from uqsphere.uq.sample import without
+from uqsphere.uq import Estimate, widest, without
 from uqsphere.uq.shapley import (
     MOST_EXACT,
     SubsetDesign,
