@@ -22,8 +22,7 @@ from uqsphere.errors import UsageError
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
-    from uqsphere.results import Results
-    from uqsphere.results.entries import Manifest
+    from uqsphere.results import Manifest, Results
     from uqsphere.runner.finished import Run
 
 

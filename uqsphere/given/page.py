@@ -18,7 +18,7 @@ from uqsphere.report.feed import page_files, told_cautions
 from uqsphere.report.figures.canvas import BLUE, GREY, INK, Picture, new_figure, shorten, slug, style
 from uqsphere.report.figures.distributions import draw_indices
 from uqsphere.report.phrases import Block, Chapter, Table, cell, index_cell, two
-from uqsphere.results.entries import Est
+from uqsphere.results import Est
 from uqsphere.study.limits import valid_name
 from uqsphere.study.resolve import RESERVED
 

@@ -34,8 +34,7 @@ from uqsphere.report.phrases import (
     two,
     unit_text,
 )
-from uqsphere.results import LimitEntry, Results
-from uqsphere.results.entries import MarginEntry
+from uqsphere.results import LimitEntry, MarginEntry, Results
 from uqsphere.study import limit_of, strength_name
 
 #: the ways of breaking by the place where each begins, `uqsphere.quantities.Quantity.place`, as `study.Way` calls them

@@ -25,8 +25,7 @@ from uqsphere.report.phrases import (
     symbol,
     value_text,
 )
-from uqsphere.results import AssumedEntry, LimitEntry, QuantityEntry, Results
-from uqsphere.results.entries import CheckEntry, MarginEntry
+from uqsphere.results import AssumedEntry, CheckEntry, LimitEntry, MarginEntry, QuantityEntry, Results
 from uqsphere.study import strength_name
 
 #: what a check finds where it is broken

@@ -10,8 +10,7 @@ from typing import Final
 from uqsphere.quantities import OUTPUTS, display_unit, format_estimate, format_value, lookup
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import Picture, clean, shorten
-from uqsphere.results import Results
-from uqsphere.results.entries import Est, MarginEntry
+from uqsphere.results import Est, MarginEntry, Results
 from uqsphere.uq.families import family_stored
 
 #: digits of a number on the page that has an interval: more are known of some, and read by nobody

@@ -11,13 +11,10 @@ from pydantic import Field, StrictBool, StrictInt, StrictStr, model_validator
 from uqsphere.results.entries import (
     Aim,
     CarriedEntry,
-    CheckEntry,
     Count,
     Curve,
     Entry,
-    Est,
     Ests,
-    MarginEntry,
     Maybe,
     Name,
     Number,
@@ -30,6 +27,11 @@ from uqsphere.results.entries import (
     Status,
     read_entry,
 )
+from uqsphere.results.entries import CheckEntry as CheckEntry
+from uqsphere.results.entries import Est as Est
+from uqsphere.results.entries import Fields as Fields
+from uqsphere.results.entries import Manifest as Manifest
+from uqsphere.results.entries import MarginEntry as MarginEntry
 
 # --- study and inputs -----------------------------------------------------------------------------------
 

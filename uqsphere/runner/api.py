@@ -20,8 +20,7 @@ from uqsphere.errors import ModelError, UsageError
 from uqsphere.files import Json
 from uqsphere.model import NO_DAMPER, scene_of
 from uqsphere.quantities import INPUTS, format_value
-from uqsphere.results import Results
-from uqsphere.results.entries import Manifest
+from uqsphere.results import Manifest, Results
 from uqsphere.store import open_store
 from uqsphere.study import Study
 

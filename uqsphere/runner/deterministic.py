@@ -12,7 +12,7 @@ import numpy as np
 from uqsphere.errors import UsageError
 from uqsphere.model import scene_of
 from uqsphere.quantities import format_value
-from uqsphere.results.entries import Fields
+from uqsphere.results import Fields
 from uqsphere.study import Study
 
 if TYPE_CHECKING:

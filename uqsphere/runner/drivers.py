@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.results.entries import Fields
+from uqsphere.results import Fields
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.limits import state_of, tie_strength
 from uqsphere.runner.questions.distributions import Sampled

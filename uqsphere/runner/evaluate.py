@@ -22,8 +22,7 @@ from uqsphere.model import (
     status_text,
     where_of,
 )
-from uqsphere.results import Results, SpeedRow
-from uqsphere.results.entries import Fields, Manifest
+from uqsphere.results import Fields, Manifest, Results, SpeedRow
 from uqsphere.runner.chunks import Gathered, chosen_columns, collect
 from uqsphere.runner.remote import Task, evaluate_rows
 from uqsphere.runner.schedule import REPLICATES

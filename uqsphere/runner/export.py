@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from xarray import Dataset
 
-    from uqsphere.results.entries import Manifest
+    from uqsphere.results import Manifest
     from uqsphere.runner.finished import Run
     from uqsphere.uq.surrogate import Surrogate
 

@@ -13,7 +13,7 @@ from uqsphere.mechanics.fidelity import Fallback, fit_error_law
 from uqsphere.mechanics.outputs import all_with
 from uqsphere.mechanics.yielding import Face
 from uqsphere.model import cheaper_fidelities, is_answered, scene_of, solve_scene
-from uqsphere.results.entries import CheckEntry, Fields
+from uqsphere.results import CheckEntry, Fields
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import Work, draw
 from uqsphere.runner.schedule import PILOT, pilot_points

@@ -10,8 +10,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.quantities import format_estimate
-from uqsphere.results import LimitEntry
-from uqsphere.results.entries import Fields
+from uqsphere.results import Fields, LimitEntry
 from uqsphere.runner.campaign import Missed
 from uqsphere.runner.evaluate import Work
 from uqsphere.study import Limit, strength_name

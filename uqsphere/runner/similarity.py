@@ -19,7 +19,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.model import as_integrated, scene_of
-from uqsphere.results.entries import Fields
+from uqsphere.results import Fields
 from uqsphere.runner.campaign import rounded
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_points

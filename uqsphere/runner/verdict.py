@@ -23,8 +23,7 @@ from uqsphere.arrays import Array
 from uqsphere.mechanics.outputs import absent_in, all_with
 from uqsphere.mechanics.yielding import Face
 from uqsphere.model import Answered, is_answered, scene_of
-from uqsphere.results import Code, JudgedEntry, LimitOpenEntry, ReasonEntry, VerdictEntry
-from uqsphere.results.entries import Est, Fields
+from uqsphere.results import Code, Est, Fields, JudgedEntry, LimitOpenEntry, ReasonEntry, VerdictEntry
 from uqsphere.runner.account import Findings
 from uqsphere.runner.axis_rows import evaluate_along
 from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work, with_answered

@@ -30,7 +30,7 @@ from uqsphere.report.phrases import (
     symbol,
 )
 from uqsphere.report.tables import margins_table
-from uqsphere.results.entries import Est, MarginEntry
+from uqsphere.results import Est, MarginEntry
 from uqsphere.runner.questions.curves import member_values
 from uqsphere.uq import Law
 from uqsphere.uq.families import FAMILIES

@@ -17,8 +17,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.files import Json
 from uqsphere.quantities import format_value, lookup
-from uqsphere.results import SpeedRow
-from uqsphere.results.entries import Fields
+from uqsphere.results import Fields, SpeedRow
 from uqsphere.runner.axis_rows import AxisRows, Look, axis_of, evaluate_along, judge_of
 from uqsphere.runner.campaign import Accuracy, Cost, Course, campaign, rounded, speed_rows_of
 from uqsphere.runner.evaluate import MOST_DROPPED, OutOfBudget, Work

@@ -11,8 +11,7 @@ import numpy as np
 from uqsphere.errors import UsageError
 from uqsphere.model import Answered
 from uqsphere.quantities import lookup
-from uqsphere.results import SpeedRow, ToleranceEntry
-from uqsphere.results.entries import Fields
+from uqsphere.results import Fields, SpeedRow, ToleranceEntry
 from uqsphere.runner.campaign import (
     MEAN_KIND,
     MISS_KIND,

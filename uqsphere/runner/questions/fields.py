@@ -9,8 +9,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.model import is_answered, place_names
-from uqsphere.results import AnalysisEntry
-from uqsphere.results.entries import Est
+from uqsphere.results import AnalysisEntry, Est
 from uqsphere.results.tables import Stored, save_fields
 from uqsphere.runner.courses import followed
 from uqsphere.runner.evaluate import Work, draw, evaluate_whole

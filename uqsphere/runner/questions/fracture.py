@@ -20,8 +20,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.model import scene_of
-from uqsphere.results import FractureEntry, LimitsOrder
-from uqsphere.results.entries import CheckEntry, Est
+from uqsphere.results import CheckEntry, Est, FractureEntry, LimitsOrder
 from uqsphere.runner.axis_rows import evaluate_along
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points, evaluate_sample, with_answered

@@ -14,8 +14,7 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.files import Json
 from uqsphere.model import is_answered
-from uqsphere.results import SpeedRow
-from uqsphere.results.entries import Fields
+from uqsphere.results import Fields, SpeedRow
 from uqsphere.runner.campaign import (
     INDEX_KIND,
     Accuracy,

@@ -9,8 +9,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.model import is_answered
-from uqsphere.results import AnalysisEntry
-from uqsphere.results.entries import Est
+from uqsphere.results import AnalysisEntry, Est
 from uqsphere.runner.evaluate import Work, evaluate_whole
 from uqsphere.runner.schedule import MANY
 from uqsphere.study import Study

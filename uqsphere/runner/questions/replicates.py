@@ -16,8 +16,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.model import is_answered
-from uqsphere.results import AnalysisEntry
-from uqsphere.results.entries import Est
+from uqsphere.results import AnalysisEntry, Est
 from uqsphere.runner.evaluate import Work, draw, evaluate_whole
 from uqsphere.study import Study
 from uqsphere.uq import Estimate, absent
