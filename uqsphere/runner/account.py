@@ -1,61 +1,33 @@
-"""What a run found, and its account: beside each part what was planned and what it took."""
+"""The account of a run: beside each part what was planned and what it took."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from uqsphere.quantities import format_value
 from uqsphere.results import (
-    AnalysisEntry,
     FractureEntry,
     GivenFailureEntry,
     PartEntry,
     QuestionRow,
     Results,
     SpeedRow,
-    ToleranceEntry,
 )
-from uqsphere.results.entries import CarriedEntry, CheckEntry, Curve, Est
+from uqsphere.results.entries import Curve, Est
 from uqsphere.runner.campaign import Cost, Missed
 from uqsphere.runner.evaluate import Work
+from uqsphere.runner.findings import Findings
 from uqsphere.runner.forecast import forecast
 from uqsphere.uq import Estimate
 
 if TYPE_CHECKING:
-    from uqsphere.runner.drivers import Drivers
-    from uqsphere.runner.fidelity import Pilot
-    from uqsphere.runner.questions.distributions import Sampled
-    from uqsphere.runner.questions.indices import Sensitivity
     from uqsphere.runner.questions.margins import MarginAnswer
-    from uqsphere.runner.similarity import Tabled
-    from uqsphere.runner.verdict import Evidence, Unsure
     from uqsphere.study.document import Accuracy as Accuracies
-
-
-@dataclass(frozen=True, kw_only=True)
-class Findings:
-    """All that a run found, before it is written down."""
-
-    pilot: Pilot
-    sampled: Sampled
-    sensitivity: dict[str, Sensitivity]
-    drivers: Drivers
-    tabled: Tabled
-    margins: dict[str, MarginAnswer] = field(default_factory=dict)
-    tolerance: dict[str, ToleranceEntry] = field(default_factory=dict)
-    analyses: dict[str, AnalysisEntry] = field(default_factory=dict)
-    stops: dict[str, str] = field(default_factory=dict)
-    evidence: Evidence | None = None
-    fracture: FractureEntry | None = None
-    carried: Mapping[str, CarriedEntry] = field(default_factory=dict)
-    far: Sequence[CheckEntry] = ()
-    unsure: Unsure | None = None
 
 
 def account(work: Work, *, planned: bool, affordable: int) -> tuple[PartEntry, ...]:

@@ -31,6 +31,12 @@ def axis_of(work: Work) -> Axis:
     return work.study.margins.axis
 
 
+def study_at(work: Work, limit: Limit, value: float) -> tuple[Work, Limit] | str:
+    """The work and the limit with the free scalar at a value, for a search of its own."""
+    found = axis_of(work).fix(work.study, limit, value)
+    return found if isinstance(found, str) else (replace(work, study=found[0]), found[1])
+
+
 @lru_cache(maxsize=64)
 def _block(dimension: int, seed: int, number: int) -> Array:
     """Normal scores (R, BLOCK, dimension) of a block of points, drawn together since a sequence is slow to set up."""

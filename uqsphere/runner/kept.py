@@ -1,5 +1,6 @@
 """What a result folder keeps beside its answers: the data files that the study names, so that it can be run again
-there, and SHA256SUMS, the checksums of what a run has written, in the format that `sha256sum -c` reads.
+there, and SHA256SUMS, the checksums of what a run has written, in the format that `sha256sum -c` reads.  And these
+answers themselves, once they are there.
 
 Chunks of evaluations are not listed: each carries its checksum in its name.
 """
@@ -14,7 +15,9 @@ from typing import Final
 
 from uqsphere.errors import AccessError, FolderError, UqsphereError
 from uqsphere.files import FOLDERS, LARGEST_ARRAY, digest_of, is_device_name, read_given, read_whole
-from uqsphere.store import write_atomically
+from uqsphere.results import Manifest, Results
+from uqsphere.results.tables import tables
+from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.study import Study
 
 # --- data files -----------------------------------------------------------------------------------------
@@ -153,3 +156,22 @@ def compare_sums(folder: Path, sums: dict[str, str]) -> list[str]:
         if found != digest:
             faults.append(f"{name} has been changed since it was written" if inside else f"{name} is a link")
     return faults
+
+
+# --- all that a finished run has
+
+#: files of a folder beside its tables, where they are there
+_FILES: Final = ("manifest.json", "results.json", "study.resolved.json", "study.toml", "samples.json", "samples.npy",
+                 "courses.json", "sliders.json", "tables/courses.csv", "fields.nc", "tables/fields.csv")  # fmt: skip
+
+
+def write_results(store: Store, results: Results, manifest: Manifest) -> None:
+    """Tables, manifest.json and results.json, each written whole; results.json last, as the sign of the end."""
+    found = tables(results)
+    for name, text in found.items():
+        write_atomically(store.folder / "tables" / name, text)
+    write_json(store.folder / "manifest.json", manifest.document())
+    write_json(store.folder / "results.json", results.document())
+    data = named_files(read_whole(store.folder / "study.toml").decode("utf-8", "replace"))
+    there = [name for name in (*_FILES, *data) if (store.folder / name).is_file()]
+    write_sums(store.folder, [*(f"tables/{name}" for name in found), *there])

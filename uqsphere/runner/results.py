@@ -1,4 +1,4 @@
-"""What a run writes when it ends: its answers as the JSON document that the contract fixes, manifest, tables, rows."""
+"""What a run writes of its answers and of itself: results.json, as the contract fixes it, and manifest.json."""
 
 from __future__ import annotations
 
@@ -11,32 +11,19 @@ from importlib import metadata
 from typing import Final
 
 import uqsphere
-from uqsphere.files import read_whole
 from uqsphere.quantities import lookup
 from uqsphere.results import NO_RIG, PlanEntry, Results
 from uqsphere.results.entries import CheckEntry, Fields, Manifest, PricesEntry
-from uqsphere.results.tables import tables
-from uqsphere.runner.account import Findings, account, further_rows, questions
-from uqsphere.runner.beside import aside, may_copy
-from uqsphere.runner.courses import save_courses
+from uqsphere.runner.account import questions
 from uqsphere.runner.deterministic import compare_with_paper
 from uqsphere.runner.evaluate import Work
-from uqsphere.runner.expensive import Expensive, Priced
-from uqsphere.runner.export import save_points
-from uqsphere.runner.finished import Run
-from uqsphere.runner.forecast import JUDGED
-from uqsphere.runner.kept import keep_data, named_files, write_sums
-from uqsphere.runner.sliders import save_sliders
-from uqsphere.runner.verdict import Judged, find_unsure, gather, judge
-from uqsphere.store import Store, write_atomically, write_json
+from uqsphere.runner.findings import Findings
+from uqsphere.runner.verdict import Judged, find_unsure, judge
 from uqsphere.study import Study, limit_of
 from uqsphere.uq import finite
 
 SCHEMA_VERSION: Final = 1
 _DEPENDENCIES = ("numpy", "scipy", "numba", "chaospy", "pandas", "matplotlib")
-#: files of a folder beside its tables, where they are there
-_FILES: Final = ("manifest.json", "results.json", "study.resolved.json", "study.toml", "samples.json", "samples.npy",
-                 "courses.json", "sliders.json", "tables/courses.csv", "fields.nc", "tables/fields.csv")  # fmt: skip
 
 
 def _inputs(work: Work) -> Fields:
@@ -157,21 +144,6 @@ def bare_results(study: Study, services: Mapping[str, Results]) -> Results:
     })  # fmt: skip
 
 
-# --- files ----------------------------------------------------------------------------------------
-
-
-def write_results(store: Store, results: Results, manifest: Manifest) -> None:
-    """Tables, manifest.json and results.json, each written whole; results.json last, as the sign of the end."""
-    found = tables(results)
-    for name, text in found.items():
-        write_atomically(store.folder / "tables" / name, text)
-    write_json(store.folder / "manifest.json", manifest.document())
-    write_json(store.folder / "results.json", results.document())
-    data = named_files(read_whole(store.folder / "study.toml").decode("utf-8", "replace"))
-    there = [name for name in (*_FILES, *data) if (store.folder / name).is_file()]
-    write_sums(store.folder, [*(f"tables/{name}" for name in found), *there])
-
-
 def build_manifest(work: Work, seconds: list[float], prices: PricesEntry) -> Manifest:
     """Versions, platform, counts and times: what may differ between two runs of the same study."""
     ledger = work.ledger
@@ -194,48 +166,6 @@ def build_manifest(work: Work, seconds: list[float], prices: PricesEntry) -> Man
     return Manifest.model_validate(content)
 
 
-# --- the end of a run ----------------------------------------------------------------------------------------------
-
-
-def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None, found: Findings) -> Run:
-    """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""
-    way, ledger = priced.way, work.ledger
-    if JUDGED not in ledger.parts:
-        found = judged_ways(work, found)
-    taken = "surrogate" if expensive is not None and expensive.surrogate else "sampling"
-    plan = PlanEntry(
-        way=taken,
-        why=way.why if expensive is None else expensive.why,
-        sampling_evaluations=way.sampling,
-        surrogate_evaluations=way.runs,
-        parts=account(work, planned=way.surrogate, affordable=way.affordable),
-    )
-    store.take_over()
-    save_points(work, store, found.sampled.sample)
-    copied = store.shared and not work.study.black_box and may_copy(work.threads)
-    with aside(lambda: save_courses(work, store, found.sampled.sample), copied=copied) as courses:
-        save_sliders(work, store, found.evidence, found.margins)
-        results = build_results(work, found, plan)
-        courses()
-    further = further_rows(results)
-    results = results.model_copy(update={"speed_error": (*results.speed_error, *(row for _, row in further))})
-    ends = [ledger.seconds.get(part, ledger.elapsed) for part, _ in further]
-    prices = PricesEntry(
-        cost_seconds_per_evaluation=priced.cost,
-        crossover_seconds_per_evaluation=way.crossover,
-        balance_seconds_per_evaluation=way.balance,
-        affordable_evaluations=way.affordable,
-    )
-    return _written(work, store, results, [*ledger.times, *ends], prices)
-
-
-def judged_ways(work: Work, found: Findings) -> Findings:
-    """What was found, with the rows that verdicts on fracture rest on beside it."""
-    found = replace(found, evidence=gather(work, found.sampled.sample))
-    work.ledger.close(JUDGED)
-    return found
-
-
 def told_early(work: Work, found: Findings) -> Findings:
     """What was found once verdicts are known, with how unsure that is; who asked for a draft is given it."""
     if work.draft is None:
@@ -243,16 +173,3 @@ def told_early(work: Work, found: Findings) -> Findings:
     found = replace(found, unsure=find_unsure(work, found.sampled))
     work.draft(build_results(work, found, PlanEntry()), build_manifest(work, [], PricesEntry()))
     return found
-
-
-def finish_bare(work: Work, store: Store) -> Run:
-    """Write what the services of a study without a rig of its own have found."""
-    store.take_over()
-    return _written(work, store, bare_results(work.study, work.services), [], PricesEntry())
-
-
-def _written(work: Work, store: Store, results: Results, seconds: list[float], prices: PricesEntry) -> Run:
-    keep_data(work.study, store.folder)
-    manifest = build_manifest(work, seconds, prices)
-    write_results(store, results, manifest)
-    return Run(folder=store.folder, results=results, manifest=manifest)

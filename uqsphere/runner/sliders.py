@@ -20,9 +20,9 @@ from uqsphere.model import is_answered, scene_of
 from uqsphere.quantities import INPUTS
 from uqsphere.results.entries import AxisEntry, SliderEntry, Sliders, SurfaceEntry, WayEntry
 from uqsphere.runner.evaluate import Ledger, Work
+from uqsphere.runner.evidence import Evidence
 from uqsphere.runner.fidelity import solved
 from uqsphere.runner.schedule import SLIDERS
-from uqsphere.runner.verdict import Evidence
 from uqsphere.store import Store, write_json
 from uqsphere.study import SPEED, Study, Way, law_json, spaced, ways_of, with_number
 from uqsphere.uq import Law, LawError, sobol_points

@@ -1,0 +1,63 @@
+"""The end of a run: what was found is written down, in a folder that says by its results.json that it is whole."""
+
+from __future__ import annotations
+
+from uqsphere.results import PlanEntry, Results
+from uqsphere.results.entries import PricesEntry
+from uqsphere.runner.account import account, further_rows
+from uqsphere.runner.beside import aside, may_copy
+from uqsphere.runner.courses import save_courses
+from uqsphere.runner.evaluate import Work
+from uqsphere.runner.evidence import judged_ways
+from uqsphere.runner.expensive import Expensive, Priced
+from uqsphere.runner.export import save_points
+from uqsphere.runner.findings import Findings
+from uqsphere.runner.finished import Run
+from uqsphere.runner.kept import keep_data, write_results
+from uqsphere.runner.results import bare_results, build_manifest, build_results
+from uqsphere.runner.sliders import save_sliders
+from uqsphere.store import Store
+
+
+def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None, found: Findings) -> Run:
+    """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""
+    way, ledger = priced.way, work.ledger
+    found = judged_ways(work, found)
+    taken = "surrogate" if expensive is not None and expensive.surrogate else "sampling"
+    plan = PlanEntry(
+        way=taken,
+        why=way.why if expensive is None else expensive.why,
+        sampling_evaluations=way.sampling,
+        surrogate_evaluations=way.runs,
+        parts=account(work, planned=way.surrogate, affordable=way.affordable),
+    )
+    store.take_over()
+    save_points(work, store, found.sampled.sample)
+    copied = store.shared and not work.study.black_box and may_copy(work.threads)
+    with aside(lambda: save_courses(work, store, found.sampled.sample), copied=copied) as courses:
+        save_sliders(work, store, found.evidence, found.margins)
+        results = build_results(work, found, plan)
+        courses()
+    further = further_rows(results)
+    results = results.model_copy(update={"speed_error": (*results.speed_error, *(row for _, row in further))})
+    ends = [ledger.seconds.get(part, ledger.elapsed) for part, _ in further]
+    prices = PricesEntry(
+        cost_seconds_per_evaluation=priced.cost,
+        crossover_seconds_per_evaluation=way.crossover,
+        balance_seconds_per_evaluation=way.balance,
+        affordable_evaluations=way.affordable,
+    )
+    return _written(work, store, results, [*ledger.times, *ends], prices)
+
+
+def finish_bare(work: Work, store: Store) -> Run:
+    """Write what the services of a study without a rig of its own have found."""
+    store.take_over()
+    return _written(work, store, bare_results(work.study, work.services), [], PricesEntry())
+
+
+def _written(work: Work, store: Store, results: Results, seconds: list[float], prices: PricesEntry) -> Run:
+    keep_data(work.study, store.folder)
+    manifest = build_manifest(work, seconds, prices)
+    write_results(store, results, manifest)
+    return Run(folder=store.folder, results=results, manifest=manifest)

@@ -1,0 +1,164 @@
+"""The rows that verdicts on fracture rest on: rows of a run's sample with the demands of every way to break."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.mechanics.outputs import absent_in, all_with
+from uqsphere.mechanics.yielding import Face
+from uqsphere.model import Answered, is_answered, scene_of
+from uqsphere.runner.axis_rows import evaluate_along
+from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work, with_answered
+from uqsphere.runner.fidelity import solved
+from uqsphere.runner.findings import Findings
+from uqsphere.runner.forecast import JUDGED
+from uqsphere.runner.questions.any_limit import AnyLimit
+from uqsphere.runner.schedule import REPLICATES, WAYS, WAYS_CURVE
+from uqsphere.study import Limit, Study, Ways, means_fracture, spaced, ways_of
+from uqsphere.uq import Sample
+from uqsphere.uq.whatif import root
+
+if TYPE_CHECKING:
+    from uqsphere.mechanics.outputs import Answers
+    from uqsphere.mechanics.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """Rows of a run's sample with the demands of all ways to break; `along` has such rows by values of the free scalar.
+
+    `work` has the limits of the ways behind those of the file; `static` are the same rows under the static contact law,
+    None where no face yields, or the study has such a law itself.
+    """
+
+    work: Work
+    ways: Ways
+    sample: Sample
+    scene: Scene
+    answers: Answers
+    along: Mapping[float, Sample]
+    static: Sample | None
+
+    def chances(self, limits: Sequence[Limit], aim: str, sample: Sample | None = None) -> Array:
+        """Probability (R, n) that the aim is missed by any of some limits, given the inputs."""
+        together = AnyLimit.of(self.work, tuple(limits))
+        return together.at(self.work, self.sample if sample is None else sample, aim=aim).any
+
+    def curve(self, limit: Limit) -> list[tuple[float, float]]:
+        """Values of the free scalar, and the probability there that a limit is exceeded."""
+        return [(value, float(self.chances([limit], "survive", rows).mean())) for value, rows in self.along.items()]
+
+    def value_at(self, limits: Sequence[Limit], aim: str, wanted: float) -> float | None:
+        """The free scalar at which the aim is missed by any of some limits with a probability; None where nowhere."""
+        if not self.along:
+            return None
+        values, samples = list(self.along), list(self.along.values())
+
+        def missed(at: int) -> float:
+            return float(self.chances(limits, aim, samples[at]).mean())
+
+        logarithmic = values[0] > 0.0
+        places = np.log(values) if logarithmic else np.array(values)
+        place = root(places, missed, wanted, rising=missed(len(values) - 1) > missed(0))
+        if not math.isfinite(place):
+            return None
+        return math.exp(place) if logarithmic else place
+
+
+def gather(work: Work, sample: Sample) -> Evidence | None:
+    """The rows that verdicts on fracture rest on beside the answers of the run, with the full model.
+
+    None where no limit means fracture, and where the budget has nothing left.  Counted as evaluations of the ways.
+    """
+    study, random = work.study, bool(work.scene_names)
+    left = study.analysis.budget.evaluations - work.ledger.total
+    # the rows are answered twice, by the study's contact law and by the static one
+    count = min(WAYS.first, sample.count, left // 2 // (sample.replicates if random else 1))
+    if study.black_box or count < 1 or not any(means_fracture(limit) for limit in study.limits):
+        return None
+    head, d = sample.head(count), len(work.scene_names)
+    rows = head.inputs[:, :, :d].reshape(head.size, d)[: None if random else 1]
+    ways = ways_of(study)
+    scene = scene_of(_wider(study, ways), {name: rows[:, k] for k, name in enumerate(work.scene_names)}, len(rows))
+    lacking = {way.called: why for way in ways.assumed if (why := absent_in(scene, way.limit.quantity))}
+    ways = Ways(
+        assumed=tuple(way for way in ways.assumed if way.called not in lacking),
+        not_judged={**ways.not_judged, **lacking},
+    )
+    own = replace(work, study=_wider(study, ways), ledger=Ledger(started=work.ledger.started), fidelity="full",
+                  fallback=None, spare=True)  # fmt: skip
+    answers = _solved(own, scene)
+    found = Evidence(work=own, ways=ways, sample=_with(own, head, answers), scene=scene, answers=answers,
+                     along=_along(own, left - 2 * len(rows)), static=_static(own, head, scene, answers))  # fmt: skip
+    work.ledger.evaluations["ways"] = own.ledger.total
+    return found
+
+
+def _wider(study: Study, ways: Ways) -> Study:
+    """The study with the limits of the ways behind its own, asked for the demands of all of them."""
+    limits = (*study.limits, *(way.limit for way in ways.assumed))
+    asked = tuple(dict.fromkeys(limit.quantity for limit in limits))
+    return replace(study, limits=limits, analysis=replace(study.analysis, quantities=asked))
+
+
+def _solved(work: Work, scene: Scene) -> Answers:
+    return solved(work, f"verdict.{scene.contact_law}", scene, all_with(scene, work.quantities))
+
+
+def _static(work: Work, points: Sample, scene: Scene, elastic: Answers) -> Sample | None:
+    """The rows with faces that yield: between bars, which set the force, under the forces of the elastic motion; in
+    other rigs under their own, which yielding lowers."""
+    if scene.contact_law != "hertz":
+        return None
+    yielding = replace(scene, contact_law="plastic", contact_dynamics="elastic" if scene.rig == "bars" else "path")
+    onsets = [partner.face.onset for partner in yielding.partners if partner and isinstance(partner.face, Face)]
+    rows = (
+        np.any([elastic.values["p_hertz"] > onset for onset in onsets], axis=0) if onsets else np.zeros(1, dtype=bool)
+    )
+    if not rows.any():
+        return None
+    # the motion is the elastic one, which stands: faces that do not yield need no other answer
+    found = _solved(work, yielding.at(np.flatnonzero(rows)))
+    answered = is_answered(found.status)
+    rows[rows] = answered
+    values = {name: column.copy() for name, column in elastic.values.items()}
+    for name, column in values.items():
+        column[rows] = found.values[name][answered]
+    return _with(work, points, replace(elastic, values=values))
+
+
+def _with(work: Work, points: Sample, answers: Answers) -> Sample:
+    """The points with the answers to all of their rows, or with one answer for all."""
+    none = np.zeros(len(answers.status), dtype=bool)
+    return with_answered(work, points, Answered(
+        values=np.stack([answers.values[name] for name in work.quantities], axis=1),
+        censored=np.stack([answers.censored.get(name, none) for name in work.quantities], axis=1),
+        status=answers.status,
+    ))  # fmt: skip
+
+
+def _along(work: Work, left: int) -> dict[float, Sample]:
+    """Few rows at values of the free scalar, none where it moves no row, or the budget or the time is over."""
+    margins, count = work.study.margins, min(WAYS_CURVE.first, left // (REPLICATES * WAYS_CURVE.most))
+    if margins is None or not margins.axis.moves_rows or count < 1:
+        return {}
+    try:
+        values = spaced(margins.axis.low, margins.axis.high, WAYS_CURVE.most)
+        return evaluate_along(work, dict.fromkeys(values, (0, count)), ".ways")
+    except OutOfBudget:
+        return {}
+
+
+def judged_ways(work: Work, found: Findings) -> Findings:
+    """What was found, with the rows that verdicts on fracture rest on beside it, once."""
+    if JUDGED in work.ledger.parts:
+        return found
+    found = replace(found, evidence=gather(work, found.sampled.sample))
+    work.ledger.close(JUDGED)
+    return found

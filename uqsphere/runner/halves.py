@@ -1,0 +1,77 @@
+"""The two halves of a run that need nothing of each other: what breaks, and what shares the variance out."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import replace
+from typing import Any, Final
+
+from uqsphere.runner.beside import aside, may_copy
+from uqsphere.runner.drivers import find_drivers
+from uqsphere.runner.evaluate import Work
+from uqsphere.runner.evidence import judged_ways
+from uqsphere.runner.expensive import Expensive, keep_indices, keep_margins
+from uqsphere.runner.findings import Findings
+from uqsphere.runner.forecast import forecast
+from uqsphere.runner.questions.carried import find_carried
+from uqsphere.runner.questions.distributions import Sampled
+from uqsphere.runner.questions.fracture import find_fracture
+from uqsphere.runner.questions.further import Analyses
+from uqsphere.runner.questions.margins import find_margins, judge_answers
+from uqsphere.runner.questions.shapley import share_variance
+from uqsphere.runner.results import told_early
+from uqsphere.store import Store
+
+#: share of the budget that may be spent, with the most that margins and fracture take, for these to be answered beside
+#: what shares the variance out
+ROOM: Final = 0.5
+_BREAKING: Final = ("margins", "carriers", "fracture")
+
+
+def reserved(work: Work) -> int:
+    """The most that margins and fracture take, where the budget has room for the rest beside it; else nothing."""
+    budget = work.study.analysis.budget.evaluations
+    most = sum(part.most for part in forecast(work.study, budget) if part.name in _BREAKING)
+    return most if work.ledger.total + most <= ROOM * budget else 0
+
+
+def side_by_side(work: Work, store: Store, found: Findings, first: Analyses | None, reserved: int) -> Findings:
+    """Margins and fracture beside what shares the variance out, each with its own part of the budget: on two
+    processors where there are two, with the same answers where there is one."""
+    base, copied = deepcopy(work.ledger), store.shared and may_copy(work.threads)
+    side, own = replace(work, ledger=deepcopy(base)), work.within(work.study.analysis.budget.evaluations - reserved)
+    if copied:
+        side = replace(side, progress=None, reached=None)
+    with aside(lambda: (breaking(side, found.sampled, None), side.ledger, store.damaged), copied=copied) as broken:
+        shared = sharing(own, told_early(own, judged_ways(own, found)), None, first)
+        fracture, spent, damaged = broken()
+    work.ledger.follow(spent, base)
+    store.damaged[:] = sorted({*store.damaged, *damaged})
+    store.look()
+    return replace(shared, **fracture)
+
+
+def breaking(work: Work, sampled: Sampled, one: Expensive | None) -> dict[str, Any]:
+    """Margins, what is carried from tests, and fracture, as `Findings` has them."""
+    margins = find_margins(work, sampled)
+    if one is not None:
+        margins = keep_margins(work, margins, one)
+    margins = judge_answers(work, margins)
+    work.ledger.close("margins")
+    carried = find_carried(work, sampled)
+    work.ledger.close("carriers")
+    fracture = find_fracture(work, sampled, margins)
+    work.ledger.close("fracture")
+    return {"margins": margins, "carried": carried, "fracture": fracture}
+
+
+def sharing(work: Work, found: Findings, one: Expensive | None, first: Analyses | None) -> Findings:
+    """What was found, with indices and drivers."""
+    shared = share_variance(work, found.sampled, first)
+    if one is not None:
+        shared = replace(shared, sensitivity=keep_indices(shared.sensitivity, one))
+    work.ledger.close("sensitivity")
+    drivers = find_drivers(work, found.sampled, shared)
+    work.ledger.close("drivers")
+    stops = {"sampling": found.sampled.stopped, "sensitivity": shared.stopped}
+    return replace(found, sensitivity=shared.sensitivity, drivers=drivers, tabled=shared.tabled, stops=stops)
