@@ -67,8 +67,8 @@ def is_answered(status: npt.ArrayLike) -> npt.NDArray[np.bool_]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answered:
-    """Answers of n rows.
+class Evaluated:
+    """Rows that were evaluated, n of them.
 
     Values and censored flags (n, q) in the order of the quantities asked, status (n,), and by which route each
     row was answered (n,): all by the fidelity asked for if None.  others (n, q): the other answer of rows whose
@@ -81,6 +81,16 @@ class Answered:
     route: npt.NDArray[np.int64] | None = None
     others: Array | None = None
     note: str = ""
+
+    @property
+    def good(self) -> npt.NDArray[np.bool_]:
+        """Which rows have an answer, (n,)."""
+        return is_answered(self.status)
+
+    @property
+    def known(self) -> Array:
+        """Values (n, q), nan where a row has none."""
+        return np.where(self.good[:, None], self.values, np.nan)
 
     @property
     def routes(self) -> npt.NDArray[np.int64]:
@@ -200,11 +210,11 @@ def _solve_rig(
     return merged_answers((parts[False], rest), (parts[True], impact.solve_closed(scene.at(parts[True]), quantities)))
 
 
-def _solve(scene: Scene, quantities: Sequence[str], fidelity: str, tolerance: float, threads: int | None) -> Answered:
+def _solve(scene: Scene, quantities: Sequence[str], fidelity: str, tolerance: float, threads: int | None) -> Evaluated:
     """The same as a table with a column per quantity."""
     answers = solve_scene(scene, fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
     none = np.zeros(len(scene), dtype=bool)
-    return Answered(
+    return Evaluated(
         values=np.stack([answers.values[name] for name in quantities], axis=1),
         censored=np.stack([answers.censored.get(name, none) for name in quantities], axis=1),
         status=answers.status,
@@ -222,7 +232,7 @@ def answer_scene(
     tolerance: float = 1e-6,
     threads: int | None = None,
     fallback: Fallback | None = None,
-) -> Answered:
+) -> Evaluated:
     """Answers of n rows by the impact model.
 
     Parameters
@@ -256,7 +266,7 @@ def answer_scene(
     put(np.flatnonzero(route == ROUTE_ASKED), fidelity)
     route[~is_answered(status)] = ROUTE_BOTH
     put(np.flatnonzero(route != ROUTE_ASKED), "full")
-    return Answered(values=values, censored=censored, status=status, route=route)
+    return Evaluated(values=values, censored=censored, status=status, route=route)
 
 
 def answer_black_box(
@@ -266,7 +276,7 @@ def answer_black_box(
     outputs: Sequence[str],
     box: BlackBox | None,
     needed: Sequence[str] | None = None,
-) -> Answered:
+) -> Evaluated:
     """Answers of n rows by the user's own model, in one call.
 
     Parameters
@@ -300,7 +310,7 @@ def answer_black_box(
         at = int(np.argmin(finite))
         k = next(k for k, must in enumerate(due) if must and not known[at, k])
         note = f"{outputs[k]} = {values[at, k]:g} {where_of(list(given), inputs[at])}"
-    return Answered(
+    return Evaluated(
         values=np.where(known if needed is not None else np.reshape(finite, (-1, 1)), values, np.nan),
         censored=np.zeros(values.shape, dtype=bool),
         status=np.where(finite, 0, STATUS_NOT_FINITE),
@@ -333,9 +343,9 @@ def _unfolded(found: Mapping[str, npt.ArrayLike], outputs: Sequence[str]) -> Map
     return answer
 
 
-def _no_rows(quantities: Sequence[str]) -> Answered:
+def _no_rows(quantities: Sequence[str]) -> Evaluated:
     empty = np.zeros((0, len(quantities)))
-    return Answered(values=empty, censored=empty.astype(bool), status=np.zeros(0, dtype=np.int64))
+    return Evaluated(values=empty, censored=empty.astype(bool), status=np.zeros(0, dtype=np.int64))
 
 
 def _outputs(found: Mapping[str, npt.ArrayLike], due: Mapping[str, bool], count: int) -> Array:

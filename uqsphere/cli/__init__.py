@@ -145,7 +145,7 @@ COMMANDS: Final = {
         _word("--gain-sd", "SD", "of each gauge, relative (default 0.01)", type=float, default=0.01),
         _path("--out", "DIR", "write tables and figures here"),
     )),
-    "fit-contact": Command("onset, hardness and pile-up from a slow test on a sphere between two platens", "records", (
+    "fit-contact": Command("onset, hardness and pile-up from a slow test on a sphere between two platens", "contact", (
         _path("record", "FILE.csv", "displacement and force, loaded and let go"),
         _word("--diameter", "LENGTH", 'of the sphere, such as "20 mm"', required=True),
         _word("--platens", "NAME", "a material of bars or plates, or rigid; E of the sphere follows", default="rigid"),

@@ -21,7 +21,6 @@ from uqsphere.quantities import format_value
 if TYPE_CHECKING:
     from uqsphere.records.inverse import Rig
     from uqsphere.records.laboratory import Calibration, Reading
-    from uqsphere.records.loading import ContactFit
     from uqsphere.records.pulse import Bar
     from uqsphere.records.record import Record, Wiring
     from uqsphere.study import Study
@@ -75,7 +74,7 @@ def _wirings(chosen: argparse.Namespace, signals: int) -> list[Wiring]:
 
 
 @contextlib.contextmanager
-def _told(path: Path) -> Iterator[None]:
+def reading(path: Path) -> Iterator[None]:
     """What is wrong with a record, as what is wrong with the command."""
     from uqsphere.records.table import RecordError
 
@@ -86,7 +85,7 @@ def _told(path: Path) -> Iterator[None]:
         raise UsageError(f"{path}: {text}") from None
 
 
-def _columns(chosen: argparse.Namespace) -> list[str]:
+def columns_named(chosen: argparse.Namespace) -> list[str]:
     return [name.strip() for name in chosen.columns.split(",")] if chosen.columns else []
 
 
@@ -106,7 +105,7 @@ def command_records(chosen: argparse.Namespace) -> int:
     path = chosen.record
     if chosen.beside and (path.is_dir() or chosen.calibration is not None):
         raise UsageError("--with adds channels to one record: it goes with no folder and no --calibration")
-    with _told(path):
+    with reading(path):
         shot = _calibration(chosen, study)
         if path.is_dir():
             return _folder(chosen, study, shot)
@@ -141,7 +140,7 @@ def _read(chosen: argparse.Namespace, path: Path, study: Study | None) -> Record
     from uqsphere.records.record import make_record, mend
     from uqsphere.records.table import beside, read_table
 
-    columns = _columns(chosen)
+    columns = columns_named(chosen)
     interval = number_of(chosen.sample_interval, "time", "--sample-interval") if chosen.sample_interval else 0.0
     read = read_table(path, interval)
     for other in chosen.beside:
@@ -334,16 +333,16 @@ def _paper(page: str) -> bytes:
     return bytes(typeset(page, "").write_pdf())
 
 
-def _three(found: Found) -> Sequence[float]:
+def three(found: Found) -> Sequence[float]:
     """Value and the ends of its interval."""
     return found.value, found.low, found.high
 
 
-def _ends(numbers: Sequence[float]) -> dict[str, float]:
+def ends(numbers: Sequence[float]) -> dict[str, float]:
     return dict(zip(("value", "low", "high"), numbers, strict=True))
 
 
-def _row(what: str, unit: str, factor: float, numbers: Sequence[float]) -> tuple[str, ...]:
+def number_row(what: str, unit: str, factor: float, numbers: Sequence[float]) -> tuple[str, ...]:
     """A row of the table: value, low and high (SI) in a unit of 1/factor."""
     value, low, high = (f"{number * factor:.4g}" for number in numbers)
     return what, f"{value} {unit}", f"{low} to {high} {unit}"
@@ -355,8 +354,8 @@ def _answers(read: Reading, columns: Mapping[str, float]) -> tuple[dict[str, obj
     waves = {"A": "largest force at A, two waves", "B": "largest force at B, one wave",
              "mean": "largest mean of both, three waves"}  # fmt: skip
     for face, peak in read.peaks.items():
-        largest[face] = {"time": peak.time, **_ends(_three(peak)), "doubts": list(peak.doubts)}
-        rows.append(_row(f"{waves[face]}, at {peak.time * 1e6:.4g} us", "kN", 1e-3, _three(peak)))
+        largest[face] = {"time": peak.time, **ends(three(peak)), "doubts": list(peak.doubts)}
+        rows.append(number_row(f"{waves[face]}, at {peak.time * 1e6:.4g} us", "kN", 1e-3, three(peak)))
         rows += [("  doubted", doubt, "") for doubt in peak.doubts]
     energies = dict(zip(("to_largest", "whole"), read.energies or (), strict=False))
     for what, energy in energies.items():
@@ -389,30 +388,30 @@ def _of_the_sphere(read: Reading, columns: Mapping[str, float]) -> tuple[dict[st
         return dict.fromkeys(names), []
     stiff, end = found.stiffness, found.departure
     reduced = (stiff.modulus, stiff.low, stiff.high)
-    rows = [_row("reduced modulus E*", "GPa", 1e-9, reduced)]
+    rows = [number_row("reduced modulus E*", "GPa", 1e-9, reduced)]
     bar = (1.0 - columns["bars.nu"] ** 2) / columns["bars.E"]
     rest = [1.0 / value - bar for value in reduced]
     modulus = None
     if min(rest) > 0.0:
         young = [(1.0 - columns["sphere.nu"] ** 2) / value for value in rest]
-        modulus = _ends(young)
-        rows.append(_row("E of the sphere that gives it", "GPa", 1e-9, young))
+        modulus = ends(young)
+        rows.append(number_row("E of the sphere that gives it", "GPa", 1e-9, young))
     rows.append(("misfit over noise", f"{stiff.misfit:.3g}", ""))
     departure = None
     if end is None:
         rows.append(("elastic contact", "held to the end of the record", ""))
     else:
-        rows.append(_row("elastic contact ends", "us", 1e6, (end.time, end.earliest, end.latest)))
+        rows.append(number_row("elastic contact ends", "us", 1e6, (end.time, end.earliest, end.latest)))
         said = "candidate for fracture" if read.broke else "no fracture"
-        rows += [_row(f"force at {face} there, {said}", "kN", 1e-3, force)
+        rows += [number_row(f"force at {face} there, {said}", "kN", 1e-3, force)
                  for face, force in (("A", end.force_a), ("B", end.force_b))]  # fmt: skip
         departure = {
             "time": end.time, "earliest": end.earliest, "latest": end.latest, "excess": end.excess,
-            "force_a": _ends(end.force_a), "force_b": _ends(end.force_b),
+            "force_a": ends(end.force_a), "force_b": ends(end.force_b),
             "candidate": read.broke,
         }  # fmt: skip
     return {
-        "reduced_modulus": {**_ends(reduced), "std_error": stiff.std_error},
+        "reduced_modulus": {**ends(reduced), "std_error": stiff.std_error},
         "sphere_modulus": modulus, "gains": {"incident": stiff.gain_a, "receiving": stiff.gain_b},
         "misfit": stiff.misfit, "elastic_throughout": found.held, "departure": departure,
     }, rows  # fmt: skip
@@ -485,60 +484,3 @@ def _line(content: Mapping[str, object]) -> tuple[list[object], tuple[str, ...]]
     said = [f"doubted: {doubts}"] * bool(doubts) + [f"{mended} samples or stretches mended"] * bool(mended)
     value = f"{peak['value'] * 1e-3:.4g} kN ({peak['low'] * 1e-3:.4g} to {peak['high'] * 1e-3:.4g})"
     return line, (str(content["file"]), value, "; ".join(said))
-
-
-# --- a slow test between platens ------------------------------------------------------------------------
-
-
-def command_fit_contact(chosen: argparse.Namespace) -> int:
-    """Onset, hardness and pile-up of a slow test, as the lines of a study."""
-    from uqsphere.materials import library
-    from uqsphere.mechanics.yielding import metal_onset
-    from uqsphere.records.loading import fit_contact, read_loading
-
-    diameter = number_of(chosen.diameter, "length", "--diameter", above=0.0)
-    machine = chosen.machine_stiffness
-    stiffness = math.inf if machine is None else number_of(machine, "stiffness", "--machine-stiffness", above=0.0)
-    if not 0.0 <= chosen.nu < 0.5:
-        raise UsageError(f"--nu {chosen.nu:g}: it lies from 0 to below 0.5")
-    if chosen.pile_up is not None and not 1.0 <= chosen.pile_up <= 3.0:
-        raise UsageError(f"--pile-up {chosen.pile_up:g}: it lies from 1 to 3")
-    known = {**library()["bars"], **library()["plates"]}
-    if chosen.platens != "rigid" and chosen.platens not in known:
-        raise UsageError(f"--platens: found {chosen.platens!r}, allowed: rigid, {', '.join(known)}")
-    with _told(chosen.record):
-        units = (chosen.displacement_unit, chosen.force_unit)
-        loading = read_loading(chosen.record, columns=_columns(chosen), units=units)
-        fit = fit_contact(loading, diameter=diameter, compliance=1.0 / stiffness, pile_up=chosen.pile_up)
-    notes, soft = list(loading.notes), 0.0
-    if chosen.platens != "rigid":
-        bar = {key: entry.value for key, entry in known[chosen.platens].properties.items()}
-        soft = (1.0 - bar["nu"] ** 2) / bar["E"]
-        onset = float(metal_onset(bar.get("yield_strength", math.inf), bar["nu"]))
-        if fit.onset.high > onset / 1.3:
-            notes.append(f"the platens yield from {onset / 1e9:.3g} GPa on: what was fitted may be theirs")
-    return _answer_fit(chosen, fit, soft, notes)
-
-
-def _answer_fit(chosen: argparse.Namespace, fit: ContactFit, soft: float, notes: list[str]) -> int:
-    """The numbers of a fit with their intervals; `soft` [1/Pa] is what the platens add to the compliance."""
-    named = {"onset_pressure": fit.onset, "hardness": fit.hardness, "pile_up": fit.pile_up}
-    rest = [1.0 / number - soft for number in _three(fit.modulus)]
-    young = [(1.0 - chosen.nu**2) / number for number in rest] if min(rest) > 0.0 else None
-    document = {
-        "kind": "contact", "file": chosen.record.name, **{name: _ends(_three(part)) for name, part in named.items()},
-        "reduced_modulus": _ends(_three(fit.modulus)), "sphere_modulus": None if young is None else _ends(young),
-        "depth": fit.depth, "dent": fit.dent, "misfit": fit.misfit, "samples": fit.samples, "notes": notes,
-    }  # fmt: skip
-    if not chosen.json:
-        print("".join(f"note: {plain(note)}\n" for note in notes), end="", file=sys.stderr)
-    rows = [
-        _row("onset pressure", "GPa", 1e-9, _three(fit.onset)), _row("hardness", "GPa", 1e-9, _three(fit.hardness)),
-        _row("pile-up", "", 1.0, _three(fit.pile_up)), _row("reduced modulus E*", "GPa", 1e-9, _three(fit.modulus)),
-        *([] if young is None else [_row("E of the sphere that gives it", "GPa", 1e-9, young)]),
-        ("pressed to, over first yield", f"{fit.depth:.3g}", ""), ("dent", f"{1e6 * fit.dent:.3g} um", ""),
-        ("misfit of the displacement", f"{1e6 * fit.misfit:.2g} um", f"{fit.samples} samples"),
-    ]  # fmt: skip
-    lines = ["", "[contact]", 'law = "plastic"', f'onset_pressure = "{fit.onset.value / 1e9:.4g} GPa"',
-             f'hardness = "{fit.hardness.value / 1e9:.4g} GPa"', f"pile_up = {fit.pile_up.value:.4g}"]  # fmt: skip
-    return answer(chosen, document, "\n".join([table(("what", "value", "95 % interval"), rows), *lines]))

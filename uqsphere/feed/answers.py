@@ -141,7 +141,7 @@ class FeedPlan:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Answered:
+class Evaluated:
     """The answers with what they were computed from, draw by draw: which draws of the posterior, and the product."""
 
     entry: FeedEntry
@@ -164,7 +164,7 @@ class Answered:
 
 def answer_feed(
     posterior: Posterior, fitted: FitEntry, plan: FeedPlan, tests: Fineness | None = None, title: str = ""
-) -> Answered:
+) -> Evaluated:
     """The answers of a feed to what a posterior leaves open.
 
     Raises
@@ -200,7 +200,7 @@ def answer_feed(
         t10=finds["t10"], p80=finds["p80"], p50=finds["p50"], reduction=finds["reduction"], fines=finds["fines"],
     )  # fmt: skip
     if drawn is None:
-        return Answered(entry=entry, rows=rows, broken=mean.broken, product=None)
+        return Evaluated(entry=entry, rows=rows, broken=mean.broken, product=None)
     # the product on every sieve, its band over draws and, where there is one, over lots
     low, high = np.quantile(mean.passing if lots is None else lots.passing, _ENDS, axis=0)
     columns = (mean.sieves, feed.classes.passing(mean.sieves), mean.passing.mean(axis=0), low, high)
@@ -213,7 +213,7 @@ def answer_feed(
         parts["alpha"] = product.curve.alpha
     numbers = {name: Interval.of(np.atleast_1d(np.asarray(v, dtype=float)), "") for name, v in parts.items()}
     told = {"curve": curve, "product": numbers, "sources": dict(product.sources)}
-    return Answered(entry=entry.model_copy(update=told), rows=rows, broken=mean.broken, product=product)
+    return Evaluated(entry=entry.model_copy(update=told), rows=rows, broken=mean.broken, product=product)
 
 
 def _refuse_what_is_not_told(posterior: Posterior, feed: Feed) -> None:

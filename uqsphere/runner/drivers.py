@@ -17,9 +17,20 @@ from uqsphere.runner.questions.indices import Sensitivity, Shared
 from uqsphere.runner.questions.shapley import TASK, orders_at
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study import Limit, limit_of, strength_name
-from uqsphere.uq import Law, Sample, random_generator, without
+from uqsphere.uq import (
+    Estimate,
+    Law,
+    LimitState,
+    Sample,
+    absent,
+    finite,
+    from_replicates,
+    random_generator,
+    score_of,
+    tails,
+    without,
+)
 from uqsphere.uq.beyond_variance import delta_estimates, pawn_estimates
-from uqsphere.uq.estimate import Estimate, absent, finite, from_replicates
 from uqsphere.uq.failure_indices import (
     explained_share,
     given_failure,
@@ -33,7 +44,6 @@ from uqsphere.uq.failure_indices import (
 )
 from uqsphere.uq.fitting import count_tests
 from uqsphere.uq.indices import Blocks, sampled_indices, uniform_halves
-from uqsphere.uq.limit_state import LimitState, score_given_inputs, score_of, tails
 
 if TYPE_CHECKING:
     from uqsphere.uq.shapley import SubsetDesign
@@ -252,20 +262,12 @@ def _strengths(work: Work, limit: Limit, law: Law, state: LimitState, chance: Ar
     """A strength drawn at every point from its law given the inputs and that the aim is missed."""
     from scipy.special import ndtri
 
-    from uqsphere.uq.joint import conditional_scores
-
     generator = random_generator(seed=work.study.seed, task=f"target.{limit.name}")
     # the tail that misses the aim, cut at a random share of it; never exactly none
     tail = np.maximum(generator.random(chance.shape) * chance, 1e-300)
     score = np.asarray(ndtri(np.minimum(tail, 1.0 - 1e-16)))
     score = -score if limit.aim == "break" else score
-    if state.tie is not None:
-        known = state.tie.given.reshape(-1, state.tie.given.shape[-1])
-        last = state.tie.copula.size - 1
-        score = conditional_scores(state.tie.copula, range(last), known, score.reshape(-1, 1)).reshape(chance.shape)
-    elif state.shift is not None:
-        score = state.shift + state.remaining_sd * score
-    return law.from_normal(score)
+    return law.from_normal(state.score_drawn(score))
 
 
 # --- what to measure first ------------------------------------------------------------------------------
@@ -310,7 +312,7 @@ def _at_score(limit: Limit, state: LimitState, step: float) -> Array:
 
     assert isinstance(limit.strength, Law)
     score = score_of(limit.strength.cdf(state.demands), limit.strength.sf(state.demands))
-    score = score_given_inputs(state, score + step)
+    score = state.score_given_inputs(score + step)
     return np.asarray(ndtr(-score if limit.aim == "break" else score))
 
 

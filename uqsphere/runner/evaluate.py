@@ -17,7 +17,7 @@ from uqsphere.model import (
     ROUTE_ASKED,
     ROUTE_FULL,
     STATUS_UNDECIDED,
-    Answered,
+    Evaluated,
     is_answered,
     status_text,
     where_of,
@@ -235,7 +235,7 @@ def task_of(work: Work, names: tuple[str, ...], fidelity: str) -> Task:
 
 def evaluate_points(
     work: Work, key: str, names: tuple[str, ...], rows: Array, *, fidelity: str | None = None
-) -> Answered:
+) -> Evaluated:
     """Answers of rows (n, d), each evaluated once in the life of the result folder.
 
     Raises
@@ -292,7 +292,7 @@ def _repeat_one(work: Work, store: Store, task: Task, rows: Array, found: Gather
     By itself it stands at another place of its call, so that noise from a generator with a seed is told too.
     Half of the digits must agree: a model in vector arithmetic may round a row by itself otherwise than among others.
     """
-    known = np.flatnonzero(is_answered(found.answered.status))
+    known = np.flatnonzero(found.answered.good)
     if known.size == 0:
         return
     work.ledger.repeated = True
@@ -324,7 +324,7 @@ def _repeat_one(work: Work, store: Store, task: Task, rows: Array, found: Gather
     )
 
 
-def evaluate_whole(work: Work, key: str, rows: Array) -> Answered | str:
+def evaluate_whole(work: Work, key: str, rows: Array) -> Evaluated | str:
     """Answers of rows (n, d) of the model's random inputs, or why there are none of any: budget or time is over."""
     if len(rows) > work.study.analysis.budget.evaluations - work.ledger.total:
         return f"the budget of evaluations has no room for {len(rows):,} runs"
@@ -334,7 +334,7 @@ def evaluate_whole(work: Work, key: str, rows: Array) -> Answered | str:
         return "the time budget ended before"
 
 
-def _account(work: Work, fidelity: str, answered: Answered) -> None:
+def _account(work: Work, fidelity: str, answered: Evaluated) -> None:
     """Count evaluations and failures, and stop where the policy says so."""
     ledger, status, route = work.ledger, answered.status, answered.route
     by_full = 0 if route is None else int((route != ROUTE_ASKED).sum())
@@ -402,7 +402,7 @@ def evaluate_sample(work: Work, key: str, points: Sample) -> Sample:
     return with_answered(work, points, answered)
 
 
-def with_answered(work: Work, points: Sample, answered: Answered) -> Sample:
+def with_answered(work: Work, points: Sample, answered: Evaluated) -> Sample:
     """The points with answers to all of their rows, or with one answer for all."""
     shape = (points.replicates, points.count, len(work.quantities))
     status = np.resize(answered.status, shape[:2])

@@ -470,7 +470,7 @@ class _End:
         work, one = self.work, self.question.responses.get(quantity)
         found = self.question.found.indices.get(quantity)
         names, asked = work.scene_names, work.study.analysis.accuracy.sobol
-        about = NO_SURROGATE
+        about: About = NO_SURROGATE
         if one is not None:
             about = {"kind": CHAOS, "error": one.error, "evaluations": one.count, "usable": one.usable,
                      "reason": one.reason, "degree": one.degree, "terms": one.terms}  # fmt: skip

@@ -25,7 +25,6 @@ from uqsphere.uq.limit_state import (
     margin_quantiles,
     miss,
     reliability_index,
-    score_given_inputs,
     tails,
     target_met,
 )
@@ -190,7 +189,7 @@ def _governing(work: Work, limit: Limit, sample: Sample, state: LimitState) -> t
     if isinstance(limit.strength, Law):
         with np.errstate(divide="ignore"):
             score = np.asarray(ndtri(limit.strength.cdf(np.where(keep, state.demands, 0.0))))
-        score = np.clip(score_given_inputs(state, score), -37.0, 37.0)[keep]
+        score = np.clip(state.score_given_inputs(score), -37.0, 37.0)[keep]
         weight = np.asarray(ndtr(score))
         names.append(strength_name(limit.name))
     else:

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from uqsphere.arrays import Array, Flags
-from uqsphere.model import Answered, is_answered
+from uqsphere.model import Evaluated
 from uqsphere.runner.axis_rows import axis_of
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_points
 from uqsphere.runner.limits import SEEN, state_of
@@ -78,9 +78,9 @@ class _Wide:
         """Those along the scalar."""
         return len(self.values) - self.own
 
-    def with_runs(self, normals: Array, values: Array, run: Answered) -> _Wide:
+    def with_runs(self, normals: Array, values: Array, run: Evaluated) -> _Wide:
         """With more of them."""
-        outputs = np.where(is_answered(run.status)[:, None], run.values, np.nan)
+        outputs = run.known
         return replace(self, normals=np.concatenate([self.normals, normals]),
                        values=np.concatenate([self.values, values]),
                        outputs=np.concatenate([self.outputs, outputs]),
@@ -240,7 +240,7 @@ def _places(axis: Axis, values: Array, steps: bool) -> Array:
     return np.array([axis.germ(float(x)) for x in values])
 
 
-def evaluate_along(work: Work, key: str, normals: Array, values: Array) -> Answered:
+def evaluate_along(work: Work, key: str, normals: Array, values: Array) -> Evaluated:
     """Answers at normal scores (n, D) of what is drawn, each with the free scalar at a value of its own (n,)."""
     axis, d = axis_of(work), len(work.scene_names)
     rows = np.empty((len(normals), d))
@@ -298,7 +298,7 @@ def _along(work: Work, space: LimitSpace) -> Callable[[Array], Array]:
     def function(points: Array) -> Array:
         values = axis_of(work).value(0.5 + 0.5 * points[:, -1] / REACH)
         run = evaluate_along(work, f"margins-learned.{space.limit.name}.{next(calls)}", points[:, :-1], values)
-        quantity = np.where(is_answered(run.status), run.values[:, k], np.nan)
+        quantity = run.known[:, k]
         return space.value(points[:, :-1], quantity, run.censored[:, k])
 
     return function

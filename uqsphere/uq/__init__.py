@@ -5,7 +5,7 @@ Knows only arrays and callables rows -> rows; the physics is somewhere else.
 
 from __future__ import annotations
 
-from uqsphere.uq.estimate import Estimate, absent, exact, finite, student, widest
+from uqsphere.uq.estimate import Estimate, absent, exact, finite, from_replicates, student, widest
 from uqsphere.uq.families import LawError
 from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import Law, make_law
@@ -25,6 +25,7 @@ __all__ = [
     "complement",
     "exact",
     "finite",
+    "from_replicates",
     "make_joint",
     "make_law",
     "miss",

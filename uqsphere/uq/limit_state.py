@@ -18,7 +18,7 @@ from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.copulas import FARTHEST
 from uqsphere.uq.describe import logit_ends, quantile_estimates
 from uqsphere.uq.estimate import Estimate, absent, student
-from uqsphere.uq.joint import Tie, conditional_score
+from uqsphere.uq.joint import Tie, conditional_score, conditional_scores
 from uqsphere.uq.law import Law
 
 
@@ -66,6 +66,25 @@ class LimitState:
             return np.zeros(self.demands.shape, dtype=bool)
         return self.censored & ~self.broken
 
+    def score_given_inputs(self, score: Array) -> Array:
+        """Normal score of P(strength < demand | inputs) (R, n), where that of the strength's own law is `score`."""
+        if self.tie is not None:
+            copula, given = self.tie.copula, self.tie.given
+            known = given.reshape(-1, given.shape[-1])
+            last = copula.size - 1
+            near = np.clip(score, -FARTHEST, FARTHEST)
+            found = conditional_score(copula, last, range(last), known, near.reshape(-1)).reshape(score.shape)
+            return np.where(np.isinf(score), score, found)
+        return score if self.shift is None else shifted_score(score, self.shift, self.remaining_sd)
+
+    def score_drawn(self, score: Array) -> Array:
+        """Normal score (R, n) of the strength's own law, where that of P(strength < it | inputs) is `score`."""
+        if self.tie is not None:
+            known, last = self.tie.given.reshape(-1, self.tie.given.shape[-1]), self.tie.copula.size - 1
+            drawn = conditional_scores(self.tie.copula, range(last), known, score.reshape(-1, 1))
+            return drawn.reshape(score.shape)
+        return score if self.shift is None else self.shift + self.remaining_sd * score
+
 
 def score_of(below: Array, above: Array) -> Array:
     """Normal score of a probability that is given with its complement, through the smaller of the two."""
@@ -97,20 +116,8 @@ def tails_given_inputs(state: LimitState, below: Array, above: Array) -> tuple[A
     """The two tails (R, n) of a strength's own law as the inputs leave them that it is tied to."""
     if state.tie is None and state.shift is None:
         return below, above
-    score = score_given_inputs(state, score_of(below, above))
+    score = state.score_given_inputs(score_of(below, above))
     return np.asarray(special.ndtr(score)), np.asarray(special.ndtr(-score))
-
-
-def score_given_inputs(state: LimitState, score: Array) -> Array:
-    """Normal score of P(strength < demand | inputs) (R, n), where that of the strength's own law is `score`."""
-    if state.tie is not None:
-        copula, given = state.tie.copula, state.tie.given
-        known = given.reshape(-1, given.shape[-1])
-        last = copula.size - 1
-        near = np.clip(score, -FARTHEST, FARTHEST)
-        found = conditional_score(copula, last, range(last), known, near.reshape(-1)).reshape(score.shape)
-        return np.where(np.isinf(score), score, found)
-    return score if state.shift is None else shifted_score(score, state.shift, state.remaining_sd)
 
 
 def shifted_score(score: Array, shift: Array, remaining: float) -> Array:

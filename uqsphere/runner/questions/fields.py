@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.model import is_answered, place_names
+from uqsphere.model import place_names
 from uqsphere.results import AnalysisEntry, Est
 from uqsphere.results.tables import Stored, save_fields
 from uqsphere.runner.courses import followed
@@ -74,7 +74,7 @@ def _of_black_box(work: Work, rows: Array) -> dict[str, tuple[Array, Array]] | s
     answered = evaluate_whole(asked, "fields", rows)
     if isinstance(answered, str):
         return answered
-    values = np.where(is_answered(answered.status)[:, None], answered.values, np.nan)
+    values = answered.known
     ends = np.cumsum(list(fields.values()))[:-1]
     parts = np.split(values, ends, axis=1)
     return {name: (np.arange(float(fields[name])), part) for name, part in zip(fields, parts, strict=True)}

@@ -6,14 +6,10 @@ estimates; what it finds is known before anything else is asked.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Protocol, TypeAlias
 
-import numpy as np
-
-from uqsphere.model import is_answered
 from uqsphere.results import AnalysisEntry, ToleranceEntry
 from uqsphere.runner.evaluate import Work, evaluate_whole
 from uqsphere.runner.questions import morris, replicates
@@ -100,7 +96,7 @@ def find_tolerance(work: Work) -> dict[str, ToleranceEntry]:
             upper=None, lower=None, between=None, orders=(0, 0), attained=(0.0, 0.0), reason=answered,
         )  # fmt: skip
         return dict.fromkeys(work.quantities, nothing)
-    values = np.where(is_answered(answered.status)[:, None], answered.values, math.nan)
+    values = answered.known
     found = {
         name: tolerance_limits(
             values[:, k],

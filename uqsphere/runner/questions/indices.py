@@ -6,14 +6,12 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.files import Json
-from uqsphere.model import is_answered
 from uqsphere.results import Fields, SpeedRow
 from uqsphere.runner.campaign import (
     INDEX_KIND,
@@ -211,8 +209,18 @@ CHAOS = "polynomial chaos"
 HELD_OUT = "share of the variance left unexplained (held out)"
 
 
-#: what is said of a surrogate, and where none was fitted
-About: TypeAlias = dict[str, Json]
+class About(TypedDict, total=False):
+    """What results.json has of an expansion: its kind, None where there is none, and what its validation says."""
+
+    kind: str | None
+    error: float | None
+    evaluations: int
+    usable: bool
+    reason: str
+    degree: int
+    terms: int
+
+
 NO_SURROGATE: Final[About] = {"kind": None, "error": None, "evaluations": 0}
 
 
@@ -294,7 +302,7 @@ class Pairs:
     def evaluated(cls, work: Work, key: str, rows: Array, shape: tuple[int, int, int]) -> Pairs:
         """The outputs of such rows (n, d)."""
         answered = evaluate_points(work, key, work.scene_names, rows)
-        failed = ~is_answered(answered.status).reshape(shape)
+        failed = ~answered.good.reshape(shape)
         return cls(values=answered.values.reshape(*shape, -1), failed=np.asarray(failed.any(axis=2)))
 
     def join(self, other: Pairs) -> Pairs:
@@ -350,8 +358,7 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
     The output itself is expanded, no transform of it: only then are the
     indices of the expansion known exactly, as those of a control variate must be.
     """
-    from uqsphere.uq.expansion import chaos_indices, fit_again, judge, validation_error
-    from uqsphere.uq.expansion.shares import error_with_tails
+    from uqsphere.uq.expansion import chaos_indices, error_with_tails, fit_again, judge, validation_error
     from uqsphere.uq.indices import mean_expansion
 
     d, alone = len(work.scene_names), not work.study.analysis.samples_indices
@@ -382,7 +389,7 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
     # sampling corrects a control variate whatever it leaves out; nothing corrects an answer of its own
     verdict = judge(fits[0], own if alone else error)
     evaluations = count * min(used, joined * sample.count)
-    about = {
+    about: About = {
         "kind": CHAOS,
         "error": verdict.error,
         "evaluations": evaluations,

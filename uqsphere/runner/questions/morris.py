@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.model import is_answered
 from uqsphere.results import AnalysisEntry, Est
 from uqsphere.runner.evaluate import Work, evaluate_whole
 from uqsphere.runner.schedule import MANY
@@ -95,7 +94,7 @@ def answer(work: Work) -> AnalysisEntry:
     if isinstance(answered, str):
         return AnalysisEntry(reason=answered)
     shape, evaluations = scores.shape[:2], len(answered.status)
-    whole = is_answered(answered.status).reshape(shape).all(axis=1)
+    whole = answered.good.reshape(shape).all(axis=1)
     values = answered.values.reshape(*shape, -1)[whole]
     # the step before which an input has its first score, and after which its second
     step = np.argmax(np.diff(scores[whole], axis=1) != 0.0, axis=1)

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
-from uqsphere.model import is_answered
 from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import MISS_KIND, Accuracy, Cost, Missed, campaign, cost_of, speed_rows_of
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points
@@ -253,7 +252,7 @@ def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Arr
         # one evaluation stands for all rows where only model factors and strengths scatter
         rows = work.drawn.physical(normals)[: None if d else 1, :d]
         answered = evaluate_points(work, f"rare-events.{at}.{len(asked)}", work.scene_names, rows)
-        values = np.where(is_answered(answered.status)[:, None], answered.values, np.nan)
+        values = answered.known
         asked.append((normals[: len(rows)], values))
         late = np.resize(answered.censored[:, k], len(normals))
         return value_of(normals, np.resize(values[:, k], len(normals)), late)
@@ -516,7 +515,7 @@ def _confirmed(
     except OutOfBudget:
         return answer.with_check(f"{_OWN}: the time to confirm it was over")
     told = float(demand(normals[:, :d])[0])
-    true = float(run.values[0, k]) if is_answered(run.status)[0] else math.nan
+    true = float(run.known[0, k])
     if abs(true - told) <= allowed:
         text = f"the design point is the surrogate's; the model gives {true:.4g} there, the surrogate {told:.4g}"
         return answer.with_check(text)

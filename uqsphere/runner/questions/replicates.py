@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.model import is_answered
 from uqsphere.results import AnalysisEntry, Est
 from uqsphere.runner.evaluate import Work, draw, evaluate_whole
 from uqsphere.study import Study
@@ -48,7 +47,7 @@ def answer(work: Work) -> AnalysisEntry:
     answered = evaluate_whole(work, "replicates", np.repeat(rows, TIMES, axis=0))
     if isinstance(answered, str):
         return AnalysisEntry(reason=answered)
-    whole = is_answered(answered.status).reshape(count, TIMES).all(axis=1)
+    whole = answered.good.reshape(count, TIMES).all(axis=1)
     values = answered.values.reshape(count, TIMES, -1)[whole]
     return AnalysisEntry(values={
         quantity: {SUBJECT: _split(values[:, :, k], len(answered.status))}

@@ -24,7 +24,7 @@ from uqsphere.uq.expansion.germs import (
     hyperbolic_indices,
     orthonormal_values,
 )
-from uqsphere.uq.expansion.shares import chaos_indices, chaos_moments
+from uqsphere.uq.expansion.shares import chaos_indices, chaos_moments, error_with_tails
 
 __all__ = [
     "GERMS",
@@ -34,6 +34,7 @@ __all__ = [
     "Verdict",
     "chaos_indices",
     "chaos_moments",
+    "error_with_tails",
     "fit_again",
     "fit_chaos",
     "fit_outputs",
