@@ -27,7 +27,7 @@ from uqsphere.feed.likelihood import (
     split_r_hat,
 )
 from uqsphere.feed.tests import (
-    RIGS,
+    TEST_RIGS,
     Rows,
     Specimens,
     faults_of,
@@ -341,7 +341,7 @@ def test_the_particles_own_energy() -> None:
     assert float(dropped[0]) == pytest.approx(by["sphere"])
     pressed = particle_energy("force", [20e3], rig=["platens"], meaning="", stiffness=44718360326.78802, **given)
     assert float(pressed[0]) == pytest.approx(0.8 * 322.990011121646, rel=1e-12)
-    assert not RIGS["impact"]
+    assert not TEST_RIGS["impact"]
 
 
 # --- what is stored ---------------------------------------------------------------------------------------

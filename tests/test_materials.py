@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from uqsphere.materials import FURTHER, KINDS, library, material_names
+from uqsphere.materials import FURTHER, MATERIAL_KINDS, library, material_names
 from uqsphere.quantities import INPUTS
 
 
@@ -15,7 +15,7 @@ def test_materials_that_studies_rely_on() -> None:
 
 
 def test_every_value_is_plausible_and_sourced() -> None:
-    for kind in KINDS:
+    for kind in MATERIAL_KINDS:
         for name, material in library()[kind].items():
             assert material.name == name
             assert material.title

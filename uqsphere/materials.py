@@ -11,7 +11,7 @@ from uqsphere.files import Json
 from uqsphere.units import parse_value
 
 #: What a material can be used for: the sphere, bars and strikers, whatever else the sphere meets.
-KINDS: Final = ("sphere", "bars", "plates")
+MATERIAL_KINDS: Final = ("sphere", "bars", "plates")
 
 #: property -> dimension of its unit (the fracture toughness is a plain number of MPa m^0.5 in the file)
 PROPERTIES: Final[dict[str, str]] = {
@@ -67,7 +67,7 @@ class Material:
 
 @cache
 def library() -> dict[str, dict[str, Material]]:
-    """The materials of the package: kind (of `KINDS`) -> name -> material.
+    """The materials of the package: kind (of `MATERIAL_KINDS`) -> name -> material.
 
     >>> library()["sphere"]["granite"].properties["nu"].value
     0.25
@@ -76,7 +76,9 @@ def library() -> dict[str, dict[str, Material]]:
     from importlib.resources import files
 
     found = tomllib.loads(files("uqsphere").joinpath("materials.toml").read_text(encoding="utf-8"))
-    return {kind: {name: _material(name, kind, table) for name, table in found[kind].items()} for kind in KINDS}
+    return {
+        kind: {name: _material(name, kind, table) for name, table in found[kind].items()} for kind in MATERIAL_KINDS
+    }
 
 
 def material_names(kind: str) -> tuple[str, ...]:

@@ -67,7 +67,7 @@ def is_answered(status: npt.ArrayLike) -> npt.NDArray[np.bool_]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluated:
+class EvaluatedRows:
     """Rows that were evaluated, n of them.
 
     Values and censored flags (n, q) in the order of the quantities asked, status (n,), and by which route each
@@ -210,11 +210,13 @@ def _solve_rig(
     return merged_answers((parts[False], rest), (parts[True], impact.solve_closed(scene.at(parts[True]), quantities)))
 
 
-def _solve(scene: Scene, quantities: Sequence[str], fidelity: str, tolerance: float, threads: int | None) -> Evaluated:
+def _solve(
+    scene: Scene, quantities: Sequence[str], fidelity: str, tolerance: float, threads: int | None
+) -> EvaluatedRows:
     """The same as a table with a column per quantity."""
     answers = solve_scene(scene, fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
     none = np.zeros(len(scene), dtype=bool)
-    return Evaluated(
+    return EvaluatedRows(
         values=np.stack([answers.values[name] for name in quantities], axis=1),
         censored=np.stack([answers.censored.get(name, none) for name in quantities], axis=1),
         status=answers.status,
@@ -232,7 +234,7 @@ def answer_scene(
     tolerance: float = 1e-6,
     threads: int | None = None,
     fallback: Fallback | None = None,
-) -> Evaluated:
+) -> EvaluatedRows:
     """Answers of n rows by the impact model.
 
     Parameters
@@ -266,7 +268,7 @@ def answer_scene(
     put(np.flatnonzero(route == ROUTE_ASKED), fidelity)
     route[~is_answered(status)] = ROUTE_BOTH
     put(np.flatnonzero(route != ROUTE_ASKED), "full")
-    return Evaluated(values=values, censored=censored, status=status, route=route)
+    return EvaluatedRows(values=values, censored=censored, status=status, route=route)
 
 
 def answer_black_box(
@@ -276,7 +278,7 @@ def answer_black_box(
     outputs: Sequence[str],
     box: BlackBox | None,
     needed: Sequence[str] | None = None,
-) -> Evaluated:
+) -> EvaluatedRows:
     """Answers of n rows by the user's own model, in one call.
 
     Parameters
@@ -310,7 +312,7 @@ def answer_black_box(
         at = int(np.argmin(finite))
         k = next(k for k, must in enumerate(due) if must and not known[at, k])
         note = f"{outputs[k]} = {values[at, k]:g} {where_of(list(given), inputs[at])}"
-    return Evaluated(
+    return EvaluatedRows(
         values=np.where(known if needed is not None else np.reshape(finite, (-1, 1)), values, np.nan),
         censored=np.zeros(values.shape, dtype=bool),
         status=np.where(finite, 0, STATUS_NOT_FINITE),
@@ -343,9 +345,9 @@ def _unfolded(found: Mapping[str, npt.ArrayLike], outputs: Sequence[str]) -> Map
     return answer
 
 
-def _no_rows(quantities: Sequence[str]) -> Evaluated:
+def _no_rows(quantities: Sequence[str]) -> EvaluatedRows:
     empty = np.zeros((0, len(quantities)))
-    return Evaluated(values=empty, censored=empty.astype(bool), status=np.zeros(0, dtype=np.int64))
+    return EvaluatedRows(values=empty, censored=empty.astype(bool), status=np.zeros(0, dtype=np.int64))
 
 
 def _outputs(found: Mapping[str, npt.ArrayLike], due: Mapping[str, bool], count: int) -> Array:

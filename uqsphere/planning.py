@@ -72,7 +72,7 @@ SHAPES: Final = ("rectangular", "ramp", "trapezoid")
 #: longest ramp where none is asked for [s]
 _LONGEST: Final = 200e-6
 #: which specimens a window is for
-KINDS: Final = ("quantile", "batch")
+SPECIMENS: Final = ("quantile", "batch")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -358,7 +358,7 @@ def _windows(
     for chart, flat in enumerate(judged):
         used = {name: values.reshape(len(rises), len(speeds), -1) for name, values in flat.items()}
         kept = binding(used)[1]
-        for kind in KINDS:
+        for kind in SPECIMENS:
             at = _of_kind(subject, kind)
             for r, rise in enumerate(rises.tolist()):
                 whole[chart, kind, rise] = kept[r][:, at].all(axis=1)

@@ -19,7 +19,7 @@ from uqsphere.feed import laws
 from uqsphere.mechanics import contact
 
 #: rigs by their names, and whether the energy of a row is that at failure (else what was offered)
-RIGS: Final = {
+TEST_RIGS: Final = {
     "platens": True, "load_cell": True, "bars": True,
     "drop_weight": False, "impact": False, "drop": False, "sphere_on_sphere": False,
 }  # fmt: skip
@@ -141,7 +141,7 @@ def specimens_of(rows: Rows) -> Specimens:
     _, first, place = np.unique(rows.specimen, return_index=True, return_inverse=True)
     order = np.argsort(place, kind="stable")
     parts = np.split(order, np.flatnonzero(np.diff(place[order])) + 1)
-    at_failure = np.isin(rows.rig, [rig for rig, known in RIGS.items() if known])
+    at_failure = np.isin(rows.rig, [rig for rig, known in TEST_RIGS.items() if known])
     if all(len(part) == 1 for part in parts):
         base = Specimens(diameter=rows.diameter, energies=rows.energy[:, None], counts=rows.blows[:, None],
                          broke=rows.broken > 0, exact=at_failure, weight=rows.particles.astype(float))  # fmt: skip

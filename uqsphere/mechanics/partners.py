@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.scene import Scene
 
 #: kinds of partners that a study may choose for a target or an anvil, and those that a rig chooses itself
-KINDS: Final = ("thick", "plate", "bar", "mass")
+PARTNER_KINDS: Final = ("thick", "plate", "bar", "mass")
 #: the three numbers of the law of a face, by their keys
 LAW: Final = ("onset_pressure", "hardness", "pile_up")
 

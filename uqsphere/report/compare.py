@@ -28,7 +28,7 @@ from uqsphere.quantities import display_unit, lookup, reading_units, unit_that_r
 from uqsphere.report.cautions import assumption
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.figures import canvas
-from uqsphere.report.page import DRAW, margin_boxes, page_environment
+from uqsphere.report.page import DRAW, MOST_INLINED, margin_boxes, page_environment
 from uqsphere.report.phrases import (
     ABSENT,
     Block,
@@ -543,8 +543,7 @@ def fragility_picture(before: Contents, after: Contents, name: str) -> canvas.Pi
 
 # --- the comparison as one self-contained page: figures inlined, no script, nothing fetched ------------------
 
-#: bytes of figures on the page, and rows of its longest table
-MOST_INLINED: Final = 550_000
+#: rows of the page's longest table
 MOST_ROWS: Final = 400
 
 

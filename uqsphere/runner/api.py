@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from uqsphere.runner.workers import Executor, Workers
 
 
-class Watch(TypedDict, total=False):
+class Observers(TypedDict, total=False):
     """What a run heeds on its way, and whom it tells; None: as if it were not there.
 
     seconds : float
@@ -63,7 +63,7 @@ def run(
     threads: int | None = None,
     fresh: bool = False,
     extend: bool = False,
-    **watch: Unpack[Watch],
+    **watch: Unpack[Observers],
 ) -> Run:
     """Run a study, with the model that a black-box study is about.
 
@@ -87,7 +87,7 @@ def run(
         Drop what an earlier run of the same study stored.
     extend : bool
         Let a folder of another study with the same inputs be gone on with (`uqsphere.runner.api`).
-    **watch : `Watch`
+    **watch : `Observers`
         What the run heeds and whom it tells: `seconds`, `progress`, `notice`, `stop`, `reached`, `draft`.
 
     Raises
@@ -117,7 +117,7 @@ class _Conduct:
     threads: int | None
     fresh: bool
     extend: bool
-    watch: Watch
+    watch: Observers
 
     def check(self, study: Study) -> None:
         """Refuse a study that has no answer this way."""

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.model import Evaluated
+from uqsphere.model import EvaluatedRows
 from uqsphere.runner.evaluate import Work, evaluate_points, with_answered
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.schedule import REPLICATES
@@ -79,7 +79,7 @@ def evaluate_along(work: Work, wanted: Mapping[float, tuple[int, int]], tag: str
     begin, found = 0, {}
     for (value, sample), part in zip(points.items(), parts, strict=True):
         own = slice(begin, begin := begin + len(part))
-        found[value] = with_answered(work, sample, Evaluated(
+        found[value] = with_answered(work, sample, EvaluatedRows(
             values=answered.values[own], censored=answered.censored[own], status=answered.status[own]
         ))  # fmt: skip
     return found

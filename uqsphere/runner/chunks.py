@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Cells
 from uqsphere.errors import AccessError
-from uqsphere.model import STATUS_NOT_FINITE, Evaluated
+from uqsphere.model import STATUS_NOT_FINITE, EvaluatedRows
 from uqsphere.runner.remote import Task
 from uqsphere.runner.workers import Engine
 from uqsphere.store import PART_END, Store
@@ -77,7 +77,7 @@ def fingerprint(meaning: bytes, rows: Array) -> str:
     return digest.hexdigest()
 
 
-def packed(answered: Evaluated) -> Cells:
+def packed(answered: EvaluatedRows) -> Cells:
     """Answers as they are stored: 8 bytes for each value, and flags only where there are any.
 
     Plain rows (n, q) of numbers where every row was answered as asked, else with a byte for each flag.
@@ -94,7 +94,7 @@ def packed(answered: Evaluated) -> Cells:
     return table
 
 
-def unpacked(stored: Cells | None, rows: int, columns: int) -> Evaluated | None:
+def unpacked(stored: Cells | None, rows: int, columns: int) -> EvaluatedRows | None:
     """The answers of a stored chunk; None where it is not what `packed` makes of so many rows and columns."""
     if stored is None or len(stored.shape) == 0 or len(stored) != rows:
         return None
@@ -107,7 +107,7 @@ def unpacked(stored: Cells | None, rows: int, columns: int) -> Evaluated | None:
         values, flags = np.ascontiguousarray(stored["values"]), stored["flags"]
     else:
         return None
-    return Evaluated(
+    return EvaluatedRows(
         values=values,
         censored=flags[:, :columns] > 0,
         status=flags[:, columns].astype(np.int64),
@@ -115,13 +115,13 @@ def unpacked(stored: Cells | None, rows: int, columns: int) -> Evaluated | None:
     )
 
 
-def chosen_columns(answered: Evaluated, have: tuple[str, ...], want: tuple[str, ...]) -> Evaluated:
+def chosen_columns(answered: EvaluatedRows, have: tuple[str, ...], want: tuple[str, ...]) -> EvaluatedRows:
     """Some columns of a black box's answers; a row has failed where one of these is not finite; it keeps the others."""
     which = [have.index(name) for name in want]
     values = answered.values[:, which]
     kept = np.where(answered.status == STATUS_NOT_FINITE, 0, answered.status)
     status = np.where((kept == 0) & ~np.isfinite(values).all(axis=1), STATUS_NOT_FINITE, kept)
-    return Evaluated(
+    return EvaluatedRows(
         values=np.where((kept == 0)[:, None] & np.isfinite(values), values, np.nan),
         censored=answered.censored[:, which],
         status=status,
@@ -143,7 +143,7 @@ DURABLE: Final = 1.0
 class Gathered:
     """Answers of n rows, how many of them were stored before, and whether that is all of them."""
 
-    answered: Evaluated
+    answered: EvaluatedRows
     reused: int
     complete: bool
 
@@ -198,25 +198,25 @@ class _Sheet:
                     return
                 chunk.parts.append(key)
 
-    def _put(self, chunk: _Chunk, start: int, stop: int, found: Evaluated) -> None:
+    def _put(self, chunk: _Chunk, start: int, stop: int, found: EvaluatedRows) -> None:
         self.values[start:stop], self.censored[start:stop] = found.values, found.censored
         self.status[start:stop], self.route[start:stop] = found.status, found.routes
         self.note = self.note or found.note
         chunk.done[start - chunk.start : stop - chunk.start] = True
 
-    def take(self, start: int, stop: int, found: Evaluated) -> _Chunk:
+    def take(self, start: int, stop: int, found: EvaluatedRows) -> _Chunk:
         """Put new answers in their place; the chunk that they belong to."""
         chunk = self.chunks[start // CHUNK]
         self._put(chunk, start, stop, found)
         chunk.unsaved.append((start, stop))
         return chunk
 
-    def part(self, start: int, stop: int) -> Evaluated:
+    def part(self, start: int, stop: int) -> EvaluatedRows:
         """The answers of some rows."""
         some = slice(start, stop)
         route = self.route[some].astype(np.int64) if self.route[some].any() else None
-        return Evaluated(values=self.values[some], censored=self.censored[some], status=self.status[some], route=route,
-                        note=self.note)  # fmt: skip
+        return EvaluatedRows(values=self.values[some], censored=self.censored[some], status=self.status[some],
+                             route=route, note=self.note)  # fmt: skip
 
     def missing(self, size: int) -> list[tuple[int, int]]:
         """Blocks of at most `size` rows that are still to be evaluated, cut where something of them is stored."""
@@ -258,7 +258,7 @@ def collect(
     *,
     store: Store | None,
     engine: Engine,
-    answer: Callable[[Array], Evaluated],
+    answer: Callable[[Array], EvaluatedRows],
     go_on: Callable[[], bool],
     tell: Callable[[int], None],
 ) -> Gathered:
@@ -272,7 +272,7 @@ def collect(
     waiting = loose = 0.0
     blocks = sheet.missing(block_size(task.study, len(rows), alone=engine.here))
 
-    def here() -> Iterator[tuple[int, int, Evaluated, float]]:
+    def here() -> Iterator[tuple[int, int, EvaluatedRows, float]]:
         for start, stop in blocks:
             if not go_on():
                 return

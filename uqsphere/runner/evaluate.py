@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from typing import Final
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from uqsphere.model import (
     ROUTE_ASKED,
     ROUTE_FULL,
     STATUS_UNDECIDED,
-    Evaluated,
+    EvaluatedRows,
     is_answered,
     status_text,
     where_of,
@@ -42,6 +43,10 @@ NONE_ANSWERED = 1000
 
 #: relative difference at which half of the digits of a double agree: the root of its rounding
 _HALF_OF_THE_DIGITS = float(np.sqrt(np.finfo(float).eps))
+
+
+#: why something is not known that nothing stood against
+LATE: Final = "the time was over, or the run was stopped"
 
 
 class OutOfBudget(Exception):
@@ -235,7 +240,7 @@ def task_of(work: Work, names: tuple[str, ...], fidelity: str) -> Task:
 
 def evaluate_points(
     work: Work, key: str, names: tuple[str, ...], rows: Array, *, fidelity: str | None = None
-) -> Evaluated:
+) -> EvaluatedRows:
     """Answers of rows (n, d), each evaluated once in the life of the result folder.
 
     Raises
@@ -324,7 +329,7 @@ def _repeat_one(work: Work, store: Store, task: Task, rows: Array, found: Gather
     )
 
 
-def evaluate_whole(work: Work, key: str, rows: Array) -> Evaluated | str:
+def evaluate_whole(work: Work, key: str, rows: Array) -> EvaluatedRows | str:
     """Answers of rows (n, d) of the model's random inputs, or why there are none of any: budget or time is over."""
     if len(rows) > work.study.analysis.budget.evaluations - work.ledger.total:
         return f"the budget of evaluations has no room for {len(rows):,} runs"
@@ -334,7 +339,7 @@ def evaluate_whole(work: Work, key: str, rows: Array) -> Evaluated | str:
         return "the time budget ended before"
 
 
-def _account(work: Work, fidelity: str, answered: Evaluated) -> None:
+def _account(work: Work, fidelity: str, answered: EvaluatedRows) -> None:
     """Count evaluations and failures, and stop where the policy says so."""
     ledger, status, route = work.ledger, answered.status, answered.route
     by_full = 0 if route is None else int((route != ROUTE_ASKED).sum())
@@ -402,7 +407,7 @@ def evaluate_sample(work: Work, key: str, points: Sample) -> Sample:
     return with_answered(work, points, answered)
 
 
-def with_answered(work: Work, points: Sample, answered: Evaluated) -> Sample:
+def with_answered(work: Work, points: Sample, answered: EvaluatedRows) -> Sample:
     """The points with answers to all of their rows, or with one answer for all."""
     shape = (points.replicates, points.count, len(work.quantities))
     status = np.resize(answered.status, shape[:2])

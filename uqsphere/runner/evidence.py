@@ -12,7 +12,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.mechanics.outputs import absent_in, all_with
 from uqsphere.mechanics.yielding import Face
-from uqsphere.model import Evaluated, is_answered, scene_of
+from uqsphere.model import EvaluatedRows, is_answered, scene_of
 from uqsphere.runner.axis_rows import evaluate_along
 from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work, with_answered
 from uqsphere.runner.fidelity import solved
@@ -136,7 +136,7 @@ def _static(work: Work, points: Sample, scene: Scene, elastic: Answers) -> Sampl
 def _with(work: Work, points: Sample, answers: Answers) -> Sample:
     """The points with the answers to all of their rows, or with one answer for all."""
     none = np.zeros(len(answers.status), dtype=bool)
-    return with_answered(work, points, Evaluated(
+    return with_answered(work, points, EvaluatedRows(
         values=np.stack([answers.values[name] for name in work.quantities], axis=1),
         censored=np.stack([answers.censored.get(name, none) for name in work.quantities], axis=1),
         status=answers.status,

@@ -28,7 +28,7 @@ from uqsphere.black_box import BlackBox, checked_reference, load_black_box, mode
 from uqsphere.console import outlets
 from uqsphere.errors import ModelError, ModelRaised, UqsphereError, UsageError, told
 from uqsphere.mechanics.fidelity import Fallback
-from uqsphere.model import STATUS_RAISED, Evaluated, answer_black_box, answer_scene
+from uqsphere.model import STATUS_RAISED, EvaluatedRows, answer_black_box, answer_scene
 from uqsphere.study import Study
 
 _LENGTH: Final = struct.Struct(">Q")
@@ -129,7 +129,7 @@ class Watch:
             self.seconds += time.perf_counter() - started
 
 
-def evaluate_remote(packed: bytes, rows: Array) -> tuple[Evaluated, float]:
+def evaluate_remote(packed: bytes, rows: Array) -> tuple[EvaluatedRows, float]:
     """Answers of rows in a worker process, with the seconds that the model took; one thread."""
     from threadpoolctl import threadpool_limits
 
@@ -140,7 +140,7 @@ def evaluate_remote(packed: bytes, rows: Array) -> tuple[Evaluated, float]:
         return found, time.perf_counter() - began if watch is None else watch.seconds
 
 
-def evaluate_rows(task: Task, rows: Array, box: BlackBox | None, threads: int | None) -> Evaluated:
+def evaluate_rows(task: Task, rows: Array, box: BlackBox | None, threads: int | None) -> EvaluatedRows:
     """Answers of rows (n, d) in one call of the model; a row that makes it raise fails alone, if the task goes on.
 
     Raises
@@ -149,7 +149,7 @@ def evaluate_rows(task: Task, rows: Array, box: BlackBox | None, threads: int | 
         When the black box raises and the task does not go on, or returns something of the wrong form.
     """
 
-    def call(some: Array) -> Evaluated:
+    def call(some: Array) -> EvaluatedRows:
         if task.study.black_box:
             return answer_black_box(task.study, task.names, some, task.columns, box, task.needed)
         return answer_scene(task.study, task.names, some, task.columns, fidelity=task.fidelity,
@@ -165,9 +165,9 @@ def evaluate_rows(task: Task, rows: Array, box: BlackBox | None, threads: int | 
     return join([evaluate_rows(task, rows[k : k + 1], box, threads) for k in range(len(rows))])
 
 
-def failed_rows(count: int, columns: int, status: int, note: str) -> Evaluated:
+def failed_rows(count: int, columns: int, status: int, note: str) -> EvaluatedRows:
     """Rows without an answer."""
-    return Evaluated(
+    return EvaluatedRows(
         values=np.full((count, columns), np.nan),
         censored=np.zeros((count, columns), dtype=bool),
         status=np.full(count, status, dtype=np.int64),
@@ -175,11 +175,11 @@ def failed_rows(count: int, columns: int, status: int, note: str) -> Evaluated:
     )
 
 
-def join(parts: list[Evaluated]) -> Evaluated:
+def join(parts: list[EvaluatedRows]) -> EvaluatedRows:
     """Answers one after the other, with the first note there is."""
     if len(parts) == 1:
         return parts[0]
-    return Evaluated(
+    return EvaluatedRows(
         values=np.concatenate([part.values for part in parts]),
         censored=np.concatenate([part.censored for part in parts]),
         status=np.concatenate([part.status for part in parts]),

@@ -23,7 +23,7 @@ from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.estimate import NEVER, Estimate, Why, widest
 from uqsphere.uq.expansion import germ_points
 from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, without_moments
-from uqsphere.uq.response import Evaluated, Response, answered, extended, index_shares, joined
+from uqsphere.uq.response import Predicted, Response, answered, extended, index_shares, joined
 
 #: points of each replicate that a surrogate is evaluated at, and where these alone would miss an accuracy
 LARGE, LARGER = 4096, 32_768
@@ -96,7 +96,7 @@ def _limits(work: Work, usable: Container[str]) -> list[Limit]:
 
 def _described(
     work: Work, runs: int, usable: Mapping[str, Response], size: int
-) -> tuple[dict[str, Evaluated], dict[str, LimitAnswer], bool]:
+) -> tuple[dict[str, Predicted], dict[str, LimitAnswer], bool]:
     """Quantities and limits off `size` points of each replicate; last whether these points leave too little room."""
     d, quantiles = len(work.scene_names), work.study.analysis.quantiles
     large = draw(work.drawn, seed=work.study.seed, task="surrogate.large", start=0, count=size)

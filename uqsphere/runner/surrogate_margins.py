@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from uqsphere.arrays import Array, Flags
-from uqsphere.model import Evaluated
+from uqsphere.model import EvaluatedRows
 from uqsphere.runner.axis_rows import axis_of
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_points
 from uqsphere.runner.limits import SEEN, state_of
@@ -78,7 +78,7 @@ class _Wide:
         """Those along the scalar."""
         return len(self.values) - self.own
 
-    def with_runs(self, normals: Array, values: Array, run: Evaluated) -> _Wide:
+    def with_runs(self, normals: Array, values: Array, run: EvaluatedRows) -> _Wide:
         """With more of them."""
         outputs = run.known
         return replace(self, normals=np.concatenate([self.normals, normals]),
@@ -240,7 +240,7 @@ def _places(axis: Axis, values: Array, steps: bool) -> Array:
     return np.array([axis.germ(float(x)) for x in values])
 
 
-def evaluate_along(work: Work, key: str, normals: Array, values: Array) -> Evaluated:
+def evaluate_along(work: Work, key: str, normals: Array, values: Array) -> EvaluatedRows:
     """Answers at normal scores (n, D) of what is drawn, each with the free scalar at a value of its own (n,)."""
     axis, d = axis_of(work), len(work.scene_names)
     rows = np.empty((len(normals), d))

@@ -25,7 +25,7 @@ from typing import IO, Any, Final, Protocol, TypeVar
 
 from uqsphere.arrays import Array
 from uqsphere.errors import AccessError, ModelError, TooManyFailures, UqsphereError, UsageError, told
-from uqsphere.model import STATUS_DIED, STATUS_TIME, Evaluated, where_of
+from uqsphere.model import STATUS_DIED, STATUS_TIME, EvaluatedRows, where_of
 from uqsphere.runner.remote import Task, evaluate_remote, failed_rows, load_model, pack_task, prepare, receive, send
 
 T = TypeVar("T")
@@ -63,7 +63,7 @@ class Executor(Protocol):
 class Waiting(Protocol):
     """An answer that is on its way."""
 
-    def result(self) -> tuple[Evaluated, float]:
+    def result(self) -> tuple[EvaluatedRows, float]:
         """The answer and the seconds that it took, waited for."""
 
     def cancel(self) -> object:
@@ -327,7 +327,7 @@ _guard: dict[int, LocalWorkers] = {}
 _guard_lock = threading.Lock()
 
 
-def evaluate_guarded(packed: bytes, rows: Array, limit: float) -> tuple[Evaluated, float]:
+def evaluate_guarded(packed: bytes, rows: Array, limit: float) -> tuple[EvaluatedRows, float]:
     """`evaluate_remote` under a limit of time, in a process of the worker's own."""
     with _guard_lock:
         return _guard.setdefault(os.getpid(), LocalWorkers(1)).ask(packed, rows, lambda: limit).result()
@@ -398,7 +398,7 @@ class _Pieces:
             return count * limit
         return min(count * limit, _SLOW_ROWS * limit + _SLOWER * count * self.seconds / self.timed)
 
-    def answer(self, piece: _Piece) -> tuple[Evaluated, float] | None:
+    def answer(self, piece: _Piece) -> tuple[EvaluatedRows, float] | None:
         """The answers of a piece and their seconds; None where it is handed out again."""
         assert piece.future is not None
         try:
@@ -431,7 +431,7 @@ class _Pieces:
             if not piece.single and isinstance(piece.future, Future) and piece.future.cancel():
                 self.todo.appendleft(self.out.pop(number))
 
-    def _after(self, error: Exception, piece: _Piece) -> Evaluated | None:
+    def _after(self, error: Exception, piece: _Piece) -> EvaluatedRows | None:
         """What becomes of a piece without an answer: None if it is handed out again, else its row has failed."""
         late = isinstance(error, TimeOver)
         if isinstance(error, UqsphereError):
@@ -455,7 +455,7 @@ class _Pieces:
             return None
         return self._row_failed(error, piece.start, STATUS_TIME if late else STATUS_DIED)
 
-    def _row_failed(self, error: Exception, row: int, status: int) -> Evaluated:
+    def _row_failed(self, error: Exception, row: int, status: int) -> EvaluatedRows:
         """A row that has failed by itself; raises ModelError where that ends the run."""
         where = where_of(self.task.names, self.rows[row])
         note = f"the model {told(Path(self.task.model or '').name, 80)}: {error}, {where}"
@@ -472,7 +472,7 @@ def gather(
     *,
     go_on: Callable[[], bool],
     give_up: Callable[[float], bool] = lambda silent: False,
-) -> Iterator[tuple[int, int, Evaluated, float]]:
+) -> Iterator[tuple[int, int, EvaluatedRows, float]]:
     """Have blocks of rows evaluated, and yield (start, stop, answers, seconds) as they come back, in any order.
 
     No more is handed out than keeps the workers busy; once `go_on()` is false, nothing is, and once `give_up` of the
@@ -601,7 +601,7 @@ class Engine:
 
     def evaluated(
         self, task: Task, rows: Array, blocks: list[tuple[int, int]], go_on: Callable[[], bool]
-    ) -> Iterator[tuple[int, int, Evaluated, float]]:
+    ) -> Iterator[tuple[int, int, EvaluatedRows, float]]:
         """Blocks as they are finished by the workers, as `gather` yields them; none where the model was given up."""
         workers = self.given or self._own
         assert workers is not None
@@ -616,7 +616,7 @@ class Engine:
             if each * left >= WORTH:
                 self._own.count, self.why = most, f"an evaluation takes {each:.2g} s"
 
-    def note(self, answered: Evaluated, seconds: float, left: int) -> None:
+    def note(self, answered: EvaluatedRows, seconds: float, left: int) -> None:
         """Take down what rows have cost, and whether they were answered; so many are left of the question."""
         whole = answered.good
         self.rows += len(whole)

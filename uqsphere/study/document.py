@@ -17,7 +17,8 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
-from uqsphere.mechanics.pulses import PRESETS
+from uqsphere.mechanics.partners import PARTNER_KINDS
+from uqsphere.mechanics.pulses import PRESETS, SHAPES
 from uqsphere.mechanics.scene import CONTACT_LAWS
 from uqsphere.study.faults import Misplaced, Raw, one_of, shown
 from uqsphere.study.particle_tables import ENERGY_OF, FeedTable, MaterialTable, Platens, ProductTable, TestsTable
@@ -54,13 +55,10 @@ RIG_TABLES: Final[dict[str, tuple[str, ...]]] = {
     "platens": ("platens",),
     "none": (),
 }
-#: what a target or an anvil is
-PARTNERS: Final = ("thick", "plate", "bar", "mass")
 FIDELITIES: Final = ("auto", "massless", "linear", "full")
 #: analyses of their own, `uqsphere.runner.questions.further`
 FURTHER: Final[tuple[str, ...]] = ("morris",)
 METHODS: Final = ("qmc", "pce", "sobol", "form", "importance", "subset", *FURTHER)
-SHAPES: Final = ("rectangular", "trapezoid", "ramp", "half_sine", "two_peak", "step", "measured")
 #: gauges of one scene
 MOST_GAUGES: Final = 20
 #: places of one field: a row of answers is stored whole
@@ -228,7 +226,7 @@ class PulseTable:
     """The incident pulse; `uqsphere.study.scene.PULSE_KEYS` says which keys go with which shape."""
 
     preset: Annotated[Text, among(tuple(PRESETS))] | None = key("a pulse of the paper's Fig. 2, in place of shape")
-    shape: Annotated[Text, among(SHAPES)] = key("shape of the incident pulse", "rectangular")
+    shape: Annotated[Text, among((*SHAPES, "measured"))] = key("shape of the incident pulse", "rectangular")
     duration: Number = None
     rise: Number = None
     fall: Number = None
@@ -317,7 +315,7 @@ class PartnerTable:
 class TargetTable(PartnerTable):
     """What a sphere is thrown at, or lies on."""
 
-    kind: Annotated[Text, among(PARTNERS)] = key(
+    kind: Annotated[Text, among(PARTNER_KINDS)] = key(
         'a `"thick"` body, a `"plate"` that bends, the end of a `"bar"`, or a free `"mass"`', "thick"
     )
     thickness: Number = key("of a plate", default_is="required for a plate")

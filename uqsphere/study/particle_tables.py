@@ -10,6 +10,7 @@ from typing import Annotated, Final
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 
+from uqsphere.feed.tests import TEST_RIGS
 from uqsphere.study.faults import Raw, one_of, shown, suggestion
 from uqsphere.study.tables import Check, Fixed, Flag, Node, Number, Real, Text, Whole, among, key, within
 from uqsphere.units import UNITS, Quantity
@@ -20,9 +21,6 @@ ENERGY_OF: Final = {
     "sphere": "specific_energy_sphere",
     "input": "specific_impact_energy",
 }
-#: rigs of tests by their names: those whose energy is that at failure, then those whose is what was offered;
-#: `uqsphere.feed.tests.RIGS` says which
-RIGS: Final = ("platens", "load_cell", "bars", "drop_weight", "impact", "drop", "sphere_on_sphere")
 LAWS: Final = ("average", "lognormal", "weibull", "vogel_peukert")
 SIZES: Final = ("tavares", "king", "power", "class", "weakest_link")
 _SHARES: Final = ("%", "share")
@@ -61,9 +59,9 @@ def _platens(value: Raw) -> Raw:
 def _rig(value: Raw) -> Raw:
     if isinstance(value, Mapping) and set(value) == {"column"} and isinstance(value["column"], str):
         return value
-    if value not in RIGS:
-        near = suggestion(value, RIGS) if isinstance(value, str) else ""
-        raise ValueError(f'found {shown(value)}, allowed: {one_of(RIGS)}, or {{ column = "rig" }}{near}')
+    if value not in TEST_RIGS:
+        near = suggestion(value, TEST_RIGS) if isinstance(value, str) else ""
+        raise ValueError(f'found {shown(value)}, allowed: {one_of(TEST_RIGS)}, or {{ column = "rig" }}{near}')
     return value
 
 
@@ -81,7 +79,7 @@ def _texts(value: Mapping[str, Raw]) -> Mapping[str, Raw]:
 
 
 Platens = Annotated[Raw, Check(_platens, lambda: _either(platen_words(), "E", "nu"), first=True)]
-Rig = Annotated[Raw, Check(_rig, lambda: _either(RIGS, "column"), first=True)]
+Rig = Annotated[Raw, Check(_rig, lambda: _either(TEST_RIGS, "column"), first=True)]
 Ratio = Annotated[Raw, Check(_ratio, lambda: {"anyOf": [{"const": "inf"}, {"type": "number"}]}, first=True)]
 Texts = Annotated[Mapping[str, Raw], Check(_texts)]
 
@@ -93,7 +91,9 @@ Lengths = Annotated[Text, among(tuple(UNITS["length"]))] | None
 class TestColumns:
     """What the columns of a table of tests are called: a row is one blow or one compression."""
 
-    rig: Rig | None = key(f'what the particles were tested in: {one_of(RIGS)}; or a column, `{{ column = "rig" }}`')
+    rig: Rig | None = key(
+        f'what the particles were tested in: {one_of(TEST_RIGS)}; or a column, `{{ column = "rig" }}`'
+    )
     diameter: Text | None = key("column of diameters, of the sphere of equal volume, or one length")
     diameter_unit: Lengths = key("unit of the diameters")
     mesh_lower: Text | None = key("in place of `diameter`: column of the sieve that held them; d is the geometric mean")

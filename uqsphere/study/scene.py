@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
-from uqsphere.materials import KINDS, Material, library
-from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES, MeasuredPulse, noise_names, striker_steps
+from uqsphere.materials import MATERIAL_KINDS, Material, library
+from uqsphere.mechanics.pulses import DEFAULT_VALLEY, PRESETS, STRIKER_SHAPES, MeasuredPulse, noise_names, striker_steps
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study.columns import inside_folder, open_observations
 from uqsphere.study.document import (
@@ -50,8 +50,6 @@ PULSE_KEYS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "step": ((), ()),
     "measured": (("file",), _RECORD),
 }
-#: level of a two-peak pulse half-way between its peaks, over the lower peak
-DEFAULT_VALLEY: Final = 0.75
 #: noise of a mode over the peak that deserves to be an input
 _NOTABLE: Final = 0.005
 #: frequency [Hz], impedance [kg/s] with the time factor exp(+i 2 pi f t)
@@ -196,7 +194,7 @@ def _fill_from_library(document: Document, section: str, scene: Scene, findings:
                 require(scene, findings, f"{section}.{key}", example, ', or a material = "…" to take it from')
         return
     if name not in known:
-        elsewhere = next((other for other in KINDS if name in library()[other]), None)
+        elsewhere = next((other for other in MATERIAL_KINDS if name in library()[other]), None)
         near = f" ({shown(name)} is for {elsewhere})" if elsewhere else suggestion(name, known)
         findings.add((section, "material"), f"unknown material {shown(name)}, known for {kind}: {one_of(known)}{near}")
         return
@@ -579,8 +577,6 @@ def _check_round_trip(scene: Scene, findings: Findings) -> None:
 
 #: Young's modulus [Pa] below which a body is rubber, not a solid that Hertz has in mind
 _SOFT: Final = 1e8
-#: tables whose bodies touch the sphere, and are of a material
-PARTNERS: Final = ("target", "anvil", "other", "hammer", "rod", "platens")
 #: kind of a target or an anvil -> the numbers it needs beside E and nu, with an example of each
 KIND_NEEDS: Final[dict[str, dict[str, str]]] = {
     "thick": {},

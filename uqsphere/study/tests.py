@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags
 from uqsphere.feed.tests import (
-    RIGS,
+    TEST_RIGS,
     THROWN,
     Rows,
     Specimens,
@@ -42,14 +42,14 @@ if TYPE_CHECKING:
     from uqsphere.study.feed import Particles
 
 #: columns of which every row has one: dimension of each
-KINDS: Final = {"force": "force", "energy": "energy", "specific_energy": "specific_energy", "speed": "speed"}
+MEASURED: Final = {"force": "force", "energy": "energy", "specific_energy": "specific_energy", "speed": "speed"}
 _BROKE: Final = {"broke": True, "broken": True, "1": True, "yes": True, "true": True, "survived": False, "0": False,
                  "no": False, "false": False}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Measured:
-    """A table of tests as it stands, in SI, (n,) each; `kind` names which column of `KINDS` a row has its value in."""
+    """A table of tests as it stands, in SI, (n,) each; `kind` says which of `MEASURED` a row has its value in."""
 
     lines: npt.NDArray[np.int64]
     rig: npt.NDArray[np.str_]
@@ -70,7 +70,7 @@ class Measured:
     @property
     def at_failure(self) -> Flags:
         """Rows whose rig gives the energy at failure, not what was offered."""
-        return np.array([RIGS[str(rig)] for rig in self.rig], dtype=bool)
+        return np.array([TEST_RIGS[str(rig)] for rig in self.rig], dtype=bool)
 
 
 def share_of(E: float, nu: float, partner: tuple[float, float]) -> float:
@@ -121,13 +121,13 @@ def read_measured(
 
 def _check_table(table: TestColumns, place: Place, findings: Findings, rig: str | None) -> bool:
     """Whether the columns that must be named are, with their units; what is missing is noted."""
-    kinds = [kind for kind in KINDS if getattr(table, kind) is not None]
+    kinds = [kind for kind in MEASURED if getattr(table, kind) is not None]
     energies = bool({"energy", "specific_energy"} & set(kinds))
     sized = table.diameter is not None or None not in (table.mesh_lower, table.mesh_upper)
     due = {
         "diameter": (sized, 'add diameter = "diameter_mm", or one length, or mesh_lower and mesh_upper'),
-        "energy": (bool(kinds), f"name the column of one of {one_of(KINDS)}"),
-        "rig": ((rig or table.rig) is not None, f"say what the tests were made in, {one_of(RIGS)}"),
+        "energy": (bool(kinds), f"name the column of one of {one_of(MEASURED)}"),
+        "rig": ((rig or table.rig) is not None, f"say what the tests were made in, {one_of(TEST_RIGS)}"),
         "outcome": ((rig or table.outcome or table.broken) is not None, 'name a column of "broke" or "survived"'),
         "energy_is": (not energies or table.energy_is is not None, f"say what the energies are, {one_of(ENERGY_OF)}"),
     }
@@ -194,7 +194,7 @@ def _rows_of(measured: Measured, energy: Array) -> Rows:
 
 def _values(table: TestColumns, cells: Observations) -> tuple[npt.NDArray[np.str_], Array]:
     """Kind and value of every row, of which it has one."""
-    kinds = [kind for kind in KINDS if getattr(table, kind) is not None]
+    kinds = [kind for kind in MEASURED if getattr(table, kind) is not None]
     factors = {k: unit_factor(getattr(table, f"{k}_unit"), _quantity(k), f"{k}_unit") for k in kinds}
     found = np.stack([cells.numbers(getattr(table, k), k, factors[k], blank=len(kinds) > 1) for k in kinds])
     there = np.isfinite(found)
@@ -268,8 +268,8 @@ def _rigs(table: TestColumns, cells: Observations, rig: str | None) -> npt.NDArr
     if not isinstance(table.rig, Mapping):
         return np.full(len(cells.lines), table.rig or rig)
     found = cells.texts(table.rig["column"], "rig")
-    strange = np.array([name not in RIGS for name in found], dtype=bool)
-    cells.refuse(strange, "rig", lambda row: unknown("rig", found[row], RIGS))
+    strange = np.array([name not in TEST_RIGS for name in found], dtype=bool)
+    cells.refuse(strange, "rig", lambda row: unknown("rig", found[row], TEST_RIGS))
     return np.where(strange, "platens", found)
 
 

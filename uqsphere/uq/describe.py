@@ -17,9 +17,21 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, special
+from uqsphere.arrays import Array, Flags
 from uqsphere.units import told_apart
-from uqsphere.uq.estimate import NEVER, Absent, Estimate, Why, absent, corrected, from_replicates, share, student
+from uqsphere.uq.estimate import (
+    NEVER,
+    Absent,
+    Estimate,
+    Why,
+    absent,
+    corrected,
+    from_replicates,
+    logit_ends,
+    share,
+    student,
+)
+from uqsphere.uq.quantiles import controlled_quantile, hazen, quantile_estimates
 
 # --- moments --------------------------------------------------------------------------------------
 
@@ -82,9 +94,6 @@ def skewness(values: Array) -> float:
         return 0.0
     rest = rest / scale
     return float(np.mean(rest**3) / np.mean(rest**2) ** 1.5)
-
-
-LEAST_BEYOND = 5  # samples that must lie beyond a quantile for it to be estimated at all
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,76 +192,6 @@ def _skew_reach(found: Moments, count: float) -> float:
     return g * (1.0 + 2.0 * student(size) ** 2) / (6.0 * math.sqrt(size))
 
 
-def hazen(ordered: Array, p: float) -> float:
-    """Quantile at p of samples in rising order by Hazen's rule: the i-th stands at (i - 1/2)/N."""
-    total = ordered.size
-    lower = min(max(math.floor(p * total - 0.5), 0), total - 1)
-    fraction = min(max(p * total - 0.5 - lower, 0.0), 1.0)
-    left, right = float(ordered[lower]), float(ordered[min(lower + 1, total - 1)])
-    if fraction == 0.0 or left == right:
-        return left
-    return left + fraction * (right - left)
-
-
-def logit_ends(p: float, q: float, half: float) -> tuple[float, float]:
-    """Ends of an interval of a probability p with its complement q, of this half-width, symmetric in logits."""
-    factor = math.exp(-min(half / (p * q), 600.0))
-    return p * factor / (q + p * factor), p / (q * factor + p)
-
-
-def woodruff_reach(shares: Array, n: float) -> float:
-    """Half-width of the interval of a probability, from the shares (R,) of replicates of n samples at a quantile."""
-    # Points that are evenly spread can agree on the count and still not know where in its cell x lies: the
-    # deviation of a uniform cell is the least.  Where the counts differ, they show it themselves.
-    error = max(float(np.std(shares, ddof=1)), 0.29 / n) / math.sqrt(shares.size)
-    return student(shares.size) * error
-
-
-def quantile_estimates(
-    samples: Array, *, censored: Flags, failed: Flags, on_failure: str, quantiles: Sequence[float], method: str
-) -> tuple[dict[float, Estimate], tuple[float, ...]]:
-    """Quantiles of (R, n) samples, and those that censoring leaves unanswered.
-
-    The interval follows Woodruff (1952): the replicates' distribution functions at the pooled quantile
-    give an interval of the probability, whose ends are read off the pooled sample.
-    """
-    replicates, n = samples.shape
-    total = samples.size
-    bound = on_failure == "bound" and bool(failed.any())
-    kept = np.ones_like(failed) if bound else ~failed
-    doubtful = bool(censored.any()) or bound
-    # Doubtful samples at the least and at the largest value they may have had.
-    least = np.where(failed, -math.inf, samples) if bound else samples
-    ordered = np.sort(least[kept])
-    upper = ordered
-    if doubtful:
-        largest = np.where(failed | censored, math.inf, samples)
-        upper = np.sort(largest[kept])
-    counts = kept.sum(axis=1)
-    factor = student(replicates)
-    answers: dict[float, Estimate] = {}
-    exempt: list[float] = []
-    for p in quantiles:
-        value, highest = hazen(ordered, p), hazen(upper, p)
-        if min(p, 1.0 - p) * ordered.size < LEAST_BEYOND:
-            answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total, Why.TOO_FEW)
-            continue
-        at = value if math.isfinite(value) else highest
-        below = ((least <= at) & kept).sum(axis=1) / counts
-        reach = woodruff_reach(below, n)
-        low, high = hazen(ordered, max(p - reach, 0.0)), hazen(upper, min(p + reach, 1.0))
-        if not (math.isfinite(low) and math.isfinite(high) and math.isfinite(value)):
-            shares = {"censored": float(censored.mean()), "failed": float((failed & kept).mean())}
-            parts = [f"the {what} share ({100.0 * share:.2f} %)" for what, share in shares.items() if share]
-            answers[p] = absent("beyond " + " and ".join(parts), method, total, Why.CENSORED)
-            exempt += [p] * bool(shares["censored"])
-            continue
-        middle = value if highest == value else 0.5 * (value + highest)
-        answers[p] = Estimate(value=middle, low=low, high=high, std_error=0.5 * (high - low) / factor, method=method,
-                              evaluations=total)  # fmt: skip
-    return answers, tuple(exempt)
-
-
 def lacking(description: Description, *, mean: float, quantile: float) -> list[tuple[float | None, str]]:
     """Of mean and quantiles those whose 95 % half-width, over the scale, is not within what was asked, in words.
 
@@ -285,10 +224,6 @@ def lacking(description: Description, *, mean: float, quantile: float) -> list[t
 # Its replicates scatter independently, and Student's interval rests on that (on quasi-random points it does not follow
 # from the correlation of the rows: F. J. Hickernell, C. Lemieux, A. B. Owen, Statistical Science 20, 2005, 1).  The
 # slope is one: a fitted one is wild when a single row lies on the other side of a threshold.
-
-
-#: probabilities on either side of a quantile, over the smaller side up to a tenth, where differences are counted
-RANGE: Final = 0.5
 
 
 def _controlled(value: float, error: float, replicates: int, method: str, evaluations: int,
@@ -346,37 +281,7 @@ def describe_controlled(
     return Description(
         mean=_controlled(mean, error, replicates, method, total),
         sd=_controlled(scale, loose, replicates, method, total, least=0.0),
-        quantiles={p: _controlled_quantile(p, (expensive, cheap, cheap_many), many, method) for p in quantiles},
+        quantiles={p: controlled_quantile(p, (expensive, cheap, cheap_many), many, method) for p in quantiles},
         censored_share=share(np.zeros(expensive.shape, dtype=bool), "share of the samples"),
         scale=scale,
     )
-
-
-def _controlled_quantile(p: float, rows: tuple[Array, Array, Array], many: Array, method: str) -> Estimate:
-    """A quantile off the corrected distribution function, its interval after Woodruff (1952); `many` in order.
-
-    Where the cheap model is close, steps of both would hardly meet between the same rows; counted over a range of
-    values, as a kernel of that width does, what the model lies above the cheap one counts by how far, and a row in
-    which they disagree altogether counts whole.  Half of the probability beyond the quantile, on either side,
-    is a range that leaves the difference as it is: its density hardly bends there.
-    """
-    expensive, cheap, more = rows
-    replicates, side = len(expensive), min(p, 1.0 - p)
-    if side * expensive.size < 5:
-        return absent(f"too few samples beyond the {p:g} quantile", method, expensive.size)
-
-    def read(probability: float) -> float:
-        return float(np.interp(probability * many.size - 0.5, np.arange(many.size), many))
-
-    at = read(p)
-    width = 0.5 * (read(p + RANGE * min(side, 0.1)) - read(p - RANGE * min(side, 0.1)))
-    if width > 0.0:
-        moved = (special.ndtr((at - expensive) / width) - special.ndtr((at - cheap) / width)).mean(axis=1)
-    else:
-        moved = (expensive <= at).mean(axis=1) - (cheap <= at).mean(axis=1)
-    _, error = corrected(moved, -(more <= at).mean(axis=1))
-    error = math.hypot(error, 0.5 / more.shape[1] / math.sqrt(replicates))
-    half, middle = student(replicates) * error, p - float(moved.mean())
-    value, low, high = (read(x) for x in (middle, middle - half, middle + half))
-    return Estimate(value=value, low=low, high=high, std_error=0.5 * (high - low) / student(replicates), method=method,
-                    evaluations=expensive.size)  # fmt: skip

@@ -294,3 +294,9 @@ def sd_alone(values: Array) -> Estimate:
     # beyond a factor e^20 there is no upper end to speak of, and none that would overflow
     low, high = s * math.exp(-min(factor * error, 20.0)), s * math.exp(min(wide * error, 20.0))
     return Estimate(value=s, low=low, high=high, std_error=s * error, method=_METHOD, evaluations=n)
+
+
+def logit_ends(p: float, q: float, half: float) -> tuple[float, float]:
+    """Ends of an interval of a probability p with its complement q, of this half-width, symmetric in logits."""
+    factor = math.exp(-min(half / (p * q), 600.0))
+    return p * factor / (q + p * factor), p / (q * factor + p)

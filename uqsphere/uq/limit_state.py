@@ -16,10 +16,10 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.copulas import FARTHEST
-from uqsphere.uq.describe import logit_ends, quantile_estimates
-from uqsphere.uq.estimate import Estimate, absent, student
+from uqsphere.uq.estimate import Estimate, absent, logit_ends, student
 from uqsphere.uq.joint import Tie, conditional_score, conditional_scores
 from uqsphere.uq.law import Law
+from uqsphere.uq.quantiles import quantile_estimates
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -278,7 +278,7 @@ def with_residuals(response: Response, values: Array, rng: np.random.Generator) 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Evaluated:
+class Predicted:
     """Values of an output on a design of its law, and what else they may be; `description` says what that makes.
 
     Attributes
@@ -311,7 +311,7 @@ class Evaluated:
 
 def answered(
     response: Response, points: Array, shape: tuple[int, int], rng: np.random.Generator, quantiles: Sequence[float]
-) -> Evaluated:
+) -> Predicted:
     """What the response says at germ points (R n, d) of the law, in R replicates of n points: `shape`.
 
     The folds take turns: each replicate has the response of one.
@@ -331,7 +331,7 @@ def answered(
         whole = stretched(found, farther, beyond, response.count)
         found = without_moments(whole, None, beyond)
         spread = _reach_of(plain.sd, farther.sd if whole.sd.value is not None else whole.sd)
-    return Evaluated(values=values, reach=reach, within=within, plain=plain, description=found, spread=spread)
+    return Predicted(values=values, reach=reach, within=within, plain=plain, description=found, spread=spread)
 
 
 def _widened(response: Response, middle: Description, down: Description, up: Description) -> Description:

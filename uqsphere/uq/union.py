@@ -17,8 +17,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.copulas import FARTHEST
-from uqsphere.uq.describe import logit_ends
-from uqsphere.uq.estimate import Estimate, none_of, student
+from uqsphere.uq.estimate import Estimate, logit_ends, none_of, student
 from uqsphere.uq.joint import conditional_scores
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.limit_state import LimitState, score_of, tails

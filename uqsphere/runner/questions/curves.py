@@ -20,7 +20,7 @@ from uqsphere.quantities import format_value, lookup
 from uqsphere.results import Fields, SpeedRow
 from uqsphere.runner.axis_rows import AxisRows, Look, axis_of, evaluate_along, judge_of
 from uqsphere.runner.campaign import Accuracy, Cost, Course, campaign, rounded, speed_rows_of
-from uqsphere.runner.evaluate import MOST_DROPPED, OutOfBudget, Work
+from uqsphere.runner.evaluate import LATE, MOST_DROPPED, OutOfBudget, Work
 from uqsphere.runner.schedule import CURVE, CURVE_VALUES, FREE_CURVE, LOOK, REPLICATES
 from uqsphere.runner.whatif import probabilities_by_tests
 from uqsphere.study import Limit, spaced, with_number
@@ -38,7 +38,7 @@ METHOD: Final = "rows along the free scalar, beside a polynomial of them"
 #: share of the rows without an answer from which on it is told
 LOST: Final = MOST_DROPPED
 NO_ANSWERS: Final = "half of the evaluations, or more, have no answer"
-LATE: Final = "the time was over, or the run was stopped, before the curve was known"
+NO_CURVE: Final = f"{LATE}, before the curve was known"
 
 
 # --- how well a curve is known ---------------------------------------------------------------------------
@@ -451,7 +451,7 @@ def family_curves(work: Work, limits: Sequence[Limit], most: int) -> dict[float,
         try:
             found[value] = curves_along(moved, limits, most=most, tag=f"-family{k}", called=called)
         except OutOfBudget:
-            found[value] = dict.fromkeys((limit.name for limit in limits), LATE)
+            found[value] = dict.fromkeys((limit.name for limit in limits), NO_CURVE)
     return found
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from uqsphere.errors import UsageError
-from uqsphere.model import Evaluated
+from uqsphere.model import EvaluatedRows
 from uqsphere.quantities import lookup
 from uqsphere.results import Fields, SpeedRow, ToleranceEntry
 from uqsphere.runner.campaign import (
@@ -246,7 +246,7 @@ class Distributions:
         except OutOfBudget:
             self.tabled, self.many = Tabled(text=CUT_SHORT), None
             return
-        done = Evaluated(values=values, censored=np.zeros(values.shape, dtype=bool),
+        done = EvaluatedRows(values=values, censored=np.zeros(values.shape, dtype=bool),
                         status=np.zeros(len(values), dtype=np.int64))  # fmt: skip
         fresh = with_answered(work, points, done)
         self.many = fresh if self.many is None else self.many.join(fresh)

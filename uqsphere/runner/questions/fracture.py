@@ -19,7 +19,7 @@ from uqsphere.arrays import Array
 from uqsphere.model import scene_of
 from uqsphere.results import CheckEntry, Est, FractureEntry, LimitsOrder
 from uqsphere.runner.chunks import remembered
-from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_sample
+from uqsphere.runner.evaluate import LATE, OutOfBudget, Work, evaluate_sample
 from uqsphere.runner.forecast import fracture_limits
 from uqsphere.runner.questions.any_limit import AnyLimit, affordable, tied_otherwise
 from uqsphere.runner.questions.distributions import Sampled
@@ -36,7 +36,6 @@ ORDERS: Final = 8
 MOST_LOST: Final = 0.05
 _QUANTILES: Final = (0.05, 0.5, 0.95)
 _UNITS: Final = {"time": "s", "force": "N", "energy": "J", "specific_energy": "J/kg", "imbalance": "", "t10": "1"}
-LATE: Final = "the time was over, or the run was stopped"
 _METHOD: Final = "spheres that break, on the loading path of the full model"
 
 

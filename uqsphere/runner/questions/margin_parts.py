@@ -14,7 +14,7 @@ from uqsphere.mechanics.yielding import metal_onset
 from uqsphere.model import scene_of
 from uqsphere.results.entries import Fields, MarginOpenEntry
 from uqsphere.runner.axis_rows import AxisRows, axis_of, study_at
-from uqsphere.runner.evaluate import OutOfBudget, Work
+from uqsphere.runner.evaluate import LATE, OutOfBudget, Work
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.questions.curves import (
     CurveFound,
@@ -45,7 +45,7 @@ def describe_margin(work: Work, sampled: Sampled, limit: Limit, probability: flo
         if value.value is not None:
             about["lost_to"] = _lost_to(work, limit, value.value)
     except OutOfBudget:
-        about["lost_to"] = {"reason": "the time was over, or the run was stopped"}
+        about["lost_to"] = {"reason": LATE}
     rising = bool(found.table[-1].mean() >= found.table[0].mean())
     left = margin_left_open(work, sampled, limit, found.rows, value, probability=probability, rising=rising)
     about |= {**left, "split": _split(found, value, left.get("ignorance"))}

@@ -19,7 +19,7 @@ from uqsphere.runner.axis_rows import axis_of, study_at
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw
 from uqsphere.runner.fidelity import check_table, solved
 from uqsphere.runner.questions.curves import (
-    LATE,
+    NO_CURVE,
     Band,
     CurveFound,
     EnergyCurve,
@@ -106,7 +106,7 @@ def find_margins(work: Work, sampled: Sampled) -> dict[str, MarginAnswer]:
     try:
         found = curves_along(work, limits, most=most)
     except OutOfBudget:
-        found = dict.fromkeys((limit.name for limit in limits), LATE)
+        found = dict.fromkeys((limit.name for limit in limits), NO_CURVE)
     members = family_curves(work, limits, most)
     return {
         limit.name: unmoved[limit.name]

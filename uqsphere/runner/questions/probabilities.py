@@ -23,7 +23,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags
 from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import MISS_KIND, Accuracy, Cost, Missed, campaign, cost_of, speed_rows_of
-from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points
+from uqsphere.runner.evaluate import LATE, OutOfBudget, Work, evaluate_points
 from uqsphere.runner.limits import LimitAnswer, limits_missed, takes_over
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.schedule import DESIGN_POINT, LEARNED, MOST_LEARNED, RARE, least_learned, more_to_come
@@ -404,7 +404,7 @@ def learn_limits(work: Work, limits: Mapping[str, LimitAnswer], design: Sample) 
     )
     if campaign(work, question).stopped == "time" and question.todo:
         name = question.todo[0][1].name
-        text = "active learning was cut off: the time was over, or the run was stopped"
+        text = f"active learning was cut off: {LATE}"
         question.limits[name] = question.limits[name].with_check(text)
     return found
 
@@ -490,7 +490,7 @@ def with_surrogate_design(
         try:
             design = _design_points(work, space, ON_SURROGATE)
         except OutOfBudget:
-            reason = "no search for a design point was made: the time was over, or the run was stopped"
+            reason = f"no search for a design point was made: {LATE}"
             found[limit.name] = replace(answer, design_reason=reason)
             continue
         updated = with_design(work, answer, design, space)
