@@ -16,7 +16,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
-from uqsphere.results import SpeedRow
+from uqsphere.results import SpeedRow, SurrogateEntry
 from uqsphere.runner.campaign import Accuracy, Cost, Course, Missed, campaign, cost_of, indices_missed, speed_rows_of
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_sample, none_answered
 from uqsphere.runner.forecast import Way, choose_way
@@ -24,10 +24,9 @@ from uqsphere.runner.limits import LimitAnswer, limits_missed
 from uqsphere.runner.questions.distributions import METHOD, Sampled, find_missed, shortfalls
 from uqsphere.runner.questions.indices import (
     CHAOS,
-    NO_SURROGATE,
-    About,
     Sensitivity,
     dependent_names,
+    no_surrogate,
     without_sets,
 )
 from uqsphere.runner.questions.margins import MarginAnswer
@@ -470,10 +469,10 @@ class _End:
         work, one = self.work, self.question.responses.get(quantity)
         found = self.question.found.indices.get(quantity)
         names, asked = work.scene_names, work.study.analysis.accuracy.sobol
-        about: About = NO_SURROGATE
+        about = no_surrogate()
         if one is not None:
-            about = {"kind": CHAOS, "error": one.error, "evaluations": one.count, "usable": one.usable,
-                     "reason": one.reason, "degree": one.degree, "terms": one.terms}  # fmt: skip
+            about = SurrogateEntry(kind=CHAOS, error=one.error, evaluations=one.count, usable=one.usable,
+                                   reason=one.reason, degree=one.degree, terms=one.terms)  # fmt: skip
         if one is None or found is None:
             return self._without_indices(quantity, about)
         width = widest(*found.values())
@@ -494,7 +493,7 @@ class _End:
             **_sets(work, one),
         )
 
-    def _without_indices(self, quantity: str, about: About) -> Sensitivity:
+    def _without_indices(self, quantity: str, about: SurrogateEntry) -> Sensitivity:
         work, sampling = self.work, self.priced.way.sampling
         tied = dependent_names(work)
         reason = (

@@ -20,8 +20,9 @@ from uqsphere.uq.response import Response
 if TYPE_CHECKING:
     from types import ModuleType
 
-    from chaospy import Distribution
     from numpoly import ndpoly
+
+    from uqsphere.uq.expansion.germs import Distribution
 
 # --- chaospy ----------------------------------------------------------------------------------------------------
 

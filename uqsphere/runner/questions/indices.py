@@ -6,13 +6,13 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Final, TypedDict
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.results import Fields, SpeedRow
+from uqsphere.results import Fields, SpeedRow, SurrogateEntry
 from uqsphere.runner.campaign import (
     INDEX_KIND,
     Accuracy,
@@ -209,19 +209,9 @@ CHAOS = "polynomial chaos"
 HELD_OUT = "share of the variance left unexplained (held out)"
 
 
-class About(TypedDict, total=False):
-    """What results.json has of an expansion: its kind, None where there is none, and what its validation says."""
-
-    kind: str | None
-    error: float | None
-    evaluations: int
-    usable: bool
-    reason: str
-    degree: int
-    terms: int
-
-
-NO_SURROGATE: Final[About] = {"kind": None, "error": None, "evaluations": 0}
+def no_surrogate() -> SurrogateEntry:
+    """What is said of a surrogate where none was fitted."""
+    return SurrogateEntry(kind=None, error=None, evaluations=0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,7 +225,7 @@ class Sensitivity:
 
     first: dict[str, Estimate]
     total: dict[str, Estimate]
-    surrogate: About
+    surrogate: SurrogateEntry
     sampled: dict[str, list[Estimate]]
     expanded: dict[str, list[Estimate]]
     agree: bool | None
@@ -254,13 +244,14 @@ class Sensitivity:
         names: Sequence[str],
         nothing: Estimate,
         *,
-        surrogate: About = NO_SURROGATE,
+        surrogate: SurrogateEntry | None = None,
         text: str = "",
         missed: Sequence[Missed] = (),
     ) -> Sensitivity:
         """No index of the inputs, and why."""
-        return cls(first=dict.fromkeys(names, nothing), total=dict.fromkeys(names, nothing), surrogate=surrogate,
-                   sampled={}, expanded={}, agree=None, text=text or str(nothing.reason), missed=[*missed])  # fmt: skip
+        return cls(first=dict.fromkeys(names, nothing), total=dict.fromkeys(names, nothing),
+                   surrogate=surrogate or no_surrogate(), sampled={}, expanded={}, agree=None,
+                   text=text or str(nothing.reason), missed=[*missed])  # fmt: skip
 
     @property
     def width(self) -> float:
@@ -348,7 +339,7 @@ class Expansion:
     """
 
     indices: dict[str, list[Estimate]] = field(default_factory=dict)
-    about: About = field(default_factory=lambda: NO_SURROGATE)
+    about: SurrogateEntry = field(default_factory=no_surrogate)
     chaos: Chaos | None = None
 
 
@@ -379,7 +370,7 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
         points, column = rows_of(fitted, replicate, used)
         if len(points) < least:
             reason = f"{len(points)} samples with an answer are too few for an expansion in {d} inputs: {least} are due"
-            return Expansion(about={**NO_SURROGATE, "reason": reason})
+            return Expansion(about=no_surrogate().model_copy(update={"reason": reason}))
         # as an answer of its own, the interval has to hold the choice of terms too
         fits.append(fit_again(fits[0], points, column) if fits and not alone else _fit(work, points, column, fits))
         # held out: other randomisations altogether
@@ -389,15 +380,10 @@ def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
     # sampling corrects a control variate whatever it leaves out; nothing corrects an answer of its own
     verdict = judge(fits[0], own if alone else error)
     evaluations = count * min(used, joined * sample.count)
-    about: About = {
-        "kind": CHAOS,
-        "error": verdict.error,
-        "evaluations": evaluations,
-        "usable": verdict.usable,
-        "reason": verdict.reason,
-        "degree": fits[0].degree,
-        "terms": int(fits[0].coefficients.size),
-    }
+    about = SurrogateEntry(
+        kind=CHAOS, error=verdict.error, evaluations=evaluations, usable=verdict.usable, reason=verdict.reason,
+        degree=fits[0].degree, terms=int(fits[0].coefficients.size),
+    )  # fmt: skip
     if not verdict.usable:
         return Expansion(about=about)
     found = chaos_indices(fits, error=own, evaluations=evaluations)
@@ -651,7 +637,7 @@ def find_sensitivity(work: Work, sampled: Sampled) -> Shared:
     if {"pce", "auto"} & methods:
         for quantity in work.quantities:
             found = expansions[quantity] = _expand(work, sampled, quantity)
-            runs, error = found.about["evaluations"], found.about["error"]
+            runs, error = found.about.evaluations, found.about.error
             work.tell(speed_rows_of(CHAOS, quantity, runs, error, HELD_OUT))
     question = Indices(work=work, expansions=expansions, blocks=blocks_of(work), tabled=sampled.tabled.again())
     return question.answer(campaign(work, question) if work.study.analysis.samples_indices else Course())
@@ -712,16 +698,16 @@ def _conclude(
     # What is sampled is the answer: of the model itself, with the expansion as control variate where there is one.
     given = sampled or expanded
     if not given:
-        reason = about.get("reason") or "no method that was asked for gives indices within the budget"
+        reason = about.reason or "no method that was asked for gives indices within the budget"
         missed = [indices_missed(quantity, None, asked, f": {reason}")]
         return Sensitivity.none(names, absent(reason, METHOD, 0), surrogate=about, missed=missed)
     agree: bool | None = None
     if sampled and expanded:
         agree, text = cross_check(list(names), sampled, expanded)
-    elif about.get("kind") and expanded:
-        text = f"Indices are those of the polynomial chaos: {about['reason']}. None were sampled that would check them."
-    elif about.get("kind"):
-        text = f"The polynomial chaos is not used: {about['reason'].removeprefix('refused: ')}. Indices are sampled."
+    elif about.kind and expanded:
+        text = f"Indices are those of the polynomial chaos: {about.reason}. None were sampled that would check them."
+    elif about.kind:
+        text = f"The polynomial chaos is not used: {str(about.reason).removeprefix('refused: ')}. Indices are sampled."
     else:
         text = "Only one method was asked for."
     given = dict(zip(("first", "total"), ordered(given["first"], given["total"]), strict=True))

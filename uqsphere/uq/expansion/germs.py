@@ -26,6 +26,7 @@ from uqsphere.uq.families import FAMILIES, Family
 from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
+    from chaospy import Distribution as Distribution
     from scipy.interpolate import CubicSpline
 
 #: germs known by name: a standard normal, and a uniform number from -1 to 1
