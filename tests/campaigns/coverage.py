@@ -36,7 +36,7 @@ from uqsphere.uq.indices import (
     uniform_halves,
 )
 from uqsphere.uq.points import random_generator, sobol_points
-from uqsphere.uq.response import Evaluated, Response, answered, cross_fit, extended, index_shares, joined
+from uqsphere.uq.response import Predicted, Response, answered, cross_fit, extended, index_shares, joined
 
 QUANTILES: Final = (0.05, 0.5, 0.95)
 #: quantiles and the numbers of the borehole: converged to the digits shown, by `reference` with 2^20 points each of 16
@@ -488,7 +488,7 @@ def _large(model: CoverageModel, seed: int) -> Array:
     return germ_points(np.asarray(ndtri(np.concatenate(points))), model.germs)
 
 
-def _believed(response: Response, large: Array, seed: int, above: float) -> tuple[Evaluated, Estimate]:
+def _believed(response: Response, large: Array, seed: int, above: float) -> tuple[Predicted, Estimate]:
     """What the surrogate says of the law, and the probability of lying above a threshold."""
     generator = random_generator(seed=seed, task="expensive: residuals")
     found = answered(response, large, (REPLICATES, POINTS), generator, QUANTILES)
