@@ -261,7 +261,7 @@ def _reference(needed: bool, resolved: Resolved, model: str | None) -> str | Non
 def _draw(keys: list[str], count: int, seed: int) -> frozenset[str]:
     import numpy as np
 
-    from uqsphere.runner.expensive import COST
+    from uqsphere.runner.pricing import COST
 
     whole = [key for key in keys if key != COST and not PART_END.search(key)]
     order = np.random.default_rng(seed).permutation(len(whole))

@@ -8,11 +8,12 @@ from dataclasses import replace
 from uqsphere.runner.drivers import Drivers
 from uqsphere.runner.ending import finish, finish_bare
 from uqsphere.runner.evaluate import Work, draw
-from uqsphere.runner.expensive import Expensive, answer_expensive, keep_answers, price
+from uqsphere.runner.expensive import Expensive, answer_expensive, keep_answers
 from uqsphere.runner.fidelity import Pilot, first_look
 from uqsphere.runner.findings import Findings
 from uqsphere.runner.finished import Run
 from uqsphere.runner.halves import breaking, reserved, sharing, side_by_side
+from uqsphere.runner.pricing import price
 from uqsphere.runner.questions.carried import carried_far
 from uqsphere.runner.questions.distributions import Sampled, sample_distributions
 from uqsphere.runner.questions.further import (

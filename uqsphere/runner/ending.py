@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from uqsphere.results import PlanEntry, Results
-from uqsphere.results.entries import PricesEntry
 from uqsphere.runner.account import account, further_rows
 from uqsphere.runner.beside import aside, may_copy
 from uqsphere.runner.courses import save_courses
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.evidence import judged_ways
-from uqsphere.runner.expensive import Expensive, Priced
+from uqsphere.runner.expensive import Expensive
 from uqsphere.runner.export import save_points
 from uqsphere.runner.findings import Findings
 from uqsphere.runner.finished import Run
 from uqsphere.runner.kept import keep_data, write_results
+from uqsphere.runner.pricing import Priced
 from uqsphere.runner.results import bare_results, build_manifest, build_results
 from uqsphere.runner.sliders import save_sliders
 from uqsphere.store import Store
@@ -41,23 +41,17 @@ def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None
     further = further_rows(results)
     results = results.model_copy(update={"speed_error": (*results.speed_error, *(row for _, row in further))})
     ends = [ledger.seconds.get(part, ledger.elapsed) for part, _ in further]
-    prices = PricesEntry(
-        cost_seconds_per_evaluation=priced.cost,
-        crossover_seconds_per_evaluation=way.crossover,
-        balance_seconds_per_evaluation=way.balance,
-        affordable_evaluations=way.affordable,
-    )
-    return _written(work, store, results, [*ledger.times, *ends], prices)
+    return _written(work, store, results, [*ledger.times, *ends], priced)
 
 
 def finish_bare(work: Work, store: Store) -> Run:
     """Write what the services of a study without a rig of its own have found."""
     store.take_over()
-    return _written(work, store, bare_results(work.study, work.services), [], PricesEntry())
+    return _written(work, store, bare_results(work.study, work.services), [])
 
 
-def _written(work: Work, store: Store, results: Results, seconds: list[float], prices: PricesEntry) -> Run:
+def _written(work: Work, store: Store, results: Results, seconds: list[float], priced: Priced | None = None) -> Run:
     keep_data(work.study, store.folder)
-    manifest = build_manifest(work, seconds, prices)
+    manifest = build_manifest(work, seconds, priced.entry() if priced is not None else None)
     write_results(store, results, manifest)
     return Run(folder=store.folder, results=results, manifest=manifest)

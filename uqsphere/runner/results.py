@@ -144,7 +144,7 @@ def bare_results(study: Study, services: Mapping[str, Results]) -> Results:
     })  # fmt: skip
 
 
-def build_manifest(work: Work, seconds: list[float], prices: PricesEntry) -> Manifest:
+def build_manifest(work: Work, seconds: list[float], prices: PricesEntry | None = None) -> Manifest:
     """Versions, platform, counts and times: what may differ between two runs of the same study."""
     ledger = work.ledger
     content = {
@@ -161,7 +161,7 @@ def build_manifest(work: Work, seconds: list[float], prices: PricesEntry) -> Man
         "executor": work.engine.record(),
         "finished": f"{datetime.now(UTC):%Y-%m-%d}",
         "damaged_chunks": list(work.store.damaged) if work.store is not None else [],
-        "plan": prices,
+        "plan": prices or PricesEntry(),
     }
     return Manifest.model_validate(content)
 
@@ -171,5 +171,5 @@ def told_early(work: Work, found: Findings) -> Findings:
     if work.draft is None:
         return found
     found = replace(found, unsure=find_unsure(work, found.sampled))
-    work.draft(build_results(work, found, PlanEntry()), build_manifest(work, [], PricesEntry()))
+    work.draft(build_results(work, found, PlanEntry()), build_manifest(work, []))
     return found

@@ -18,9 +18,8 @@ from uqsphere.runner.questions.indices import Sensitivity, dependent_names, shar
 from uqsphere.runner.questions.probabilities import learnable
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study import Limit
-from uqsphere.uq import Sample, random_generator, response
+from uqsphere.uq import NEVER, Estimate, Sample, Why, random_generator, response, widest
 from uqsphere.uq.describe import Description, describe
-from uqsphere.uq.estimate import NEVER, Estimate, Why, widest
 from uqsphere.uq.expansion import germ_points
 from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, without_moments
 from uqsphere.uq.response import Predicted, Response, answered, extended, index_shares, joined

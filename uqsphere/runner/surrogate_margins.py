@@ -2,10 +2,7 @@
 
 Where the free scalar is a strength, the surrogate of the study is enough: the demands stay what they are.  Where it is
 an input, the laws of the study do not reach as far as the range that is asked for, and a design of its own is run: the
-inputs and the free scalar together, evenly spread over its range, and a surrogate of both is fitted.  What that cannot
-answer, a rough quantity or a probability that none of its runs would show, is learned with the other half of the
-room: a Gaussian process of inputs and scalar, which all runs that are there belong to, and calls where they tell most
-of the probability at the value that is searched for (`uqsphere.uq.rare.active`).
+inputs and the free scalar together, evenly spread over its range, and a surrogate of both is fitted.
 """
 
 from __future__ import annotations
@@ -13,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from scipy.special import ndtri
@@ -24,23 +21,14 @@ from uqsphere.runner.axis_rows import axis_of
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_points
 from uqsphere.runner.limits import SEEN, state_of
 from uqsphere.runner.questions.curves import asked_probabilities, unknown_values
-from uqsphere.runner.questions.margins import MarginAnswer, unmoved_margins
-from uqsphere.runner.questions.probabilities import (
-    LimitSpace,
-    limit_space,
-    tied_strength,
-)
-from uqsphere.runner.schedule import ALONG, MOST_LEARNED, least_learned
+from uqsphere.runner.questions.margins import MarginAnswer
+from uqsphere.runner.schedule import ALONG, least_learned
 from uqsphere.study import Axis, Limit
 from uqsphere.uq import Estimate, LawError, Sample, absent, random_generator, sobol_points
 from uqsphere.uq.curve import Fragility, fit_lognormal_curve, fragility
 from uqsphere.uq.expansion import fit_outputs, germ_points
-from uqsphere.uq.rare.problem import REACH, Evaluator, LimitFunction
 from uqsphere.uq.response import FOLDS, METHOD, Response, cross_fit, joined, with_residuals
 from uqsphere.uq.whatif import probability
-
-if TYPE_CHECKING:
-    from uqsphere.uq.rare.active import Search
 
 #: values of a curve, and points of each replicate at every one of them
 VALUES: Final = 25
@@ -54,7 +42,7 @@ _Exceeding = Callable[[float], Array]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Wide:
+class Wide:
     """Runs over inputs and the free scalar, those of the study's own design among them, and surrogates of both.
 
     Normal scores (N, D), values of the scalar (N,), outputs (N, q), nan where there is none, and which of these are
@@ -78,7 +66,7 @@ class _Wide:
         """Those along the scalar."""
         return len(self.values) - self.own
 
-    def with_runs(self, normals: Array, values: Array, run: EvaluatedRows) -> _Wide:
+    def with_runs(self, normals: Array, values: Array, run: EvaluatedRows) -> Wide:
         """With more of them."""
         outputs = run.known
         return replace(self, normals=np.concatenate([self.normals, normals]),
@@ -87,67 +75,17 @@ class _Wide:
                        censored=np.concatenate([self.censored, run.censored]))  # fmt: skip
 
 
-def margin_runs(work: Work) -> int:
-    """Runs of its own that the margins take at the most: none where the free scalar is a strength, or there is none."""
-    margins = work.study.margins
-    return ALONG.most if margins is not None and margins.axis.moves_rows and work.study.limits else 0
-
-
-def surrogate_margins(
-    work: Work, usable: Mapping[str, Response], affordable: int, design: Sample
-) -> tuple[dict[str, MarginAnswer], Mapping[str, Response]]:
-    """Curves and values of the free scalar for every limit; those that cannot be given say why.
-
-    Runs of the model are spent only where the free scalar is no strength, and no more than `affordable` in all.  Last,
-    what these runs make of the study itself: a response of every quantity, corrected by the design's own runs.
-    """
-    margins = work.study.margins
-    if margins is None:
-        return {}, {}
-    axis, found = margins.axis, unmoved_margins(work)
-    limits = [limit for limit in work.study.limits if limit.name not in found]
-    if not axis.moves_rows:
-        for limit in limits:
-            one = usable.get(limit.quantity)
-            found[limit.name] = (
-                _nothing(f"{limit.quantity} has no surrogate, and sampling is beyond the budget")
-                if one is None
-                else _answer(work, limit, _of_strength(work, limit, one), one.count)
-            )
-        return found, {}
-    wide = _over_scalar(work, affordable, design)
-    left: list[Limit] = []
-    for limit in limits:
-        response = wide.responses.get(limit.quantity)
-        if response is not None and response.usable:
-            found[limit.name] = _answer(work, limit, _of_scalar(work, limit, response, wide.steps), wide.runs)
-        elif wide.reason:
-            found[limit.name] = _nothing(wide.reason)
-        if not wide.reason and not _settled(work, limit, found.get(limit.name)):
-            left.append(limit)
-    for at, limit in enumerate(left):
-        room = (affordable - work.ledger.total) // (len(left) - at)
-        found[limit.name] = _learned(work, limit, wide, room, found.get(limit.name))
-    return {limit.name: found[limit.name] for limit in work.study.limits}, wide.sections
-
-
-def _settled(work: Work, limit: Limit, answer: MarginAnswer | None) -> bool:
-    """Whether a surrogate has given every value that is asked for, or said that there is none in the range."""
-    told = () if answer is None else [answer.values[p].reason or "" for p in asked_probabilities(work, limit)]
-    return answer is not None and not any(text.startswith(FAR_OUT) for text in told)
-
-
-def _nothing(reason: str) -> MarginAnswer:
+def no_margin(reason: str) -> MarginAnswer:
     return MarginAnswer(values={}, curve=[], missed=[reason])
 
 
-def _large(work: Work) -> Sample:
+def large_sample(work: Work) -> Sample:
     return draw(work.drawn, seed=work.study.seed, task="surrogate.margins", start=0, count=POINTS)
 
 
-def _of_strength(work: Work, limit: Limit, one: Response) -> _Exceeding:
+def exceeding_of_strength(work: Work, limit: Limit, one: Response) -> _Exceeding:
     """Demands in proportion, as if the strength were what the study says."""
-    d, large = len(work.scene_names), _large(work)
+    d, large = len(work.scene_names), large_sample(work)
     values = one.at(germ_points(large.scores[:, :, :d].reshape(-1, d), work.germs))
     rng = random_generator(seed=work.study.seed, task=f"surrogate.margins.{limit.name}")
     centre, reach = with_residuals(one, values.reshape(large.scores.shape[:2]), rng)
@@ -155,9 +93,9 @@ def _of_strength(work: Work, limit: Limit, one: Response) -> _Exceeding:
     return lambda value: _exceeding(work, limit, large, centre * factor(limit, value), reach * factor(limit, value))
 
 
-def _of_scalar(work: Work, limit: Limit, one: Response, steps: bool) -> _Exceeding:
+def exceeding_of_scalar(work: Work, limit: Limit, one: Response, steps: bool) -> _Exceeding:
     """Demands of the surrogate over the free scalar: the same normal scores and residuals' numbers at every value."""
-    d, large = len(work.scene_names), _large(work)
+    d, large = len(work.scene_names), large_sample(work)
     points = germ_points(large.scores[:, :, :d].reshape(-1, d), work.germs)
 
     def exceeding(value: float) -> Array:
@@ -169,7 +107,7 @@ def _of_scalar(work: Work, limit: Limit, one: Response, steps: bool) -> _Exceedi
     return exceeding
 
 
-def _over_scalar(work: Work, affordable: int, design: Sample) -> _Wide:
+def over_scalar(work: Work, affordable: int, design: Sample) -> Wide:
     """Runs over inputs and free scalar together, and the surrogates of all quantities fitted to them and the design.
 
     Half of the room at first, and all where every surrogate can use more, but for what it takes to begin to learn.
@@ -189,17 +127,17 @@ def _over_scalar(work: Work, affordable: int, design: Sample) -> _Wide:
     return wide
 
 
-def _begun(work: Work, design: Sample) -> _Wide:
+def _begun(work: Work, design: Sample) -> Wide:
     """The runs of the study itself, where it has the scalar at a value within its range."""
     axis = axis_of(work)
     nominal = work.study.at_means().get(axis.path)
     own = design.count if nominal is not None and axis.low <= nominal <= axis.high else 0
     outputs = np.where(np.stack([design.lost(q)[0] for q in work.quantities], axis=1), np.nan, design.answers[0])
-    return _Wide(normals=design.scores[0][:own], values=np.full(own, nominal or 0.0), outputs=outputs[:own],
+    return Wide(normals=design.scores[0][:own], values=np.full(own, nominal or 0.0), outputs=outputs[:own],
                  censored=design.censored[0][:own], own=own)  # fmt: skip
 
 
-def _wider(work: Work, wide: _Wide, count: int) -> _Wide:
+def _wider(work: Work, wide: Wide, count: int) -> Wide:
     """The design over inputs and free scalar with so many runs, and surrogates where all of them have answers."""
     axis, d, start = axis_of(work), len(work.drawn.names), wide.runs
     uniforms = sobol_points(
@@ -254,96 +192,10 @@ def evaluate_along(work: Work, key: str, normals: Array, values: Array) -> Evalu
     return evaluate_points(replace(work, spare=True), key, names, np.column_stack([rows, values]))
 
 
-# --- by active learning -----------------------------------------------------------------------------------
-
-
-def _learned(work: Work, limit: Limit, wide: _Wide, room: int, before: MarginAnswer | None) -> MarginAnswer:
-    """The values that no surrogate gives, each learned with an equal part of the room; the others as they were."""
-    axis, known = axis_of(work), {} if before is None else before.values
-    if why := _not_learned(work, limit, wide, room):
-        return before or _nothing(f"{limit.quantity} has no surrogate over {axis.path}{why}")
-    known = {p: e for p, e in known.items() if e.value is not None}
-    targets = [p for p in asked_probabilities(work, limit) if p not in known]
-    space = limit_space(work, limit, work.study.limits.index(limit))
-    inner = LimitFunction(function=_along(work, space), dimension=len(work.drawn.names) + 1,
-                          integrated=space.function.integrated, on_failure="bound")  # fmt: skip
-    evaluator = Evaluator(limit=inner, budget=0)
-    search = _searched(work, limit, evaluator, _known_along(work, space, wide), targets, room)
-    if isinstance(search, str):
-        return before or _nothing(search)
-    large = _large(work)
-    points = large.scores.reshape(-1, large.scores.shape[2])
-
-    def exceeding(value: float) -> Array:
-        miss = search.bounds(points, REACH * axis.germ(value)).reshape(3, *large.scores.shape[:2]).mean(axis=2)
-        return np.asarray(miss if limit.aim == "survive" else 1.0 - miss)
-
-    told = _answer(work, limit, exceeding, len(wide.values) + evaluator.count, METHOD_LEARNED)
-    return replace(told, values={**told.values, **known})
-
-
-def _not_learned(work: Work, limit: Limit, wide: _Wide, room: int) -> str:
-    """Why the values of a limit cannot be learned, or an empty text."""
-    if len(work.drawn.names) >= MOST_LEARNED or tied_strength(work, limit) or not wide.runs:
-        return ", and cannot be learned"
-    if room < (least := least_learned(len(work.drawn.names) + 1, looks=1)):
-        return f": it takes {least} evaluations more at least to learn where {limit.name} has them"
-    return ""
-
-
-def _along(work: Work, space: LimitSpace) -> Callable[[Array], Array]:
-    """The limit of normal scores and the free scalar (n, D + 1), the latter in [-REACH, REACH]."""
-    k, calls = work.quantities.index(space.limit.quantity), iter(range(10**9))
-
-    def function(points: Array) -> Array:
-        values = axis_of(work).value(0.5 + 0.5 * points[:, -1] / REACH)
-        run = evaluate_along(work, f"margins-learned.{space.limit.name}.{next(calls)}", points[:, :-1], values)
-        quantity = run.known[:, k]
-        return space.value(points[:, :-1], quantity, run.censored[:, k])
-
-    return function
-
-
-def _known_along(work: Work, space: LimitSpace, wide: _Wide) -> tuple[Array, Array]:
-    """Points of such a function that have been evaluated, and its values."""
-    axis, k = axis_of(work), work.quantities.index(space.limit.quantity)
-    points = np.column_stack([wide.normals, [REACH * axis.germ(float(x)) for x in wide.values]])
-    return points, space.value(wide.normals, wide.outputs[:, k], wide.censored[:, k])
-
-
-def _searched(
-    work: Work,
-    limit: Limit,
-    evaluator: Evaluator,
-    known: tuple[Array, Array],
-    targets: Sequence[float],
-    room: int,
-) -> Search | str:
-    """A search that has learned the probabilities of exceeding, one after the other, each with a part of the room."""
-    from uqsphere.uq.rare.active import begin
-
-    asked, search = min(work.study.analysis.accuracy.probability, 0.05), None
-    try:
-        for number, p in enumerate(targets):
-            evaluator.budget += (room - evaluator.count) // (len(targets) - number)
-            level = p if limit.aim == "survive" else 1.0 - p
-            if search is None:
-                begun = begin(evaluator, seed=work.study.seed, task=f"margin.{limit.name}", known=known, level=level)
-                if isinstance(begun, str):
-                    return begun
-                search = begun
-            search.level = level
-            search.fit()
-            search.learn(asked * min(p, 1.0 - p) / level, search.size, work.study.analysis.at_once)
-    except OutOfBudget:
-        pass
-    return search or "no curve could be computed: the time was over, or the run was stopped"
-
-
 # --- the curve ----------------------------------------------------------------------------------------------
 
 
-def _answer(work: Work, limit: Limit, exceeding: _Exceeding, runs: int, method: str = METHOD) -> MarginAnswer:
+def drawn_margin(work: Work, limit: Limit, exceeding: _Exceeding, runs: int, method: str = METHOD) -> MarginAnswer:
     """The curve of a limit and its values, from the law of the demands and from both its bounds."""
     assert work.study.margins is not None
     targets = asked_probabilities(work, limit)

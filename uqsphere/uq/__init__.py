@@ -5,7 +5,7 @@ Knows only arrays and callables rows -> rows; the physics is somewhere else.
 
 from __future__ import annotations
 
-from uqsphere.uq.estimate import Estimate, absent, exact, finite, from_replicates, student, widest
+from uqsphere.uq.estimate import NEVER, Estimate, Why, absent, exact, finite, from_replicates, student, widest
 from uqsphere.uq.families import LawError
 from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import Law, make_law
@@ -14,6 +14,7 @@ from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.sample import Sample, without
 
 __all__ = [
+    "NEVER",
     "Dependence",
     "Estimate",
     "Joint",
@@ -21,6 +22,7 @@ __all__ = [
     "LawError",
     "LimitState",
     "Sample",
+    "Why",
     "absent",
     "complement",
     "exact",

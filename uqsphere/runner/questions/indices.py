@@ -28,8 +28,7 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.schedule import INDICES, REPLICATES, TABLE
 from uqsphere.runner.similarity import CUT_SHORT, Tabled, begin_table
 from uqsphere.units import told_apart
-from uqsphere.uq import Sample, without
-from uqsphere.uq.estimate import Estimate, Why, absent, widest
+from uqsphere.uq import Estimate, Sample, Why, absent, widest, without
 from uqsphere.uq.heavy_tails import (
     FEW_CARRIERS,
     NONE_SEEN,
