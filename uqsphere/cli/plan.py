@@ -13,6 +13,7 @@ from uqsphere.cli.studies import number_of, study_of
 from uqsphere.console import answer, plain, table
 from uqsphere.errors import UsageError
 from uqsphere.quantities import format_value
+from uqsphere.uq import finite
 
 if TYPE_CHECKING:
     from uqsphere.planning import Chart, Plan, Window
@@ -120,10 +121,6 @@ def _plan_blow(study: Study, chosen: argparse.Namespace, count: int) -> int:
 # --- what is found, as JSON and text --------------------------------------------------------------
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
 def plan_document(found: Plan, title: str) -> dict[str, object]:
     """A plan as plain JSON, SI.
 
@@ -146,12 +143,12 @@ def plan_document(found: Plan, title: str) -> dict[str, object]:
         "batch": [float(subject.fractiles[k]) for k in batch],
         "imbalance": request.level,
         "fidelity": subject.fidelity,
-        "first_return": _finite(subject.first_return),
+        "first_return": finite(subject.first_return),
         "not_checked": ["pulse_yield", "contact_yield"] if not _knows_yield(found) else [],
         "constraints": dict(CONSTRAINTS),
         "speeds": found.speeds.tolist(),
         "rises": found.rises.tolist(),
-        "shortest_striker": [[_finite(value) for value in row] for row in found.shortest[:, :, at]],
+        "shortest_striker": [[finite(value) for value in row] for row in found.shortest[:, :, at]],
         "charts": [
             {
                 "length": chart.length,

@@ -26,6 +26,7 @@ from uqsphere.given.answers import (
     ties_of,
     with_ties,
 )
+from uqsphere.study.columns import cell_number
 from uqsphere.uq import Joint, Law, LawError
 from uqsphere.uq.estimate import Estimate, absent, mean_alone, sd_alone
 from uqsphere.uq.expansion.germs import germs_of
@@ -88,7 +89,7 @@ def _place(path: Path, header: Sequence[str], name: str) -> int:
         said = "twice or more" if name in header else "not"
         hint = (
             " (the first line is taken for their names)"
-            if np.isfinite([_number(cell) for cell in header]).all()
+            if np.isfinite([cell_number(cell) for cell in header]).all()
             else ""
         )
         raise UsageError(f"{path}: the column {name!r} is {said} there; columns: {', '.join(header[:30])}{hint}")
@@ -110,19 +111,12 @@ def _columns(path: Path, text: TextIO, names: Sequence[str]) -> Array:
     for row in rows:
         for name, k in zip(names, places, strict=True):
             cell = row[k] if k < len(row) else ""
-            value = _number(cell)
+            value = cell_number(cell)
             if not math.isfinite(value):
                 found = f"column {name!r}: found {cell[:40]!r}, where a finite number is due"
                 raise UsageError(f"{path}:{reader.line_num}: {found}")
             values.append(value)
     return np.array(values).reshape(-1, len(names))
-
-
-def _number(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return math.nan
 
 
 # --- Columns of a table that others give exactly: copies and linear combinations, which no analysis can tell apart.

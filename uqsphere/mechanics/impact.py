@@ -163,7 +163,11 @@ def solve_closed(scene: Scene, quantities: Collection[str] | None = None) -> Ans
             assert ahead is not None
             face = _path_of(ahead, scene)
             tracked = _blown(scene, ahead) if face is None else _yielded(scene, face, ahead)
-    tracked = {name: np.broadcast_to(value, (len(scene),)) for name, value in tracked.items()}
+    return _answers(scene, tracked, quantities)
+
+
+def _answers(scene: Scene, closed: Mapping[str, Array], quantities: Collection[str] | None) -> Answers:
+    tracked = {name: np.broadcast_to(value, (len(scene),)) for name, value in closed.items()}
     return answers_from(scene, tracked, scene.status, np.zeros(len(scene), dtype=np.int64), quantities=quantities)
 
 
@@ -214,8 +218,7 @@ def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answ
         if waves:
             carried = (1.0 - np.square(at["restitution"])) / (2.0 * lam) * force**2 * time / scales.force**2
             tracked["carried_b"] = carried
-    tracked = {name: np.broadcast_to(value, (len(scene),)) for name, value in tracked.items()}
-    return answers_from(scene, tracked, scene.status, np.zeros(len(scene), dtype=np.int64), quantities=quantities)
+    return _answers(scene, tracked, quantities)
 
 
 #: times of a blow -> which of `_COLUMNS` they are

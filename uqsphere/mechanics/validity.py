@@ -22,8 +22,6 @@ from uqsphere.mechanics.rigs import GRAVITY, RIGS, loss_to_waves, terminal_speed
 from uqsphere.mechanics.scene import CONTACT_LAWS, Scene, answered
 from uqsphere.mechanics.yielding import Body, Face, Press
 
-#: what a grade means
-GRADES: Final = ("ok", "information", "warning", "failure")
 #: largest depth z of a yielding face that finite elements were seen for (Kogut and Etsion 2002, Jackson and Green 2005)
 _SEEN_DEPTH: Final = 110.0
 #: a dent [m] after which a lapped flat is no flat any more

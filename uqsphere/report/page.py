@@ -164,9 +164,7 @@ def words_used(page: str) -> list[tuple[str, str]]:
     return [(word, meaning) for word, found, meaning in GLOSSARY if re.search(found, text)]
 
 
-#: a page is never larger than this
-MOST_BYTES: Final = 1_000_000
-#: of which the figures take up this much; what is beyond stays a file of its own
+#: bytes that the figures of a page take up, which is never larger than 1 MB; what is beyond stays a file of its own
 MOST_INLINED: Final = 550_000
 #: what a page says that is written before the run is over
 GOES_ON: Final = "The run goes on: curves, drivers and the evidence are still to come, and this page is replaced then."

@@ -24,36 +24,11 @@ from uqsphere.study.study import (
 )
 
 __all__ = [
-    "ENERGY",
-    "SPEED",
-    "Accuracy",
-    "Analysis",
-    "Axis",
-    "Budget",
-    "Dependence",
-    "EndImpedance",
-    "Family",
-    "Gauge",
-    "Limit",
-    "Margins",
-    "ModelChoice",
-    "Source",
-    "Study",
-    "Way",
-    "Ways",
-    "breaks_by",
-    "json_schema",
-    "law_json",
-    "limit_of",
-    "load_study",
-    "means_fracture",
-    "quantity_of",
-    "shipped_studies",
-    "spaced",
-    "strength_name",
-    "ways_of",
-    "with_number",
-]
+    "ENERGY", "SPEED", "Accuracy", "Analysis", "Axis", "Budget", "Dependence", "EndImpedance", "Family", "Gauge",
+    "Limit", "Margins", "ModelChoice", "Source", "Study", "Way", "Ways", "breaks_by", "json_schema", "law_json",
+    "limit_of", "load_study", "means_fracture", "quantity_of", "shipped_studies", "spaced", "strength_name",
+    "ways_of", "with_number",
+]  # fmt: skip
 
 
 def json_schema() -> dict[str, Raw]:

@@ -60,7 +60,7 @@ class Observations:
         try:
             found = np.array(texts, dtype=float) * factor
         except ValueError:
-            found = np.array([_number(text) for text in texts]) * factor
+            found = np.array([cell_number(text) for text in texts]) * factor
         told = np.array([bool(text) for text in texts]) | (not blank)
         self.refuse(
             ~np.isfinite(found) & told, key, lambda row: f"found {shown(texts[row])}, where a finite number is due"
@@ -124,7 +124,8 @@ class Observations:
         return not self.faults
 
 
-def _number(text: str) -> float:
+def cell_number(text: str) -> float:
+    """The number in a cell; nan where there is none."""
     try:
         return float(text)
     except ValueError:

@@ -14,29 +14,7 @@ from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.sample import Sample, without
 
 __all__ = [
-    "NEVER",
-    "Dependence",
-    "Estimate",
-    "Joint",
-    "Law",
-    "LawError",
-    "LimitState",
-    "Sample",
-    "Why",
-    "absent",
-    "complement",
-    "exact",
-    "finite",
-    "from_replicates",
-    "make_joint",
-    "make_law",
-    "miss",
-    "random_generator",
-    "score_of",
-    "sobol_points",
-    "student",
-    "tails",
-    "target_met",
-    "widest",
-    "without",
-]
+    "NEVER", "Dependence", "Estimate", "Joint", "Law", "LawError", "LimitState", "Sample", "Why", "absent",
+    "complement", "exact", "finite", "from_replicates", "make_joint", "make_law", "miss", "random_generator",
+    "score_of", "sobol_points", "student", "tails", "target_met", "widest", "without",
+]  # fmt: skip

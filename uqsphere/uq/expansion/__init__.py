@@ -27,23 +27,7 @@ from uqsphere.uq.expansion.germs import (
 from uqsphere.uq.expansion.shares import chaos_indices, chaos_moments, error_with_tails
 
 __all__ = [
-    "GERMS",
-    "Chaos",
-    "Germ",
-    "Piece",
-    "Verdict",
-    "chaos_indices",
-    "chaos_moments",
-    "error_with_tails",
-    "fit_again",
-    "fit_chaos",
-    "fit_outputs",
-    "germ_points",
-    "held",
-    "hyperbolic_indices",
-    "judge",
-    "orthonormal_values",
-    "padded",
-    "predict",
-    "validation_error",
-]
+    "GERMS", "Chaos", "Germ", "Piece", "Verdict", "chaos_indices", "chaos_moments", "error_with_tails", "fit_again",
+    "fit_chaos", "fit_outputs", "germ_points", "held", "hyperbolic_indices", "judge", "orthonormal_values", "padded",
+    "predict", "validation_error",
+]  # fmt: skip
