@@ -6,21 +6,13 @@ import numpy as np
 import pytest
 from test_kernel import scaled_scene
 
+from uqsphere.bench import rivals
 from uqsphere.bench.rivals import scattered_scene
 from uqsphere.mechanics.integrator.solve import solve
 from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
 
 #: granite between steel bars; what a test varies is put in its place
-NUMBERS = {
-    "sphere.E": 52e9,
-    "sphere.nu": 0.25,
-    "sphere.radius": 10e-3,
-    "sphere.density": 2650.0,
-    "bars.E": 210e9,
-    "bars.nu": 0.3,
-    "bars.density": 7850.0,
-    "bars.diameter": 40e-3,
-    "striker.speed": 1.0,
+NUMBERS = rivals.NUMBERS | {
     "striker.length": 0.4,
     "bars.incident_length": 1.5,
     "bars.receiving_length": 1.5,

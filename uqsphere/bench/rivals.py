@@ -19,7 +19,7 @@ from uqsphere.mechanics.integrator.solve import scaled_arguments
 from uqsphere.mechanics.scene import Scene
 
 #: granite of 20 mm between long steel bars of 40 mm; mu and theta are set by density and striker
-_NUMBERS: Final = {
+NUMBERS: Final = {
     "sphere.E": 52e9,
     "sphere.nu": 0.25,
     "sphere.radius": 10e-3,
@@ -46,10 +46,10 @@ class BenchScene:
 def scattered_scene(count: int, *, mu: float = 3e-3, theta: float = 3.0, seed: int = 0) -> Scene:
     """Infinite bars, rectangular pulse, lognormal scatter of E, radius and speed (10, 2, 10 %) about mu and theta."""
     rng = np.random.default_rng(seed)
-    columns = {name: np.full(count, number) for name, number in _NUMBERS.items()}
+    columns = {name: np.full(count, number) for name, number in NUMBERS.items()}
     for name, scatter in (("sphere.E", 0.1), ("sphere.radius", 0.02), ("striker.speed", 0.1)):
         columns[name] = columns[name] * np.exp(scatter * rng.standard_normal(count))
-    centre = Scene(columns={name: np.array([number]) for name, number in _NUMBERS.items()}, infinite=True).scales
+    centre = Scene(columns={name: np.array([number]) for name, number in NUMBERS.items()}, infinite=True).scales
     columns["sphere.density"] *= mu / centre.mass_number[0]
     columns["striker.length"] *= theta / centre.pulse_number[0]
     return Scene(columns=columns, infinite=True)

@@ -17,15 +17,7 @@ from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.damage import Softening
 from uqsphere.mechanics.partners import Partner
-from uqsphere.mechanics.pulses import (
-    PARAMETERS,
-    SHAPES,
-    STRIKER_SHAPES,
-    MeasuredPulse,
-    Pulse,
-    build_pulse,
-    noise_names,
-)
+from uqsphere.mechanics.pulses import PARAMETERS, SHAPES, STRIKER_SHAPES, MeasuredPulse, Pulse, build_pulse, noise_names
 from uqsphere.mechanics.rigs import RIGS, closing_speed, needed, outside, partners_of, speeds_at_touch
 from uqsphere.mechanics.yielding import Face
 from uqsphere.units import Quantity

@@ -10,14 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from uqsphere.quantities import format_value
-from uqsphere.results import (
-    FractureEntry,
-    GivenFailureEntry,
-    PartEntry,
-    QuestionRow,
-    Results,
-    SpeedRow,
-)
+from uqsphere.results import FractureEntry, GivenFailureEntry, PartEntry, QuestionRow, Results, SpeedRow
 from uqsphere.results.entries import Curve, Est
 from uqsphere.runner.campaign import Cost, Missed
 from uqsphere.runner.evaluate import Work

@@ -14,15 +14,7 @@ from uqsphere.arrays import Array, Flags
 from uqsphere.black_box import BlackBox
 from uqsphere.errors import FolderError, ModelError, TooManyFailures
 from uqsphere.mechanics.fidelity import Fallback
-from uqsphere.model import (
-    ROUTE_ASKED,
-    ROUTE_FULL,
-    STATUS_UNDECIDED,
-    EvaluatedRows,
-    is_answered,
-    status_text,
-    where_of,
-)
+from uqsphere.model import ROUTE_ASKED, ROUTE_FULL, STATUS_UNDECIDED, EvaluatedRows, is_answered, status_text, where_of
 from uqsphere.results import Fields, Manifest, Results, SpeedRow
 from uqsphere.runner.chunks import Gathered, chosen_columns, collect
 from uqsphere.runner.remote import Task, evaluate_rows

@@ -18,24 +18,11 @@ from uqsphere.runner.expensive_margins import margin_runs, surrogate_margins
 from uqsphere.runner.limits import LimitAnswer, limits_missed
 from uqsphere.runner.pricing import Priced, enlarge
 from uqsphere.runner.questions.distributions import METHOD, Sampled, find_missed, shortfalls
-from uqsphere.runner.questions.indices import (
-    Sensitivity,
-)
+from uqsphere.runner.questions.indices import Sensitivity
 from uqsphere.runner.questions.margins import MarginAnswer
-from uqsphere.runner.questions.probabilities import (
-    Learned,
-    learn_limits,
-    learnable,
-    with_surrogate_design,
-)
+from uqsphere.runner.questions.probabilities import Learned, learn_limits, learnable, with_surrogate_design
 from uqsphere.runner.schedule import ALONG, FIRST_SAMPLE, REPLICATES, SURROGATE, least_learned
-from uqsphere.runner.surrogate_answers import (
-    Answers,
-    answers_of_runs,
-    blocks_of_runs,
-    settle_heavy,
-    tails_of,
-)
+from uqsphere.runner.surrogate_answers import Answers, answers_of_runs, blocks_of_runs, settle_heavy, tails_of
 from uqsphere.runner.surrogates import Surrogates
 from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.response import Response

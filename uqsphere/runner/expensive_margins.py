@@ -18,11 +18,7 @@ from uqsphere.runner.axis_rows import axis_of
 from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.questions.curves import asked_probabilities
 from uqsphere.runner.questions.margins import MarginAnswer, unmoved_margins
-from uqsphere.runner.questions.probabilities import (
-    LimitSpace,
-    limit_space,
-    tied_strength,
-)
+from uqsphere.runner.questions.probabilities import LimitSpace, limit_space, tied_strength
 from uqsphere.runner.schedule import ALONG, MOST_LEARNED, least_learned
 from uqsphere.runner.surrogate_margins import (
     FAR_OUT,

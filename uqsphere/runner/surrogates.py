@@ -15,24 +15,10 @@ from uqsphere.runner.campaign import Accuracy, Cost, indices_missed, speed_rows_
 from uqsphere.runner.evaluate import Work, none_answered
 from uqsphere.runner.expensive_margins import margin_runs
 from uqsphere.runner.pricing import enlarge
-from uqsphere.runner.questions.indices import (
-    CHAOS,
-    Sensitivity,
-    dependent_names,
-    no_surrogate,
-    without_sets,
-)
-from uqsphere.runner.questions.probabilities import (
-    Demand,
-    reserve,
-)
+from uqsphere.runner.questions.indices import CHAOS, Sensitivity, dependent_names, no_surrogate, without_sets
+from uqsphere.runner.questions.probabilities import Demand, reserve
 from uqsphere.runner.schedule import REPLICATES, SURROGATE
-from uqsphere.runner.surrogate_answers import (
-    Answers,
-    answers_of,
-    answers_of_runs,
-    blocks_of_runs,
-)
+from uqsphere.runner.surrogate_answers import Answers, answers_of, answers_of_runs, blocks_of_runs
 from uqsphere.uq import Sample, absent, response, widest
 from uqsphere.uq.expansion import germ_points
 from uqsphere.uq.indices import believable

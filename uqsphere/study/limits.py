@@ -17,11 +17,7 @@ from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, unknown
 from uqsphere.study.numbers import Reading, is_fit, read_fit_strength, read_number
 from uqsphere.study.particle_tables import ENERGY_OF
 from uqsphere.study.scene import Scene, read_platens, worded
-from uqsphere.study.sphere_tests import (
-    Demand,
-    is_sphere_tests,
-    read_sphere_tests,
-)
+from uqsphere.study.sphere_tests import Demand, is_sphere_tests, read_sphere_tests
 from uqsphere.study.study import Limit
 from uqsphere.units import Quantity
 from uqsphere.uq import Law

@@ -9,13 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from uqsphere.study.contact import check_contact, read_contact
-from uqsphere.study.document import (
-    SCENE,
-    Analysis,
-    Document,
-    ModelChoice,
-    ToleranceRequest,
-)
+from uqsphere.study.document import SCENE, Analysis, Document, ModelChoice, ToleranceRequest
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
 from uqsphere.study.feed import read_feed, read_particles, readable, without_scene
 from uqsphere.study.limits import LimitReading, known_quantity, read_limits, share_fracture_energy, valid_name

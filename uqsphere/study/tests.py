@@ -16,16 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags
-from uqsphere.feed.tests import (
-    TEST_RIGS,
-    THROWN,
-    Rows,
-    Specimens,
-    faults_of,
-    particle_energy,
-    specimens_of,
-    unbounded,
-)
+from uqsphere.feed.tests import TEST_RIGS, THROWN, Rows, Specimens, faults_of, particle_energy, specimens_of, unbounded
 from uqsphere.mechanics import contact
 from uqsphere.study.columns import LARGEST_TESTS, Observations, open_observations, unit_factor
 from uqsphere.study.document import Document

@@ -13,16 +13,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.results import Fields, SpeedRow, SurrogateEntry
-from uqsphere.runner.campaign import (
-    INDEX_KIND,
-    Accuracy,
-    Cost,
-    Course,
-    Missed,
-    campaign,
-    indices_missed,
-    speed_rows_of,
-)
+from uqsphere.runner.campaign import INDEX_KIND, Accuracy, Cost, Course, Missed, campaign, indices_missed, speed_rows_of
 from uqsphere.runner.evaluate import MOST_DROPPED, OutOfBudget, Work, evaluate_points
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.schedule import INDICES, REPLICATES, TABLE

@@ -16,9 +16,7 @@ from uqsphere.results.entries import Fields, MarginOpenEntry
 from uqsphere.runner.axis_rows import AxisRows, axis_of, study_at
 from uqsphere.runner.evaluate import LATE, OutOfBudget, Work
 from uqsphere.runner.limits import state_of
-from uqsphere.runner.questions.curves import (
-    CurveFound,
-)
+from uqsphere.runner.questions.curves import CurveFound
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.probabilities import find_design
 from uqsphere.runner.whatif import margin_left_open

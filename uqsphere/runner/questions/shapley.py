@@ -25,14 +25,7 @@ from uqsphere.runner.questions.indices import (
 from uqsphere.runner.questions.replicates import without_noise
 from uqsphere.runner.schedule import REPLICATES, SHAPLEY
 from uqsphere.uq import Estimate, widest, without
-from uqsphere.uq.shapley import (
-    MOST_EXACT,
-    SubsetDesign,
-    orders_of,
-    shapley_estimates,
-    subset_design,
-    subset_points,
-)
+from uqsphere.uq.shapley import MOST_EXACT, SubsetDesign, orders_of, shapley_estimates, subset_design, subset_points
 
 TASK = "shapley"
 METHOD = "pairs of runs"

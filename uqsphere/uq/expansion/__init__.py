@@ -9,21 +9,8 @@ reads moments and Sobol' indices off it.
 from __future__ import annotations
 
 from uqsphere.uq.expansion.expansion import Chaos, Piece, held, padded, predict
-from uqsphere.uq.expansion.fit import (
-    Verdict,
-    fit_again,
-    fit_chaos,
-    fit_outputs,
-    judge,
-    validation_error,
-)
-from uqsphere.uq.expansion.germs import (
-    GERMS,
-    Germ,
-    germ_points,
-    hyperbolic_indices,
-    orthonormal_values,
-)
+from uqsphere.uq.expansion.fit import Verdict, fit_again, fit_chaos, fit_outputs, judge, validation_error
+from uqsphere.uq.expansion.germs import GERMS, Germ, germ_points, hyperbolic_indices, orthonormal_values
 from uqsphere.uq.expansion.shares import chaos_indices, chaos_moments, error_with_tails
 
 __all__ = [
