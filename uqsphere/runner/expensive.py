@@ -22,7 +22,7 @@ from uqsphere.runner.questions.indices import Sensitivity
 from uqsphere.runner.questions.margins import MarginAnswer
 from uqsphere.runner.questions.probabilities import Learned, learn_limits, learnable, with_surrogate_design
 from uqsphere.runner.schedule import ALONG, FIRST_SAMPLE, REPLICATES, SURROGATE, least_learned
-from uqsphere.runner.surrogate_answers import Answers, answers_of_runs, blocks_of_runs, settle_heavy, tails_of
+from uqsphere.runner.surrogate_answers import RunAnswers, answers_of_runs, blocks_of_runs, settle_heavy, tails_of
 from uqsphere.runner.surrogates import Surrogates
 from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.response import Response
@@ -237,14 +237,16 @@ def keep_answers(work: Work, sampled: Sampled, one: Expensive) -> Sampled:
         for name, own in found.descriptions.items()
         if name in usable
         and 1.0
-        < _lack(work, Answers(descriptions={name: sampled.descriptions[name]}))
-        > _lack(work, Answers(descriptions={name: own}))
+        < _lack(work, RunAnswers(descriptions={name: sampled.descriptions[name]}))
+        > _lack(work, RunAnswers(descriptions={name: own}))
     }
     limits = {
         name: _of_surrogate(sampled.limits[name], own)
         for name, own in found.limits.items()
         if own.quantity in usable
-        and 1.0 < _lack(work, Answers(limits={name: sampled.limits[name]})) > _lack(work, Answers(limits={name: own}))
+        and 1.0
+        < _lack(work, RunAnswers(limits={name: sampled.limits[name]}))
+        > _lack(work, RunAnswers(limits={name: own}))
     }
     kept = {*described, *(f"limits.{name}" for name in limits)}
     limits = dict(sampled.limits) | limits
@@ -288,7 +290,7 @@ def _width(given: Sensitivity) -> float:
     return max((math.inf if e.value is None else e.half_width for e in every), default=0.0)
 
 
-def _lack(work: Work, one: Answers) -> float:
+def _lack(work: Work, one: RunAnswers) -> float:
     """The worst half-width over what is asked; infinite where something asked for is absent."""
     if any(told.mean.value is None or told.sd.value is None for told in one.descriptions.values()):
         return math.inf

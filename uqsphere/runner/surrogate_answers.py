@@ -31,7 +31,7 @@ HELD = 2**24
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answers:
+class RunAnswers:
     """Descriptions, limits and indices at one size of the design, and half-widths over what is asked of what is not
     as accurate yet.
     """
@@ -49,13 +49,13 @@ class Answers:
         return rows
 
 
-def answers_of(work: Work, runs: int, usable: Mapping[str, Response]) -> Answers:
+def answers_of(work: Work, runs: int, usable: Mapping[str, Response]) -> RunAnswers:
     """Answers of the surrogates of some quantities, from so many runs.
 
     They are evaluated on a large design, and on a larger one where the first would miss an accuracy by itself.
     """
     if not usable:
-        return Answers()
+        return RunAnswers()
     told, limits, short = _described(work, runs, usable, LARGE)
     if short:
         larger = min(LARGER, 2 ** int(math.log2(HELD / (REPLICATES * max(len(work.drawn.names), 1)))))
@@ -66,11 +66,11 @@ def answers_of(work: Work, runs: int, usable: Mapping[str, Response]) -> Answers
         found = {
             quantity: told[quantity].shares(index_shares(one, work.study.seed)) for quantity, one in usable.items()
         }
-    answers = Answers(descriptions=descriptions, limits=limits, indices=found)
+    answers = RunAnswers(descriptions=descriptions, limits=limits, indices=found)
     return replace(answers, lacking=_lacking(work, answers))
 
 
-def _lacking(work: Work, answers: Answers) -> dict[Accuracy, float]:
+def _lacking(work: Work, answers: RunAnswers) -> dict[Accuracy, float]:
     """Half-widths over what is asked, inf where there is no answer."""
     limits, lacking = answers.limits, shortfalls(work, answers.descriptions, answers.limits)
     for quantity, described in answers.descriptions.items():
@@ -167,7 +167,7 @@ def blocks_of_runs(design: Sample) -> Sample:
     return design.head(blocks * each).blocks(blocks)
 
 
-def answers_of_runs(work: Work, sample: Sample, quantities: Collection[str]) -> Answers:
+def answers_of_runs(work: Work, sample: Sample, quantities: Collection[str]) -> RunAnswers:
     """Answers of the runs alone, for quantities without a surrogate."""
     analysis = work.study.analysis
     descriptions = {
@@ -189,7 +189,7 @@ def answers_of_runs(work: Work, sample: Sample, quantities: Collection[str]) -> 
             exceedance=told_by_runs(one.exceedance, state, "exceedance", limit.aim),
             miss=told_by_runs(one.miss, state, "miss", limit.aim),
         )
-    return Answers(descriptions=descriptions, limits=limits, lacking=shortfalls(work, descriptions, limits))
+    return RunAnswers(descriptions=descriptions, limits=limits, lacking=shortfalls(work, descriptions, limits))
 
 
 # --- moments that do not exist ------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from uqsphere.runner.pricing import enlarge
 from uqsphere.runner.questions.indices import CHAOS, Sensitivity, dependent_names, no_surrogate, without_sets
 from uqsphere.runner.questions.probabilities import Demand, reserve
 from uqsphere.runner.schedule import REPLICATES, SURROGATE
-from uqsphere.runner.surrogate_answers import Answers, answers_of, answers_of_runs, blocks_of_runs
+from uqsphere.runner.surrogate_answers import RunAnswers, answers_of, answers_of_runs, blocks_of_runs
 from uqsphere.uq import Sample, absent, response, widest
 from uqsphere.uq.expansion import germ_points
 from uqsphere.uq.indices import believable
@@ -35,8 +35,8 @@ class Surrogates:
     work: Work
     design: Sample | None = None
     responses: dict[str, Response] = field(default_factory=dict)
-    found: Answers = field(default_factory=Answers)
-    alone: Answers = field(default_factory=Answers)
+    found: RunAnswers = field(default_factory=RunAnswers)
+    alone: RunAnswers = field(default_factory=RunAnswers)
     begun: bool = False
     noise: Mapping[str, float] = field(default_factory=dict)
 
