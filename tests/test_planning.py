@@ -404,12 +404,14 @@ strength = {{ dist = "normal", mean = "5 kN", sd = "0.5 kN" }}
 
 
 def test_a_true_pressure_above_the_hardness_is_never_reached() -> None:
-    bare = {f"bars.insert_{key}": None for key in ("E", "yield_strength", "thickness")}
-    windows = {}
+    bare = [f"bars.insert_{key}=null" for key in ("E", "yield_strength", "thickness")]
+    plans = {}
     for meaning in ("hertz", "pressure"):
-        changed = {**bare, "bars.material": "steel", "limits.crushing.strength_is": meaning}
+        changed = [*bare, "bars.material=steel", f"limits.crushing.strength_is={meaning}"]
         study = load_study(STUDIES / "granite_10mm_test.toml", changed)
-        request = request_of(study, rises=(0.0, 100e-6), grid=(12, 3))
-        windows[meaning] = plan_test(study, request).charts[0].windows
-    assert windows["hertz"]
-    assert not windows["pressure"]
+        plans[meaning] = plan_test(study, request_of(study, rises=(0.0, 100e-6), grid=(12, 3)))
+    assert plans["hertz"].charts[0].windows
+    assert not plans["pressure"].charts[0].windows
+    # strength of 4.05 GPa by Hertz, onset c(nu) Y of the library's steel
+    over = plans["hertz"].over_onset[0, -1, plans["hertz"].subject.place]
+    assert over == pytest.approx(4.049e9 / (1.295 * math.exp(0.736 * 0.29) * 834e6), rel=0.02)

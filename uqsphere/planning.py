@@ -25,6 +25,7 @@ from uqsphere.mechanics.design import (
     binding,
     break_on_ramp,
     first_return,
+    over_onset,
     ramp_scene,
     shortest_striker,
     usages,
@@ -147,7 +148,8 @@ class Plan:
     """A map for every striker length, over speeds (S,) [m/s] and ramps (R,) [s].
 
     `breaks`, `transits` and `shortest` (R, S, m) hold for all lengths: the fracture under a pulse that lasts, waves
-    that have crossed the sphere by then, and the least striker length [m] whose pulse lasts until then.
+    that have crossed the sphere by then, and the least striker length [m] whose pulse lasts until then. `over_onset` is
+    the pressure by Hertz at the fracture over the onset of bars or inserts, nan where no onset is known.
     """
 
     request: Request
@@ -157,6 +159,7 @@ class Plan:
     listed: tuple[float, ...]
     breaks: Breaks
     transits: Array
+    over_onset: Array
     shortest: Array
     charts: tuple[Chart, ...]
 
@@ -320,6 +323,7 @@ def plan_test(study: Study, request: Request) -> Plan:
         request=request, subject=subject, speeds=speeds, rises=rises, listed=tuple(listed.tolist()),
         breaks=Breaks(**{field.name: getattr(breaks, field.name).reshape(shape) for field in fields(breaks)}),
         transits=(breaks.time / transit).reshape(shape),
+        over_onset=over_onset(scene, breaks).reshape(shape),
         shortest=shortest_striker(scene, breaks, subject.fall).reshape(shape),
         charts=tuple(charts),
     )  # fmt: skip

@@ -173,15 +173,14 @@ def _window(window: Window) -> dict[str, float | str | None]:
             "below": window.below, "above": window.above}  # fmt: skip
 
 
-def _cells(chart: Chart, kind: str, rise: float) -> tuple[str, str]:
-    """Windows of one ramp and what ends them, or what is in the way."""
+def _cells(chart: Chart, kind: str, rise: float) -> tuple[str, str, str]:
+    """The widest window of one ramp, what ends it and how many there are, or what is in the way."""
     windows = [window for window in chart.windows if window.kind == kind and window.rise == rise]
     if not windows:
-        return "none", chart.nearest[kind, rise]
-    return (
-        "; ".join(f"{window.low:.4g} to {window.high:.4g}" for window in windows),
-        "; ".join(f"{window.below or _RANGE} / {window.above or _RANGE}" for window in windows),
-    )
+        return "none", chart.nearest[kind, rise], "0"
+    widest = max(windows, key=lambda window: window.high / window.low)
+    ends = f"{widest.below or _RANGE} / {widest.above or _RANGE}"
+    return f"{widest.low:.4g} to {widest.high:.4g}", ends, str(len(windows))
 
 
 def _text(found: Plan) -> str:
@@ -200,9 +199,13 @@ def _text(found: Plan) -> str:
     blocks = [table(("what", "value"), lines)]
     if not _knows_yield(found):
         blocks.append("note: the yield strength of the bars is not given, so that they are not known to stay elastic")
-    head = ["ramp [us]", "speeds [m/s]", "ends by, below / above"]
+    over = max(filter(math.isfinite, found.over_onset[:, :, subject.place].flat), default=0.0)
+    if subject.dents and over > 1.0:
+        blocks.append(f"note: when the sphere breaks the pressure by Hertz is up to {over:.3g} times the onset of "
+                      "yield of bars or inserts: dents stay, and the forces take them into account")  # fmt: skip
+    head = ["ramp [us]", "widest window [m/s]", "ends by, below / above", "windows"]
     if scatter:
-        head += ["the same for 5 to 95 % of the strengths", "ends by"]
+        head += ["for 5 to 95 % of the strengths", "ends by", "windows"]
     seen = set()
     for chart in found.charts:
         rows = []
@@ -243,8 +246,8 @@ def _points(found: Plan) -> tuple[list[str], list[list[float | str]]]:
     subject, names, breaks = found.subject, list(CONSTRAINTS), found.breaks
     at, batch = subject.place, list(subject.batch)
     head = ["striker_length [m]", "speed [m/s]", "rise [s]", "kept", "share_of_strengths", "binding",
-            *(f"used_{name}" for name in names), "limit", "fracture_time [s]", "fracture_force [N]", "imbalance",
-            "wave_transits", "shortest_striker [m]"]  # fmt: skip
+            *(f"used_{name}" for name in names), "pressure_over_onset", "limit", "fracture_time [s]",
+            "fracture_force [N]", "imbalance", "wave_transits", "shortest_striker [m]"]  # fmt: skip
 
     def cell(value: float) -> float | str:
         return float(value) if math.isfinite(value) else ""
@@ -258,6 +261,7 @@ def _points(found: Plan) -> tuple[list[str], list[list[float | str]]]:
             rows.append(
                 [chart.length, float(speed), float(rise), int(chart.kept[r, s, at]), float(share[r, s]),
                  names[place] if place >= 0 else "", *(cell(chart.used[name][r, s, at]) for name in names),
-                 subject.limits[limit].name if limit >= 0 else "", *(cell(part[r, s, at]) for part in parts)]
+                 cell(found.over_onset[r, s, at]), subject.limits[limit].name if limit >= 0 else "",
+                 *(cell(part[r, s, at]) for part in parts)]
             )  # fmt: skip
     return head, rows

@@ -235,9 +235,7 @@ def usages(scene: Scene, breaks: Breaks, rig: Rig) -> dict[str, Array]:
         level, steps = levels[:, 0], (levels > 0.0).sum(axis=1)
     strength = scene.column("bars.yield_strength")
     strength = np.where(strength > 0.0, strength, np.nan)
-    onset = softest_partner(scene).onset
     stress = level * bars.pulse_stress(c["striker.speed"], c["bars.E"], c["bars.density"])
-    pressure = contact.pressure_at_force(breaks.force, wide(scene.scales.modulus), wide(scene.scales.effective_radius))
     end = 0.5 * (c["pulse.rise"] + rig.fall) + steps * width
     return {
         "speed": breaks.share,
@@ -245,9 +243,18 @@ def usages(scene: Scene, breaks: Breaks, rig: Rig) -> dict[str, Array]:
         "length": shortest_striker(scene, breaks, rig.fall) / rig.length,
         "equilibrium": breaks.imbalance / rig.level,
         "pulse_yield": wide(stress / strength),
-        "contact_yield": pressure / wide(np.where(np.isfinite(onset) & (not rig.dents), onset, np.nan)),
+        "contact_yield": np.full(shape, np.nan) if rig.dents else over_onset(scene, breaks),
         "striker": wide(end / rig.round_trip),
     }
+
+
+def over_onset(scene: Scene, breaks: Breaks) -> Array:
+    """Pressure by Hertz when the sphere breaks over the onset of bars or inserts, (n, m); nan where none is known."""
+    onset = softest_partner(scene).onset
+    scales = scene.scales
+    pressure = contact.pressure_at_force(breaks.force, scales.modulus[:, None], scales.effective_radius[:, None])
+    over: Array = pressure / np.where(np.isfinite(onset), onset, np.nan)[:, None]
+    return over
 
 
 def binding(used: Mapping[str, Array]) -> tuple[Places, Flags]:
