@@ -60,6 +60,10 @@ def test_the_command_prints_the_lines_of_a_study(tmp_path, capsys):
     assert main(["fit-contact", str(path), "--diameter", "20 mm", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["hardness"]["low"] < 1.7e9 < found["hardness"]["high"]
+    assert not [note for note in found["notes"] if "--pile-up" in note]
+    noisy = write(tmp_path, made(np.random.default_rng(2), noise=1e-6))
+    assert main(["fit-contact", str(noisy), "--diameter", "20 mm"]) == 0
+    assert "hardly tells hardness from pile-up" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("change", "said"), [

@@ -439,7 +439,7 @@ def evaluate(
             said = f"unknown quantity {name!r}" if name else "no quantity is asked for"
             raise UsageError(f"{said} (allowed: {', '.join(OUTPUTS)})")
     if fidelity not in FIDELITIES:
-        raise UsageError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(FIDELITIES)})")
+        raise UsageError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(FIDELITIES)}; auto is for runs)")
     names, rows = _rows_of(values)
     try:
         found = answer_scene(study, names, rows, quantities, fidelity=fidelity, tolerance=tolerance, threads=threads)

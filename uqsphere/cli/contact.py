@@ -56,6 +56,9 @@ def _answer_fit(chosen: argparse.Namespace, fit: ContactFit, soft: float, notes:
         "reduced_modulus": ends(three(fit.modulus)), "sphere_modulus": None if young is None else ends(young),
         "depth": fit.depth, "dent": fit.dent, "misfit": fit.misfit, "samples": fit.samples, "notes": notes,
     }  # fmt: skip
+    if chosen.pile_up is None and fit.hardness.high - fit.hardness.low > fit.hardness.value:
+        notes.append("the test hardly tells hardness from pile-up: --pile-up narrows the hardness (2 where a sphere "
+                     "crushes, 2.667 where a metal flows)")  # fmt: skip
     if not chosen.json:
         print("".join(f"note: {plain(note)}\n" for note in notes), end="", file=sys.stderr)
     rows = [

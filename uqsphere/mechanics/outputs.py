@@ -480,9 +480,9 @@ _LACKING: Final[tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...]
      "no wave comes back to the sphere"),
     (("dent_left",), lambda s: s.contact_law == "damage", "a contact that takes damage keeps no dent"),
     (("dent_left", "dissipated"), lambda s: s.contact_law != "damage" and all(one.face is None for one in s.there),
-     'both bodies are elastic: add a table [contact] with law = "plastic"'),
+     'both bodies are elastic: law = "plastic" in the table [contact] is due'),
     (("blow",), lambda s: s.contact_law != "damage",
-     'blows leave no damage: add a table [contact] with law = "damage"'),
+     'blows leave no damage: law = "damage" in the table [contact] is due'),
 )  # fmt: skip
 
 
