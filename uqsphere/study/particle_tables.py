@@ -59,7 +59,7 @@ def _platens(value: Raw) -> Raw:
 def _rig(value: Raw) -> Raw:
     if isinstance(value, Mapping) and set(value) == {"column"} and isinstance(value["column"], str):
         return value
-    if value not in TEST_RIGS:
+    if not isinstance(value, str) or value not in TEST_RIGS:
         near = suggestion(value, TEST_RIGS) if isinstance(value, str) else ""
         raise ValueError(f'found {shown(value)}, allowed: {one_of(TEST_RIGS)}, or {{ column = "rig" }}{near}')
     return value
