@@ -6,13 +6,17 @@ SOLVER: an error may be five times the tolerance that was asked for; EXACT: iden
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
+from subprocess import PIPE
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from uqsphere.mechanics.integrator import compiled, kernel
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator.solve import motion, solve
 from uqsphere.mechanics.outputs import Answers
@@ -340,3 +344,23 @@ def test_contact_times_do_not_depend_on_the_tolerance() -> None:
     apart = np.abs(loose.values["contact_time"] / tight.values["contact_time"] - 1.0) > 1e-4
     # a grazing separation is undecided within the tolerance: at most one in a thousand scenes
     assert apart.mean() <= 2e-3
+
+
+def test_the_parts_compiled_beside_are_those_that_the_kernel_asks_for() -> None:
+    """One compiled form of each is kept, the kernel's: none is compiled for other arguments."""
+    solve(random_scene(1, 1))
+    compiled.compile_parts(kernel.PARTS)
+    for function, _ in kernel.PARTS:
+        line = function.py_func.__code__.co_firstlineno
+        kept = list(Path(function.stats.cache_path).glob(f"events.{function.__name__}-{line}.*.nbc"))
+        assert len(kept) == 1, kept
+
+
+@pytest.mark.parametrize("says", ["print('look', flush=True); input()", "raise SystemExit(1)"])
+def test_a_part_is_waited_for_until_it_is_done_or_its_process_has_ended(says: str) -> None:
+    with subprocess.Popen([sys.executable, "-c", says], stdin=PIPE, stdout=PIPE, stderr=PIPE, text=True) as process:
+        other = compiled.Beside()
+        other.process = process
+        other.wait("look")
+        assert ("look" in other.done) == (process.returncode is None)
+        other.end()

@@ -223,7 +223,7 @@ def _switch(law, lane, piece, grid, theta, bends, bow):
     return ends, why
 
 
-@compiled(**INNER)
+@compiled(part=True, **INNER)
 def after_step(
     mode, flags, track, lane, piece, pushes, grid, bends, bow, places, theta, before, h, echo, low, tiny, near, hover,
     graze, stop_at_loss, yielding, law,
@@ -363,7 +363,7 @@ _SEARCHED = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SHARE |
 _TO_THE_END = tracked.WANT_CONTACT | tracked.WANT_WHOLE
 
 
-@compiled(**INNER)
+@compiled(part=True, **INNER)
 def look(
     mode, wanted, x, at, rate, push, push_rate, track, theta, low, near, live, flags, known, crest, room, yielding, law,
 ):  # fmt: skip
@@ -634,7 +634,7 @@ def _finish_faces(track, lane, out, yielding, law):
     return out[tracked.ANSWER_X_MAX]
 
 
-@compiled(**INNER)
+@compiled(part=True, **INNER)
 def finish(mode, wanted, track, lane, path, branches, scale, start, length, crest, count, unsure, out, yielding, law):
     """Answers of a row that has ended, in scaled variables; path, branches, scale, start, length, crest of its lane.
 

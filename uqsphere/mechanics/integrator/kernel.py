@@ -11,6 +11,7 @@ ends where a face leaves or touches.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -597,3 +598,12 @@ def march(
                 row[j] = -1
                 live -= 1
     return len(owned) + len(kept_steps)
+
+
+#: parts that `compiled.Beside` compiles, as `march` comes upon them, with their arguments: i, f, b numbers, n an array
+#: of integers, 1 to 3 arrays of so many dimensions
+PARTS: tuple[tuple[Any, str], ...] = (
+    (events.look, "ii222222111nn212b2"),
+    (events.after_step, "ii2i223121fffffffffbb2"),
+    (events.finish, "ii2i331111if1b2"),
+)

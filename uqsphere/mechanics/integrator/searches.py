@@ -61,7 +61,7 @@ def combine_own(kind, x1, x2, d1, d2, law, lane):
     return energy1 + energy2, slope1 * d1 + slope2 * d2
 
 
-@compiled(**INNER)
+@compiled(**INNER, forceinline=True)
 def combine(kind, mode, x1, x2, d1, d2):
     """Value and derivative of a searched function from the approaches and their derivatives, both forces x^(3/2)."""
     if kind == tracked.FACE_A:
