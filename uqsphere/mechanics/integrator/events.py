@@ -225,7 +225,7 @@ def _switch(law, lane, piece, grid, theta, bends, bow):
 
 @compiled(part=True, **INNER)
 def after_step(
-    mode, flags, track, lane, piece, pushes, grid, bends, bow, places, theta, before, h, echo, low, tiny, near, hover,
+    mode, flags, track, lane, piece, grid, bends, bow, places, theta, before, h, echo, low, tiny, near, hover,
     graze, stop_at_loss, yielding, law,
 ):  # fmt: skip
     """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
@@ -235,8 +235,7 @@ def after_step(
     reflected wave, `tiny` the error allowed in an approach, `low` > 0 the share of the largest approach below which
     the record ends; for the others see `_faces`.  grid (face, 2, POINTS + 1): values and slopes over [0, theta]; room.
     bends, bow: see `_switch`.  places (2,) receive the theta of a face's largest approach so far, or -1: one that has
-    yielded is at its deepest on virgin loading.  pushes (6, TERMS): the series of both
-    forces, where faces have laws of their own, and room.
+    yielded is at its deepest on virgin loading.
     """
     apart()
     ends, why = theta, 0
@@ -272,11 +271,7 @@ def after_step(
             found, places[face] = searches.largest_approach(face, mode, piece, ends, grid, least, own, law, lane)
             track[tracked.FACE_A + (face if yielding else 0), lane], known = found, max(known, found)
     for kind in range(tracked.DIFFERENCE, tracked.KINDS):
-        if flags & (1 << kind) and own and (kind == tracked.DIFFERENCE or kind == tracked.MEAN):
-            track[kind, lane] = searches.largest_of_forces(
-                kind, piece, pushes, ends, grid[2:], track[kind, lane], law, lane
-            )
-        elif flags & (1 << kind):
+        if flags & (1 << kind):
             track[kind, lane], _ = searches.largest_of_both(
                 kind, mode, piece, ends, grid, track[kind, lane], own, law, lane
             )
@@ -365,15 +360,15 @@ _TO_THE_END = tracked.WANT_CONTACT | tracked.WANT_WHOLE
 
 @compiled(part=True, **INNER)
 def look(
-    mode, wanted, x, at, rate, push, push_rate, track, theta, low, near, live, flags, known, crest, room, yielding, law,
+    mode, wanted, x, at, rate, track, theta, low, near, live, flags, known, crest, room, yielding, law,
 ):  # fmt: skip
     """What may have happened in each lane's step, as flags, and the largest approach up to its end.
 
-    at, rate (tracked.POINTS + 1, PAIR): values and derivatives (by theta) at equal distances over [0, theta]; push,
-    push_rate: the same of the forces, where faces have laws of their own.  low, near (LANES,): the record may end below
-    the first; a contact may be lost below the second.  live (LANES,): rows in the lanes, -1 where there is none.  known
-    (1, PAIR), crest (LANES,): largest approach of each face so far (of both where they are alike), and what it may have
-    been in this step.  room (11, PAIR): working space, from whose rows 3 and 4 the caller reads where a bend lies.
+    at, rate (tracked.POINTS + 1, PAIR): values and derivatives (by theta) at equal distances over [0, theta].  low,
+    near (LANES,): the record may end below the first; a contact may be lost below the second.  live (LANES,): rows in
+    the lanes, -1 where there is none.  known (1, PAIR), crest (LANES,): largest approach of each face so far (of both
+    where they are alike), and what it may have been in this step.  room (11, PAIR): working space, from whose rows 3
+    and 4 the caller reads where a bend lies.
     """
     apart()
     best, top, second, place = row(room, 0, 0), row(room, 1, 0), row(room, 2, 0), row(room, 3, 0)
@@ -409,30 +404,30 @@ def look(
                 if room[10, LANES + j] > 0.0:
                     flags[j] |= 1 << tracked.FACE_A
     if wanted & _SEARCHED:
-        _look_further(mode, wanted, at, rate, push, push_rate, track, theta, flags, room, yielding, law)
+        _look_further(mode, wanted, at, rate, track, theta, flags, room, yielding, law)
 
 
 @compiled(**INNER)
-def _look_further(mode, wanted, at, rate, push, push_rate, track, theta, flags, room, yielding, law):
+def _look_further(mode, wanted, at, rate, track, theta, flags, room, yielding, law):
     """Flags of the steps in which a function of both faces may be the largest so far."""
     apart()
     if wanted & tracked.WANT_DIFFERENCE:
-        _look_for_difference(mode, at, rate, push, push_rate, track, theta, flags, room, yielding, law)
+        _look_for_difference(mode, at, rate, track, theta, flags, room, yielding, law)
     if wanted & tracked.WANT_ENERGY:
-        _look_for_energy(mode, at, rate, push, push_rate, track, theta, flags, room, yielding, law)
+        _look_for_energy(mode, at, rate, track, theta, flags, room, yielding, law)
     if wanted & tracked.WANT_SHARE:
         for j in range(LANES):
             if most_stored(law, j, room[1]) > track[tracked.SHARE, j]:
                 flags[j] |= 1 << tracked.SHARE
     if wanted & tracked.WANT_MEAN:
-        _look_for_mean(mode, at, rate, push, push_rate, track, theta, flags, room, yielding, law)
+        _look_for_mean(mode, at, rate, track, theta, flags, room, yielding, law)
 
 
 def _look_for(kind):
     """The function that does so for one function of both faces: as a constant its number costs no time."""
 
     @compiled(**INNER)
-    def look_for(mode, at, rate, push, push_rate, track, theta, flags, room, yielding, law):
+    def look_for(mode, at, rate, track, theta, flags, room, yielding, law):
         apart()
         for i in range(tracked.POINTS):
             for j in range(LANES):
@@ -452,7 +447,7 @@ def _look_for(kind):
             if yielding and of_its_own(law, j):
                 flags[j] &= ~(1 << kind)
                 if kind != tracked.ENERGY:
-                    _look_at_forces(kind, push, push_rate, track, theta, flags, j)
+                    _look_at_forces(kind, at, rate, track, theta, flags, j, law)
                 elif most_stored(law, j, room[1]) > track[kind, j]:
                     flags[j] |= 1 << kind
 
@@ -460,18 +455,17 @@ def _look_for(kind):
 
 
 @compiled(**INNER)
-def _look_at_forces(kind, push, push_rate, track, theta, flags, j):
-    """The same of one lane whose faces have laws of their own, from the series of its forces."""
+def _look_at_forces(kind, at, rate, track, theta, flags, j, law):
+    """The same of one lane whose faces have laws of their own."""
     apart()
-    width, sign = theta[j] / tracked.POINTS, -1.0 if kind == tracked.DIFFERENCE else 1.0
-    share = 1.0 if kind == tracked.DIFFERENCE else 0.5
-    left, left_slope = 0.0, 0.0
+    k, width, left, left_slope = LANES + j, theta[j] / tracked.POINTS, 0.0, 0.0
     for i in range(tracked.POINTS + 1):
-        right = share * (push[i, j] + sign * push[i, LANES + j])
-        right_slope = share * width * (push_rate[i, j] + sign * push_rate[i, LANES + j])
+        right, right_slope = searches.combine_own(
+            kind, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k], law, j
+        )
         above = searches.highest_between(left, left_slope, right, right_slope)
         below = searches.highest_between(-left, -left_slope, -right, -right_slope)
-        if i > 0 and max(above, below) > searches.LOOSE * track[kind, j]:
+        if i > 0 and max(above, below) > track[kind, j]:
             flags[j] |= 1 << kind
         left, left_slope = right, right_slope
 
@@ -698,7 +692,7 @@ _NODES, _WEIGHTS = (array.copy() for array in np.polynomial.legendre.leggauss(12
 
 @compiled(**INNER)
 def note_carried(track, lane, force, length, theta, work):
-    """Add the integrals of both squared forces over a step up to theta; work (4, TERMS): room."""
+    """Add the integrals of both squared forces over a step up to theta; work (3, TERMS): room."""
     apart()
     places, values, series = row(work, 0, 0), row(work, 1, 0), row(work, 2, 0)
     for i in range(12):

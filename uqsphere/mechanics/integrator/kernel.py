@@ -122,15 +122,11 @@ def march(
         np.zeros((4, 2, tracked.POINTS + 1)), np.zeros((3, PAIR)), np.zeros((19, lanes)),
         np.zeros((4, lanes), dtype=np.int64), np.zeros((tracked.NUMBERS, PAIR)), np.zeros((TERMS, PAIR)),
         np.zeros((1, PAIR)), np.zeros((tracked.RIGS, PAIR)), np.zeros((TERMS, PAIR)), np.full((2, 2), -1.0),
-        np.zeros((TERMS, PAIR)), np.zeros((6, TERMS)), np.zeros((3 * tracked.POINTS + 3, PAIR)),
+        np.zeros((TERMS, PAIR)), np.zeros((3, TERMS)), np.zeros((tracked.POINTS + 1, PAIR)),
     )  # fmt: skip
     # faces that yield: their law, the series of the logarithm in it, a divisor; see `faces`
-    law, log, inverse_root, sloped, pushes = (
-        bare(owned[23]), bare(owned[24]), bare(owned[25][0]), bare(owned[29]), bare(owned[30])
-    )  # fmt: skip
-    points = tracked.POINTS + 1
-    pressed, pressing = bare(owned[31][:points]), bare(owned[31][points : 2 * points])
-    bow = bare(owned[31][2 * points :])
+    law, log, inverse_root, sloped = bare(owned[23]), bare(owned[24]), bare(owned[25][0]), bare(owned[29])
+    carried_room, bow = bare(owned[30]), bare(owned[31])
     softens = False
     for r in range(laws.shape[0] if laws.shape[1] > 0 else 0):
         softens |= laws[r, tracked.LAW_PILE_UP, 0] == 0.0 or laws[r, tracked.LAW_PILE_UP, 1] == 0.0
@@ -142,7 +138,7 @@ def march(
     )
     # what stands at the poles, the series of U_A and -U_B, where in a step faces are pressed deepest
     rig, free, places, bends = bare(owned[26]), bare(owned[27]), bare(owned[28][0]), bare(owned[28][1])
-    rigged, of_forces = rigs.shape[1] > 0, wanted & (tracked.WANT_DIFFERENCE | tracked.WANT_MEAN) != 0
+    rigged = rigs.shape[1] > 0
     if not yielding:
         wanted &= ~tracked.WANT_SHARE
     for m in range(PAIR):
@@ -348,17 +344,12 @@ def march(
         evaluate(u, theta, 1.0, half, at_u, rate_u)
         if mode != 1:
             root_error(root, theta, half, at, law, branch, row_of(room, 0, 0), row_of(room, 1, 0))
-        if apart and of_forces:
-            for i in range(tracked.POINTS + 1):
-                evaluate(force, theta, i / tracked.POINTS, half, row_of(pressed, i, 0), row_of(pressing, i, 0))
         events.look(
             mode,
             wanted,
             x,
             at,
             rate,
-            pressed,
-            pressing,
             track,
             theta,
             low,
@@ -415,16 +406,13 @@ def march(
                     for i in range(tracked.POINTS + 1):
                         grid[face, 0, i] = at[i, face * LANES + j]
                         grid[face, 1, i] = rate[i, face * LANES + j]
-                    if own[j] and of_forces:
-                        for k in range(TERMS):
-                            pushes[face, k] = force[k, face * LANES + j]
                 quiet = share if low[j] > 0.0 else 0.0
                 if own[j] and low[j] > 0.0:
                     quiet = low[j] / max(
                         max(track[tracked.FACE_A, j], track[tracked.FACE_B, j]), max(known[0, j], known[0, LANES + j])
                     )
                 ending, why = events.after_step(
-                    mode, flags[j], track, j, piece, pushes, grid, bends, bow, places, theta[j], before, h[j],
+                    mode, flags[j], track, j, piece, grid, bends, bow, places, theta[j], before, h[j],
                     min(trips[0, j], trips[1, j]), quiet, local * size[0, j], near[j], asked * size[0, j], graze[r],
                     stop_at_loss and not rigged and not beyond[j], yielding, law,
                 )  # fmt: skip
@@ -443,7 +431,7 @@ def march(
                         places[face] = ending
                 events.note_peaks(track, j, force, places)
             if wanted & tracked.WANT_CARRIED:
-                events.note_carried(track, j, force, h[j], ending, pushes)
+                events.note_carried(track, j, force, h[j], ending, carried_room)
             n = count[j] % capacity
             if whole:
                 events.note_whole(track, j, x, force, rate, piece, before, h[j], theta[j], ending, path[j, n])

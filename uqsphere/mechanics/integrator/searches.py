@@ -17,8 +17,6 @@ from uqsphere.mechanics.integrator.vectors import apart
 #: how closely a top is found as a share of the step: where its height matters, which hardly depends on it; where the
 #: motion goes on from it
 BROAD, SHARP = 1e-6, 1e-13
-#: share of a largest force so far from which on a step is searched: the series of the forces may err by less
-LOOSE = 0.999
 
 
 @compiled(**INNER)
@@ -51,8 +49,14 @@ def both(piece, face, theta):
 
 @compiled(**INNER)
 def combine_own(kind, x1, x2, d1, d2, law, lane):
-    """Stored energy of both faces of a lane whose faces have laws of their own, or the sphere's; and its derivative."""
+    """A function of both faces that have laws of their own, or the sphere's stored energy; and its derivative."""
     apart()
+    if kind == tracked.DIFFERENCE or kind == tracked.MEAN:
+        force1, slope1 = face_force(law, lane, x1)
+        force2, slope2 = face_force(law, LANES + lane, x2)
+        if kind == tracked.DIFFERENCE:
+            return force1 - force2, slope1 * d1 - slope2 * d2
+        return 0.5 * (force1 + force2), 0.5 * (slope1 * d1 + slope2 * d2)
     energy1, slope1 = stored_energy(law, lane, x1)
     energy2, slope2 = stored_energy(law, LANES + lane, x2)
     if kind == tracked.SHARE:
@@ -333,29 +337,6 @@ def _largest_of(face_alone):
 
 
 largest_approach, largest_of_both = _largest_of(True), _largest_of(False)
-
-
-@compiled(**INNER)
-def largest_of_forces(kind, piece, pushes, end, grid, known, law, lane):
-    """Largest difference or mean of both forces in [0, end] from their series, rows 0 and 1 of pushes (6, TERMS).
-
-    The series say where; what the forces are there follows from the approaches, which hold a power of the step more.
-    """
-    apart()
-    # a piece of its own, of the function and its opposite, or of the function twice; grid: room
-    forces, sides = pushes[2:4], 2 if kind == tracked.DIFFERENCE else 1
-    for k in range(ORDER + 1):
-        a, b = pushes[0, k], pushes[1, k]
-        forces[0, k] = a - b if sides == 2 else 0.5 * (a + b)
-        forces[1, k] = b - a
-    survey(forces, end, grid)
-    for side in range(sides):
-        _, place = largest_approach(side, 0, forces, end, grid, LOOSE * known, False, forces, 0)
-        if place >= 0.0:
-            a, _ = face_force(law, lane, value(piece, 0, place))
-            b, _ = face_force(law, LANES + lane, value(piece, 1, place))
-            known = max(known, abs(a - b) if sides == 2 else 0.5 * (a + b))
-    return known
 
 
 @compiled(**INNER)
