@@ -14,7 +14,7 @@ import uqsphere
 from uqsphere import analysis
 from uqsphere.errors import AccessError, UsageError
 from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.interop import joint_to_chaospy, salib_first, salib_total
+from uqsphere.uq.interop import joint_to_chaospy
 
 RNG = np.random.default_rng
 ANGLE = stats.uniform(-np.pi, 2.0 * np.pi)
@@ -117,14 +117,6 @@ def test_salib_finds_the_same_indices_on_our_design(second: bool, surrogate: ana
             assert holds(estimate, found[key][k], found[f"{key}_conf"][k])
     if second:
         assert found["S2"][0, 2] == pytest.approx(0.2437, abs=0.03)
-
-
-def test_indices_by_salib_are_those_of_salib() -> None:
-    from SALib.analyze import sobol
-
-    for a, ab, b in RNG(4).lognormal(size=(20, 3, 100)):
-        assert salib_first(a, ab, b) == sobol.first_order(a, ab, b)
-        assert salib_total(a, ab, b) == sobol.total_order(a, ab, b)
 
 
 def test_a_run_without_a_folder_says_what_salib_makes_of_its_rows() -> None:

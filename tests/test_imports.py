@@ -19,7 +19,7 @@ HEAVY = ("scipy.stats", "pandas", "chaospy", "SALib", "matplotlib", "numba")
 HOMES = {
     "chaospy": {"uq/expansion/germs.py"},
     "numpoly": {"uq/interop.py"},
-    "SALib": {"runner/questions/morris.py"},
+    "SALib": {"uq/interop.py", "runner/questions/morris.py"},
     "numba": {"mechanics/integrator/compiled.py", "mechanics/integrator/vectors.py"},
 }
 

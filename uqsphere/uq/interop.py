@@ -147,22 +147,14 @@ def to_salib(inputs: Joint, count: int = 1024, *, second: bool = False, seed: in
     return SalibDesign(problem=problem, rows=mixed[:, order].reshape(-1, d), second=second)
 
 
-def salib_first(a: Array, ab: Array, b: Array) -> float:
-    """`SALib.analyze.sobol.first_order`, bit by bit: loading SALib takes a second of every run, for these two lines."""
-    return float(np.divide(np.mean(b * (ab - a)), np.var(np.r_[a, b])))
-
-
-def salib_total(a: Array, ab: Array, b: Array) -> float:
-    """`SALib.analyze.sobol.total_order`, bit by bit."""
-    return float(np.divide(0.5 * np.mean((a - ab) ** 2), np.var(np.r_[a, b])))
-
-
 def salib_indices(outputs: Array) -> dict[str, list[Estimate]]:
     """First and total indices by SALib's estimators from outputs (R, N, d + 2) at blocks A, AB_1 ... AB_d, B.
 
     SALib's own intervals are those of a bootstrap of Sobol' points, which are several times too wide: here they are
     those of the R randomisations.  There are none where the output is constant in A and B of a randomisation.
     """
+    from SALib.analyze.sobol import first_order, total_order
+
     # a power of two rounds nothing, and keeps the squares of 1e300 and of 1e-300 inside floating point
     y = np.ldexp(outputs, -int(np.frexp(np.abs(outputs).max())[1]))
     y = (y - y.mean()) / (float(y.std()) or 1.0)
@@ -171,8 +163,8 @@ def salib_indices(outputs: Array) -> dict[str, list[Estimate]]:
         return {"first": [none] * count, "total": [none] * count}
     whole = [*y, y.reshape(-1, count + 2)]  # each randomisation, and all as one
     found: dict[str, list[Estimate]] = {}
-    for order, estimator in (("first", salib_first), ("total", salib_total)):
-        rows = [[estimator(r[:, 0], r[:, j], r[:, -1]) for r in whole] for j in range(1, count + 1)]
+    for order, estimator in (("first", first_order), ("total", total_order)):
+        rows = [[float(estimator(r[:, 0], r[:, j], r[:, -1])) for r in whole] for j in range(1, count + 1)]
         found[order] = [from_replicates(np.array(row[:-1]), "SALib", outputs.size, row[-1]) for row in rows]
     return found
 
