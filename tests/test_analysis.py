@@ -54,9 +54,18 @@ def test_an_expansion_answers_with_intervals_that_hold(surrogate: analysis.Surro
         assert all(holds(found[order][name], t, 2e-3) for name, t in zip("abc", truth, strict=True))
 
 
+def test_the_module_shows_what_is_public() -> None:
+    assert dir(analysis) == sorted(analysis.__all__)
+
+
 def test_points_beyond_the_rows_are_refused_with_the_input(surrogate: analysis.Surrogate) -> None:
     with pytest.raises(UsageError, match=r"b = 4 lies outside of -3\.1"):
         surrogate.predict({"a": 0.0, "b": 4.0, "c": 0.0})
+    rows = np.array([[0.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.5, 0.0, 0.0]])
+    with pytest.raises(UsageError, match=r"row 1 of 3, from 0: b = 4 .*; 1 rows of 3 lie outside"):
+        surrogate.predict(rows)
+    assert surrogate.inside(rows).tolist() == [True, False, True]
+    assert surrogate.predict(rows[surrogate.inside(rows)]).value.shape == (2,)
     with pytest.raises(UsageError, match="c is missing"):
         surrogate.predict({"a": 0.0, "b": 0.0})
     tied = analysis.joint({"u": stats.norm(), "v": stats.norm()}, {("u", "v"): 0.95})

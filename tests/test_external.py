@@ -51,6 +51,19 @@ w = { file = "out.json", path = "nodes.1.u" }
 """
 
 
+STUDY = """\
+title = "program"
+seed = 1
+[inputs]
+x = { dist = "uniform", lower = -1.0, upper = 1.0 }
+[outputs]
+names = ["u"]
+[analysis]
+cost = "1 s"
+budget = { evaluations = 40 }
+"""
+
+
 def declared(folder: Path, *changes: tuple[str, str], limit: str = "20 s") -> str:
     text = DECLARED.replace("PYTHON", json.dumps(sys.executable)).replace("TIME", limit)
     for old, new in changes:
@@ -154,21 +167,30 @@ def test_what_a_program_depends_on_is_its_identity(tmp_path: Path) -> None:
 
 def test_a_study_runs_a_program_in_processes(tmp_path: Path) -> None:
     reference = declared(tmp_path)
-    (tmp_path / "study.toml").write_text("""\
-title = "program"
-seed = 1
-[inputs]
-x = { dist = "uniform", lower = -1.0, upper = 1.0 }
-[outputs]
-names = ["u"]
-[analysis]
-cost = "1 s"
-budget = { evaluations = 40 }
-""")
+    (tmp_path / "study.toml").write_text(STUDY)
     run = uqsphere.run(uqsphere.load_study(tmp_path / "study.toml"), model=reference, out=tmp_path / "r", threads=2)
     mean = run.results.document()["quantities"]["u"]["mean"]
     assert mean["low"] <= 1.0 <= mean["high"]
     assert mean["value"] == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        (json.dumps(sys.executable), '"no-such-solver"', "model.command: no-such-solver cannot be started"),
+        ("y = (", "z = (", "model.outputs: y is not in stdout: nothing matches"),
+        ("out.json", "none.json", "model.outputs: none.json: there is no such file"),
+        ("{{x:.3f}}", "{{z}}", "there is no input 'z', but x"),
+    ],
+)
+def test_a_declaration_that_no_run_can_follow_ends_the_study_at_once(
+    old: str, new: str, told: str, tmp_path: Path
+) -> None:
+    reference = declared(tmp_path, (old, new))
+    (tmp_path / "study.toml").write_text(STUDY)
+    with pytest.raises(ModelError, match=re.escape(told)):
+        uqsphere.run(uqsphere.load_study(tmp_path / "study.toml"), model=reference, out=tmp_path / "r", threads=1)
+    assert len(list((tmp_path / "runs").iterdir())) <= 2
 
 
 # --- servers

@@ -70,6 +70,11 @@ __all__ = [
     "weibull_fit",
 ]
 
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
 #: named laws, or what `joint` made of them
 Inputs: TypeAlias = Joint | Mapping[str, LawLike]
 #: dict of name -> (n,) in, (n,) out

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.errors import AccessError, ModelError, ModelRaised, UsageError, told
+from uqsphere.errors import AccessError, ModelError, ModelRaised, ModelUnfit, UsageError, told
 from uqsphere.files import read_given
 
 if TYPE_CHECKING:
@@ -126,10 +126,14 @@ def call_black_box(box: BlackBox, given: dict[str, npt.NDArray[np.float64]]) -> 
     ------
     ModelRaised
         With what the model raised, and where.
+    ModelUnfit
+        Where no call can answer.
     """
     try:
         with _at_work(told(getattr(box, "__qualname__", type(box).__name__), 60)):
             return box(given)
+    except ModelUnfit:
+        raise
     except (Exception, SystemExit) as error:
         raise ModelRaised(f"the model raised {type(error).__name__}: {told(error)}{where_raised(error)}") from error
 

@@ -9,6 +9,7 @@ __all__ = [
     "FolderError",
     "ModelError",
     "ModelRaised",
+    "ModelUnfit",
     "Problem",
     "StudyError",
     "TooManyFailures",
@@ -84,6 +85,10 @@ class ModelError(UqsphereError):
 
 class ModelRaised(ModelError):
     """A user's own model raised an exception: some row it was given may be the cause."""
+
+
+class ModelUnfit(ModelError):
+    """A program is declared such that no run of it can answer."""
 
 
 class FolderError(UqsphereError):

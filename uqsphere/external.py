@@ -31,7 +31,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from uqsphere.arrays import Array
-from uqsphere.errors import AccessError, ModelError, StudyError, told
+from uqsphere.errors import AccessError, ModelError, ModelUnfit, StudyError, told
 from uqsphere.files import TooLarge, read_given
 from uqsphere.study.document import Names, Seconds
 from uqsphere.study.faults import Findings, Raw, one_of, shown
@@ -105,14 +105,23 @@ class _File:
     model: ModelTable = ModelTable()
 
 
+class _Unread(ValueError):
+    """A program ended well, and an output is not where it was declared."""
+
+
 class Program:
-    """A model that is a program: called with columns (n,), it runs once for each row."""
+    """A model that is a program: called with columns (n,), it runs once for each row.
+
+    An output that two rows in a row lack for the same cause, before any row had an answer in this
+    process, is declared wrongly: ModelUnfit says so.
+    """
 
     def __init__(self, table: ModelTable, folder: Path) -> None:
         self.table, self.folder = table, folder
         self.__qualname__ = table.command[0]
         self.template = None if table.template is None else read_given(folder / table.template, LARGEST).decode()
         self.scratch = None if table.scratch is None else folder / table.scratch
+        self.answered, self.unread = False, ""
 
     def __call__(self, inputs: Mapping[str, Array]) -> dict[str, Array]:
         """One number for each row and output; NaN where the program failed, which is said on stderr."""
@@ -126,12 +135,23 @@ class Program:
                     with self._folder(row, again) as place:
                         numbers = self._run(row, place)
                 except (ValueError, OSError) as error:
+                    if again == 0:
+                        self._judge(error.__cause__)
                     print(f"{Path(self.table.command[0]).name}: {told(error, 2 * _TOLD)}", file=sys.stderr)
                     continue
                 for name, number in numbers.items():
                     found[name][k] = number
+                self.answered = True
                 break
         return found
+
+    def _judge(self, cause: BaseException | None) -> None:
+        """Raise ModelUnfit over the second row in a row without an output for one cause, where none has answered."""
+        last, self.unread = self.unread, str(cause) if isinstance(cause, _Unread) else ""
+        if self.unread == last != "" and not self.answered:
+            raise ModelUnfit(
+                f"model.outputs: {told(last, 2 * _TOLD)}, in two runs of {self.__qualname__}, and none has answered"
+            )
 
     @contextlib.contextmanager
     def _folder(self, row: Mapping[str, float], again: int) -> Iterator[Path]:
@@ -172,11 +192,13 @@ class Program:
         numbers = {}
         for name, where in (self.table.outputs or {}).items():
             if where.file not in texts:
+                if not (place / where.file).is_file():
+                    raise _Unread(f"{where.file}: there is no such file")
                 texts[where.file] = read_given(place / where.file, _LARGEST_OUTPUT).decode(errors="replace")
             try:
                 numbers[name] = where.number(texts[where.file])
             except (ValueError, LookupError, TypeError) as error:
-                raise ValueError(f"{name} is not in {where.file}: {error}") from error
+                raise _Unread(f"{name} is not in {where.file}: {error}") from error
         return numbers
 
 
@@ -235,7 +257,7 @@ class Server:
 
 
 def filled(text: str, row: Mapping[str, float]) -> str:
-    """A text with numbers in place of its marks; ModelError names a mark that is no input, or has no such format.
+    """A text with numbers in place of its marks; ModelUnfit names a mark that is no input, or has no such format.
 
     >>> filled("E = {{E}}, v = {{v:.2e}}", {"E": 0.1, "v": 12.0})
     'E = 0.1, v = 1.20e+01'
@@ -244,11 +266,11 @@ def filled(text: str, row: Mapping[str, float]) -> str:
     def put(found: re.Match[str]) -> str:
         name, form = found.groups()
         if name not in row:
-            raise ModelError(f"{found.group()}: there is no input {name!r}, but {one_of(list(row))}")
+            raise ModelUnfit(f"{found.group()}: there is no input {name!r}, but {one_of(list(row))}")
         try:
             return format(row[name], form.strip()) if form else repr(row[name])
         except ValueError as error:
-            raise ModelError(f"{found.group()}: {error}") from None
+            raise ModelUnfit(f"{found.group()}: {error}") from None
 
     return _PLACE.sub(put, text)
 
@@ -256,9 +278,12 @@ def filled(text: str, row: Mapping[str, float]) -> str:
 def _carry_out(words: Sequence[str], place: Path, limit: float | None) -> None:
     """Run a program in a folder; what it prints stands there in the files stdout and stderr."""
     with (place / "stdout").open("wb") as out, (place / "stderr").open("wb") as err:
-        process = subprocess.Popen(
-            words, cwd=place, stdin=subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True
-        )
+        try:
+            process = subprocess.Popen(
+                words, cwd=place, stdin=subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True
+            )
+        except OSError as error:  # no row of inputs is to blame
+            raise ModelUnfit(f"model.command: {words[0]} cannot be started: {error.strerror or error}") from error
         try:
             code = process.wait(limit)
         except subprocess.TimeoutExpired:

@@ -22,6 +22,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 from zipfile import BadZipFile
 
 import numpy as np
+import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.errors import AccessError, UsageError
@@ -134,7 +135,8 @@ class Surrogate:
         Raises
         ------
         UsageError
-            For points outside the domain that the rows cover, with the input, and for rows without an input.
+            For points outside the domain that the rows cover, with the first such row and its input (`inside` tells
+            which rows may be asked), and for rows without an input.
         """
         if not 0.0 < level < 1.0:
             raise UsageError(f"level must lie between 0 and 1, found {level}")
@@ -166,19 +168,33 @@ class Surrogate:
             local[own] = _standard_error(fit, one.points[~own], one.points[own])
         return np.sort(np.abs(one.residuals) / local)
 
+    def inside(self, rows: Rows) -> npt.NDArray[np.bool_]:
+        """Which rows (n,) lie in the domain that the surrogate's own rows cover: those that `predict` takes."""
+        x = self.columns(rows)
+        return np.asarray(((x >= self.lowest) & (x <= self.highest)).all(axis=1) & ~self._far(x))
+
+    def _far(self, x: Array) -> npt.NDArray[np.bool_]:
+        """Which points (n, d) lie farther than any row from what ties the inputs."""
+        if self.spread is None:
+            return np.zeros(len(x), dtype=bool)
+        scores = law_scores(self.laws, x)
+        return np.asarray(np.einsum("ni,ij,nj->n", scores, self.spread, scores) > self.reach)
+
     def _refuse_outside(self, x: Array) -> None:
-        for k, name in enumerate(self.names):
-            off = (x[:, k] < self.lowest[k]) | (x[:, k] > self.highest[k])
-            if off.any():
-                ends = f"{self.lowest[k]:.6g} to {self.highest[k]:.6g}"
-                raise UsageError(f"{name} = {x[off][0, k]:.6g} lies outside of {ends}, which the rows cover: "
-                                 "more rows reach farther, and so does a wider law")  # fmt: skip
-        if self.spread is not None:
-            scores = law_scores(self.laws, x)
-            off = np.einsum("ni,ij,nj->n", scores, self.spread, scores) > self.reach
-            if off.any():
-                point = ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.names, x[off][0], strict=True))
-                raise UsageError(f"{point}: no row lies so far from what ties the inputs, though each by itself does")
+        off = np.flatnonzero(~self.inside(x))
+        if not off.size:
+            return
+        first = x[off[0]]
+        where = f"row {off[0]} of {len(x)}, from 0: " if len(x) > 1 else ""
+        others = f"; {off.size} rows of {len(x)} lie outside, predict(rows[surrogate.inside(rows)]) answers the others"
+        others = others if len(x) > 1 else ""
+        for name, value, low, high in zip(self.names, first, self.lowest, self.highest, strict=True):
+            if not low <= value <= high:
+                raise UsageError(f"{where}{name} = {value:.6g} lies outside of {low:.6g} to {high:.6g}, which the rows "
+                                 f"cover: more rows reach farther, and so does a wider law{others}")  # fmt: skip
+        point = ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.names, first, strict=True))
+        raise UsageError(f"{where}{point}: no row lies so far from what ties the inputs, though each by itself does"
+                         f"{others}")  # fmt: skip
 
     def indices(self) -> dict[str, dict[str, Estimate]]:
         """First and total Sobol' indices of the model with what the surrogate lacks: `{"first": {input: ...}, ...}`.
