@@ -2,8 +2,7 @@
 
 Forward selection looks for the basis: degree by degree, norm by norm.  All solvers then meet on the best of them, and
 the winner's basis grows around the terms that it kept.  Every error on the way is that of samples left out of the
-whole choice of terms.  The least of many errors is a lucky one: those close to it meet once more on folds that are
-dealt out anew (`_met_again`).
+whole choice of terms.
 """
 
 from __future__ import annotations
@@ -65,7 +64,6 @@ class Contest:
     highest: int
     bases: tuple[Basis, ...]
     folds: npt.NDArray[np.intp]
-    other_folds: npt.NDArray[np.intp]
     most_terms: int
     quick_terms: int
     most_candidates: int
@@ -78,17 +76,14 @@ class Contest:
 class Found:
     """One contender: multi-indices (k, d) kept and their rows (k, n), with the K-fold error in output units.
 
-    They were found in `basis` with at most `most` terms.  `reported` is that error and a standard error more: the least
-    of many errors is a lucky one.  `steady` is the same without what a single sample decides (`steadied`).  `without`
-    are the multi-indices that were chosen without each fold, empty where the folds choose nothing of their own.
-    `ended`: more terms allowed would have changed nothing.
+    `reported` is that error and a standard error more: the least of many errors is a lucky one.  `steady` is the same
+    without what a single sample decides (`steadied`).  `without` are the multi-indices that were chosen without each
+    fold, empty where the folds choose nothing of their own.  `ended`: more terms allowed would have changed nothing.
     """
 
     contest: Contest
     transform: Transform
     solver: str
-    basis: Basis
-    most: int
     indices: Indices
     rows: Array
     error: float
@@ -103,7 +98,7 @@ def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
     n, dimension = points.shape
     highest = min(most_degree(germ) for germ in germs)
     values = [orthonormal_values(germ, points[:, j], highest) for j, germ in enumerate(germs)]
-    many, count = n > _MANY, 10 if n <= 150 else 5
+    many = n > _MANY
     most = 800 if many else min(max(400, 3 * n), 1500)
     bases = []
     for norm in NORMS:
@@ -116,8 +111,7 @@ def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
         values=values,
         highest=highest,
         bases=tuple(bases),
-        folds=deal(n, count),
-        other_folds=deal(n, count, seed=1),
+        folds=deal(n, 10 if n <= 150 else 5),
         most_terms=max(min(n // 2, _MOST_TERMS), 1),
         quick_terms=max(n // 2 if n <= 150 else min(n // 4, _MOST_TERMS // 2), 1),
         most_candidates=most,
@@ -127,10 +121,10 @@ def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
     )
 
 
-def deal(n: int, folds: int, seed: int = 0) -> npt.NDArray[np.intp]:
+def deal(n: int, folds: int) -> npt.NDArray[np.intp]:
     """Fold of every sample: each run of `folds` samples is dealt out in an order of its own, the same every time."""
     folds = min(folds, n)
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     runs = [generator.permutation(folds) for _ in range(-(-n // folds))]
     return np.concatenate(runs)[:n].astype(np.intp)
 
@@ -154,8 +148,6 @@ def _run(contest: Contest, solver: str, transform: Transform, outputs: Array, ba
         contest=contest,
         transform=transform,
         solver=solver,
-        basis=basis,
-        most=most,
         indices=indices[active],
         rows=rows[active],
         error=least,
@@ -211,24 +203,8 @@ def compete(contests: Sequence[Contest], outputs: Array, *, plain: bool = False)
     if len(held) > 1:
         looks = [_look(contest, outputs) for contest in held]
         held = [contest for contest, error in zip(held, looks, strict=True) if error <= _CLEAR * min(looks)]
-    return _met_again([one for contest in held for one in _held(contest, outputs, plain)], outputs)
-
-
-def _met_again(found: Sequence[Found], outputs: Array) -> list[Found]:
-    """The best first: those close to the least error by the mean of it and that on other folds, then the rest."""
-    found = sorted(found, key=_handicapped)
-    close = [one for one in found if _handicapped(one) <= _CLOSE * _handicapped(found[0])] if found else []
-    if len(close) < 2 or found[0].error < _ENOUGH:
-        return found
-    known: dict[tuple[Contest, str, bytes], float] = {}
-    for one in close:
-        key = one.contest, one.transform.kind, one.indices.tobytes()
-        if key not in known:
-            contest = replace(one.contest, folds=one.contest.other_folds)
-            again = _run(contest, one.solver, one.transform, outputs, one.basis, one.most)
-            known[key] = _handicapped(one) + _handicapped(again)
-    close.sort(key=lambda one: known[one.contest, one.transform.kind, one.indices.tobytes()])
-    return close + found[len(close) :]
+    found = [one for contest in held for one in _held(contest, outputs, plain)]
+    return sorted(found, key=_handicapped)
 
 
 def _look(contest: Contest, outputs: Array) -> float:
