@@ -492,6 +492,7 @@ class ControlEntry(Part):
     gain: dict[Name, Number | None] = Field(default_factory=dict)
     text: StrictStr = ""
     indices: StrictStr = ""
+    margins: StrictStr = ""
 
 
 class SavedEntry(Part):
@@ -527,10 +528,12 @@ class ModelEntry(Entry):
         rows = []
         if self.fallback_share is not None:
             rows.append(("left to full", f"{100.0 * self.fallback_share:.3g} % of the rows"))
-        if self.control.text:
-            rows.append(("control variate", self.control.text))
-        if self.control.indices:
-            rows.append(("control variate, indices", self.control.indices))
+        for label, text in (
+            ("", self.control.text),
+            (", indices", self.control.indices),
+            (", margins", self.control.margins),
+        ):
+            rows += [(f"control variate{label}", text)] if text else []
         if self.saved.full_evaluations:
             rows.append(("saved", self.saved.text))
         return rows

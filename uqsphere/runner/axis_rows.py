@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache, reduce
+from functools import cached_property, lru_cache, partial, reduce
 from typing import Final
 
 import numpy as np
@@ -14,15 +15,21 @@ from uqsphere.model import EvaluatedRows
 from uqsphere.runner.evaluate import Work, evaluate_points, with_answered
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.schedule import REPLICATES
+from uqsphere.runner.similarity import ROWS, Similarity, Tabled, begin_table, make_similarity
 from uqsphere.study import Axis, Limit
-from uqsphere.uq import LimitState, Sample, sobol_points
-from uqsphere.uq.curve import AxisFit, Curve, Judge, fit_axis, interpolate_rows
+from uqsphere.uq import Law, LimitState, Sample, sobol_points
+from uqsphere.uq.curve import AxisFit, Curve, Judge, Response, fit_axis, interpolate_rows
+from uqsphere.uq.limit_state import score_of, strength_tails
 from uqsphere.uq.whatif import WhatIf, probability
 
 #: points that are drawn at a time
 BLOCK: Final = 256
 #: points of each replicate that the response answers for
 MANY: Final = 1024
+#: scores of exceeding beyond which one is as good as another: 1 in 700
+FAR: Final = 3.0
+#: what a table is asked at no more points for than a thousand times: 100 MB of answers
+MOST: Final = 8
 
 
 def axis_of(work: Work) -> Axis:
@@ -60,22 +67,33 @@ def draw_points(work: Work, *, start: int, count: int) -> Sample:
     return Sample.at(work.drawn.names, scores, inputs)
 
 
+def drawn_at(work: Work, value: float, *, start: int, count: int) -> Sample:
+    """Points of each replicate of the study with its scalar at a value, not evaluated."""
+    return draw_points(replace(work, study=axis_of(work).move(work.study, value)), start=start, count=count)
+
+
+def rows_at(work: Work, points: Sample, value: float) -> tuple[tuple[str, ...], Array]:
+    """What the rows of points at a value hold beside the random inputs, and the rows (n, d)."""
+    axis, d = axis_of(work), len(work.scene_names)
+    names, rows = axis.place(axis.move(work.study, value), points.inputs[:, :, :d], value)
+    flat = rows.reshape(-1, rows.shape[2]) if rows.shape[2] else np.empty((points.size, 0))
+    if axis.kind == "number" and axis.path in work.study.fixed:
+        names, flat = (*names, axis.path), np.column_stack([flat, np.full(len(flat), value)])
+    return names[d:], flat
+
+
 def evaluate_along(work: Work, wanted: Mapping[float, tuple[int, int]], tag: str = "") -> dict[float, Sample]:
     """Rows with the scalar at some values, all evaluated together; `wanted` has the points of each replicate at every
     value: from which, and how many."""
-    axis, fixed, random = axis_of(work), work.study.fixed, bool(work.scene_names)
-    names, points, parts = work.scene_names, {}, []
+    names: tuple[str, ...] = ()
+    points, parts = dict[float, Sample](), []
     for value, (start, count) in wanted.items():
-        moved = replace(work, study=axis.move(work.study, value))
-        points[value] = draw_points(moved, start=start, count=count)
-        names, rows = axis.place(moved.study, points[value].inputs[:, :, : len(moved.scene_names)], value)
-        flat = rows.reshape(-1, rows.shape[2]) if rows.shape[2] else np.empty((points[value].size, 0))
-        if axis.kind == "number" and axis.path in fixed:
-            names, flat = (*names, axis.path), np.column_stack([flat, np.full(len(flat), value)])
+        points[value] = drawn_at(work, value, start=start, count=count)
+        names, flat = rows_at(work, points[value], value)
         # without scatter in the scene one row stands for all
-        parts.append(flat if random else flat[:1])
+        parts.append(flat if work.scene_names else flat[:1])
     key = f"margins{tag}.{len(parts)}.{sum(map(len, parts))}"
-    answered = evaluate_points(work, key, names, np.concatenate(parts))
+    answered = evaluate_points(work, key, (*work.scene_names, *names), np.concatenate(parts))
     begin, found = 0, {}
     for (value, sample), part in zip(points.items(), parts, strict=True):
         own = slice(begin, begin := begin + len(part))
@@ -103,6 +121,16 @@ def judge_of(work: Work, limit: Limit) -> Judge:
         return at_value(work, limit, replace(state, demands=demands * state.demands), value)
 
     return judge
+
+
+def _score(limit: Limit, values: Array) -> Array:
+    """The normal scores of exceeding a limit, cut at `FAR`, at values (n,) of its quantity, at a mean model factor."""
+    factor = limit.model_factor.nominal_mean() if isinstance(limit.model_factor, Law) else limit.model_factor
+    if isinstance(limit.strength, Law):
+        found = score_of(*strength_tails(limit.strength, np.nan_to_num(values * factor)))
+    else:
+        found = np.where(values * factor > limit.strength, FAR, -FAR)
+    return np.where(np.isnan(values), np.nan, np.clip(found, -FAR, FAR))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,6 +172,10 @@ class AxisRows:
     rows: dict[float, Sample] = field(default_factory=dict)
     #: points of each replicate that are used up
     used: int = 0
+    #: a table of the scaled numbers in place of the fits, and its answers (K, R, M, q + 1) at the many points of all
+    #: values, the last of which is 1 where they are not the model's
+    tabled: Tabled = field(default_factory=Tabled)
+    _answers: Array | None = None
     _fits: dict[tuple[str, str], AxisFit] = field(default_factory=dict)
     _tables: dict[str, Array] = field(default_factory=dict)
 
@@ -154,12 +186,8 @@ class AxisRows:
 
     @cached_property
     def many(self) -> Sample:
-        """The many points, (R, MANY)."""
-        return draw_points(self.work, start=0, count=MANY)
-
-    def counts(self) -> Array:
-        """Rows of all replicates at each value of the grid, (K,)."""
-        return np.array([self.at(value).size for value in self.grid])
+        """The many points, (R, M)."""
+        return draw_points(self.work, start=0, count=self.tabled.count or MANY)
 
     @property
     def samples(self) -> int:
@@ -180,6 +208,74 @@ class AxisRows:
         """
         self._extend({value: self.rows[value].count for value in values})
 
+    def ask_table(self, limits: Sequence[Limit], worst: float, forecast: float, room: float) -> bool:
+        """A table in place of the fits, where these would take more evaluations, or more points of it; whether so."""
+        own, rows = self.tabled, self.rows.values()
+        if own.begun:
+            self.tabled = own = own.turned(worst)
+            count = own.grown(min(MOST, *(sample.count for sample in rows)), room)
+        elif self.free or any(bool(part.any()) for sample in rows for part in (sample.failed, sample.censored)):
+            return False
+        else:
+            make = partial(self._similarity, limits)
+            own = begin_table(self.work, own, REPLICATES * self.samples, forecast, room, make)
+            self.tabled = own = replace(own, quantities=tuple(dict.fromkeys(limit.quantity for limit in limits)))
+            count = BLOCK if own.begun else 0
+        if count:
+            self._ask_table(count)
+        return bool(count)
+
+    def _along(self, names: tuple[str, ...], start: int, count: int) -> tuple[Work, Array]:
+        """Rows (K, R count, d) at every value of the grid, and the work that asks them for some quantities."""
+        found = [rows_at(self.work, drawn_at(self.work, x, start=start, count=count), x) for x in self.grid]
+        return replace(self.work, along=found[0][0], columns=names), np.stack([rows for _, rows in found])
+
+    def _similarity(self, limits: Sequence[Limit], work: Work) -> Similarity | str:
+        """The table of the rows at all values, fine where the score of exceeding a limit changes."""
+        names = tuple(dict.fromkeys(limit.quantity for limit in limits))
+        along, rows = self._along(names, 0, ROWS // len(self.grid) // REPLICATES)
+
+        def scores(values: Array) -> Array:
+            return np.stack([_score(limit, values[:, names.index(limit.quantity)]) for limit in limits], axis=1)
+
+        return make_similarity(along, rows.reshape(-1, rows.shape[2]), scores)
+
+    def _ask_table(self, count: int) -> None:
+        """The table at the first `count` of the many points of every value."""
+        have, before = self.tabled.count, self._answers
+        along, rows = self._along(self.tabled.quantities, have, count - have)
+        flat, shape = rows.reshape(-1, rows.shape[2]), (len(self.grid), REPLICATES, count - have)
+        self.tabled, values, open_ = self.tabled.asked(along, f"margins{self.tag}", flat, count)
+        self._changed()
+        self._answers = None
+        if self.tabled.begun:
+            own = np.ones((len(flat), 1))
+            own[open_] = 0.0
+            found = np.concatenate([values, own], axis=1).reshape(*shape, -1)
+            self._answers = found if before is None else np.concatenate([before, found], axis=2)
+
+    def _response(self, quantity: str) -> Response | None:
+        """The answers of a table, where there is one: where that has none for a row, it is what the model said."""
+        known, answers, names = self.tabled.similarity, self._answers, self.tabled.quantities
+        if answers is None or known is None or quantity not in names or not np.isfinite(answers).all():
+            return None
+        k = names.index(quantity)
+        parts = [rows_at(self.work, rows, value) for value, rows in self.rows.items()]
+        flat = known.told(
+            replace(self.work, along=parts[0][0], columns=names), np.concatenate([rows for _, rows in parts])
+        )[:, k]
+        ends = np.cumsum([len(rows) for _, rows in parts])[:-1]
+        found = np.concatenate([one.reshape(REPLICATES, -1) for one in np.split(flat, ends)], axis=1)
+        own, sure = self.every.answer(quantity), np.isfinite(found)
+        error = math.sqrt(np.square(own[sure] / found[sure] - 1.0).mean()) if sure.any() else 0.0
+
+        def at(value: float) -> tuple[Array, Array]:
+            here = answers[self.grid.index(value)]
+            return here[..., k], error * here[..., -1]
+
+        paired = np.where(sure, found, own), error * sure
+        return Response(at=at, paired=paired, moved=lambda one, step: one * (1.0 + step))
+
     def _extend(self, more: dict[float, int]) -> None:
         start, wanted = self.used, {}
         for value, count in more.items():
@@ -188,7 +284,12 @@ class AxisRows:
         found = evaluate_along(self.work, wanted, self.tag)
         self.rows |= {value: self.rows[value].join(own) if value in self.rows else own for value, own in found.items()}
         self.used = start
-        self.__dict__.pop("every", None)
+        self._changed()
+
+    def _changed(self) -> None:
+        """Forget what was made of the rows and of the table."""
+        for name in ("every", "many"):
+            self.__dict__.pop(name, None)
         self._fits.clear()
         self._tables.clear()
 
@@ -229,7 +330,11 @@ class AxisRows:
             every = self.rows.items()
             places = np.concatenate([np.full(rows.status.shape, value) for value, rows in every], axis=1)
         plain = own or (lambda value: judge(sample, sample.answer(quantity), value))
-        return Curve(fit=self.fit(quantity, over), many=self.many, rows=sample, own=plain, places=places, judge=judge)
+        response = None if over else self._response(quantity)
+        if response is None:
+            fit = self.fit(quantity, over)
+            response = Response.fitted(fit, self.many.scores, sample.scores, self.grid[0] if places is None else places)
+        return Curve(response=response, many=self.many, rows=sample, own=plain, places=places, judge=judge)
 
     def table(self, limit: Limit) -> Array:
         """Probability of exceeding a limit (K, R) at the values of the grid."""

@@ -130,6 +130,8 @@ class Work:
     columns: tuple[str, ...] = ()
     #: inputs that a screening has told to do next to nothing: fits leave them out
     screened: frozenset[str] = frozenset()
+    #: numbers that rows hold beside the random inputs
+    along: tuple[str, ...] = ()
     #: what the services of the study have answered
     services: Mapping[str, Results] = field(default_factory=dict)
 
@@ -165,6 +167,11 @@ class Work:
     def scene_names(self) -> tuple[str, ...]:
         """The random inputs of the model itself."""
         return tuple(self.study.random)
+
+    @property
+    def row_names(self) -> tuple[str, ...]:
+        """What the columns of rows are."""
+        return (*self.scene_names, *self.along)
 
     @property
     def active(self) -> Flags:

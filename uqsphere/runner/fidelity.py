@@ -93,10 +93,10 @@ class Pilot:
     candidates: tuple[Candidate, ...] = ()
     fallback: Fallback | None = None
 
-    def entry(self, work: Work, *tables: Tabled) -> Fields:
-        """Which model answered, what it took, and what cheaper ones, or the tables of sampling and indices, saved."""
+    def entry(self, work: Work, sampling: Tabled, indices: Tabled, curves: Sequence[Tabled]) -> Fields:
+        """Which model answered, what it took, and what cheaper ones, or tables, saved."""
         names = ("error", "worst", "correlation", "cost", "fits", "mixed_error", "fallback_share")
-        ledger, share, saved = work.ledger, None, table_saved(*tables)
+        ledger, share, saved = work.ledger, None, table_saved((sampling, indices, *curves))
         if self.fallback is not None:
             spared = ledger.evaluations.get(self.chosen, 0) - self.evaluations.get(self.chosen, 0)
             rows, cut, text = spared + ledger.fallback, 0.0, "nothing was evaluated after the pilot"
@@ -115,7 +115,7 @@ class Pilot:
             "numbers": self.numbers,
             "considered": {c.fidelity: {name: getattr(c, name) for name in names} for c in self.candidates},
             "fallback_share": share,
-            "control": table_entry(*tables),
+            "control": table_entry(sampling, indices, curves),
             "saved": saved,
             "undecided": ledger.undecided,
         }

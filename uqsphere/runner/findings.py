@@ -38,3 +38,9 @@ class Findings:
     carried: Mapping[str, CarriedEntry] = field(default_factory=dict)
     far: Sequence[CheckEntry] = ()
     unsure: Unsure | None = None
+
+    @property
+    def curves_tabled(self) -> list[Tabled]:
+        """The tables beside the rows of curves: limits that share their rows share one."""
+        bands = [band for one in self.margins.values() for band in (one.band, *one.bands.values()) if band is not None]
+        return list({id(band.tabled): band.tabled for band in bands}.values())

@@ -87,7 +87,7 @@ def build_results(work: Work, found: Findings, plan: PlanEntry) -> Results:
         **({} if fracture is None else {"fracture": fracture}),
         **({"analyses": found.analyses} if found.analyses else {}),
         **({"verdicts": judged.verdicts} if judged.verdicts else {}),
-        "model": found.pilot.entry(work, found.sampled.tabled, found.tabled),
+        "model": found.pilot.entry(work, found.sampled.tabled, found.tabled, found.curves_tabled),
         "validity": _checks(found),
         "plan": plan,
         "speed_error": work.ledger.rows,

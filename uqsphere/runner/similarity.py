@@ -11,6 +11,7 @@ many of the inputs.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
@@ -94,7 +95,7 @@ class Numbers:
 
 
 def _scene(work: Work, rows: Array) -> tuple[Scene, str]:
-    values = {name: rows[:, k] for k, name in enumerate(work.scene_names)}
+    values = {name: rows[:, k] for k, name in enumerate(work.row_names)}
     return as_integrated(scene_of(work.study, values, len(rows)), work.fidelity)
 
 
@@ -140,7 +141,7 @@ def integrated(work: Work) -> bool:
     if work.study.black_box or work.fallback is not None or not work.scene_names:
         return False
     middle = work.all_inputs.only(work.scene_names).physical(np.zeros((1, len(work.scene_names))))
-    scene, fidelity = _scene(work, middle)
+    scene, fidelity = _scene(replace(work, along=()), middle)
     if scene.contact_law == "damage" or scene.rig == "platens":
         return False
     if scene.rig == "bars":
@@ -234,8 +235,8 @@ class Similarity:
     numbers: Numbers
     table: Table
 
-    def answers(self, work: Work, key: str, rows: Array) -> tuple[Array, int]:
-        """Quantities (n, q) of rows (n, d): of the table, and of the model where that does not know; and how many."""
+    def told(self, work: Work, rows: Array) -> Array:
+        """Quantities (n, q) of rows (n, d) by the table; NaN where that does not know."""
         from uqsphere.mechanics.integrator.solve import thread_count
 
         def answer(some: Array) -> Array:
@@ -244,29 +245,39 @@ class Similarity:
 
         with ThreadPoolExecutor(thread_count(work.threads)) as pool:
             parts = pool.map(answer, (rows[begin : begin + ROWS] for begin in range(0, len(rows), ROWS)))
-            found = np.concatenate(list(parts))
+            return np.concatenate(list(parts))
+
+    def answers(self, work: Work, key: str, rows: Array) -> tuple[Array, Places]:
+        """Quantities (n, q) of rows (n, d): of the table, and of the model where that does not know; and which."""
+        found = self.told(work, rows)
         open_ = np.flatnonzero(~np.isfinite(found).all(axis=1))
         if len(open_):
-            found[open_] = evaluate_points(work, key, work.scene_names, rows[open_]).values
-        return found, len(open_)
+            found[open_] = evaluate_points(work, key, work.row_names, rows[open_]).values
+        return found, open_
 
 
-def make_similarity(work: Work) -> Similarity | str:
-    """The table of a study, or why there is none."""
+def make_similarity(work: Work, rows: Array | None = None,
+                    scores: Callable[[Array], Array] | None = None) -> Similarity | str:  # fmt: skip
+    """The table of a study, or why there is none.
+
+    rows : (n, d), where it is asked if not at the inputs' own
+    scores : what is made of quantities (m, q) beside them, (m, s), that tells where it has to be fine, about of unit
+        scatter
+    """
     from uqsphere.mechanics.integrator.solve import integrate
 
     if not integrated(work):
         return "rows are not integrated one by one"
-    inputs = work.all_inputs.only(work.scene_names)
-    rows = draw(inputs, seed=work.study.seed, task="similarity", start=0, count=ROWS, replicates=1).inputs[0]
+    if rows is None:
+        inputs = work.all_inputs.only(work.scene_names)
+        rows = draw(inputs, seed=work.study.seed, task="similarity", start=0, count=ROWS, replicates=1).inputs[0]
     numbers = find_numbers(work, rows)
     if isinstance(numbers, int):
         return f"the inputs act through {numbers} numbers that vary independently" if numbers else "no number varies"
 
     tracked = _tracked(work, _scene(work, rows[:1])[0])
 
-    def evaluate(points: Array) -> Array:
-        nodes = scenes_at(work, numbers, points)
+    def evaluate(nodes: Array) -> Array:
         there = np.isfinite(nodes).all(axis=1)
         scene, fidelity = _scene(work, nodes[there])
 
@@ -278,14 +289,27 @@ def make_similarity(work: Work) -> Similarity | str:
         work.ledger.evaluations[work.fidelity] = work.ledger.evaluations.get(work.fidelity, 0) + len(scene)
         about = [fidelity, work.study.model.tolerance, work.quantities]
         got = remembered(work.store, f"similarity.{len(scene)}", scene, about, solve, np.ndarray)
-        values = np.full((len(points), len(tracked)), np.nan)
+        values = np.full((len(nodes), len(tracked)), np.nan)
         values[there] = got
         return values
 
     coordinates = numbers.of(_scaled(*_scene(work, rows))[0])
-    follow = _followed(work, numbers, rows[:WEIGHED], coordinates[:WEIGHED], evaluate(coordinates[:WEIGHED]))
-    table = make_table(coordinates, lambda points: follow.beside(work, points, evaluate(points)),
-                       len(work.quantities), TABLE.most, MOST_OPEN)  # fmt: skip
+    columns = len(work.quantities)
+    if scores is None:
+        weighed = evaluate(scenes_at(work, numbers, coordinates[:WEIGHED]))
+        follow = _followed(work, numbers, rows[:WEIGHED], coordinates[:WEIGHED], weighed)
+    else:
+        columns = scores(np.ones((1, columns))).shape[1]
+
+    def beside(points: Array) -> Array:
+        nodes = scenes_at(work, numbers, points)
+        scaled = evaluate(nodes)
+        if scores is None:
+            return follow.beside(work, points, scaled)
+        scene, fidelity = _scene(work, np.where(np.isfinite(nodes), nodes, numbers.middle))
+        return np.concatenate([scaled, scores(_quantities(work, scene, fidelity, scaled))], axis=1)
+
+    table = make_table(coordinates, beside, columns, TABLE.most, MOST_OPEN)
     if (left := 1.0 - table.at(coordinates)[1].mean()) > MOST_OPEN:
         return f"it would leave {100.0 * left:.0f} % of the rows to the model, near jumps"
     return Similarity(numbers=numbers, table=table)
@@ -374,12 +398,19 @@ class Tabled:
         count, most = FASTER * self.count, TABLE.judged * points
         return 0 if not self.count or not self.grows or count > most or (FASTER - 1) * self.open > room else count
 
-    def asked(self, work: Work, key: str, rows: Array, count: int) -> tuple[Tabled, Array]:
-        """The same after further rows (n, d), with the quantities (n, q) there."""
+    def asked(self, work: Work, key: str, rows: Array, count: int) -> tuple[Tabled, Array, Places]:
+        """The same after further rows (n, d), with the quantities (n, q) there, and which are the model's.
+
+        There is no table any more where the time was over.
+        """
         assert self.similarity is not None
-        values, left = self.similarity.answers(work, f"similarity-{key}.{self.count}", rows)
+        try:
+            values, open_ = self.similarity.answers(work, f"similarity-{key}.{self.count}", rows)
+        except OutOfBudget:
+            return Tabled(text=CUT_SHORT), np.empty((0, 0)), np.empty(0, dtype=np.int64)
+        left = len(open_)
         found = replace(self, count=count, rows=self.rows + len(rows), open=self.open + left, taken=self.taken + left)
-        return found, values
+        return found, values, open_
 
     def told(self, of: str) -> str:
         """What it did, or why there is none."""
@@ -394,7 +425,8 @@ class Tabled:
         )
 
 
-def begin_table(work: Work, before: Tabled, paired: int, forecast: float, room: float) -> Tabled:
+def begin_table(work: Work, before: Tabled, paired: int, forecast: float, room: float,
+                make: Callable[[Work], Similarity | str] | None = None) -> Tabled:  # fmt: skip
     """A table beside so many rows of the model, where sampling alone would take more evaluations than that."""
     known, name = before.similarity, work.fidelity
     cost = 0 if known is not None else 2 * TABLE.most
@@ -402,7 +434,7 @@ def begin_table(work: Work, before: Tabled, paired: int, forecast: float, room: 
         return before.again()
     spent = work.ledger.evaluations.get(name, 0)
     try:
-        made = known or make_similarity(work)
+        made = known or (make or make_similarity)(work)
     except OutOfBudget:
         return Tabled(text=CUT_SHORT)
     if isinstance(made, str):
@@ -411,9 +443,14 @@ def begin_table(work: Work, before: Tabled, paired: int, forecast: float, room: 
     return Tabled(similarity=made, taken=taken, paired=paired, forecast=int(min(forecast, 1e12)))
 
 
-def table_entry(sampling: Tabled, indices: Tabled) -> Fields:
+def _used(tables: Sequence[Tabled]) -> list[Tabled]:
+    return [one for one in tables if one.similarity is not None and one.rows]
+
+
+def table_entry(sampling: Tabled, indices: Tabled, curves: Sequence[Tabled]) -> Fields:
     """What is said of tables in results.json."""
-    used = [one for one in (sampling, indices) if one.similarity is not None and one.rows]
+    used = _used((sampling, indices, *curves))
+    margins = "; ".join(dict.fromkeys(text for one in curves if (text := one.told("the curves"))))
     return {
         "used": bool(used),
         "fidelity": "table" if used else None,
@@ -421,12 +458,13 @@ def table_entry(sampling: Tabled, indices: Tabled) -> Fields:
         "gain": {},
         "text": sampling.told("the distributions"),
         "indices": indices.told(f"the indices of {', '.join(indices.quantities)}"),
+        **({"margins": margins} if margins else {}),
     }
 
 
-def table_saved(sampling: Tabled, indices: Tabled) -> Fields:
+def table_saved(tables: Sequence[Tabled]) -> Fields:
     """What tables saved, against the forecast of what sampling alone would take."""
-    used = [one for one in (sampling, indices) if one.similarity is not None and one.rows]
+    used = _used(tables)
     taken, forecast = sum(one.paired + one.taken for one in used), sum(one.forecast for one in used)
     if taken >= forecast:
         return {"full_evaluations": 0, "cost_share": 0.0, "text": "nothing is saved"}

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import combinations_with_replacement
 from typing import Final, TypeAlias
 
@@ -79,10 +78,9 @@ class AxisFit:
         shaped = powers.reshape(*places.shape, count)
         return self._answer(np.einsum("rna,rat,rnt->rn", shaped, own, products, optimize=True))
 
-    def moved(self, predicted: Array, score: float) -> Array:
-        """Answers so many standard deviations away from what is predicted, as rows that were not seen are."""
-        step = score * self.error
-        return np.asarray(predicted * math.exp(step) if self.logarithmic[1] else predicted + step)
+    def moved(self, predicted: Array, step: Array | float) -> Array:
+        """Answers so far away from what is predicted, as rows that were not seen are by `error`."""
+        return np.asarray(predicted * math.exp(float(step)) if self.logarithmic[1] else predicted + step)
 
     def _answer(self, found: Array) -> Array:
         found = np.clip(found, *self.bounds)
@@ -223,10 +221,29 @@ BIAS: Final = (4.0 / 3.0) ** 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Response:
+    """What answers in place of the model: many points at a value `at`, (R, M), and the rows, `paired` (R, N).
+
+    Each with how far rows that it was not made from scatter about it; `moved` has answers that lie so far away.
+    """
+
+    at: Callable[[float], tuple[Array, Array | float]]
+    paired: tuple[Array, Array | float]
+    moved: Callable[[Array, Array | float], Array]
+
+    @classmethod
+    def fitted(cls, fit: AxisFit, many: Array, rows: Array, places: Array | float) -> Response:
+        """A fit at the scores (R, M, d) of many points, and at those (R, N, d) of the rows where these lie."""
+        products = fit.products(many)
+        paired = fit.predict(places, fit.products(rows)), fit.error
+        return cls(at=lambda value: (fit.predict(value, products), fit.error), paired=paired, moved=fit.moved)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Curve:
     """The probability of exceeding along an axis, by rows anywhere along it.
 
-    fit : the response, fitted to the rows
+    response : what answers for many points at every value, fitted to the rows or a table
     many : points at which the response answers for all that were not evaluated
     rows : rows of the model, (R, N)
     own : what they say at a value; of one without an answer the response stands
@@ -234,34 +251,26 @@ class Curve:
     judge : what is asked of a demand
     """
 
-    fit: AxisFit
+    response: Response
     many: Sample
     rows: Sample
     own: Callable[[float], LimitState]
     places: Array | None
     judge: Judge
 
-    @cached_property
-    def _many_products(self) -> Array:
-        return self.fit.products(self.many.scores)
-
-    @cached_property
-    def _row_products(self) -> Array:
-        return self.fit.products(self.rows.scores)
-
     def table(self, values: Sequence[float]) -> Array:
         """Probabilities (K, R) at equally spaced values, each replicate by itself.
 
         The replicates differ by as much as their mean is uncertain, times the root of their number.
         """
-        pairs = [self._expected(self.many, self.fit.predict(x, self._many_products), x) for x in values]
+        pairs = [self._expected(self.many, self.response.at(x), x) for x in values]
         fitted, variance = np.array([p.mean(axis=1) for p, _ in pairs]), np.array([v.mean() for _, v in pairs])
         # what rows scatter about the response bounds the spread below, as few rows may happen to agree; and of a fixed
         # strength the share of the many beyond it is known to one of them, evenly (1/12 of its square)
         counted = not isinstance(self.own(values[0]).strength, Law)
         one = 1.0 / (12.0 * self.many.size * self.many.count) if counted else 0.0
         if self.places is None:
-            missed = np.array([self._missed(self.fit.predict(x, self._row_products), x).mean(axis=1) for x in values])
+            missed = np.array([self._missed(x).mean(axis=1) for x in values])
             return _spread_by(fitted + missed, variance / self.rows.size + one)
         return self._corrected(np.asarray(values), fitted, variance, one)
 
@@ -271,7 +280,7 @@ class Curve:
         mean = fitted.mean(axis=1)
         side = np.maximum(mean * (1.0 - mean), 1e-12)
         at, places = (np.log(x) if values[0] > 0.0 else x for x in (values, self.places))
-        missed = self._missed(self.fit.predict(self.places, self._row_products), values[0])
+        missed = self._missed(values[0])
         missed /= np.exp(np.interp(places, at, np.log(side)))
         expected = np.exp(np.interp(places, at, np.log(np.maximum(variance, 1e-300) / side**2)))
         step = float(at[1] - at[0])
@@ -293,18 +302,19 @@ class Curve:
         best, every = np.argmin(totals, axis=0), np.arange(values.size)
         return _spread_by(np.array(tables)[best, every], np.array(floors)[best, every], np.array(biases)[best, every])
 
-    def _missed(self, predicted: Array, value: float) -> Array:
+    def _missed(self, value: float) -> Array:
         """What the response is off by in every row (R, N)."""
         below, above = tails(self.own(value))
         told = below + above > 0.0
         own = below / np.where(told, below + above, 1.0)
-        return np.where(told, own - self._expected(self.rows, predicted, value)[0], 0.0)
+        return np.where(told, own - self._expected(self.rows, self.response.paired, value)[0], 0.0)
 
-    def _expected(self, points: Sample, predicted: Array, value: float) -> tuple[Array, Array]:
+    def _expected(self, points: Sample, answered: tuple[Array, Array | float], value: float) -> tuple[Array, Array]:
         """Probabilities (R, n) if rows scatter about the response as those not seen do, and the variance about them."""
+        predicted, error = answered
         first, second = np.zeros(predicted.shape), np.zeros(predicted.shape)
         for score, weight in SCATTER:
-            below, above = tails(self.judge(points, self.fit.moved(predicted, score), value))
+            below, above = tails(self.judge(points, self.response.moved(predicted, score * error), value))
             own = below / np.where(below + above > 0.0, below + above, 1.0)
             first += weight * own
             second += weight * own**2

@@ -21,7 +21,9 @@ from uqsphere.results import Fields, SpeedRow
 from uqsphere.runner.axis_rows import AxisRows, Look, axis_of, evaluate_along, judge_of
 from uqsphere.runner.campaign import Accuracy, Cost, Course, campaign, rounded, speed_rows_of
 from uqsphere.runner.evaluate import LATE, MOST_DROPPED, OutOfBudget, Work
+from uqsphere.runner.questions.distributions import FALL
 from uqsphere.runner.schedule import CURVE, CURVE_VALUES, FREE_CURVE, LOOK, REPLICATES
+from uqsphere.runner.similarity import Tabled
 from uqsphere.runner.whatif import probabilities_by_tests
 from uqsphere.study import Limit, spaced, with_number
 from uqsphere.units import told_apart
@@ -49,7 +51,7 @@ class Band:
     """How well a curve is known: the largest half-width of its 95 % intervals over the smaller side of the probability.
 
     `cost` is what the half-width that was asked would take; `share` the evaluations that the curve was allowed over the
-    budget of the study, where that ended it.
+    budget of the study, where that ended it; `tabled` is the table beside its rows.
     """
 
     half_width: float
@@ -57,6 +59,7 @@ class Band:
     evaluations: int
     cost: Cost = NO_COST
     share: float = 0.0
+    tabled: Tabled = field(default_factory=Tabled)
 
     def missed(self) -> str:
         """What is said of a band that is wider than asked: what it reached, and what it would take; or nothing."""
@@ -236,7 +239,7 @@ class _Bands:
 
     @property
     def size(self) -> int:
-        return REPLICATES * self.rows.samples
+        return REPLICATES * self.rows.samples + self.rows.tabled.taken
 
     @property
     def asked(self) -> float:
@@ -251,10 +254,14 @@ class _Bands:
         if not self.begun:
             self.begun = True
             return True
+        worst = max(self.lacking().values(), default=1.0)
+        left = min(room, self.most - self.rows.work.ledger.total)
+        if self.rows.ask_table(self.limits, worst, self.size * min(worst, 1e3) ** FALL, left):
+            return True
         rows, highest = self.rows, FREE_CURVE.most if self.rows.free else CURVE.most
         wanted = [value for value in self._wide() if rows.rows[value].count < highest]
         cost, self.full = sum(rows.rows[value].size for value in wanted), not wanted
-        if not wanted or cost > min(room, self.most - rows.work.ledger.total):
+        if not wanted or cost > left:
             return False
         rows.double(wanted)
         return True
@@ -290,6 +297,10 @@ class _Bands:
         budget = self.rows.work.study.analysis.budget.evaluations
         share = (self.most - before) / budget if course.stopped in ("evaluations", "out of reach") else 0.0
         highest = REPLICATES * (FREE_CURVE.most if self.rows.free else CURVE.most)
+        tabled = self.rows.tabled
+        # by itself sampling would take the more, the closer the curves have come to what was asked
+        forecast = int(tabled.forecast / max(self.lacking().values(), default=1.0) ** FALL)
+        tabled = replace(tabled, paired=REPLICATES * self.rows.samples, forecast=forecast)
         full = Cost(f" (no value is given more than {highest:,} evaluations)") if self.full else None
         return {
             limit.name: Band(
@@ -298,6 +309,7 @@ class _Bands:
                 evaluations=self.size,
                 cost=full or course.cost(Accuracy(self.name(limit), "band")),
                 share=share,
+                tabled=tabled,
             )
             for limit in self.limits
         }

@@ -26,7 +26,7 @@ from uqsphere.runner.campaign import (
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_sample, with_answered
 from uqsphere.runner.limits import LimitAnswer, controlled_limits, judge_limits, limits_missed, takes_over
 from uqsphere.runner.schedule import REPLICATES, SAMPLING, TABLE, more_to_come
-from uqsphere.runner.similarity import CUT_SHORT, Tabled, begin_table
+from uqsphere.runner.similarity import Tabled, begin_table
 from uqsphere.uq import Sample, absent, exact
 from uqsphere.uq.describe import Description, describe, describe_controlled, lacking
 from uqsphere.uq.heavy_tails import describe_heavy
@@ -241,10 +241,9 @@ class Distributions:
         work, have = self.work, self.tabled.count
         points = draw(work.drawn, seed=work.study.seed, task="sampling", start=have, count=count - have)
         d = len(work.scene_names)
-        try:
-            self.tabled, values = self.tabled.asked(work, "sampling", points.inputs[:, :, :d].reshape(-1, d), count)
-        except OutOfBudget:
-            self.tabled, self.many = Tabled(text=CUT_SHORT), None
+        self.tabled, values, _ = self.tabled.asked(work, "sampling", points.inputs[:, :, :d].reshape(-1, d), count)
+        if not self.tabled.begun:
+            self.many = None
             return
         done = EvaluatedRows(values=values, censored=np.zeros(values.shape, dtype=bool),
                         status=np.zeros(len(values), dtype=np.int64))  # fmt: skip

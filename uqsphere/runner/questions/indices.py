@@ -14,10 +14,10 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.results import Fields, SpeedRow, SurrogateEntry
 from uqsphere.runner.campaign import INDEX_KIND, Accuracy, Cost, Course, Missed, campaign, indices_missed, speed_rows_of
-from uqsphere.runner.evaluate import MOST_DROPPED, OutOfBudget, Work, evaluate_points
+from uqsphere.runner.evaluate import MOST_DROPPED, Work, evaluate_points
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.schedule import INDICES, REPLICATES, TABLE
-from uqsphere.runner.similarity import CUT_SHORT, Tabled, begin_table
+from uqsphere.runner.similarity import Tabled, begin_table
 from uqsphere.units import told_apart
 from uqsphere.uq import Estimate, Sample, Why, absent, widest, without
 from uqsphere.uq.heavy_tails import (
@@ -537,12 +537,9 @@ class Indices(PairedRuns):
     def _ask_table(self, count: int) -> None:
         """The table at so many base points, and the indices of what is not accurate enough with its help."""
         have, before = self.tabled.count, self.answers_of_table
-        try:
-            self.tabled, values = self.tabled.asked(
-                self.work, "indices", design_rows(self.work, have, count - have, self.blocks), count
-            )
-        except OutOfBudget:
-            self.tabled = Tabled(text=CUT_SHORT)
+        rows = design_rows(self.work, have, count - have, self.blocks)
+        self.tabled, values, _ = self.tabled.asked(self.work, "indices", rows, count)
+        if not self.tabled.begun:
             self.answers_of_table = None
             return
         values = values.reshape(REPLICATES, count - have, self.blocks.count, -1)
