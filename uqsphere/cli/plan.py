@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import re
+from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -183,6 +184,16 @@ def _cells(chart: Chart, kind: str, rise: float) -> tuple[str, str, str]:
     return f"{widest.low:.4g} to {widest.high:.4g}", ends, str(len(windows))
 
 
+def _yield_notes(found: Plan) -> Iterator[str]:
+    """What is to be said of bars that yield, or of which it is not known."""
+    if not _knows_yield(found):
+        yield "note: the yield strength of the bars is not given, so that they are not known to stay elastic"
+    over = max(filter(math.isfinite, found.over_onset[:, :, found.subject.place].flat), default=0.0)
+    if found.subject.dents and over > 1.0:
+        yield (f"note: when the sphere breaks the pressure by Hertz is up to {over:.3g} times the onset of yield of "
+               "bars or inserts: dents stay, and the forces take them into account")  # fmt: skip
+
+
 def _text(found: Plan) -> str:
     from uqsphere.mechanics.design import CONSTRAINTS
 
@@ -196,13 +207,7 @@ def _text(found: Plan) -> str:
     lines.append(("|P_A - P_B| at fracture", f"at most {request.level:.3g} of the larger force"))
     back = subject.first_return
     lines.append(("first reflected wave", f"after {back * 1e6:.4g} us" if math.isfinite(back) else "none comes"))
-    blocks = [table(("what", "value"), lines)]
-    if not _knows_yield(found):
-        blocks.append("note: the yield strength of the bars is not given, so that they are not known to stay elastic")
-    over = max(filter(math.isfinite, found.over_onset[:, :, subject.place].flat), default=0.0)
-    if subject.dents and over > 1.0:
-        blocks.append(f"note: when the sphere breaks the pressure by Hertz is up to {over:.3g} times the onset of "
-                      "yield of bars or inserts: dents stay, and the forces take them into account")  # fmt: skip
+    blocks = [table(("what", "value"), lines), *_yield_notes(found)]
     head = ["ramp [us]", "widest window [m/s]", "ends by, below / above", "windows"]
     if scatter:
         head += ["for 5 to 95 % of the strengths", "ends by", "windows"]

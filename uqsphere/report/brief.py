@@ -340,15 +340,19 @@ def _axis(contents: Contents, entry: MarginEntry | None) -> Axis | None:
     return Axis(path=path, words=words, unit=unit_text(unit), factor=factor, planned=contents.at_mean(path))
 
 
+def _place_of(limit: LimitEntry, name: str) -> tuple[str, str]:
+    """Where in the sphere a limit breaks it, "" of energy, and the way's words, "" where its own name serves."""
+    criterion = limit.quantity.partition(".")[0]
+    quantity = OUTPUTS.get(criterion)
+    if quantity is None:
+        return "core" if "tension" in criterion or "link" in criterion else "", name
+    place = "" if quantity.follows == "energy" else quantity.place
+    return place, PLACES.get(place, "") if place or quantity.follows == "energy" else ""
+
+
 def _mode(contents: Contents, name: str, limit: LimitEntry) -> Mode:
     """The way of breaking that a limit of the study is on."""
-    criterion = limit.quantity.partition(".")[0]
-    quantity, margin = OUTPUTS.get(criterion), contents.results.margins.get(name)
-    if quantity is None:
-        place, words = "core" if "tension" in criterion or "link" in criterion else "", name
-    else:
-        place = "" if quantity.follows == "energy" else quantity.place
-        words = PLACES.get(place, "") if place or quantity.follows == "energy" else ""
+    place, words = _place_of(limit, name)
     around = [limit.miss.value, *(entry.miss.value for entry in limit.assumed)]
     around += list(limit.ignorance.miss) if limit.ignorance.known else []
     around += [limit.miss.high] if limit.miss.value == 0.0 else []
@@ -358,6 +362,7 @@ def _mode(contents: Contents, name: str, limit: LimitEntry) -> Mode:
         low=min(known, default=None), high=max(known, default=None), broken=limit.exceedance.value,
         reason="" if limit.miss.value is not None else shorten(str(limit.miss.reason or ""), 120),
     )  # fmt: skip
+    margin = contents.results.margins.get(name)
     if margin is None:
         return mode
     medians = margin.validity.medians
