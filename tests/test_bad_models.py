@@ -71,6 +71,19 @@ def test_indices_of_a_model_that_fails_often_are_refused(tmp_path: Path) -> None
     assert len(missed) == 1
 
 
+def test_an_output_that_fails_often_takes_no_indices_from_another(tmp_path: Path) -> None:
+    study = load_study(text=STUDY.replace('["y"]', '["y", "z"]'))
+    results = uqsphere.run(study, model=lambda rows: {"z": failing(0.2)(rows)["y"], **smooth(rows)}).results
+    shares = results.sensitivity["y"]
+    variance = 1.0 + 4.0 / 3.0 + 0.09 / 3.0  # of a + 2 b + 0.3 a b
+    for order, truth in (("first", 1.0 / variance), ("total", 1.03 / variance)):
+        found = getattr(shares, order)["a"]
+        assert found.low <= truth <= found.high
+        assert found.value == pytest.approx(truth, abs=0.01)
+    assert "20 % of the evaluations failed" in results.sensitivity["z"].first["a"].reason
+    assert next(text for text in results.accuracy.missed if "indices" in text).startswith("z: indices: none")
+
+
 def test_the_share_that_designs_can_lose() -> None:
     failed = np.zeros((4, 1000), dtype=bool)
     failed[:, :10] = True

@@ -196,6 +196,7 @@ FITS = 8
 #: fits that are kept where many inputs need several randomisations for each: what fewer agree on tells no interval
 _LEAST_FITS: Final = 4
 CHAOS = "polynomial chaos"
+OTHERS_LOST = "its runs and those of another output lack too many answers together"
 HELD_OUT = "share of the variance left unexplained (held out)"
 
 
@@ -283,7 +284,7 @@ class Pairs:
     def evaluated(cls, work: Work, key: str, rows: Array, shape: tuple[int, int, int]) -> Pairs:
         """The outputs of such rows (n, d)."""
         answered = evaluate_points(work, key, work.scene_names, rows)
-        failed = ~answered.good.reshape(shape)
+        failed = ~(answered.good | np.isfinite(answered.values).all(axis=1)).reshape(shape)
         return cls(values=answered.values.reshape(*shape, -1), failed=np.asarray(failed.any(axis=2)))
 
     def join(self, other: Pairs) -> Pairs:
@@ -384,7 +385,7 @@ def _answered_rows(work: Work, sample: Sample, quantity: str, own: slice, most: 
     """Points and outputs of the rows with an answer among the first ones of some randomisations."""
     from uqsphere.uq.expansion import germ_points
 
-    d, keep = len(work.scene_names), ~sample.failed[own].ravel()[:most]
+    d, keep = len(work.scene_names), ~sample.lost(quantity)[own].ravel()[:most]
     scores = sample.scores[own, :, :d].reshape(-1, d)[:most]
     return germ_points(scores[keep], work.germs), sample.answer(quantity)[own].ravel()[:most][keep]
 
@@ -596,9 +597,10 @@ def _why_none(work: Work, sampled: Sampled) -> tuple[str, str]:
     """Why classical indices are not sought, and how their stages are said to have ended; empty where they are."""
     if not work.scene_names:
         return "no input of the model is random", "accuracy"
-    if lost := lost_designs(sampled.sample.failed):
+    tied, lost = dependent_names(work), lost_designs(sampled.sample.failed)
+    if lost and (tied or not work.study.black_box or not _answered_quantities(work, sampled.sample)):
         return lost, "failures"
-    if tied := dependent_names(work):
+    if tied:
         reason = (
             f"{', '.join(tied)} depend on each other, and Sobol' indices do not share out the variance of "
             "dependent inputs: read Shapley effects and Kucherenko's indices, or remove the dependence to see what "
@@ -608,17 +610,42 @@ def _why_none(work: Work, sampled: Sampled) -> tuple[str, str]:
     return "", ""
 
 
+def _answered_quantities(work: Work, sample: Sample) -> tuple[str, ...]:
+    """The outputs of a black box whose indices its failures leave: those of all rows, where the rest lack too many."""
+    lost = {q: sample.lost(q) for q in work.quantities}
+    few = [q for q, rows in lost.items() if not lost_designs(rows)]
+    together = np.any([lost[q] for q in few], axis=0) if few else np.zeros(1, dtype=bool)
+    return tuple(q for q in few if not lost_designs(together) or not lost[q].any())
+
+
+def _refused(work: Work, quantity: str, reason: str, *, missed: bool) -> Sensitivity:
+    """No index of a quantity, and why; missed where a study whose runs all answer would have them."""
+    said = [Missed(subject=quantity, kind="indices", said=f"{quantity}: indices: none: {reason}")] if missed else []
+    return Sensitivity.none(work.scene_names, absent(reason, METHOD, 0), missed=said)
+
+
 def find_sensitivity(work: Work, sampled: Sampled) -> Shared:
-    """Indices of every quantity, or why there are none."""
+    """Indices of every quantity, or why there are none; what one output of a black box lacks takes none from others."""
     reason, stopped = _why_none(work, sampled)
     if reason:
-        refused = {q: Sensitivity.none(work.scene_names, absent(reason, METHOD, 0)) for q in work.quantities}
-        if stopped == "failures":
-            refused = {
-                q: replace(one, missed=[Missed(subject=q, kind="indices", said=f"{q}: indices: none: {reason}")])
-                for q, one in refused.items()
-            }
+        refused = {q: _refused(work, q, reason, missed=stopped == "failures") for q in work.quantities}
         return Shared(sensitivity=refused, stopped=stopped)
+    kept = _answered_quantities(work, sampled.sample) if lost_designs(sampled.sample.failed) else work.quantities
+    shared = _find_shares(work if kept == work.quantities else replace(work, columns=kept), sampled)
+    if kept == work.quantities:
+        return shared
+    every, pairs = shared.sensitivity, shared.pairs
+    for q in set(work.quantities) - set(kept):
+        every[q] = _refused(work, q, lost_designs(sampled.sample.lost(q)) or OTHERS_LOST, missed=True)
+    if pairs is not None:
+        values = np.full((*pairs.values.shape[:3], len(work.quantities)), np.nan)
+        values[..., [work.quantities.index(q) for q in kept]] = pairs.values
+        pairs = replace(pairs, values=values)
+    return replace(shared, sensitivity={q: every[q] for q in work.quantities}, pairs=pairs)
+
+
+def _find_shares(work: Work, sampled: Sampled) -> Shared:
+    """Sobol' indices of every quantity, by pairs and by expansions."""
     methods = set(work.study.analysis.methods)
     expansions = dict.fromkeys(work.quantities, Expansion())
     if {"pce", "auto"} & methods:
