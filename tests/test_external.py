@@ -190,7 +190,7 @@ def test_a_declaration_that_no_run_can_follow_ends_the_study_at_once(
     (tmp_path / "study.toml").write_text(STUDY)
     with pytest.raises(ModelError, match=re.escape(told)):
         uqsphere.run(uqsphere.load_study(tmp_path / "study.toml"), model=reference, out=tmp_path / "r", threads=1)
-    assert len(list((tmp_path / "runs").iterdir())) <= 2
+    assert len(list((tmp_path / "runs").iterdir())) <= 2 * 2  # two of each process
 
 
 # --- servers
