@@ -15,7 +15,7 @@ from uqsphere.report import build_report
 from uqsphere.report.brief import LINES, make_brief, summary_of
 from uqsphere.report.compare import compare_folders
 from uqsphere.report.contents import read_contents
-from uqsphere.report.page import build_brief, typeset
+from uqsphere.report.page import build_brief, on_one_sheet, typeset
 from uqsphere.report.phrases import loud, short_share
 
 STUDIES = Path(uqsphere.__file__).parent.parent / "studies"
@@ -82,7 +82,7 @@ def agree(folder: Path, name: str) -> None:
     ]
     page = folder / "report.html"
     texts = {"brief": read(sheet), "terminal": told, "page": read(page.read_text("utf-8"))}
-    document = typeset(sheet, "")
+    document, zoom = on_one_sheet(sheet)
     texts["paper"] = printed(document)
     for where, text in texts.items():
         for claim in claimed:
@@ -108,6 +108,7 @@ def agree(folder: Path, name: str) -> None:
     assert len(told.split("\n")) <= LINES
     assert words(texts["brief"]) <= 180, texts["brief"]
     assert len(document.pages) == 1, name
+    assert zoom > 0.8, (name, zoom)
     if name in PRINTED:
         whole = typeset(page.read_text("utf-8"))
         assert len(whole.pages) <= 6

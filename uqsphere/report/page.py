@@ -8,6 +8,7 @@ import html
 import io
 import logging
 import re
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import replace
@@ -409,7 +410,7 @@ def build_brief(folder: Path, *, pdf: bool = False) -> Path:
         return path
     check_pdf()
     path = folder / "brief.pdf"
-    write_atomically(path, _printed(typeset(text, "")))
+    write_atomically(path, _printed(*on_one_sheet(text)))
     return path
 
 
@@ -450,7 +451,7 @@ def check_pdf() -> None:
         With what to install.
     """
     try:
-        import weasyprint  # noqa: F401
+        _load_weasyprint()
     except ImportError as error:
         raise UsageError(_LACKING) from error
     except OSError as error:
@@ -478,14 +479,21 @@ def build_pdf(folder: Path, *, full: bool = False) -> Path:
     return path
 
 
-def _printed(document: Document) -> bytes:
+def _load_weasyprint() -> None:
+    """Import WeasyPrint; it warns of system libraries that its next version needs, while fontTools does their work."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        import weasyprint  # noqa: F401
+
+
+def _printed(document: Document, zoom: float = 1.0) -> bytes:
     """A document as PDF; the typesetter's remarks on styles of the screen are nobody's business."""
     log = logging.getLogger("weasyprint")
     before = log.level
     log.setLevel(logging.ERROR)
     try:
         buffer = io.BytesIO()
-        document.write_pdf(buffer, uncompressed_pdf=False)
+        document.write_pdf(buffer, zoom=zoom, uncompressed_pdf=False)
     finally:
         log.setLevel(before)
     return buffer.getvalue()
@@ -493,9 +501,22 @@ def _printed(document: Document) -> bytes:
 
 def typeset(text: str, sheet: str = _SHEET) -> Document:
     """The page laid out on paper, a `weasyprint.Document`: chapters in the list on the first pages have their page."""
+    _load_weasyprint()
     from weasyprint import CSS, HTML
     from weasyprint.urls import URLFetcher
 
     # nothing of a page lies outside it: its pictures are data of its own
     inside = URLFetcher(allowed_protocols=("data",))
     return HTML(string=text, url_fetcher=inside, media_type="print").render(stylesheets=[CSS(string=sheet)])
+
+
+def on_one_sheet(text: str) -> tuple[Document, float]:
+    """The brief laid out, and the zoom that it is printed with to stand on one sheet of A4 whatever fonts there are.
+
+    What is too long is laid out on paper larger by tenths of A4.
+    """
+    for tenths in range(10, 15):
+        document = typeset(text.replace("size: A4;", f"size: {21 * tenths}mm {29.7 * tenths:.4g}mm;"), "")
+        if len(document.pages) == 1:
+            break
+    return document, 10.0 / tenths
