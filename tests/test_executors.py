@@ -106,7 +106,7 @@ def test_blocks_follow_from_counts_alone(box: Any) -> None:
     assert (limited.analysis.time_limit, block_size(limited, 10**7, alone=True)) == (5.0, 1)
 
 
-@pytest.mark.parametrize("override", ["analysis.rows_per_call=0", "analysis.rows_per_call=20_000",
+@pytest.mark.parametrize("override", ["analysis.rows_per_call=0", "analysis.rows_per_call=60_000",
                                       'analysis.time_limit="0 s"', 'analysis.time_limit="5 m"'])  # fmt: skip
 def test_calls_that_cannot_be_are_refused(box: Any, override: str) -> None:
     with pytest.raises(StudyError):

@@ -18,7 +18,7 @@ from uqsphere.uq.foreign import as_law, law_table
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
-    from uqsphere.uq.expansion.germs import load_chaospy
+    from uqsphere.uq.interop import load_chaospy
 
     chaospy = load_chaospy()
 

@@ -343,7 +343,7 @@ def test_a_target_inside_the_interval_is_undecided(study_from: Callable[..., Stu
     assert not run.met
 
 
-@pytest.mark.parametrize(("density", "chosen"), [("1 kg/m3", "massless"), ("8000 kg/m3", "full")])
+@pytest.mark.parametrize(("density", "chosen"), [("20 kg/m3", "massless"), ("8000 kg/m3", "full")])
 def test_auto_measures_and_says_why(
     study_from: Callable[..., Study], tmp_path: Path, density: str, chosen: str
 ) -> None:

@@ -67,12 +67,11 @@ def test_energy_is_kept_where_a_face_yields_at_its_first_touch_or_softens_to_its
     assert lacking.max() < 10.0
 
 
-@pytest.mark.parametrize(("seed", "place"), [(22, 10), (24, 11)])
-def test_the_forces_of_a_motion_keep_its_energy_to_the_end_of_a_step(seed: int, place: int) -> None:
-    """(C15) of heavy spheres under a step: the series of the force, cut off sooner than the approach, had 83 and 61."""
-    plan = design(110, seed, narrower={**SHORT, "mu": (1e-4, 1e3, True), "theta": (0.1, 30.0, True),
+def test_the_forces_of_a_motion_keep_its_energy_to_the_end_of_a_step() -> None:
+    """(C15) of heavy spheres under a step: the series of the force, cut off sooner than the approach, had 83."""
+    plan = design(110, 22, narrower={**SHORT, "mu": (1e-4, 1e3, True), "theta": (0.1, 30.0, True),
                                        "incident": (1.0, 30.0, True)})  # fmt: skip
-    lacking = balances(with_law(plan, "plastic", seed)[place : place + 1], 1e-6)
+    lacking = balances(with_law(plan, "plastic", 22)[10:11], 1e-6)
     assert np.nanmax(lacking) < 10.0
 
 

@@ -21,12 +21,13 @@ from uqsphere.study.numbers import Tested
 from uqsphere.uq import Law, make_law
 
 if TYPE_CHECKING:
+    from chaospy import Distribution
+
     from uqsphere.feed.answers import FeedPlan
     from uqsphere.study.feed import Particles
     from uqsphere.study.tests import TestsPlan
     from uqsphere.uq import Dependence as Tie
     from uqsphere.uq import Joint
-    from uqsphere.uq.expansion.germs import Distribution
     from uqsphere.uq.interop import SalibDesign
 
 

@@ -19,7 +19,7 @@ from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import Law, checked, make_law
 
 if TYPE_CHECKING:
-    from uqsphere.uq.expansion.germs import Distribution
+    from chaospy import Distribution
 
 #: a law, its table as in a study, or a distribution of scipy.stats or chaospy
 LawLike: TypeAlias = Any

@@ -1,17 +1,18 @@
-"""Joint laws, expansions and designs as chaospy and SALib have them."""
+"""Joint laws, expansions and designs as chaospy and SALib have them: the file that loads chaospy."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.uq.estimate import Estimate, absent, from_replicates, student
-from uqsphere.uq.expansion.germs import GermLike, load_chaospy, recurrence_of
+from uqsphere.uq.expansion.germs import GermLike, recurrence_of
 from uqsphere.uq.indices import Blocks, mean_expansion, uniform_halves
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import Law
@@ -20,11 +21,41 @@ from uqsphere.uq.response import Response
 if TYPE_CHECKING:
     from types import ModuleType
 
+    from chaospy import Distribution as Distribution
     from numpoly import ndpoly
 
-    from uqsphere.uq.expansion.germs import Distribution
-
 # --- chaospy ----------------------------------------------------------------------------------------------------
+
+
+def load_chaospy() -> Any:
+    """The package chaospy, imported without a trace; raises UsageError where it is not installed."""
+    with _quiet_chaospy():
+        try:
+            import chaospy
+        except ImportError as error:
+            raise UsageError("this needs chaospy: uqsphere doctor says how to install it") from error
+    return chaospy
+
+
+@contextmanager
+def _quiet_chaospy() -> Iterator[None]:
+    """On import chaospy turns the root logger to DEBUG and adds a handler of its own: both are undone."""
+    import logging
+    import warnings
+
+    root = logging.getLogger()
+    level, handlers = root.level, list(root.handlers)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        root.setLevel(level)
+        for handler in list(root.handlers):
+            if handler not in handlers:
+                root.removeHandler(handler)
+                handler.close()
+
 
 #: laws that chaospy has exactly, for its own three-term recurrences
 _CHAOSPY: Final[Mapping[str, Callable[[ModuleType, Law], Distribution]]] = {
