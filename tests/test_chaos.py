@@ -85,8 +85,8 @@ def test_polynomials_of_a_density_are_those_of_chaospy_and_of_jacobi() -> None:
     made = chaospy.TruncNormal(lower=-1.0, upper=1.0, mu=-0.5, sigma=1.0)  # the same on [-1, 1]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of numpy, by chaospy
-        theirs = np.asarray(chaospy.discretized_stieltjes(10, made, rule="legendre")[0]).reshape(2, 11)
-    np.testing.assert_allclose(stieltjes("cut", law.pdf, 0.9, 1.3, 10)[:, 1:], theirs[:, 1:], atol=1e-10)
+        theirs = np.asarray(chaospy.discretized_stieltjes(6, made, rule="legendre")[0]).reshape(2, 7)
+    np.testing.assert_allclose(stieltjes("cut", law.pdf, 0.9, 1.3, 6)[:, 1:], theirs[:, 1:], atol=1e-10)
     smooth = make_law("beta", {"alpha": 3.0, "beta": 4.0}, 0.0, 1.0)
     np.testing.assert_allclose(stieltjes("beta", smooth.pdf, 0.0, 1.0, 15), jacobi(3.0, 4.0, 15), atol=1e-9)
 
