@@ -23,7 +23,7 @@ from uqsphere.errors import AccessError, ModelError, StudyError, TooManyFailures
 from uqsphere.report.page import GOES_ON, build_report, write_draft
 from uqsphere.results import Results
 from uqsphere.results.entries import Manifest
-from uqsphere.runner.beside import aside, may_copy
+from uqsphere.runner.beside import aside, may_copy, shared_out
 from uqsphere.runner.chunks import CHUNK, block_size
 from uqsphere.runner.evaluate import Ledger
 from uqsphere.runner.remote import Task
@@ -414,6 +414,20 @@ def test_a_copy_of_the_process_answers_and_leaves_this_one_as_it_is() -> None:
         wrong()
     with aside(lambda: here if os.getpid() == here else os._exit(3), copied=True) as lost:
         assert lost() == here
+
+
+@pytest.mark.skipif(not may_copy(None), reason="needs Linux and two processors")
+def test_work_that_two_processes_share_is_done_whatever_becomes_of_the_copy() -> None:
+    here = os.getpid()
+    order = [4, 0, 1, 2, 3]
+    assert shared_out(lambda k: k * k, order, copied=True) == [0, 1, 4, 9, 16]
+    assert shared_out(lambda k: (k, os.getpid()), order, copied=False) == [(k, here) for k in range(5)]
+
+    def fatal(k: int) -> int:
+        time.sleep(0.02)
+        return k if os.getpid() == here else os._exit(3)
+
+    assert shared_out(fatal, order, copied=True) == [0, 1, 2, 3, 4]
 
 
 def test_a_ledger_adds_what_was_spent_beside_it() -> None:

@@ -29,7 +29,7 @@ from uqsphere.report.tables import commands, repeat_rows
 from uqsphere.report.whatif import panels
 from uqsphere.results import Results
 from uqsphere.results.entries import Fields, Manifest, read_resolved
-from uqsphere.runner.beside import aside, may_copy
+from uqsphere.runner.beside import may_copy, shared_out
 from uqsphere.runner.kept import write_sums
 from uqsphere.store import csv_text, write_atomically
 
@@ -201,13 +201,15 @@ def build_report(folder: Path, threads: int | None = None) -> Path:
 
 
 def _build(folder: Path, contents: Contents, threads: int | None) -> Path:
-    """The figures and the page, in the units of the run; half of the chapters on another processor."""
+    """The figures and the page, in the units of the run; chapters are drawn by two processors, the longest first."""
+    from threadpoolctl import threadpool_limits
+
     parts = CHAPTERS if "" in contents.parts else ()
-    half = (len(parts) + 1) // 2
-    with aside(lambda: _drawn(build_chapters(contents, parts[half:])), copied=may_copy(threads)) as later:
-        front = _drawn([*service_chapters(contents), *build_chapters(contents, parts[:half])])
-        shown = _shown(contents)
-        chapters = _distinct([*front, *later()])
+    order = sorted(range(len(parts)), key=lambda k: parts[k][0] != "scene")
+    with threadpool_limits(limits=1, user_api="blas"):  # threads of linear algebra would wait for each other's processor
+        made = shared_out(lambda k: _drawn(build_chapters(contents, parts[k : k + 1])), order, copied=may_copy(threads))
+        chapters = _distinct([*_drawn(service_chapters(contents)), *(chapter for part in made for chapter in part)])
+    shown = _shown(contents)
     files = dict[str, str]()
     for picture in (block.picture for block in _blocks(chapters) if block.picture is not None):
         if picture.header:
