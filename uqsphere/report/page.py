@@ -206,7 +206,7 @@ def _build(folder: Path, contents: Contents, threads: int | None) -> Path:
 
     parts = CHAPTERS if "" in contents.parts else ()
     order = sorted(range(len(parts)), key=lambda k: parts[k][0] != "scene")
-    with threadpool_limits(limits=1, user_api="blas"):  # threads of linear algebra would wait for each other's processor
+    with threadpool_limits(limits=1, user_api="blas"):  # of two processes, whose threads would keep each other waiting
         made = shared_out(lambda k: _drawn(build_chapters(contents, parts[k : k + 1])), order, copied=may_copy(threads))
         chapters = _distinct([*_drawn(service_chapters(contents)), *(chapter for part in made for chapter in part)])
     shown = _shown(contents)
