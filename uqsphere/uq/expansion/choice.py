@@ -37,6 +37,8 @@ _HELPS: Final = 0.8  # a transform is kept where it brings the error below this 
 _CLEAR: Final = 4.0  # times less error: the search need not go on without the transform
 _CLOSE: Final = 2.0  # times the least error of the search: a transform still in the running
 _STRIDE: Final = 1.4  # sets that are hardly larger than the one before are passed over
+_GROWS: Final = 0.9  # a grown basis is kept where it brings the error below this share,
+_GROWS_FEW: Final = 0.75  # and below this where samples are few, and chance is large
 _EXPLAINS: Final = 0.5  # of what is left: a term that is out of reach, and worth another basis
 _MOST_TERMS: Final = 256
 _SOLVERS: Final = ("forward selection", "least angles")
@@ -109,8 +111,7 @@ def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
         values=values,
         highest=highest,
         bases=tuple(bases),
-        # fewer samples lose more to a fold: more and smaller ones, until the reported errors suffer (campaigns.chaos)
-        folds=deal(n, 12 if n <= 100 else 10 if n <= 150 else 5),
+        folds=deal(n, 10 if n <= 150 else 5),
         most_terms=max(min(n // 2, _MOST_TERMS), 1),
         quick_terms=max(n // 2 if n <= 150 else min(n // 4, _MOST_TERMS // 2), 1),
         most_candidates=most,
@@ -339,8 +340,8 @@ def _skipped(contest: Contest, found: Found, values: Array, solver: str, outputs
 
 
 def _tried(contest: Contest, found: Found, indices: Indices, solver: str, outputs: Array) -> Found | None:
-    """What a solver makes of these terms, if the error falls."""
+    """What a solver makes of these terms, if the error falls clearly."""
     indices = indices[np.argsort(indices.sum(axis=1) > 0, kind="stable")]  # the constant first
     basis = indices, products(contest.values, indices), ()
     trial = _run(contest, solver, found.transform, outputs, basis, contest.most_terms)
-    return trial if trial.error < found.error else None
+    return trial if trial.error < (_GROWS if outputs.size > 150 else _GROWS_FEW) * found.error else None
