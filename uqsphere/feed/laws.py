@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.special import log_ndtr, ndtri
 
 from uqsphere.arrays import Array, Values
 from uqsphere.mechanics import contact
@@ -57,6 +56,8 @@ def _lognormal_density(energy: Values, p: Parameters) -> Array:
 
 
 def _lognormal_quantile(share: Values, p: Parameters) -> Array:
+    from scipy.special import ndtri
+
     stretched = p["median"] * np.exp(np.asarray(p["sigma"]) * ndtri(share))
     return np.asarray(stretched / (1.0 + stretched / (np.asarray(p["ratio"]) * p["median"])))
 
@@ -90,7 +91,16 @@ def _log_rest(hazard: Array) -> Array:
         return np.where(hazard < 1.0, np.log(-np.expm1(-hazard)), np.log1p(-np.exp(-np.maximum(hazard, 1.0))))
 
 
+def _lognormal_tail(energy: Values, p: Parameters, sign: float = 1.0) -> Array:
+    """ln P(e), or ln(1 - P(e)) where the sign is -1."""
+    from scipy.special import log_ndtr
+
+    return np.asarray(log_ndtr(sign * _standard(energy, p)))
+
+
 def _lognormal_between(low: Values, high: Values, p: Parameters) -> Array:
+    from scipy.special import log_ndtr
+
     a, b = _standard(low, p), _standard(high, p)
     # the normal law is even: both ends in the lower tail
     upper = a + b > 0.0
@@ -130,7 +140,7 @@ LAWS: Final = {
     for law in (
         FractureLaw(
             name="lognormal", keys=("sigma",), density=_lognormal_density, quantile=_lognormal_quantile,
-            below=lambda e, p: log_ndtr(_standard(e, p)), above=lambda e, p: log_ndtr(-_standard(e, p)),
+            below=_lognormal_tail, above=lambda e, p: _lognormal_tail(e, p, -1.0),
             between=_lognormal_between,
         ),
         FractureLaw(

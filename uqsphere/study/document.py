@@ -574,11 +574,11 @@ class Analysis:
         "half-widths of the 95 % intervals: mean and quantile relative to the standard deviation (half the 16-84 % "
         "range where it has none), sobol absolute, probability relative, curve relative to the smaller side; where one "
         "of the first four is given, no evaluations are spent on those that are not",
-        Accuracy(),
+        Accuracy,
     )
     budget: Budget = key(
         "where the run stops at the latest; see below for `exhaust`",
-        Budget(),
+        Budget,
         default_is='`{ evaluations = 2_000_000, time = "10 min", exhaust = false }`',
     )
     quantiles: Shares = key("between 0 and 1", (0.01, 0.05, 0.5, 0.95, 0.99))
@@ -721,7 +721,7 @@ class Document:
     limits: Mapping[Text, LimitTable] = Field(default_factory=dict)
     dependence: tuple[Dependence, ...] = ()
     gauges: tuple[Gauge, ...] = ()
-    analysis: Analysis = Analysis()
+    analysis: Analysis = Field(default_factory=Analysis)
     margins: MarginsTable | None = None
 
     @property

@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final
 
-from uqsphere.feed.answers import FeedPlan
-from uqsphere.feed.product import ProductPlan
 from uqsphere.materials import library
 from uqsphere.mechanics.rigs import GRAVITY, drop_speed
 from uqsphere.quantities import INPUTS
@@ -30,7 +28,9 @@ from uqsphere.units import UNITS, Quantity
 from uqsphere.uq import Law
 
 if TYPE_CHECKING:
+    from uqsphere.feed.answers import FeedPlan
     from uqsphere.feed.population import Sizes
+    from uqsphere.feed.product import ProductPlan
     from uqsphere.study.study import Study
 
 #: what a blow offers: dimension, kind of `uqsphere.feed.population.Blows`
@@ -104,6 +104,8 @@ def _particles(table: MaterialTable, findings: Findings) -> Particles | None:
 
 def read_product(table: ProductTable | None, findings: Findings) -> ProductPlan:
     """How fine the product is; without [product] the tests are to tell."""
+    from uqsphere.feed.product import ProductPlan
+
     if table is None:
         return ProductPlan()
     quantities = {key: INPUTS[f"product.{key}"] for key in ("A", "b")}
@@ -143,6 +145,7 @@ def read_feed(
     document: Document, particles: Particles | None, services: Mapping[str, Study], findings: Findings
 ) -> FeedPlan | None:
     """The feed of a study; None, with every fault noted, where there is none."""
+    from uqsphere.feed.answers import FeedPlan
     from uqsphere.feed.population import Blows, Feed, make_classes
 
     table, product_table = document.feed, document.product

@@ -268,7 +268,8 @@ def key_table(kind: Raw) -> str:
     for name, entry in declared(kind).items():
         extra = entry.json_schema_extra
         if isinstance(extra, dict) and entry.description:
-            usual = "none" if entry.default in (None, {}) else f"`{_toml(entry.default)}`"
+            value = entry.get_default(call_default_factory=True)
+            usual = "none" if value in (None, {}) else f"`{_toml(value)}`"
             default = extra["default_is"] or ("required" if extra["due"] else usual)
             rows.append(f"| `{name}` | {default} | {entry.description} |")
     return "\n".join(rows)

@@ -198,12 +198,15 @@ def key(meaning: str, default: Raw = None, *, default_is: str = "", due: str = "
     """A key of a table.
 
     meaning : one clause, for the reference and for editors
+    default : a value, or the table that stands there as it is declared
     default_is : the default in words, where its value does not say it
     due : the key must be given: what to add where it is missing
     named : the key in the file, where it is no name in Python
     """
     told: dict[str, Raw] = {"default_is": default_is, "due": due}
-    return Field(default=default, description=meaning, json_schema_extra=told, alias=named)
+    # a table is made where it is needed: its validator takes longer to build than most studies take to read
+    usual = {"default_factory": default} if isinstance(default, type) else {"default": default}
+    return Field(**usual, description=meaning, json_schema_extra=told, alias=named)
 
 
 # --- reading --------------------------------------------------------------------------------------------
@@ -224,7 +227,6 @@ _DUE: Final = {
 
 @functools.cache
 def _adapter(kind: Raw) -> TypeAdapter[Raw]:
-    """A table's validator, which takes longer to build than most studies take to read."""
     return TypeAdapter(kind)
 
 
