@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -17,6 +18,9 @@ from uqsphere.study import Study
 
 #: `tests.campaigns` and `tests.independent` are run as programs too, and go by their whole names
 sys.path.insert(0, str(Path(__file__).parent.parent))
+
+#: processes that tests start would compile the package again
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 #: programs, each run by a command of its own (docs/validation.md)
 collect_ignore = ["campaigns", "independent"]

@@ -126,15 +126,6 @@ def test_a_run_has_the_answers_of_its_scale(power: int, tmp_path: Path) -> None:
     assert {n: e["value"] for n, e in found["sensitivity"]["y"]["total"].items()} == pytest.approx(total, abs=1e-6)
 
 
-# --- what to measure ------------------------------------------------------------------------------------
-
-
-def _row(name: str, value: float, error: float) -> dict[str, Any]:
-    sway = {"value": value, "low": value - 2.0 * error, "high": value + 2.0 * error, "std_error": error,
-            "method": "m", "evaluations": 9}  # fmt: skip
-    return {"input": name, "sway": sway, "share": 0.5, "tests": 2, "observations": None}
-
-
 # --- models that raise, end, or never come back ---------------------------------------------------------
 
 

@@ -161,12 +161,6 @@ def test_check_prints_the_plan(ask: Any) -> None:
     assert document["hash"] == uqsphere.load_study(GRANITE).hash
 
 
-def test_set_replaces_a_value(ask: Any) -> None:
-    document = ask("check", "small.toml", "--set", "striker.speed.mean=4 m/s", "--set", "seed=9", "--json").document()
-    assert document["seed"] == 9
-    assert document["random"]["striker.speed"]["given"]["mean"] == 4.0
-
-
 @pytest.mark.parametrize("what", ["materials", "models", "quantities", "criteria"])
 def test_lists(ask: Any, what: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "1000")
@@ -252,33 +246,6 @@ def test_folders_that_hold_no_run_are_exit_5(ask: Any, place: Path, command: tup
     for folder in ("empty", "none", "small.toml"):
         answer = ask(command[0], folder, *command[1:])
         assert (answer.code, answer.out) == (5, ""), folder
-
-
-DAMAGE = {
-    "truncated results": ("results.json", lambda data: data[: len(data) // 2]),
-    "a list of results": ("results.json", lambda data: b"[]"),
-    "empty results": ("results.json", lambda data: b"{}"),
-    "no limits": ("results.json", lambda data: data.replace(b'"limits"', b'"limit"')),
-    "limits of another kind": ("results.json", lambda data: data.replace(b'"miss": {', b'"mis": {')),
-    "numbers that are texts": ("results.json", lambda data: data.replace(b'"value": ', b'"value": "x", "v": ')),
-    "bytes": ("results.json", lambda data: b"\xff\x00\xfe"),
-    "no manifest": ("manifest.json", None),
-    "a list of manifests": ("manifest.json", lambda data: b"[]"),
-}
-
-
-@pytest.mark.parametrize("command", [("show",), ("report",), ("export", "--format", "csv")], ids=lambda c: c[0])
-@pytest.mark.parametrize("damage", DAMAGE)
-def test_damaged_runs_are_exit_5(ask: Any, finished_copy: Path, damage: str, command: tuple[str, ...]) -> None:
-    name, spoil = DAMAGE[damage]
-    path = finished_copy / name
-    if spoil is None:
-        path.unlink()
-    else:
-        path.write_bytes(spoil(path.read_bytes()))
-    answer = ask(command[0], str(finished_copy), *command[1:])
-    assert (answer.code, answer.out) == (5, "")
-    assert answer.err.strip()
 
 
 def test_history(ask: Any, place: Path) -> None:
@@ -396,13 +363,6 @@ def test_a_terminal_without_the_characters(place: Path, small_text: str) -> None
     assert (text.returncode, text.stderr) == (0, "")
     document = process(["check", "small.toml", "--json"], place, env=narrow)
     assert json.loads(document.stdout)["title"] == "Größe µm²"
-
-
-def test_a_title_cannot_steer_the_terminal(ask: Any, place: Path, small_text: str) -> None:
-    (place / "small.toml").write_text(small_text.replace('"Small"', r'"\u001b[31mred\u0007"'))
-    answer = ask("check", "small.toml")
-    assert "\x1b" not in answer.out
-    assert "\x07" not in answer.out
 
 
 def test_the_debug_switch_shows_the_place(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:

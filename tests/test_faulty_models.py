@@ -48,12 +48,10 @@ def good(rows):
 
 """
 
-#: what stands in the function, and what is said of it
+#: what stands in the function, and what is said of it; answers of a wrong shape or kind are tried in test_model.py
 FAULTY = {
     "exit": ("exit(0)", "SystemExit: 0"),
     "ends": ("os._exit(0)", "exit code 0"),
-    "stop": ("ctypes.CDLL(None).exit(0)", "exit code 0"),
-    "aborts": ("os.abort()", "SIGABRT"),
     "segfault": ("ctypes.string_at(0)", "SIGSEGV"),
     "killed": ("os.kill(os.getpid(), 9)", "SIGKILL), as where memory runs out"),
     "memory": ("np.ones(1 << 45)", "MemoryError"),
@@ -63,13 +61,8 @@ FAULTY = {
     "long": ("raise ValueError('\\x1b[2J' + 'x' * 10_000_000)", "ValueError: ?[2Jxxx"),
     "no text": ("raise Silly", "Silly: (its text cannot be had: RuntimeError)"),
     "huge": ("return {'y': [10**400] * len(rows['a'])}", "is not an array of numbers"),
-    "hostile": ("return {'y': [Hostile()] * len(rows['a'])}", "is not an array of numbers"),
     "keys": ("return {Hostile(): 1.0, '\\x1b[2J' * 10_000: 2.0}", "returned no 'y' (it returned '(its text cannot"),
     "mapping": ("return Odd(y=1.0)", "cannot be read: OSError: odd"),
-    "shape": ("return {'y': np.zeros((len(rows['a']), 2))}", "must have shape"),
-    "complex": ("return {'y': 1j * rows['a']}", "complex"),
-    "nothing": ("return", "must return a dict"),
-    "not finite": ("return {'y': np.nan * rows['a']}", "not finite"),
     "closes": ("os.closerange(3, 99)", "its process ended with"),
     "writes": ("[os.write(k, b'junk' * 99) for k in range(3, 20) if not os.set_blocking(k, False)]", ""),
 }

@@ -37,13 +37,13 @@ def test_a_record_without_noise_gives_the_law_back():
 
 
 def test_the_intervals_cover():
-    """Of 60 records with noise; 95 % of the intervals should hold the true number, 4 standard errors are 11 %."""
+    """Of 30 records with noise; 95 % of the intervals should hold the true number, 4 standard errors are 16 %."""
     rng, held = np.random.default_rng(20), dict.fromkeys(TRUE, 0)
-    for _ in range(60):
+    for _ in range(30):
         fit = fit_contact(made(rng), diameter=0.02)
         for name, value in TRUE.items():
             held[name] += getattr(fit, name).low <= value <= getattr(fit, name).high
-    assert min(held.values()) >= 0.84 * 60, held
+    assert min(held.values()) >= 0.79 * 30, held
 
 
 def write(tmp_path, loading: Loading, header="displacement [um],force [kN]"):

@@ -186,7 +186,7 @@ TIE
 [analysis]
 quantities = ["p_max"]
 methods = METHODS
-budget = { evaluations = 60_000, time = "5 min" }
+budget = { evaluations = EVALUATIONS, time = "5 min" }
 accuracy = { mean = 0.02, quantile = 0.05, sobol = 0.2, probability = 0.03 }
 """
 )
@@ -229,9 +229,12 @@ def exact_union(pressure: float, force: float, tie: float = 0.0) -> float:
     return float(1.0 - both)
 
 
-def closed_run(folder: Path, pressure: str, force: str, tie: str = "", methods: str = '["qmc"]') -> dict[str, Any]:
+def closed_run(
+    folder: Path, pressure: str, force: str, tie: str = "", methods: str = '["qmc"]', most: int = 60_000
+) -> dict[str, Any]:
     path = folder / "two.toml"
     text = TWO.replace("PRESSURE", pressure).replace("FORCE", force).replace("TIE", tie).replace("METHODS", methods)
+    text = text.replace("EVALUATIONS", f"{most}")
     path.write_text(text, encoding="utf-8")
     return uqsphere.run(uqsphere.load_study(path), out=folder / "r").results.document()
 
@@ -267,7 +270,7 @@ def test_strengths_tied_by_another_copula_are_refused_with_the_reason(tmp_path: 
         '[[dependence]]\nof = ["limits.pressure.strength", "limits.force.strength"]\n'
         'copula = "clayton"\nkendall = 0.5\n'
     )
-    found = closed_run(tmp_path, "7.2", "75", tie)
+    found = closed_run(tmp_path, "7.2", "75", tie, most=4_000)
     assert found["fracture"]["union"]["value"] is None
     assert "copula that is not Gaussian" in found["fracture"]["reason"]
 
@@ -291,7 +294,7 @@ def several(tmp_path_factory: pytest.TempPathFactory, small_text: str) -> uqsphe
     folder = tmp_path_factory.mktemp("several")
     path = folder / "several.toml"
     margins = '[margins]\nsolve = "striker.speed"\nbetween = ["1 m/s", "12 m/s"]\nfor_probability = [0.1, 0.5]\n'
-    text = small_text.replace("evaluations = 30_000", "evaluations = 120_000")
+    text = small_text.replace("evaluations = 30_000", "evaluations = 60_000")
     path.write_text(text.replace("[analysis]", MORE + "[analysis]") + margins, encoding="utf-8")
     run = uqsphere.run(uqsphere.load_study(path), out=folder / "r")
     build_report(run.folder)

@@ -18,7 +18,7 @@ from uqsphere.uq.curve import fit_lognormal_curve, interpolate_rows
 GRID = np.geomspace(0.3, 5.0, 40)
 SMALL = (
     "analysis.accuracy={mean=0.5, quantile=0.9, sobol=0.9, probability=0.5}", 'analysis.methods=["qmc", "form"]',
-    "analysis.budget.evaluations=60_000", "model.tolerance=1e-3", "analysis.quantiles=[0.5]",
+    "analysis.budget.evaluations=30_000", "model.tolerance=1e-3", "analysis.quantiles=[0.5]",
 )  # fmt: skip
 
 # demand v^0.5 exp(0.1 z), strength lognormal about 1.5 with 0.2: fracture is lognormal in v in closed form
@@ -140,12 +140,6 @@ def test_the_required_strength(tmp_path: Path) -> None:
     for p, found in entry["values"].items():
         exact = mean_over_median * math.exp(math.hypot(0.2, 0.1) * ndtri(1.0 - float(p)))
         assert found["value"] == pytest.approx(exact, rel=0.005)
-
-
-def test_no_root_between_the_bounds(tmp_path: Path) -> None:
-    entry = run_box(tmp_path, changes=(("[0.05, 60.0]", "[0.9, 2.0]"),))["margins"]["a"]
-    assert "no value between 0.9 and 2" in entry["values"]["0.99"]["reason"]
-    assert "no value between 0.9 and 2" in entry["value"]["reason"]
 
 
 def test_a_curve_that_is_not_monotone(tmp_path: Path) -> None:

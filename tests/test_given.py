@@ -483,13 +483,13 @@ def test_the_influence_of_a_row_on_a_rank_correlation_is_what_leaving_it_out_tak
 def test_a_gaussian_copula_that_is_not_alone_leaves_the_others_open() -> None:
     """Of 17 tables that Clayton's copula had tied, and the Gaussian one was taken for, 6 missed a quantile."""
     taken = []
-    for seed in range(24):
+    for seed in range(12):
         rng = np.random.default_rng(seed)
         z = dependent_scores(make_copula("clayton", 2, spearman=0.4), rng.standard_normal((100, 2)))
         (tie,) = ties_of(z, {(0, 1): float(stats.spearmanr(z).statistic)})
         assert sum(tie.weights.values()) == pytest.approx(1.0)
         taken += [tie] * (tie.copula == "gaussian")
-    assert 2 <= len(taken) <= 12
+    assert 1 <= len(taken) <= 6
     # less than e^2 between the best and the Gaussian copula, of four at most
     assert all(0.03 < tie.weights["gaussian"] < 0.9 for tie in taken)
     assert np.mean([tie.weights.get("clayton", 0.0) for tie in taken]) > 0.2

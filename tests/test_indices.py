@@ -200,20 +200,6 @@ def test_a_first_index_above_the_total_one_leaves_room_for_both() -> None:
     assert ordered([nothing], [total]) == ([nothing], [total])
 
 
-@pytest.mark.parametrize("estimator", ESTIMATORS)
-def test_intervals_cover_the_closed_form(estimator: str) -> None:
-    model, hits = MODELS["ishigami"], []
-    blocks = Blocks(inputs_count=3, second=estimator == "azzini_rosati")
-    for seed in range(40):
-        found = index_estimates(outputs(model, blocks, 64, seed=seed, replicates=8), blocks, estimator)
-        hits += [
-            e.low <= truth <= e.high
-            for order in ("first", "total")
-            for e, truth in zip(found[order], getattr(model, order), strict=True)
-        ]
-    assert 0.90 <= np.mean(hits) <= 0.99
-
-
 def test_cross_check_names_what_disagrees() -> None:
     near = from_replicates(np.array([0.50, 0.52, 0.51]), "a", 3)
     far = from_replicates(np.array([0.90, 0.92, 0.91]), "b", 3)
@@ -513,12 +499,11 @@ def test_delta_of_a_linear_model_is_that_of_the_integral() -> None:
         assert estimate.half_width < 0.015
 
 
-@pytest.mark.parametrize("n", [128, 512])
-def test_intervals_of_delta_cover(n: int) -> None:
+def test_intervals_of_delta_cover() -> None:
     exact = [delta_of(weight) for weight in WEIGHTS]
     hits = tries = 0
     for seed in range(25):
-        z = normals(n, 4, seed=seed)
+        z = normals(128, 4, seed=seed)
         for estimate, value in zip(delta_estimates(z, z @ WEIGHTS), exact, strict=True):
             hits += estimate.low <= value <= estimate.high
             tries += 1

@@ -21,8 +21,6 @@ from uqsphere.runner.questions.curves import energy_curve, find_rows
 from uqsphere.study import Study
 from uqsphere.uq.curve import fragility
 from uqsphere.uq.law import make_law
-from uqsphere.uq.limit_state import LimitState, exceedance
-from uqsphere.uq.points import sobol_points
 
 TARGETS = (0.01, 0.1, 0.5, 0.9, 0.99)
 MEDIAN, SCATTER = 1.2, 0.25
@@ -31,18 +29,6 @@ GRID = np.geomspace(0.4, 4.0, 13)
 
 def lognormal(value: np.ndarray | float) -> np.ndarray:
     return np.asarray(ndtr(np.log(np.asarray(value) / MEDIAN) / SCATTER))
-
-
-def simulated(seed: int, n: int = 256, replicates: int = 8) -> np.ndarray:
-    """Probabilities (K, R) that value · exp(0.2 z) exceeds a lognormal strength, by counting; in closed form
-    lognormal in the value with the scatter of both."""
-    z = ndtri(
-        np.stack(
-            [sobol_points(dimension=2, count=n, seed=seed, task="margins", replicate=r) for r in range(replicates)]
-        )
-    )
-    drawn = 0.2 * z[:, :, 0] - 0.15 * z[:, :, 1]
-    return np.stack([(math.log(v / MEDIAN) + drawn > 0.0).mean(axis=1) for v in GRID])
 
 
 def test_values_of_a_known_curve() -> None:
@@ -61,24 +47,6 @@ def test_falling_curves_answer_the_same_questions() -> None:
     found = fragility(GRID, 1.0 - exact, TARGETS, samples=1000, evaluations=1)
     for target, estimate in found.values.items():
         assert estimate.value == pytest.approx(MEDIAN * math.exp(SCATTER * ndtri(1.0 - target)), rel=1e-6)
-
-
-def test_intervals_cover() -> None:
-    total = math.hypot(0.2, 0.15)
-    hits, tries = 0, 0
-    for seed in range(40):
-        found = fragility(GRID, simulated(seed), TARGETS, samples=256, evaluations=1)
-        for target, estimate in found.values.items():
-            exact = MEDIAN * math.exp(total * ndtri(target))
-            if estimate.value is not None:
-                hits += estimate.low <= exact <= estimate.high
-                tries += 1
-        for value, _, low, high in found.curve:
-            assert low <= 1.0
-            assert high >= 0.0
-            assert high > low, value
-    assert tries >= 150
-    assert hits / tries >= 0.90
 
 
 def test_no_root_between_the_bounds_is_said() -> None:
@@ -123,17 +91,6 @@ def test_a_scalar_that_crosses_zero_is_taken_as_it_is() -> None:
     noisy = np.clip(ndtr(grid)[:, None] + 0.05 * np.random.default_rng(1).standard_normal((121, 8)), 0.0, 1.0)
     one, other = (fragility(grid, p, (0.5,), samples=1000, evaluations=1) for p in (noisy, 1.0 - noisy[::-1]))
     assert other.values[0.5].value == pytest.approx(-one.values[0.5].value, abs=1e-6)
-
-
-def test_exceedance_and_fragility_agree() -> None:
-    z = ndtri(np.stack([sobol_points(dimension=1, count=512, seed=1, task="m", replicate=r) for r in range(8)]))
-    demand = np.exp(0.2 * z[:, :, 0])
-    at = fragility(GRID, np.stack([(v * demand > 1.5).mean(axis=1) for v in GRID]), (0.3,), samples=512,
-                   evaluations=1).values[0.3]  # fmt: skip
-    back = exceedance(LimitState(demands=at.value * demand, strength=1.5))
-    low, high = (float(np.mean(end * demand > 1.5)) for end in (at.low, at.high))
-    assert low - 4 * back.std_error <= 0.3 <= high + 4 * back.std_error
-    assert back.value == pytest.approx(0.3, abs=0.02)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,6 @@ from uqsphere.model import STATUS_NOT_FINITE, answer_black_box, evaluate, scene_
 from uqsphere.quantities import OUTPUTS
 from uqsphere.study import Study
 
-EXACT = 1e-12
 QUANTITIES = ("p_max", "contact_time", "energy", "force_imbalance")
 
 BOX = """\

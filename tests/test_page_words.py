@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,7 +11,6 @@ import pytest
 from report_folders import estimate, limit, put, write_folder
 from test_page_agrees import solved
 
-from uqsphere.report import build_report
 from uqsphere.report.contents import Contents, read_contents, subject_of
 from uqsphere.report.figures.fragility import family_figure
 from uqsphere.report.page import unbroken
@@ -99,14 +97,3 @@ def test_an_importance_factor_is_no_power_of_ten(tmp_path: Path, share: float, t
     )
     table = design_table(contents, "x")
     assert table.rows[0][3] == text
-
-
-def test_numbers_of_a_figure_are_a_file_beside_it(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path, limits={"x": limit(0.0075, 0.01, True)})
-    page = build_report(folder).read_text(encoding="utf-8")
-    for path in (folder / "figures").glob("*.csv"):
-        rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
-        assert len(rows) > 1
-        assert len({len(row) for row in rows}) == 1
-        assert path.with_suffix(".svg").is_file()
-        assert f"figures/{path.name}" in page

@@ -156,13 +156,6 @@ def test_no_damage_of_a_chunk_goes_unseen(values: np.ndarray, at: int, bit: int,
             store.close()
 
 
-JSON = st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**53), 2**53) | NUMBERS | st.text(max_size=8),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=4),
-    max_leaves=12,
-)
-
-
 @QUIET
 @given(st.lists(st.text(max_size=10), min_size=1, max_size=4))
 def test_a_row_of_texts_comes_back_from_csv_but_for_formulas(cells: Sequence[str]) -> None:
@@ -216,14 +209,3 @@ def test_an_estimate_lies_in_its_interval_and_quantiles_in_their_order(samples: 
     assert values == sorted(values)
     for estimate in (found.mean, found.sd, *found.quantiles.values()):
         assert estimate.low <= estimate.value <= estimate.high
-
-
-PARAMETERS = {
-    "normal": ("mean", "sd"),
-    "lognormal": ("mean", "cov"),
-    "gamma": ("shape", "scale"),
-    "weibull": ("modulus", "scale"),
-    "gumbel": ("location", "scale"),
-    "frechet": ("shape", "scale"),
-    "exponential": ("rate",),
-}

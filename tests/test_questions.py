@@ -202,11 +202,6 @@ def test_every_shortfall_of_a_quantity_has_its_own_cost(run: Run) -> None:
 # --- rows of the speed-error table ------------------------------------------------------------------------
 
 
-def est(value: float, half: float, method: str = "m") -> dict[str, Any]:
-    ends = {"low": value - half, "high": value + half, "std_error": half}
-    return {"value": value, **ends, "method": method, "evaluations": 7}
-
-
 def test_every_method_that_answers_has_a_row(run: Run) -> None:
     rows, results = run.results.document()["speed_error"], run.results.document()
     assert len(run.manifest.speed_error_seconds) == len(rows)

@@ -176,18 +176,6 @@ def test_a_budget_is_kept_and_what_it_leaves_is_said(budget: int) -> None:
         assert found.estimate.low <= float(ndtr(-5.0)) <= found.estimate.high
 
 
-def test_intervals_of_auto_cover_over_seeds_and_problems() -> None:
-    total = covered = 0
-    for name in ("four branches", "RP25"):
-        entry = problem(name)
-        for seed in range(8):
-            e = find_probability(LimitFunction(function=entry.function, dimension=2), seed=seed, budget=20_000).estimate
-            assert e.value == pytest.approx(entry.reference, rel=0.1)
-            covered += e.low <= entry.reference <= e.high
-            total += 1
-    assert covered >= total - 3
-
-
 # --- what cannot be answered ----------------------------------------------------------------------
 
 
@@ -384,7 +372,7 @@ def test_the_course_is_recorded_and_the_budget_kept(results: dict[str, Any]) -> 
 
 
 def test_a_run_without_rare_event_methods_leaves_design_points_out(tmp_path: Path) -> None:
-    (tmp_path / "study.toml").write_text(TEXT.replace("METHODS", '["qmc"]').replace("300_000", "30_000"))
+    (tmp_path / "study.toml").write_text(TEXT.replace("METHODS", '["qmc"]').replace("300_000", "4_000"))
     run = uqsphere.run(uqsphere.load_study(tmp_path / "study.toml"), out=tmp_path / "out")
     limit = run.results.document()["limits"]["random"]
     assert limit["design_point"] is None

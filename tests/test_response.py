@@ -262,24 +262,6 @@ def test_an_end_before_anything_is_there_is_an_interruption(study_from: Callable
     assert not (tmp_path / "r" / "results.json").exists()
 
 
-def test_an_end_within_the_first_stage_keeps_its_rows(tmp_path: Path) -> None:
-    source = Path(uqsphere.__file__).parent.parent / "studies" / "ishigami.toml"
-    study = uqsphere.load_study(source, ["analysis.budget.evaluations=8000"])
-    rows: list[int] = []
-
-    def box(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        rows.append(len(x["x1"]))
-        return {"y": x["x1"] + x["x2"] * x["x3"]}
-
-    with pytest.raises(KeyboardInterrupt):
-        uqsphere.run(study, out=tmp_path / "r", model=box, stop=lambda: len(rows) >= 3)
-    assert len(rows) == 3
-    resumed = uqsphere.run(study, out=tmp_path / "r", model=box)
-    assert resumed.manifest.evaluations_reused == sum(rows[:3])
-    whole = uqsphere.run(study, out=tmp_path / "whole", model=box)
-    assert (resumed.folder / "results.json").read_bytes() == (whole.folder / "results.json").read_bytes()
-
-
 def test_an_early_end_of_an_expensive_model_answers_by_the_runs_that_are_there(tmp_path: Path) -> None:
     """A stage that is cut short is not counted, whether of a surrogate or of runs that none can use."""
     path = tmp_path / "study.toml"

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
-import numpy as np
 import pytest
 from conftest import BOX
 
@@ -113,25 +112,6 @@ def test_results_have_the_shape_of_the_contract(finished: Path) -> None:
     assert "seconds" not in json.dumps(results)
 
 
-def test_answers_are_in_order(finished: Path) -> None:
-    results = uqsphere.open_run(finished).results.document()
-    for entry in results["quantities"].values():
-        values = [e["value"] for e in entry["quantiles"].values()]
-        assert values == sorted(values)
-        assert values[0] < entry["mean"]["value"] < values[-1]
-    limit = results["limits"]["crushing"]
-    assert limit["miss"] == limit["exceedance"]
-    assert limit["reliability_index"] > 0.0
-    assert sum(limit["governing_inputs"].values()) == pytest.approx(1.0)
-    margin = results["margins"]["crushing"]
-    speeds = [margin["values"][p]["value"] for p in ("0.1", "0.5", "0.9")]
-    assert speeds == sorted(speeds)
-    curve = np.array(margin["curve"])
-    assert (np.diff(curve[:, 0]) > 0.0).all()
-    assert (curve[:, 2] <= curve[:, 1]).all()
-    assert (curve[:, 1] <= curve[:, 3]).all()
-
-
 def test_frames_of_a_run(finished: Path) -> None:
     run = uqsphere.open_run(finished)
     samples = run.samples()
@@ -158,14 +138,6 @@ def test_damaged_tables_and_samples_are_told(finished_copy: Path) -> None:
 # --- determinism ----------------------------------------------------------------------------------
 
 
-def test_threads_do_not_change_a_byte(study_from: Callable[..., Study], tmp_path: Path) -> None:
-    study = study_from('analysis.methods=["sobol"]')
-    first = uqsphere.run(study, out=tmp_path / "one", threads=1)
-    second = uqsphere.run(study, out=tmp_path / "two", threads=2)
-    checked(first)
-    assert stored(first.folder) == stored(second.folder)
-
-
 def test_an_executor_does_not_change_a_byte(study_from: Callable[..., Study], tmp_path: Path) -> None:
     study = study_from("analysis.accuracy.quantile=0.005", "analysis.budget.evaluations=90_000", quick=True)
     alone = uqsphere.run(study, out=tmp_path / "alone")
@@ -173,44 +145,6 @@ def test_an_executor_does_not_change_a_byte(study_from: Callable[..., Study], tm
         shared = uqsphere.run(study, out=tmp_path / "shared", executor=pool)
     assert stored(alone.folder) == stored(shared.folder)
     assert alone.results.quantities["p_max"].mean.evaluations > 16_384  # more than one chunk
-
-
-@pytest.mark.parametrize("calls", [1, 2])
-def test_an_interruption_does_not_change_a_byte(study_from: Callable[..., Study], tmp_path: Path, calls: int) -> None:
-    study = study_from("analysis.accuracy.quantile=0.05", quick=True)
-    whole = uqsphere.run(study, out=tmp_path / "whole")
-    count = 0
-
-    def interrupt(stage: str, done: int, total: int) -> None:
-        nonlocal count
-        count += 1
-        if count == calls:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        uqsphere.run(study, out=tmp_path / "torn", progress=interrupt)
-    with pytest.raises(FolderError, match="not finished"):
-        uqsphere.open_run(tmp_path / "torn")
-    resumed = uqsphere.run(study, out=tmp_path / "torn")
-    assert resumed.manifest.evaluations_reused > 0
-    assert stored(whole.folder) == stored(resumed.folder)
-
-
-def test_the_seed_changes_points_and_not_answers(study_from: Callable[..., Study], tmp_path: Path) -> None:
-    one = uqsphere.run(study_from("seed=1", quick=True), out=tmp_path / "one").results.document()["quantities"][
-        "p_max"
-    ]["mean"]
-    two = uqsphere.run(study_from("seed=2", quick=True), out=tmp_path / "two").results.document()["quantities"][
-        "p_max"
-    ]["mean"]
-    assert one["value"] != two["value"]
-    assert abs(one["value"] - two["value"]) <= 4.0 * np.hypot(one["std_error"], two["std_error"])
-
-
-def test_another_study_does_not_get_the_folder(study_from: Callable[..., Study], tmp_path: Path) -> None:
-    uqsphere.run(study_from(quick=True), out=tmp_path / "r")
-    with pytest.raises(FolderError, match="another study"):
-        uqsphere.run(study_from("seed=6", quick=True), out=tmp_path / "r")
 
 
 # --- awkward studies ------------------------------------------------------------------------------

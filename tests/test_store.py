@@ -193,19 +193,6 @@ def box_study(tmp_path: Path, box_text: str) -> Study:
     return uqsphere.load_study(tmp_path / "box.toml")
 
 
-def test_a_resumed_run_evaluates_nothing_again(tmp_path: Path, box_study: Study) -> None:
-    box = Counted()
-    first = uqsphere.run(box_study, out=tmp_path / "r", model=box)
-    before = (tmp_path / "r" / "results.json").read_bytes()
-    once, box.rows = box.rows, 0
-    again = uqsphere.run(box_study, out=tmp_path / "r", model=box)
-    assert (tmp_path / "r" / "results.json").read_bytes() == before
-    assert first.manifest.evaluations_reused == 0
-    # each time one row is evaluated once more, to see that it is the same
-    assert again.manifest.evaluations_reused == once - 1 == sum(first.results.model.evaluations.values())
-    assert box.rows == 1
-
-
 def test_a_model_that_is_not_deterministic_is_told_at_once(tmp_path: Path, box_study: Study) -> None:
     generator = np.random.default_rng(1)
     with pytest.raises(ModelError, match=r"not deterministic: the same row gives .* as 'y', at x1 = "):

@@ -8,6 +8,7 @@ import pickle
 import stat
 import subprocess
 import sys
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -62,13 +63,6 @@ def test_links_pipes_folders_and_giants_are_refused(tmp_path: Path) -> None:
         read_whole(tmp_path / "plain", 3)
     with pytest.raises(AccessError, match="no such file"):
         read_whole(tmp_path / "nothing")
-
-
-def test_a_giant_is_not_read(tmp_path: Path) -> None:
-    with open(tmp_path / "x.json", "wb") as file:
-        file.truncate(1 << 40)  # a file of holes
-    with pytest.raises(FolderError, match="bytes"):
-        load_document(tmp_path / "x.json")
 
 
 @pytest.mark.parametrize(
@@ -240,17 +234,16 @@ def every_place(node: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]
     return found
 
 
-@pytest.mark.parametrize("junk", [None, "x", -1, {}], ids=str)
 @pytest.mark.parametrize("file", ["results.json", "study.resolved.json"])
-def test_no_damage_anywhere_is_an_internal_error(folder: Path, file: str, junk: Any, capsys: Any) -> None:
+def test_no_damage_anywhere_is_an_internal_error(folder: Path, file: str) -> None:
+    """One kind of junk in every place, each kind in turn."""
     from uqsphere.report.brief import summary_of
     from uqsphere.report.compare import compare_folders, comparison_text
-    from uqsphere.report.contents import read_contents
     from uqsphere.report.tables import inputs_table, limits_table, model_table, repeat_rows
 
     whole = json.loads((folder / file).read_text())
     refused = 0
-    for place in every_place(whole):
+    for place, junk in zip(every_place(whole), cycle((None, "x", -1, {})), strict=False):
         document = json.loads(json.dumps(whole))
         node = document
         for key in place[:-1]:
@@ -404,7 +397,7 @@ START = 10**9
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@pytest.mark.parametrize(("part", "count", "codes"), [("studies", 150, {0, 2}), ("folders", 60, {0, 5, 6})])
+@pytest.mark.parametrize(("part", "count", "codes"), [("studies", 150, {0, 2}), ("folders", 30, {0, 5, 6})])
 def test_damage_gives_its_exit_codes_and_nothing_else(part: str, count: int, codes: set[int]) -> None:
     found = tried(part, count, start=START)
     assert found["failures"] == 0

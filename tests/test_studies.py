@@ -107,6 +107,8 @@ def agree(folder: Path, name: str) -> None:
     assert not (hard := hard_sentences(page.read_text("utf-8"))), (name, hard)
     assert len(told.split("\n")) <= LINES
     assert words(texts["brief"]) <= 180, texts["brief"]
+    assert "<script" not in sheet
+    assert "http" not in sheet.replace("http-equiv", "")
     assert len(document.pages) == 1, name
     assert zoom > 0.8, (name, zoom)
     if name in PRINTED:

@@ -267,7 +267,6 @@ FIT_POINTS: Final = 256
 FITS: Final = 8
 #: base points of the design that an expansion sharpens
 CONTROL_POINTS: Final = 64
-NOMINAL: Final = 0.95
 #: what the share of intervals that hold the truth has to reach, pooled and in every cell
 POOLED: Final = (0.935, 0.97)
 LEAST: Final = 0.91

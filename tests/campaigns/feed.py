@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -37,7 +37,6 @@ TRUTH = {"e_inf": 60.0, "d0": 0.006, "phi": 1.1, "sigma": 0.55, "gamma": 4.0}
 #: a feed: sizes [m], mass shares, energy of a blow [J/kg], blows
 FEED = (np.array([0.004, 0.007, 0.012, 0.018]), np.array([0.2, 0.3, 0.3, 0.2]), 80.0, 3)
 STEPS, BURN = 320, 60
-Make = Callable[[dict[str, float], np.random.Generator], Specimens]
 
 
 def fresh(d: Array, p: dict[str, float], rng: np.random.Generator, ratio: float = 4.0) -> Array:
