@@ -18,7 +18,7 @@ from tests.campaigns import coverage, given, links, mutate
 from tests.campaigns.coverage import LEAST, POOLED, QUANTILES, coverage_models, coverage_rows, pooled, reference
 from uqsphere.errors import UsageError
 from uqsphere.given import analyse_runs
-from uqsphere.mechanics.stress import tables
+from uqsphere.mechanics import stress
 from uqsphere.model import answer_scene
 from uqsphere.report.figures.canvas import style
 from uqsphere.runner.evaluate import draw
@@ -143,8 +143,8 @@ def test_a_contact_time_that_jumps_has_no_expansion(tmp_path: Path) -> None:
 def test_the_rim_is_nearly_all_that_the_principal_tension_sees() -> None:
     found = links.compare_links(links.principal_field(0.14, 0.22, 30), 0.14, 9.0)
     # the hoop tension is that of the tables, to the error of the trapezoidal rule
-    assert found.hoop == pytest.approx(float(tables.ratio("volume", 0.14, 0.22, 9.0)), rel=0.04)
-    assert found.surface_hoop == pytest.approx(float(tables.ratio("surface", 0.14, 0.22, 9.0)), rel=0.04)
+    assert found.hoop == pytest.approx(float(stress.ratio("volume", 0.14, 0.22, 9.0)), rel=0.04)
+    assert found.surface_hoop == pytest.approx(float(stress.ratio("surface", 0.14, 0.22, 9.0)), rel=0.04)
     assert found.principal > 3.0 * found.hoop
     assert found.in_zone > 0.999
     # where the rim is left out, the two say nearly the same

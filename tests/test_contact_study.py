@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uqsphere.errors import StudyError, UsageError
-from uqsphere.mechanics.carried import in_the_test
+from uqsphere.mechanics.criteria import in_the_test
 from uqsphere.mechanics.outputs import at_force, columns_of
 from uqsphere.model import cheaper_fidelities, evaluate, scene_of, solve_scene
 from uqsphere.runner.deterministic import compare_with_paper

@@ -9,11 +9,11 @@ from test_contact_study import BASE, load
 
 from tests.independent.rigs import Pole, strike
 from tests.independent.yielding import Wearing, follow
-from uqsphere.mechanics.damage import damage_of, energy_share, peak_damage
-from uqsphere.mechanics.impact import closed_form_rows, solve_closed
+from uqsphere.mechanics.closed_form import closed_form_rows, solve_blow
 from uqsphere.mechanics.integrator.solve import solve
 from uqsphere.mechanics.outputs import after_blows
 from uqsphere.mechanics.scene import BROKEN, Scene
+from uqsphere.mechanics.yielding import damage_of, energy_share, peak_damage
 
 DAMAGE = ("contact.law=damage", "contact.gamma=5", "contact.fracture_energy='{} J/kg'", "model.horizon='3 ms'",
           "contact.blows={}", "striker.length='4 m'")  # fmt: skip
@@ -55,7 +55,7 @@ QUANTITIES = ("P_max", "p_max", "alpha_max", "energy", "specific_energy_sphere",
 def test_a_blow_in_closed_form_is_what_the_integrator_finds_and_what_tavares_says():
     given = rock("impact", [0.5, 1.0, 2.0, 3.0, 5.0], 20.0, target=STEEL)
     assert closed_form_rows(given).all()
-    integrated, closed = solve(given, tolerance=1e-9, quantities=QUANTITIES), solve_closed(given, QUANTITIES)
+    integrated, closed = solve(given, tolerance=1e-9, quantities=QUANTITIES), solve_blow(given, QUANTITIES)
     for name in QUANTITIES:
         assert integrated.values[name] == pytest.approx(closed.values[name], rel=5e-9), name
     # the sphere's share of what the blow offers does the damage, (C17)
@@ -80,7 +80,7 @@ def test_a_sphere_whose_force_passes_its_peak_has_broken():
     static = solve(replace(given, contact_dynamics="elastic"), quantities=("P_max", "damage"))
     assert static.values["P_max"] == pytest.approx(found.values["P_max"], rel=1e-6)
     pressed = rock("platens", [0.1], 20.0, platens={**STEEL, "force": 2.0 * float(peak[0])})
-    assert solve_closed(pressed, ("P_max", "damage")).values["damage"] == pytest.approx(float(peak_damage(5.0)))
+    assert solve_blow(pressed, ("P_max", "damage")).values["damage"] == pytest.approx(float(peak_damage(5.0)))
 
 
 def test_a_second_integrator_of_another_method_agrees():
@@ -138,7 +138,7 @@ def test_blows_leave_less_to_the_next_until_one_breaks_the_sphere():
 
 def _blow(scene, names):
     closed = closed_form_rows(scene).all()
-    return solve_closed(scene, names) if closed else solve(scene, quantities=names)
+    return solve_blow(scene, names) if closed else solve(scene, quantities=names)
 
 
 def test_without_damage_no_blow_is_counted(tmp_path):

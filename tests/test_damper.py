@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 import uqsphere
 from uqsphere.cli import main
 from uqsphere.errors import StudyError, UsageError
+from uqsphere.mechanics.bars import correct, disperse, phase_speed, surface_factors
 from uqsphere.mechanics.damper import Damper, _reflect, _weights, damper_from_impedance
-from uqsphere.mechanics.dispersion import correct, disperse, phase_speed, surface_factors
 from uqsphere.mechanics.field import field_at
 from uqsphere.mechanics.history import trace
 from uqsphere.mechanics.scene import Scene

@@ -12,7 +12,7 @@ from scipy import stats
 
 from uqsphere.arrays import Array
 from uqsphere.feed import laws
-from uqsphere.mechanics.damage import damage_of
+from uqsphere.mechanics.yielding import damage_of
 
 RNG = np.random.default_rng
 #: u_0 ... u_20 of three gammas, and D of a blow E/e: computed with independent code from (C17)

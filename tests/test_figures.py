@@ -21,8 +21,7 @@ from report_folders import limit, put, with_pairs, write_folder
 import uqsphere
 from uqsphere.cli import main
 from uqsphere.errors import StudyError
-from uqsphere.mechanics.field import field_at
-from uqsphere.mechanics.gauges import gauge_strain
+from uqsphere.mechanics.field import field_at, gauge_strain
 from uqsphere.mechanics.history import view_field
 from uqsphere.report import history_figure, xt_figure
 from uqsphere.report.contents import read_contents

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import cumulative_simpson
 
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.gauges import (
+from uqsphere.mechanics.field import (
     bar_forces,
     default_positions,
     force_imbalance,

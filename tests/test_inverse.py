@@ -11,7 +11,7 @@ import pytest
 
 from tests.campaigns.inverse import Made, coverage, make_test, read_back, rig_of, scene_of_test
 from uqsphere.cli import main
-from uqsphere.mechanics.dispersion import disperse
+from uqsphere.mechanics.bars import disperse
 from uqsphere.records.inverse import Rig, at_faces, forces_of
 from uqsphere.records.laboratory import read_test
 from uqsphere.records.record import make_record, mend

@@ -9,7 +9,7 @@ import pytest
 
 import uqsphere
 from uqsphere.errors import StudyError
-from uqsphere.mechanics.dispersion import disperse
+from uqsphere.mechanics.bars import disperse
 from uqsphere.mechanics.pulses import build_pulse, pulse_value
 from uqsphere.records.pulse import Bar, measured_pulse
 from uqsphere.records.record import Wiring, make_record, mend

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import uqsphere
-from uqsphere.mechanics import contact, impact
+from uqsphere.mechanics import closed_form, contact, stress
 from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.integrator import solve as dynamics
+from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.outputs import BEYOND, OUTPUTS, Answers, absent_in, path_of
 from uqsphere.mechanics.rigs import closing_speed
-from uqsphere.mechanics.scene import NEVER_CLOSE, Scene
-from uqsphere.mechanics.stress import tables
+from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import check_validity
 from uqsphere.model import solve_scene
 
@@ -105,8 +105,8 @@ TOLD = ("P_max", "p_max", "p_mean", "a_max", "contact_time", "loaded_time", "pul
 def test_closed_forms_are_what_the_integrator_finds(name: str) -> None:
     kind, target, law = BLOWS[name]
     given = struck(np.array([0.05, 1.0, 4.0]), kind, law=law, **target)
-    assert impact.closed_form_rows(given).all()
-    closed = impact.solve_closed(given, TOLD)
+    assert closed_form.closed_form_rows(given).all()
+    closed = closed_form.solve_blow(given, TOLD)
     marched = dynamics.solve(given, tolerance=1e-8, threads=1, quantities=TOLD)
     for quantity in TOLD:
         assert closed.values[quantity] == pytest.approx(marched.values[quantity], rel=1e-7), quantity
@@ -115,7 +115,7 @@ def test_closed_forms_are_what_the_integrator_finds(name: str) -> None:
 
 def test_an_echo_under_load_is_integrated() -> None:
     given = struck(np.array([3.6, 3.6]), "bar", diameter=0.02, length=np.array([0.05, 1.0]))
-    assert impact.closed_form_rows(given).tolist() == [False, True]
+    assert closed_form.closed_form_rows(given).tolist() == [False, True]
     found = solved(given, "P_max", "rebound_speed").values
     alone = solved(struck(3.6, "bar", diameter=0.02), "rebound_speed").values["rebound_speed"]
     assert found["rebound_speed"][1] == pytest.approx(alone[0], rel=1e-12)
@@ -213,8 +213,8 @@ def test_a_light_sphere_under_a_weight(ratio: float, more: float) -> None:
     mass = float(contact.sphere_mass(0.01, 2600.0))
     given = scene("drop_weight", {**LIMESTONE, **of("anvil"), **of("hammer", mass=ratio * mass), "hammer.speed": 0.5})
     behind, ahead = given.partners
-    series = impact.light_sphere_constant(behind.hertz_constant, ahead.hertz_constant)
-    light = impact.blow(series, behind.mass, 0.5).force
+    series = closed_form.light_sphere_constant(behind.hertz_constant, ahead.hertz_constant)
+    light = closed_form.blow(series, behind.mass, 0.5).force
     assert solved(given, "P_max").values["P_max"][0] / light[0] - 1.0 == pytest.approx(more, abs=0.006)
 
 
@@ -224,13 +224,13 @@ def test_a_sphere_without_mass_is_the_limit_of_a_light_one(kind: str) -> None:
     given = scene("drop_weight", {**numbers, "hammer.speed": 0.5}, options={"anvil.kind": kind})
     told = ("P_max", "p_max", "alpha_max", "contact_time", "pulse_width", "rise_time", "energy", "energy_sphere",
             "impulse_time", "time_above", "mean_force_max", "rebound_speed", "core_tension")  # fmt: skip
-    light, full = impact.solve_light(given, told).values, solved(given, *told, tolerance=1e-6).values
+    light, full = closed_form.solve_light(given, told).values, solved(given, *told, tolerance=1e-6).values
     for quantity in told:
         assert light[quantity] == pytest.approx(full[quantity], rel=5e-3), quantity
     # (R16): what the mass of the sphere adds
     assert abs(full["P_max"][0] / light["P_max"][0] - 1.0) < 0.4 * 0.70 * float(given.scales.mass[0] / 2.3) ** 0.45
     with pytest.raises(ValueError, match="weights on elastic faces"):
-        impact.solve_light(struck())
+        closed_form.solve_light(struck())
 
 
 def test_platens_are_static() -> None:
@@ -271,10 +271,10 @@ def test_one_contact_has_half_of_what_lives_at_the_centre() -> None:
     for name in ("P_max", "p_max", "edge_tension", "subsurface_shear", "ring_crack_toughness"):
         assert shares[name] == pytest.approx(1.0, rel=1e-11), name
     assert shares["core_tension"] == pytest.approx(
-        float(tables.ratio("core_one", ratio, 0.25) / tables.core_ratio(ratio, 0.25)[0]), rel=1e-11
+        float(stress.ratio("core_one", ratio, 0.25) / stress.core_ratio(ratio, 0.25)[0]), rel=1e-11
     )
     for over in ("volume", "surface"):
-        wanted = tables.ratio(f"{over}_one", ratio, 0.25, 8.0) / tables.ratio(over, ratio, 0.25, 8.0)
+        wanted = stress.ratio(f"{over}_one", ratio, 0.25, 8.0) / stress.ratio(over, ratio, 0.25, 8.0)
         assert shares[f"link.{over}"] == pytest.approx(float(wanted), rel=1e-11)
     assert shares["link.rim"] == pytest.approx(0.5 ** (1.0 / 8.0), rel=1e-11)
 
@@ -321,7 +321,7 @@ def test_what_a_rig_does_not_have_is_absent_with_its_reason() -> None:
 
 def test_rows_outside_their_range_say_so() -> None:
     speeds = struck(np.array([-1.0, 1e-4, 400.0, 3.0]))
-    assert speeds.status.tolist() == [NEVER_CLOSE, 1, 1, 0]
+    assert speeds.status.tolist() == [tracked.NEVER_CLOSES, 1, 1, 0]
     assert np.isnan(solved(speeds, "P_max").values["P_max"]).tolist() == [True, True, True, False]
     plates = struck(50.0, "plate", thickness=np.array([1e-3, 1e-2]))
     assert plates.status.tolist() == [1, 0]

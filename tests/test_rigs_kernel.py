@@ -10,7 +10,7 @@ import pytest
 
 from tests.independent.rigs import Pole, strike, strike_rod
 from tests.independent.yielding import Law
-from uqsphere.mechanics.impact import solve_closed
+from uqsphere.mechanics.closed_form import solve_blow
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.solve import Scaled, march_rows, motion, solve
 from uqsphere.mechanics.scene import Scene
@@ -224,7 +224,7 @@ def test_blows_that_yield_agree_with_their_closed_form() -> None:
     scene = Scene(columns=columns, rig="impact", contact_law="plastic")
     asked = ("P_max", "p_max", "contact_time", "pulse_width", "rise_time", "energy", "restitution", "a_max",
              "impulse_time", "time_above")  # fmt: skip
-    closed, found = solve_closed(scene, asked), solve(scene, tolerance=1e-6, quantities=asked)
+    closed, found = solve_blow(scene, asked), solve(scene, tolerance=1e-6, quantities=asked)
     assert (closed.status == 0).all()
     assert (found.status == 0).all()
     for name in asked:

@@ -9,7 +9,7 @@ import pytest
 
 from uqsphere.mechanics.closed_form import solve_closed
 from uqsphere.mechanics.integrator import solve as dynamics
-from uqsphere.mechanics.partners import softest_partner, sphere_body
+from uqsphere.mechanics.rigs import softest_partner, sphere_body
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import RULES, Check, check_validity
 from uqsphere.mechanics.yielding import Face

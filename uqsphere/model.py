@@ -192,22 +192,24 @@ def _solve_rig(
     scene: Scene, fidelity: str, *, tolerance: float, threads: int | None, quantities: Sequence[str] | None
 ) -> Answers:
     """The same for a rig other than bars: what has a closed form needs no integrator, row by row."""
-    from uqsphere.mechanics import impact
+    from uqsphere.mechanics import closed_form
     from uqsphere.mechanics.integrator import solve as dynamics
     from uqsphere.mechanics.outputs import merged_answers
 
-    if fidelity == "massless" and impact.light_sphere_applies(scene):
-        return impact.solve_light(scene, quantities)
-    closed = impact.closed_form_rows(scene)
+    if fidelity == "massless" and closed_form.light_sphere_applies(scene):
+        return closed_form.solve_light(scene, quantities)
+    closed = closed_form.closed_form_rows(scene)
     if closed.all():
-        return impact.solve_closed(scene, quantities)
+        return closed_form.solve_blow(scene, quantities)
     parts = {False: np.flatnonzero(~closed), True: np.flatnonzero(closed)}
     rest = dynamics.solve(
         scene.at(parts[False]), fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities
     )
     if len(parts[True]) == 0:
         return rest
-    return merged_answers((parts[False], rest), (parts[True], impact.solve_closed(scene.at(parts[True]), quantities)))
+    return merged_answers(
+        (parts[False], rest), (parts[True], closed_form.solve_blow(scene.at(parts[True]), quantities))
+    )
 
 
 def _solve(

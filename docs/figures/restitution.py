@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.impact import yielding_depth
+from uqsphere.mechanics.closed_form import yielding_depth
 from uqsphere.mechanics.rigs import wave_loss
 from uqsphere.mechanics.yielding import FLOW, Face, metal_onset
 

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics.criteria import AUERBACH
-from uqsphere.mechanics.stress.series import Load, series_stress, surface_stress
+from uqsphere.mechanics.stress import Load, series_stress, surface_stress
 
 Array = npt.NDArray[np.float64]
 

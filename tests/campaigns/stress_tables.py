@@ -1,6 +1,6 @@
 """What the tables of stress hold, computed from the series: largest stresses on the axis, weakest-link integrals.
 
-``python -m tests.campaigns.stress_tables`` computes `uqsphere/mechanics/stress/tables.json` anew (minutes).
+``python -m tests.campaigns.stress_tables`` computes `uqsphere/mechanics/stress_tables.json` anew (minutes).
 """
 
 from __future__ import annotations
@@ -15,15 +15,19 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.mechanics.stress import tables
-from uqsphere.mechanics.stress.series import (
+from uqsphere.mechanics import stress
+from uqsphere.mechanics.stress import (
+    CONTACT_RATIO,
+    MODULUS,
+    POISSON,
+    POISSON_WEIBULL,
     Load,
     cross_in_closed_form,
+    half_space_rim,
     load_coefficients,
     pressure_on_surface,
     terms_for,
 )
-from uqsphere.mechanics.stress.tables import CONTACT_RATIO, MODULUS, POISSON, POISSON_WEIBULL, half_space_rim
 
 # --- Weakest-link integrals of the hoop tension over the volume and the surface of the sphere.
 # A flaw on a meridian plane is opened by sigma_phi alone, and cracks on meridian planes are what splits a sphere
@@ -475,7 +479,7 @@ def _two_way(name: str) -> Array:
 
 
 def _three_way(one_sided: bool = False) -> dict[str, Array]:
-    """Weakest-link integrals of equal forces, or of one force alone, by the names of their tables."""
+    """Weakest-link integrals of equal forces, or of one force alone, by the names of their stress."""
     last = "_one" if one_sided else ""
     shape = SHAPES["volume" + last]
     ratios, poisson, moduli = chebyshev_nodes(shape)
@@ -538,4 +542,4 @@ def make(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    make(Path(tables.__file__).parent / "tables.json")
+    make(Path(stress.__file__).with_name("stress_tables.json"))

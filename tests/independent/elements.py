@@ -265,8 +265,7 @@ class Comparison:
 
 def compare(contact_ratio: float = CONTACT_RATIO, nu: float = NU, count: int = 40, finest: float = 2e-3) -> Comparison:
     """Both fields at the points of the elements, outside the zones at the rim and at the centre."""
-    from uqsphere.mechanics.stress.series import Load, series_stress
-    from uqsphere.mechanics.stress.tables import core_ratio
+    from uqsphere.mechanics.stress import Load, core_ratio, series_stress
 
     found = solve_elements(contact_ratio, nu, make_mesh(contact_ratio, count, finest))
     rim = np.array([contact_ratio, math.sqrt(1.0 - contact_ratio**2)])

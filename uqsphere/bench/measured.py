@@ -21,7 +21,7 @@ import numpy as np
 
 from uqsphere.console import table
 from uqsphere.materials import library
-from uqsphere.mechanics.dispersion import phase_speed
+from uqsphere.mechanics.bars import phase_speed
 from uqsphere.store import csv_text, write_atomically
 
 if TYPE_CHECKING:

@@ -103,10 +103,7 @@ def linear_plateau(speed: Values, impedance: Values, stiffness: Values) -> Value
 def compare(scene: Scene, row: int = 0, *, tolerance: float = 1e-8) -> list[Comparison]:
     """What the paper prints, the corrected massless value and the full model's for one row of a scene.
 
-    Raises
-    ------
-    ValueError
-        If the row lies outside the domain of the model.
+    ValueError if the row lies outside the domain of the model.
     """
     row = range(len(scene))[row]
     if scene.status[row] != 0:

@@ -1,13 +1,28 @@
-"""One-dimensional elastic waves in the bars: speed, impedance, travel times, reflection at the far ends."""
+"""Elastic waves in the bars: speed, impedance and travel times in one dimension, and the dispersion of the first mode.
+
+With p² = (omega/c_L)² - k², q² = (omega/c_T)² - k² and the bar's radius as unit of length, the frequency equation of
+Pochhammer and Chree is
+
+    2 p² (q² + k²) j(p) j(q) - (q² - k²)² J_0(p) j(q) - 4 k² p² j(p) J_0(q) = 0,     j(x) = J_1(x)/x,
+
+which is even in p and q and so stays real where the waves do not reach the axis.  Of its roots the lowest is the first
+mode.  A gauge sees the strain of the surface; what acts on the sphere is the mean stress of the section.
+Sources: D. Bancroft, Phys. Rev. 59, 588 (1941), doi 10.1103/PhysRev.59.588; R. M. Davies, Phil. Trans. R. Soc. A 240,
+375 (1948), doi 10.1098/rsta.1948.0001; A. Tyas and A. J. Wilson, Int. J. Impact Eng. 25, 87 (2001) for M_1 and M_2.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
-from uqsphere.arrays import Values
+from uqsphere.arrays import Array, Values
+from uqsphere.mechanics.roots import bisect
 
 #: velocity reflection coefficient of a far end
 END_COEFFICIENTS: Final[dict[str, float]] = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
@@ -36,3 +51,204 @@ def round_trip(length: Values, E: Values, density: Values) -> Values:
 def pulse_stress(speed: Values, E: Values, density: Values) -> Values:
     """rho_b c0 v0/2 [Pa], the stress of the pulse that a striker of the bar's own impedance sends."""
     return 0.5 * density * wave_speed(E, density) * speed
+
+
+#: wave numbers over 1/radius of the table: dense at first, where records have their energy
+_TABLE: Final = np.concatenate([np.linspace(0.0, 4.0, 401)[1:], np.linspace(4.0, 14.0, 401)[1:]])
+#: phase speeds over c0 between which the lowest root is looked for, from below Rayleigh's speed at nu = 0.5 (0.55) to
+#: above the bar's, and the steps of the search
+_SLOWEST, _FASTEST, _SCAN = 0.35, 1.02, 600
+#: most that the surface factor may amplify a record, and its noise, inside the band
+_MOST_GAIN: Final = 3.0
+
+
+def _bessel(square: Array) -> tuple[Array, Array]:
+    """J_0(x) and J_1(x)/x of x² = `square`, also below zero; both over exp(|Im x|) there."""
+    from scipy.special import i0e, i1e, j0, j1
+
+    size = np.sqrt(np.abs(square))
+    safe = np.where(size > 1e-6, size, 1.0)
+    waving, fading = j1(safe) / safe, i1e(safe) / safe
+    first = np.where(size > 1e-6, np.where(square >= 0.0, waving, fading), 0.5 - square / 16.0)
+    return np.where(square >= 0.0, j0(size), i0e(size)), first
+
+
+def _speeds(nu: float) -> tuple[float, float]:
+    """Speeds of dilatation and of shear over c0."""
+    return math.sqrt((1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu))), math.sqrt(0.5 / (1.0 + nu))
+
+
+def _equation(wave_number: Array, speed: Array, nu: float) -> Array:
+    """Left side of the frequency equation."""
+    dilatation, shear = _speeds(nu)
+    k2 = np.square(wave_number)
+    p2, q2 = k2 * (np.square(speed / dilatation) - 1.0), k2 * (np.square(speed / shear) - 1.0)
+    (zero_p, one_p), (zero_q, one_q) = _bessel(p2), _bessel(q2)
+    return np.asarray(
+        2.0 * p2 * (q2 + k2) * one_p * one_q - np.square(q2 - k2) * zero_p * one_q - 4.0 * k2 * p2 * one_p * zero_q
+    )
+
+
+def _check_poisson(nu: float) -> None:
+    if not 0.0 <= nu < 0.5:
+        raise ValueError(f"Poisson's ratio of a bar must lie from 0 to below 0.5, found {nu!r}")
+
+
+def phase_speed(wave_number: Values, nu: float) -> Array:
+    """Phase speed of the first mode over c0, (n,), to 1e-12.
+
+    wave_number (n,): 2 pi radius/wavelength, from 0 to 60; nu: Poisson's ratio of the bar, 0 <= nu < 0.5.  ValueError
+    for either out of range.
+
+    >>> phase_speed([0.0, np.pi * 0.5], 0.3).round(5).tolist()      # Bancroft: 0.91854 at d/wavelength = 0.5
+    [1.0, 0.91854]
+    """
+    _check_poisson(nu)
+    wave_number = np.atleast_1d(np.asarray(wave_number, dtype=float))
+    if not ((wave_number >= 0.0) & (wave_number <= 60.0)).all():
+        raise ValueError("wave numbers times the radius must lie between 0 and 60")
+    found: Array = np.ones_like(wave_number)
+    # below this, the series of Rayleigh and Love is exact to rounding
+    waves = np.flatnonzero(wave_number > 1e-2)
+    small = wave_number <= 1e-2
+    found[small] = 1.0 - 0.25 * np.square(nu * wave_number[small])
+    if len(waves) == 0:
+        return found
+    k = wave_number[waves]
+    trial = np.linspace(_SLOWEST, _FASTEST, _SCAN)
+    sign = np.sign(_equation(k[:, None], trial[None, :], nu))
+    at = np.argmax(sign[:, 1:] != sign[:, :-1], axis=1)
+    low, high, before = trial[at], trial[at + 1], sign[np.arange(len(k)), at]
+    low, high = bisect(lambda middle: np.sign(_equation(k, middle, nu)) == before, low, high)
+    found[waves] = 0.5 * (low + high)
+    return found
+
+
+def surface_factors(wave_number: Values, speed: Values, nu: float) -> tuple[Array, Array]:
+    """What the strain of the surface has to be multiplied with: Tyas and Wilson's M_1, M_2, both 1 for long waves.
+
+    Mean axial strain of the section over that of the surface; mean axial stress over E times the mean strain; (n,)
+    each, at wave numbers times the radius and their phase speeds over c0.
+    """
+    dilatation, shear = _speeds(nu)
+    k = np.asarray(wave_number, dtype=float)
+    k2 = np.square(k)
+    p2 = k2 * (np.square(np.asarray(speed) / dilatation) - 1.0)
+    q2 = k2 * (np.square(np.asarray(speed) / shear) - 1.0)
+    (zero_p, one_p), (zero_q, one_q) = _bessel(p2), _bessel(q2)
+    # u_z = k A J_0(p r) + D J_0(q r), the surface free of shear; every term has the same growth exp(|p| + |q|)
+    dilating, shearing = (k2 - q2) * one_q, 2.0 * p2 * one_p
+    surface = dilating * zero_p + shearing * zero_q
+    mean = 2.0 * (dilating * one_p + shearing * one_q)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        strain = np.where(k > 0.0, mean / surface, 1.0)
+        volume = nu / (1.0 - 2.0 * nu) * (p2 + k2) * 2.0 * dilating * one_p
+        stress = np.where(k > 0.0, (volume + k2 * mean) / ((1.0 + nu) * k2 * mean), 1.0)
+    return strain, stress
+
+
+@dataclass(frozen=True, kw_only=True)
+class FirstMode:
+    """The first mode of a bar in units of its radius and c0, tabulated over the wave number.
+
+    frequency, wave_number, speed (m,): omega radius/c0, k radius, phase speed over c0; from rest on, ascending.  factor
+    (m,): mean axial stress over E times the strain of the surface.  second_mode: frequency at which the second
+    longitudinal mode begins.  band: frequency below which a record can be corrected: the first mode alone, factor below
+    3.
+    """
+
+    nu: float
+    frequency: Array
+    wave_number: Array
+    speed: Array
+    factor: Array
+    second_mode: float
+    band: float
+
+    def at(self, frequency: Values) -> tuple[Array, Array]:
+        """Wave number and surface factor at frequencies (n,) of the band; beyond it they go on as at its edge."""
+        from scipy.interpolate import CubicSpline
+
+        inside = np.minimum(np.asarray(frequency, dtype=float), self.band)
+        # the lag behind c0 is what is small and smooth
+        lag = CubicSpline(self.frequency, self.wave_number - self.frequency)(inside)
+        factor = CubicSpline(self.frequency, self.factor)(inside)
+        return np.asarray(lag + np.asarray(frequency)), np.asarray(factor)
+
+    def limit(self, radius: float, wave_speed: float) -> float:
+        """End of the band in a bar of this radius [m] and wave speed c0 [m/s], as a frequency [Hz]."""
+        return self.band * wave_speed / (2.0 * math.pi * radius)
+
+
+def _second_mode(nu: float) -> float:
+    """Frequency of the second longitudinal mode at infinite wavelength: the lower of its two families."""
+    dilatation, shear = _speeds(nu)
+    trial = np.linspace(0.5, 8.0, 6000)
+    p2, q2 = np.square(trial / dilatation), np.square(trial / shear)
+    zero_p, one_p = _bessel(p2)
+    radial = 2.0 * p2 * one_p - q2 * zero_p
+    change = np.flatnonzero(np.sign(radial[1:]) != np.sign(radial[:-1]))
+    first_zero_of_j1 = 3.8317059702075125
+    return float(min(trial[change[0]] if len(change) else np.inf, first_zero_of_j1 * shear))
+
+
+@lru_cache(maxsize=64)
+def first_mode(nu: float) -> FirstMode:
+    """The table of a Poisson ratio in [0, 0.5), made once per process; ValueError for another."""
+    speed = phase_speed(_TABLE, nu)
+    strain, stress = surface_factors(_TABLE, speed, nu)
+    factor = strain * stress
+    frequency = _TABLE * speed
+    second = _second_mode(nu)
+    bad = (frequency >= second) | ~(np.abs(factor) < _MOST_GAIN) | (factor < 1.0 / _MOST_GAIN)
+    last = int(np.argmax(bad)) if bad.any() else len(bad)
+    # the tables end where the factor leaves its range: a spline must not feel the pole behind it
+    kept = slice(0, max(last, 8))
+    return FirstMode(
+        nu=nu, frequency=np.concatenate([[0.0], frequency[kept]]),
+        wave_number=np.concatenate([[0.0], _TABLE[kept]]), speed=np.concatenate([[1.0], speed[kept]]),
+        factor=np.concatenate([[1.0], factor[kept]]), second_mode=second, band=float(frequency[kept][-1]),
+    )  # fmt: skip
+
+
+def transfer(samples: int, step: float, distance: float, *, radius: float, wave_speed: float, nu: float,
+             surface: bool = True) -> npt.NDArray[np.complex128]:  # fmt: skip
+    """What `correct` multiplies the spectrum (`rfft`) of `samples` samples with, (samples // 2 + 1,)."""
+    if not (step > 0.0 and radius > 0.0 and wave_speed > 0.0):
+        raise ValueError(f"step, radius and wave speed must be positive, found {step!r}, {radius!r}, {wave_speed!r}")
+    mode = first_mode(nu)
+    frequency = 2.0 * math.pi * np.fft.rfftfreq(samples, step) * radius / wave_speed
+    wave_number, factor = mode.at(frequency)
+    turned = np.exp(-1j * (wave_number - frequency) * distance / radius) * (factor if surface else 1.0)
+    if samples % 2 == 0:  # the highest component of a real record has no phase that could be turned
+        turned[-1] = abs(turned[-1])
+    return np.asarray(turned)
+
+
+def correct(strain: Values, step: float, distance: float, *, radius: float, wave_speed: float, nu: float,
+            surface: bool = True) -> Array:  # fmt: skip
+    """What a wave (n,) seen by a gauge is `distance` [m] further on, in the time of the one-dimensional wave.
+
+    eps(omega) M(omega) exp(-i (k(omega) - omega/c0) distance): the delay distance/c0 itself is left out.  strain is at
+    rest at both ends and has room for the spread of the wave; step: between samples [s]; distance: below zero for where
+    it came from; radius, wave_speed, nu of the bar; surface: the gauge sits there, and the answer is the mean stress
+    over E. Valid up to `FirstMode.limit`; beyond, phase lag and factor are held at their values there.
+    """
+    strain = np.asarray(strain, dtype=float)
+    turned = transfer(len(strain), step, distance, radius=radius, wave_speed=wave_speed, nu=nu, surface=surface)
+    return np.asarray(np.fft.irfft(np.fft.rfft(strain) * turned, len(strain)))
+
+
+def disperse(strain: Values, step: float, distance: float, *, radius: float, wave_speed: float, nu: float,
+             surface: bool = True) -> Array:  # fmt: skip
+    """The inverse of `correct`: what a gauge shows of a wave that is known `distance` further on.
+
+    >>> wave = np.exp(-np.square((np.arange(512) - 200) / 20.0))
+    >>> bar = {"radius": 0.01, "wave_speed": 5000.0, "nu": 0.29}
+    >>> seen = disperse(wave, 1e-6, 0.5, **bar)
+    >>> bool(np.abs(correct(seen, 1e-6, 0.5, **bar) - wave).max() < 1e-12)
+    True
+    """
+    strain = np.asarray(strain, dtype=float)
+    turned = transfer(len(strain), step, distance, radius=radius, wave_speed=wave_speed, nu=nu, surface=surface)
+    return np.asarray(np.fft.irfft(np.fft.rfft(strain) / turned, len(strain)))

@@ -1,46 +1,32 @@
-"""Closed forms in infinite bars: the massless sphere under a rectangle or a step, and the linear contact.
+"""Closed forms: the massless sphere in infinite bars, the linear contact, blows on one partner, and a slow press.
 
-All functions are elementwise in the scaled variables of theory (8): approach x over alpha_c, time s over t_c.
-`solve_closed` gives every quantity of interest of the massless model in SI without integrating anything.
+Between bars all functions are elementwise in the scaled variables of theory (8): approach x over alpha_c, time s over
+t_c.  A sphere of mass M that meets a half-space, a free mass, a thin plate or the end of a bar at the closing speed v,
+square on, is in SI: with P = beta alpha^1.5 all is a power of the inputs (Hertz 1882; Johnson, Contact Mechanics, 1985,
+11.4), but for what a plate or a bar carries off: a partner that gives way at P/Z has one number,
+lam = beta^0.4 M^0.6 v^0.2/Z (Zener, Phys. Rev. 59 (1941) 669), and its answers stand in a table.  A contact that yields
+keeps the balance of energy.  Numbering (R...) of docs/theory.md.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
-from functools import lru_cache
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from importlib import resources
 from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values
-from uqsphere.mechanics.integrator.tracked import (
-    ABOVE_SHARE,
-    ANSWER_ABOVE,
-    ANSWER_CONTACT,
-    ANSWER_CONTACT_CENSORED,
-    ANSWER_DIFFERENCE,
-    ANSWER_END,
-    ANSWER_ENERGY,
-    ANSWER_FACES,
-    ANSWER_FIRSTS,
-    ANSWER_GAP,
-    ANSWER_IMPULSE,
-    ANSWER_MEAN,
-    ANSWER_PARTING,
-    ANSWER_RISE,
-    ANSWER_WIDTH,
-    ANSWER_WIDTH_CENSORED,
-    ANSWER_X_FIRST,
-    ANSWER_X_MAX,
-    TAIL_SHARE,
-    empty_answers,
-)
-from uqsphere.mechanics.outputs import Answers, answers_of
+from uqsphere.arrays import Array, Flags, Values
+from uqsphere.mechanics.integrator.tracked import ABOVE_SHARE, TAIL_SHARE
+from uqsphere.mechanics.outputs import Answers, answers_from, merged_answers
+from uqsphere.mechanics.rigs import MOST_YIELDING, RIGS, Partner
+from uqsphere.mechanics.roots import newton
 from uqsphere.mechanics.scene import Scene
+from uqsphere.mechanics.yielding import Face, Softening, broken
 
-#: columns of the approaches of faces A and B
-_BOTH_FACES: Final = (ANSWER_FACES, ANSWER_FACES + 1, ANSWER_FIRSTS, ANSWER_FIRSTS + 1)
 #: approach and time below which the logarithms of (11) cancel and its series in x^(3/2) is the better way, and its
 #: terms: the next one is 0.1^(1.5 13)/20.5, below the rounding of a double
 _SERIES_BELOW: Final = 0.1
@@ -66,20 +52,10 @@ def _time_at_root(root: Array, minus_log: Array) -> Array:
 
 
 def loading_time(x: Values) -> Array:
-    """Scaled time s at which the massless sphere has the approach x, theory (11).
+    """Scaled time s at which the massless sphere has the approach x over alpha_c, 0 <= x <= 1, theory (11).
 
-    s(x) = (2/3) [-ln(1-y) + ln(1+y+y²)/2 - sqrt(3) (atan((2y+1)/sqrt(3)) - pi/6)], y = sqrt(x).
-
-    Parameters
-    ----------
-    x : array, 0 <= x <= 1
-        Approach over alpha_c; 1 is reached after infinite time.
-
-    Raises
-    ------
-    ValueError
-        For an approach outside 0 to 1, which a step pulse never builds up.
-
+    s(x) = (2/3) [-ln(1-y) + ln(1+y+y²)/2 - sqrt(3) (atan((2y+1)/sqrt(3)) - pi/6)], y = sqrt(x); 1 takes for ever.
+    ValueError outside 0 to 1, which a step pulse never builds up.
     Source: W. K. Nowacki, Engng. Trans. 42(3), 1994, (3.3), integrated by partial fractions.
 
     >>> float(loading_time(0.5).round(12))
@@ -103,20 +79,11 @@ def _table() -> tuple[Array, Array]:
 
 
 def loading_approach(s: Values) -> Array:
-    """Scaled approach x of the massless sphere at the time s of an endless step; inverse of `loading_time`.
+    """Scaled approach x of the massless sphere at the time s >= 0 of an endless step; inverse of `loading_time`.
 
-    Newton's iteration in z = -ln(1 - sqrt(x)), in which s is nearly a straight line, and Halley's in x itself
-    where s is small; a fixed number of rounds for all elements together, error below 1e-14.
-
-    Parameters
-    ----------
-    s : array, s >= 0
-        Time over t_c; infinity is allowed and gives 1.
-
-    Raises
-    ------
-    ValueError
-        For a time before the first touch.
+    Newton's iteration in z = -ln(1 - sqrt(x)), in which s is nearly a straight line, and Halley's in x itself where s
+    is small; a fixed number of rounds for all elements together, error below 1e-14.  ValueError for a time before first
+    touch.
 
     >>> loading_approach([0.0, 0.8193410, np.inf]).round(6).tolist()
     [0.0, 0.629961, 1.0]
@@ -143,14 +110,7 @@ def loading_approach(s: Values) -> Array:
 
 
 def relaxing_approach(start: Values, after: Values) -> Array:
-    """Scaled approach a time `after` the end of the pulse: x = [x_*^(-1/2) + after/2]^(-2), theory (12).
-
-    Parameters
-    ----------
-    start : array, x_* > 0
-        Approach at the end of the pulse, over alpha_c.
-    after : array, >= 0
-        Time since the end of the pulse, over t_c.
+    """Scaled approach a time `after` over t_c from the end of the pulse: x = [x_*^(-1/2) + after/2]^(-2), theory (12).
 
     >>> float(relaxing_approach(loading_approach(0.8), 5.2).round(7))
     0.0667757
@@ -191,19 +151,10 @@ def _step_difference(s: Array, mu: Array) -> Array:
 def linear_approaches(s: Values, mu: Values, theta: Values = math.inf) -> tuple[Array, Array]:
     """Scaled approaches x_1, x_2 of the linear contact, infinite bars, theory (14): a step less a later one.
 
-    x_1, x_2 = 1 - e^(-s) ± e^(-s/2) sin(w s)/w, w² = 2/mu - 1/4; hyperbolic for mu > 8, s e^(-s/2) at mu = 8.
-    It holds until an approach turns negative: a spring could pull, a contact cannot.
-
-    Parameters
-    ----------
-    s : array
-        Time over t_c.
-    mu : array, > 0
-        Mass number M/(Z t_c).
-    theta : array, > 0
-        Length of a rectangular pulse over t_c, infinite for a step.
-
-    Source: W. K. Nowacki, Engng. Trans. 42(3), 1994, (4.5) and (4.8); (4.9) lacks the decay of the swing.
+    x_1, x_2 = 1 - e^(-s) ± e^(-s/2) sin(w s)/w, w² = 2/mu - 1/4; hyperbolic for mu > 8, s e^(-s/2) at mu = 8. s: time
+    over t_c; mu: M/(Z t_c) > 0; theta: length of a rectangular pulse over t_c.  It holds until an approach turns
+    negative: a spring could pull, a contact cannot. Source: W. K. Nowacki, Engng. Trans. 42(3), 1994, (4.5) and (4.8);
+    (4.9) lacks the decay of the swing.
 
     >>> x_1, x_2 = linear_approaches(30.0, 0.1)
     >>> bool(abs(x_1 - 1.0) < 1e-6), bool(abs(x_2 - 1.0) < 1e-6)
@@ -227,59 +178,353 @@ def closed_form_applies(scene: Scene, fidelity: str) -> bool:
 
 
 def solve_closed(scene: Scene, fidelity: str = "massless", quantities: Collection[str] | None = None) -> Answers:
-    """Quantities of interest of n scenes in closed form, with the same names as `dynamics.solve`.
+    """Quantities of interest of n scenes between bars in closed form, with the same names as `integrator.solve`.
 
-    Both forces are equal and rise until the pulse ends, theory (11), then die out, theory (12): the largest
-    force is that at the end of the pulse or of the record.  Contact is never lost, so that contact_time is
-    always censored at the end of the record: the horizon, or where the force is down to 1 % of the largest.
-    Only the named `quantities`, or all, are answered.
-
-    Raises
-    ------
-    ValueError
-        Where `closed_form_applies` is false.
+    Both forces are equal and rise until the pulse ends, theory (11), then die out, theory (12): the largest force is
+    that at the end of the pulse or of the record.  Contact is never lost, so that contact_time is always censored at
+    the end of the record: the horizon, or where the force is down to 1 % of the largest.  ValueError where
+    `closed_form_applies` is false.
     """
     if not closed_form_applies(scene, fidelity):
         raise ValueError(
             f"no closed form for {fidelity!r} with a {scene.shape} pulse and infinite = {scene.infinite} "
             "(there is one for massless, a rectangular or step pulse, infinite bars)"
         )
-    status = scene.status.copy()
-    good = status == 0
-    scales = scene.scales
+    good = scene.status == 0
+    tracked = {name: np.where(good, column, np.nan) for name, column in scaled_answers(scene).items()}
+    return _answers(scene, tracked, quantities)
+
+
+def scaled_answers(scene: Scene) -> dict[str, Array]:
+    """What `outputs.answers_from` reads of the massless sphere, (n,) each: approaches, energy, times."""
+    good = scene.status == 0
     with np.errstate(all="ignore"):
-        theta = np.where(good, scales.pulse_number, 1.0)
-        horizon = np.where(good, scene.record_end / scales.time, 1.0)
-    scaled = np.where(good[:, None], _scaled_answers(theta, horizon), np.nan)
-    return answers_of(scene, scaled, status, np.zeros(len(scene), dtype=np.int64), quantities=quantities)
-
-
-def scaled_answers(scene: Scene) -> Array:
-    """Scaled answers (n, ANSWERS) of `outputs.answers_of` for scenes inside the domain."""
-    return _scaled_answers(scene.scales.pulse_number, scene.record_end / scene.scales.time)
-
-
-def _scaled_answers(theta: Array, horizon: Array) -> Array:
-    """Scaled answers (n, ANSWERS) of `outputs.answers_of`: approaches, force difference, energy, times."""
+        theta = np.where(good, scene.scales.pulse_number, 1.0)
+        horizon = np.where(good, scene.record_end / scene.scales.time, 1.0)
     loaded = np.minimum(theta, horizon)
     peak = loading_approach(loaded)
     tail = theta + relaxing_time(peak, peak * TAIL_SHARE ** (2.0 / 3.0))
     ended = np.where(np.isfinite(horizon), horizon, tail)
     half = 0.5 ** (2.0 / 3.0)
     half_again = theta + relaxing_time(peak, peak * half)
-    still_above = half_again >= ended
-    width = np.minimum(half_again, ended) - loading_time(peak * half)
     tenth = peak * ABOVE_SHARE ** (2.0 / 3.0)
-    above = np.minimum(theta + relaxing_time(peak, tenth), ended) - loading_time(tenth)
     # x' = f - q: the impulse is that of the pulse less what is left of the approach
     left = np.where(ended > theta, relaxing_approach(peak, np.maximum(ended - theta, 0.0)), peak)
-    rise = loading_time(peak * 0.9 ** (2.0 / 3.0)) - loading_time(peak * 0.1 ** (2.0 / 3.0))
-    answers = empty_answers(len(peak))
-    answers[:, (ANSWER_X_MAX, ANSWER_X_FIRST, *_BOTH_FACES)] = peak[:, None]
-    answers[:, ANSWER_DIFFERENCE], answers[:, ANSWER_CONTACT_CENSORED] = 0.0, 1.0
-    answers[:, ANSWER_ENERGY], answers[:, ANSWER_MEAN] = 2.0 * 0.4 * peak**2.5, peak**1.5
-    answers[:, (ANSWER_CONTACT, ANSWER_END, ANSWER_PARTING)] = ended[:, None]
-    answers[:, ANSWER_WIDTH], answers[:, ANSWER_WIDTH_CENSORED], answers[:, ANSWER_RISE] = width, still_above, rise
-    answers[:, ANSWER_IMPULSE], answers[:, ANSWER_ABOVE] = (loaded - left) / peak**1.5, above
-    answers[:, ANSWER_GAP] = 0.0
-    return answers
+    return {
+        **dict.fromkeys(("x_max", "x_first", "x_a", "x_b", "x_first_a", "x_first_b"), peak),
+        **dict.fromkeys(("contact", "ended", "parting"), ended),
+        **dict.fromkeys(("difference", "gap"), np.zeros_like(peak)), "contact_censored": np.ones_like(peak),
+        "stored": 2.0 * 0.4 * peak**2.5, "mean_force": peak**1.5, "impulse": (loaded - left) / peak**1.5,
+        "width": np.minimum(half_again, ended) - loading_time(peak * half),
+        "width_censored": 1.0 * (half_again >= ended),
+        "rise": loading_time(peak * 0.9 ** (2.0 / 3.0)) - loading_time(peak * 0.1 ** (2.0 / 3.0)),
+        "above": np.minimum(theta + relaxing_time(peak, tenth), ended) - loading_time(tenth),
+    }  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blow:
+    """One blow: `force` P_max [N], `approach` at it [m], `duration` [s], `restitution`; elementwise."""
+
+    force: Array
+    approach: Array
+    duration: Array
+    restitution: Array
+
+
+def reduced_mass(mass: Values, partner: Values = math.inf) -> Array:
+    """M* = M m/(M + m) [kg] of a sphere and a free partner; a partner that does not move has m = inf. (R6)."""
+    return np.asarray(mass / (1.0 + mass / np.asarray(partner, dtype=float)))
+
+
+#: columns of the table: restitution, peak force, duration, width at half the peak, rise from 10 % to 90 % of it, time
+#: above 10 %
+_COLUMNS: Final = ("restitution", "force", "duration", "width", "rise", "above")
+
+
+@cache
+def _blow_table() -> Mapping[str, np.polynomial.Chebyshev]:
+    """`_COLUMNS` over lam in [0, 3] as Chebyshev series; force and times in units of (R13)."""
+    with resources.files("uqsphere.mechanics").joinpath("impact_table.csv").open() as lines:
+        columns = np.loadtxt(lines, delimiter=",", skiprows=1).T
+    series = [np.polynomial.Chebyshev(column, domain=[0.0, MOST_YIELDING]) for column in columns]
+    return dict(zip(_COLUMNS, series, strict=True))
+
+
+@cache
+def _on_thick() -> Mapping[str, Array]:
+    """`_COLUMNS` where nothing gives way: one number each for all rows."""
+    return {name: np.asarray(series(np.zeros(1))) for name, series in _blow_table().items()}
+
+
+def _elastic(lam: Array) -> Mapping[str, Array]:
+    """`_COLUMNS` at lam, NaN above 3."""
+    inside = np.where(lam <= MOST_YIELDING, lam, np.nan)
+    return {name: np.asarray(series(inside)) for name, series in _blow_table().items()}
+
+
+def blow(hertz_constant: Values, mass: Values, speed: Values, impedance: Values = math.inf) -> Blow:
+    """An elastic blow of reduced mass M* at speed v on a partner of impedance Z [N s/m], (R10) to (R13).
+
+    NaN where lam is above 3: the plate is punched, not struck.
+
+    >>> round(float(blow(6680584551.148, 0.010890854532, 3.6).force), 3)
+    3005.19
+    """
+    beta, v = np.asarray(hertz_constant, dtype=float), np.asarray(speed, dtype=float)
+    force = beta**0.4 * mass**0.6 * v**1.2
+    lam = force / (v * np.asarray(impedance, dtype=float))
+    inside = np.where(lam <= MOST_YIELDING, lam, np.nan)
+    at = {name: np.asarray(series(inside)) for name, series in _blow_table().items()}
+    force = force * at["force"]
+    return Blow(
+        force=force,
+        approach=np.cbrt(np.square(force / beta)),
+        duration=at["duration"] * (mass**2 / (beta**2 * v)) ** 0.2,
+        restitution=at["restitution"],
+    )
+
+
+def yielding_depth(face: Face | Softening, mass: Values, speed: Values) -> Array:
+    """z = alpha/alpha_y to which a blow presses a face that yields: M* v²/2 = W(z) P_y alpha_y, (R23).
+
+    The face's `pressed` has force, pressure, dent and work at that depth, its `restitution` the speed after.
+    """
+    return face.depth_of_work(0.5 * mass * np.square(speed) / (face.onset_force * face.onset_approach))
+
+
+def light_sphere_constant(behind: Values, ahead: Values) -> Array:
+    """beta of two faces in series, a sphere without mass between them, (R15): beta/2^1.5 for equal faces."""
+    return np.asarray((np.asarray(behind) ** (-2.0 / 3.0) + np.asarray(ahead) ** (-2.0 / 3.0)) ** -1.5)
+
+
+# --- scenes -------------------------------------------------------------------------------------------
+
+
+#: what the mass M of a sphere under a weight m adds to the peak force, 0.70 (M/m)^0.45 of it, (R16): fitted to the
+#: integrator for M/m = 3e-7 to 3e-3
+_SWING, _SWING_POWER = 0.70, 0.45
+#: rows that are answered together, so that their columns stay in the cache
+_BLOCK: Final = 8192
+
+
+def closed_form_rows(scene: Scene) -> Flags:
+    """Rows that `solve_blow` answers, (n,): one contact, nothing back before the bodies part; platens all."""
+    kind = RIGS[scene.rig].kind(1, scene.options)
+    bare = RIGS[scene.rig].contacts == 1 and kind in ("thick", "mass") and scene.horizon is None
+    behind, ahead = scene.partners
+    if bare and ahead is not None and isinstance(face := _path_of(ahead, scene), Softening):
+        # a sphere that breaks has no way back
+        with np.errstate(all="ignore"):
+            depth = yielding_depth(face, reduced_mass(scene.scales.mass, ahead.mass), scene.scales.speed)
+            return ~broken(depth**face.gamma, face.gamma)
+    if scene.rig == "platens" or bare:
+        return np.ones(len(scene), dtype=bool)
+    if behind is not None or ahead is None or scene.horizon is not None:
+        return np.zeros(len(scene), dtype=bool)
+    if _path_of(ahead, scene) is not None:
+        # a face that yields and a partner that carries waves off have no closed form together
+        return np.zeros(len(scene), dtype=bool)
+    if ahead.kind != "bar" or not np.any(ahead.reflection):
+        return np.ones(len(scene), dtype=bool)
+    with np.errstate(all="ignore"):
+        duration = scene.scales.time * _elastic(scene.scales.force / (scene.scales.speed * ahead.impedance))["duration"]
+        return np.asarray((ahead.reflection == 0.0) | ~(duration > ahead.round_trip))
+
+
+def solve_blow(scene: Scene, quantities: Collection[str] | None = None) -> Answers:
+    """Quantities of interest of n scenes in closed form, with the same names as `integrator.solve`.
+
+    An elastic blow by (R10) to (R13), one on a face that yields by the balance of energy (R23), platens by statics.
+    Rows outside `closed_form_rows` are not looked for: ask there first.
+    """
+    if len(scene) > _BLOCK:
+        rows, blocks = np.arange(len(scene)), [slice(k, k + _BLOCK) for k in range(0, len(scene), _BLOCK)]
+        return merged_answers(*((rows[block], solve_blow(scene.at(block), quantities)) for block in blocks))
+    with np.errstate(all="ignore"):
+        if scene.rig == "platens":
+            tracked = _pressed(scene)
+        else:
+            ahead = scene.partners[1]
+            assert ahead is not None
+            face = _path_of(ahead, scene)
+            tracked = _blown(scene, ahead) if face is None else _yielded(scene, face, ahead)
+    return _answers(scene, tracked, quantities)
+
+
+def _answers(scene: Scene, closed: Mapping[str, Array], quantities: Collection[str] | None) -> Answers:
+    tracked = {name: np.broadcast_to(value, (len(scene),)) for name, value in closed.items()}
+    return answers_from(scene, tracked, scene.status, np.zeros(len(scene), dtype=np.int64), quantities=quantities)
+
+
+def light_sphere_applies(scene: Scene) -> bool:
+    """Whether `solve_light` has answers: a weight on an elastic sphere, nothing back from what it rests on."""
+    behind, ahead = scene.partners
+    there = behind is not None and ahead is not None and behind.kind == "mass" and scene.horizon is None
+    if not there or ahead is None or np.any(ahead.reflection):
+        return False
+    return all(_path_of(partner, scene) is None for partner in scene.there)
+
+
+def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answers:
+    """A weight on a light sphere: two springs in series, (R15) and (R13), with the peak forces raised by (R16).
+
+    ValueError where `light_sphere_applies` is false.
+    """
+    behind, ahead = scene.partners
+    if behind is None or ahead is None or not light_sphere_applies(scene):
+        raise ValueError("a sphere without mass is for weights on elastic faces from which no wave comes back")
+    with np.errstate(all="ignore"):
+        scales, both = scene.scales, light_sphere_constant(behind.hertz_constant, ahead.hertz_constant)
+        moved = reduced_mass(behind.mass, ahead.mass)
+        force = both**0.4 * moved**0.6 * scales.speed**1.2
+        waves = ahead.kind in ("bar", "plate")
+        lam = force / (scales.speed * ahead.impedance) if waves else np.zeros(1)
+        at = _elastic(lam) if waves else _on_thick()
+        time = np.cbrt(np.square(force / both)) / scales.speed / scales.time
+        q = at["force"] * force / scales.force
+        slow_a = np.cbrt(np.square(q))
+        slow_b = np.cbrt(np.square(q * behind.hertz_constant / ahead.hertz_constant))
+        # the sphere swings between the faces: their peaks come out higher, the energies hardly
+        raised = np.cbrt(np.square(1.0 + _SWING * (scales.mass / moved) ** _SWING_POWER))
+        x_a, x_b = raised * slow_a, raised * slow_b
+        share = behind.mass / (behind.mass + ahead.mass)
+        tracked = {
+            "x_max": x_a, "x_a": x_a, "x_b": x_b, "force_b_at_a": q, "force_a_at_b": q, "mean_force": q,
+            "difference": np.zeros(1), "impulse": (1.0 + at["restitution"]) / at["force"] * time,
+            "stored": 0.4 * q * (slow_a + slow_b),
+            "stored_sphere": 0.4 * q * (behind.share * slow_a + ahead.share * slow_b),
+            **{name: at[of] * time for name, of in _DURATIONS.items()},
+            "end_speed": np.full(1, np.nan), "end_speed_a": share - (1.0 - share) * at["restitution"],
+            "end_speed_b": share * (1.0 + at["restitution"]), **_CENSORED,
+        }  # fmt: skip
+        if waves:
+            carried = (1.0 - np.square(at["restitution"])) / (2.0 * lam) * force**2 * time / scales.force**2
+            tracked["carried_b"] = carried
+    return _answers(scene, tracked, quantities)
+
+
+#: times of a blow -> which of `_COLUMNS` they are
+_DURATIONS: Final = {
+    "contact": "duration", "parting": "duration", "ended": "duration", "width": "width", "rise": "rise",
+    "above": "above",
+}  # fmt: skip
+
+
+def _path_of(partner: Partner, scene: Scene) -> Face | Softening | None:
+    """The law that moves the bodies at a face; None: Hertz."""
+    return partner.face if scene.contact_dynamics == "path" else None
+
+
+def _blown(scene: Scene, ahead: Partner) -> dict[str, Array]:
+    """An elastic blow in scaled variables, (R13); of a free partner by the motion about the common centre of mass."""
+    waves = ahead.kind in ("bar", "plate")
+    lam = scene.scales.force / (scene.scales.speed * ahead.impedance) if waves else np.zeros(1)
+    at = _elastic(lam) if waves else _on_thick()
+    x = np.cbrt(np.square(at["force"]))
+    found = {
+        "x_max": x, "x_b": x, "stored": 0.4 * at["force"] * x, "contact": at["duration"], "parting": at["duration"],
+        "width": at["width"], "rise": at["rise"], "ended": at["duration"], "above": at["above"],
+        # momentum: the sphere, or of two bodies each in their common frame, leaves with e times its speed
+        "impulse": (1.0 + at["restitution"]) / at["force"], **_speeds(scene, ahead, at["restitution"]), **_CENSORED,
+    }  # fmt: skip
+    if waves:
+        # what is lost is what the impedance takes: (1 - e²)/2 = lam times the integral of q²
+        found["carried_b"] = (1.0 - np.square(at["restitution"])) / (2.0 * lam)
+    return found
+
+
+#: a blow in closed form ends by itself, and the bodies touch once
+_CENSORED: Final = dict.fromkeys(("contact_censored", "width_censored", "touches"), np.zeros(1))
+
+
+def _speeds(scene: Scene, ahead: Partner, restitution: Array) -> dict[str, Array]:
+    """Speeds of sphere and partner after a blow, over the closing speed."""
+    if ahead.kind != "mass":
+        return {"end_speed": -restitution, "end_speed_b": np.zeros(1)}
+    share = scene.scales.mass / (scene.scales.mass + ahead.mass)
+    return {"end_speed": share - (1.0 - share) * restitution, "end_speed_b": share * (1.0 + restitution)}
+
+
+def _yielded(scene: Scene, face: Face | Softening, ahead: Partner) -> dict[str, Array]:
+    """A blow on a face that yields, in scaled variables: depth by (R23), times by quadrature."""
+    scales = scene.scales
+    depth = yielding_depth(face, reduced_mass(scales.mass, ahead.mass), scales.speed)
+    x = depth * face.onset_approach / scales.approach
+    state, restitution = face.pressed(depth), face.restitution(depth)
+    top, (low, half, high) = state.force / face.onset_force, (0.1, 0.5, 0.9)
+    down = [_loading(face, depth, face.depth_at(share * top * face.onset_force)) for share in (low, half, high)]
+    down.append(_loading(face, depth, np.zeros(1)))
+    to_scaled = face.onset_approach / scales.approach
+    # unloading is Hertz's from alpha_e down, and leaves at the speed of restitution
+    up = face.recovery(depth) * to_scaled / restitution
+    whole = down[3] * to_scaled + up * _UNLOADING[0]
+    return {
+        "x_max": x, "x_b": x, "stored": state.stored / (scales.force * scales.approach), "contact": whole,
+        "parting": whole, "width": down[1] * to_scaled + up * _UNLOADING[1], "ended": whole,
+        "above": down[0] * to_scaled + up * _UNLOADING[2], "impulse": (1.0 + restitution) * scales.force / state.force,
+        "rise": (down[0] - down[2]) * to_scaled, **_speeds(scene, ahead, restitution), **_CENSORED,
+    }  # fmt: skip
+
+
+#: integral of dx/sqrt(1 - x^2.5) from 0, from 0.5^(2/3) and from 0.1^(2/3), to 1: unloading times over alpha_e/v, (R11)
+_UNLOADING: Final = (1.4716375921624, 0.8084992204472, 1.2555247086606)
+#: Gauss points of a quarter of a blow below and above onset: analytic in the angle, 1e-12 at all depths
+_POINTS: Final = 24
+
+
+def _loading(face: Face | Softening, depth: Array, start: Array) -> Array:
+    """Time of loading from z = start to the top z_m over alpha_y/v: the integral of dz/sqrt(1 - W(z)/W(z_m)).
+
+    With z = z_m cos²(t) the integrand is smooth at both ends; it bends at the onset, where the range is cut.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(_POINTS)
+    ends = [np.arccos(np.sqrt(np.minimum(place / depth, 1.0))) for place in (np.maximum(start, 1.0), start)]
+    total, work, low = np.zeros_like(depth), face.work(depth), np.zeros_like(depth)
+    for high in ends:
+        for node, weight in zip(nodes, weights, strict=True):
+            angle = low + 0.5 * (high - low) * (node + 1.0)
+            left = 1.0 - face.work(depth * np.square(np.cos(angle))) / work
+            step = np.where(angle > 0.0, np.sin(2.0 * angle) / np.sqrt(np.maximum(left, 1e-300)), 0.0)
+            total += 0.5 * (high - low) * weight * depth * step
+        low = high
+    return total
+
+
+def _pressed(scene: Scene) -> dict[str, Array]:
+    """Platens in scaled variables: equal forces, statics; both faces of one law."""
+    scales, c, partner = scene.scales, scene.columns, scene.struck
+    softness = 1.0 / scene.column("platens.machine_stiffness", np.inf)
+    force = c["platens.force"] if "platens.force" in c else _force_at(partner, c["platens.displacement"], softness)
+    if (face := partner.face) is None:
+        approach = np.cbrt(np.square(force / partner.hertz_constant))
+        slope, stored = 1.5 * force / approach, 0.4 * force * approach
+    else:
+        depth = face.depth_at(force)
+        approach = depth * face.onset_approach
+        if isinstance(face, Softening):  # no more than the sphere bears
+            force = face.pressed(depth).force
+        slope, stored = face.slope(depth) * face.onset_force / face.onset_approach, face.pressed(depth).stored
+    rate = c.get("platens.loading_rate", scene.column("platens.speed") / (2.0 / slope + softness))
+    x, q = approach / scales.approach, force / scales.force
+    return {
+        "x_max": x, "x_a": x, "x_b": x, "force_b_at_a": q, "force_a_at_b": q, "mean_force": q,
+        "difference": np.zeros(1), "stored": 2.0 * stored / (scales.force * scales.approach),
+        "rise": 0.8 * force / rate / scales.time, "ended": np.zeros(1),
+    }  # fmt: skip
+
+
+def _force_at(partner: Partner, way: Array, softness: Array) -> Array:
+    """Force [N] at which two faces and a machine have given way by `way` [m]; Newton on a concave function."""
+    face = partner.face
+    scale = partner.effective_radius if face is None else face.onset_approach
+    unit = partner.hertz_constant * scale**1.5 if face is None else face.onset_force
+    wanted, stiff = way / scale, softness * unit / scale
+
+    def step(depth: Array) -> Array:
+        force = depth**1.5 if face is None else face.force(depth)
+        slope = 1.5 * np.sqrt(depth) if face is None else face.slope(depth)
+        return np.asarray((2.0 * depth + stiff * force - wanted) / (2.0 + stiff * slope))
+
+    depth = newton(step, 0.5 * wanted, 0.0)
+    return np.asarray(unit * (depth**1.5 if face is None else face.force(depth)))

@@ -17,8 +17,8 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Values
-from uqsphere.mechanics import contact
-from uqsphere.mechanics.stress import tables
+from uqsphere.mechanics import contact, stress
+from uqsphere.mechanics.yielding import CAP_PILE_UP, Face
 from uqsphere.units import Quantity
 
 # --- The product of crushing: how fine a sphere becomes that breaks, from the energy that it was given, theory (31).
@@ -33,22 +33,9 @@ DIAMETERS: Final = (0.0132, 0.063)
 def product_fineness(specific_energy: Values, A: Values, b: Values) -> Array:
     """t10 = A (1 - exp(-b Ecs)): share of the product's mass that is finer than a tenth of the particle, theory (31).
 
-    Parameters
-    ----------
-    specific_energy : array
-        Ecs, the energy given to the particle over its mass [J/kg], from 0.
-    A : array
-        The largest t10, a share in (0, 1].
-    b : array
-        [kg/J]; A b is the slope at small energies.
-
-    Returns
-    -------
-    array
-        Of the shape that the arguments broadcast to, from 0 to A.
-
-    Valid for 0.1 to 2.5 kWh/t and particles of 13 to 63 mm, which the check ``range_of_t10`` looks at.  T. J.
-    Napier-Munn, S. Morrell, R. D. Morrison, T. Kojovic, Mineral Comminution Circuits, JKMRC, 1996.
+    specific_energy: Ecs, given to the particle over its mass [J/kg]; A: the largest t10, in (0, 1]; b: [kg/J].  Valid
+    for 0.1 to 2.5 kWh/t and particles of 13 to 63 mm, which the check ``range_of_t10`` looks at. T. J. Napier-Munn, S.
+    Morrell, R. D. Morrison, T. Kojovic, Mineral Comminution Circuits, JKMRC, 1996.
 
     >>> round(float(product_fineness(3600.0, 0.55, 0.8 / 3600.0)), 4)
     0.3029
@@ -96,30 +83,13 @@ PARAMETERS: Final[dict[str, Parameter]] = {
 class Criterion:
     """One criterion.
 
-    Attributes
-    ----------
-    name, meaning, formula, source, range_text : str
-        `formula` gives the demand; `range_text` says in words what `ranges` says in numbers.
-    dimension, symbol, display : str
-        Of demand and strength, as of a `uqsphere.units.Quantity`.
-    measures : str
-        What the demand is.
-    strength : str
-        What the demand is held against.
-    quantity : str or None
-        The quantity of interest that is this demand with no parameter given; None if there is none.
-    also : tuple of str
-        Quantities that are the same demand of another part of the record.
-    needs : tuple of str
-        Columns, by the names of the nomenclature.
-    parameters, optional : tuple of str
-        Names in `PARAMETERS` that must be given, and that may be.
-    formula_of : function of (columns, parameters)
-        The demand, (n,), without the effect of rate.
-    ranges : mapping of str to (low, high)
-        Closed ranges of columns, of "a/r", and of parameters.
-    follows, place : str
-        See `uqsphere.units.Quantity`.
+    name, meaning, formula, source, range_text: texts; range_text says in words what `ranges` says in numbers.
+    dimension, symbol, display: of demand and strength, as of a `Quantity`; measures: what the demand is; strength: what
+    it is held against.  needs: columns, by the names of the nomenclature.  formula_of: function of (columns,
+    parameters), the demand (n,) without the effect of rate.  quantity: the quantity of interest that is this demand
+    with no parameter given; also: those that are the same of another part of the record.  parameters, optional: names
+    in `PARAMETERS` that must, and may, be given.  ranges: closed ranges of columns, of "a/r", and of parameters.
+    follows, place: as of a `Quantity`.
     """
 
     name: str
@@ -169,13 +139,8 @@ class _Face(Mapping[str, Values]):
 def demand(criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})) -> Array:
     """The demand of n rows, in SI, to be compared with the criterion's strength.
 
-    With `rate_0` among the parameters the strength grows with the strain rate of each sample; what grows the strength
-    is taken off the demand, which leaves the comparison as it is.
-
-    Raises
-    ------
-    ValueError
-        For a parameter that is missing, not known to the criterion, or outside its bounds.
+    With `rate_0` the strength grows with the strain rate of each sample; that is taken off the demand, which leaves the
+    comparison as it is.  ValueError for a parameter that is missing, not known to the criterion, or outside its bounds.
 
     >>> rows = {"p_max": np.array([1e9]), "a_max": 1e-3, "sphere.radius": 0.01, "sphere.nu": 0.25}
     >>> round(float(demand(CRITERIA["core_tension"], rows)[0]) / 1e6, 2)
@@ -234,7 +199,7 @@ def _central_force(columns: Columns) -> Array:
 
 def _tabulated(name: str) -> Callable[[Columns, Parameters], Array]:
     def formula(columns: Columns, parameters: Parameters) -> Array:
-        return _pressure(columns) * tables.ratio(name, _ratio(columns), columns["sphere.nu"])
+        return _pressure(columns) * stress.ratio(name, _ratio(columns), columns["sphere.nu"])
 
     return formula
 
@@ -250,15 +215,15 @@ def _between(one: Array, two: Array, columns: Columns) -> Array:
 
 def _core(columns: Columns, parameters: Parameters) -> Array:
     ratio, nu = _ratio(columns), columns["sphere.nu"]
-    field = tables.core_ratio(ratio, nu)[0]
+    field = stress.core_ratio(ratio, nu)[0]
     if "balance" in columns:
-        field = _between(tables.ratio("core_one", ratio, nu), field, columns)
+        field = _between(stress.ratio("core_one", ratio, nu), field, columns)
     return _pressure(columns) * field
 
 
 def _equator(columns: Columns, parameters: Parameters) -> Array:
     ratio = np.square(_ratio(columns))
-    found = _pressure(columns) * ratio * tables.ratio("equator", _ratio(columns), columns["sphere.nu"])
+    found = _pressure(columns) * ratio * stress.ratio("equator", _ratio(columns), columns["sphere.nu"])
     if "force_at_centre" in columns:
         found = found * (_central_force(columns) / columns["P_max"])
     return np.asarray(found)
@@ -324,7 +289,7 @@ def equivalent_tension(
     With a strength of modulus m and scale sigma_0 for the reference size, P_f = 1 - exp(-(sigma_eq/sigma_0)^m).  With
     `_one` after it, of one pole's force alone.
     """
-    field = tables.ratio(over, contact_ratio, nu, modulus)
+    field = stress.ratio(over, contact_ratio, nu, modulus)
     return np.asarray(np.asarray(pressure) * field * np.asarray(size_ratio) ** (1.0 / np.asarray(modulus)))
 
 
@@ -348,7 +313,7 @@ def _weakest(over: str) -> Callable[[Columns, Parameters], Array]:
 def _weakest_rim(columns: Columns, parameters: Parameters) -> Array:
     ratio, nu, m = _ratio(columns), columns["sphere.nu"], parameters["modulus"]
     size = 4.0 * math.pi * np.square(np.asarray(columns["sphere.radius"])) / parameters["reference_area"]
-    field = tables.half_space_rim(ratio, nu, m) * tables.ratio("rim", ratio, nu, m)
+    field = stress.half_space_rim(ratio, nu, m) * stress.ratio("rim", ratio, nu, m)
     if "balance" in columns:
         # each rim is a hazard of its own, that of an equal force half of both: it goes with a² p_0^m
         other = np.minimum(columns["balance"], 1.0) ** ((m + 2.0) / 3.0)
@@ -376,10 +341,10 @@ def _energy_criterion(name: str, symbol: str, of: str) -> Criterion:
 
 _FIELD: Final = ("p_max", "a_max", "sphere.radius", "sphere.nu")
 _SERIES: Final = "Legendre series of the sphere under Hertz pressure on two caps, theory section 6"
-_TABLE: Final = MappingProxyType({"a/r": tables.CONTACT_RATIO, "sphere.nu": tables.POISSON})
+_TABLE: Final = MappingProxyType({"a/r": stress.CONTACT_RATIO, "sphere.nu": stress.POISSON})
 _TABLE_TEXT: Final = "0.005 <= a/r <= 0.3, 0 <= nu <= 0.5, equal forces"
 _WEIBULL_TABLE: Final = MappingProxyType(
-    {"a/r": tables.CONTACT_RATIO, "sphere.nu": tables.POISSON_WEIBULL, "modulus": tables.MODULUS}
+    {"a/r": stress.CONTACT_RATIO, "sphere.nu": stress.POISSON_WEIBULL, "modulus": stress.MODULUS}
 )
 _WEIBULL_TEXT: Final = "0.005 <= a/r <= 0.3, 0 <= nu <= 0.4, 2 <= m <= 50, equal forces"
 _RATE: Final = ("rate_0",)
@@ -520,3 +485,66 @@ DEMANDS: Final[dict[str, Quantity]] = {
     )
     for name, entry in CRITERIA.items()
 }  # fmt: skip
+
+
+#: what a strength can be carried by -> the columns that it reads of the service
+CARRIERS: Final[dict[str, tuple[str, ...]]] = {
+    "force": ("P_max",),
+    "energy": ("energy_sphere", "P_max"),
+    "centre": ("mean_force_max", "P_max"),
+}
+#: what a demand that is carried needs to know beside the parameters of its criterion
+CARRIED: Final = ("carrier", "platen_E", "platen_nu")
+
+
+def carried_parameters(carrier: str, platens: tuple[float, float]) -> dict[str, float]:
+    """The parameters of a demand in the test: the place of its carrier in `CARRIERS`, E [Pa] and nu of the platens."""
+    return {"carrier": float(list(CARRIERS).index(carrier)), "platen_E": platens[0], "platen_nu": platens[1]}
+
+
+def needs_of(parameters: Mapping[str, float]) -> tuple[str, ...]:
+    """Columns that a carried demand reads of the service."""
+    rate = ("loading_rate",) if "rate_0" in parameters else ()
+    return (*CARRIERS[list(CARRIERS)[int(parameters["carrier"])]], *rate)
+
+
+def pole_of(columns: Mapping[str, Values], modulus: Array, radius: Array) -> Face | None:
+    """The law of a sphere's pole between harder platens; None where its onset or its hardness is not given."""
+    law = [columns.get(f"sphere.{key}") for key in ("onset_pressure", "hardness")]
+    if any(part is None for part in law):
+        return None
+    onset, hardness = (np.broadcast_to(np.asarray(part, dtype=float), radius.shape) for part in law)
+    return Face(onset=onset, hardness=hardness, pile_up=np.full(radius.shape, CAP_PILE_UP), modulus=modulus,
+                effective_radius=radius)  # fmt: skip
+
+
+def in_the_test(
+    columns: Mapping[str, Values], parameters: Mapping[str, float], *, yields: bool = False
+) -> tuple[Array, dict[str, Values]]:
+    """The slow force in the test, (n,) [N], and what `uqsphere.mechanics.outputs.at_force` is to know of it.
+
+    force: F = P_max; centre: F = (P_A + P_B)/2 at its largest, (R19); energy: F = (5 U/(4 chi))^0.6 beta^0.4 from the
+    energy U of the sphere, chi its share in the test, (R22), or, where its poles yield, what chi times the stored
+    energy and the plastic work together take.  The rate is that of the service.
+    """
+    carrier = list(CARRIERS)[int(parameters["carrier"])]
+    E, nu, radius = (np.asarray(columns[f"sphere.{key}"], dtype=float) for key in ("E", "nu", "radius"))
+    modulus = np.asarray(contact.reduced_modulus(E, nu, parameters["platen_E"], parameters["platen_nu"]))
+    beta = contact.hertz_constant(modulus, radius)
+    share = modulus * (1.0 - nu * nu) / E
+    face = pole_of(columns, modulus, radius) if yields else None
+    peak = np.asarray(columns["P_max"], dtype=float)
+    if carrier == "force":
+        force = peak
+    elif carrier == "centre":
+        force = np.asarray(columns["mean_force_max"], dtype=float)
+    elif face is not None:
+        depth = face.depth_of_share(0.5 * np.asarray(columns["energy_sphere"]), share)
+        force = face.force(depth) * face.onset_force
+    else:
+        force = (1.25 * np.asarray(columns["energy_sphere"]) / share) ** 0.6 * beta**0.4
+    known = {"modulus": modulus, "effective_radius": radius, "hertz_constant": beta, "mass": columns["mass"],
+             "sphere.E": E, "sphere.nu": nu, "sphere.radius": radius, "face": face}  # fmt: skip
+    if "rate_0" in parameters:
+        known["loading_rate"] = columns["loading_rate"] * (force / peak)
+    return force, known

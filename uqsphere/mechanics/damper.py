@@ -43,19 +43,10 @@ _TOLERANCE: Final = 1e-9
 class Damper:
     """An end of a bar by its velocity reflection coefficient over frequency.
 
-    Attributes
-    ----------
-    frequency : (n,) array
-        Ascending, positive [Hz], at least two.
-    coefficient : (n,) complex array
-        R(f) with the time factor exp(+i 2 pi f t): a mass has a positive imaginary impedance.  Above the table the
-        imaginary part dies out like 1/f, and what the real part has beyond its limit like 1/f².
-
-    Raises
-    ------
-    ValueError
-        For tables of another shape, frequencies that do not ascend, numbers that are not finite, or an end that gives
-        back more than it gets, abs(R) > 1.
+    frequency (n,): ascending, positive [Hz], at least two; coefficient (n,): complex R(f) with the time factor exp(+i 2
+    pi f t), a mass has a positive imaginary impedance.  Above the table the imaginary part dies out like 1/f, and what
+    the real part has beyond its limit like 1/f².  ValueError for tables of another shape, frequencies that do not
+    ascend, numbers that are not finite, or an end that gives back more than it gets, abs(R) > 1.
     """
 
     frequency: Array
@@ -105,19 +96,9 @@ class Damper:
 def damper_from_impedance(frequency: Values, impedance: Values, bar_impedance: float) -> Damper:
     """A damper from force over velocity at its face: R = (Z - Z_d)/(Z + Z_d).
 
-    Parameters
-    ----------
-    frequency : (n,) array
-        [Hz], ascending.
-    impedance : (n,) complex array
-        Z_d(f) [kg/s] with the time factor exp(+i 2 pi f t): c + i (2 pi f m - k/(2 pi f)) of dashpot, mass and spring.
-    bar_impedance : float
-        Z of the bar [kg/s].
-
-    Raises
-    ------
-    ValueError
-        As `Damper`; for an impedance whose real part is negative.
+    frequency (n,): [Hz], ascending; impedance (n,): Z_d(f) [kg/s] with the time factor exp(+i 2 pi f t), c + i (2 pi f
+    m - k/(2 pi f)) of dashpot, mass and spring; bar_impedance: Z.  ValueError as `Damper`, and for a negative real
+    part.
 
     >>> damper_from_impedance([1e3, 1e5], [0.0, 0.0], 5e4).coefficient.real.tolist()     # a free end
     [1.0, 1.0]
@@ -173,13 +154,8 @@ def move_with_damper(scene: Scene, row: int, damper: Damper) -> Motion:
     """The motion of one scene, `full` model, with a damper at the far end of the receiving bar.
 
     Round trip by round trip with DOP853 at a tolerance of 1e-9; waves are joined by cubic splines through 400 points
-    per period of the sphere's oscillation.
-
-    Raises
-    ------
-    ValueError
-        If the row lies outside the domain, its bars are infinite, its sphere is so light that it takes too many
-        samples, or the damper is not causal.
+    per period of the sphere's oscillation.  ValueError if the row lies outside the domain, its bars are infinite, its
+    sphere is so light that it takes too many samples, or the damper is not causal.
     """
     if scene.status[row]:
         raise ValueError(f"row {row} cannot be integrated: {STATUS[int(scene.status[row])]}")

@@ -23,8 +23,8 @@ from uqsphere.mechanics.criteria import Demands
 from uqsphere.mechanics.fracture import first_fractures
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.outputs import Path
-from uqsphere.mechanics.partners import softest_partner
 from uqsphere.mechanics.pulses import striker_steps
+from uqsphere.mechanics.rigs import softest_partner
 from uqsphere.mechanics.scene import Scene, answered
 
 #: bounds of a test in the order in which ties are decided, and what it means that one is broken
@@ -46,15 +46,9 @@ _LASTING: Final = 12.0
 class Breaks:
     """Fracture of n scenes at m strengths under a ramp that never ends; every array (n, m), NaN where none comes.
 
-    Attributes
-    ----------
-    share : array
-        Strength over the largest demand, of the limit that is nearest to being reached; NaN where the scene could
-        not be computed.
-    limit : array of int
-        The limit that is reached first, -1 for none.
-    time, force, imbalance : arrays
-        At fracture: time [s], the larger contact force [N], difference of the forces over the largest so far.
+    share: strength over the largest demand, of the limit that is nearest to being reached; NaN where the scene could
+    not be computed.  limit: the one that is reached first, -1 for none.  At fracture: time [s], the larger contact
+    force [N], imbalance, the difference of the forces over the largest so far.
     """
 
     share: Array
@@ -68,20 +62,10 @@ class Breaks:
 class Rig:
     """What a test is held against.
 
-    Attributes
-    ----------
-    length : float
-        Of the striker [m].
-    fall : float
-        Time in which the pulse falls [s].
-    level : float
-        Largest difference of the two forces at fracture, over the largest force so far.
-    first_return : float
-        Time at which the first reflected wave is back at the sphere [s]; may be infinite.
-    round_trip : float
-        Of the incident bar [s], within which the striker has to leave it; infinite if its end sends nothing back.
-    dents : bool
-        Whether the bars may yield under the sphere: the study's law of the contact has it.
+    length: of the striker [m]; fall: time in which the pulse falls [s]; level: largest difference of the two forces at
+    fracture, over the largest so far; first_return: of a reflected wave at the sphere [s], may be infinite; round_trip:
+    of the incident bar [s], within which the striker has to leave it, infinite if its end sends nothing back; dents:
+    whether the bars may yield under the sphere.
     """
 
     length: float
@@ -120,20 +104,9 @@ def ramp_scene(
 ) -> Scene:
     """n scenes under a pulse that rises linearly over `rise` (n,) [s] and stays, in bars without reflections.
 
-    Parameters
-    ----------
-    columns : mapping of str to (n,) array
-        Numbers of the scenes, SI; those of the pulse are left aside, and the striker's length.
-    rise : (n,) array
-        0 and more [s].
-    rigid_contact, demands, law
-        See `uqsphere.mechanics.scene.Scene`.  What yields is read off the largest force: motions that yield until the
-        ramp's end take minutes a map.
-
-    Raises
-    ------
-    ValueError
-        If a scene has no meaning.
+    columns: numbers of the scenes, SI; those of the pulse and the striker's length are left aside.  The others: see
+    `Scene`.  What yields is read off the largest force: motions that yield until the ramp's end take minutes a map.
+    ValueError if a scene has no meaning.
     """
     kept = {name: column for name, column in columns.items() if not name.startswith("pulse.")}
     kept.pop("striker.length", None)
@@ -159,20 +132,8 @@ def break_on_ramp(
 ) -> Breaks:
     """Where and how n scenes of `ramp_scene` break, at m strengths of L limits.
 
-    Parameters
-    ----------
-    scene : Scene
-        n rows.
-    quantities : L names
-        What each limit holds against its strength.
-    paths : L of Path
-        How it follows the loading, `uqsphere.mechanics.criteria.path_of`.
-    strengths : (m, L) array
-        SI, over the model factor.  A criterion with an effect of rate takes the rate of the whole rise.
-    fidelity : str
-        `full` or `massless`.
-    tolerance, threads
-        See `uqsphere.mechanics.integrator.solve.solve`.
+    quantities, paths: what each limit holds against its strength, and how that follows the loading (`outputs.path_of`);
+    strengths (m, L): SI, over the model factor; a criterion with an effect of rate takes the rate of the whole rise.
     """
     n, m = len(scene), len(strengths)
     found = dynamics.solve(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)

@@ -29,19 +29,10 @@ MARGIN = 1.25
 class Fallback:
     """An error estimate of a cheaper fidelity, and the rows it leaves to `full`.
 
-    In every quantity the error over a fixed scale is taken to be
-
-        exp(c_0 + c_1 ln mu + c_2 ln theta)
-
-    with mass number mu and pulse number theta of the row (no third term where no pulse ends).  A row is left to
-    `full` if that exceeds the bound in any quantity, or if mu or theta lies outside the range the law was fitted
-    in.  The answer for a row depends on nothing but the row.
-
-    Attributes
-    ----------
-    coefficients : (c_0, c_1, c_2) of every quantity
-    bounds : the largest error over the scale that is let pass, of every quantity
-    mass_range, pulse_range : lower and upper end of mu and theta
+    In each of q quantities the error over a fixed scale is exp(c_0 + c_1 ln mu + c_2 ln theta) with mass number mu and
+    pulse number theta of the row (no third term where no pulse ends).  A row is left to `full` if that exceeds the
+    bound in any quantity, or if mu or theta lies outside the range the law was fitted in: its answer depends on nothing
+    else.
     """
 
     coefficients: tuple[tuple[float, float, float], ...]
@@ -76,22 +67,11 @@ def _features(mu: Array, theta: Array) -> Array:
 def fit_error_law(
     mass_number: Array, pulse_number: Array, errors: Array
 ) -> tuple[tuple[tuple[float, float, float], ...], tuple[float, float], tuple[float, float]]:
-    """The law of `Fallback` that lies above measured errors, and the ranges of mu and theta it was fitted in.
+    """The law of `Fallback` that lies above measured errors: coefficients, and ranges of mu and theta of the rows.
 
-    Least squares in logarithms, drawn to the exponents that theory expects where the rows lie too close together
-    to tell, then raised until it lies a quarter above the largest error seen.
-
-    Parameters
-    ----------
-    mass_number, pulse_number : (n,) arrays
-        mu and theta of rows; theta may be infinite.
-    errors : (n, q) array
-        Absolute errors of these rows over the scale.
-
-    Returns
-    -------
-    coefficients, mass_range, pulse_range
-        As `Fallback` wants them.
+    Least squares in logarithms, drawn to the exponents that theory expects where the rows lie too close together to
+    tell, then raised until it lies a quarter above the largest error seen.  mass_number, pulse_number (n,): mu and
+    theta, which may be infinite; errors (n, q): absolute ones over the scale.
 
     >>> mu = np.geomspace(1e-4, 1e-2, 50)
     >>> law, _, _ = fit_error_law(mu, np.full(50, np.inf), 0.3 * mu[:, None] ** 0.5)

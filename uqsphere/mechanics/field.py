@@ -1,8 +1,10 @@
-"""The waves at the two faces and the motion between them, read off the polynomials that the integrator leaves.
+"""The waves in the bars: at the two faces, anywhere along them, and as strain gauges see them.
 
-Waves follow theory (4) and (5), unrolled into a sum over the echoes, so that the instants asked for cost nothing
-in accuracy.  A bar has a wave that arrives at its face and one that leaves it: between them they say all there is
-to say about the bar (`uqsphere.mechanics.gauges`, `uqsphere.mechanics.field`).
+They are read off the polynomials that the integrator leaves, by theory (4) and (5), unrolled into a sum over the
+echoes, so that the instants asked for cost nothing in accuracy.  A bar has a wave that arrives at its face and one that
+leaves it: between them they say all there is to say about the bar.  The paper's (3.17) for the forces holds for gauges
+half-way along, bars of equal length and no reflection; here a gauge sits anywhere, and every reflection is in its
+signal.
 """
 
 from __future__ import annotations
@@ -43,11 +45,7 @@ def leaving(motion: Motion, bar: int, times: Array, *, sides: Array | None = Non
     """The wave that leaves a face at `times` [s], (m,) [m/s]: g_A of the incident bar (0), k_B of the receiving (1).
 
     g_A(t) = sum_k R_1^k [f_in(t - k T_1) - P_A(t - k T_1)/Z],   k_B(t) = sum_k R_3^k P_B(t - k T_3)/Z.
-
-    Parameters
-    ----------
-    sides : (m,) array, optional
-        -1 takes the value before a jump at that instant, 1 (everywhere if None) the value after it.
+    sides (m,): -1 takes the value before a jump at that instant, 1 (everywhere if None) the value after it.
     """
     if bar == 1 and motion.returning is not None:
         force = motion.forces_at(times)[:, 1]
@@ -136,40 +134,18 @@ class Tension:
 
 
 def field_at(motion: Motion, bar: str, position: Values, times: Values, *, sides: Array | None = None) -> Field:
-    """Stress and particle velocity at places of a bar.
+    """Stress and particle velocity at places of a bar, (m,).
 
     With d the distance from the sphere, rho and c0 of the bars:
 
         incident:   sigma = rho c0 [g_A(t - d/c0) - f(t + d/c0)],   v = f(t + d/c0) + g_A(t - d/c0)
         receiving:  sigma = rho c0 [h(t + d/c0) - k_B(t - d/c0)],   v = k_B(t - d/c0) + h(t + d/c0)
 
-    Parameters
-    ----------
-    motion : Motion
-    bar : str
-        `incident` or `receiving`.
-    position : float or (m,) array
-        Distance d from the bar's face at the sphere [m].
-    times : (m,) array
-        Instants [s] since first touch; the pulse is under way in the incident bar before that.
-    sides : (m,) array, optional
-        -1 takes the value before a jump at that instant, 1 (everywhere if None) the value after it.
-
-    Returns
-    -------
-    Field
-        Of shape (m,).
-
-    Raises
-    ------
-    ValueError
-        For an unknown bar, a place that is not on it, times that are no finite (m,) array, or one for which the
-        history had to go on longer (`last_time`).
-
-    Notes
-    -----
-    W. K. Nowacki, Engng. Trans. 42(3), 1994, eqs. (2.1), (2.2), (3.13), (3.14), re-derived (docs/errata.md), and
-    carried on through every reflection.
+    bar: `incident` or `receiving`; position: d [m], one or (m,); times (m,): [s] since first touch, before which the
+    pulse is under way; sides (m,): see `leaving`.  ValueError for an unknown bar, a place that is not on it, times that
+    are no finite (m,) array, or one for which the history had to go on longer (`last_time`). Source: W. K. Nowacki,
+    Engng. Trans. 42(3), 1994, (2.1), (2.2), (3.13), (3.14), re-derived (docs/errata.md), and carried on through every
+    reflection.
 
     >>> from uqsphere import history, load_study
     >>> found = history(load_study("studies/granite.toml"))
@@ -223,15 +199,9 @@ def _check_end(motion: Motion, bar: str, position: Array, times: Array) -> None:
 
 
 def field_grid(motion: Motion, places: Values, times: Values) -> Field:
-    """The field on a grid of both bars, (m, k).
+    """The field (m, k) on a grid of instants (m,) [s] and places (k,) [m] of both bars.
 
-    Parameters
-    ----------
-    places : (k,) array
-        Along the axis [m], the sphere at 0: negative in the incident bar, positive in the receiving bar; a sphere is
-        no bar, so that 0 is the incident face.
-    times : (m,) array
-        Instants [s].
+    The sphere stands at 0: negative in the incident bar, positive in the receiving bar; 0 is the incident face.
     """
     places, times = np.asarray(places, dtype=float), np.asarray(times, dtype=float)
     stress, velocity = np.zeros((len(times), len(places))), np.zeros((len(times), len(places)))
@@ -261,22 +231,11 @@ def tension_level(motion: Motion) -> float:
 
 
 def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Tension | None:
-    """Where and when the stress of a bar first rises above `share` of the pulse's nominal stress rho c0 v0/2.
-
-    `share` is `tension_level` if it is not given.
+    """Where and when the stress of a bar first rises above `share` (`tension_level`) of the pulse's stress rho c0 v0/2.
 
     Tension is where more leaves than arrives, g_A(u) > f(w) (receiving bar: h(w) > k_B(u)), with u = t - d/c0 and
     w = t + d/c0: the least u + w among those with 0 <= w - u <= 2 l/c0 is sought, on a grid and by zooming in.
-
-    Returns
-    -------
-    Tension or None
-        None where the bar sees none up to the horizon.
-
-    Raises
-    ------
-    ValueError
-        For an unknown bar.
+    None where the bar sees none up to the horizon.
 
     >>> from uqsphere import history, load_study
     >>> found = history(load_study("studies/granite.toml"))
@@ -334,3 +293,207 @@ def _nodes(motion: Motion, number: int, horizon: float) -> Array:
 
 def _around(nodes: Array, k: int) -> tuple[float, float]:
     return float(nodes[max(k - 1, 0)]), float(nodes[min(k + 1, len(nodes) - 1)])
+
+
+#: a wave is over once it stays below this share of its largest value
+_OVER: Final = 0.01
+#: instants of a round trip at which a wave is looked at to see when it is over
+_LOOKS: Final = 4000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overlap:
+    """Two waves at one gauge at once: their names, begin and end [s]."""
+
+    first: str
+    second: str
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaugeRecord:
+    """The signal of one gauge.
+
+    bar: `incident` or `receiving`; position: distance from the sphere [m]; time, strain (m,): [s] since first touch,
+    jumps twice (before, after), tension positive; overlaps: where waves cannot be told apart; clean_until: the time at
+    the face [s] up to which the wave that leaves the sphere is seen alone.
+    """
+
+    bar: str
+    position: float
+    time: Array
+    strain: Array
+    overlaps: tuple[Overlap, ...]
+    clean_until: float
+
+    @property
+    def name(self) -> str:
+        """Bar and place, as in tables: ``incident 750 mm``."""
+        return f"{self.bar} {self.position * 1e3:.6g} mm"
+
+
+@dataclass(frozen=True, kw_only=True)
+class BarForces:
+    """Forces at the faces by wave analysis [N], (m,), over the time at the faces [s], compression positive.
+
+    one_wave: the receiving face, from the transmitted wave; two_wave: the incident face, from the incident and the
+    reflected wave; three_wave: their mean.  Valid up to `end` [s], after which an echo is in a record.
+    """
+
+    time: Array
+    one_wave: Array
+    two_wave: Array
+    three_wave: Array
+    end: float
+
+
+# --- signals ------------------------------------------------------------------------------------------
+
+
+def gauge_strain(motion: Motion, bar: str, position: float, times: Values, *, sides: Array | None = None) -> Array:
+    """Axial strain at a place of a bar, (m,), tension positive: the stress of `field_at` over E_b.
+
+    One-dimensional waves: no dispersion, and a gauge closer to the sphere than a few bar diameters sees the local field
+    as well.  W. K. Nowacki, Engng. Trans. 42(3), 1994, (3.17), re-derived (docs/errata.md).
+
+    >>> from uqsphere import history, load_study
+    >>> found = history(load_study("studies/granite.toml"))
+    >>> float(gauge_strain(found.motion, "incident", 0.75, [-100e-6])[0]) * 1e6    # -v0/(2 c0)
+    -51.2989...
+    """
+    check_position(motion, bar, position)
+    stress = field_at(motion, bar, position, times, sides=sides).stress
+    return np.asarray(stress / float(motion.scene.columns["bars.E"][motion.row]))
+
+
+def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 2000) -> GaugeRecord:
+    """The signal of a gauge from the arrival of the first wave to the end of what the motion decides.
+
+    On an even grid of so many `points`, with jumps twice on top.
+    """
+    number = check_position(motion, bar, position)
+    delay = position / motion.wave_speed
+    begin, end = (-1.1 * delay if number == 0 else 0.0), float(last_time(motion, bar, position))
+    grid = np.linspace(begin, end, points)
+    jumps = _jumps(motion, number)
+    jumps = np.unique(np.concatenate([jumps - delay, jumps + delay]))
+    jumps = jumps[(jumps > begin) & (jumps < end)]
+    times, sides = with_jumps(grid, jumps)
+    strain = gauge_strain(motion, bar, position, times, sides=sides)
+    return GaugeRecord(
+        bar=bar, position=position, time=times, strain=strain, overlaps=overlaps(motion, bar, position),
+        clean_until=_clean_until(motion, number, delay),
+    )  # fmt: skip
+
+
+def with_jumps(smooth: Array, jumps: Array) -> tuple[Array, Array]:
+    """Instants in order, jumps twice; `sides` is -1 at the first of the two instants of a jump, else 1."""
+    times = np.concatenate([smooth, jumps, jumps])
+    sides = np.concatenate([np.ones(len(smooth)), -np.ones(len(jumps)), np.ones(len(jumps))])
+    order = np.lexsort((sides, times))
+    return times[order], sides[order]
+
+
+def default_positions(motion: Motion) -> tuple[tuple[str, float], ...]:
+    """Where gauges are put that nobody placed: half-way along, as in the paper; a bar without a length has none."""
+    places = []
+    for number, bar in enumerate(BARS):
+        half = 0.25 * motion.wave_speed * motion.round_trip(number)
+        if np.isfinite(half):
+            places.append((bar, half))
+    return tuple(places)
+
+
+def _jumps(motion: Motion, number: int) -> Array:
+    """When a wave of a bar jumps or bends at the face: the pulse, and what has come back of it."""
+    breaks = motion.scene.pulse.breaks[motion.row]
+    breaks = breaks[np.isfinite(breaks)] if number == 0 else np.zeros(0)
+    if not motion.echoes(number):
+        return np.asarray(breaks)
+    trips = np.arange(1 + int(min(motion.horizon / motion.round_trip(number), 16.0)))
+    return np.asarray((breaks[:, None] + trips * motion.round_trip(number)).ravel())
+
+
+def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
+    """Where a gauge sees two waves at once.
+
+    The incident and the reflected wave overlap for position < c0 t_pulse/2; the wave that leaves the sphere is met by
+    its own reflection where it is not over by then, that is, below 1 % of its largest value for good.
+    """
+    number = check_position(motion, bar, position)
+    delay = position / motion.wave_speed
+    names = ("reflected", "its return from the struck end") if number == 0 else ("transmitted", "its return")
+    found = []
+    if number == 0 and motion.pulse_end > 2.0 * delay:
+        # a step overlaps to the end of what is known
+        end = min(motion.pulse_end - delay, float(last_time(motion, bar, position)))
+        found.append(Overlap(first="incident", second="reflected", begin=delay, end=end))
+    back = _clean_until(motion, number, delay)
+    if back < min(motion.round_trip(number), motion.horizon):
+        looks = np.linspace(0.0, min(motion.round_trip(number), motion.horizon), _LOOKS)
+        wave = np.abs(leaving(motion, number, looks, sides=-np.ones_like(looks)))
+        above = looks[wave > _OVER * wave.max()]
+        if above.size and above[-1] > back:
+            found.append(Overlap(first=names[0], second=names[1], begin=back + delay, end=float(above[-1]) + delay))
+    return tuple(found)
+
+
+def _clean_until(motion: Motion, number: int, delay: float) -> float:
+    """Time at the face [s] up to which the wave that leaves it passes a gauge before it has come back there."""
+    return np.inf if not motion.echoes(number) else motion.round_trip(number) - 2.0 * delay
+
+
+# --- forces -------------------------------------------------------------------------------------------
+
+
+def bar_forces(motion: Motion, incident_position: float, receiving_position: float, *, points: int = 2000,
+               ) -> BarForces:  # fmt: skip
+    """Forces at the faces from the signals of two gauges, at distances [m] from the sphere, as taken in a laboratory.
+
+    The record of the incident bar is cut half-way between the passages of the pulse and of its reflection, and the
+    three waves are shifted to the faces by the way from the gauge:
+
+        P_B = -E F0 eps_t (one wave),   P_A = -E F0 (eps_i + eps_r) (two waves),   (P_A + P_B)/2 (three waves).
+
+    points: instants from first touch to the first echo in a record, or to the horizon.  ValueError where the incident
+    and the reflected wave overlap at the gauge, or no time is left before an echo. Source of the names: G. T. Gray III,
+    Classic split-Hopkinson pressure bar testing, ASM Handbook 8, 2000.
+    """
+    check_position(motion, "incident", incident_position)
+    check_position(motion, "receiving", receiving_position)
+    delays = [position / motion.wave_speed for position in (incident_position, receiving_position)]
+    if not np.isfinite(motion.pulse_end):
+        raise ValueError("a step never ends, so that incident and reflected wave overlap at any gauge")
+    if motion.pulse_end > 2.0 * delays[0] * (1.0 + 1e-12):
+        raise ValueError(
+            f"the pulse of {motion.pulse_end * 1e6:.6g} us overlaps with its reflection at {incident_position:g} m "
+            f"from the sphere: the gauge must be at least {0.5 * motion.wave_speed * motion.pulse_end:.4g} m away"
+        )
+    end = min(motion.horizon, *(_clean_until(motion, bar, delays[bar]) for bar in (0, 1)))
+    if not end > 0.0:
+        raise ValueError("no time is left between a wave and its return: a gauge is at the far end of its bar")
+    # up to the end and not with it, where the echo jumps in
+    times = np.linspace(0.0, end, points)
+    sides = np.where(times < end, 1.0, -1.0)
+    incident = np.zeros_like(times)
+    first = times < 2.0 * delays[0]
+    incident[first] = gauge_strain(motion, "incident", incident_position, times[first] - delays[0])
+    reflected = gauge_strain(motion, "incident", incident_position, times + delays[0], sides=sides)
+    transmitted = gauge_strain(motion, "receiving", receiving_position, times + delays[1], sides=sides)
+    stiffness = float(motion.scene.columns["bars.E"][motion.row]) * motion.section
+    one, two = -stiffness * transmitted, -stiffness * (incident + reflected)
+    return BarForces(time=times, one_wave=one, two_wave=two, three_wave=0.5 * (one + two), end=end)
+
+
+def force_imbalance(force_a: Values, force_b: Values) -> Array:
+    """R = 2 |P_A - P_B|/(P_A + P_B), (m,): 0 in equilibrium, 2 where one face alone is pressed, 0 where none is.
+
+    G. Ravichandran, G. Subhash, J. Am. Ceram. Soc. 77(1), 1994, 263-267, who ask for R <= 0.05.
+
+    >>> force_imbalance([0.0, 1.0, 1.0], [0.0, 0.0, 0.9]).round(4).tolist()
+    [0.0, 2.0, 0.1053]
+    """
+    force_a, force_b = np.asarray(force_a, dtype=float), np.asarray(force_b, dtype=float)
+    total = force_a + force_b
+    return np.asarray(2.0 * np.abs(force_a - force_b) / np.where(total > 0.0, total, 1.0))

@@ -15,19 +15,20 @@ from functools import partial
 from typing import Final
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.integrator.solve import Motion, motions
+from uqsphere.mechanics.integrator.tracked import ORDER, TERMS
 from uqsphere.mechanics.outputs import Columns, Path, columns_of, pressed_to
+from uqsphere.mechanics.roots import bisect
 from uqsphere.mechanics.scene import Scene
 
-#: parts of a step of the integrator that are looked at before a crossing is refined, as many as its series has powers;
-#: halvings that refine it, to 2^-49 of the step
-_PARTS: Final = 16
+#: halvings that refine a crossing in one of the parts of a step, as many as its series has powers: to 2^-49 of the step
 _HALVINGS: Final = 45
-_SHARES: Final = np.arange(1, _PARTS + 1) / _PARTS
-_POWERS: Final = _SHARES[None, :] ** np.arange(17)[:, None]
+_SHARES: Final = np.arange(1, ORDER + 1) / ORDER
+_POWERS: Final = _SHARES[None, :] ** np.arange(TERMS)[:, None]
 #: rows whose motions are held in memory together
 _BLOCK: Final = 256
 
@@ -36,18 +37,11 @@ _BLOCK: Final = 256
 class Fractures:
     """Fracture of n specimens by L criteria.
 
-    Attributes
-    ----------
-    times : (n, L) array
-        First time at which each criterion reaches its strength [s], as if the sphere held the others; infinite where
-        it does not.
-    first : (n,) array of int
-        The criterion that is reached first; -1 where none is, and the numbers below are NaN.
-    time, force, energy, imbalance : (n,) arrays
-        At the first: time [s], the larger contact force [N], energy stored in both contacts [J], and the difference
-        of the two forces at that moment over the largest force so far.
-    early : (n,) array of bool
-        Whether it comes before the first reflected wave is back.
+    times (n, L): first time at which each criterion reaches its strength [s], as if the sphere held the others;
+    infinite where it does not.  first (n,): the criterion that is reached first; -1 where none is, and the numbers
+    below are NaN: time [s], the larger contact force [N], energy stored in both contacts [J], and imbalance, the
+    difference of the two forces at that moment over the largest so far.  early (n,): whether it comes before the first
+    reflected wave is back.
     """
 
     times: Array
@@ -84,10 +78,8 @@ class _Course:
 
 def _values(states: Array, share: Array) -> Array:
     """Approaches (..., 2) at a share (...) of the steps with the coefficients (..., 2, 17); never negative."""
-    total = states[..., -1]
-    for k in range(states.shape[-1] - 2, -1, -1):
-        total = total * share[..., None] + states[..., k]
-    return np.maximum(total, 0.0)
+    found = polyval(share[..., None], np.moveaxis(states, -1, 0), tensor=False)
+    return np.maximum(found, 0.0)
 
 
 def _stored(approach: Array) -> Array:
@@ -154,14 +146,10 @@ def _demands(scene: Scene, rows: Places, path: Path, value: Array) -> Array:
 def _levels(scene: Scene, rows: Places, path: Path, top: Array, share: Array) -> Array:
     """Share of the largest force or energy, `top` (n,) in SI, at which the demand is `share` (n,) of its largest."""
     wanted = share * _demands(scene, rows, path, top)
-    low, high = np.zeros(len(rows)), np.ones(len(rows))
     if path.criterion is None:
         return np.asarray(share if path.power == 1.0 else share ** (1.0 / path.power))
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        below = _demands(scene, rows, path, middle * top) < wanted
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return high
+    low, high = np.zeros(len(rows)), np.ones(len(rows))
+    return bisect(lambda part: _demands(scene, rows, path, part * top) < wanted, low, high, _HALVINGS)[1]
 
 
 def first_fractures(
@@ -176,31 +164,10 @@ def first_fractures(
 ) -> Fractures:
     """The moment at which each of n specimens first reaches a strength.
 
-    Parameters
-    ----------
-    scene : Scene
-        k rows.
-    shares : (n, L) array
-        Strength over the largest demand of the record; 1 and above is not reached, 0 and below at first touch.
-    paths : L of Path
-        How the criteria follow the loading.
-    rows : (n,) array of int, optional
-        The row of the scene that a specimen is loaded by; each by its own if None.
-    fidelity : str
-        `full` or `massless`.
-    tolerance : float
-        Relative error of the integration.
-    threads : int, optional
-
-    Returns
-    -------
-    Fractures
-        A specimen whose row cannot be integrated reaches nothing.
-
-    Raises
-    ------
-    ValueError
-        If shares is not (n, L), or the fidelity has no Hertz contact.
+    shares (n, L): strength over the largest demand of the record; 1 and above is not reached, 0 and below at first
+    touch. paths: how the L criteria follow the loading.  rows (n,): the row of the scene that loads a specimen; its own
+    if None. fidelity: `full` or `massless`.  A specimen whose row cannot be integrated reaches nothing.  ValueError if
+    shares is not (n, L), or the fidelity has no Hertz contact.
     """
     if fidelity not in ("full", "massless"):
         raise ValueError(f"fracture needs the fidelity full or massless, found {fidelity!r}")
@@ -263,15 +230,15 @@ def _cross(scene: Scene, rows: Places, courses: Sequence[_Course], path: Path, s
         ]
     )
     moment = _moment(scene, rows, courses, at)
-    high = _SHARES[at % _PARTS]
-    low = high - 1.0 / _PARTS
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        drive, energy = moment(middle)
-        below = (drive.max(axis=1) if path.over == "force" else energy) < levels
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
+
+    def below(share: Array) -> Flags:
+        drive, energy = moment(share)
+        return np.asarray((drive.max(axis=1) if path.over == "force" else energy) < levels)
+
+    high = _SHARES[at % ORDER]
+    _, high = bisect(below, high - 1.0 / ORDER, high, _HALVINGS)
     drive, energy = moment(high)
-    step = at // _PARTS
+    step = at // ORDER
     begin = np.array([c.start[k] for c, k in zip(courses, step, strict=True)])
     length = np.array([c.length[k] for c, k in zip(courses, step, strict=True)])
     before = np.array([c.force[k - 1] if k else 0.0 for c, k in zip(courses, at, strict=True)])
@@ -293,7 +260,7 @@ def _moment(
     scene: Scene, rows: Places, courses: Sequence[_Course], at: Places
 ) -> Callable[[Array], tuple[Array, Array]]:
     """What drives both faces (n, 2), and the energy in both (n,), at shares (n,) of the steps of the nodes `at`."""
-    step = at // _PARTS
+    step = at // ORDER
     states = np.stack([c.states[k] for c, k in zip(courses, step, strict=True)])
     if courses[0].forces is None:
 

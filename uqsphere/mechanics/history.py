@@ -16,20 +16,27 @@ import numpy as np
 from uqsphere.arrays import Array, Values
 from uqsphere.files import Json
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.damage import Softening
 from uqsphere.mechanics.damper import Damper, move_with_damper
-from uqsphere.mechanics.field import BARS, Tension, Waves, field_grid, first_tension, waves_at
-from uqsphere.mechanics.gauges import GaugeRecord, force_imbalance
+from uqsphere.mechanics.field import (
+    BARS,
+    GaugeRecord,
+    Tension,
+    Waves,
+    field_grid,
+    first_tension,
+    force_imbalance,
+    waves_at,
+    with_jumps,
+)
 from uqsphere.mechanics.integrator.solve import Motion, motion
+from uqsphere.mechanics.integrator.tracked import ORDER
+from uqsphere.mechanics.roots import bisect
 from uqsphere.mechanics.scene import Scene
+from uqsphere.mechanics.yielding import Softening
 
 #: an approach over time, of times [s]
 Course = Callable[[Array], Array]
 
-#: parts of a step that are scanned before an event is refined, as many as its series has powers
-_SCAN: Final = 16
-#: halvings that leave nothing of a part of a step: a double has 52 bits
-_HALVINGS: Final = 52
 #: an approach counts as a touch once it exceeds this many tolerances of the largest, as in the integrator
 _TOUCH: Final = 5.0
 #: what a History keeps per instant
@@ -49,19 +56,10 @@ _COURSES: Final = (
 class Balance:
     """Faces A, B, sphere and partners at m instants; SI.
 
-    Attributes
-    ----------
-    time : (m,) array
-    approach, force, radius, dent, stored, plastic : (2, m) arrays
-        Of the faces: approach (negative while apart), force, contact radius, dent left, elastic energy, plastic work.
-    sphere : (m,) array
-        Velocity of the sphere.
-    partner : (2, m) array
-        Velocities of the partners' contact points; 0 where nothing stands.
-    kinetic : (m,) array
-        Energy of the sphere's motion.
-    passed : (2, m) array
-        Work of partner A on the sphere, and of the sphere on partner B, since first touch.
+    (2, m) of the faces: approach (negative while apart), force, contact radius, dent left, stored elastic energy,
+    plastic work; partner: velocities of the partners' contact points, 0 where nothing stands; passed: work of partner A
+    on the sphere, and of the sphere on partner B, since first touch.  (m,) of the sphere: its velocity, and its kinetic
+    energy.
     """
 
     time: Array
@@ -92,10 +90,7 @@ class Balance:
 def balance_of(motion: Motion, times: Array) -> Balance:
     """The balance of a motion at ascending instants (m,) [s]; the work between them is summed by the trapezoidal rule.
 
-    Raises
-    ------
-    ValueError
-        For a massless motion, in which the sphere has no velocity of its own.
+    ValueError for a massless motion, in which the sphere has no velocity of its own.
     """
     if motion.fidelity == "massless":
         raise ValueError("a sphere without mass has no velocity of its own: take the full model")
@@ -155,20 +150,11 @@ def rod_length(motion: Motion) -> float:
 
 
 def rod_record(motion: Motion, position: float, times: Array) -> GaugeRecord:
-    """The signal of a gauge on the rod ahead of the sphere, compression negative.
+    """The signal of a gauge at `position` [m] along the rod ahead, at times (m,) [s], compression negative.
 
     The wave that leaves the face is g(t) = P_B(t)/Z + R g(t - T); at x it is met by what the far end sends back:
     eps = -g(t - x/c0)/c0 + R g(t - T + x/c0)/c0.  Up to the first return this is (R17), F = -E A eps(t + x/c0).
-
-    Parameters
-    ----------
-    position : from the sphere [m], 0 to the length of the rod.
-    times : (m,) [s]
-
-    Raises
-    ------
-    ValueError
-        Where no rod stands, or it is shorter.
+    ValueError where no rod stands, or it is shorter.
     """
     partner, row = motion.scene.partners[1], motion.row
     if partner is None or partner.kind != "bar":
@@ -233,36 +219,15 @@ class Equilibrium:
 class History:
     """One scene over time, SI.
 
-    Attributes
-    ----------
-    time : (m,) array
-        Ascending instants [s]: a uniform grid, the events, and jumps of the waves twice (before, after).
-    approach_a, approach_b, force_a, force_b, pressure_a, pressure_b : (m,) arrays
-        At the faces A (incident, behind) and B (receiving, ahead) [m, N, Pa]; an approach is negative while apart.  The
-        pressure is Hertz's in the centre; where faces yield the mean one, P/(pi a²).
-    velocity : (m,) array
-        Velocity of the sphere's centre [m/s].
-    incident, returning, leaving_a, leaving_b : (m,) arrays
-        The waves f, h, g_A and k_B of theory (4) and (5) at the faces [m/s]; 0 in rigs other than bars.
-    changes : tuple of ContactChange
-        Contacts lost and found again, in order of time.
-    first_peak, later_peak : Peak or None
-        Largest contact pressure before and after the first loss of contact; None where there is no such time
-        or no force in it.
-    record_end, horizon : float
-        End of the record of the quantities of interest (first loss of contact, or horizon) and of this
-        history [s].
-    mass_number, pulse_number : float
-        mu and theta of theory (10); theta is infinite for a step.
-    modulus, effective_radius, hertz_constant : float
-        What `pressure_over_contact` needs [Pa, m, N/m^1.5].
-    fidelity : str
-    motion : Motion
-        The integrated scene itself: `uqsphere.mechanics.gauges` and `field` read any place and instant off it.
-    balance : Balance or None
-        Dents, velocities of the partners and energies; None for cheaper models and a damper against frequency.
-    gauges : tuple of GaugeRecord
-        Signals of the gauges of a study, or of one half-way along each bar; none from `trace` itself.
+    time (m,): a uniform grid, the events, and jumps of the waves twice (before, after).  approach, force and pressure
+    at the faces A (behind) and B (ahead), (m,) each: an approach is negative while apart, the pressure Hertz's in the
+    centre; where faces yield the mean one, P/(pi a²).  velocity: of the sphere's centre.  incident, returning,
+    leaving_a, leaving_b: the waves f, h, g_A and k_B of theory (4) and (5) [m/s]; 0 in rigs other than bars.
+    first_peak, later_peak: largest contact pressure before and after the first loss of contact.  record_end, horizon:
+    of the quantities of interest, and of this history.  mass_number, pulse_number: mu and theta of theory (10).
+    modulus, effective_radius, hertz_constant: what `pressure_over_contact` needs.  motion: the integrated scene, off
+    which `field` reads any place and instant.  balance: dents, velocities and energies; None for cheaper models and a
+    damper against frequency. gauges: those of a study, or one half-way along each bar; none from `trace` itself.
     """
 
     time: Array
@@ -327,30 +292,11 @@ class History:
 
 def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: float = 1e-8,
           points: int = 2000, damper: Damper | None = None) -> History:  # fmt: skip
-    """One scene from first touch to the horizon.
+    """One row of a scene from first touch to the horizon, `points` (2 and more) even instants and the events.
 
-    Parameters
-    ----------
-    scene : Scene
-    row : int
-        Which of its rows.
-    fidelity : str
-        `full`, `linear` or `massless`.
-    tolerance : float
-        Relative error of the integration.
-    points : int
-        Instants of the uniform grid, at least 2; those of the events come on top.
-    damper : Damper, optional
-        The receiving bar's far end against frequency, in place of its number: `full` only, to about 1e-7.
-
-    Returns
-    -------
-    History
-
-    Raises
-    ------
-    ValueError
-        If the row lies outside the domain, cannot be integrated, or fewer than two points are asked for.
+    fidelity: `full`, `linear` or `massless`; tolerance: relative error of the integration; damper: the receiving bar's
+    far end against frequency, in place of its number: `full` only, to about 1e-7.  ValueError if the row lies outside
+    the domain or cannot be integrated.
     """
     if points < 2:
         raise ValueError(f"a history needs at least 2 points, found {points}")
@@ -414,28 +360,19 @@ def _instants(found: Motion, points: int, events: list[float]) -> tuple[Array, A
     delays = np.array([0.0, *(scene.round_trips[row, bar] for bar in bars)])
     jumps = np.unique((breaks[None, :] + delays[:, None]).ravel())
     jumps = jumps[(jumps > 0.0) & (jumps < horizon)]
-    smooth = np.setdiff1d(smooth, jumps)
-    times = np.concatenate([smooth, jumps, jumps])
-    sides = np.concatenate([np.ones(len(smooth)), -np.ones(len(jumps)), np.ones(len(jumps))])
-    order = np.lexsort((sides, times))
-    return times[order], sides[order]
+    return with_jumps(np.setdiff1d(smooth, jumps), jumps)
 
 
 def _nodes(found: Motion, begin: float, end: float) -> Array:
-    """Ascending instants [s] from begin to end that divide every step into `_SCAN` parts."""
-    shares = np.arange(_SCAN) / _SCAN
+    """Ascending instants [s] from begin to end that divide every step into as many parts as its series has powers."""
+    shares = np.arange(ORDER) / ORDER
     inner = (found.start[:, None] + found.length[:, None] * shares).ravel() * found.unit
     return np.concatenate([[begin], inner[(inner > begin) & (inner < end)], [end]])
 
 
-def _bisect(function: Course, low: Array, high: Array) -> Array:
-    """Zeros of `function` bracketed by low and high, all together."""
+def _zeros(function: Course, low: Array, high: Array) -> Array:
     positive = function(low) > 0.0
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        same = (function(middle) > 0.0) == positive
-        low, high = np.where(same, middle, low), np.where(same, high, middle)
-    return high
+    return bisect(lambda times: (function(times) > 0.0) == positive, low, high)[1]
 
 
 def find_changes(found: Motion, *, tolerance: float) -> tuple[ContactChange, ...]:
@@ -455,7 +392,7 @@ def find_changes(found: Motion, *, tolerance: float) -> tuple[ContactChange, ...
         pressed = approach > 0.0
         pressed[: touched[0]] = True
         at = np.flatnonzero(pressed[1:] != pressed[:-1])
-        times = _bisect(_approach(found, face), nodes[at], nodes[at + 1])
+        times = _zeros(_approach(found, face), nodes[at], nodes[at + 1])
         for time, before in zip(times, pressed[at], strict=True):
             changes.append(ContactChange(time=float(time), face=name, kind="lost" if before else "found"))
     return tuple(sorted(changes, key=lambda change: (change.time, change.face)))
@@ -502,15 +439,7 @@ def _golden(function: Course, low: float, high: float) -> float:
 def equilibrium(history: History, level: float = 0.05) -> Equilibrium:
     """When the two contact forces agree within a level of `force_imbalance`, up to the first loading's largest force.
 
-    Parameters
-    ----------
-    level : float
-        Largest imbalance that counts as equilibrium, between 0 and 2.
-
-    Raises
-    ------
-    ValueError
-        For a level outside its range.
+    ValueError for a level, the largest imbalance that counts as equilibrium, outside 0 to 2.
     """
     if not 0.0 < level < 2.0:
         raise ValueError(f"the level of equilibrium must lie between 0 and 2, found {level!r}")
@@ -530,7 +459,7 @@ def equilibrium(history: History, level: float = 0.05) -> Equilibrium:
     entries = np.flatnonzero(outside[:-1] & ~outside[1:])
     if len(entries) == 0:
         return Equilibrium(level=level, first=None, lasting=None, until=peak.time)
-    times = _bisect(excess, nodes[entries], nodes[entries + 1])
+    times = _zeros(excess, nodes[entries], nodes[entries + 1])
     lasting = None if outside[-1] else float(times[-1])
     return Equilibrium(level=level, first=float(times[0]), lasting=lasting, until=peak.time)
 
@@ -542,20 +471,11 @@ def equilibrium(history: History, level: float = 0.05) -> Equilibrium:
 class FieldView:
     """Stress in both bars over place and time, and what is needed to draw the fronts over it.
 
-    Attributes
-    ----------
-    reach : (float, float)
-        Length of the incident and of the receiving bar that is shown [m].
-    begin, last : float
-        First and last instant [s] since first touch.
-    stress : (t, x) array
-        Axial stress [Pa], tension positive, at the middles of an even grid over [begin, last] and [-reach, reach].
-    wave_speed, pulse_end, record_end : float
-        Speed of the waves [m/s], end of the pulse (infinite for a step) and end of the record [s].
-    returns : (float, float)
-        After what time a wave that leaves the sphere is back from the far end of each bar [s]; infinite if never.
-    tensions : tuple of Tension
-        Where and when each bar that sees any is first under tension.
+    reach: length of the incident and of the receiving bar that is shown [m]; begin, last: instants [s] since first
+    touch; stress (t, x): [Pa], tension positive, at the middles of an even grid over [begin, last] and [-reach, reach].
+    wave_speed; pulse_end (infinite for a step); record_end; returns: after what time a wave that leaves the sphere is
+    back from the far end of each bar, infinite if never; tensions: where and when each bar that sees any is first under
+    it.
     """
 
     reach: tuple[float, float]
@@ -606,13 +526,7 @@ class FieldView:
 
     @classmethod
     def from_document(cls, found: Mapping[str, Json]) -> FieldView:
-        """The view of `as_document`.
-
-        Raises
-        ------
-        ValueError, KeyError, TypeError, AttributeError
-            For what it did not write.
-        """
+        """The view of `as_document`; ValueError, KeyError, TypeError or AttributeError for what it did not write."""
         left, right = (float(value) for value in found["reach"])
         one, two = (math.inf if value is None else float(value) for value in found["returns"])
         return cls(

@@ -18,14 +18,20 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.carried import CARRIED, in_the_test, needs_of
-from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, demand, product_fineness
-from uqsphere.mechanics.damage import Softening, broken
+from uqsphere.mechanics.criteria import (
+    CARRIED,
+    CRITERIA,
+    Criterion,
+    Demands,
+    demand,
+    in_the_test,
+    needs_of,
+    product_fineness,
+)
 from uqsphere.mechanics.integrator.tracked import DOMAIN, NOT_FINITE, SCALED
-from uqsphere.mechanics.partners import Partner
-from uqsphere.mechanics.rigs import RIGS, loss_to_waves
+from uqsphere.mechanics.rigs import RIGS, Partner, loss_to_waves
 from uqsphere.mechanics.scene import BROKEN, Scales, Scene, answered
-from uqsphere.mechanics.yielding import Press
+from uqsphere.mechanics.yielding import Press, Softening, broken
 from uqsphere.units import Quantity
 
 _Kind = TypeVar("_Kind", bound=np.generic)
@@ -74,8 +80,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              meaning="mean pressure over the contact circle at the largest force, as hardness is measured",
              needs=("P_max", "a_max"), formula=lambda c: c["P_max"] / (np.pi * np.square(c["a_max"]))),
     Quantity(name="dent", symbol="dent", dimension="length", display="um", closed=True,
-             meaning="depth of the larger dent that stays at either face", needs=("dent_left",),
-             formula=lambda c: c["dent_left"]),
+             meaning="depth of the larger dent that stays at either face", needs=("dent_left",)),
     Quantity(name="mean_force_max", symbol="P_mean", dimension="force", display="kN",
              meaning="largest mean of the forces at the two poles, what the centre of the sphere feels",
              needs=("force", "mean_force"), formula=lambda c: c["force"] * c["mean_force"]),
@@ -114,8 +119,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              meaning="largest difference of the two contact forces over the largest force",
              needs=("difference", "x_max"), formula=lambda c: c["difference"] / c["x_max"] ** c["power"]),
     Quantity(name="retouches", symbol="n_t", dimension="number", closed=True,
-             meaning="contacts lost and found again before the largest force", needs=("touches",),
-             formula=lambda c: c["touches"]),
+             meaning="contacts lost and found again before the largest force", needs=("touches",)),
     Quantity(name="energy", symbol="W", dimension="energy", display="J", follows="energy", fracture=True,
              meaning="largest elastic energy stored in both contacts", needs=("force", "approach", "stored"),
              formula=lambda c: c["force"] * c["approach"] * c["stored"]),
@@ -131,8 +135,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              meaning="the sphere's share of the largest energy in both contacts, per mass of the sphere",
              formula=lambda c: c["energy_sphere"] / c["mass"]),
     Quantity(name="impact_energy", symbol="E_in", dimension="energy", display="J", needs=("offered",), fracture=True,
-             meaning="kinetic energy that the blow offers: of the weight, or of the bodies that meet",
-             formula=lambda c: c["offered"]),
+             meaning="kinetic energy that the blow offers: of the weight, or of the bodies that meet"),
     Quantity(name="specific_impact_energy", symbol="E_in/M", dimension="specific_energy", display="J/kg",
              meaning="kinetic energy that the blow offers, per mass of the sphere", fracture=True,
              needs=("impact_energy", "mass"), formula=lambda c: c["impact_energy"] / c["mass"]),
@@ -141,19 +144,16 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              formula=lambda c: c["speed"] * c["leaving"]),
     Quantity(name="restitution", symbol="e", dimension="number", lower=-math.inf,
              meaning="speed at which the bodies part over that at which they met; of a weight its own",
-             needs=("parting_speed",), formula=lambda c: c["parting_speed"]),
+             needs=("parting_speed",)),
     Quantity(name="transmitted_energy", symbol="W_t", dimension="energy", display="J", closed=True,
-             meaning="energy that the partners carry off as waves", needs=("carried_off", "carried_a", "carried_b"),
-             formula=lambda c: c["carried_off"]),
+             meaning="energy that the partners carry off as waves", needs=("carried_off", "carried_a", "carried_b")),
     Quantity(name="plastic_work", symbol="D", dimension="energy", display="J", closed=True,
-             meaning="work that both faces have dissipated, by yielding or damage", needs=("dissipated",),
-             formula=lambda c: c["dissipated"]),
+             meaning="work that both faces have dissipated, by yielding or damage", needs=("dissipated",)),
     Quantity(name="damage", symbol="d", dimension="number", closed=True, needs=("blow",),
              meaning="share of the stiffness that the blow takes from the sphere's more damaged contact",
              formula=lambda c: c["damaged"]),
     Quantity(name="broke_at", symbol="n_b", dimension="number", needs=("blow",), censored="blow_censored",
-             meaning="number of the equal blow that breaks a sphere which earlier ones have damaged",
-             formula=lambda c: c["blow"]),
+             meaning="number of the equal blow that breaks a sphere which earlier ones have damaged"),
     Quantity(name="t10", symbol="t10", dimension="share", display="%", upper=1.0, follows="energy",
              meaning="share of the product finer than a tenth of the sphere, if it breaks (needs [product])",
              needs=("specific_energy", "product.A", "product.b"),
@@ -184,9 +184,9 @@ class Columns(Mapping[str, Values]):
                 if found is not None:
                     self._known[name] = found()
                 else:
-                    formula = OUTPUTS[name].formula
-                    assert formula is not None
-                    self._known[name] = formula(self)
+                    entry = OUTPUTS[name]
+                    # without a formula it is what it needs
+                    self._known[name] = self[entry.needs[0]] if entry.formula is None else entry.formula(self)
         return self._known[name]
 
     def __contains__(self, name: object) -> bool:
@@ -255,15 +255,10 @@ def follows_force(quantity: str) -> bool:
 
 
 def at_force(force: Values, known: Mapping[str, Values]) -> Columns:
-    """Columns of n spheres that are loaded slowly up to a force [N].
+    """Columns of n spheres that are loaded slowly up to a force (n,) [N] at both faces.
 
-    Parameters
-    ----------
-    force : (n,) array
-        At both faces [N].
-    known : mapping of str to arrays
-        `modulus`, `effective_radius`, `hertz_constant`, `mass`, and what the criteria read of the sphere; `face`, the
-        law of a pole of the sphere that yields between harder platens.
+    known: `modulus`, `effective_radius`, `hertz_constant`, `mass`, and what the criteria read of the sphere; `face`,
+    the law of a pole of the sphere that yields between harder platens.
     """
     state = {name: value for name, value in known.items() if name != "face"} | {"P_max": force}
     if (face := known.get("face")) is not None:
@@ -505,23 +500,12 @@ def absent_in(scene: Scene, quantity: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Answers:
-    """Quantities of interest of n rows.
+    """Quantities of interest of n rows, (n,) arrays.
 
-    Attributes
-    ----------
-    values : mapping of str to (n,) array
-        The quantities asked for, all of `OUTPUTS` but `BEYOND` by default, SI; NaN where `status` is not 0 or 7.
-    censored : mapping of str to (n,) array of bool
-        For contact_time and pulse_width: the record ended first, the value is a lower bound.
-    status : (n,) array of int
-        0, or a code of `uqsphere.mechanics.scene.STATUS`; rows of 0 and of 7 have values.
-    record : (n,) array
-        End of the record [s], or the time after which nothing that was asked for could change.
-    steps : (n,) array of int
-        Steps of the integrator.
-    others : mapping of str to (n,) array
-        Where the status is 7, the quantities if contact is decided the other way; NaN elsewhere, empty if no
-        row is undecided.
+    values: the quantities asked for, SI; NaN where `status` is not 0 or 7.  censored: of contact_time and pulse_width,
+    whether the record ended first and the value is a lower bound.  status: 0, or a code of `scene.STATUS`.  record: its
+    end [s], or the time after which nothing that was asked for could change.  steps: of the integrator.  others: where
+    the status is 7, the quantities if contact is decided the other way, else NaN; empty if no row is undecided.
     """
 
     values: Mapping[str, Array]
@@ -570,35 +554,6 @@ def _carried(columns: Columns, key: str, parameters: Mapping[str, float], *, yie
 _AFTER: Final = {"parting", "touches", "leaving", "parting_speed", "carried_off"}
 
 
-def answers_of(
-    scene: Scene,
-    scaled: Array,
-    status: Places,
-    steps: Places,
-    *,
-    linear: bool = False,
-    quantities: Collection[str] | None = None,
-) -> Answers:
-    """Answers in SI from scaled ones; `linear`: force is proportional to the approach, pressure follows by Hertz.
-
-    Parameters
-    ----------
-    scaled : (n, ANSWERS) array
-        Columns as `uqsphere.mechanics.integrator.tracked.SCALED` numbers them.
-    quantities : collection of str, optional
-        Names of `OUTPUTS` or of the scene's demands; all that the scene has the numbers for, but `BEYOND`, if None.
-
-    A row one of whose quantities is not finite has failed.
-
-    Raises
-    ------
-    ValueError
-        For a quantity that needs numbers which the scene does not have.
-    """
-    tracked = {name: scaled[:, column] for name, (column, _) in SCALED.items()}
-    return answers_from(scene, tracked, status, steps, linear=linear, quantities=quantities)
-
-
 def answers_from(
     scene: Scene,
     tracked: Mapping[str, Array],
@@ -608,7 +563,11 @@ def answers_from(
     linear: bool = False,
     quantities: Collection[str] | None = None,
 ) -> Answers:
-    """The same from the columns of `tracked.SCALED` by name, (n,) each: a closed form gives those that it has."""
+    """Answers in SI from the columns of `tracked.SCALED` by name, (n,) each: a closed form gives those that it has.
+
+    linear: force is proportional to the approach, pressure follows by Hertz.  quantities: all but `BEYOND` if None.  A
+    row one of whose quantities is not finite has failed.  ValueError for one that needs numbers which are not there.
+    """
     with np.errstate(all="ignore"):
         made = {**_of_faces(scene, tracked), **_of_blow(scene, tracked)}
     columns = Columns({**columns_of(scene), **tracked, "power": 1.0 if linear else 1.5, **made})
@@ -672,20 +631,10 @@ def _joined(tables: Sequence[Mapping[str, npt.NDArray[_Kind]]]) -> dict[str, npt
 def after_blows(
     scene: Scene, solve: Callable[[Scene, Collection[str]], Answers], quantities: Collection[str] | None
 ) -> Answers:
-    """Answers of the last of `scene.blows` equal blows that a sphere holds, or of the one that breaks it.
+    """Answers of the last of `scene.blows` equal blows that a sphere which takes damage holds, or that breaks it.
 
-    Parameters
-    ----------
-    scene : Scene
-        Of the law `damage`.
-    solve : function of (scene, quantities)
-        Answers of one blow.
-    quantities : collection of str, optional
-
-    Returns
-    -------
-    Answers
-        `broke_at` is the number of the blow that breaks the sphere, censored at the last where it holds them all.
+    solve: function of (scene, quantities), the answers of one blow.  `broke_at` is the number of the blow that breaks
+    the sphere, censored at the last where it holds them all.
     """
     if quantities is None:
         quantities = all_of(scene)
@@ -718,18 +667,9 @@ def after_blows(
 class Path:
     """How a quantity that a sphere can break by follows its loading.
 
-    Attributes
-    ----------
-    over : str
-        `force` or `energy`: the quantity rises with the largest one so far; empty: with neither.
-    criterion : str or None
-        Key of `CRITERIA` whose formula it is; None for the force or energy itself.
-    parameters : mapping of str to float
-        Those of the criterion without `rate_0`, whose factor is one number per sample.
-    early : bool
-        Only what comes before the first reflected wave counts.
-    power : float
-        Of the force or energy in a quantity without criterion.
+    over: it rises with the largest `force` or `energy` so far; empty: with neither.  criterion: whose formula it is;
+    None for the force or energy itself, to a `power`.  parameters: of the criterion without `rate_0`, whose factor is
+    one number per sample.  early: only what comes before the first reflected wave counts.
     """
 
     over: str

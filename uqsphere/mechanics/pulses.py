@@ -27,16 +27,9 @@ _MOST_STEPS: Final = 32
 class Pulse:
     """Pieces of n pulses of one shape.
 
-    Attributes
-    ----------
-    breaks : (n, m + 1) array
-        Start of each piece and the end of the last [s]; infinite for a step.
-    coefficients : (n, m, 4) array
-        Cubic in the time since the piece's start, ascending powers [1, 1/s, 1/s², 1/s³].
-    frequency : (n,) array
-        Angular frequency of a half sine [1/s], 0 for the shapes made of cubics.
-    valid : (n,) array
-        Whether the parameters of the row make a pulse of this shape at all.
+    breaks (n, m + 1): start of each piece and the end of the last [s]; infinite for a step.  coefficients (n, m, 4):
+    cubic in the time since the piece's start, ascending powers.  frequency (n,): angular one of a half sine [1/s], 0
+    for the shapes made of cubics.  valid (n,): whether the parameters make a pulse of this shape at all.
     """
 
     breaks: Array
@@ -64,23 +57,12 @@ def _line(length: Array, left: Array, right: Array) -> Array:
 
 
 def striker_steps(ratio: Values) -> tuple[Array, Flags]:
-    """The steps that a striker of another impedance sends, docs/theory.md, section 7.
+    """Levels (n, m) over v0/2 of the steps that strikers of Z_s/Z = `ratio` (n,) send, docs/theory.md, section 7.
 
-    A striker whose impedance is `ratio` times the bar's moves the bar's end with 2 ratio/(1 + ratio) of v0/2; each
-    round trip of its own wave, 2 l_0/c_s, leaves (ratio - 1)/(ratio + 1) of that.  A striker softer than the bar is
-    thrown back after the first.
-
-    Parameters
-    ----------
-    ratio : (n,) array
-        Z_s/Z, above 0.
-
-    Returns
-    -------
-    levels : (n, m) array
-        Level of each step over v0/2, 0 for those left out: below 1e-3 of the first.
-    complete : (n,) array of bool
-        Whether that is all of them: at most 32 steps are made, enough up to a ratio of 9.
+    The striker moves the bar's end with 2 ratio/(1 + ratio) of v0/2; each round trip of its own wave, 2 l_0/c_s, leaves
+    (ratio - 1)/(ratio + 1) of that; one softer than the bar is thrown back after the first.  Steps below 1e-3 of the
+    first are left out, as 0; the second result (n,) says whether these are all: at most 32 are made, enough up to a
+    ratio of 9.
 
     >>> striker_steps([0.5, 1.0, 2.0])[0][:, :3].round(4).tolist()
     [[0.6667, 0.0, 0.0], [1.0, 0.0, 0.0], [1.3333, 0.4444, 0.1481]]
@@ -202,18 +184,12 @@ PRESETS: Final[dict[str, tuple[str, Mapping[str, float]]]] = {
 
 
 def build_pulse(shape: str, duration: Values, numbers: Mapping[str, Values] | None = None) -> Pulse:
-    """Pieces of the pulses of n rows.
+    """Pieces of the pulses of n rows, of a shape of `SHAPES`.
 
-    Parameters
-    ----------
-    shape : str
-        One of `SHAPES`.
-    duration : (n,) array
-        Width t_i [s]: full base of a rectangle or half sine, width at half height of a trapezoid, end of a
-        two-peak pulse; not used by a step.  Width of one step where the striker's impedance is not the bars'.
-    numbers : mapping of str to (n,) array
-        What `PARAMETERS` names for the shape (times in s, levels over v0/2), `valley` for two peaks, and
-        `striker_ratio`, Z_s/Z, for the shapes of `STRIKER_SHAPES`.
+    duration (n,): width t_i [s], full base of a rectangle or half sine, width at half height of a trapezoid, end of a
+    two-peak pulse; not used by a step.  Width of one step where the striker's impedance is not the bars'.  numbers:
+    what `PARAMETERS` names (times in s, levels over v0/2), `valley` for two peaks, and `striker_ratio`, Z_s/Z, for the
+    shapes of `STRIKER_SHAPES`; (n,) each.
 
     >>> pulse = build_pulse("trapezoid", [100e-6], {"rise": [20e-6], "fall": [20e-6]})
     >>> (pulse.breaks * 1e6).round(9).tolist()
@@ -259,24 +235,10 @@ def noise_names() -> tuple[str, ...]:
 class MeasuredPulse:
     """The pulse of a record.
 
-    Attributes
-    ----------
-    breaks : (m + 1,) tuple
-        Joints of the cubics [s], from 0 to the end of the pulse.
-    coefficients : (m, 4) tuples
-        Strain over its largest value, ascending powers of the time since the joint [1, 1/s, …].
-    peak : float
-        Largest compressive strain of the curve, above zero; v0 = 2 c0 peak.
-    noise : float
-        Standard deviation of each noise mode, over the peak.
-    rise : float
-        Time from 10 % to 90 % of the peak [s].
-    source : str
-        Name of the file.
-    digest : str
-        SHA-256 of its bytes.
-    notes : tuple of str
-        What was done to the record.
+    breaks (m + 1,): joints of the cubics [s], from 0; coefficients (m, 4): strain over its largest value, ascending
+    powers of the time since the joint.  peak: largest compressive strain, v0 = 2 c0 peak; noise: standard deviation of
+    each noise mode over the peak; rise: from 10 % to 90 % of the peak [s].  source, digest: name and SHA-256 of the
+    file; notes: what was done to the record.
     """
 
     breaks: tuple[float, ...]

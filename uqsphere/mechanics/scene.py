@@ -15,11 +15,10 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.damage import Softening
-from uqsphere.mechanics.partners import Partner
+from uqsphere.mechanics.integrator.tracked import NEVER_CLOSES
 from uqsphere.mechanics.pulses import PARAMETERS, SHAPES, STRIKER_SHAPES, MeasuredPulse, Pulse, build_pulse, noise_names
-from uqsphere.mechanics.rigs import RIGS, closing_speed, needed, outside, partners_of, speeds_at_touch
-from uqsphere.mechanics.yielding import Face
+from uqsphere.mechanics.rigs import RIGS, Partner, closing_speed, needed, outside, partners_of, speeds_at_touch
+from uqsphere.mechanics.yielding import Face, Softening
 from uqsphere.units import Quantity
 
 #: one degree of an angle [rad]
@@ -247,11 +246,8 @@ STATUS: dict[int, str] = {
 }
 #: shortest pulse and round trip over t_c: a double tells times of the record apart to 1e-16 of it
 _SHORTEST: Final = 1e-9
-#: the status of a row that has two answers, and of one whose bodies never meet
-UNDECIDED: Final = 7
-NEVER_CLOSE: Final = 11
-#: ... and of one that broke before what is asked for
-BROKEN: Final = 13
+#: the status of a row that has two answers, and of one that broke before what is asked for
+UNDECIDED, BROKEN = 7, 13
 
 
 def answered(status: Places) -> Flags:
@@ -302,44 +298,17 @@ class Scales:
 class Scene:
     """n scenes that share their structure and differ in their numbers.
 
-    Attributes
-    ----------
-    columns : mapping of str to (n,) array
-        Numbers by their dotted path in `INPUTS`, SI.
-    shape : str
-        Shape of the incident pulse, one of `uqsphere.mechanics.pulses.SHAPES`.
-    infinite : bool
-        No wave comes back from the far ends.
-    rigid_contact : bool
-        The bars do not yield in the contact: 1/E* = (1 - nu²)/E.
-    first_loading_only : bool
-        End the record when the first reflected wave returns.
-    horizon : float or None
-        End of the record [s]; None: the rule of docs/theory.md.
-    demands : mapping of str to (str, mapping)
-        Further quantities: name -> criterion of `uqsphere.mechanics.criteria` and its parameters.
-    rig : str
-        A name of `uqsphere.mechanics.rigs.RIGS`; shape, infinite, first_loading_only and record belong to `bars`.
-    options : mapping of str to str
-        Words of the study: ``target.kind``, ``anvil.kind``, ``hammer.shape`` (``ball``).
-    contact_law : str
-        A key of `CONTACT_LAWS`.
-    contact_dynamics : str
-        Of a law that yields: ``path``, inside the equations of motion, or ``elastic``, from the largest force alone.
-    hardness_at_onset : bool
-        The hardness is the onset, row by row (Thornton's law).
-    blows : int
-        Equal blows of a sphere that takes damage.
-    stiffness_left : (n,) array or None
-        What blows before have left of every face's stiffness, `uqsphere.mechanics.damage`.
-    record : MeasuredPulse or None
-        The pulse of the shape ``measured``, the same in every row but for its noise and gain; `striker.speed` is
-        then 2 c0 times its peak strain and gain.
-
-    Raises
-    ------
-    ValueError
-        For a missing or misshapen column, an unknown shape, or a record without an end.
+    columns: (n,) arrays [SI] by their dotted path in `INPUTS`.  shape: of the incident pulse, of `pulses.SHAPES` or
+    `measured`.  infinite: no wave comes back from the far ends.  rigid_contact: the bars do not yield in the contact,
+    1/E* = (1 - nu²)/E.  first_loading_only: the record ends when the first reflected wave returns.  horizon: its end
+    [s]; None: the rule of docs/theory.md.  demands: further quantities, name -> criterion and its parameters.
+    contact_dynamics: of a law that yields, `path`, inside the equations of motion, or `elastic`, from the largest force
+    alone.  hardness_at_onset: the hardness is the onset, row by row (Thornton's law).  blows: equal ones of a sphere
+    that takes damage; stiffness_left (n,): what those before have left.  record: the pulse of `measured`, the same in
+    every row but for noise and gain; `striker.speed` is then 2 c0 times its peak strain and gain.  rig: of `rigs.RIGS`;
+    shape, infinite, first_loading_only and record belong to `bars`.  options: words of the study, ``target.kind``,
+    ``anvil.kind``, ``hammer.shape``.  ValueError for a missing or misshapen column, an unknown word, or a record
+    without an end.
     """
 
     columns: Mapping[str, Array]
@@ -425,17 +394,14 @@ class Scene:
         if STRIKER_COLUMNS.isdisjoint(self.columns):
             return None
         with np.errstate(all="ignore"):
-            return np.asarray(bars.impedance(*self._striker, self._striker_diameter) / self.scales.impedance)
+            diameter = self.columns.get("striker.diameter", self.columns["bars.diameter"])
+            return np.asarray(bars.impedance(*self._striker, diameter) / self.scales.impedance)
 
     @property
     def _striker(self) -> tuple[Array, Array]:
         """E and density of the striker, (n,) each: the bars' where it has none of its own."""
         own = [self.columns.get(f"striker.{key}", self.columns[f"bars.{key}"]) for key in ("E", "density")]
         return own[0], own[1]
-
-    @property
-    def _striker_diameter(self) -> Array:
-        return self.columns.get("striker.diameter", self.columns["bars.diameter"])
 
     @cached_property
     def round_trips(self) -> Array:
@@ -507,68 +473,54 @@ class Scene:
     @cached_property
     def scales(self) -> Scales:
         """Scale factors of every row; not finite where a row has no meaning."""
+        c, face = self.columns, self.struck
         with np.errstate(all="ignore"):
-            return self._scales_of_bars() if self.rig == "bars" else self._scales_of_blow()
+            mass = contact.sphere_mass(c["sphere.radius"], c["sphere.density"])
+            impedance = (self.partners[1] or face).impedance
+            if self.rig == "bars":
+                speed = 0.5 * c["striker.speed"]
+                force = impedance * speed
+            else:
+                speed, force = self._blow(mass)
+            approach = contact.approach_at_force(force, face.hertz_constant)
+            time = approach / speed
+            momentum = impedance * time if self.rig == "bars" else force * time
+            return Scales(
+                modulus=face.modulus,
+                effective_radius=face.effective_radius,
+                hertz_constant=face.hertz_constant,
+                mass=mass,
+                impedance=impedance,
+                force=force,
+                approach=approach,
+                time=time,
+                mass_number=(mass if self.rig == "bars" else mass * speed) / momentum,
+                duration=self._duration,
+                speed=speed,
+            )
 
-    def _scales_of_bars(self) -> Scales:
-        c = self.columns
-        face = self.struck
-        mass = contact.sphere_mass(c["sphere.radius"], c["sphere.density"])
-        speed = c["striker.speed"]
-        force = 0.5 * face.impedance * speed
-        approach = contact.approach_at_force(force, face.hertz_constant)
-        time = 2.0 * approach / speed
-        if self.shape == "step":
-            duration = np.full(len(self), np.inf)
-        elif self.record is not None:
-            duration = np.full(len(self), self.record.duration)
-        else:
-            wave_speed = bars.wave_speed(*self._striker)
-            duration = self.columns.get("pulse.duration", 2.0 * self.column("striker.length") / wave_speed)
-        return Scales(
-            modulus=face.modulus,
-            effective_radius=face.effective_radius,
-            hertz_constant=face.hertz_constant,
-            mass=mass,
-            impedance=face.impedance,
-            force=force,
-            approach=approach,
-            time=time,
-            mass_number=mass / (face.impedance * time),
-            duration=duration,
-            speed=0.5 * speed,
-        )
+    @property
+    def _duration(self) -> Array:
+        """Length of the pulse, (n,) [s]; infinite for a step, and where no wave comes in."""
+        if self.rig != "bars" or self.shape == "step":
+            return np.full(len(self), np.inf)
+        if self.record is not None:
+            return np.full(len(self), self.record.duration)
+        with np.errstate(all="ignore"):
+            width = 2.0 * self.column("striker.length") / bars.wave_speed(*self._striker)
+        return self.columns.get("pulse.duration", np.asarray(width))
 
-    def _scales_of_blow(self) -> Scales:
-        """(R5): P_c = beta^0.4 m^0.6 V_c^1.2, m the reduced mass of the sphere, or that of the weight; platens alone
-        have none of it, and the force of theirs."""
-        face, (behind, ahead) = self.struck, self.partners
-        radius, beta = self.columns["sphere.radius"], face.hertz_constant
-        mass = contact.sphere_mass(radius, self.columns["sphere.density"])
+    def _blow(self, mass: Array) -> tuple[Array, Array]:
+        """V_c and P_c = beta^0.4 m^0.6 V_c^1.2, (R5), m the reduced mass of the sphere, or the weight's; of platens 1,
+        and a force of theirs."""
+        face, behind, beta = self.struck, self.partners[0], self.struck.hertz_constant
         if self.rig == "platens":
-            speed = np.ones(len(self))
-            force = beta * radius**1.5
-        else:
-            speed = self.closing_speed
-            moved = mass / (1.0 + mass / face.mass) if behind is None else behind.mass
-            # one root for the three powers: m³ v⁶ beta²
-            impulse = moved * speed * speed
-            force = (beta * beta * impulse * impulse * impulse) ** 0.2
-        approach = contact.approach_at_force(force, beta)
-        time = approach / speed
-        return Scales(
-            modulus=face.modulus,
-            effective_radius=face.effective_radius,
-            hertz_constant=beta,
-            mass=mass,
-            impedance=(ahead or face).impedance,
-            force=force,
-            approach=approach,
-            time=time,
-            mass_number=mass * speed / (force * time),
-            duration=np.full(len(self), np.inf),
-            speed=speed,
-        )
+            return np.ones(len(self)), beta * self.columns["sphere.radius"] ** 1.5
+        speed = self.closing_speed
+        moved = mass / (1.0 + mass / face.mass) if behind is None else behind.mass
+        # one root for the three powers: m³ v⁶ beta²
+        impulse = moved * speed * speed
+        return speed, (beta * beta * impulse * impulse * impulse) ** 0.2
 
     @property
     def faces(self) -> Face | Softening | None:
@@ -600,7 +552,7 @@ class Scene:
             if self.rig != "bars":
                 codes[outside(self)] = 1
                 if RIGS[self.rig].blow:
-                    codes[self.closing_speed <= 0.0] = NEVER_CLOSE
+                    codes[self.closing_speed <= 0.0] = NEVER_CLOSES
                 return codes
             codes[2.0 * self.columns["sphere.radius"] > self.columns["bars.diameter"]] = 1
             codes[~self.pulse.valid] = 1

@@ -15,19 +15,22 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.criteria import CRITERIA, DIAMETERS, ENERGIES, Criterion, Demands, in_range, ranges_of
-from uqsphere.mechanics.damage import over_peak
 from uqsphere.mechanics.outputs import Answers, offered_energy
-from uqsphere.mechanics.partners import Partner, body_of, softest_partner, sphere_body
-from uqsphere.mechanics.rigs import GRAVITY, RIGS, loss_to_waves, terminal_speed
+from uqsphere.mechanics.rigs import (
+    GRAVITY,
+    RIGS,
+    Partner,
+    body_of,
+    loss_to_waves,
+    softest_partner,
+    sphere_body,
+    terminal_speed,
+)
 from uqsphere.mechanics.scene import CONTACT_LAWS, Scene, answered
-from uqsphere.mechanics.yielding import Body, Face, Press
+from uqsphere.mechanics.yielding import Body, Face, over_peak
 
-#: largest depth z of a yielding face that finite elements were seen for (Kogut and Etsion 2002, Jackson and Green 2005)
-_SEEN_DEPTH: Final = 110.0
 #: a dent [m] after which a lapped flat is no flat any more
 _RELAP: Final = 1e-6
-#: share of the effective radius beyond which a dent has a curvature of its own
-_DEEP_DENT: Final = 0.01
 #: largest force difference over P_0 under a step pulse is 1.318 mu^0.45 for small mu, theory section 5
 _IMBALANCE: Final = (1.318, 0.45)
 
@@ -36,24 +39,11 @@ _IMBALANCE: Final = (1.318, 0.45)
 class Rule:
     """One check: how a row is measured, and beyond what it is graded how.
 
-    Attributes
-    ----------
-    name, meaning : str
-    measure : function of (scene, answers)
-        The number per row, (n,), NaN where it says nothing about a row; or a text, why the check is left out;
-        None where the scene has nothing to check.
-    information, warning, failure : float or None
-        Beyond these a row gets the grade 1, 2, 3; None: the check does not give this grade.
-    rising : bool
-        Whether beyond means above; otherwise below.
-    words : str
-        Sentence on a breach, with {worst}, {limit} and {side} of the numbers.
-    fine : str
-        Sentence where no row breaks it, with {worst} and {limit}.
-    laws, rigs : tuple of str
-        Laws of the contact, and rigs, for which it is asked.
-    further : function of (scene, answers, good rows), optional
-        What is said further on a breach.
+    measure: function of (scene, answers) that gives the number per row, (n,), NaN where it says nothing about a row; or
+    a text, why the check is left out; or None where the scene has nothing to check.  information, warning, failure:
+    beyond these, above if `rising` and else below, a row gets the grade 1, 2, 3.  words: sentence on a breach,
+    with {worst} and {limit}.  laws, rigs: for which it is asked.  further: function of
+    (scene, answers, good rows), what is said further on a breach.
     """
 
     name: str
@@ -64,7 +54,6 @@ class Rule:
     failure: float | None = None
     rising: bool = True
     words: str
-    fine: str
     laws: tuple[str, ...] = CONTACT_LAWS
     rigs: tuple[str, ...] = tuple(RIGS)
     further: Callable[[Scene, Answers, Flags], str] | None = None
@@ -73,6 +62,14 @@ class Rule:
     def limit(self) -> float:
         """The mildest of the thresholds."""
         return next(value for value in (self.information, self.warning, self.failure) if value is not None)
+
+    def says(self, worst: float, broken: str, further: str = "") -> str:
+        """What the worst number means: in `broken`, which rows break the check, or that none does."""
+        seen = f"{worst:.3g}" if np.isfinite(worst) else "endlessly many"
+        limit = f"{self.limit:.3g}"
+        if not broken:
+            return f"{self.meaning}: at {'most' if self.rising else 'least'} {seen} (limit {limit})"
+        return f"in {broken} {self.words.format(worst=seen, limit=limit)}{further}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +107,7 @@ _WEIGHTS: Final = tuple(rig.name for rig in RIGS.values() if rig.mover == "hamme
 _NO_FACE: Final = "not checked: nothing yields"
 _NO_ROW: Final = "not checked: no row was computed"
 _NO_YIELD: Final = "not checked: the yield strength of the bars is not given"
+_NO_ONSET: Final = "not checked: the onset pressure of the sphere is not given"
 
 
 def _contact_over_radius(scene: Scene, answers: Answers) -> Array | str:
@@ -138,40 +136,16 @@ def _over_onset(scene: Scene, answers: Answers, body: Body, absent: str) -> Arra
     return absent if np.isnan(onset).all() else np.asarray(answers.values["p_max"] / onset)
 
 
-def _over_bar_onset(scene: Scene, answers: Answers) -> Array | str:
-    return _over_onset(scene, answers, softest_partner(scene), _NO_YIELD)
-
-
-def _over_peak_damage(scene: Scene, answers: Answers) -> Array:
-    return np.asarray(over_peak(answers.values["damage"], scene.columns["contact.gamma"]))
-
-
-def _sphere(scene: Scene) -> Body:
-    return sphere_body(scene.columns)
-
-
-def _over_sphere_onset(scene: Scene, answers: Answers) -> Array | str:
-    return _over_onset(scene, answers, _sphere(scene), "not checked: the onset pressure of the sphere is not given")
-
-
-def _pressed(scene: Scene, answers: Answers, body: Body, good: Flags) -> Press:
-    """The face whose body yields at the largest force of every row, by the law without the motion."""
-    scales = scene.scales
-    face = Face(
-        **{name: part[good] for name, part in body._asdict().items()},
-        modulus=scales.modulus[good],
-        effective_radius=scales.effective_radius[good],
-    )
-    return face.pressed(face.depth_at(np.asarray(answers.values["P_max"])[good]))
-
-
 def _static(body_of: Callable[[Scene], Body]) -> Callable[[Scene, Answers, Flags], str]:
     """What the law says without the motion, where a body yields that was taken for elastic."""
 
     def further(scene: Scene, answers: Answers, good: Flags) -> str:
         yields = body_of(scene)
         with np.errstate(all="ignore"):
-            press = _pressed(scene, answers, yields, good & np.isfinite(yields.onset) & np.isfinite(yields.hardness))
+            known = good & np.isfinite(yields.onset) & np.isfinite(yields.hardness)
+            scales, law = scene.scales, {name: part[known] for name, part in yields._asdict().items()}
+            face = Face(**law, modulus=scales.modulus[known], effective_radius=scales.effective_radius[known])
+            press = face.pressed(face.depth_at(np.asarray(answers.values["P_max"])[known]))
         centre, dent = press.centre[np.isfinite(press.centre)], press.dent[np.isfinite(press.dent)]
         if len(centre) == 0 or len(dent) == 0:
             return ""
@@ -218,10 +192,6 @@ def _other_onset(scene: Scene, answers: Answers) -> Array | str:
     return np.fmin.reduce(found) if found else _NO_FACE
 
 
-def _dent_over_radius(scene: Scene, answers: Answers) -> Array | str:
-    return _of_faces(scene, answers, lambda face, depth: face.pressed(depth).dent / face.effective_radius)
-
-
 def _dents(scene: Scene, answers: Answers, good: Flags) -> str:
     found = _of_faces(scene, answers, lambda face, depth: face.pressed(depth).dent)
     assert not isinstance(found, str)
@@ -264,30 +234,21 @@ def _imbalance(scene: Scene, answers: Answers) -> Array | str:
         return np.asarray(estimate * scene.scales.force / answers.values["P_max"])
 
 
-def _transits(time: str) -> Callable[[Scene, Answers], Array | str]:
+def _transits(scene: Scene, answers: Answers, time: str) -> Array:
     """Passages of a wave through the sphere during the rise, or of one contact under load, of which that is 0.314."""
-
-    def measure(scene: Scene, answers: Answers) -> Array | str:
-        c = scene.columns
-        with np.errstate(all="ignore"):
-            transit = 2.0 * c["sphere.radius"] / bars.wave_speed(c["sphere.E"], c["sphere.density"])
-            return np.asarray(answers.values[time] / transit)
-
-    return measure
-
-
-def _struck_plate(scene: Scene) -> Partner | None:
-    return next((one for one in scene.there if one.kind == "plate"), None)
+    c = scene.columns
+    with np.errstate(all="ignore"):
+        transit = 2.0 * c["sphere.radius"] / bars.wave_speed(c["sphere.E"], c["sphere.density"])
+        return np.asarray(answers.values[time] / transit)
 
 
 def _thin_plate(scene: Scene, answers: Answers) -> Array | str | None:
     """Thickness over contact radius, or transits of the thickness under load where these are fewer (not below 2:
     a plate that is thick beside the blow is no failure, `thick` is nearer)."""
-    if (plate := _struck_plate(scene)) is None:
+    plate = next((one.table for one in scene.there if one.kind == "plate"), None)
+    if plate is None:
         return None
-    E, nu, density, thickness = (
-        scene.columns[f"{plate.table}.{key}"] for key in ("E", "nu", "density", "thickness")
-    )  # fmt: skip
+    E, nu, density, thickness = (scene.columns[f"{plate}.{key}"] for key in ("E", "nu", "density", "thickness"))
     with np.errstate(all="ignore"):
         sound = np.sqrt(E * (1.0 - nu) / (density * (1.0 + nu) * (1.0 - 2.0 * nu)))
         transits = answers.values["loaded_time"] * sound / (2.0 * thickness)
@@ -299,40 +260,22 @@ def _plate_edge(scene: Scene, answers: Answers) -> Array | str | None:
 
     c_g = 2 (D/(rho h))^(1/4) sqrt(pi/t), way there and back the width.
     """
-    if (plate := _struck_plate(scene)) is None:
+    plate, c = next((one.table for one in scene.there if one.kind == "plate"), None), scene.columns
+    if plate is None:
         return None
-    if f"{plate.table}.width" not in scene.columns:
-        return f"not checked: add width to [{plate.table}] for the way to its edge and back"
-    E, nu, density, thickness, width = (
-        scene.columns[f"{plate.table}.{key}"] for key in ("E", "nu", "density", "thickness", "width")
-    )  # fmt: skip
+    if f"{plate}.width" not in c:
+        return f"not checked: add width to [{plate}] for the way to its edge and back"
+    E, nu, density, thickness = (c[f"{plate}.{key}"] for key in ("E", "nu", "density", "thickness"))
     with np.errstate(all="ignore"):
         loaded = answers.values["loaded_time"]
         bending = E * np.square(thickness) / (12.0 * (1.0 - nu * nu) * density)
-        return np.asarray(loaded * 2.0 * bending**0.25 * np.sqrt(np.pi / loaded) / width)
+        return np.asarray(loaded * 2.0 * bending**0.25 * np.sqrt(np.pi / loaded) / c[f"{plate}.width"])
 
 
 def _gravity(scene: Scene, answers: Answers) -> Array | str:
     behind = scene.partners[0]
     weight = scene.scales.mass + (0.0 if behind is None else behind.mass)
     return np.asarray(weight * GRAVITY / answers.values["P_max"])
-
-
-def _drag(scene: Scene, answers: Answers) -> Array | str | None:
-    c = scene.columns
-    if "rig.drop_height" not in c:
-        return None
-    return np.asarray(c["rig.drop_height"] * GRAVITY / terminal_speed(c["sphere.radius"], c["sphere.density"]) ** 2)
-
-
-def _oblique(scene: Scene, answers: Answers) -> Array | str | None:
-    if "rig.angle" not in scene.columns:
-        return None
-    return np.rad2deg(scene.columns["rig.angle"])
-
-
-def _wave_loss(scene: Scene, answers: Answers) -> Array | str | None:
-    return loss_to_waves(scene)
 
 
 def _restitution_of_waves(scene: Scene, answers: Answers, good: Flags) -> str:
@@ -352,10 +295,6 @@ def _echo_under_load(scene: Scene, answers: Answers) -> Array | str | None:
     with np.errstate(all="ignore"):
         found = answers.values["loaded_time"] / scene.first_echo
     return found if np.any(np.isfinite(scene.first_echo)) else None
-
-
-def _chatter(scene: Scene, answers: Answers) -> Array | str:
-    return answers.values["retouches"]
 
 
 def _one_sided(scene: Scene, answers: Answers) -> Array | str:
@@ -382,10 +321,6 @@ def _pulse_rise(scene: Scene, answers: Answers) -> Array | str:
         return np.asarray(rise * bars.wave_speed(c["bars.E"], c["bars.density"]) / (0.5 * c["bars.diameter"]))
 
 
-def _pulse_over_scale(scene: Scene, answers: Answers) -> Array | str:
-    return np.asarray(scene.scales.pulse_number)
-
-
 def _record_over_echo(scene: Scene, answers: Answers) -> Array | str:
     if not scene.infinite:
         return "not needed: what the far ends send back, if anything, is part of the model"
@@ -400,142 +335,118 @@ def _record_over_echo(scene: Scene, answers: Answers) -> Array | str:
 RULES: Final[tuple[Rule, ...]] = (
     Rule(name="small_contact", meaning="contact radius over sphere radius (Hertz: small)",
          measure=_contact_over_radius, warning=0.2, failure=0.3,
-         words="the contact is not small against the sphere, a/r reaches {worst} (limit {limit})",
-         fine="contact small against the sphere: a/r at most {worst} (limit {limit})"),
+         words="the contact is not small against the sphere, a/r reaches {worst} (limit {limit})"),
     Rule(name="contact_on_bar_end", meaning="contact radius over bar radius (Hertz: half space)",
          measure=_contact_over_bar, warning=0.2, failure=1.0, rigs=("bars", "impact", "drop_weight", "load_cell"),
          words="the bar's end is no half space to the contact, a/(d_b/2) reaches {worst} "
-               "(limit {limit})",
-         fine="contact small against the bar's end: a/(d_b/2) at most {worst} (limit {limit})"),
+               "(limit {limit})"),
     Rule(name="bar_yield_contact", meaning="contact pressure over that at which the bars yield (elastic contact)",
-         measure=_over_bar_onset, warning=1.0, laws=("hertz", "damage"), rigs=_BARS,
+         measure=lambda s, a: _over_onset(s, a, softest_partner(s), _NO_YIELD), warning=1.0,
+         laws=("hertz", "damage"), rigs=_BARS,
          further=_static(softest_partner),
          words="the bars yield under the sphere, p_0 reaches {worst} times the pressure at which they begin to; "
-               "harder bars or inserts, thinner bars or a shorter pulse help",
-         fine="bars elastic under the sphere: p_0 at most {worst} times the pressure at which they begin to yield"),
+               "harder bars or inserts, thinner bars or a shorter pulse help"),
     Rule(name="broken_by_damage", meaning="damage over that at which a sphere breaks (a limit of its own counts it)",
-         measure=_over_peak_damage, warning=1.0, laws=("damage",),
+         measure=lambda s, a: np.asarray(over_peak(a.values["damage"], s.columns["contact.gamma"])), warning=1.0,
+         laws=("damage",),
          words="the sphere breaks by the law of damage, which no limit on a force or a pressure counts; a limit on the "
-               "damage of 3/(3 + 2 gamma) does",
-         fine="the sphere holds by the law of damage: at most {worst} of the damage at which it breaks"),
+               "damage of 3/(3 + 2 gamma) does"),
     Rule(name="bar_yield_pulse", meaning="stress of the pulse over the bars' yield strength (elastic waves)",
          measure=_pulse_over_yield, warning=1.0, rigs=_BARS,
-         words="the pulse makes the bars yield, its stress reaches {worst} times their yield strength",
-         fine="bars elastic under the pulse: its stress is at most {worst} times their yield strength"),
+         words="the pulse makes the bars yield, its stress reaches {worst} times their yield strength"),
     Rule(name="force_balance", meaning="largest difference of the two forces over the largest force",
          measure=_imbalance, information=0.05, warning=0.1, rigs=(*_BARS, *_WEIGHTS),
          words="the two forces differ by up to {worst} of the largest at some instant (limit "
-               "{limit}; at the peak itself it may be less); one gauge does not stand for both faces",
-         fine="forces in balance: they differ by at most {worst} of the largest (limit {limit})"),
+               "{limit}; at the peak itself it may be less); one gauge does not stand for both faces"),
     Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), in the rise time",
-         measure=_transits("rise_time"), warning=4.0, failure=3.0, rising=False, rigs=(*_BARS, *_WEIGHTS),
+         measure=lambda s, a: _transits(s, a, "rise_time"), warning=4.0, failure=3.0, rising=False,
+         rigs=(*_BARS, *_WEIGHTS),
          words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while the force rises from "
-               "10 % to 90 % (at least {limit}); too few for a quasi-static sphere",
-         fine="sphere quasi-static: a wave, at sqrt(E/rho), crosses it at least {worst} times while the "
-              "force rises from 10 % to 90 % (at least {limit})"),
+               "10 % to 90 % (at least {limit}); too few for a quasi-static sphere"),
     Rule(name="one_dimensional_bars", meaning="rise of the pulse over bar radius/c_0 (one-dimensional waves)",
          measure=_pulse_rise, warning=5.0, rising=False, rigs=_BARS,
          words="the pulse rises or falls within {worst} bar radii/c_0 (at least {limit}), sharper "
-               "than one-dimensional waves can carry",
-         fine="pulse smooth enough for one-dimensional waves: it rises in at least {worst} bar radii/c_0 "
-              "(at least {limit})"),
+               "than one-dimensional waves can carry"),
     Rule(name="force_level", meaning="pulse length over t_c (does the force come near P_0 = Z v_0/2?)",
-         measure=_pulse_over_scale, information=2.0, rising=False, rigs=_BARS,
+         measure=lambda s, a: s.scales.pulse_number, information=2.0, rising=False, rigs=_BARS,
          words="the pulse is short, in the worst row {worst} t_c (near P_0 from {limit}); the force of the first "
-               "loading stays below P_0 = Z v_0/2 and depends on the pulse's length",
-         fine="pulse long against the contact: at least {worst} t_c (from {limit} on the force nears "
-              "P_0 = Z v_0/2)"),
+               "loading stays below P_0 = Z v_0/2 and depends on the pulse's length"),
     Rule(name="before_reflection", meaning="record over the first return of a reflected wave (infinite bars)",
          measure=_record_over_echo, information=1.0, rigs=_BARS,
          words="infinite bars were asked for; but the record runs to {worst} times the first return of a "
-               "reflected wave in bars of the given length",
-         fine="infinite bars: the record ends before a wave is back, at {worst} times its first return"),
+               "reflected wave in bars of the given length"),
     Rule(name="sphere_yield_contact", meaning="contact pressure over that at which the sphere yields or crushes",
-         measure=_over_sphere_onset, warning=1.0, laws=("hertz", "damage"), further=_static(_sphere),
-         words="the sphere crushes at its poles, p_0 reaches {worst} times the pressure at which it begins to",
-         fine="sphere elastic at its poles: p_0 at most {worst} times the pressure at which it begins to crush"),
+         measure=lambda s, a: _over_onset(s, a, sphere_body(s.columns), _NO_ONSET), warning=1.0,
+         laws=("hertz", "damage"), further=_static(lambda s: sphere_body(s.columns)),
+         words="the sphere crushes at its poles, p_0 reaches {worst} times the pressure at which it begins to"),
     Rule(name="dented", meaning="approach over that at which a face first yields",
          measure=_depth, information=1.0, laws=("plastic",), further=_dents,
-         words="a face yields, its approach reaches {worst} times that at first yield",
-         fine="no face yields: the approach is at most {worst} of that at first yield"),
+         words="a face yields, its approach reaches {worst} times that at first yield"),
     Rule(name="softer_body", meaning="onset of the harder body of a face over that of the softer one",
          measure=_other_onset, information=1.3, rising=False, laws=("plastic",),
          words="a face taken for hard yields at {worst} times the pressure of the softer one (clear from {limit}), "
-               "or is less hard; the law is only a bound",
-         fine="one body of each face is clearly the softer: the other begins to yield at {worst} times its pressure "
-              "(clear from {limit})"),
+               "or is less hard; the law is only a bound"),
     Rule(name="plastic_range", meaning="approach over that at which a face first yields (law seen up to 110)",
-         measure=_depth, warning=_SEEN_DEPTH, failure=1000.0, laws=("plastic",),
-         words="a face is pressed to {worst} times its first yield, beyond what its law was compared with ({limit})",
-         fine="faces inside what their law was compared with: at most {worst} times the first yield (limit {limit})"),
+         measure=_depth, warning=110.0,  # finite elements: Kogut and Etsion 2002, Jackson and Green 2005
+         failure=1000.0, laws=("plastic",),
+         words="a face is pressed to {worst} times its first yield, beyond what its law was compared with ({limit})"),
     Rule(name="deep_dent", meaning="dent over the effective radius (the next blow meets the same curvature)",
-         measure=_dent_over_radius, warning=_DEEP_DENT, laws=("plastic",),
-         words="a dent is deep beside the curvature of the face, {worst} of its radius (limit {limit})",
-         fine="dents shallow: at most {worst} of the radius (limit {limit})"),
+         measure=lambda s, a: _of_faces(s, a, lambda face, depth: face.pressed(depth).dent / face.effective_radius),
+         warning=0.01, laws=("plastic",),
+         words="a dent is deep beside the curvature of the face, {worst} of its radius (limit {limit})"),
     Rule(name="insert_thickness", meaning="three contact radii over the thickness of the inserts",
          measure=_contact_over_insert, warning=1.0, rigs=_BARS,
-         words="the inserts are thin, three contact radii reach {worst} of their thickness: the bar yields below them",
-         fine="inserts thick enough: three contact radii are at most {worst} of their thickness"),
+         words="the inserts are thin, three contact radii reach {worst} of their thickness: the bar yields below them"),
     Rule(name="pressure_shape", meaning="approach over that at which a face first yields (shape of the pressure)",
          measure=_depth, information=2.0, warning=6.0, laws=("plastic",),
          words="a face is pressed to {worst} times its first yield; the pressure is flatter than Hertz's ({limit}), "
-               "stresses inside and at the rim are those of Hertz on the same circle",
-         fine="pressure near Hertz's: faces pressed to at most {worst} times the first yield (limit {limit})"),
+               "stresses inside and at the rim are those of Hertz on the same circle"),
     Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), under load",
-         measure=_transits("loaded_time"), warning=6.0, failure=4.0, rising=False, rigs=_ONE,
+         measure=lambda s, a: _transits(s, a, "loaded_time"), warning=6.0, failure=4.0, rising=False, rigs=_ONE,
          words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while it is pressed (at least {limit}); "
-               "too few for a quasi-static sphere",
-         fine="sphere quasi-static: a wave, at sqrt(E/rho), crosses it at least {worst} times while it is pressed "
-              "(at least {limit})"),
+               "too few for a quasi-static sphere"),
     Rule(name="face_yield", meaning="contact pressure over that at which what stands at a pole yields",
          measure=_over_partner_onset, warning=1.0, laws=("hertz", "damage"), rigs=(*_BLOWS, "platens"),
          further=_static(softest_partner),
-         words="what stands at a pole yields under the sphere, p_0 reaches {worst} times the pressure where it begins",
-         fine="what stands at the poles stays elastic: p_0 at most {worst} times the pressure at which it yields"),
+         words="what stands at a pole yields under the sphere, p_0 reaches {worst} times the pressure where it begins"),
     Rule(name="thin_plate", meaning="thickness of the plate over the contact radius, or transits of it under load",
          measure=_thin_plate, warning=5.0, failure=2.0, rising=False, rigs=("impact", "drop_weight"),
          words="the plate is not thin beside the blow, or the contact: {worst} (at least {limit}); where few "
-               "waves cross its thickness under load, a thick target is nearer",
-         fine="plate as its theory has it: {worst} contact radii thick, or transits of it (at least {limit})"),
+               "waves cross its thickness under load, a thick target is nearer"),
     Rule(name="plate_edge", meaning="time under load over the return of the bending wave from the plate's edge",
          measure=_plate_edge, warning=1.0, rigs=("impact", "drop_weight"),
-         words="the bending wave is back from the plate's edge while the sphere is pressed: {worst} returns",
-         fine="plate wide enough: the sphere is pressed for at most {worst} of the way to its edge and back"),
+         words="the bending wave is back from the plate's edge while the sphere is pressed: {worst} returns"),
     Rule(name="gravity", meaning="weight of what moves over the largest force (left out of the motion)",
          measure=_gravity, information=0.01, warning=0.05, rigs=_BLOWS,
-         words="weights, which the motion leaves out, reach {worst} of the largest force (limit {limit})",
-         fine="weights small beside the force: at most {worst} of it (limit {limit})"),
+         words="weights, which the motion leaves out, reach {worst} of the largest force (limit {limit})"),
     Rule(name="drag", meaning="fall over that in which the drag of the air would stop the gain of speed, g h/v_t²",
-         measure=_drag, information=0.05, warning=0.2, rigs=_ONE,
-         words="the drag of the air matters for the speed after the fall: g h/v_t² reaches {worst} (limit {limit})",
-         fine="drag of the air small in the fall: g h/v_t² at most {worst} (limit {limit})"),
+         measure=lambda s, a: s.columns["rig.drop_height"] * GRAVITY
+         / terminal_speed(s.columns["sphere.radius"], s.columns["sphere.density"]) ** 2
+         if "rig.drop_height" in s.columns else None,
+         information=0.05, warning=0.2, rigs=_ONE,
+         words="the drag of the air matters for the speed after the fall: g h/v_t² reaches {worst} (limit {limit})"),
     Rule(name="oblique", meaning="angle between the path and the surface [deg]; friction and spin are left out",
-         measure=_oblique, information=75.0, warning=45.0, failure=20.0, rising=False, rigs=_ONE,
+         measure=lambda s, a: np.rad2deg(s.columns["rig.angle"]) if "rig.angle" in s.columns else None,
+         information=75.0, warning=45.0, failure=20.0, rising=False, rigs=_ONE,
          words="the blow is oblique, {worst} deg (square on from {limit}); friction, spin and tension by sliding at "
-               "the rim are left out, the normal part of the speed counts",
-         fine="blow nearly square on: at least {worst} deg (from {limit})"),
+               "the rim are left out, the normal part of the speed counts"),
     Rule(name="wave_loss", meaning="share of the energy that a thick target carries off as waves",
-         measure=_wave_loss, information=0.02, warning=0.05, rigs=_ONE, further=_restitution_of_waves,
-         words="the target carries off {worst} of the energy as waves (limit {limit}); forces leave that out",
-         fine="a thick target carries off little: at most {worst} of the energy (limit {limit})"),
+         measure=lambda s, a: loss_to_waves(s), information=0.02, warning=0.05, rigs=_ONE,
+         further=_restitution_of_waves,
+         words="the target carries off {worst} of the energy as waves (limit {limit}); forces leave that out"),
     Rule(name="one_dimensional_rod", meaning="rise of the force over bar radius/c_0 (one-dimensional waves)",
          measure=_rod_rise, warning=5.0, rising=False, rigs=("impact", "drop_weight", "load_cell"),
-         words="the force rises within {worst} rod radii/c_0 (at least {limit}), too fast for waves of one dimension",
-         fine="force smooth enough for one-dimensional waves: it rises in at least {worst} rod radii/c_0 "
-              "(at least {limit})"),
+         words="the force rises within {worst} rod radii/c_0 (at least {limit}), too fast for waves of one dimension"),
     Rule(name="echo_in_contact", meaning="time under load over the round trip of the rod",
          measure=_echo_under_load, information=1.0, rigs=("impact", "drop_weight", "load_cell"),
-         words="waves come back along the rod while the sphere is pressed: {worst} round trips",
-         fine="no wave is back along the rod under load: at most {worst} of a round trip"),
+         words="waves come back along the rod while the sphere is pressed: {worst} round trips"),
     Rule(name="chatter", meaning="contacts lost and found again before the largest force",
-         measure=_chatter, information=0.0, rigs=_WEIGHTS,
-         words="contacts are lost and found again before the largest force, up to {worst} times",
-         fine="no contact is lost and found again before the largest force"),
+         measure=lambda s, a: a.values["retouches"], information=0.0, rigs=_WEIGHTS,
+         words="contacts are lost and found again before the largest force, up to {worst} times"),
     Rule(name="one_sided_field", meaning="contact radius over sphere radius where the forces differ at the peak",
          measure=_one_sided, information=0.1, warning=0.2, failure=0.3, rigs=_BLOWS,
          words="the forces at the poles differ and the contact is large, a/r reaches {worst} (limit {limit}); the "
-               "field of one force is not half that of two",
-         fine="field of unequal forces near that of each pole alone: a/r at most {worst} (limit {limit})"),
+               "field of one force is not half that of two"),
 )  # fmt: skip
 
 
@@ -545,7 +456,6 @@ _AT_FRACTURE: Final = Rule(
     measure=_imbalance, information=0.05, warning=0.1,
     words="the two forces differ by up to {worst} of the largest when it comes to fracture (limit {limit}); one gauge "
           "does not stand for both faces, and the stress inside is not that of equal forces",
-    fine="forces in balance when the sphere breaks: they differ by at most {worst} of the largest (limit {limit})",
 )  # fmt: skip
 
 
@@ -586,13 +496,7 @@ def grades_of(scene: Scene, answers: Answers) -> dict[str, Places]:
 
 
 def check_validity(scene: Scene, answers: Answers) -> list[Check]:
-    """Every check that is asked of a batch, on its answers, in the order of `RULES`.
-
-    Raises
-    ------
-    ValueError
-        If the answers are not those of as many rows.
-    """
+    """Every check that is asked of a batch, on its answers, in the order of `RULES`."""
     if len(answers.status) != len(scene):
         raise ValueError(f"{len(answers.status)} answers do not belong to a batch of {len(scene)} rows")
     good = answered(answers.status)
@@ -603,29 +507,21 @@ def check_validity(scene: Scene, answers: Answers) -> list[Check]:
 def check_at_fracture(imbalance: Array, weights: Array) -> Check:
     """The balance of the forces where it matters: at the fracture of n spheres, and not at a peak never reached.
 
-    Parameters
-    ----------
-    imbalance : (n,) array
-        Difference of the two forces over the largest so far at the moment of fracture; NaN is left out.
-    weights : (n,) array
-        What each sphere stands for.
+    imbalance (n,): difference of the two forces over the largest so far at that moment, NaN is left out; weights (n,):
+    what each sphere stands for.
 
     >>> check = check_at_fracture(np.array([0.01, 0.02, 0.2, 0.07]), np.array([3.0, 3.0, 1.0, 1.0]))
     >>> check.share_warning, check.share_information
     (0.125, 0.125)
     """
-    rule = _AT_FRACTURE
-    known = ~np.isnan(imbalance) & (weights > 0.0)
+    rule, known = _AT_FRACTURE, ~np.isnan(imbalance) & (weights > 0.0)
     if not known.any():
         return _result(rule.name, np.zeros(3), None, "not checked: no sphere breaks")
     measured, mass = imbalance[known], weights[known] / weights[known].sum()
-    worst = float(measured.max())
     shares = np.asarray(np.bincount(grades(rule, measured), weights=mass, minlength=4)[1:], dtype=float)
-    numbers = {"worst": f"{worst:.3g}", "limit": f"{rule.limit:.3g}"}
-    if not shares.any():
-        return _result(rule.name, shares, worst, rule.fine.format(**numbers))
     broken = f"{_percent(float(min(shares.sum(), 1.0)))} spheres that break".replace("all spheres", "all the spheres")
-    return _result(rule.name, shares, worst, f"in {broken} {rule.words.format(**numbers)}")
+    worst = float(measured.max())
+    return _result(rule.name, shares, worst, rule.says(worst, broken if shares.any() else ""))
 
 
 def _check(rule: Rule, scene: Scene, answers: Answers, good: Flags) -> Check | None:
@@ -639,14 +535,10 @@ def _check(rule: Rule, scene: Scene, answers: Answers, good: Flags) -> Check | N
         return _result(rule.name, np.zeros(3), None, _NO_ROW)
     worst = float(usable.max() if rule.rising else usable.min())
     shares = np.bincount(grades(rule, usable), minlength=4)[1:] / len(usable)
-    broken = float(shares.sum())
-    seen = f"{worst:.3g}" if np.isfinite(worst) else "endlessly many"
-    numbers = {"worst": seen, "limit": f"{rule.limit:.3g}"}
-    if broken == 0.0:
-        return _result(rule.name, shares, worst, rule.fine.format(**numbers))
+    if not shares.any():
+        return _result(rule.name, shares, worst, rule.says(worst, ""))
     further = "" if rule.further is None else rule.further(scene, answers, good)
-    text = f"in {_percent(broken)} rows {rule.words.format(**numbers)}{further}"
-    return _result(rule.name, shares, worst, text)
+    return _result(rule.name, shares, worst, rule.says(worst, f"{_percent(float(shares.sum()))} rows", further))
 
 
 def _without_number(rule: Rule, scene: Scene, why: str, any_row: bool) -> Check:
@@ -682,13 +574,8 @@ def check_ranges(
 ) -> list[Check]:
     """One check per criterion whose demand is among the quantities, named ``range_of_`` and the quantity.
 
-    Parameters
-    ----------
-    scene, answers : a batch and its answers, with `p_max` and `a_max` among them
-    quantities : names of quantities of interest; those that are no criterion with a range are passed over
-    demands : further quantities, name -> (criterion, parameters); those of the scene if None
-
-    Each row is judged at its largest force; one that breaks earlier never comes so far.
+    answers: with `p_max` and `a_max`; demands: name -> (criterion, parameters), those of the scene if None.  Each row
+    is judged at its largest force; one that breaks earlier never comes so far.
     """
     known: dict[str, tuple[str, Mapping[str, float]]] = {
         entry.quantity: (name, {})
@@ -716,9 +603,8 @@ def _check_range(
     share = float((~inside).sum() / len(inside))
     parts = [_farthest(*part) for part in ranges_of(criterion, columns, parameters)]
     worst = max(parts, key=lambda part: part[0])[1]
-    if share == 0.0:
-        text = f"{criterion.name} is used inside its range ({criterion.range_text})"
-    else:
+    text = f"{criterion.name} is used inside its range ({criterion.range_text})"
+    if share > 0.0:
         left = ", ".join(words for beyond, _, words in parts if beyond > 0.0)
         edge = "at the edge of its table" if "equal forces" in criterion.range_text else "of the formula all the same"
         text = (

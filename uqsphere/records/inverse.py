@@ -17,7 +17,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Places
 from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.dispersion import first_mode, transfer
+from uqsphere.mechanics.bars import first_mode, transfer
 from uqsphere.mechanics.field import waves_at
 from uqsphere.mechanics.integrator.solve import Motion, motion
 from uqsphere.mechanics.pulses import NOISE_MODES, MeasuredPulse, noise_names, pulse_value

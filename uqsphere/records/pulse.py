@@ -12,7 +12,7 @@ import numpy as np
 from scipy.interpolate import PPoly, make_lsq_spline
 
 from uqsphere.arrays import Array
-from uqsphere.mechanics.dispersion import correct, first_mode
+from uqsphere.mechanics.bars import correct, first_mode
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.records.record import Record, Wiring, first_wave, make_record, mend
 from uqsphere.records.table import RecordError, read_bytes, read_table

@@ -31,7 +31,7 @@ def history_of(study: Study, values: Mapping[str, float] | None = None, *, point
     UsageError
         For a scene outside the model's domain, or a number that a scene does not have.
     """
-    from uqsphere.mechanics.gauges import default_positions, gauge_record
+    from uqsphere.mechanics.field import default_positions, gauge_record
     from uqsphere.mechanics.history import rod_length, rod_record, trace
     from uqsphere.mechanics.scene import STATUS
 
@@ -105,7 +105,7 @@ class Summary(TypedDict, total=False):
 
 def history_summary(found: History) -> Summary:
     """The findings of a history as (what, value) lines, for the terminal and for JSON."""
-    from uqsphere.mechanics.partners import softest_partner
+    from uqsphere.mechanics.rigs import softest_partner
 
     scene = found.motion.scene
     lines = [("mu (mass of the sphere)", f"{found.mass_number:.4g}")]

@@ -14,7 +14,7 @@ from statistics import NormalDist
 from typing import Final, TypedDict
 
 from uqsphere.errors import UsageError
-from uqsphere.mechanics.carried import CARRIERS
+from uqsphere.mechanics.criteria import CARRIERS
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.model import cheaper_fidelities, scene_of
 from uqsphere.quantities import INPUTS, format_value, lookup

@@ -136,7 +136,7 @@ def _quantities(work: Work, scene: Scene, fidelity: str, scaled: Array) -> Array
 
 def integrated(work: Work) -> bool:
     """Whether the rows of a study are integrated, one by one and by one model."""
-    from uqsphere.mechanics import closed_form, impact
+    from uqsphere.mechanics import closed_form
 
     if work.study.black_box or work.fallback is not None or not work.scene_names:
         return False
@@ -146,7 +146,7 @@ def integrated(work: Work) -> bool:
         return False
     if scene.rig == "bars":
         return not closed_form.closed_form_applies(scene, fidelity)
-    return not (fidelity == "massless" or impact.closed_form_rows(scene).any())
+    return not (fidelity == "massless" or closed_form.closed_form_rows(scene).any())
 
 
 def find_numbers(work: Work, rows: Array) -> Numbers | int:

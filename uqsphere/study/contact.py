@@ -8,8 +8,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.materials import library
-from uqsphere.mechanics.partners import LAW, body_of, law_of, sphere_body
-from uqsphere.mechanics.rigs import RIGS, Rig
+from uqsphere.mechanics.rigs import LAW, RIGS, Rig, body_of, law_of, sphere_body
 from uqsphere.mechanics.yielding import Body
 from uqsphere.quantities import format_value
 from uqsphere.study.document import ContactTable, Document, LimitTable, ModelChoice

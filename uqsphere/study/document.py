@@ -17,8 +17,8 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
-from uqsphere.mechanics.partners import PARTNER_KINDS
 from uqsphere.mechanics.pulses import PRESETS, SHAPES
+from uqsphere.mechanics.rigs import PARTNER_KINDS
 from uqsphere.mechanics.scene import CONTACT_LAWS
 from uqsphere.study.faults import Misplaced, Raw, one_of, shown
 from uqsphere.study.particle_tables import ENERGY_OF, FeedTable, MaterialTable, Platens, ProductTable, TestsTable

@@ -16,8 +16,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.carried import pole_of
-from uqsphere.mechanics.criteria import CRITERIA
+from uqsphere.mechanics.criteria import CRITERIA, pole_of
 from uqsphere.mechanics.criteria import demand as demand_of
 from uqsphere.mechanics.outputs import Columns, at_force, follows_force
 from uqsphere.study.document import RIG_TABLES

@@ -13,7 +13,7 @@ l = ln((y + base)/...), so that its series costs one recurrence more:
 
     q = constant + by_x x + by_root y + by_log l        l' (y + base) = y'        base = (b - 1) sqrt(x_y)
 
-A face that takes damage (`uqsphere.mechanics.damage`) is on virgin loading from first touch, has no dent, and its
+A face that takes damage (`uqsphere.mechanics.yielding`) is on virgin loading from first touch, has no dent, and its
 spring is the secant.  Its virgin loading needs the series of x^(gamma + 3/2), one recurrence as well:
 
     virgin   q = hertz x^(3/2) + by_log x^(gamma + 3/2)         until x reaches `breaks`, where q is largest

@@ -344,24 +344,7 @@ def march(
         evaluate(u, theta, 1.0, half, at_u, rate_u)
         if mode != 1:
             root_error(root, theta, half, at, law, branch, row_of(room, 0, 0), row_of(room, 1, 0))
-        events.look(
-            mode,
-            wanted,
-            x,
-            at,
-            rate,
-            track,
-            theta,
-            low,
-            near,
-            row,
-            flags,
-            known,
-            crest,
-            room,
-            yielding,
-            law,
-        )
+        events.look(mode, wanted, x, at, rate, track, theta, low, near, row, flags, known, crest, room, yielding, law)
         for j in range(lanes):
             if row[j] < 0:
                 continue

@@ -19,42 +19,13 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 
 from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.integrator.tracked import (
-    ANSWER_CONTACT,
-    ANSWER_DEPTH,
-    ANSWER_END,
-    ANSWER_GAP,
-    ANSWER_IMPULSE,
-    ANSWER_LOSS_RATE,
-    ANSWER_NEAREST,
-    ANSWER_RISE,
-    ANSWER_RISES,
-    ANSWER_WIDTH,
-    ANSWER_WIDTHS,
-    ANSWER_X_MAX,
-    FULL,
-    LAW_ONSET,
-    LAW_PILE_UP,
-    LAW_SHARE,
-    LAW_SOFTENING,
-    LAW_STIFFNESS,
-    LAWS,
-    NOT_FINITE,
-    RIG_GIVES,
-    RIG_LIGHTNESS,
-    RIG_SPEED,
-    RIG_THERE,
-    RIGS,
-    WANT_ALL,
-    WANT_CONTACT,
-    WANT_DIFFERENCE,
-    WANT_WIDTH,
-    empty_answers,
-)
-from uqsphere.mechanics.outputs import OUTPUTS, Answers, answers_of, wishes
+from uqsphere.mechanics.integrator import tracked
+from uqsphere.mechanics.integrator.tracked import empty_answers
+from uqsphere.mechanics.outputs import OUTPUTS, Answers, answers_from, wishes
 from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
 
 #: fidelities the integrator knows, and the number it knows them by
@@ -77,23 +48,11 @@ _LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL = 1.0, 0.05, 0.1
 class Motion:
     """One integrated scene: what anything between first touch and the end of the motion can be computed from.
 
-    Attributes
-    ----------
-    scene : Scene
-    row : int
-        Which of its rows.
-    start, length : (m,) arrays
-        Of the steps, over t_c.
-    states : (m, 3, k) array
-        x_1, x_2 and u on every step: coefficients in ascending powers of the share of the step that has passed.
-    end : float
-        End of the motion over t_c, which may lie inside the last step.
-    fidelity : str
-        `full`, `linear` or `massless`.
-    forces : (m, 2, k) array, optional
-        The same of both forces over P_c, where they do not follow from the approach alone.
-    returning : function of (m,) times [s] to (m,) velocities [m/s], optional
-        The wave that comes back to face B, where the end is more than a number (`uqsphere.mechanics.damper`).
+    start, length (m,): of the steps, over t_c; states (m, 3, k): x_1, x_2 and u on every step, coefficients in
+    ascending powers of the share of the step that has passed; forces (m, 2, k): the same of both forces over P_c, where
+    they do not follow from the approach alone.  end: over t_c, may lie inside the last step.  returning: velocity [m/s]
+    at times [s] of the wave that comes back to face B, where its end is more than a number
+    (`uqsphere.mechanics.damper`).
     """
 
     scene: Scene
@@ -154,11 +113,8 @@ class Motion:
         s = times / self.unit
         n = np.clip(np.searchsorted(self.start, s, side="right") - 1, 0, len(self.start) - 1)
         share = ((s - self.start[n]) / self.length[n])[:, None]
-        coefficients = series[n]
-        total = coefficients[:, :, -1]
-        for k in range(coefficients.shape[2] - 2, -1, -1):
-            total = total * share + coefficients[:, :, k]
-        return np.where((s >= 0.0)[:, None], total, 0.0)
+        found = polyval(share, np.moveaxis(series[n], 2, 0), tensor=False)
+        return np.where((s >= 0.0)[:, None], found, 0.0)
 
     def states_at(self, times: Array) -> Array:
         """Approaches at A, B [m], velocity of the sphere [m/s] at `times` [s], (m, 3); 0 before first touch."""
@@ -240,18 +196,18 @@ def _laws(scene: Scene, rows: Places) -> Array:
     faces = [partner.face if partner and scene.contact_dynamics == "path" else None for partner in scene.partners]
     if scene.rig == "bars" and faces == [None, None]:
         return np.zeros((len(rows), 0, 2))
-    laws = np.ones((len(rows), LAWS, 2))
-    laws[:, LAW_ONSET] = np.inf
+    laws = np.ones((len(rows), tracked.LAWS, 2))
+    laws[:, tracked.LAW_ONSET] = np.inf
     for pole, (partner, face) in enumerate(zip(scene.partners, faces, strict=True)):
         if partner is None:
             continue
-        laws[:, LAW_STIFFNESS, pole] = (partner.hertz_constant / scene.scales.hertz_constant)[rows]
-        laws[:, LAW_SHARE, pole] = partner.share[rows]
+        laws[:, tracked.LAW_STIFFNESS, pole] = (partner.hertz_constant / scene.scales.hertz_constant)[rows]
+        laws[:, tracked.LAW_SHARE, pole] = partner.share[rows]
         if face is not None:
             own, b = face.own[rows], face.softening[rows]
-            laws[own, LAW_ONSET, pole] = (face.onset_approach / scene.scales.approach)[rows][own]
-            laws[own, LAW_SOFTENING, pole] = np.where(np.abs(b) < 1e-12, 0.0, b)[own]
-            laws[own, LAW_PILE_UP, pole] = face.pile_up[rows][own]
+            laws[own, tracked.LAW_ONSET, pole] = (face.onset_approach / scene.scales.approach)[rows][own]
+            laws[own, tracked.LAW_SOFTENING, pole] = np.where(np.abs(b) < 1e-12, 0.0, b)[own]
+            laws[own, tracked.LAW_PILE_UP, pole] = face.pile_up[rows][own]
     return laws
 
 
@@ -259,13 +215,13 @@ def _rigs(scene: Scene, rows: Places) -> Array:
     """What stands at the poles in scaled variables, (n, RIGS, 2): see `tracked`; (n, 0, 2): two bars."""
     if scene.rig == "bars":
         return np.zeros((len(rows), 0, 2))
-    scales, rigs = scene.scales, np.zeros((len(rows), RIGS, 2))
+    scales, rigs = scene.scales, np.zeros((len(rows), tracked.RIGS, 2))
     for pole, partner in enumerate(scene.partners):
         if partner is not None:
-            rigs[:, RIG_GIVES, pole] = (scales.force / (partner.impedance * scales.speed))[rows]
-            rigs[:, RIG_LIGHTNESS, pole] = (scales.force * scales.time / (partner.mass * scales.speed))[rows]
-            rigs[:, RIG_SPEED, pole] = (1 - 2 * pole) * (scene.start[:, 1 + pole] / scales.speed)[rows]
-            rigs[:, RIG_THERE, pole] = 1.0
+            rigs[:, tracked.RIG_GIVES, pole] = (scales.force / (partner.impedance * scales.speed))[rows]
+            rigs[:, tracked.RIG_LIGHTNESS, pole] = (scales.force * scales.time / (partner.mass * scales.speed))[rows]
+            rigs[:, tracked.RIG_SPEED, pole] = (1 - 2 * pole) * (scene.start[:, 1 + pole] / scales.speed)[rows]
+            rigs[:, tracked.RIG_THERE, pole] = 1.0
     return rigs
 
 
@@ -289,7 +245,7 @@ def march_rows(
     mode: int,
     tolerance: float,
     *,
-    wanted: int = WANT_ALL,
+    wanted: int = tracked.WANT_ALL,
     asked: float = 0.0,
     stop_at_loss: bool = True,
     keep: bool = False,
@@ -299,11 +255,14 @@ def march_rows(
     asked: the tolerance of the answers, where `tolerance` is closer; keep: the path of the last row.
     """
     from uqsphere.mechanics.integrator.kernel import march
-    from uqsphere.mechanics.integrator.tracked import TERMS
 
-    share = _LOCAL_DIFFERENCE if wanted & WANT_DIFFERENCE else _LOCAL
+    share = _LOCAL_DIFFERENCE if wanted & tracked.WANT_DIFFERENCE else _LOCAL
     bars_only = arguments["rigs"].shape[1] == 0
-    if bars_only and wanted & (WANT_WIDTH | WANT_CONTACT) and not np.isfinite(arguments["horizon"]).all():
+    if (
+        bars_only
+        and wanted & (tracked.WANT_WIDTH | tracked.WANT_CONTACT)
+        and not np.isfinite(arguments["horizon"]).all()
+    ):
         share = min(share, _LOCAL_TAIL)
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than the approaches need
     local = share * tolerance * (1.0 if mode == MODES["full"] else 0.1)
@@ -312,13 +271,13 @@ def march_rows(
     order, path = np.arange(n), None
     for capacity in _CAPACITIES:
         room = capacity if keep else 0
-        kept = (np.zeros(room), np.zeros(room), np.zeros((room, 5, TERMS)))
+        kept = (np.zeros(room), np.zeros(room), np.zeros((room, 5, tracked.TERMS)))
         rows = [arguments[name] for name in _ARGUMENTS]
         march(*(mode, wanted, *rows, local, asked, stop_at_loss, capacity, answers, status, order, steps, *kept))
         if keep:
             taken = int(steps[order[-1]])
             path = kept[0][:taken], kept[1][:taken], kept[2][:taken]
-        order = order[status[order] == FULL]
+        order = order[status[order] == tracked.FULL]
         if len(order) == 0:
             break
     return Scaled(answers=answers, others=empty_answers(n), status=status, steps=steps, path=path)
@@ -372,10 +331,7 @@ def integrate(
 def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float = 1e-6) -> Motion:
     """The motion of one scene on to the horizon, contacts lost and found again included.
 
-    Raises
-    ------
-    ValueError
-        If the row lies outside the domain or cannot be integrated; the message is that of its status.
+    ValueError, with the message of its status, if the row lies outside the domain or cannot be integrated.
     """
     _check_request(scene, fidelity, tolerance)
     status = int(scene.status[row])
@@ -414,7 +370,7 @@ def motions(
         own = given["laws"].shape[1] > 0
         return Motion(
             scene=scene, row=int(rows[k]), start=start, length=length, states=states[:, :3],
-            forces=states[:, 3:] if own else None, end=float(found.answers[0, ANSWER_END]), fidelity=fidelity,
+            forces=states[:, 3:] if own else None, end=float(found.answers[0, tracked.ANSWER_END]), fidelity=fidelity,
         )  # fmt: skip
 
     workers = min(thread_count(threads), len(rows))
@@ -449,36 +405,29 @@ def solve(
 ) -> Answers:
     """Quantities of interest of n scenes by integrating the equations of motion.
 
-    Parameters
-    ----------
-    scene : Scene
-    fidelity : str
-        `full`, `linear` (a spring of the secant stiffness beta sqrt(alpha_c) in place of the Hertz contact; not where
-        faces yield) or `massless` (mu = 0), both between bars alone.
-    tolerance : float
-        Relative error asked for in every quantity, 1e-12 to 1e-2.
-    threads : int, optional
-        Threads; all processors of this process if None.  The answers do not depend on it.
-    quantities : collection of str, optional
-        Names of `uqsphere.mechanics.outputs.OUTPUTS`; all if None.  What is not asked for is not computed.
-
-    Returns
-    -------
-    Answers
-        With NaN and a status for rows outside the domain; never a number that was not computed.
+    fidelity: `full`, `linear` (a spring of the secant stiffness beta sqrt(alpha_c) in place of the Hertz contact; not
+    where faces yield) or `massless` (mu = 0), both between bars alone.  tolerance: relative error asked for in every
+    quantity, 1e-12 to 1e-2.  threads: all processors of this process if None; the answers do not depend on it.
+    quantities: names of `outputs.OUTPUTS` or demands; what is not asked for is not computed.  Rows outside the domain
+    have NaN and a status.
     """
     _check_request(scene, fidelity, tolerance)
     if quantities is not None and (unknown := set(quantities) - set(OUTPUTS) - set(scene.demands)):
         raise ValueError(f"unknown quantities {', '.join(sorted(unknown))} (allowed: {', '.join(OUTPUTS)})")
     found = integrate(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
-    linear = fidelity == "linear"
-    solved = answers_of(scene, found.answers, found.status, found.steps, linear=linear, quantities=quantities)
+
+    def answers(scaled: Array) -> Answers:
+        columns = {name: scaled[:, column] for name, (column, _) in tracked.SCALED.items()}
+        linear = fidelity == "linear"
+        return answers_from(scene, columns, found.status, found.steps, linear=linear, quantities=quantities)
+
+    solved = answers(found.answers)
     if not (found.status == UNDECIDED).any():
         return solved
-    other = answers_of(scene, found.others, found.status, found.steps, linear=linear, quantities=quantities)
+    other = answers(found.others)
     undecided = (solved.status == UNDECIDED) & (other.status == UNDECIDED)
     # one of the two answers alone is no answer
-    status = np.where((solved.status == UNDECIDED) & ~undecided, NOT_FINITE, solved.status)
+    status = np.where((solved.status == UNDECIDED) & ~undecided, tracked.NOT_FINITE, solved.status)
     values = {name: np.where(answered(status), value, np.nan) for name, value in solved.values.items()}
     others = {name: np.where(undecided, value, np.nan) for name, value in other.values.items()}
     return replace(solved, values=values, others=others, status=status)
@@ -503,7 +452,7 @@ _CLOSEST, _FINEST = 1e-6, 1e-13
 #: a hundred times closer, an answer may change by this many tolerances: what is left is below one
 _REPEATED: Final = 30.0
 #: width and rise time: their columns, and those of the same with thresholds a little lower and higher
-_TIMES: Final = ((ANSWER_WIDTH, ANSWER_WIDTHS), (ANSWER_RISE, ANSWER_RISES))
+_TIMES: Final = ((tracked.ANSWER_WIDTH, tracked.ANSWER_WIDTHS), (tracked.ANSWER_RISE, tracked.ANSWER_RISES))
 
 
 def _jumping(answers: Array, tolerance: float) -> Flags:
@@ -536,13 +485,15 @@ def _to_repeat(found: Scaled, tolerance: float, peak_only: bool) -> list[tuple[f
     """
     answers = found.answers
     with np.errstate(all="ignore"):
-        sharpness = answers[:, ANSWER_LOSS_RATE] * answers[:, ANSWER_CONTACT] / answers[:, ANSWER_X_MAX]
+        sharpness = (
+            answers[:, tracked.ANSWER_LOSS_RATE] * answers[:, tracked.ANSWER_CONTACT] / answers[:, tracked.ANSWER_X_MAX]
+        )
     # the same for a face that nearly left, a threshold that is nearly missed, a long motion
     long = (found.steps > _MANY_STEPS) & (not peak_only)
-    near = np.isfinite(answers[:, ANSWER_NEAREST]) | long | _jumping(answers, tolerance)
+    near = np.isfinite(answers[:, tracked.ANSWER_NEAREST]) | long | _jumping(answers, tolerance)
     sharpness = np.where(near, np.fmin(sharpness, 0.5), sharpness)
     # where no tolerance can decide, one that is close enough for a clean loss will do
-    hovering = answers[:, ANSWER_NEAREST] <= tolerance * answers[:, ANSWER_X_MAX]
+    hovering = answers[:, tracked.ANSWER_NEAREST] <= tolerance * answers[:, tracked.ANSWER_X_MAX]
     sharpness = np.where(hovering, np.fmax(sharpness, _CLEAN), sharpness)
     groups = []
     for low, high, factor in ((1e-2, 3.0, 1e-2), (1e-4, 1e-2, 1e-4), (0.0, 1e-4, _CLOSEST)):
@@ -555,7 +506,7 @@ def _to_repeat(found: Scaled, tolerance: float, peak_only: bool) -> list[tuple[f
 def _changed(before: Array, after: Array, tolerance: float) -> Flags:
     """Rows whose largest approach or end of contact has changed by so much that they take another repetition."""
     changed = np.zeros(len(after), dtype=bool)
-    for column in (ANSWER_X_MAX, ANSWER_CONTACT):
+    for column in (tracked.ANSWER_X_MAX, tracked.ANSWER_CONTACT):
         with np.errstate(invalid="ignore"):
             change = np.abs(after[:, column] - before[:, column])
             changed |= change > _REPEATED * tolerance * np.abs(after[:, column])
@@ -568,16 +519,16 @@ def _other_ends(answers: Array, tolerance: float) -> Array:
     Undecided is a row in which a face leaves by less than the tolerance of the largest approach (contact may go on:
     second column), or comes as close to leaving or lingers there (contact may be lost sooner: first column).
     """
-    bound = tolerance * answers[:, ANSWER_X_MAX] * (1.0 + 1e-9)
+    bound = tolerance * answers[:, tracked.ANSWER_X_MAX] * (1.0 + 1e-9)
     with np.errstate(invalid="ignore"):
-        nearly, barely = answers[:, ANSWER_NEAREST] <= bound, answers[:, ANSWER_DEPTH] <= bound
+        nearly, barely = answers[:, tracked.ANSWER_NEAREST] <= bound, answers[:, tracked.ANSWER_DEPTH] <= bound
     return np.stack([np.where(nearly, bound, 0.0), np.where(barely, -bound, 0.0)], axis=1)
 
 
 def _farther(answers: Array, one: Array, other: Array) -> Flags:
     """Rows (n,) whose end of contact is farther from that of `answers` in `other` than in `one`, or only there."""
     with np.errstate(invalid="ignore"):
-        ends = [np.abs(side[:, ANSWER_CONTACT] - answers[:, ANSWER_CONTACT]) for side in (one, other)]
+        ends = [np.abs(side[:, tracked.ANSWER_CONTACT] - answers[:, tracked.ANSWER_CONTACT]) for side in (one, other)]
     return np.asarray(np.nan_to_num(ends[1], nan=-1.0) > np.nan_to_num(ends[0], nan=-1.0))
 
 
@@ -616,7 +567,9 @@ def _answer_otherwise(march: March, found: Scaled, rows: Places, closer: float, 
         return
     other = march(rows, closer, graze[chosen])
     # what the motion to the horizon tells is the same
-    other.answers[:, ANSWER_IMPULSE : ANSWER_GAP + 1] = found.answers[rows, ANSWER_IMPULSE : ANSWER_GAP + 1]
+    other.answers[:, tracked.ANSWER_IMPULSE : tracked.ANSWER_GAP + 1] = found.answers[
+        rows, tracked.ANSWER_IMPULSE : tracked.ANSWER_GAP + 1
+    ]
     kept = (status[rows] == 0) | _farther(found.answers[rows], found.others[rows], other.answers)
     found.others[rows[kept]] = other.answers[kept]
     status[rows] = np.where(other.status == 0, UNDECIDED, other.status)

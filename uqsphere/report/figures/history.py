@@ -12,11 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.mechanics.field import BARS, last_time
-from uqsphere.mechanics.gauges import BarForces, bar_forces, force_imbalance, gauge_strain
+from uqsphere.mechanics.field import BARS, BarForces, bar_forces, force_imbalance, gauge_strain, last_time
 from uqsphere.mechanics.history import equilibrium, rod_length, rod_record, shown_time, view_field
 from uqsphere.mechanics.rigs import RIGS
-from uqsphere.mechanics.stress.tables import outside
+from uqsphere.mechanics.stress import outside
 from uqsphere.quantities import display_unit, format_value, reading_units, unit_that_reads
 from uqsphere.report.figures import canvas
 from uqsphere.report.figures.scene import draw_field, field_rows, stress_image, stress_picture
@@ -26,7 +25,7 @@ from uqsphere.store import csv_text, write_outputs
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from uqsphere.mechanics.gauges import GaugeRecord
+    from uqsphere.mechanics.field import GaugeRecord
     from uqsphere.mechanics.history import Balance, History
     from uqsphere.report.contents import Contents
 

@@ -12,8 +12,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.mechanics.field import BARS, field_grid
 from uqsphere.mechanics.history import FieldView, extent
-from uqsphere.mechanics.stress.series import Load, series_stress, surface_stress
-from uqsphere.mechanics.stress.tables import core_ratio, outside
+from uqsphere.mechanics.stress import Load, core_ratio, outside, series_stress, surface_stress
 from uqsphere.quantities import display_unit, format_value, reading_units, unit_that_reads
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures import canvas

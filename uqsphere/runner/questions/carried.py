@@ -1,6 +1,6 @@
 """Strengths carried from their tests to a service by force, by energy and by centre tension: what each would answer.
 
-Each carrier is the same study with other demands (`uqsphere.mechanics.carried`): the sampled points are evaluated once
+Each carrier is the same study with other demands (`uqsphere.mechanics.criteria`): the sampled points are evaluated once
 with all of them, and so are the rows of the curves, which follow the same points.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Final
 
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.carried import CARRIERS, carried_parameters
+from uqsphere.mechanics.criteria import CARRIERS, carried_parameters
 from uqsphere.mechanics.outputs import absent_in
 from uqsphere.mechanics.scene import Scene
 from uqsphere.model import scene_of, solve_scene

@@ -1,1 +1,0 @@
-"""Stress inside a sphere under Hertz pressure on two caps: series, surface, axis, weakest link, tables."""
