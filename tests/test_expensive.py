@@ -22,7 +22,7 @@ from uqsphere.report.contents import read_contents
 from uqsphere.runner import remote
 from uqsphere.runner.campaign import Cost, cost_of
 from uqsphere.runner.forecast import CHEAP, choose_way, plan_run, plan_text
-from uqsphere.runner.surrogate_answers import blocks_of_runs
+from uqsphere.runner.surrogates import blocks_of_runs
 from uqsphere.study import Study
 from uqsphere.uq.describe import describe
 from uqsphere.uq.expansion import fit_outputs

@@ -19,7 +19,7 @@ HEAVY = ("scipy.stats", "pandas", "chaospy", "SALib", "matplotlib", "numba")
 HOMES = {
     "chaospy": {"uq/interop.py"},
     "numpoly": {"uq/interop.py"},
-    "SALib": {"uq/interop.py", "runner/questions/morris.py"},
+    "SALib": {"uq/interop.py", "runner/questions/further.py"},
     "numba": {"mechanics/integrator/compiled.py", "mechanics/integrator/vectors.py"},
 }
 

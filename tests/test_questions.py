@@ -18,8 +18,8 @@ from uqsphere.report.contents import read_contents
 from uqsphere.report.figures.convergence import error_series
 from uqsphere.report.figures.fragility import family_table
 from uqsphere.report.tables import accuracy_table
-from uqsphere.runner.account import FURTHER
 from uqsphere.runner.finished import Run
+from uqsphere.runner.results import FURTHER
 from uqsphere.study import Study
 
 Array = npt.NDArray[np.float64]

@@ -20,8 +20,7 @@ from uqsphere.report import build_report
 from uqsphere.report.brief import summary_of
 from uqsphere.report.compare import compare_folders, comparison_text
 from uqsphere.report.contents import read_contents
-from uqsphere.runner.export import export_run
-from uqsphere.runner.finished import Run, open_run
+from uqsphere.runner.finished import Run, export_run, open_run
 from uqsphere.runner.questions.carried import carried_far
 from uqsphere.study import Study
 

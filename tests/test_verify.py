@@ -16,8 +16,8 @@ import uqsphere
 from uqsphere.cli import main
 from uqsphere.cli.verify import verify_folder, verify_text
 from uqsphere.errors import FolderError, UsageError
-from uqsphere.runner.kept import kept_data, named_files, read_sums
-from uqsphere.runner.rehearsal import stored_study
+from uqsphere.runner.api import stored_study
+from uqsphere.store import kept_data, named_files, read_sums
 
 MODEL = "def f(x):\n    return {'y': x['x1'] + 0.1 * x['x2']}\n"
 STUDY = """\

@@ -100,10 +100,7 @@ def _flush() -> None:
 
 @contextlib.contextmanager
 def _at_work(name: str) -> Iterator[None]:
-    """While the model's own code runs: its output goes to stderr, and what it has forked does not come back.
-
-    A forked process that leaves the block would go on with the run as if it were it.
-    """
+    """While the model's own code runs: its output goes to stderr, and what it has forked does not come back."""
     process = os.getpid()
     with prints_to_stderr():
         try:
@@ -122,12 +119,7 @@ def _at_work(name: str) -> Iterator[None]:
 def call_black_box(box: BlackBox, given: dict[str, npt.NDArray[np.float64]]) -> object:
     """What the model answers to n rows, given as columns (n,) by their names.
 
-    Raises
-    ------
-    ModelRaised
-        With what the model raised, and where.
-    ModelUnfit
-        Where no call can answer.
+    Raises ModelRaised with what the model raised, and where; ModelUnfit where no call can answer.
     """
     try:
         with _at_work(told(getattr(box, "__qualname__", type(box).__name__), 60)):
@@ -141,12 +133,7 @@ def call_black_box(box: BlackBox, given: dict[str, npt.NDArray[np.float64]]) -> 
 def checked_reference(reference: str) -> tuple[Path, str]:
     """File and function of ``FILE.py:FUNCTION``; no function of ``FILE.toml``, which declares a program or a server.
 
-    Raises
-    ------
-    UsageError
-        When the reference is malformed.
-    AccessError
-        When there is no such file.
+    Raises UsageError when the reference is malformed; AccessError when there is no such file.
     """
     file, _, name = reference.rpartition(":")
     if reference.endswith(".toml"):
@@ -165,12 +152,8 @@ def load_black_box(reference: str) -> BlackBox:
 
     This runs the file, or what it names: it is the only way to run foreign code.
 
-    Raises
-    ------
-    UsageError
-        When the reference is malformed or the function is not there.
-    AccessError
-        When the file cannot be read.
+    Raises UsageError when the reference is malformed or the function is not there; AccessError when the file cannot be
+    read.
     """
     import importlib.util
 

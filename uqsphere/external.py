@@ -306,12 +306,7 @@ def _carry_out(words: Sequence[str], place: Path, limit: float | None) -> None:
 def read_model(path: Path) -> ModelTable:
     """The table of a file, checked.
 
-    Raises
-    ------
-    StudyError
-        With every fault, line and column.
-    AccessError
-        Where the file cannot be read.
+    Raises StudyError with every fault, line and column; AccessError where the file cannot be read.
     """
     text = read_text(path)
     findings = Findings(folder=path.parent)

@@ -15,7 +15,7 @@ from uqsphere.arrays import Array
 from uqsphere.black_box import BlackBox, call_black_box, load_black_box
 from uqsphere.errors import ModelError, UsageError, told
 from uqsphere.materials import library
-from uqsphere.quantities import INPUTS, OUTPUTS
+from uqsphere.quantities import INPUTS, OUTPUTS, format_value
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
@@ -138,6 +138,34 @@ def scene_of(
         blows=int(study.options.get("contact.blows", 1)),
         record=study.record,
     )
+
+
+def check_range(study: Study) -> None:
+    """Refuse a range of the free scalar at whose ends the scene at its means has no answer."""
+    if study.margins is None or study.black_box:
+        return
+    from uqsphere.mechanics.scene import STATUS
+
+    axis = study.margins.axis
+    name = axis.path
+    if name not in INPUTS:
+        return
+    for value in (axis.low, axis.high):
+        code = int(scene_of(study, {name: np.array([value])}).status[0])
+        if code:
+            raise UsageError(f"margins.between: {format_value(value, name)} for {name}: {STATUS[code]}")
+
+
+def check_quantities(study: Study) -> None:
+    """Refuse a quantity that the rig of a study does not have, with the reason."""
+    if study.black_box or study.rig in ("bars", "none"):
+        return
+    from uqsphere.mechanics.outputs import absent_in
+
+    scene = scene_of(study, {})
+    for name in study.analysis.quantities:
+        if why := absent_in(scene, name):
+            raise UsageError(f"analysis.quantities: the rig {study.rig} has no {name}: {why}; leave it out")
 
 
 def _library_onset(study: Study) -> dict[str, float]:
@@ -290,10 +318,7 @@ def answer_black_box(
     needed : the outputs without which a row has failed, all if None; numbers of a failed row are then kept where they
         are finite.
 
-    Raises
-    ------
-    ModelError
-        When the model raises or returns something of the wrong form.
+    Raises ModelError when the model raises or returns something of the wrong form.
     """
     if len(rows) == 0:
         return _no_rows(outputs)

@@ -2,7 +2,8 @@
 
 Every file is written beside its place, flushed to disk and moved there in one step, so that a reader sees
 the old file or the new one and nothing between.  A stored chunk carries the checksum of its content in its
-name; one that does not match is not used.
+name; one that does not match is not used.  The folder keeps the data files that the study names, so that it can be run
+again there, and SHA256SUMS, the checksums of what a run has written, in the format that `sha256sum -c` reads.
 """
 
 from __future__ import annotations
@@ -16,20 +17,34 @@ import json
 import os
 import re
 import tempfile
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
 import uqsphere
 from uqsphere.arrays import Cells
-from uqsphere.errors import AccessError, FolderError
-from uqsphere.files import LARGEST_ARRAY, Json, chunk_of, digest_of, load_document, read_whole, refuse_links
+from uqsphere.errors import AccessError, FolderError, UqsphereError
+from uqsphere.files import (
+    FOLDERS,
+    LARGEST_ARRAY,
+    Json,
+    chunk_of,
+    digest_of,
+    is_device_name,
+    load_document,
+    read_given,
+    read_whole,
+    refuse_links,
+)
 
 if TYPE_CHECKING:
     from filelock import FileLock
+
+    from uqsphere.study import Study
 
 #: name of a stored chunk: its key and the first 16 digits of the checksum of its content
 CHUNK_NAME = re.compile(r"(?P<key>[a-z0-9.-]+)_(?P<digest>[0-9a-f]{16})\.npy")
@@ -42,7 +57,6 @@ _FORMULA = "=+-@\t\r\n＝＋－＠"
 _MARK = "study.resolved.json"
 #: list of the files that commands have written into a folder of the user's
 _WRITTEN = ".uqsphere-files"
-#: a stored array: numbers, or rows of plain numbers with names
 #: says why a study cannot extend the one that a folder holds, from what both mean; empty if it can
 Extension = Callable[[dict[str, Json], dict[str, Json]], str]
 
@@ -72,10 +86,7 @@ def write_atomically(path: Path, content: bytes | str, *, durable: bool = True) 
 
     durable : wait until it is on the disk, so that it outlasts the machine and not only the process.
 
-    Raises
-    ------
-    AccessError
-        When the system refuses; nothing is left behind.
+    Raises AccessError when the system refuses; nothing is left behind.
     """
     data = content.encode() if isinstance(content, str) else content
     with _system_errors(path):
@@ -122,12 +133,8 @@ def write_outputs(folder: Path, files: Mapping[str, bytes | str]) -> list[Path]:
     A file that is there already is replaced where it is as an earlier command wrote it, which a list of checksums in
     the folder tells: what somebody else wrote, or has changed since, is not lost.
 
-    Raises
-    ------
-    FolderError
-        Where a link or such a file is in the way; nothing is written then.
-    AccessError
-        When the system refuses.
+    Raises FolderError where a link or such a file is in the way; nothing is written then; AccessError when the system
+    refuses.
     """
     contents = {name: text.encode() if isinstance(text, str) else text for name, text in files.items()}
     digests = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
@@ -184,10 +191,8 @@ def _cell(value: object) -> object:
 def read_chunk(path: Path) -> Cells | None:
     """The array of a stored chunk; None where its content is not what its name says.
 
-    Raises
-    ------
-    AccessError
-        Where the system refuses, or there is no such file; a place of the disk that cannot be read holds no chunk.
+    Raises AccessError where the system refuses, or there is no such file; a place of the disk that cannot be read holds
+    no chunk.
     """
     match = CHUNK_NAME.fullmatch(path.name)
     try:
@@ -381,12 +386,8 @@ def open_store(
     extension : what decides whether the study may take over the evaluations of another one that the folder holds;
         none may if None.  The folder stays that of the other study until `Store.take_over`.
 
-    Raises
-    ------
-    FolderError
-        When the folder belongs to another study, to nobody's run, or to a process that is at work on it.
-    AccessError
-        When the system refuses to create or write it.
+    Raises FolderError when the folder belongs to another study, to nobody's run, or to a process that is at work on it;
+    AccessError when the system refuses to create or write it.
     """
     with _system_errors(folder):
         occupied = folder.exists() and not folder.is_dir()
@@ -414,3 +415,133 @@ def open_store(
         store.close()
         raise
     return store
+
+
+# --- data files -----------------------------------------------------------------------------------------
+
+#: keys of a study whose value is the name of a file
+_KEYS: Final = ("file", "receiving_damper")
+#: a part of a path: what every system takes for a name, and a line of SHA256SUMS can hold
+_PART: Final = re.compile(r"""[^\W-][^\x00-\x1f\x7f-\x9f/\\:*?"<>|]*""")
+_MOST_LETTERS: Final = 200
+_SUFFIXES: Final = (".csv", ".tsv", ".txt", ".dat")
+
+
+def named_files(text: str) -> list[str]:
+    """Data files in a study's text that lie beside it or below, each once, with /; none where the text is no study.
+
+    A run writes files of its own into the folders of `uqsphere.files.FOLDERS`: nothing is kept there.
+    """
+    try:
+        found = [name.replace("\\", "/") for name in _names(tomllib.loads(text)) if name[:1] != "/"]
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return []
+    tidied = ("/".join(part for part in name.split("/") if part != ".") for name in found)
+    return [name for name in dict.fromkeys(tidied) if _is_kept(name)]
+
+
+def _is_kept(name: str) -> bool:
+    parts = name.split("/")
+    plain = all(_PART.fullmatch(part) and part.isprintable() and not is_device_name(part) for part in parts)
+    taken = len(parts) > 1 and (parts[0].lower() in FOLDERS or "." in parts[0])
+    return plain and not taken and len(name) <= _MOST_LETTERS and parts[-1].lower().endswith(_SUFFIXES)
+
+
+def _leads_out(folder: Path, name: str) -> bool:
+    """Whether a folder on the way to a kept file is a link."""
+    return any((folder / parent).is_symlink() for parent in PurePosixPath(name).parents)
+
+
+def _names(node: dict[str, object] | list[object]) -> Iterator[str]:
+    for key, value in node.items() if isinstance(node, dict) else enumerate(node):
+        if isinstance(value, (dict, list)):
+            yield from _names(value)
+        elif key in _KEYS and isinstance(value, str):
+            yield value
+
+
+def keep_data(study: Study, folder: Path) -> None:
+    """Copy the data files of a study into its result folder.
+
+    Raises AccessError when one cannot be written; FolderError when a folder that it would lie in is a link.
+    """
+    for name in named_files(study.text):
+        source = study.path.parent / name
+        if _leads_out(folder, name):
+            raise FolderError(f"{folder / name} lies behind a link: it could lead out of {folder}")
+        if source.resolve().is_file() and source.resolve() != (folder / name).resolve():
+            write_atomically(folder / name, read_given(source, LARGEST_ARRAY))
+
+
+def kept_data(text: str, folder: Path) -> dict[str, bytes]:
+    """What is kept of the data files of a study's text, by name; what cannot be read safely is left out."""
+    found = {}
+    for name in named_files(text):
+        if _leads_out(folder, name):
+            continue
+        try:
+            found[name] = read_whole(folder / name)
+        except UqsphereError:
+            continue
+    return found
+
+
+# --- checksums -------------------------------------------------------------------------------------------
+
+NAME: Final = "SHA256SUMS"
+_LINE: Final = re.compile(r"""([0-9a-f]{64})  (\w[^\x00-\x1f\x7f-\x9f\\:*?"<>|]{0,199})""")
+_MOST_BYTES: Final = 1 << 22
+
+
+def write_sums(folder: Path, names: Iterable[str], *, keep: bool = False) -> None:
+    """Enter the files `names` (relative, with /) of a result folder; `keep` leaves the other lines as they are."""
+    sums = {}
+    if keep:
+        try:
+            sums = read_sums(folder) or {}
+        except FolderError:
+            return  # what is damaged stays as it is, for `verify` to tell
+        if not sums:
+            return
+    sums |= {name: digest_of(folder / name) for name in names}
+    write_atomically(folder / NAME, "".join(f"{sums[name]}  {name}\n" for name in sorted(sums)))
+
+
+def read_sums(folder: Path) -> dict[str, str] | None:
+    """Checksums by name; None where the folder has none (an older version, or a run that has not finished).
+
+    Raises FolderError when the file is not what a run writes, or names a file outside the folder.
+    """
+    try:
+        text = read_whole(folder / NAME, _MOST_BYTES).decode("utf-8")
+    except AccessError as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            return None
+        raise
+    except UnicodeDecodeError as error:
+        raise FolderError(f"{folder / NAME} is damaged: {error}") from error
+    sums = {}
+    for number, line in enumerate(text.removesuffix("\n").split("\n"), 1):
+        match = _LINE.fullmatch(line)
+        if match is None or ".." in match[2].split("/") or not match[2].isprintable():
+            raise FolderError(f"{folder / NAME} is damaged: line {number} is no checksum of a file inside the folder")
+        sums[match[2]] = match[1]
+    return sums
+
+
+def compare_sums(folder: Path, sums: dict[str, str]) -> list[str]:
+    """What is missing or was changed since it was entered, in sentences."""
+    faults = []
+    for name, digest in sums.items():
+        path = folder / name
+        inside = path.resolve().is_relative_to(folder.resolve())
+        try:
+            found = digest_of(path) if inside else ""
+        except AccessError as error:
+            if not isinstance(error.__cause__, FileNotFoundError):
+                raise
+            faults.append(f"{name} is missing")
+            continue
+        if found != digest:
+            faults.append(f"{name} has been changed since it was written" if inside else f"{name} is a link")
+    return faults

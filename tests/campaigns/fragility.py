@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.runner.api import check_range
+from uqsphere.model import check_range
 from uqsphere.runner.axis_rows import AxisRows, evaluate_along
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.limits import state_of

@@ -558,7 +558,7 @@ def _arguments(command: str, folder: Path, other: Path) -> list[str]:
 
 def folder_trials(seed: int, place: Path) -> Trial:
     """Folders of two runs, damaged, through the commands that look at them and the one that goes on."""
-    from uqsphere.runner.kept import read_sums, write_sums
+    from uqsphere.store import read_sums, write_sums
     from uqsphere.study import load_study
 
     quick = SMALL.replace('"0.4 m"', '"1 m"').replace('fidelity = "full"', 'fidelity = "massless"')

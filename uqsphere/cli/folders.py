@@ -61,8 +61,7 @@ def command_show(chosen: argparse.Namespace) -> int:
 
 def command_export(chosen: argparse.Namespace) -> int:
     """Samples and tables of a run in another format."""
-    from uqsphere.runner.export import export_run
-    from uqsphere.runner.finished import open_run
+    from uqsphere.runner.finished import export_run, open_run
 
     with _believed(chosen.folder):
         written = export_run(open_run(chosen.folder), chosen.format, chosen.out or chosen.folder / "export")

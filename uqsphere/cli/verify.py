@@ -17,8 +17,8 @@ from uqsphere.results.entries import Resolved, read_resolved
 from uqsphere.store import PART_END, Store, read_chunk
 
 if TYPE_CHECKING:
+    from uqsphere.runner.api import Repeated
     from uqsphere.runner.finished import Run
-    from uqsphere.runner.rehearsal import Repeated
 
 #: verdicts
 WHOLE, DAMAGED, UNFINISHED, FICKLE = "whole", "damaged", "unfinished", "not deterministic"
@@ -117,7 +117,7 @@ def verify_folder(folder: Path, *, chunks: int = 3, seed: int = 0, model: str | 
 
 def _look(found: Verification) -> None:
     """Checksums of files and chunks."""
-    from uqsphere.runner.kept import compare_sums, read_sums
+    from uqsphere.store import compare_sums, read_sums
 
     for path in plain_files(found.folder):
         if path.parent.name != "evaluations" or path.suffix != ".npy" or path.name.startswith("."):
@@ -141,10 +141,10 @@ def _look(found: Verification) -> None:
 
 def _repeat(found: Verification, chunks: int, seed: int, model: str | None) -> None:
     """Tables against results, results against evaluations, evaluations against the model."""
+    from uqsphere.runner.api import private_folder, rehearse, stored_study
     from uqsphere.runner.finished import open_run
-    from uqsphere.runner.kept import kept_data
-    from uqsphere.runner.rehearsal import private_folder, rehearse, stored_study
     from uqsphere.runner.workers import Engine
+    from uqsphere.store import kept_data
 
     folder = found.folder
     run = open_run(folder)
@@ -261,7 +261,7 @@ def _reference(needed: bool, resolved: Resolved, model: str | None) -> str | Non
 def _draw(keys: list[str], count: int, seed: int) -> frozenset[str]:
     import numpy as np
 
-    from uqsphere.runner.pricing import COST
+    from uqsphere.runner.expensive import COST
 
     whole = [key for key in keys if key != COST and not PART_END.search(key)]
     order = np.random.default_rng(seed).permutation(len(whole))

@@ -18,7 +18,7 @@ from uqsphere.quantities import lookup, unit_that_reads
 from uqsphere.results import NO_RIG, Results, read_results
 from uqsphere.results.entries import LawTable, Manifest, Resolved, Sliders, read_entry, read_manifest, read_resolved
 from uqsphere.results.tables import Stored, read_fields
-from uqsphere.runner.export import read_points
+from uqsphere.runner.finished import read_points
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study import quantity_of, strength_name
 from uqsphere.study.columns import open_observations

@@ -30,8 +30,7 @@ from uqsphere.report.whatif import panels
 from uqsphere.results import Results
 from uqsphere.results.entries import Fields, Manifest, read_resolved
 from uqsphere.runner.beside import may_copy, shared_out
-from uqsphere.runner.kept import write_sums
-from uqsphere.store import csv_text, write_atomically
+from uqsphere.store import csv_text, write_atomically, write_sums
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from uqsphere.runner.campaign import Findings
 from uqsphere.runner.drivers import Drivers
 from uqsphere.runner.ending import finish, finish_bare
 from uqsphere.runner.evaluate import Work, draw
-from uqsphere.runner.expensive import Expensive, answer_expensive, keep_answers
+from uqsphere.runner.expensive import Expensive, answer_expensive, keep_answers, price
 from uqsphere.runner.fidelity import Pilot, first_look
-from uqsphere.runner.findings import Findings
 from uqsphere.runner.finished import Run
 from uqsphere.runner.halves import breaking, reserved, sharing, side_by_side
-from uqsphere.runner.pricing import price
 from uqsphere.runner.questions.carried import carried_far
 from uqsphere.runner.questions.distributions import Sampled, sample_distributions
 from uqsphere.runner.questions.further import (
@@ -45,7 +44,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     work = replace(work, screened=screened_by(first))
     whole, expensive, found = work, None, None
     if priced.way.surrogate:
-        work = priced.bounded(work)
+        work = work.within(priced.way.affordable)
         expensive = answer_expensive(work, priced, noise_of(first))
         ledger.close("surrogate")
         found = _by_surrogate(work, pilot, expensive, first)

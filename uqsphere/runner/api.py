@@ -4,29 +4,31 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import hashlib
 import json
 import os
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypedDict, Unpack
+from typing import TYPE_CHECKING, ClassVar, Final, TypedDict, Unpack
 
 import numpy as np
 
 import uqsphere
+from uqsphere.arrays import Cells
 from uqsphere.black_box import BlackBox, model_digest
-from uqsphere.errors import ModelError, UsageError
-from uqsphere.files import Json
-from uqsphere.model import NO_DAMPER, scene_of
-from uqsphere.quantities import INPUTS, format_value
+from uqsphere.errors import FolderError, ModelError, StudyError, UsageError
+from uqsphere.files import Json, read_whole
+from uqsphere.model import NO_DAMPER, check_quantities, check_range
 from uqsphere.results import Manifest, Results
-from uqsphere.store import open_store
-from uqsphere.study import Study
+from uqsphere.store import Store, open_store
+from uqsphere.study import Study, load_study
 
 if TYPE_CHECKING:
     from uqsphere.runner.finished import Run
-    from uqsphere.runner.workers import Executor, Workers
+    from uqsphere.runner.workers import Engine, Executor, Workers
 
 
 class Observers(TypedDict, total=False):
@@ -168,10 +170,7 @@ class _Conduct:
             return found
 
     def _serve(self, study: Study, folder: Path, seconds: float) -> tuple[dict[str, Results], float]:
-        """The results of the services of a study, and the seconds that are left for its own rig.
-
-        The seconds are shared evenly among the parts to come, the rig's own run among them.
-        """
+        """The results of the services of a study, and the seconds that are left for its own rig."""
         end, found = time.monotonic() + seconds, dict[str, Results]()
         inner = replace(self, model=None, watch={**self.watch, "draft": None})
         for name, service in study.services.items():
@@ -209,34 +208,6 @@ def _check_usage(study: Study, model: str | BlackBox | None, executor: object) -
         raise UsageError("with an executor the model must be given as FILE.py:FUNCTION, so that workers can load it")
     if study.analysis.time_limit is not None and callable(model):
         raise UsageError("analysis.time_limit needs the model as FILE.py:FUNCTION: it is kept by ending a process")
-
-
-def check_range(study: Study) -> None:
-    """Refuse a range of the free scalar at whose ends the scene at its means has no answer."""
-    if study.margins is None or study.black_box:
-        return
-    from uqsphere.mechanics.scene import STATUS
-
-    axis = study.margins.axis
-    name = axis.path
-    if name not in INPUTS:
-        return
-    for value in (axis.low, axis.high):
-        code = int(scene_of(study, {name: np.array([value])}).status[0])
-        if code:
-            raise UsageError(f"margins.between: {format_value(value, name)} for {name}: {STATUS[code]}")
-
-
-def check_quantities(study: Study) -> None:
-    """Refuse a quantity that the rig of a study does not have, with the reason."""
-    if study.black_box or study.rig in ("bars", "none"):
-        return
-    from uqsphere.mechanics.outputs import absent_in
-
-    scene = scene_of(study, {})
-    for name in study.analysis.quantities:
-        if why := absent_in(scene, name):
-            raise UsageError(f"analysis.quantities: the rig {study.rig} has no {name}: {why}; leave it out")
 
 
 # --- When a study may go on with the evaluations of another one.
@@ -353,3 +324,144 @@ def logged(folder: Path, **about: object) -> Iterator[Log]:
         log.write("ended", error=type(error).__name__, text=str(error)[:500])
         raise
     log.write("finished")
+
+
+# --- a finished run once more --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Repeated:
+    """A chunk that was evaluated again: `difference` is the largest one, relative to the larger of both numbers.
+
+    `digest` tells what came out this time.
+    """
+
+    chunk: str
+    rows: int
+    same: bool
+    difference: float
+    digest: str
+
+
+class Absent(Exception):
+    """The run needs a chunk that is not stored whole."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rehearsal(Store):
+    """The store of a run that is repeated: reads `source`, writes nothing there."""
+
+    source: Store
+    chosen: frozenset[str]
+    used: set[str] = field(default_factory=set)
+    repeated: list[Repeated] = field(default_factory=list)
+    #: what was used and repeated is known to this process alone
+    shared: ClassVar[bool] = False
+
+    def load(self, key: str) -> Cells | None:
+        """The stored chunk, or None for one that is to be evaluated again."""
+        found = self.source.load(key)
+        if found is None:
+            raise Absent(key)
+        self.used.add(key)
+        return None if key in self.chosen else found
+
+    def save(self, key: str, values: Cells, *, durable: bool = True) -> None:
+        """Compare what was evaluated now with what is stored; a part of a chunk waits for the rest."""
+        if key not in self.chosen:
+            return
+        stored = self.source.load(key)
+        if stored is None:
+            raise Absent(key)
+        now = np.ascontiguousarray(values).tobytes()
+        same = stored.dtype == values.dtype and stored.tobytes() == now
+        difference = 0.0 if same else _difference(stored, values)
+        digest = hashlib.sha256(now).hexdigest()
+        self.repeated.append(Repeated(chunk=key, rows=len(stored), same=same, difference=difference, digest=digest))
+
+
+def _difference(a: Cells, b: Cells) -> float:
+    if a.dtype != b.dtype or a.shape != b.shape:
+        return float("inf")
+    if a.dtype.names is not None:
+        return max(_difference(a[name].astype(float), b[name].astype(float)) for name in a.dtype.names)
+    if bool((np.isnan(a) != np.isnan(b)).any()):
+        return float("inf")
+    scale = np.maximum(np.abs(a), np.abs(b))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        relative = np.where(scale > 0.0, np.abs(a - b) / scale, 0.0)
+    return float(np.nanmax(relative, initial=0.0))
+
+
+# --- the stored study -------------------------------------------------------------------------------
+
+
+def stored_study(
+    text: str, resolved: Mapping[str, Json], place: Path, data: Mapping[str, bytes] | None = None
+) -> Study:
+    """The study of a result folder, read from its text and from nothing else.
+
+    Parameters
+    ----------
+    text, resolved : content of study.toml and of study.resolved.json.
+    place : a private folder.
+    data : content of the data files that are kept, by name (`uqsphere.store.kept_data`): they go there.
+
+    Raises FolderError when the text is no study, or not the one of the resolved numbers.
+    """
+    path = place / "study.toml"
+    path.write_text(text, encoding="utf-8")
+    try:
+        for name, content in (data or {}).items():
+            (place / name).parent.mkdir(parents=True, exist_ok=True)
+            (place / name).write_bytes(content)
+        study = load_study(path, tuple(resolved.get("overrides", ())))
+    except (StudyError, UsageError, ValueError, OSError, RecursionError) as error:
+        raise FolderError(f"the stored study cannot be read again: {error}") from error
+    if study.hash != resolved.get("hash"):
+        raise FolderError("study.toml is not the study that study.resolved.json was made from")
+    return replace(study, title=str(resolved.get("title", study.title)))
+
+
+# --- the run once more --------------------------------------------------------------------------------
+
+
+def rehearse(
+    source: Store,
+    study: Study,
+    chosen: frozenset[str],
+    place: Path,
+    engine: Engine,
+    services: Mapping[str, Results] | None = None,
+) -> tuple[Rehearsal, str]:
+    """Repeat a run from its chunks, evaluating by `engine`, its services as they are; what it writes lies in `place`.
+
+    Returns
+    -------
+    Rehearsal, str
+        What was read and compared; the key of the chunk that is missing, or an empty text for a whole run.
+    """
+    from threadpoolctl import threadpool_limits
+
+    from uqsphere.runner.analyse import analyse
+    from uqsphere.runner.evaluate import Ledger, Work
+
+    store = Rehearsal(folder=place, lock=None, source=source, chosen=chosen)
+    digest = None if engine.model is None else model_digest(engine.model)
+    work = Work(study=study, store=store, ledger=Ledger(), fidelity="full", model=engine.model, digest=digest,
+                engine=engine, services=services or {})  # fmt: skip
+    # what a run has in its folder before it begins
+    place.mkdir()
+    for name in ("study.toml", "study.resolved.json"):
+        (place / name).write_bytes(read_whole(source.folder / name))
+    try:
+        with threadpool_limits(limits=1, user_api="blas"):
+            analyse(work, store)
+    except Absent as error:
+        return store, str(error)
+    return store, ""
+
+
+def private_folder() -> tempfile.TemporaryDirectory[str]:
+    """A folder that only this user can enter, gone when it is closed."""
+    return tempfile.TemporaryDirectory(prefix="uqsphere-")

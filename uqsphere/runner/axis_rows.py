@@ -103,6 +103,20 @@ def evaluate_along(work: Work, wanted: Mapping[float, tuple[int, int]], tag: str
     return found
 
 
+def evaluate_each(work: Work, key: str, normals: Array, values: Array) -> EvaluatedRows:
+    """Answers at normal scores (n, D) of what is drawn, each with the free scalar at a value of its own (n,)."""
+    axis, d = axis_of(work), len(work.scene_names)
+    rows = np.empty((len(normals), d))
+    for value in np.unique(values):
+        here = values == value
+        moved = replace(work, study=axis.move(work.study, float(value)))
+        rows[here] = moved.drawn.physical(normals[here])[:, :d]
+    if axis.path in work.study.random:
+        return evaluate_points(replace(work, spare=True), key, work.scene_names, rows)
+    names = (*work.scene_names, axis.path)
+    return evaluate_points(replace(work, spare=True), key, names, np.column_stack([rows, values]))
+
+
 def at_value(work: Work, limit: Limit, state: LimitState, value: float) -> LimitState:
     """The state of a limit with the scalar at a value, where that is its own strength."""
     return WhatIf(demands=axis_of(work).demand_factor(limit, value)).of(state)
@@ -201,10 +215,7 @@ class AxisRows:
     def double(self, values: Sequence[float]) -> None:
         """Evaluate as many points as there are at some values.
 
-        Raises
-        ------
-        OutOfBudget
-            When the time is over; the rows are then as they were.
+        Raises OutOfBudget when the time is over; the rows are then as they were.
         """
         self._extend({value: self.rows[value].count for value in values})
 

@@ -10,12 +10,23 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
-from uqsphere.results import SpeedRow
+from uqsphere.results import AnalysisEntry, CheckEntry, FractureEntry, SpeedRow, ToleranceEntry
+from uqsphere.results.entries import CarriedEntry
 from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.schedule import CAUTION
 from uqsphere.units import told_apart
+
+if TYPE_CHECKING:
+    from uqsphere.runner.drivers import Drivers
+    from uqsphere.runner.evidence import Evidence
+    from uqsphere.runner.fidelity import Pilot
+    from uqsphere.runner.questions.distributions import Sampled
+    from uqsphere.runner.questions.indices import Sensitivity
+    from uqsphere.runner.questions.margins import MarginAnswer
+    from uqsphere.runner.similarity import Tabled
+    from uqsphere.runner.verdict import Unsure
 
 #: slowest and fastest fall of an error with the number of points that a forecast believes in
 SLOWEST, FASTEST = 0.5, 1.2
@@ -228,3 +239,32 @@ def rounded(value: float) -> int:
         return 10**12
     digits = max(0, math.floor(math.log10(max(value, 1.0))) - 1)
     return int(round(value / 10**digits) * 10**digits)
+
+
+# --- all that a run found ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Findings:
+    """All that a run found, before it is written down."""
+
+    pilot: Pilot
+    sampled: Sampled
+    sensitivity: dict[str, Sensitivity]
+    drivers: Drivers
+    tabled: Tabled
+    margins: dict[str, MarginAnswer] = field(default_factory=dict)
+    tolerance: dict[str, ToleranceEntry] = field(default_factory=dict)
+    analyses: dict[str, AnalysisEntry] = field(default_factory=dict)
+    stops: dict[str, str] = field(default_factory=dict)
+    evidence: Evidence | None = None
+    fracture: FractureEntry | None = None
+    carried: Mapping[str, CarriedEntry] = field(default_factory=dict)
+    far: Sequence[CheckEntry] = ()
+    unsure: Unsure | None = None
+
+    @property
+    def curves_tabled(self) -> list[Tabled]:
+        """The tables beside the rows of curves: limits that share their rows share one."""
+        bands = [band for one in self.margins.values() for band in (one.band, *one.bands.values()) if band is not None]
+        return list({id(band.tabled): band.tabled for band in bands}.values())

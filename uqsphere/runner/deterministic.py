@@ -26,10 +26,7 @@ def history_of(study: Study, values: Mapping[str, float] | None = None, *, point
 
     With the signals of the study's gauges, or of one half-way along each bar or rod that has a length.
 
-    Raises
-    ------
-    UsageError
-        For a scene outside the model's domain, or a number that a scene does not have.
+    Raises UsageError for a scene outside the model's domain, or a number that a scene does not have.
     """
     from uqsphere.mechanics.field import default_positions, gauge_record
     from uqsphere.mechanics.history import rod_length, rod_record, trace

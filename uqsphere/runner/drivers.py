@@ -13,7 +13,7 @@ from uqsphere.results import Fields
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.limits import state_of, tie_strength
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.runner.questions.indices import Sensitivity, Shared
+from uqsphere.runner.questions.indices import Sensitivity, Shared, normal_halves
 from uqsphere.runner.questions.shapley import TASK, orders_at
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study import Limit, limit_of, strength_name
@@ -43,7 +43,7 @@ from uqsphere.uq.failure_indices import (
     too_few,
 )
 from uqsphere.uq.fitting import count_tests
-from uqsphere.uq.indices import Blocks, sampled_indices, uniform_halves
+from uqsphere.uq.indices import Blocks, sampled_indices
 
 if TYPE_CHECKING:
     from uqsphere.uq.shapley import SubsetDesign
@@ -211,8 +211,6 @@ def _indices(work: Work, limit: Limit, shared: Shared) -> Fields:
 
 def _scores(work: Work, subsets: SubsetDesign | None, count: int) -> Array:
     """Dependent normal scores (R, count, rows, d) of a paired design: made again, since they are not kept."""
-    from scipy.special import ndtri
-
     from uqsphere.uq.shapley import subset_scores
 
     seed, names = work.study.seed, work.scene_names
@@ -222,10 +220,7 @@ def _scores(work: Work, subsets: SubsetDesign | None, count: int) -> Array:
             [subset_scores(subsets, inputs, count=count, seed=seed, task=TASK, replicate=r) for r in range(REPLICATES)]
         )
     blocks = Blocks(inputs_count=len(names))
-    halves = [
-        uniform_halves(blocks, count=count, seed=seed, task="sensitivity", replicate=r) for r in range(REPLICATES)
-    ]
-    return np.stack([np.asarray(ndtri(blocks.mix(*pair))) for pair in halves])
+    return np.stack([blocks.mix(*halves) for halves in normal_halves(work, 0, count, blocks)])
 
 
 # --- what the inputs look like where the aim is missed ----------------------------------------------------

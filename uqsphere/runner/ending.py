@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from uqsphere.results import PlanEntry, Results
-from uqsphere.runner.account import account, further_rows
 from uqsphere.runner.beside import aside, may_copy
-from uqsphere.runner.courses import save_courses
+from uqsphere.runner.campaign import Findings
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.evidence import judged_ways
-from uqsphere.runner.expensive import Expensive
-from uqsphere.runner.export import save_points
-from uqsphere.runner.findings import Findings
-from uqsphere.runner.finished import Run
-from uqsphere.runner.kept import keep_data, write_results
-from uqsphere.runner.pricing import Priced
-from uqsphere.runner.results import bare_results, build_manifest, build_results
+from uqsphere.runner.expensive import Expensive, Priced
+from uqsphere.runner.finished import Run, save_points, write_results
+from uqsphere.runner.questions.fields import save_courses
+from uqsphere.runner.results import account, bare_results, build_manifest, build_results, further_rows
 from uqsphere.runner.sliders import save_sliders
-from uqsphere.store import Store
+from uqsphere.store import Store, keep_data
 
 
 def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None, found: Findings) -> Run:

@@ -242,14 +242,9 @@ def evaluate_points(
 ) -> EvaluatedRows:
     """Answers of rows (n, d), each evaluated once in the life of the result folder.
 
-    Raises
-    ------
-    TooManyFailures
-        By the study's failure policy.
-    OutOfBudget
-        When the time is over, or the run interrupted, before all is evaluated; what is done so far stays stored.
-    ModelError, FolderError
-        Where a black box answers one row in two ways, now or since it was stored.
+    Raises TooManyFailures by the study's failure policy; OutOfBudget when the time is over, or the run interrupted,
+    before all is evaluated; what is done so far stays stored; ModelError, FolderError where a black box answers one row
+    in two ways, now or since it was stored.
     """
     fidelity = fidelity or work.fidelity
     task = task_of(work, names, fidelity)
@@ -283,7 +278,7 @@ def evaluate_points(
         raise OutOfBudget
     answered = found.answered
     if work.study.black_box:
-        if isinstance(work.store, Store) and not ledger.repeated and not work.study.model.stochastic:
+        if work.store is not None and work.store.shared and not ledger.repeated and not work.study.model.stochastic:
             _repeat_one(work, work.store, task, rows, found)
         answered = chosen_columns(answered, task.columns, work.quantities)
     _account(work, fidelity, answered)
@@ -291,11 +286,7 @@ def evaluate_points(
 
 
 def _repeat_one(work: Work, store: Store, task: Task, rows: Array, found: Gathered) -> None:
-    """Evaluate one answered row of a black box once more, which is not counted: the last stored one where some are.
-
-    By itself it stands at another place of its call, so that noise from a generator with a seed is told too.
-    Half of the digits must agree: a model in vector arithmetic may round a row by itself otherwise than among others.
-    """
+    """Evaluate one answered row of a black box once more, which is not counted: the last stored one where some are."""
     known = np.flatnonzero(found.answered.good)
     if known.size == 0:
         return

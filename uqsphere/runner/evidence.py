@@ -14,9 +14,9 @@ from uqsphere.mechanics.outputs import absent_in, all_with
 from uqsphere.mechanics.yielding import Face
 from uqsphere.model import EvaluatedRows, is_answered, scene_of
 from uqsphere.runner.axis_rows import evaluate_along
+from uqsphere.runner.campaign import Findings
 from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work, with_answered
 from uqsphere.runner.fidelity import solved
-from uqsphere.runner.findings import Findings
 from uqsphere.runner.forecast import JUDGED
 from uqsphere.runner.questions.any_limit import AnyLimit
 from uqsphere.runner.schedule import REPLICATES, WAYS, WAYS_CURVE

@@ -10,22 +10,34 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
 
 from uqsphere.errors import UsageError
+from uqsphere.results.entries import PricesEntry
 from uqsphere.runner.campaign import Accuracy, Cost, Course, Missed, campaign, cost_of
 from uqsphere.runner.evaluate import OutOfBudget, Work
-from uqsphere.runner.expensive_margins import margin_runs, surrogate_margins
+from uqsphere.runner.expensive_margins import surrogate_margins
+from uqsphere.runner.forecast import Way, choose_way
 from uqsphere.runner.limits import LimitAnswer, limits_missed
-from uqsphere.runner.pricing import Priced, enlarge
-from uqsphere.runner.questions.distributions import METHOD, Sampled, find_missed, shortfalls
+from uqsphere.runner.questions.distributions import METHOD, Sampled, find_missed
 from uqsphere.runner.questions.indices import Sensitivity
 from uqsphere.runner.questions.margins import MarginAnswer
 from uqsphere.runner.questions.probabilities import Learned, learn_limits, learnable, with_surrogate_design
+from uqsphere.runner.remote import Watch
 from uqsphere.runner.schedule import ALONG, FIRST_SAMPLE, REPLICATES, SURROGATE, least_learned
-from uqsphere.runner.surrogate_answers import RunAnswers, answers_of_runs, blocks_of_runs, settle_heavy, tails_of
-from uqsphere.runner.surrogates import Surrogates
+from uqsphere.runner.surrogates import (
+    Surrogates,
+    answers_of_runs,
+    blocks_of_runs,
+    enlarge,
+    lack_of,
+    margin_runs,
+    settle_heavy,
+    tails_of,
+)
 from uqsphere.uq import Estimate, Sample
-from uqsphere.uq.response import Response
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,14 +57,8 @@ def answer_expensive(work: Work, priced: Priced, noise: Mapping[str, float] | No
 
     `noise`: the share of the variance that is the model's own scatter, by quantity.
 
-    Raises
-    ------
-    TooManyFailures
-        By the study's failure policy.
-    OutOfBudget
-        When the time is over, or the run interrupted, before the first surrogates.
-    UsageError
-        For a budget below the smallest design.
+    Raises TooManyFailures by the study's failure policy; OutOfBudget when the time is over, or the run interrupted,
+    before the first surrogates; UsageError for a budget below the smallest design.
     """
     affordable = priced.way.affordable
     if affordable < SURROGATE.least and priced.design is None:
@@ -137,7 +143,7 @@ class _End:
         descriptions = {quantity: answers[quantity] for quantity in work.quantities}
         limits = {limit.name: limits[limit.name] for limit in work.study.limits}
         lacking = [*find_missed(work, descriptions, {}), *limits_missed(work, limits)]
-        missed = [_refused(quantity, self.question.responses.get(quantity)) for quantity in self.question.rough]
+        missed = [self.question.refused(quantity) for quantity in self.question.rough]
         sampled = Sampled(
             sample=blocks_of_runs(self.design),
             descriptions=descriptions,
@@ -155,10 +161,7 @@ class _End:
                          sampled=sampled, sensitivity=sensitivity, margins=margins)  # fmt: skip
 
     def _to_learn(self, limits: Mapping[str, LimitAnswer]) -> int:
-        """Evaluations that margins leave to the limits that are to be learned: enough to begin, or half of the rest.
-
-        A design along the scalar goes before: what it tells of the study itself serves these limits too.
-        """
+        """Evaluations that margins leave to the limits that are to be learned: enough to begin, or half of the rest."""
         left = max(self.priced.way.affordable - self.work.ledger.total, 0)
         wanted = sum(
             learnable(self.work, one, limits[one.name]) for one in self.work.study.limits if one.name in limits
@@ -220,12 +223,6 @@ def _sharpened(answer: LimitAnswer, before: LimitAnswer, more: LimitAnswer) -> L
     return replace(more, checks=answer.checks, design_reason=answer.design_reason)
 
 
-def _refused(quantity: str, one: Response | None) -> Missed:
-    reason = "no surrogate was fitted" if one is None else one.reason
-    said = f"{quantity}: {reason}; the answers are those of the runs alone, and there are no indices"
-    return Missed(subject=quantity, kind="surrogate", said=said)
-
-
 # --- beside sampling: an answer of a surrogate in place of a sampled one that is known less -------------------
 
 
@@ -235,18 +232,12 @@ def keep_answers(work: Work, sampled: Sampled, one: Expensive) -> Sampled:
     described = {
         name: own
         for name, own in found.descriptions.items()
-        if name in usable
-        and 1.0
-        < _lack(work, RunAnswers(descriptions={name: sampled.descriptions[name]}))
-        > _lack(work, RunAnswers(descriptions={name: own}))
+        if name in usable and 1.0 < lack_of(work, sampled.descriptions[name], name) > lack_of(work, own, name)
     }
     limits = {
         name: _of_surrogate(sampled.limits[name], own)
         for name, own in found.limits.items()
-        if own.quantity in usable
-        and 1.0
-        < _lack(work, RunAnswers(limits={name: sampled.limits[name]}))
-        > _lack(work, RunAnswers(limits={name: own}))
+        if own.quantity in usable and 1.0 < _lack_in(work, sampled.limits[name]) > _lack_in(work, own)
     }
     kept = {*described, *(f"limits.{name}" for name in limits)}
     limits = dict(sampled.limits) | limits
@@ -290,18 +281,85 @@ def _width(given: Sensitivity) -> float:
     return max((math.inf if e.value is None else e.half_width for e in every), default=0.0)
 
 
-def _lack(work: Work, one: RunAnswers) -> float:
-    """The worst half-width over what is asked; infinite where something asked for is absent."""
-    if any(told.mean.value is None or told.sd.value is None for told in one.descriptions.values()):
-        return math.inf
+def _lack_in(work: Work, limit: LimitAnswer) -> float:
+    """The same of a limit: of small probabilities too, which `shortfalls` leaves to the methods for rare events."""
     asked = work.study.analysis.accuracy.probability
-    # small ones too, which `shortfalls` leaves to the methods for rare events
-    wide = [_lack_of(limit, which, asked) for limit in one.limits.values() for which in ("exceedance", "miss")]
-    return max([*wide, *shortfalls(work, one.descriptions, {}).values()], default=0.0)
+    wide: list[Estimate] = [getattr(limit, w) for w in ("exceedance", "miss") if limit.accuracy_missed(w, asked)]
+    return max((e.half_width / e.value / asked if e.value else math.inf for e in wide), default=0.0)
 
 
-def _lack_of(limit: LimitAnswer, which: str, asked: float) -> float:
-    if not limit.accuracy_missed(which, asked):
-        return 0.0
-    estimate: Estimate = getattr(limit, which)
-    return estimate.half_width / estimate.value / asked if estimate.value else math.inf
+# --- what an evaluation costs --------------------------------------------------------------------------------------
+
+
+#: runs that are timed by themselves
+FEW: Final = 8
+#: the chunk that holds what an evaluation costs [s]: a time, which never comes out the same
+COST: Final = "cost"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Priced:
+    """The way a study is answered, what an evaluation costs [s], None if nobody asked, and the runs that were timed."""
+
+    way: Way
+    cost: float | None
+    design: Sample | None = None
+
+    def entry(self) -> PricesEntry:
+        """What of this stands in the manifest."""
+        return PricesEntry(
+            cost_seconds_per_evaluation=self.cost,
+            crossover_seconds_per_evaluation=self.way.crossover,
+            balance_seconds_per_evaluation=self.way.balance,
+            affordable_evaluations=self.way.affordable,
+        )
+
+
+def _timed(work: Work, design: Sample | None, count: int) -> tuple[Sample, float | None]:
+    """The design with `count` runs, and seconds of each new one; None where they were stored already."""
+    reused = work.ledger.reused
+    new = count - (0 if design is None else design.count)
+    before, watch = work.engine.seconds, None
+    if work.black_box is not None and work.engine.here:
+        watch = Watch(work.black_box)
+    larger = enlarge(work if watch is None else replace(work, black_box=watch), design, count)
+    # elsewhere the engine has the seconds of the calls, which an expensive model is known by just as well
+    spent = watch.seconds if watch is not None and work.engine.here else work.engine.seconds - before
+    return larger, None if work.ledger.reused > reused else spent / new
+
+
+def price(work: Work) -> Priced:
+    """The way to take; a black box whose cost decides and is not given is timed on its first runs, once.
+
+    What is timed is stored with the run, so that a run that is resumed takes the way that it began.  The smaller of
+    two times counts, since the first call of a model may load and compile.
+    """
+    study = work.study
+    budget = study.analysis.budget
+    way = choose_way(study, seconds=work.seconds)
+    undecided = study.outputs and study.random and "auto" in study.analysis.methods
+    if not undecided or study.analysis.cost is not None or budget.evaluations < SURROGATE.first:
+        return Priced(way=way, cost=study.analysis.cost)
+    cost, design = _cost(work)
+    return Priced(way=choose_way(study, cost, work.seconds), cost=cost, design=design)
+
+
+def _cost(work: Work) -> tuple[float, Sample]:
+    """Seconds of an evaluation, of the first runs or as an earlier run has timed them, and those runs."""
+    kept = work.store.load(COST) if work.store is not None else None
+    design, first = _timed(work, None, FEW)
+    if kept is not None and kept.shape == (1,) and kept[0] >= 0.0:
+        cost = float(kept[0])
+        if SURROGATE.first * cost <= work.seconds:
+            design = enlarge(work, design, SURROGATE.first)
+    else:
+        cost = first if first is not None else math.inf
+        if first is None or SURROGATE.first * first <= work.seconds:
+            design, second = _timed(work, design, SURROGATE.first)
+            cost = min(cost, math.inf if second is None else second)
+        if not math.isfinite(cost):
+            # an earlier run was cut off between its runs and their time
+            cost = _timed(replace(work, store=None, spare=True), None, FEW)[1] or 0.0
+        if work.store is not None:
+            work.store.save(COST, np.array([cost]))
+    return cost, design

@@ -7,11 +7,11 @@ from dataclasses import replace
 from typing import Any, Final
 
 from uqsphere.runner.beside import aside, may_copy
+from uqsphere.runner.campaign import Findings
 from uqsphere.runner.drivers import find_drivers
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.evidence import judged_ways
 from uqsphere.runner.expensive import Expensive, keep_indices, keep_margins
-from uqsphere.runner.findings import Findings
 from uqsphere.runner.forecast import forecast
 from uqsphere.runner.questions.carried import find_carried
 from uqsphere.runner.questions.distributions import Sampled

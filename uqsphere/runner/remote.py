@@ -143,10 +143,7 @@ def evaluate_remote(packed: bytes, rows: Array) -> tuple[EvaluatedRows, float]:
 def evaluate_rows(task: Task, rows: Array, box: BlackBox | None, threads: int | None) -> EvaluatedRows:
     """Answers of rows (n, d) in one call of the model; a row that makes it raise fails alone, if the task goes on.
 
-    Raises
-    ------
-    ModelError
-        When the black box raises and the task does not go on, or returns something of the wrong form.
+    Raises ModelError when the black box raises and the task does not go on, or returns something of the wrong form.
     """
 
     def call(some: Array) -> EvaluatedRows:
@@ -204,13 +201,7 @@ def send(stream: IO[bytes], content: object) -> None:
 
 
 def receive(stream: IO[bytes]) -> Any:
-    """The next message of a pipe.
-
-    Raises
-    ------
-    EOFError
-        When the other side has gone, or says what is no message.
-    """
+    """The next message of a pipe.  Raises EOFError when the other side has gone, or says what is no message."""
     head = stream.read(_LENGTH.size)
     size = _LENGTH.unpack(head)[0] if len(head) == _LENGTH.size else 0
     data = stream.read(size) if size <= _LARGEST_MESSAGE else b""
@@ -232,10 +223,7 @@ def _carried(error: BaseException) -> Exception:
 
 
 def _own_pipes() -> tuple[IO[bytes], IO[bytes]]:
-    """Where jobs come from and answers go to, out of the model's way and that of all that it starts.
-
-    The model has nothing to read, and its output is that of stderr.
-    """
+    """Where jobs come from and answers go to, out of the model's way and that of all that it starts."""
     jobs, answers = os.dup(0), os.dup(1)
     with open(os.devnull, "rb") as nothing:
         os.dup2(nothing.fileno(), 0)

@@ -70,6 +70,8 @@ SPECIMENS: Final = 64
 FRACTURE_CURVE: Final = Schedule(first=64, most=17)
 #: rows of a sample for strengths that are carried from their tests, the first ones of it, and their share of the budget
 CARRIED: Final = Schedule(first=1024, share=0.2)
+#: the curve of one carrier: with the sample and the margins less than half of the budget
+CARRIED_CURVE: Final = Schedule(share=0.05)
 #: rows on which the ways to break are judged, and the values of a free scalar and rows at each of them
 WAYS: Final = Schedule(first=512)
 WAYS_CURVE: Final = Schedule(first=16, most=25)
@@ -77,8 +79,14 @@ WAYS_CURVE: Final = Schedule(first=16, most=25)
 SLIDERS: Final = Schedule(first=2048, least=512, share=1 / 16)
 #: runs of the one design of an expensive model: those that are timed, the fewest, the most
 SURROGATE: Final = Schedule(first=32, least=8, judged=128, most=1024)
-#: inputs from which on `auto` begins with a screening of a black box
+#: inputs from which on `auto` begins with a screening of a black box; its trajectories, of which 32 tell the largest
+#: effect of a smooth model to about a fifth
 MANY: Final = 50
+MORRIS: Final = Schedule(first=32, least=4, share=0.25)
+#: rows that a model which scatters by itself answers several times
+REPEATED: Final = Schedule(least=8, most=64, share=0.2)
+#: rows of a field: a smooth one is known to 1e-4 of its variance from 128
+FIELD: Final = Schedule(first=128, least=32)
 #: calls of an expensive model for one limit whose probability its design does not show, at the most
 LEARNED: Final = Schedule(most=200)
 #: variables of a limit that is learned, at the most: in more a Gaussian process does not follow it by so few calls

@@ -21,9 +21,9 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.results import Code, Est, Fields, JudgedEntry, LimitOpenEntry, ReasonEntry, VerdictEntry
+from uqsphere.runner.campaign import Findings
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.evidence import Evidence
-from uqsphere.runner.findings import Findings
 from uqsphere.runner.questions.any_limit import tied_otherwise
 from uqsphere.runner.whatif import find_assumed, find_ignorance
 from uqsphere.study import Limit, Study, Way, breaks_by, means_fracture, strength_name, ways_of
@@ -70,10 +70,7 @@ def _held(one: Limit) -> tuple[object, ...]:
 
 
 def _judged_with(work: Work, limit: Limit) -> tuple[Limit, ...]:
-    """The limits of the file that one is judged by, itself the first: every way to break once.
-
-    Of limits with the other aim only those count that are on a way which none with this aim is on.
-    """
+    """The limits of the file that one is judged by, itself the first: every way to break once."""
     if not means_fracture(limit):
         return (limit,)
     others = [one for one in work.study.limits if means_fracture(one) and one.name != limit.name]

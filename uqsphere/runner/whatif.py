@@ -207,11 +207,7 @@ def _tails(work: Work, law: Law, name: str, state: LimitState) -> tuple[Array, A
 def _under_laws(
     work: Work, limit: Limit, answer: LimitAnswer, sample: Sample, fitted: dict[str, Law]
 ) -> Callable[[Sequence[str]], Array]:
-    """Probability of exceeding (LAWS,) with the laws of some variables replaced by those that their tests allow.
-
-    Rows are weighted for the laws of inputs, and moved where a strength hangs on one; another strength has tails of its
-    own.  The logit on these rows is put right by what all rows gave.  Raises LawError where the rows cannot tell.
-    """
+    """Probability of exceeding (LAWS,) with the laws of some variables replaced by those that their tests allow."""
     key = strength_name(limit.name)
     state = state_of(work, limit, sample)
     if state.tie is not None:
@@ -322,10 +318,7 @@ def _against(answer: Estimate, same: Estimate, other: Estimate) -> Estimate:
 
 
 def _tests_to_settle(work: Work, limit: Limit, law: Law, sample: Sample) -> Fields | None:
-    """How many tests of a strength that is given as a law would put the target outside of what they leave open.
-
-    The tests are taken to come out as the law says, with it at their largest likelihood; None where that is not known.
-    """
+    """How many tests of a strength that is given as a law would put the target outside of what they leave open."""
     if is_fitted(law) or limit.target is None or law.parameters.get("threshold", 0.0) != 0.0:
         return None
     try:

@@ -480,10 +480,7 @@ def gather(
     goes on to do so, or passes its limit of time, is cut into rows, and a row that does fails.  Under a limit, rows go
     out one by one until one of them is answered.
 
-    Raises
-    ------
-    TooManyFailures
-        When `HUNG` rows in a row have passed the limit, or ended their process.
+    Raises TooManyFailures when `HUNG` rows in a row have passed the limit, or ended their process.
     """
     pieces, heard = _Pieces(workers, task, rows, blocks), time.monotonic()
     try:
@@ -584,12 +581,8 @@ class Engine:
     def load(self, digest: str, seconds: float) -> None:
         """Have a model of one's own loaded, in at most so many seconds, or `LOADING` where those are fewer.
 
-        Raises
-        ------
-        ModelError
-            When its file raises, ends its process or does not come to an end.
-        UsageError
-            When it has no such function.
+        Raises ModelError when its file raises, ends its process or does not come to an end; UsageError when it has no
+        such function.
         """
         if self._own is None or self.model is None:
             return
@@ -680,10 +673,7 @@ class DaskWorkers(Pool):
 
         A nanny restarts its worker, but gives up if that dies while it starts.
 
-        Raises
-        ------
-        AccessError
-            When the connection to the scheduler is lost.
+        Raises AccessError when the connection to the scheduler is lost.
         """
         if self.client.status not in ("running", "connecting"):
             raise AccessError(
@@ -708,12 +698,7 @@ def workers_of(executor: Any) -> Workers | None:
 def dask_cluster(address: str, workers: int | None) -> Iterator[DaskWorkers]:
     """A running cluster by the address of its scheduler, or one of this machine's processes for `local`.
 
-    Raises
-    ------
-    UsageError
-        When the address is none, or Dask is not installed.
-    AccessError
-        When nobody answers there.
+    Raises UsageError when the address is none, or Dask is not installed; AccessError when nobody answers there.
     """
     scheme, separator, place = address.partition("://")
     if address != "local" and not (separator and place and scheme in ("tcp", "tls", "ucx", "ws", "wss")):

@@ -13,7 +13,7 @@ from uqsphere.report.contents import Contents
 from uqsphere.report.figures import canvas
 from uqsphere.report.phrases import limit_name, symbol
 from uqsphere.results.entries import AccuracyTable
-from uqsphere.runner.account import FURTHER
+from uqsphere.runner.results import FURTHER
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

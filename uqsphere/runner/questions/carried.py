@@ -22,12 +22,10 @@ from uqsphere.runner.limits import LimitAnswer, judge_limits
 from uqsphere.runner.questions.curves import CurveFound, curves_along
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.margins import decisive
-from uqsphere.runner.schedule import CARRIED
+from uqsphere.runner.schedule import CARRIED, CARRIED_CURVE
 from uqsphere.study import Limit, Study
 from uqsphere.uq import Estimate, absent
 
-#: share of the budget for the curves of one carrier: with the sample and the margins less than half of it
-CURVES: Final = 0.05
 #: what test and service are compared by -> the ratios that are told and warned of (theory section 9), and words
 FAR: Final = {
     "carried_far": (1.1, 1.5, "the E* of the contacts in test and service differ",
@@ -68,7 +66,7 @@ def _curves(work: Work, limits: Sequence[Limit], carrier: str) -> dict[str, Curv
     """The curve of each limit along the free scalar; empty where nothing is solved for."""
     found: dict[str, CurveFound | str] = {}
     if work.study.margins is not None and work.study.margins.axis.moves_rows:
-        most = int(CURVES * work.study.analysis.budget.evaluations)
+        most = int(CARRIED_CURVE.share * work.study.analysis.budget.evaluations)
         with contextlib.suppress(OutOfBudget):
             found = curves_along(work, limits, most=most, tag=f"-carried-{carrier}", called=f" by {carrier}")
     return found

@@ -34,11 +34,8 @@ from uqsphere.uq.curve import Fragility, LognormalCurve, fit_lognormal_curve, fr
 WIDER: Final = 3
 #: the smallest probability whose band a curve is made for, over the smallest that is asked for
 BELOW: Final = 0.5
-NO_COST: Final = Cost()
 KIND: Final = "half-width of the band over the smaller side of its probability"
 METHOD: Final = "rows along the free scalar, beside a polynomial of them"
-#: share of the rows without an answer from which on it is told
-LOST: Final = MOST_DROPPED
 NO_ANSWERS: Final = "half of the evaluations, or more, have no answer"
 NO_CURVE: Final = f"{LATE}, before the curve was known"
 
@@ -57,7 +54,7 @@ class Band:
     half_width: float
     asked: float
     evaluations: int
-    cost: Cost = NO_COST
+    cost: Cost = field(default_factory=Cost)
     share: float = 0.0
     tabled: Tabled = field(default_factory=Tabled)
 
@@ -94,15 +91,11 @@ def widest(table: Array, least: float) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """What there is of the curves: the look, if one was made, the rows, and the course of every limit's band.
+    """What there is of the curves: the look, the rows, and the course of every limit's band."""
 
-    `reason` is why there are no curves.
-    """
-
-    look: Look | None = None
-    rows: AxisRows | None = None
-    bands: dict[str, Band] = field(default_factory=dict)
-    reason: str = ""
+    look: Look
+    rows: AxisRows
+    bands: dict[str, Band]
 
 
 def _shortage(work: Work, cost: int) -> str:
@@ -113,7 +106,7 @@ def _shortage(work: Work, cost: int) -> str:
 
 def find_rows(
     work: Work, limits: Sequence[Limit], *, least: float, most: int, tag: str = "", called: str = ""
-) -> Found:
+) -> Found | str:
     """Rows where the curves of some limits rise, for about `most` evaluations; at least what a curve takes.
 
     `least` is the smallest probability of interest.
@@ -125,7 +118,7 @@ def find_rows(
     each = REPLICATES * CURVE_VALUES
     cost = REPLICATES * LOOK.first * LOOK.most + CURVE.least * each
     if cost > left:
-        return Found(reason=_shortage(work, cost))
+        return _shortage(work, cost)
     found = evaluate_along(work, dict.fromkeys(axis.grid(LOOK.most), (0, LOOK.first)), tag)
     look = Look(work=work, samples=found)
     allowed = min(max(most, 3 * each), left)
@@ -146,13 +139,13 @@ def find_rows(
     )
 
 
-def _find_free(work: Work, limits: Sequence[Limit], least: float, most: int, tag: str, called: str) -> Found:
+def _find_free(work: Work, limits: Sequence[Limit], least: float, most: int, tag: str, called: str) -> Found | str:
     """The same where the scalar is a strength: the rows of one value serve all."""
     axis = axis_of(work)
     left = work.study.analysis.budget.evaluations - work.ledger.total
     count = min(FREE_CURVE.first, left // REPLICATES) if work.scene_names else FREE_CURVE.first
     if count < FREE_CURVE.least:
-        return Found(reason=_shortage(work, REPLICATES * FREE_CURVE.least))
+        return _shortage(work, REPLICATES * FREE_CURVE.least)
     rows = AxisRows(work=work, tag=tag, grid=[axis.low, axis.high])
     rows.begin(count)
     limits = _answered(rows, limits)
@@ -168,10 +161,10 @@ def _answered(rows: AxisRows, limits: Sequence[Limit]) -> list[Limit]:
     return [limit for limit in limits if rows.lost(limit.quantity) < 0.5]
 
 
-def _found(look: Look, question: _Bands) -> Found:
+def _found(look: Look, question: _Bands) -> Found | str:
     """The curves as accurate as asked, or as is affordable."""
     if not question.limits:
-        return Found(reason=NO_ANSWERS)
+        return NO_ANSWERS
     work = question.rows.work
     before = work.ledger.total - question.size
     bands = question.answer(campaign(work, question), before)
@@ -353,16 +346,6 @@ class CurveFound:
         """The lognormal curve beside it, or why there is none."""
         return fit_lognormal_curve(self.grid, self.table, evaluations=self.evaluations)
 
-    def member(self, value: float) -> Fields:
-        """The entry of results.json for a curve of a family."""
-        return {
-            "value": value,
-            "values": self.values,
-            "curve": [list(row) for row in self.answer(()).curve],
-            "lognormal": lognormal_table(self.lognormal()),
-            "band": self.band.table(),
-        }
-
 
 def lognormal_table(fitted: LognormalCurve | str) -> Fields:
     """A lognormal curve for results.json; with the reason where there is none."""
@@ -398,18 +381,14 @@ def curves_along(
 ) -> dict[str, CurveFound | str]:
     """The curve of every limit, by few rows at each value where its demands are known in full, or why there is none.
 
-    Raises
-    ------
-    OutOfBudget
-        When the time is over before there is a curve.
+    Raises OutOfBudget when the time is over before there is a curve.
     """
     before = work.ledger.total
     smallest = min(min(p, 1.0 - p) for limit in limits for p in asked_probabilities(work, limit))
     seen = find_rows(work, limits, least=BELOW * smallest, most=most, tag=tag, called=called)
-    rows = seen.rows
-    if rows is None:
-        return dict.fromkeys((limit.name for limit in limits), seen.reason)
-    found: dict[str, CurveFound | str] = {}
+    if isinstance(seen, str):
+        return dict.fromkeys((limit.name for limit in limits), seen)
+    rows, found = seen.rows, dict[str, CurveFound | str]()
     for limit in limits:
         if limit.name not in seen.bands:
             found[limit.name] = NO_ANSWERS
@@ -418,20 +397,17 @@ def curves_along(
         one = CurveFound(
             grid=grid, table=table, samples=rows.samples, evaluations=work.ledger.total - before, rows=rows,
             band=seen.bands[limit.name],
-            note=f"{100.0 * lost:.2g} % of the evaluations have no answer, the others stand for them" * (lost > LOST),
+            note=f"{100.0 * lost:.2g} % of the evaluations have no answer, the others stand for them"
+            * (lost > MOST_DROPPED),
         )  # fmt: skip
         found[limit.name] = replace(one, values=one.answer(asked_probabilities(work, limit)).values)
     return found
 
 
-def _with_outer(limit: Limit, rows: AxisRows, look: Look | None) -> tuple[Array, Array]:
-    """The curve on its grid, and what was looked at beyond its ends.
-
-    There the few rows of the look tell how the odds go on from the end of the grid, and the rows what they are at that
-    end: the look's odds times what it is off by there, so that the curve has no step.
-    """
-    outer = [] if look is None or rows.free else [x for x in look.grid if not rows.grid[0] <= x <= rows.grid[-1]]
-    if look is None or not outer:
+def _with_outer(limit: Limit, rows: AxisRows, look: Look) -> tuple[Array, Array]:
+    """The curve on its grid, and what was looked at beyond its ends."""
+    outer = [] if rows.free else [x for x in look.grid if not rows.grid[0] <= x <= rows.grid[-1]]
+    if not outer:
         return np.array(rows.grid), rows.table(limit)
     inner = rows.table(limit)
     ends = [0 if x < rows.grid[0] else -1 for x in outer]
@@ -541,10 +517,7 @@ def energy_curve(rows: AxisRows, limit: Limit, quantity: str, probabilities: Seq
 
 
 def _no_closer(estimate: Estimate, error: float) -> Estimate:
-    """The estimate with an interval that is no narrower than the energies are integrated to, relative.
-
-    A limit on the energy itself has no scatter left in its curve.
-    """
+    """The estimate with an interval that is no narrower than the energies are integrated to, relative."""
     if estimate.value is None or estimate.low is None or estimate.high is None:
         return estimate
     reach = error * abs(estimate.value)

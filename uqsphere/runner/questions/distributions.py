@@ -253,10 +253,7 @@ class Distributions:
         self._describe(self.sample)
 
     def _first(self) -> int:
-        """Points of the first stage in each replicate: fewer where the budget has no room for all of them.
-
-        Raises UsageError where it has room for no replicates at all.
-        """
+        """Points of the first stage in each replicate: fewer where the budget has no room for all of them."""
         room = self.work.study.analysis.budget.evaluations - self.work.ledger.total
         if not self.work.scene_names or room >= REPLICATES * SAMPLING.first:
             return SAMPLING.first

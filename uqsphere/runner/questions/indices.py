@@ -139,12 +139,12 @@ def design_rows(work: Work, start: int, count: int, blocks: Blocks) -> Array:
     inputs = work.all_inputs.only(work.scene_names)
     # the inputs are independent here, so the halves are mapped once and mixed afterwards
     rows = [
-        blocks.mix(*(inputs.physical(half) for half in halves)) for halves in _normal_halves(work, start, count, blocks)
+        blocks.mix(*(inputs.physical(half) for half in halves)) for halves in normal_halves(work, start, count, blocks)
     ]
     return np.stack(rows).reshape(-1, blocks.inputs_count)
 
 
-def _normal_halves(work: Work, start: int, count: int, blocks: Blocks) -> Iterator[list[Array]]:
+def normal_halves(work: Work, start: int, count: int, blocks: Blocks) -> Iterator[list[Array]]:
     """The halves of every replicate as independent standard normals."""
     from scipy.special import ndtri
 
@@ -161,7 +161,7 @@ def surrogate_outputs(work: Work, start: int, count: int, blocks: Blocks, chaose
 
     rows = [
         np.stack([chaos_outputs(chaos, blocks, halves) for chaos in chaoses], axis=-1)
-        for halves in _normal_halves(work, start, count, blocks)
+        for halves in normal_halves(work, start, count, blocks)
     ]
     return np.stack(rows)
 
@@ -190,6 +190,8 @@ def lost_designs(failed: Flags) -> str:
     )
 
 
+#: evaluations that sampling takes go with this power of the half-widths, where outputs jump
+FALL = 1.8
 #: points of each replicate that the expansion is fitted to, and replicates that are fitted
 FIT_POINTS = 256
 FITS = 8
@@ -299,10 +301,6 @@ class Pairs:
         return without(self.values, self.failed)
 
 
-#: evaluations that sampling takes go with this power of the half-widths, where outputs jump
-FALL = 1.8
-
-
 @dataclass(frozen=True, kw_only=True)
 class Shared:
     """How the variance of every quantity is shared out, why its stages ended, and the runs that it rests on.
@@ -335,11 +333,7 @@ class Expansion:
 
 
 def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
-    """Polynomial chaos of a quantity on the sampled points, validated on others.
-
-    The output itself is expanded, no transform of it: only then are the
-    indices of the expansion known exactly, as those of a control variate must be.
-    """
+    """Polynomial chaos of a quantity on the sampled points, validated on others."""
     from uqsphere.uq.expansion import chaos_indices, error_with_tails, fit_again, judge, validation_error
     from uqsphere.uq.indices import mean_expansion
 
@@ -401,13 +395,10 @@ def _fit(work: Work, points: Array, column: Array, before: Sequence[Chaos]) -> C
 
 
 def _more(start: int, widths: list[float], asked: float) -> int:
-    """Base points to add to every replicate: what the widest interval calls for, at most three times what is there.
-
-    The width of rough outputs falls with the root of the number of points, that of smooth ones faster.
-    """
+    """Base points to add to every replicate: what the widest interval calls for, at most three times what is there."""
     if start == 0:
         return INDICES.first
-    wanted: float = start * ((max(widths, default=asked) / asked) ** 1.8 - 1.0)
+    wanted: float = start * ((max(widths, default=asked) / asked) ** FALL - 1.0)
     return 64 * max(1, math.ceil(min(max(wanted, 0.25 * start), 3.0 * start) / 64.0 - 0.5))
 
 

@@ -146,7 +146,13 @@ def _margin(
 def _member(value: float, found: CurveFound | str) -> Fields:
     if isinstance(found, str):
         return {"value": value, "values": {}, "curve": [], "lognormal": None, "reason": found}
-    return found.member(value)
+    return {
+        "value": value,
+        "values": found.values,
+        "curve": [list(row) for row in found.answer(()).curve],
+        "lognormal": lognormal_table(found.lognormal()),
+        "band": found.band.table(),
+    }
 
 
 def _unknown(work: Work, limit: Limit, reason: str, against: str | None) -> MarginAnswer:

@@ -13,7 +13,7 @@ there once: a point that it contradicts is not given.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
@@ -36,7 +36,7 @@ from uqsphere.uq.rare.form import FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction
 
 if TYPE_CHECKING:
-    from uqsphere.uq.rare.active import ActiveAnswer
+    from uqsphere.uq.rare.active import ActiveAnswer, Search
 
 METHOD: Final = "importance sampling"
 #: evaluations of a surrogate for a design point
@@ -440,6 +440,42 @@ def _learn(
         return updated, []
     error = learned.estimate.half_width / learned.estimate.value
     return updated, speed_rows_of(ACTIVE, f"limits.{limit.name}", learned.calls, error, MISS_KIND)
+
+
+def learn_levels(
+    work: Work,
+    space: LimitSpace,
+    function: Callable[[Array], Array],
+    known: tuple[Array, Array],
+    targets: Sequence[float],
+    room: int,
+) -> tuple[Search, int] | str:
+    """A search of a limit's normal scores with one more coordinate, its free scalar, and the calls that it took: it has
+    learned the probabilities of exceeding, one after the other, each with a part of the room."""
+    from uqsphere.uq.rare.active import begin
+
+    limit, search = space.limit, None
+    inner = LimitFunction(
+        function=function, dimension=len(work.drawn.names) + 1, integrated=space.function.integrated, on_failure="bound"
+    )
+    evaluator, asked = Evaluator(limit=inner, budget=0), min(work.study.analysis.accuracy.probability, 0.05)
+    try:
+        for number, p in enumerate(targets):
+            evaluator.budget += (room - evaluator.count) // (len(targets) - number)
+            level = p if limit.aim == "survive" else 1.0 - p
+            if search is None:
+                begun = begin(evaluator, seed=work.study.seed, task=f"margin.{limit.name}", known=known, level=level)
+                if isinstance(begun, str):
+                    return begun
+                search = begun
+            search.level = level
+            search.fit()
+            search.learn(asked * min(p, 1.0 - p) / level, search.size, work.study.analysis.at_once)
+    except OutOfBudget:
+        pass
+    if search is None:
+        return "no curve could be computed: the time was over, or the run was stopped"
+    return search, evaluator.count
 
 
 def known_points(work: Work, space: LimitSpace, design: Sample) -> tuple[Array, Array]:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Flags
-from uqsphere.results import AnalysisEntry
 from uqsphere.runner.campaign import Accuracy, campaign, indices_missed
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.questions.distributions import Sampled
+from uqsphere.runner.questions.further import Analyses, without_noise
 from uqsphere.runner.questions.indices import (
     PairedRuns,
     Pairs,
@@ -22,7 +21,6 @@ from uqsphere.runner.questions.indices import (
     find_sensitivity,
     share_heavy,
 )
-from uqsphere.runner.questions.replicates import without_noise
 from uqsphere.runner.schedule import REPLICATES, SHAPLEY
 from uqsphere.uq import Estimate, widest, without
 from uqsphere.uq.shapley import MOST_EXACT, SubsetDesign, orders_of, shapley_estimates, subset_design, subset_points
@@ -104,7 +102,7 @@ class ShapleyEffects(PairedRuns):
         return {q: widest(*rows.values()) for q, rows in self.found.items()}
 
 
-def share_variance(work: Work, sampled: Sampled, first: Mapping[str, AnalysisEntry] | None) -> Shared:
+def share_variance(work: Work, sampled: Sampled, first: Analyses | None) -> Shared:
     """How the variance is shared out: Sobol' indices, or Shapley effects where inputs depend on each other; without the
     model's own scatter where replicates, asked `first`, tell it."""
     shared = find_sensitivity(work, sampled)
@@ -112,15 +110,11 @@ def share_variance(work: Work, sampled: Sampled, first: Mapping[str, AnalysisEnt
         shared = _share_dependent(work, shared.sensitivity)
     own = shared.pairs if shared.subsets is None else None
     held = share_heavy(work, sampled, shared.sensitivity, own)
-    return replace(shared, sensitivity=without_noise(held, (first or {}).get("replicates")))
+    return replace(shared, sensitivity=without_noise(held, first))
 
 
 def _share_dependent(work: Work, refused: dict[str, Sensitivity]) -> Shared:
-    """Shapley effects and Kucherenko's indices of every quantity, beside the refusal of the classical ones.
-
-    Base points are added until every index is as accurate as the study asks for Sobol' indices, or the budget ends
-    it.  Where not even the first stage can be paid, the refusal stays alone and says so.
-    """
+    """Shapley effects and Kucherenko's indices of every quantity, beside the refusal of the classical ones."""
     question = ShapleyEffects(work=work, design=_design(work))
     course, names, asked = campaign(work, question), work.scene_names, question.asked
     how = "every subset of the inputs" if question.design.exact else "random orders of the inputs"
