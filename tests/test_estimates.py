@@ -10,10 +10,9 @@ import pytest
 from scipy import stats
 from scipy.special import ndtri
 
-from uqsphere.uq.describe import describe, lacking, moments
+from uqsphere.uq.describe import describe, hazen, lacking, moments
 from uqsphere.uq.estimate import Estimate, absent, from_replicates, share
 from uqsphere.uq.points import sobol_points
-from uqsphere.uq.quantiles import hazen
 
 QUANTILES = (0.05, 0.5, 0.95)
 REPETITIONS = 60

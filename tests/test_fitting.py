@@ -18,9 +18,21 @@ from uqsphere.runner.api import run
 from uqsphere.study import load_study
 from uqsphere.study.study import Study
 from uqsphere.uq.families.standard import weibull_estimates
-from uqsphere.uq.fitting import LEAST_TESTS, count_tests, fitted_law, possible_laws, possible_tails, series_behind
+from uqsphere.uq.fitting import (
+    LEAST_TESTS,
+    STRENGTHS,
+    count_tests,
+    fit_strength,
+    fitted_law,
+    fitted_parameters,
+    kaplan_meier,
+    make_tests,
+    possible_laws,
+    possible_tails,
+    series_behind,
+    unbiasing,
+)
 from uqsphere.uq.law import LawError
-from uqsphere.uq.weibull import STRENGTHS, fit_strength, fitted_parameters, kaplan_meier, make_tests, unbiasing
 
 RNG = np.random.default_rng(7)
 COMPLETE = 2.0 * RNG.weibull(6.0, 24)

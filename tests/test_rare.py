@@ -20,11 +20,10 @@ from tests.campaigns.rare import PROBLEMS, integrate_plane, problem
 from uqsphere.runner.questions.probabilities import narrower
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.rare.active import fit_kriging, learn_probability, predict
-from uqsphere.uq.rare.auto import find_probability
+from uqsphere.uq.rare.auto import find_probability, subset_simulation
 from uqsphere.uq.rare.form import find_design_points
 from uqsphere.uq.rare.importance import around_design_points, defended, importance_sampling
 from uqsphere.uq.rare.problem import Evaluator, FailedEvaluation, LimitFunction
-from uqsphere.uq.rare.subset import subset_simulation
 
 Array = npt.NDArray[np.float64]
 

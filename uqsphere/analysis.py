@@ -47,9 +47,9 @@ from uqsphere.uq import (
     tolerance,
 )
 from uqsphere.uq.curve import LognormalCurve
+from uqsphere.uq.fitting import STRENGTHS, StrengthFit, fit_strength, make_tests
 from uqsphere.uq.foreign import LawLike, as_law, joint_of
 from uqsphere.uq.surrogate import Surrogate, fit_surrogate, load_surrogate
-from uqsphere.uq.weibull import STRENGTHS, StrengthFit, fit_strength, make_tests
 
 __all__ = [
     "Failure",

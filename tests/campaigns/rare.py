@@ -25,7 +25,7 @@ import uqsphere
 from tests.campaigns import table, tell
 from uqsphere.results.entries import Est
 from uqsphere.uq.law import Law, make_law
-from uqsphere.uq.rare import active, kriging
+from uqsphere.uq.rare import active
 from uqsphere.uq.rare.auto import find_probability
 from uqsphere.uq.rare.problem import LimitFunction
 
@@ -506,7 +506,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="another constant of learning")
     asked = parser.parse_args(arguments)
     for name, value in (text.split("=") for text in asked.set):
-        setattr(kriging if hasattr(kriging, name) else active, name, literal_eval(value))
+        setattr(active, name, literal_eval(value))
     if asked.margin or asked.few:
         few = partial(few_call_text, at_once=asked.at_once)
         print(margin_text(asked.repetitions, asked.runs) if asked.margin else few(asked.repetitions))

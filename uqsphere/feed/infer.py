@@ -2,7 +2,7 @@
 
 The answer is the posterior; the largest likelihood serves comparison, for it runs away where tests do not bound the
 size law (E_inf to 0, d0 to inf).  One size whose tests are complete or were stopped keeps the exact pivots of
-`uqsphere.uq.weibull`, which are the posterior of a prior 1/sigma.
+`uqsphere.uq.fitting`, which are the posterior of a prior 1/sigma.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from uqsphere.feed.likelihood import (
 )
 from uqsphere.feed.tests import Specimens
 from uqsphere.uq import random_generator
-from uqsphere.uq.weibull import SAME, STRENGTHS, fitted_parameters, make_tests, pivots
+from uqsphere.uq.fitting import SAME, STRENGTHS, fitted_parameters, make_tests, pivots
 
 #: priors of logarithms: phi in 0.41 to 2.4 and gamma in 2.0 to 7.9 by 95 %, the published ranges; sigma 0.23 to 1.6;
 #: d0 0.7 to 36 mm; the modulus is that of a Weibull law whose lognormal fit has such a sigma, 2.1375/sigma

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, absent, from_replicates, student
+from uqsphere.uq.estimate import Estimate, absent, between, from_replicates
 from uqsphere.uq.points import random_generator
 
 Classes = npt.NDArray[np.int64]
@@ -120,16 +120,7 @@ def delta_estimates(inputs: Array, outputs: Array) -> list[Estimate]:
         value, left = plain.value + gap / 3.0, gap / 3.0 + lost
         low = min(max(0.0, value - plain.half_width - left), 1.0)
         high = max(0.0, min(1.0, value + plain.half_width + left))
-        found.append(
-            Estimate(
-                value=min(1.0, max(0.0, value)),
-                low=low,
-                high=high,
-                std_error=0.5 * (high - low) / student(fine.size),
-                method=method,
-                evaluations=outputs.size,
-            )
-        )
+        found.append(between(min(1.0, max(0.0, value)), low, high, fine.size, method, outputs.size))
     return found
 
 

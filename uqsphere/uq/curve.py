@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, absent, student
+from uqsphere.uq.estimate import Estimate, absent, between, count_bound, logit_ends, student
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, tails
 from uqsphere.uq.sample import Sample
@@ -416,8 +416,7 @@ def fragility(
 def _curve(grid: Array, probabilities: Array, samples: int) -> list[list[float]]:
     """Rows of the curve, the interval in logits; none or all exceeding gets the bound of a count of zero."""
     replicates = probabilities.shape[1]
-    factor = student(replicates)
-    bound = -math.expm1(math.log(0.05) / (samples * replicates))
+    bound = count_bound(samples * replicates)
     rows = []
     for value, row in zip(grid, probabilities, strict=True):
         p = float(row.mean())
@@ -427,9 +426,7 @@ def _curve(grid: Array, probabilities: Array, samples: int) -> list[list[float]]
         else:
             # Counts that agree in all replicates are still known to one sample only.
             spread = float(np.std(row, ddof=1)) or 0.3 / samples
-            error = spread / math.sqrt(replicates)
-            half = min(factor * error / (p * q), 600.0)
-            low, high = p * math.exp(-half) / (q + p * math.exp(-half)), p / (q * math.exp(-half) + p)
+            low, high = logit_ends(p, q, student(replicates) * (spread / math.sqrt(replicates)))
         rows.append([float(value), p, min(low, p), max(high, p)])
     return rows
 
@@ -516,9 +513,7 @@ def _value(grid: Array, probabilities: Array, target: float, least: float, evalu
     lost = abs(float(forward(np.array([other]))[0]) - centre) / 4.0 if other is not None else 0.0
     half = student(replicates) * spread + lost
     low, high = backward(centre - half), backward(centre + half)
-    return Estimate(value=value, low=min(low, value), high=max(high, value),
-                    std_error=0.5 * (high - low) / student(replicates), method=METHOD,
-                    evaluations=evaluations)  # fmt: skip
+    return between(value, low, high, replicates, METHOD, evaluations)
 
 
 # --- the lognormal curve beside it ---------------------------------------------------------------------------

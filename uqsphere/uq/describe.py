@@ -12,12 +12,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, special
 from uqsphere.units import told_apart
 from uqsphere.uq.estimate import (
     NEVER,
@@ -25,18 +24,115 @@ from uqsphere.uq.estimate import (
     Estimate,
     Why,
     absent,
+    around,
+    between,
     corrected,
     from_replicates,
     logit_ends,
     share,
     student,
 )
-from uqsphere.uq.quantiles import controlled_quantile, hazen, quantile_estimates
+
+#: samples that must lie beyond a quantile for it to be estimated at all
+LEAST_BEYOND: Final = 5
+#: probabilities on either side of a quantile, over the smaller side up to a tenth, where differences are counted
+RANGE: Final = 0.5
+
+
+def hazen(ordered: Array, p: float) -> float:
+    """Quantile at p of samples in rising order by Hazen's rule: the i-th stands at (i - 1/2)/N."""
+    total = ordered.size
+    lower = min(max(math.floor(p * total - 0.5), 0), total - 1)
+    fraction = min(max(p * total - 0.5 - lower, 0.0), 1.0)
+    left, right = float(ordered[lower]), float(ordered[min(lower + 1, total - 1)])
+    if fraction == 0.0 or left == right:
+        return left
+    return left + fraction * (right - left)
+
+
+def woodruff_reach(shares: Array, n: float) -> float:
+    """Half-width of the interval of a probability, from the shares (R,) of replicates of n samples at a quantile."""
+    # Points that are evenly spread can agree on the count and still not know where in its cell x lies: the
+    # deviation of a uniform cell is the least.  Where the counts differ, they show it themselves.
+    error = max(float(np.std(shares, ddof=1)), 0.29 / n) / math.sqrt(shares.size)
+    return student(shares.size) * error
+
+
+def quantile_estimates(
+    samples: Array, *, censored: Flags, failed: Flags, on_failure: str, quantiles: Sequence[float], method: str
+) -> tuple[dict[float, Estimate], tuple[float, ...]]:
+    """Quantiles of (R, n) samples, and those that censoring leaves unanswered.
+
+    The interval follows Woodruff (1952): the replicates' distribution functions at the pooled quantile
+    give an interval of the probability, whose ends are read off the pooled sample.
+    """
+    replicates, n = samples.shape
+    total = samples.size
+    bound = on_failure == "bound" and bool(failed.any())
+    kept = np.ones_like(failed) if bound else ~failed
+    doubtful = bool(censored.any()) or bound
+    # Doubtful samples at the least and at the largest value they may have had.
+    least = np.where(failed, -math.inf, samples) if bound else samples
+    ordered = np.sort(least[kept])
+    upper = ordered
+    if doubtful:
+        largest = np.where(failed | censored, math.inf, samples)
+        upper = np.sort(largest[kept])
+    counts = kept.sum(axis=1)
+    answers: dict[float, Estimate] = {}
+    exempt: list[float] = []
+    for p in quantiles:
+        value, highest = hazen(ordered, p), hazen(upper, p)
+        if min(p, 1.0 - p) * ordered.size < LEAST_BEYOND:
+            answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total, Why.TOO_FEW)
+            continue
+        at = value if math.isfinite(value) else highest
+        below = ((least <= at) & kept).sum(axis=1) / counts
+        reach = woodruff_reach(below, n)
+        low, high = hazen(ordered, max(p - reach, 0.0)), hazen(upper, min(p + reach, 1.0))
+        if not (math.isfinite(low) and math.isfinite(high) and math.isfinite(value)):
+            shares = {"censored": float(censored.mean()), "failed": float((failed & kept).mean())}
+            parts = [f"the {what} share ({100.0 * share:.2f} %)" for what, share in shares.items() if share]
+            answers[p] = absent("beyond " + " and ".join(parts), method, total, Why.CENSORED)
+            exempt += [p] * bool(shares["censored"])
+            continue
+        middle = value if highest == value else 0.5 * (value + highest)
+        answers[p] = between(middle, low, high, replicates, method, total)
+    return answers, tuple(exempt)
+
+
+def controlled_quantile(p: float, rows: tuple[Array, Array, Array], many: Array, method: str) -> Estimate:
+    """A quantile off the corrected distribution function, its interval after Woodruff (1952); `many` in order.
+
+    Where the cheap model is close, steps of both would hardly meet between the same rows; counted over a range of
+    values, as a kernel of that width does, what the model lies above the cheap one counts by how far, and a row in
+    which they disagree altogether counts whole.  Half of the probability beyond the quantile, on either side,
+    is a range that leaves the difference as it is: its density hardly bends there.
+    """
+    expensive, cheap, more = rows
+    replicates, side = len(expensive), min(p, 1.0 - p)
+    if side * expensive.size < LEAST_BEYOND:
+        return absent(f"too few samples beyond the {p:g} quantile", method, expensive.size)
+
+    def read(probability: float) -> float:
+        return float(np.interp(probability * many.size - 0.5, np.arange(many.size), many))
+
+    at = read(p)
+    width = 0.5 * (read(p + RANGE * min(side, 0.1)) - read(p - RANGE * min(side, 0.1)))
+    if width > 0.0:
+        moved = (special.ndtr((at - expensive) / width) - special.ndtr((at - cheap) / width)).mean(axis=1)
+    else:
+        moved = (expensive <= at).mean(axis=1) - (cheap <= at).mean(axis=1)
+    _, error = corrected(moved, -(more <= at).mean(axis=1))
+    error = math.hypot(error, 0.5 / more.shape[1] / math.sqrt(replicates))
+    half, middle = student(replicates) * error, p - float(moved.mean())
+    value, low, high = (read(x) for x in (middle, middle - half, middle + half))
+    return between(value, low, high, replicates, method, expensive.size)
+
+
+# --- the whole description -----------------------------------------------------------------------------------
 
 # --- moments --------------------------------------------------------------------------------------
-
-#: points of every replicate that are summed together: a mean has the same last bits whatever the memory
-PIECE: Final = 65_536
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,24 +152,18 @@ class Moments:
 
 def moments(values: Array) -> Moments:
     """The moments of samples (R, n); nan marks a sample that is left out."""
-    parts = [values[:, k : k + PIECE] for k in range(0, values.shape[1], PIECE)]
-    kept = [~np.isnan(part) for part in parts]
-    counts = reduce(np.add, [inside.sum(axis=1).astype(float) for inside in kept])
+    kept = ~np.isnan(values)
+    counts = kept.sum(axis=1).astype(float)
     total = float(counts.sum())
-    low = min(float(part.min(where=inside, initial=math.inf)) for part, inside in zip(parts, kept, strict=True))
-    high = max(float(part.max(where=inside, initial=-math.inf)) for part, inside in zip(parts, kept, strict=True))
+    low, high = values.min(where=kept, initial=math.inf), values.max(where=kept, initial=-math.inf)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        wholes = [np.ascontiguousarray(np.where(inside, part, 0.0)) for part, inside in zip(parts, kept, strict=True)]
-        sums = reduce(np.add, [whole.sum(axis=1) for whole in wholes])
+        sums = np.ascontiguousarray(np.where(kept, values, 0.0)).sum(axis=1)
         means, centre = sums / counts, float(sums.sum() / total)
-        reach = max(high - centre, centre - low)
+        reach = float(max(high - centre, centre - low))
         # A power of two: dividing by it rounds nothing, and keeps the squares of 1e300 inside floating point.
         root = 2.0 ** -np.frexp(reach)[1] if 0.0 < reach < math.inf else 1.0
-        powers, largest = np.zeros((len(values), 3)), 0.0
-        for part, inside in zip(parts, kept, strict=True):
-            squares = np.ascontiguousarray(np.where(inside, ((part - centre) * root) ** 2, 0.0))
-            powers += np.stack([squares.sum(axis=1), (squares**2).sum(axis=1), (squares**3).sum(axis=1)], axis=1)
-            largest = max(largest, float(squares.max(initial=0.0)))
+        squares = np.ascontiguousarray(np.where(kept, ((values - centre) * root) ** 2, 0.0))
+        powers = np.stack([(squares**k).sum(axis=1) for k in (1, 2, 3)], axis=1)
         # Each replicate about its own mean: a common offset of the replicates is not scatter of the quantity.
         offsets = ((means - centre) * root) ** 2
         deviations = np.sqrt(np.maximum(powers[:, 0] / counts - offsets, 0.0)) / root
@@ -81,7 +171,7 @@ def moments(values: Array) -> Moments:
         deviation = math.sqrt(one) / root if one >= 0.0 else math.nan
     spread = two - one * one
     bent = (three - 3.0 * one * two + 2.0 * one**3) / spread**1.5 if spread > 1e-12 * two else 0.0
-    dominant = largest / (one * total) if one > 0.0 else 0.0
+    dominant = float(squares.max(initial=0.0)) / (one * total) if one > 0.0 else 0.0
     return Moments(means=means, mean=centre, deviations=deviations, deviation=deviation, largest_share=dominant,
                    skewness=bent)  # fmt: skip
 
@@ -226,15 +316,6 @@ def lacking(description: Description, *, mean: float, quantile: float) -> list[t
 # slope is one: a fitted one is wild when a single row lies on the other side of a threshold.
 
 
-def _controlled(value: float, error: float, replicates: int, method: str, evaluations: int,
-              least: float = -math.inf) -> Estimate:  # fmt: skip
-    half = student(replicates) * error
-    if not (math.isfinite(value) and math.isfinite(half)):
-        return absent("the answer is beyond floating point", method, evaluations)
-    return Estimate(value=value, low=max(least, value - half), high=value + half, std_error=error, method=method,
-                    evaluations=evaluations)  # fmt: skip
-
-
 def controlled_probability(
     expensive: Array, cheap: Array, cheap_many: Array, *, sizes: tuple[int, int], counted: bool, method: str
 ) -> Estimate | None:
@@ -278,9 +359,11 @@ def describe_controlled(
     scale = math.sqrt(variance) if variance > 0.0 else float(expensive.std())
     loose = 0.5 * spread / scale if scale > 0.0 else 0.0
     many = np.sort(cheap_many, axis=None)
+    factor = student(replicates)
+    sd = around(scale, factor * loose, loose, method, total)
     return Description(
-        mean=_controlled(mean, error, replicates, method, total),
-        sd=_controlled(scale, loose, replicates, method, total, least=0.0),
+        mean=around(mean, factor * error, error, method, total),
+        sd=sd if sd.low is None else replace(sd, low=max(0.0, sd.low)),
         quantiles={p: controlled_quantile(p, (expensive, cheap, cheap_many), many, method) for p in quantiles},
         censored_share=share(np.zeros(expensive.shape, dtype=bool), "share of the samples"),
         scale=scale,

@@ -102,14 +102,8 @@ class Estimate:
 
     def as_dict(self) -> dict[str, float | int | str | None]:
         """Ready for JSON: value, low, high, std_error, method, evaluations, and reason where there is one."""
-        table: dict[str, float | int | str | None] = {
-            "value": self.value,
-            "low": self.low,
-            "high": self.high,
-            "std_error": self.std_error,
-            "method": self.method,
-            "evaluations": self.evaluations,
-        }
+        keys = ("value", "low", "high", "std_error", "method", "evaluations")
+        table: dict[str, float | int | str | None] = {key: getattr(self, key) for key in keys}
         return table if self.reason is None else {**table, "reason": self.reason}
 
 
@@ -130,14 +124,9 @@ def widest(*rows: Iterable[Estimate]) -> float:
 
 def absent(reason: Absent | str, method: str, evaluations: int, why: Why = Why.REFUSED) -> Estimate:
     """An answer that cannot be given, and why: in words of its own, or as another answer is absent."""
+    told = reason if isinstance(reason, Absent) else Absent(why, reason)
     return Estimate(
-        value=None,
-        low=None,
-        high=None,
-        std_error=None,
-        method=method,
-        evaluations=evaluations,
-        absent=reason if isinstance(reason, Absent) else Absent(why, reason),
+        value=None, low=None, high=None, std_error=None, method=method, evaluations=evaluations, absent=told
     )
 
 
@@ -149,11 +138,7 @@ def student(replicates: float) -> float:
 
 
 def from_replicates(
-    values: Array,
-    method: str,
-    evaluations: int,
-    pooled: float | None = None,
-    floor: float = 0.0,
+    values: Array, method: str, evaluations: int, pooled: float | None = None, floor: float = 0.0
 ) -> Estimate:
     """Estimate from the answers (R,) of independent replicates.
 
@@ -176,17 +161,7 @@ def from_replicates(
     with np.errstate(over="ignore", invalid="ignore"):
         value = float(np.mean(values)) if pooled is None else float(pooled)
         error = max(deviation / math.sqrt(values.size), floor)
-    half = student(values.size) * error
-    if not (math.isfinite(value) and math.isfinite(value - half) and math.isfinite(value + half)):
-        return absent("the answer is beyond floating point", method, evaluations)
-    return Estimate(
-        value=value,
-        low=value - half,
-        high=value + half,
-        std_error=error,
-        method=method,
-        evaluations=evaluations,
-    )
+    return around(value, student(values.size) * error, error, method, evaluations)
 
 
 def corrected(rows: Array, gaps: Array) -> tuple[float, float]:
@@ -206,40 +181,27 @@ def corrected(rows: Array, gaps: Array) -> tuple[float, float]:
     return float(rest.mean()), float(np.std(rest, ddof=1)) / math.sqrt(len(rows))
 
 
-def none_of(total: int, method: str = "share of the samples") -> Estimate:
-    """A share of which none was seen in `total` samples: 0 with its one-sided 95 % bound."""
-    return Estimate(
-        value=0.0,
-        low=0.0,
-        high=-math.expm1(math.log(0.05) / total),
-        std_error=1.0 / total,
-        method=f"{method}, one-sided 95 % bound",
-        evaluations=total,
-    )
+def count_bound(total: float) -> float:
+    """The share that a count of none in so many leaves possible: the one-sided 95 % bound."""
+    return -math.expm1(math.log(0.05) / total)
+
+
+def none_of(total: int, method: str = "share of the samples", *, every: bool = False) -> Estimate:
+    """A share of which none was seen in `total` samples, or all were: 0 or 1 with its one-sided 95 % bound."""
+    low, high = (1.0 - count_bound(total), 1.0) if every else (0.0, count_bound(total))
+    method = f"{method}, one-sided 95 % bound"
+    return Estimate(value=float(every), low=low, high=high, std_error=1.0 / total, method=method, evaluations=total)
 
 
 def share(flags: Flags, method: str = "share of the samples") -> Estimate:
     """Share of True in (R, n), within [0, 1]; none or all True gets the one-sided 95 % bound on the count."""
     replicates, n = flags.shape
-    per_replicate = flags.mean(axis=1)
-    count = int(flags.sum())
-    bound = -math.expm1(math.log(0.05) / flags.size)
-    if count == 0:
-        return none_of(flags.size, method)
-    if count == flags.size:
-        none = none_of(flags.size, method)
-        return replace(none, value=1.0, low=1.0 - bound, high=1.0)
-    plain = from_replicates(per_replicate, method, flags.size, floor=0.3 / n / math.sqrt(replicates))
-    if plain.value is None or plain.low is None or plain.high is None:
+    if not flags.any() or flags.all():
+        return none_of(flags.size, method, every=bool(flags.any()))
+    plain = from_replicates(flags.mean(axis=1), method, flags.size, floor=0.3 / n / math.sqrt(replicates))
+    if plain.low is None or plain.high is None:
         return plain
-    return Estimate(
-        value=plain.value,
-        low=max(0.0, plain.low),
-        high=min(1.0, plain.high),
-        std_error=plain.std_error,
-        method=method,
-        evaluations=flags.size,
-    )
+    return replace(plain, low=max(0.0, plain.low), high=min(1.0, plain.high))
 
 
 # --- independent runs -----------------------------------------------------------------------------
@@ -249,12 +211,26 @@ _METHOD: Final = "independent runs"
 _STEEPEST: Final = 0.35
 
 
+def between(value: float, low: float, high: float, replicates: int, method: str, evaluations: int) -> Estimate:
+    """A value between ends that were read off at so many replicates: the standard error is that of Student's half."""
+    error = 0.5 * (high - low) / student(replicates)
+    low, high = min(low, value), max(high, value)
+    return Estimate(value=value, low=low, high=high, std_error=error, method=method, evaluations=evaluations)
+
+
+def around(value: float, half: float, error: float, method: str, evaluations: int) -> Estimate:
+    """A value with this half-width to either side; absent where it is beyond floating point."""
+    if not (math.isfinite(value) and math.isfinite(value - half) and math.isfinite(value + half)):
+        return absent("the answer is beyond floating point", method, evaluations)
+    low, high = value - half, value + half
+    return Estimate(value=value, low=low, high=high, std_error=error, method=method, evaluations=evaluations)
+
+
 def mean_alone(values: Array) -> Estimate:
     """Mean of independent observations (n,) with Student's interval."""
     n, centre = values.size, float(values.mean())
     error = float(values.std(ddof=1)) / math.sqrt(n)
-    half = student(n) * error
-    return Estimate(value=centre, low=centre - half, high=centre + half, std_error=error, method=_METHOD, evaluations=n)
+    return around(centre, student(n) * error, error, _METHOD, n)
 
 
 def sd_alone(values: Array) -> Estimate:

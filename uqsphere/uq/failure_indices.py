@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, absent, from_replicates, student
+from uqsphere.uq.estimate import Estimate, absent, between, from_replicates, student
 from uqsphere.uq.joint import Joint
 
 #: failures, in samples of equal weight, below which their inputs are not described: a dozen for each of 16 replicates,
@@ -88,13 +88,10 @@ def indicator_indices(probabilities: Array) -> dict[str, list[Estimate]]:
     total = [_ratio(0.5 * np.abs(a - t[:, :, 1 + j]).mean(axis=1), variance, method, t.size) for j in range(d)]
     same = np.minimum(a, b).mean(axis=1) - 2.0 * p * both.mean(axis=1) + p * p
     own = 0.5 * (a * (1.0 - a) + b * (1.0 - b)).mean(axis=1)
+    last = [from_replicates(np.zeros(t.shape[0]), "a fixed strength", t.size)] * 2
     if np.any((t > 0.0) & (t < 1.0)):
-        return {
-            "first": [*first, _ratio(same, variance, method, t.size)],
-            "total": [*total, _ratio(own, variance, method, t.size)],
-        }
-    idle = from_replicates(np.zeros(t.shape[0]), "a fixed strength", t.size)
-    return {"first": [*first, idle], "total": [*total, idle]}
+        last = [_ratio(rows, variance, method, t.size) for rows in (same, own)]
+    return {"first": [*first, last[0]], "total": [*total, last[1]]}
 
 
 def held_open(
@@ -162,26 +159,16 @@ def given_failure(values: Array, weights: Array, quantiles: Sequence[float] = (0
     mean = _ratio((weights * values).sum(axis=1), share, method, total)
     assert mean.value is not None
     square = _ratio((weights * (values - mean.value) ** 2).sum(axis=1), share, method, total)
-    return GivenFailure(
-        mean=mean,
-        sd=_root(square, method),
-        quantiles=_weighted_quantiles(values, weights, quantiles, method),
-    )
+    found = _weighted_quantiles(values, weights, quantiles, method)
+    return GivenFailure(mean=mean, sd=_root(square, method), quantiles=found)
 
 
 def _root(square: Estimate, method: str) -> Estimate:
     """Square root of an estimate, its interval's ends with it."""
     if square.value is None or square.low is None or square.high is None or square.value <= 0.0:
         return absent("it does not vary where failure happens", method, square.evaluations)
-    root = math.sqrt(square.value)
-    return Estimate(
-        value=root,
-        low=math.sqrt(max(0.0, square.low)),
-        high=math.sqrt(square.high),
-        std_error=(square.std_error or 0.0) / (2.0 * root),
-        method=method,
-        evaluations=square.evaluations,
-    )
+    root, low, high = (math.sqrt(max(0.0, number)) for number in (square.value, square.low, square.high))
+    return replace(square, value=root, low=low, high=high, std_error=(square.std_error or 0.0) / (2.0 * root))
 
 
 def _weighted_quantiles(
@@ -199,14 +186,7 @@ def _weighted_quantiles(
         deviations = (below - p * share) / share.mean()
         error = max(float(np.std(deviations, ddof=1)) / math.sqrt(len(values)), 0.5 / values.size)
         low, high = (float(np.interp(p + sign * factor * error, middles, ordered)) for sign in (-1.0, 1.0))
-        found[p] = Estimate(
-            value=at,
-            low=min(low, at),
-            high=max(high, at),
-            std_error=0.5 * (high - low) / factor,
-            method=method,
-            evaluations=values.size,
-        )
+        found[p] = between(at, low, high, len(values), method, values.size)
     return found
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.uq.families import LawError
-from uqsphere.uq.families.named import PREFIX, Functions, named_family, wrapped
+from uqsphere.uq.families.family import PREFIX, named_family, wrapped
 from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import Law, checked, make_law
 
@@ -32,56 +33,26 @@ _PLACES: Final = np.array([1e-4, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0 - 1e-4
 _SAME: Final = 1e-6
 
 
-def _plain(name: str, *keys: str) -> Callable[..., Table | None]:
-    """A law that begins at zero, with its shapes and its scale by these keys."""
-
-    def table(*given: float) -> Table | None:
-        *shapes, loc, scale = given
-        found: Table = {"dist": name}
-        found.update(zip(keys, (*shapes, scale), strict=True))
-        return None if loc else found
-
-    return table
-
-
-def _bounded(name: str, *keys: str) -> Callable[..., Table | None]:
-    """A law between bounds with its shapes by these keys."""
-
-    def table(*given: float) -> Table | None:
-        *shapes, loc, scale = given
-        found: Table = {"dist": name, "lower": loc, "upper": loc + scale}
-        found.update(zip(keys, shapes, strict=True))
-        return found
-
-    return table
-
-
-def _lognormal(s: float, loc: float, scale: float) -> Table | None:
-    return None if loc else {"dist": "lognormal", "log_mean": math.log(scale), "log_sd": s}
-
-
-def _truncnorm(a: float, b: float, loc: float, scale: float) -> Table | None:
-    bounds = {key: loc + scale * end for key, end in (("lower", a), ("upper", b)) if math.isfinite(end)}
-    return {"dist": "normal", "mean": loc, "sd": scale, **bounds}
-
-
 #: families of this package by SciPy's names, from shapes, loc and scale; None where loc has no place there
 _TABLES: Final[Mapping[str, Callable[..., Table | None]]] = {
     "norm": lambda loc, scale: {"dist": "normal", "mean": loc, "sd": scale},
-    "lognorm": _lognormal,
-    "uniform": _bounded("uniform"),
+    "lognorm": lambda s, loc, scale: None if loc else {"dist": "lognormal", "log_mean": math.log(scale), "log_sd": s},
+    "uniform": lambda loc, scale: {"dist": "uniform", "lower": loc, "upper": loc + scale},
     "loguniform": lambda a, b, loc, scale: None if loc else {"dist": "loguniform", "lower": scale * a,
                                                             "upper": scale * b},
     "triang": lambda c, loc, scale: {"dist": "triangular", "mode": loc + c * scale, "lower": loc, "upper": loc + scale},
-    "beta": _bounded("beta", "alpha", "beta"),
-    "gamma": _plain("gamma", "shape", "scale"),
+    "beta": lambda a, b, loc, scale: {"dist": "beta", "lower": loc, "upper": loc + scale, "alpha": a, "beta": b},
+    "gamma": lambda a, loc, scale: None if loc else {"dist": "gamma", "shape": a, "scale": scale},
     "weibull_min": lambda c, loc, scale: {"dist": "weibull", "modulus": c, "scale": scale, "threshold": loc},
     "gumbel_r": lambda loc, scale: {"dist": "gumbel", "location": loc, "scale": scale},
     "invweibull": lambda c, loc, scale: {"dist": "frechet", "shape": c, "scale": scale, "location": loc},
     "expon": lambda loc, scale: None if loc else {"dist": "exponential", "rate": 1.0 / scale},
-    "rayleigh": _plain("rayleigh", "scale"),
+    "rayleigh": lambda loc, scale: None if loc else {"dist": "rayleigh", "scale": scale},
     "t": lambda df, loc, scale: {"dist": "student_t", "dof": df, "location": loc, "scale": scale},
-    "truncnorm": _truncnorm,
+    "truncnorm": lambda a, b, loc, scale: {
+        "dist": "normal", "mean": loc, "sd": scale,
+        **{key: loc + scale * end for key, end in (("lower", a), ("upper", b)) if math.isfinite(end)},
+    },
 }  # fmt: skip
 
 #: chaospy's laws in standard form, by their classes, as SciPy has them: name, then shapes, loc and scale
@@ -217,7 +188,7 @@ def _number(value: npt.ArrayLike) -> float:
     return float(np.ravel(value)[0])
 
 
-def _functions(law: Distribution) -> Functions:
+def _functions(law: Distribution) -> SimpleNamespace:
     """The functions of a distribution of chaospy; its upper tail is what its distribution function leaves of 1."""
 
     def shaped(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
@@ -226,7 +197,7 @@ def _functions(law: Distribution) -> Functions:
 
     cdf, ppf = shaped(law.cdf), shaped(law.inv)
 
-    def moments() -> tuple[float, float]:
+    def stats(moments: str) -> tuple[float, float]:
         """Mean and variance, by the trapezoidal rule over normal scores; no variance where a tail is heavy."""
         from scipy.special import ndtr
 
@@ -237,13 +208,13 @@ def _functions(law: Distribution) -> Functions:
         heavy = max(far[1] / far[0], far[3] / far[2]) > 10.0
         return float(weights @ values), math.inf if heavy else float(weights @ (values - weights @ values) ** 2)
 
-    return Functions(
+    return SimpleNamespace(
         cdf=cdf,
         sf=lambda values: 1.0 - cdf(values),
         ppf=ppf,
         isf=lambda shares: ppf(1.0 - np.asarray(shares)),
         pdf=shaped(law.pdf),
-        moments=moments,
+        stats=stats,
     )
 
 

@@ -22,18 +22,12 @@ from uqsphere.uq.sample import Sample
 
 #: orders of the moments that are judged
 MEAN, VARIANCE = 1.0, 2.0
-#: least and largest number of rows that a growth is read off, and the share of all that are taken between them
-FEWEST, MOST, SHARE = 32, 512, 1.0 / 32.0
-#: the same where there are few rows: more than this share are no tail, and fewer than these show no growth
-FEW_SHARE, LEAST = 1.0 / 8.0, 8
 #: rows below which nothing is read off, and below which one that makes most of the variance says that it is not known
 UNREADABLE, FEW = 32, 1000
 #: share of the variance that one of few rows may make
 DOMINANT: Final = 0.4
 #: standard errors by which a growth must differ from none, and by which it may be larger than it looks
 SEEN, DOUBT = 4.0, 2.0
-#: rows beyond the one that tells how frequent large values are, at least
-_FEWEST_MET: Final = 4
 #: a Hill estimate below this is no mean: that of a Cauchy law from as many rows as are taken here
 CAUCHY: Final = 1.2
 
@@ -45,12 +39,6 @@ FEW_CARRIERS: Final = 100.0
 #: half-width of an index times the points that carry it: a product of two answers of which none was seen together in
 #: n points may still have the share 3/n, by the one-sided 95 % bound of a count of none
 NONE_SEEN: Final = 3.0
-
-#: index of a stable law of mean zero and scale 1, skewed to the right, and minus its 2.5 % point (scipy's levy_stable)
-_STABLE: Final = (
-    (1.02, 33.277), (1.05, 14.197), (1.1, 7.863), (1.15, 5.772), (1.2, 4.742), (1.3, 3.744), (1.4, 3.277), (1.6, 2.88),
-    (1.8, 2.762), (1.95, 2.76),
-)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,8 +156,8 @@ def _slope(out: Array, away: Array) -> tuple[float, float]:
 
 
 def _far(rows: int) -> int:
-    """How many of so many rows are taken for a tail."""
-    return min(max(int(SHARE * rows), FEWEST), MOST, max(int(FEW_SHARE * rows), LEAST))
+    """How many of so many rows are taken for a tail: twice their root, of few rows an eighth, and eight at least."""
+    return max(min(2 * math.isqrt(rows), rows // 8), 8)
 
 
 def hill(outputs: Array) -> float:
@@ -217,23 +205,20 @@ def without_moments(
 def _with_rarest(sd: Estimate, outputs: Array, order: float) -> Estimate:
     """A standard deviation whose interval holds what the rarest values add, of which few or none may have been met.
 
-    Without fourth moments the mean of n squares has about the variance a stable law of index a = order/2, skewed to the
-    right (B. V. Gnedenko, A. N. Kolmogorov, Limit distributions for sums of independent random variables, 1954): most
-    means are too small.  Its scale follows from how frequent large squares are, C t^-a of them above t.
+    Of squares that lie above t with the frequency C t^-a, a = order/2, those beyond the t that is met once in n add
+    a/(a - 1) t/n to their mean (the mean of a Pareto law).  Without fourth moments, a < 2, most samples lack that part,
+    and the upper end has room for it twice.
     """
     kept = outputs[np.isfinite(outputs)]
     count = _far(kept.size)
     if sd.value is None or sd.high is None or kept.size <= count or not sd.value > 0.0:
         return sd
-    index = min(max(0.5 * order, _STABLE[0][0]), _STABLE[-1][0])
+    index = 0.5 * order
     squares = np.sort(((kept - kept.mean()) / sd.value) ** 2)
     # squares of a heavy input are rarer than in its own tail until far out: the largest of what all rows there say
-    ranks = np.arange(_FEWEST_MET, count + 1)
-    frequent = float(np.max(ranks / kept.size * squares[-ranks - 1] ** index))
-    constant = (1.0 - index) / (math.gamma(2.0 - index) * math.cos(0.5 * math.pi * index))
-    scale = (frequent / constant) ** (1.0 / index) * kept.size ** (1.0 / index - 1.0)
-    point = float(np.interp(index, [one for one, _ in _STABLE], [one for _, one in _STABLE]))
-    high = sd.value * math.sqrt(1.0 + point * scale)
+    ranks = np.arange(count // 2, count + 1)
+    met_once = float(np.max(ranks ** (1.0 / index) * squares[-ranks - 1]))
+    high = sd.value * math.sqrt(1.0 + 2.0 * index / (index - 1.0) * met_once / kept.size)
     if high <= sd.high or not math.isfinite(high):
         return sd
     return replace(sd, high=high, std_error=0.25 * (high - (sd.low or 0.0)))

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, Why, absent, corrected, from_replicates, student
+from uqsphere.uq.estimate import Estimate, Why, absent, around, corrected, from_replicates, student
 from uqsphere.uq.expansion import Chaos, germ_points, predict
 from uqsphere.uq.points import sobol_points
 
@@ -403,8 +403,7 @@ def _estimate(rows: Array, others: Array, truth: Array, method: str, carriers: f
         half *= _ROOM_TOTAL
     if half > plain.half_width and not np.ndim(truth):
         return plain
-    return Estimate(value=value, low=value - half, high=value + half, std_error=math.hypot(error, spread),
-                    method=f"{method}, controlled by a surrogate", evaluations=evaluations)  # fmt: skip
+    return around(value, half, math.hypot(error, spread), f"{method}, controlled by a surrogate", evaluations)
 
 
 def _carriers(y: Outputs, known: Outputs, chosen: _Chosen) -> dict[str, Array]:

@@ -424,11 +424,7 @@ def bounds_of(lower: float | None, upper: float | None) -> tuple[float, float]:
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what is beyond floating point is refused
 def checked(law: Law) -> Law:
-    """The law, once it is known to have mass, a finite centre, and scatter that floating point can hold.
-
-    Closed forms say so of most laws; what they do not show is looked at closely, which loads special functions:
-    `uqsphere check` is quick without.
-    """
+    """The law, once it is known to have mass, a finite centre, and scatter that floating point can hold."""
     name = law.family.name
     beyond = LawError(f"these parameters of {name} give numbers beyond floating point", "")
     try:
@@ -437,8 +433,6 @@ def checked(law: Law) -> Law:
         centre = math.inf
     if not math.isfinite(centre):
         raise beyond
-    if law.family.sound(law.parameters, law.lower, law.upper, centre):
-        return law
     if not law.mass > _LEAST_MASS:
         bounds = f"[{law.lower:g}, {law.upper:g}]"
         key = "lower" if math.isfinite(law.lower) else "upper"

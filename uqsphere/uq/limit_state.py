@@ -16,10 +16,10 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.copulas import FARTHEST
-from uqsphere.uq.estimate import Estimate, absent, logit_ends, student
+from uqsphere.uq.describe import quantile_estimates
+from uqsphere.uq.estimate import Estimate, absent, between, count_bound, logit_ends, student
 from uqsphere.uq.joint import Tie, conditional_score, conditional_scores
 from uqsphere.uq.law import Law
-from uqsphere.uq.quantiles import quantile_estimates
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,11 +143,10 @@ def _interval(event: Array, other: Array, counts: Array, resolution: float) -> t
     """
     size = float(counts.sum())
     p, q = float(event.sum()) / size, float(other.sum()) / size
-    bound = -math.expm1(math.log(0.05) / size)
     if p <= 0.0:
-        return 0.0, 0.0, bound, 1.0 / size
+        return 0.0, 0.0, count_bound(size), 1.0 / size
     if q <= 0.0:
-        return 1.0, 1.0 - bound, 1.0, 1.0 / size
+        return 1.0, 1.0 - count_bound(size), 1.0, 1.0 / size
     # The smaller side has the digits.
     rows = (event if p <= q else other).sum(axis=1) / counts
     error = max(float(np.std(rows, ddof=1)), resolution) / math.sqrt(rows.size)
@@ -176,12 +175,10 @@ def _estimate(state: LimitState, breaking: bool) -> Estimate:
         most_below = np.where(unsure, 1.0, below)
         least_above = np.where(unsure, 0.0, above)
         least_below, most_above = below, np.where(broken, 1.0, above) if bound else above
-        if breaking:
-            low = _interval(least_above, most_below, counts, resolution)[1]
-            high = _interval(most_above, least_below, counts, resolution)[2]
-        else:
-            low = _interval(least_below, most_above, counts, resolution)[1]
-            high = _interval(most_below, least_above, counts, resolution)[2]
+        sides = (least_above, most_below), (least_below, most_above)
+        least, most = sides if breaking else sides[::-1]
+        low = _interval(*least, counts, resolution)[1]
+        high = _interval(*most[::-1], counts, resolution)[2]
         error = max(error, 0.5 * (high - low) / student(below.shape[0]))
         named = ["censored"] * bool(late.any()) + ["failed"] * bound
         method += f", interval widened for {' and '.join(named)} rows"
@@ -200,11 +197,9 @@ def by_replicate(state: LimitState, aim: str) -> Array | None:
     state = replace(state, censored=None, failed=None)
     below, above = tails(state)
     event, other = (above, below) if aim == "break" else (below, above)
-    counts = (~state.broken).sum(axis=1).astype(float)
-    if counts.min() < 2:
+    if (~state.broken).sum(axis=1).min() < 2:
         return None
-    # two copies of one replicate: the value is its own
-    return np.array([_interval(event[[r, r]], other[[r, r]], counts[[r, r]], 0.0)[0] for r in range(len(counts))])
+    return np.asarray(event.sum(axis=1) / (event + other).sum(axis=1))
 
 
 def exceedance(state: LimitState) -> Estimate:
@@ -295,9 +290,8 @@ def _margin_of_fixed(state: LimitState, strength: float, keys: dict[float, str])
             answer[key] = absent("the demand may be zero: the margin is unbounded", demand.method,
                                  demand.evaluations)  # fmt: skip
         else:
-            low, high = strength / demand.high, strength / demand.low
-            error = 0.5 * (high - low) / student(state.demands.shape[0])
-            answer[key] = replace(demand, value=strength / demand.value, low=low, high=high, std_error=error)
+            value, low, high = (strength / end for end in (demand.value, demand.high, demand.low))
+            answer[key] = between(value, low, high, len(state.demands), demand.method, demand.evaluations)
     return answer
 
 
@@ -337,9 +331,7 @@ def _margin(state: LimitState, strength: Law, p: float) -> Estimate:
     low, high = _ends(pooled, value, p, (lowest, highest))
     if low is None or high is None:
         return absent("beyond what the samples can tell", state.method, total)
-    low, high = min(low, value), max(high, value)
-    return Estimate(value=value, low=low, high=high, std_error=0.5 * (high - low) / student(counts.size),
-                    method=state.method, evaluations=total)  # fmt: skip
+    return between(value, min(low, value), max(high, value), counts.size, state.method, total)
 
 
 #: logarithm of a margin beyond which there is none: the median lies where the demand changes its sign

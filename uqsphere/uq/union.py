@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.copulas import FARTHEST
-from uqsphere.uq.estimate import Estimate, logit_ends, none_of, student
+from uqsphere.uq.estimate import Estimate, between, logit_ends, none_of, student
 from uqsphere.uq.joint import conditional_scores
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.limit_state import LimitState, score_of, tails
@@ -211,10 +211,7 @@ def share_of(flags: Flags, weights: Array, method: str, evaluations: int) -> Est
     """Share of True in (R, m) where a replicate stands for its weight (R,), mean 1; interval in logits."""
     replicates, m = flags.shape
     if not flags.any() or flags.all():
-        none = none_of(flags.size, method)
-        if flags.any():
-            none = replace(none, value=1.0, low=1.0 - (none.high or 0.0), high=1.0)
-        return replace(none, evaluations=evaluations)
+        return replace(none_of(flags.size, method, every=bool(flags.any())), evaluations=evaluations)
     rows = flags.mean(axis=1)
     p = float((weights * rows).mean())
     error = _ratio_error(rows, weights, p, max(p * (1.0 - p), 0.25 / m) / m)
@@ -244,5 +241,4 @@ def weighted_quantile(values: Array, weights: Array, p: float, method: str, eval
     error = _ratio_error((values <= value).mean(axis=1), weights, p, p * (1.0 - p) / m)
     half = student(replicates) * error
     low, high = at(max(p - half, 0.0)), at(min(p + half, 1.0))
-    return Estimate(value=value, low=low, high=high, std_error=0.5 * (high - low) / student(replicates),
-                    method=method, evaluations=evaluations)  # fmt: skip
+    return between(value, low, high, replicates, method, evaluations)

@@ -34,7 +34,7 @@ from uqsphere.results import Est, MarginEntry
 from uqsphere.runner.questions.curves import member_values
 from uqsphere.uq import Law
 from uqsphere.uq.families import FAMILIES
-from uqsphere.uq.weibull import (
+from uqsphere.uq.fitting import (
     STRENGTHS,
     StrengthFit,
     StrengthTests,

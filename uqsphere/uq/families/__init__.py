@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from uqsphere.uq.families.family import Family, LawError
-from uqsphere.uq.families.named import named_family
+from uqsphere.uq.families.family import Family, LawError, named_family
 from uqsphere.uq.families.observed import DRAWN, EMPIRICAL
 from uqsphere.uq.families.standard import FAMILIES as STANDARD
 

@@ -13,17 +13,18 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places, special
+from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.families.family import Family, LawError, Shapes
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 #: Beyond this many observations a kernel density has nothing to add to the step function.
 MOST_KERNELS = 5000
-#: nodes, normal scores there, and their slopes
-Table: TypeAlias = tuple[Array, Array, Array]
 _REACH = 37.5  # normal scores beyond this are below the smallest floating-point probability
 #: numbers of a draw, and the kinds
 WIDTH: Final = 5
@@ -32,75 +33,46 @@ LOGNORMAL, WEIBULL = 0.0, 1.0
 #: shares are then known to 1e-8
 _NODES, _MIDDLE, _TAIL, _FURTHEST, _LEAST = 4001, 6.0, 400, 37.0, 700.0
 
-# --- tables of normal scores ------------------------------------------------------------------------------
+# --- tables of normal scores: cubics between the nodes of x, a straight line beyond (|z| > 37) --------------------
 
 
-def _cell(nodes: Array, x: Array) -> Places:
-    """Index of the node to the left of each x, the last but one at most."""
-    return np.clip(np.searchsorted(nodes, x) - 1, 0, nodes.size - 2).astype(np.int64)
+def _table(nodes: Array, score: Array, slope: Array, rising: Flags) -> CubicHermiteSpline:
+    from scipy.interpolate import CubicHermiteSpline
+
+    known = np.isfinite(score) & np.isfinite(slope) & rising
+    return CubicHermiteSpline(nodes[known], score[known], slope[known])
 
 
-def _cubic(table: Table, cell: Places, t: Array) -> tuple[Array, Array]:
-    """Value and t-derivative of the Hermite cubic of z in the cell, t in [0, 1]."""
-    x, z, slope = table
-    step = x[cell + 1] - x[cell]
-    rise = z[cell + 1] - z[cell]
-    left, right = slope[cell] * step, slope[cell + 1] * step
-    c2, c3 = 3.0 * rise - 2.0 * left - right, left + right - 2.0 * rise
-    return z[cell] + t * (left + t * (c2 + t * c3)), left + t * (2.0 * c2 + 3.0 * t * c3)
+def _score_at(table: CubicHermiteSpline, x: Array) -> Array:
+    """Normal score ndtri(F(x)) of a tabulated distribution."""
+    near = np.clip(x, table.x[0], table.x[-1])
+    found = table(near)
+    if np.any(beyond := x != near):
+        found[beyond] += table(near[beyond], 1) * (x - near)[beyond]
+    return np.asarray(found)
 
 
-def _score_at(table: Table, x: Array) -> Array:
-    """Normal score ndtri(F(x)) of a tabulated distribution; linear beyond the table (|z| > 37)."""
-    nodes, z, slope = table
-    cell = _cell(nodes, x)
-    t = np.clip((x - nodes[cell]) / (nodes[cell + 1] - nodes[cell]), 0.0, 1.0)
-    inside = _cubic(table, cell, t)[0]
-    inside = np.where(x < nodes[0], z[0] + slope[0] * (x - nodes[0]), inside)
-    return np.where(x > nodes[-1], z[-1] + slope[-1] * (x - nodes[-1]), inside)
+def _from_score(table: CubicHermiteSpline, score: Array) -> Array:
+    """Inverse of `_score_at`, solved inside one cell of the table."""
+    from scipy.optimize import elementwise
+
+    scores = table(table.x)
+    near = np.clip(score, scores[0], scores[-1])
+    cell = np.clip(np.searchsorted(scores, near) - 1, 0, scores.size - 2)
+    ends = table.x[cell], table.x[cell + 1]
+    solved = elementwise.find_root(lambda x, wanted: table(x) - wanted, ends, args=(near,), tolerances={"fatol": 1e-13})
+    # in a gap between observations the score does not rise at all
+    found = np.where(solved.success, solved.x, np.where(near > scores[cell], ends[1], ends[0]))
+    if np.any(beyond := score != near):
+        found[beyond] += (score - near)[beyond] / table(found[beyond], 1)
+    return np.asarray(found)
 
 
-def _from_score(table: Table, score: Array) -> Array:
-    """Inverse of `_score_at`: Newton steps, bisection as the fallback, inside one cell of the table."""
-    nodes, z, slope = table
-    cell = _cell(z, score)
-    rise = z[cell + 1] - z[cell]
-    start = np.where(rise > 0.0, (score - z[cell]) / np.where(rise > 0.0, rise, 1.0), 0.5)
-    t = _solve_cells(table, cell, score, np.clip(start, 0.0, 1.0))
-    inside = nodes[cell] + t * (nodes[cell + 1] - nodes[cell])
-    inside = np.where(score < z[0], nodes[0] + (score - z[0]) / slope[0], inside)
-    return np.where(score > z[-1], nodes[-1] + (score - z[-1]) / slope[-1], inside)
-
-
-def _solve_cells(table: Table, cell: Places, score: Array, start: Array) -> Array:
-    """Place t in [0, 1] of each score within its cell; entries leave the iteration as they converge."""
-    t = start.ravel()
-    low, high = np.zeros_like(t), np.ones_like(t)
-    cells, scores, open_ = cell.ravel(), score.ravel(), np.arange(t.size)
-    for _ in range(60):
-        value, derivative = _cubic(table, cells[open_], t[open_])
-        below = value < scores[open_]
-        low[open_] = np.where(below, t[open_], low[open_])
-        high[open_] = np.where(below, high[open_], t[open_])
-        newton = t[open_] - (value - scores[open_]) / np.where(derivative > 0.0, derivative, 1.0)
-        usable = (derivative > 0.0) & (newton >= low[open_]) & (newton <= high[open_])
-        following = np.where(usable, newton, 0.5 * (low[open_] + high[open_]))
-        moved = np.abs(following - t[open_]) > 1e-12
-        t[open_] = following
-        open_ = open_[moved]
-        if not open_.size:
-            break
-    return t.reshape(start.shape)
-
-
-def _density_at(table: Table, x: Array) -> Array:
+def _density_at(table: CubicHermiteSpline, x: Array) -> Array:
     """Density of a tabulated distribution, dz/dx φ(z)."""
-    nodes = table[0]
-    cell = _cell(nodes, x)
-    step = nodes[cell + 1] - nodes[cell]
-    score, derivative = _cubic(table, cell, np.clip((x - nodes[cell]) / step, 0.0, 1.0))
-    density = derivative / step * np.exp(-0.5 * score * score) / math.sqrt(2.0 * math.pi)
-    return np.where((x < nodes[0]) | (x > nodes[-1]), 0.0, density)
+    near = np.clip(x, table.x[0], table.x[-1])
+    density = table(near, 1) * np.exp(-0.5 * table(near) ** 2) / math.sqrt(2.0 * math.pi)
+    return np.where(x == near, density, 0.0)
 
 
 # --- observations: shapes are the bandwidth and the observations ------------------------------------------
@@ -127,7 +99,7 @@ def bandwidth(data: Array) -> float:
 
 
 @lru_cache(maxsize=64)
-def _kernel_table(shapes: Shapes) -> Table:
+def _kernel_table(shapes: Shapes) -> CubicHermiteSpline:
     """Nodes x, scores z and slopes dz/dx of the kernel distribution function."""
     width, kernels = shapes[0], np.asarray(shapes[1:])
     # Nodes every width/48 within nine widths of an observation; in a wider gap F is constant to 1e-18.
@@ -147,8 +119,7 @@ def _kernel_table(shapes: Shapes) -> Table:
         z[first : first + block] = score
         # dz/dx = f(x)/φ(z); both carry the same 1/sqrt(2 pi).
         slope[first : first + block] = density / width * np.exp(0.5 * score * score)
-    keep = np.isfinite(z) & np.isfinite(slope) & np.concatenate([[True], np.diff(z) >= 0.0])
-    return nodes[keep], z[keep], slope[keep]
+    return _table(nodes, z, slope, np.diff(z, prepend=-math.inf) >= 0.0)
 
 
 def _kernel_both(y: Array, shapes: Shapes) -> tuple[Array, Array]:
@@ -215,7 +186,7 @@ def _ends(shapes: Shapes, reach: float) -> tuple[float, float]:
 
 
 @lru_cache(maxsize=64)
-def _drawn_table(shapes: Shapes) -> Table:
+def _drawn_table(shapes: Shapes) -> CubicHermiteSpline:
     """Nodes of ln x with the normal scores of the mean of all draws and their slopes, as far as these are finite."""
     (start, end), (low, high) = (_ends(shapes, reach) for reach in (_FURTHEST, _MIDDLE))
     tails = np.linspace(start, low, _TAIL)[:-1], np.linspace(high, end, _TAIL)[1:]
@@ -225,8 +196,7 @@ def _drawn_table(shapes: Shapes) -> Table:
     with np.errstate(over="ignore", invalid="ignore"):
         score = np.where(below < 0.5, special.ndtri(below), -special.ndtri(above))
         slope = density * np.exp(nodes) * math.sqrt(2.0 * math.pi) * np.exp(0.5 * score * score)
-    known = np.isfinite(score) & np.isfinite(slope) & (np.diff(score, prepend=-math.inf) > 0.0)
-    return nodes[known], score[known], slope[known]
+    return _table(nodes, score, slope, np.diff(score, prepend=-math.inf) > 0.0)
 
 
 def _logs(y: Array) -> Array:

@@ -18,8 +18,6 @@ from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.families.family import Columns, Distances, Family, LawError, Parameters, Posterior, Shapes, Strength
 
 MOMENTS: Final = (("mean", "sd"), ("mean", "cov"))
-#: logarithmic scatter below which closed forms of a lognormal law tell whether it is sound
-_PLAIN_SPREAD: Final = 5.0
 #: steps of the logarithm of a shape between which the distribution of a distance is the same for all purposes
 _STEPS: Final = 20.0
 #: largest degrees of freedom that are tried: what cannot be told from a normal law
@@ -52,28 +50,6 @@ def _normal_pivots(n: int, count: int, generator: Generator) -> tuple[Array, Arr
 def _normal_below(samples: int, n: int, shape: float, generator: Generator) -> Array:
     x = np.sort(generator.standard_normal((samples, n)), axis=1)
     return special.ndtr((x - x.mean(axis=1, keepdims=True)) / x.std(axis=1, keepdims=True))
-
-
-def _normal_mass(location: float, scale: float, low: float, high: float) -> bool:
-    """Whether a normal law has scatter, and a tenth of its mass between two bounds."""
-    if not scale > 1e-12 * abs(location):
-        return False
-    root = scale * math.sqrt(2.0)
-    return 0.5 * (math.erfc((low - location) / root) - math.erfc((high - location) / root)) > 0.1
-
-
-def _normal_sound(own: Parameters, lower: float, upper: float, centre: float) -> bool:
-    massive = _normal_mass(own["mean"], own["sd"], lower, upper)
-    return massive and math.isfinite(own["sd"]) and own["sd"] > 1e-9 * abs(centre)
-
-
-def _lognormal_sound(own: Parameters, lower: float, upper: float, centre: float) -> bool:
-    spread = own["log_sd"]
-    if not spread < _PLAIN_SPREAD:
-        return False
-    low, high = (math.log(bound) if bound > 0.0 else -math.inf for bound in (lower, upper))
-    massive = _normal_mass(own["log_mean"], spread, low, high)
-    return massive and math.isfinite(spread * centre) and spread * centre > 1e-9 * abs(centre)
 
 
 def _lognormal_keys(given: Keys, lower: float, upper: float) -> Keys:
@@ -122,7 +98,6 @@ NORMAL: Final = Family(
     sd=lambda shapes: 1.0,
     gaussian=True,
     least=lambda own, lower, upper: own["mean"] - 8.0 * own["sd"] if lower < own["mean"] < upper else -math.inf,
-    sound=_normal_sound,
     fit=lambda data, lower, upper: {"mean": float(np.mean(data)), "sd": float(np.std(data))},
     pivots=lambda own, n, count, generator: _normal_moved(own, *_normal_pivots(n, count, generator)),
     tried=Distances(below=_normal_below),
@@ -142,7 +117,6 @@ LOGNORMAL: Final = replace(
     whole_sd=lambda own, lower, upper: _lognormal_mean(own) * math.sqrt(math.expm1(own["log_sd"] ** 2)),
     least=lambda own, lower, upper: 0.0,
     variation=lambda own: math.sqrt(math.expm1(own["log_sd"] ** 2)),
-    sound=_lognormal_sound,
     fit=lambda data, lower, upper: {"log_mean": float(np.mean(np.log(data))), "log_sd": float(np.std(np.log(data)))},
     positive=True,
     pivots=lambda own, n, count, generator: _lognormal_moved(own, *_normal_pivots(n, count, generator)),
@@ -168,28 +142,10 @@ LOGNORMAL: Final = replace(
 
 
 def weibull_estimates(logarithms: Array) -> tuple[Array, Array]:
-    """Maximum-likelihood modulus and scale (rows,) of Weibull laws without threshold from ln x (rows, n).
-
-    Newton's method on sum x^m ln x / sum x^m - 1/m = mean ln x, whose left side rises with m.
-    """
-    centre = logarithms.mean(axis=1, keepdims=True)
-    spread = logarithms.std(axis=1, keepdims=True)
-    y = (logarithms - centre) / spread
-    modulus = np.full((len(y), 1), 1.28)
-    for _ in range(60):
-        weights = np.exp(modulus * (y - y.max(axis=1, keepdims=True)))
-        total = weights.sum(axis=1, keepdims=True)
-        first = (weights * y).sum(axis=1, keepdims=True) / total
-        second = (weights * y * y).sum(axis=1, keepdims=True) / total
-        step = (first - 1.0 / modulus) / (second - first**2 + modulus**-2.0)
-        following = np.maximum(modulus - step, 0.1 * modulus)
-        settled = np.abs(following - modulus).max() < 1e-13 * modulus.max()
-        modulus = following
-        if settled:
-            break
-    highest = y.max(axis=1, keepdims=True)
-    scale = highest + np.log(np.exp(modulus * (y - highest)).mean(axis=1, keepdims=True)) / modulus
-    return (modulus / spread)[:, 0], np.exp(scale * spread + centre)[:, 0]
+    """Maximum-likelihood modulus and scale (rows,) of Weibull laws without threshold from ln x (rows, n)."""
+    assert WEIBULL.strength is not None
+    location, spread = WEIBULL.strength.maximum(logarithms, np.ones(logarithms.shape[1], dtype=bool))
+    return 1.0 / spread, np.exp(location)
 
 
 def extreme_pivots(n: int, count: int, generator: Generator) -> tuple[Array, Array]:
@@ -713,11 +669,6 @@ def _beta_sd(shapes: Shapes) -> float:
     return math.sqrt(a * b / (a + b + 1.0)) / (a + b)
 
 
-def _beta_sound(own: Parameters, lower: float, upper: float, centre: float) -> bool:
-    scatter = (upper - lower) * _beta_sd((own["alpha"], own["beta"]))
-    return math.isfinite(upper - lower) and scatter > 1e-9 * max(abs(centre), abs(lower), abs(upper))
-
-
 def _beta_keys(given: Keys, lower: float, upper: float) -> Keys:
     if "alpha" in given:
         return {"alpha": given["alpha"], "beta": given["beta"]}
@@ -754,7 +705,6 @@ BETA: Final = Family(
     pdf=_beta_pdf,
     mean=lambda shapes: shapes[0] / (shapes[0] + shapes[1]),
     sd=_beta_sd,
-    sound=_beta_sound,
     fit=_beta_fit,
     posterior=Posterior(keys=("alpha", "beta"), positive=(True, True), ranges=_anywhere),
 )

@@ -9,35 +9,238 @@ that is said.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, Why, absent
-from uqsphere.uq.points import random_generator
+from uqsphere.uq.estimate import Absent, Estimate, Why, absent, student
+from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.form import FormAnswer, find_design_points
 from uqsphere.uq.rare.importance import (
     REPLICATES,
     ImportanceAnswer,
+    Mixture,
     Pool,
+    Radial,
     adapt,
     around_design_points,
-    blended,
     collect,
+    component_densities,
     defended,
+    fit_mixture,
     importance_sampling,
+    joined,
     pooled_weights,
-    refit,
-    tail_shape,
     uncovered,
     wide_mixture,
     worth_of,
 )
-from uqsphere.uq.rare.mixture import Mixture, Radial, component_densities, fit_mixture, joined, log_density
-from uqsphere.uq.rare.problem import Evaluator, LimitFunction, log_normal_density
-from uqsphere.uq.rare.subset import SubsetAnswer, subset_simulation
+from uqsphere.uq.rare.problem import Evaluator, LimitFunction, Spent, log_normal_density
+
+#: share of a level that seeds the next
+SHARE = 0.1
+#: rate of acceptance that the steps aim at
+ACCEPTANCE = 0.44
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SubsetAnswer:
+    """What subset simulation found.
+
+    `estimate` is absent where no failure was reached: then its upper end bounds the probability.
+    `failures` (n, size) are points of the failure domain, distributed as the variables given failure.
+    """
+
+    estimate: Estimate
+    failures: Array
+    levels: int
+
+
+@dataclass(kw_only=True)
+class _Repetition:
+    """One repetition on its way down."""
+
+    rng: np.random.Generator
+    states: Array
+    values: Array
+    reached: float = 1.0
+    level: int = 0
+    probability: float | None = None
+    stalled: bool = False
+
+    @property
+    def going(self) -> bool:
+        return self.probability is None and not self.stalled
+
+
+def subset_simulation(
+    evaluator: Evaluator,
+    *,
+    seed: int,
+    per_level: int = 1000,
+    repetitions: int = 4,
+    most_levels: int = 14,
+    task: str = "subset",
+) -> SubsetAnswer:
+    """Probability of failure with the spread of `repetitions` whole runs of `per_level` points a level.
+
+    Levels hold a tenth of the sample each (Au and Beck 2001); chains move by conditional sampling with a step that
+    follows the rate of acceptance (Papaioannou et al. 2015, doi 10.1016/j.probengmech.2015.06.006).  The usual
+    coefficient of variation takes the levels for independent and is too small: the interval is that of whole runs.
+
+    >>> from uqsphere.uq.rare.problem import LimitFunction
+    >>> plane = Evaluator(limit=LimitFunction(function=lambda u: 3.0 - u[:, 0], dimension=2))
+    >>> found = subset_simulation(plane, seed=1).estimate
+    >>> found.low < 1.3499e-3 < found.high
+    True
+    """
+    if repetitions < 2 or per_level < 20:
+        raise ValueError(f"2 repetitions of 20 points are the least, found {repetitions} of {per_level}")
+    begun = evaluator.count
+    per_level = 10 * (per_level // 10)
+    try:
+        runs = _first_level(evaluator, seed, per_level, repetitions, task)
+    except Spent:
+        nothing = absent("the budget does not suffice for the first level", "subset simulation", 0)
+        none = np.empty((0, evaluator.size))
+        return SubsetAnswer(estimate=nothing, failures=none, levels=0)
+    spent = False
+    while True:
+        for run in runs:
+            if run.going:
+                _close_level(run, most_levels)
+        going = [run for run in runs if run.going]
+        if not going:
+            break
+        try:
+            _move(evaluator, going, per_level)
+        except Spent:
+            spent = True
+            break
+    return _answer(runs, evaluator.count - begun, spent)
+
+
+def _first_level(evaluator: Evaluator, seed: int, per_level: int, repetitions: int, task: str) -> list[_Repetition]:
+    from scipy.special import ndtri
+
+    size = evaluator.size
+    states = [
+        np.asarray(ndtri(sobol_points(dimension=size, count=per_level, seed=seed, task=task, replicate=r)))
+        for r in range(repetitions)
+    ]
+    values = evaluator.hard(np.concatenate(states)).reshape(repetitions, per_level)
+    return [
+        _Repetition(
+            rng=random_generator(seed=seed, task=f"{task} chains", replicate=r), states=states[r], values=values[r]
+        )
+        for r in range(repetitions)
+    ]
+
+
+def _close_level(run: _Repetition, most_levels: int) -> None:
+    """Either the probability of a repetition, or the threshold and the seeds of its next level."""
+    count = run.values.size
+    seeds = int(SHARE * count)
+    failing = int((run.values < 0.0).sum())
+    if failing >= seeds:
+        run.probability = run.reached * failing / count
+        return
+    order = np.argsort(run.values, kind="stable")
+    threshold = float(run.values[order[seeds - 1]])
+    # a plateau: as many points as there are seeds cannot be told from the rest
+    within = int((run.values <= threshold).sum())
+    if within > 0.5 * count or not math.isfinite(threshold) or run.level >= most_levels:
+        if failing:
+            run.probability = run.reached * failing / count
+        else:
+            run.stalled = True
+        return
+    run.reached *= within / count
+    chosen = order[:within]
+    if within > seeds:
+        chosen = run.rng.permutation(chosen)[:seeds]
+    run.states, run.values = run.states[chosen], run.values[chosen]
+    run.level += 1
+
+
+def _move(evaluator: Evaluator, runs: list[_Repetition], per_level: int) -> None:
+    """Chains of every repetition from its seeds, all in step: the sample of the next level."""
+    thresholds = [float(run.values.max()) for run in runs]
+    here = [(run.states, run.values) for run in runs]
+    parts = [[pair] for pair in here]
+    scales = np.full(len(runs), 0.6)
+    for step in range(1, per_level // runs[0].values.size):
+        spreads = np.minimum(1.0, scales)
+        tried = []
+        for run, (states, _), spread in zip(runs, here, spreads, strict=True):
+            noise = run.rng.standard_normal(states.shape)
+            tried.append(math.sqrt(1.0 - spread**2) * states + spread * noise)
+        found = np.split(evaluator.hard(np.concatenate(tried)), len(runs))
+        for k in range(len(runs)):
+            states, values = here[k]
+            accepted = found[k] <= thresholds[k]
+            here[k] = (np.where(accepted[:, None], tried[k], states), np.where(accepted, found[k], values))
+            parts[k].append(here[k])
+            scales[k] *= math.exp((float(accepted.mean()) - ACCEPTANCE) / math.sqrt(step))
+    for run, pieces in zip(runs, parts, strict=True):
+        run.states = np.concatenate([states for states, _ in pieces])
+        run.values = np.concatenate([values for _, values in pieces])
+
+
+def _answer(runs: list[_Repetition], evaluations: int, spent: bool) -> SubsetAnswer:
+    method = f"subset simulation, {len(runs)} repetitions"
+    found = [run for run in runs if run.probability is not None]
+    probabilities = np.array([run.probability or 0.0 for run in runs])
+    size = runs[0].states.shape[1]
+    failures = [run.states[run.values < 0.0] for run in found]
+    levels = max(run.level for run in runs)
+    if not found:
+        estimate = _never_reached(runs, method, evaluations, spent)
+    elif len(found) < len(runs):
+        # some runs saw a failure domain that others did not: their answers are worlds apart
+        highest = float(probabilities.max())
+        estimate = Estimate(value=float(probabilities.mean()), low=0.0, high=10.0 * highest, std_error=highest,
+                            method=f"{method}, {len(runs) - len(found)} of which reached no failure",
+                            evaluations=evaluations)  # fmt: skip
+    else:
+        estimate = _of_repetitions(probabilities, method, evaluations)
+    return SubsetAnswer(
+        estimate=estimate,
+        failures=np.concatenate(failures) if failures else np.empty((0, size)),
+        levels=levels,
+    )
+
+
+def _of_repetitions(probabilities: Array, method: str, evaluations: int) -> Estimate:
+    """Student's interval of the logarithm, about the mean of the repetitions."""
+    value = float(probabilities.mean())
+    error = max(float(np.std(np.log(probabilities), ddof=1)), 0.02) / math.sqrt(probabilities.size)
+    factor = math.exp(min(student(probabilities.size) * error, 300.0))
+    return Estimate(value=value, low=value / factor, high=min(1.0, value * factor), std_error=value * error,
+                    method=method, evaluations=evaluations)  # fmt: skip
+
+
+def _never_reached(runs: list[_Repetition], method: str, evaluations: int, spent: bool) -> Estimate:
+    """No failure was seen: the level that was reached bounds the probability from above."""
+    points = sum(run.values.size for run in runs)
+    bound = float(np.mean([run.reached for run in runs]))
+    if max(run.level for run in runs) == 0:
+        bound = -math.expm1(math.log(0.05) / points)
+    else:
+        bound = min(1.0, 3.0 * bound)
+    if spent:
+        reason = "the budget ended before a failure was reached"
+    elif all(run.level == 0 for run in runs):
+        reason = "no failure, and the limit function does not fall anywhere: it may be constant"
+    else:
+        reason = "no failure domain was reached"
+    return Estimate(value=None, low=0.0, high=bound, std_error=None, method=method, evaluations=evaluations,
+                    absent=Absent(Why.TOO_FEW, f"{reason}; the probability is below {bound:.2g}"))  # fmt: skip
+
+
+# --- parts of the failure domain -----------------------------------------------------------------------------
 
 Indices = npt.NDArray[np.int64]
 
@@ -180,7 +383,7 @@ class RareAnswer:
 
     `modes` counts separate parts of the failure domain that carry at least a hundredth of it; `agreed` tells
     whether the two methods do; `checks` says what was looked at, in sentences.  `history` holds (method,
-    evaluations so far, half-width over value).  `flipped`: the complement is the rarer event and was sampled.
+    evaluations so far, half-width over value).
     """
 
     estimate: Estimate
@@ -192,19 +395,6 @@ class RareAnswer:
     checks: tuple[str, ...]
     history: tuple[tuple[str, int, float], ...]
     evaluations: int
-    flipped: bool = False
-
-
-@dataclass(kw_only=True)
-class _Course:
-    """What is gathered on the way."""
-
-    checks: list[str] = field(default_factory=list)
-    history: list[tuple[str, int, float]] = field(default_factory=list)
-
-    def note(self, method: str, evaluations: int, estimate: Estimate) -> None:
-        if estimate.value and math.isfinite(estimate.half_width):
-            self.history.append((method, evaluations, estimate.half_width / estimate.value))
 
 
 def find_probability(limit: LimitFunction, *, seed: int, accuracy: float = 0.015, budget: int = 30_000) -> RareAnswer:
@@ -216,7 +406,6 @@ def find_probability(limit: LimitFunction, *, seed: int, accuracy: float = 0.015
     (2, True, True)
     """
     evaluator = Evaluator(limit=limit, budget=budget)
-    course = _Course()
     pool = Pool()
     starts = _look_around(evaluator, pool, seed)
     design = find_design_points(evaluator, seed=seed, starts=starts, most=max(0.06 * budget, 30.0))
@@ -224,23 +413,28 @@ def find_probability(limit: LimitFunction, *, seed: int, accuracy: float = 0.015
     subset = subset_simulation(evaluator, seed=seed, per_level=per_level)
     if subset.levels == 0 and subset.estimate.value is not None and subset.estimate.value > 0.5:
         return _flipped(limit, seed=seed, accuracy=accuracy, budget=budget, spent=evaluator.count)
-    course.note("subset simulation", evaluator.count, subset.estimate)
-    if design.text:
-        course.checks.append(f"design points: {design.text}")
+    checks = [f"design points: {design.text}"] if design.text else []
+    history = _noted("subset simulation", evaluator.count, subset.estimate)
     mixture = _first_mixture(evaluator, pool, design, subset, seed)
-    if mixture is None:
-        return RareAnswer(estimate=replace(subset.estimate, evaluations=evaluator.count), modes=0, agreed=False,
-                          design=design, subset=subset, importance=None, checks=tuple(course.checks),
-                          history=tuple(course.history), evaluations=evaluator.count)  # fmt: skip
-    mixture = adapt(evaluator, pool, mixture, seed=seed, per_stage=_stage(evaluator, budget))
-    mixture = _cover(evaluator, pool, mixture, subset, seed, budget)
-    answer = _sample(evaluator, pool, mixture, seed, accuracy)
-    course.note("importance sampling", evaluator.count, answer.estimate)
-    modes = _modes(evaluator, answer, mixture)
-    estimate, agreed = _certify(answer, subset, course.checks)
-    return RareAnswer(estimate=replace(estimate, evaluations=evaluator.count), modes=modes, agreed=agreed,
-                      design=design, subset=subset, importance=answer, checks=tuple(course.checks),
-                      history=tuple(course.history), evaluations=evaluator.count)  # fmt: skip
+    estimate, agreed, modes, answer = subset.estimate, False, 0, None
+    if mixture is not None:
+        mixture = adapt(evaluator, pool, mixture, seed=seed, per_stage=_stage(evaluator))
+        mixture = _cover(evaluator, pool, mixture, subset, seed)
+        answer = _sample(evaluator, mixture, seed, accuracy)
+        history += _noted("importance sampling", evaluator.count, answer.estimate)
+        if answer.estimate.value is not None:
+            modes = count_modes(evaluator, answer.points, answer.weights, mixture)
+        estimate, agreed = _certify(answer, subset, checks)
+    return RareAnswer(
+        estimate=replace(estimate, evaluations=evaluator.count), modes=modes, agreed=agreed, design=design,
+        subset=subset, importance=answer, checks=tuple(checks), history=tuple(history), evaluations=evaluator.count,
+    )  # fmt: skip
+
+
+def _noted(method: str, evaluations: int, estimate: Estimate) -> list[tuple[str, int, float]]:
+    """What a method has reached after so many evaluations, if it has an interval."""
+    reached = estimate.value and math.isfinite(estimate.half_width)
+    return [(method, evaluations, estimate.half_width / estimate.value)] if reached else []
 
 
 def _look_around(evaluator: Evaluator, pool: Pool, seed: int) -> Array | None:
@@ -265,7 +459,7 @@ def _look_around(evaluator: Evaluator, pool: Pool, seed: int) -> Array | None:
     return np.column_stack([starts, np.full(len(starts), -1.0)]) if evaluator.limit.integrated else starts
 
 
-def _stage(evaluator: Evaluator, budget: int) -> int:
+def _stage(evaluator: Evaluator) -> int:
     return int(max(min(2048, evaluator.left / 6), 256))
 
 
@@ -289,7 +483,7 @@ def _first_mixture(
     return joined(parts) if parts else None
 
 
-def _cover(evaluator: Evaluator, pool: Pool, mixture: Mixture, subset: SubsetAnswer, seed: int, budget: int) -> Mixture:
+def _cover(evaluator: Evaluator, pool: Pool, mixture: Mixture, subset: SubsetAnswer, seed: int) -> Mixture:
     """Subset simulation's failures that the mixture does not reach get components of their own, and a stage."""
     _, weights = pooled_weights(pool)
     d = evaluator.dimension
@@ -302,60 +496,20 @@ def _cover(evaluator: Evaluator, pool: Pool, mixture: Mixture, subset: SubsetAns
     lost = inner[holes.astype(bool)]
     more = fit_mixture(lost, np.ones(len(lost)), rng=rng, most=3, correlated=_CHAIN[d > 10])
     wider = joined([(0.8, mixture), (0.2, more)])
-    return adapt(evaluator, pool, wider, seed=seed, stages=1, per_stage=_stage(evaluator, budget), task="cover")
+    return adapt(evaluator, pool, wider, seed=seed, stages=1, per_stage=_stage(evaluator), task="cover")
 
 
-def _sample(evaluator: Evaluator, pool: Pool, mixture: Mixture, seed: int, accuracy: float) -> ImportanceAnswer:
-    """The answer; weights that are not to be trusted end a sampling early, and their points mend the mixture."""
-    rng = random_generator(seed=seed, task="mend")
-    answer: ImportanceAnswer | None = None
-    # counting the parts of the failure domain takes some evaluations too
-    reserve = int(min(FOR_MODES, 0.05 * evaluator.budget))
-    for turn in range(3):
-        # nothing is kept for mending where it would not suffice
-        stop = _poor if turn < 2 and evaluator.left > 9000 else None
-        block = 256 if evaluator.left > 10_000 else 128
-        while block > LEAST_BLOCK and REPLICATES * block > evaluator.left - reserve:
-            block //= 2
-        again = importance_sampling(
-            evaluator,
-            defended(mixture),
-            most=evaluator.left - reserve,
-            seed=seed,
-            accuracy=accuracy,
-            block=block,
-            task=f"importance {turn}",
-            stop=stop,
-        )
-        if answer is None or _trusted(again) or again.heaviest < answer.heaviest:
-            answer = again
-        if _trusted(answer) or not len(again.weights) or evaluator.left < 16 * block:
-            break
-        ratio = log_density(again.mixture, again.points) - log_normal_density(again.points)
-        pool.points.append(again.points)
-        pool.mass.append(again.weights * np.exp(ratio))
-        pool.mixtures.append(again.mixture)
-        fitted = refit(pool, rng=rng, most=8)
-        mixture = mixture if fitted is None else blended(fitted, mixture)
-    assert answer is not None
-    return answer
-
-
-def _poor(weights: Array) -> bool:
-    """Whether weights (R, n) are already known not to be trusted."""
-    total = float(weights.sum())
-    uneven = tail_shape(weights.reshape(-1)) > WORST_SHAPE or float(weights.max()) > HEAVIEST * total
-    return total > 0.0 and uneven
+def _sample(evaluator: Evaluator, mixture: Mixture, seed: int, accuracy: float) -> ImportanceAnswer:
+    """The answer from what is left, but for the evaluations that tell the parts of the failure domain apart."""
+    room = evaluator.left - int(min(FOR_MODES, 0.05 * evaluator.budget))
+    block = 256
+    while block > LEAST_BLOCK and REPLICATES * block > room:
+        block //= 2
+    return importance_sampling(evaluator, defended(mixture), most=room, seed=seed, accuracy=accuracy, block=block)
 
 
 def _trusted(answer: ImportanceAnswer) -> bool:
     return answer.shape < WORST_SHAPE and answer.heaviest < HEAVIEST and answer.estimate.value is not None
-
-
-def _modes(evaluator: Evaluator, answer: ImportanceAnswer, mixture: Mixture) -> int:
-    if answer.estimate.value is None:
-        return 0
-    return count_modes(evaluator, answer.points, answer.weights, mixture)
 
 
 def _certify(answer: ImportanceAnswer, subset: SubsetAnswer, checks: list[str]) -> tuple[Estimate, bool]:
@@ -416,4 +570,4 @@ def _flipped(limit: LimitFunction, *, seed: int, accuracy: float, budget: int, s
     else:
         turned = replace(e, value=1.0 - e.value, low=1.0 - e.high, high=1.0 - e.low,
                          evaluations=found.evaluations + spent)  # fmt: skip
-    return replace(found, estimate=turned, evaluations=found.evaluations + spent, flipped=True)
+    return replace(found, estimate=turned, evaluations=found.evaluations + spent)
