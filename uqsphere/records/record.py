@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import binary_closing, maximum_filter, median_filter
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.records.table import SIGNAL_UNITS, RecordError, Table, place_of
@@ -480,32 +480,18 @@ def _spikes(values: Array, left: Array, bounds: Array, most: int, peak: float) -
     """First and last samples of runs beyond the bounds that are short, and jump up and down; twice as long with their
     ringing where they rise above the peak of the record, which no wave does in two samples."""
     away = np.abs(left)
-    found: list[tuple[int, int]] = []
-    for at in np.flatnonzero(away > bounds):
-        # a large spike moves the medians around it by what the wave climbs there
-        around = slice(max(at - 2 * most, 0), at + 2 * most + 1)
-        near = away > np.maximum(0.5 * bounds, _RINGS * away[around].max())
-        if not near[at]:
-            continue
-        first = last = int(at)
-        while first > 1 and near[first - 1]:
-            first -= 1
-        while last < len(left) - 2 and near[last + 1 : last + 1 + _RINGING].any():
-            last += 1
-        if found and first <= found[-1][1] + 1:
-            begin, end = found.pop()
-            first, last = begin, max(last, end)
-        found.append((first, last))
+    # a large spike moves the medians around it by what the wave climbs there
+    near = away > np.maximum(0.5 * bounds, _RINGS * maximum_filter(away, 4 * most + 1, mode="nearest"))
     spikes = []
-    for first, last in found:
+    for begin, length in zip(*_runs(binary_closing(near, np.ones(_RINGING, dtype=bool))), strict=True):
+        first, last = int(begin), int(begin + length) - 1
         inner = left[first : last + 1]
         size = float(inner[np.argmax(np.abs(inner))])
-        allowed = 2 * most if abs(size) > peak else most
-        if first < 1 or last > len(left) - 2 or last - first + 1 > allowed:
-            continue
-        jumps = np.diff(values[first - 1 : last + 2]) / size
-        if min(jumps.max(), -jumps.min()) > _JUMP:
-            spikes.append((first, last))
+        short = length <= (2 * most if abs(size) > peak else most) and first >= 1 and last <= len(left) - 2
+        if short and (np.abs(inner) > bounds[first : last + 1]).any():
+            jumps = np.diff(values[first - 1 : last + 2]) / size
+            if min(jumps.max(), -jumps.min()) > _JUMP:
+                spikes.append((first, last))
     return spikes
 
 
