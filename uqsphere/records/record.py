@@ -33,10 +33,10 @@ _FLAT: Final = 8
 _FEWEST, _BASELINE = 20, 10
 #: no wave of a bar lasts shorter: it would have to cross a bar of 5 mm in this time [s]
 _SHORTEST: Final = 1e-6
-#: samples of a spike where these are more; robust standard deviations, and share of the peak, beyond which it is one
-_SPIKE, _SPIKE_NOISE, _SPIKE_SHARE = 5, 8.0, 0.02
-#: samples of a spike at the most, for the time that running medians take
-_SPIKE_MOST: Final = 40
+#: standard deviation of a normal over its median deviation; robust standard deviations beyond which a sample is odd
+_ROBUST, _ODD = 1.4826, 8.0
+#: samples of a spike where these are more than `_SHORTEST`, and at the most, for the time that running medians take
+_SPIKE, _SPIKE_MOST = 5, 40
 #: samples between parts of one spike that rings, and the share of its size that they have
 _RINGING, _RINGS = 3, 0.05
 #: share of a spike that its neighbours have to jump: a wave climbs to its top in more than two samples
@@ -49,7 +49,7 @@ _LASTS: Final = 0.25
 _CLIMBS: Final = 7.0
 #: a gauge that shows less than this share of what its partner shows is dead
 _DEAD: Final = 0.2
-#: share of the peak beyond which a bending, a drift or a burst is told of
+#: share of the peak beyond which a spike or a burst is one
 _TOLD: Final = 0.02
 
 
@@ -456,10 +456,11 @@ def _despiked(record: Record) -> Record:
         for _ in range(3):  # what a large spike hides shows behind it
             middle = median_filter(values, width, mode="nearest")
             left = values - middle
-            local = 1.4826 * median_filter(np.abs(left), 5 * width, mode="nearest")
-            scatter = np.maximum(local, 1.4826 * float(np.median(np.abs(left))))
+            scatter = _ROBUST * np.maximum(
+                median_filter(np.abs(left), 5 * width, mode="nearest"), np.median(np.abs(left))
+            )
             peak = float(np.abs(middle - np.median(middle[: max(_FEWEST, len(middle) // 50)])).max())
-            bounds = np.maximum(_SPIKE_NOISE * scatter, _SPIKE_SHARE * peak)
+            bounds = np.maximum(_ODD * scatter, _TOLD * peak)
             odd = _spikes(values, left, bounds, most, peak)
             if not odd:
                 break
@@ -541,7 +542,7 @@ def _rested(values: Array, step: float, name: str, time: Array, changes: list[Ch
     """
     told: list[Change] = []
     middle = float(np.median(values[: max(2 * _BASELINE, len(values) // 50)]))
-    scatter = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2.0)
+    scatter = _ROBUST * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2.0)
     try:
         wave = first_wave(values - middle, step, scatter)
         # a drift hides the foot: a line through what lies well before the rise comes off first
@@ -567,7 +568,7 @@ def _rested(values: Array, step: float, name: str, time: Array, changes: list[Ch
                            text=f"{name}: no baseline before the wave, taken from the end of the record"))  # fmt: skip
     else:
         away = np.abs(quiet - np.median(quiet))
-        burst = away > max(6.0 * 1.4826 * float(np.median(away)), _TOLD * wave.peak)
+        burst = away > max(_ODD * _ROBUST * float(np.median(away)), _TOLD * wave.peak)
         if 0 < burst.sum() < len(quiet) // 3:
             worst = int(np.argmax(away))
             told.append(Change(
