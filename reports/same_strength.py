@@ -30,8 +30,7 @@ from uqsphere.mechanics.outputs import at_force, columns_of
 from uqsphere.mechanics.rigs import GRAVITY
 from uqsphere.model import scene_of, solve_scene
 from uqsphere.results import Results
-from uqsphere.study import Study, shipped_studies
-from uqsphere.study.axis import with_number
+from uqsphere.study import Study, shipped_studies, with_number
 from uqsphere.study.text import toml_text
 
 #: the plate that every sphere strikes

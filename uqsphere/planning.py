@@ -8,8 +8,7 @@ swings, so that a test may find one strength in balance and the next one not.
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Final
 
@@ -351,13 +350,19 @@ def _in_the_way(used: Mapping[str, Array], at: list[int]) -> str:
     return _name(int(binding(used)[0][s, at[int(worst[s].argmax())]]))
 
 
+def _runs(kept: Flags) -> list[tuple[int, int]]:
+    """First and last places of the runs of True."""
+    change = np.flatnonzero(np.diff(np.concatenate([[0], kept.astype(int), [0]])))
+    return [(begin, end - 1) for begin, end in change.reshape(-1, 2).tolist()]
+
+
 def _windows(
     subject: Subject, request: Request, speeds: Array, rises: Array
 ) -> tuple[list[list[Window]], list[dict[tuple[str, float], str]]]:
     """Windows of the listed ramps for every length, their edges placed by halving; what is in the way of the others."""
     every_rise, every_speed = (axis.ravel() for axis in np.meshgrid(rises, speeds, indexing="ij"))
     _, _, judged = judge_points(subject, request, every_speed, every_rise)
-    whole: dict[tuple[int, str, float], Flags] = {}
+    runs: dict[tuple[int, str, float], list[tuple[int, int]]] = {}
     nearest: list[dict[tuple[str, float], str]] = [{} for _ in judged]
     for chart, flat in enumerate(judged):
         used = {name: values.reshape(len(rises), len(speeds), -1) for name, values in flat.items()}
@@ -365,38 +370,26 @@ def _windows(
         for kind in SPECIMENS:
             at = _of_kind(subject, kind)
             for r, rise in enumerate(rises.tolist()):
-                whole[chart, kind, rise] = kept[r][:, at].all(axis=1)
-                if not whole[chart, kind, rise].any():
+                runs[chart, kind, rise] = _runs(kept[r][:, at].all(axis=1))
+                if not runs[chart, kind, rise]:
                     nearest[chart][kind, rise] = _in_the_way({name: values[r] for name, values in used.items()}, at)
     edges = [
-        _Edge(chart=chart, kind=kind, rise=rise, inner=float(speeds[s + opens]), outer=float(speeds[s + 1 - opens]))
-        for (chart, kind, rise), all_ in whole.items()
-        for s, opens in ((s, bool(all_[s + 1])) for s in np.flatnonzero(np.diff(all_)))
+        _Edge(chart=chart, kind=kind, rise=rise, inner=float(speeds[inner]), outer=float(speeds[outer]))
+        for (chart, kind, rise), own in runs.items()
+        for begin, end in own
+        for inner, outer in ((begin, begin - 1), (end, end + 1))
+        if 0 <= outer < len(speeds)
     ]
-    return _between(whole, edges, _place(subject, request, edges), speeds, len(judged)), nearest
-
-
-def _between(
-    whole: Mapping[tuple[int, str, float], Flags],
-    edges: Sequence[_Edge],
-    places: Sequence[tuple[float, str]],
-    speeds: Array,
-    charts: int,
-) -> list[list[Window]]:
-    """Windows of every chart, between an edge that opens and the one that closes, or where the speeds end."""
-    ends: dict[tuple[int, str, float, bool], list[tuple[float, str | None]]] = defaultdict(list)
-    for key, all_ in whole.items():
-        ends[*key, True] += [(float(speeds[0]), None)] * bool(all_[0])
-    for edge, place in zip(edges, places, strict=True):
-        ends[edge.chart, edge.kind, edge.rise, edge.inner > edge.outer].append(place)
-    windows: list[list[Window]] = [[] for _ in range(charts)]
-    for (chart, kind, rise), all_ in whole.items():
-        highest = ends[chart, kind, rise, False] + [(float(speeds[-1]), None)] * bool(all_[-1])
-        windows[chart] += _settable([
-            Window(kind=kind, rise=rise, low=low, high=high, below=below, above=above)
-            for (low, below), (high, above) in zip(ends[chart, kind, rise, True], highest, strict=True)
-        ])  # fmt: skip
-    return windows
+    places: Iterator[tuple[float, str | None]] = iter(_place(subject, request, edges))
+    windows: list[list[Window]] = [[] for _ in judged]
+    for (chart, kind, rise), own in runs.items():
+        made = []
+        for begin, end in own:
+            low, below = next(places) if begin > 0 else (float(speeds[0]), None)
+            high, above = next(places) if end + 1 < len(speeds) else (float(speeds[-1]), None)
+            made.append(Window(kind=kind, rise=rise, low=low, high=high, below=below, above=above))
+        windows[chart] += _settable(made)
+    return windows, nearest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -599,9 +592,8 @@ def _cells(where: Flags, edges_v: Array, edges_r: Array) -> list[Array]:
     """Corners of the rectangles that cover the marked points, one for each run of them in a row."""
     found = []
     for r, row in enumerate(where):
-        change = np.flatnonzero(np.diff(np.concatenate([[0], row.astype(int), [0]])))
-        for begin, end in change.reshape(-1, 2):
-            left, right, low, high = edges_v[begin], edges_v[end], edges_r[r], edges_r[r + 1]
+        for begin, end in _runs(row):
+            left, right, low, high = edges_v[begin], edges_v[end + 1], edges_r[r], edges_r[r + 1]
             found.append(np.array([(left, low), (right, low), (right, high), (left, high)]))
     return found
 

@@ -185,7 +185,6 @@ def answer_feed(
     mean, lots = populate(broken, product, feed), None
     if math.isfinite(feed.lot):
         lots = populate(broken, product, feed, random_generator(seed=feed.seed, task="feed.lots"))
-    finds = _finding(mean, lots, feed, missing)
     # the class that half of the feed's mass is coarser than: where laws of one kind stand for those of another
     middle = float(feed.classes.sizes[int(np.searchsorted(np.cumsum(feed.classes.mass), 0.5))])
     entry = FeedEntry(
@@ -196,8 +195,7 @@ def answer_feed(
         curve_law=product.curve.law, fines_sieve=feed.fines,
         goal=None if plan.goal is None else _judge(plan.goal, mean, lots, feed, fitted),
         warnings=tuple(_warnings(fitted, mean, feed, product=drawn is not None)),
-        broken=finds["broken"], never=finds["never"], expected_blows=finds["expected_blows"], energy=finds["energy"],
-        t10=finds["t10"], p80=finds["p80"], p50=finds["p50"], reduction=finds["reduction"], fines=finds["fines"],
+        **_finding(mean, lots, feed, missing),
     )  # fmt: skip
     if drawn is None:
         return Evaluated(entry=entry, rows=rows, broken=mean.broken, product=None)

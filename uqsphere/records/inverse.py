@@ -14,15 +14,15 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from uqsphere.arrays import Array, Places
 from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.bars import first_mode, transfer
 from uqsphere.mechanics.field import waves_at
 from uqsphere.mechanics.integrator.solve import Motion, motion
 from uqsphere.mechanics.pulses import NOISE_MODES, MeasuredPulse, noise_names, pulse_value
 from uqsphere.mechanics.scene import Scene
-from uqsphere.records.pulse import WINDOW, Bar, CutPulse, cut_pulse, fit_pulse
+from uqsphere.records.pulse import WINDOW, Bar, CutPulse, carried, cut_pulse, fit_pulse
 from uqsphere.records.record import Record
 from uqsphere.records.table import RecordError
 
@@ -153,11 +153,7 @@ def _carried(values: Array, step: float, bar: Bar, distance: float) -> tuple[Arr
     # the signal need not end at rest: it is led back to zero behind its end
     tail = values[-1] * (0.5 + 0.5 * np.cos(np.pi * (np.arange(room) + 1.0) / room))
     wave = np.concatenate([np.zeros(room), values, tail, np.zeros(room)])
-    factor = transfer(len(wave), step, distance, radius=bar.radius, wave_speed=bar.wave_speed, nu=bar.nu)
-    limit = first_mode(bar.nu).limit(bar.radius, bar.wave_speed)
-    frequency = np.fft.rfftfreq(len(wave), step)
-    factor = factor * (0.5 + 0.5 * np.cos(np.pi * np.clip((frequency / limit - 0.8) / 0.2, 0.0, 1.0)))
-    there = np.fft.irfft(np.fft.rfft(wave) * factor, len(wave))
+    there, factor = carried(wave, step, bar, distance)
     return there[room : room + len(values)], float(np.sqrt(np.square(np.abs(factor)).mean()))
 
 
@@ -307,7 +303,7 @@ def _within(values: Array, first: int, last: int) -> Array:
 # one, and the first that the fit to those before it does not foresee holds the point of departure.
 
 #: two-sided 95 % of a normal
-_Z: Final = 1.959963984540054
+NINETY_FIVE: Final = 1.959963984540054
 #: blocks of a record, and the residual of a block over its standard deviation that no chance explains
 _BLOCKS, _ODD = 24, 4.5
 #: blocks that one fit has to foresee
@@ -318,7 +314,6 @@ _LOADED, _FEWEST_INVERSE = 0.1, 8
 _FLOOR: Final = 2e-4
 #: samples over which that lasts
 _LASTING: Final = 25.0
-_TURNS: Final = 25
 _TOLERANCE: Final = 1e-7
 # parameters: log E*, log gains of both gauges, shifts of the reflected and the transmitted wave, noise of the pulse,
 # baselines of the three waves
@@ -343,7 +338,7 @@ class Forces:
     def interval(self, face: str) -> tuple[Array, Array]:
         """Limits that hold the true force with 95 % at every instant, (n,), (n,) [N]."""
         force, sd = {"A": (self.force_a, self.sd_a), "B": (self.force_b, self.sd_b)}[face]
-        return force - _Z * sd, force + _Z * sd
+        return force - NINETY_FIVE * sd, force + NINETY_FIVE * sd
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -532,37 +527,19 @@ class _Fit:
                 columns.append((above - self.residual(parameters - move, count)) / (2.0 * step))
         return np.stack(columns, axis=1)
 
-    def loss(self, parameters: Array, count: int) -> float:
-        prior = np.where(np.isfinite(self.prior), parameters / self.prior, 0.0)
-        return float(np.square(self.residual(parameters, count)).sum() + np.square(prior).sum())
-
     def solve(self, count: int, start: Array) -> tuple[Array, Array]:
-        """Parameters of least loss and their covariance: Gauss and Newton, steps halved until they gain."""
-        parameters, loss = start.copy(), self.loss(start, count)
-        weight = np.where(np.isfinite(self.prior), 1.0 / np.square(self.prior), 0.0)
-        information = np.diag(weight)
-        for _ in range(_TURNS):
-            slopes = self.slopes(parameters, count)
-            information = slopes.T @ slopes + np.diag(weight)
-            centred = np.where(np.isfinite(self.prior), parameters, 0.0)
-            downhill = slopes.T @ self.residual(parameters, count) + weight * centred
-            step = -np.linalg.lstsq(information, downhill, rcond=1e-14)[0]
-            step[_MODULUS] = float(np.clip(step[_MODULUS], -0.7, 0.7))
-            share = 1.0
-            while share > 1e-3:
-                trial = parameters + share * step
-                tried = self.loss(trial, count)
-                if tried <= loss * (1.0 + 1e-12):
-                    break
-                share *= 0.5
-            else:
-                break
-            gained, parameters, loss = loss - tried, trial, tried
-            if gained < 1e-4 + 1e-9 * loss:
-                break
+        """Parameters of least loss and their covariance."""
+        weight = 1.0 / self.prior
+        found = least_squares(
+            lambda x: np.append(self.residual(x, count), weight * x),
+            start,
+            lambda x: np.concatenate([self.slopes(x, count), np.diag(weight)]),
+            x_scale="jac",
+        )
+        information = found.jac.T @ found.jac
         scaled = np.sqrt(np.maximum(np.diag(information), 1e-300))
         covariance = np.linalg.pinv(information / np.outer(scaled, scaled), rcond=1e-13) / np.outer(scaled, scaled)
-        return parameters, covariance
+        return found.x, covariance
 
     def scan(self, count: int) -> Array:
         """The best of E* from an eighth to eight times that of the study, all else at its prior."""
@@ -570,7 +547,7 @@ class _Fit:
         for factor in np.linspace(-math.log(8.0), math.log(8.0), 13):
             trial = self.start.copy()
             trial[_MODULUS] += factor
-            trials.append((self.loss(trial, count), trial))
+            trials.append((float(np.square(self.residual(trial, count)).sum()), trial))
         return min(trials, key=lambda pair: pair[0])[1]
 
 
@@ -653,7 +630,7 @@ def invert(faces: Faces, columns: Mapping[str, float], *, gain_sd: float = 0.01,
     forces = forces_of(faces, scene, gain_sd)
     fit = _Fit(faces, scene, gain_sd)
     largest = float(forces.force_b.max())
-    if not largest > 3.0 * _Z * float(forces.sd_b[0]):
+    if not largest > 3.0 * NINETY_FIVE * float(forces.sd_b[0]):
         raise RecordError("no force at the receiving face rises above the noise of the record")
     length = len(forces.time)
     loaded = int(np.argmax(forces.force_b > _LOADED * largest))
@@ -698,7 +675,7 @@ def _stiffness(fit: _Fit, parameters: Array, covariance: Array, used: int) -> St
         unexplained=math.sqrt(max(float(np.square(residual * fit.sd[:, None]).mean() - np.square(noise).mean()), 0.0))
         / largest,
         expected=math.exp(fit.start[_MODULUS]),
-        modulus=modulus, low=modulus * math.exp(-_Z * spread), high=modulus * math.exp(_Z * spread),
+        modulus=modulus, low=modulus * math.exp(-NINETY_FIVE * spread), high=modulus * math.exp(NINETY_FIVE * spread),
         std_error=modulus * spread, gain_a=math.exp(parameters[_GAIN_A]), gain_b=math.exp(parameters[_GAIN_B]),
         misfit=math.sqrt(float(np.square(scaled).mean())), samples=used,
     )  # fmt: skip

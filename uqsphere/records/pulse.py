@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 from scipy.interpolate import PPoly, make_lsq_spline
 
 from uqsphere.arrays import Array
-from uqsphere.mechanics.bars import correct, first_mode
+from uqsphere.mechanics.bars import first_mode, transfer
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.records.record import Record, Wiring, first_wave, make_record, mend
 from uqsphere.records.table import RecordError, read_bytes, read_table
@@ -129,6 +130,16 @@ def cut_pulse(record: Record, *, bar: Bar | None = None, distance: float = 0.0, 
                     corrected=distance if bar is not None else 0.0, inside=inside)  # fmt: skip
 
 
+def carried(wave: Array, step: float, bar: Bar, distance: float) -> tuple[Array, npt.NDArray[np.complex128]]:
+    """A wave that is at rest at both ends, a distance [m] along its way, and what its spectrum was multiplied with."""
+    factor = transfer(len(wave), step, distance, radius=bar.radius, wave_speed=bar.wave_speed, nu=bar.nu)
+    limit = first_mode(bar.nu).limit(bar.radius, bar.wave_speed)
+    # what lies beyond the band is noise with an unknown lag, and the factor of the surface is at its largest there
+    beyond = np.clip((np.fft.rfftfreq(len(wave), step) / limit - 0.8) / 0.2, 0.0, 1.0)
+    factor = factor * (0.5 + 0.5 * np.cos(np.pi * beyond))
+    return np.fft.irfft(np.fft.rfft(wave) * factor, len(wave)), factor
+
+
 def _corrected(values: Array, first: int, last: int, step: float, bar: Bar, distance: float,
                notes: list[str]) -> tuple[Array, int, int, float]:  # fmt: skip
     """The wave at the face: the window alone is carried there, with room for what dispersion moves."""
@@ -143,13 +154,10 @@ def _corrected(values: Array, first: int, last: int, step: float, bar: Bar, dist
     ramp = 0.5 - 0.5 * np.cos(np.pi * (np.arange(room // 4) + 0.5) / (room // 4))
     wave[place.start : place.start + len(ramp)] *= ramp
     wave[place.stop - len(ramp) : place.stop] *= ramp[::-1]
-    there = correct(wave, step, distance, radius=bar.radius, wave_speed=bar.wave_speed, nu=bar.nu)
+    there, _ = carried(wave, step, bar, distance)
     limit = first_mode(bar.nu).limit(bar.radius, bar.wave_speed)
     energy, frequency = np.square(np.abs(np.fft.rfft(wave))), np.fft.rfftfreq(len(wave), step)
     inside = float(energy[frequency <= limit].sum() / energy.sum())
-    # what lies beyond the band is noise with an unknown lag, and the factor of the surface is at its largest there
-    kept = 0.5 + 0.5 * np.cos(np.pi * np.clip((frequency / limit - 0.8) / 0.2, 0.0, 1.0))
-    there = np.fft.irfft(np.fft.rfft(there) * kept, len(wave))
     notes.append(
         f"dispersion over {distance:.4g} m is corrected up to {limit / 1e3:.4g} kHz, where {inside:.4%} of the energy "
         "is; what is above is left out"

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import binary_closing, maximum_filter, median_filter
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.records.table import SIGNAL_UNITS, RecordError, Table, place_of
@@ -33,10 +33,10 @@ _FLAT: Final = 8
 _FEWEST, _BASELINE = 20, 10
 #: no wave of a bar lasts shorter: it would have to cross a bar of 5 mm in this time [s]
 _SHORTEST: Final = 1e-6
-#: samples of a spike where these are more; robust standard deviations, and share of the peak, beyond which it is one
-_SPIKE, _SPIKE_NOISE, _SPIKE_SHARE = 5, 8.0, 0.02
-#: samples of a spike at the most, for the time that running medians take
-_SPIKE_MOST: Final = 40
+#: standard deviation of a normal over its median deviation; robust standard deviations beyond which a sample is odd
+_ROBUST, _ODD = 1.4826, 8.0
+#: samples of a spike where these are more than `_SHORTEST`, and at the most, for the time that running medians take
+_SPIKE, _SPIKE_MOST = 5, 40
 #: samples between parts of one spike that rings, and the share of its size that they have
 _RINGING, _RINGS = 3, 0.05
 #: share of a spike that its neighbours have to jump: a wave climbs to its top in more than two samples
@@ -49,7 +49,7 @@ _LASTS: Final = 0.25
 _CLIMBS: Final = 7.0
 #: a gauge that shows less than this share of what its partner shows is dead
 _DEAD: Final = 0.2
-#: share of the peak beyond which a bending, a drift or a burst is told of
+#: share of the peak beyond which a spike or a burst is one
 _TOLD: Final = 0.02
 
 
@@ -456,10 +456,11 @@ def _despiked(record: Record) -> Record:
         for _ in range(3):  # what a large spike hides shows behind it
             middle = median_filter(values, width, mode="nearest")
             left = values - middle
-            local = 1.4826 * median_filter(np.abs(left), 5 * width, mode="nearest")
-            scatter = np.maximum(local, 1.4826 * float(np.median(np.abs(left))))
+            scatter = _ROBUST * np.maximum(
+                median_filter(np.abs(left), 5 * width, mode="nearest"), np.median(np.abs(left))
+            )
             peak = float(np.abs(middle - np.median(middle[: max(_FEWEST, len(middle) // 50)])).max())
-            bounds = np.maximum(_SPIKE_NOISE * scatter, _SPIKE_SHARE * peak)
+            bounds = np.maximum(_ODD * scatter, _TOLD * peak)
             odd = _spikes(values, left, bounds, most, peak)
             if not odd:
                 break
@@ -480,32 +481,18 @@ def _spikes(values: Array, left: Array, bounds: Array, most: int, peak: float) -
     """First and last samples of runs beyond the bounds that are short, and jump up and down; twice as long with their
     ringing where they rise above the peak of the record, which no wave does in two samples."""
     away = np.abs(left)
-    found: list[tuple[int, int]] = []
-    for at in np.flatnonzero(away > bounds):
-        # a large spike moves the medians around it by what the wave climbs there
-        around = slice(max(at - 2 * most, 0), at + 2 * most + 1)
-        near = away > np.maximum(0.5 * bounds, _RINGS * away[around].max())
-        if not near[at]:
-            continue
-        first = last = int(at)
-        while first > 1 and near[first - 1]:
-            first -= 1
-        while last < len(left) - 2 and near[last + 1 : last + 1 + _RINGING].any():
-            last += 1
-        if found and first <= found[-1][1] + 1:
-            begin, end = found.pop()
-            first, last = begin, max(last, end)
-        found.append((first, last))
+    # a large spike moves the medians around it by what the wave climbs there
+    near = away > np.maximum(0.5 * bounds, _RINGS * maximum_filter(away, 4 * most + 1, mode="nearest"))
     spikes = []
-    for first, last in found:
+    for begin, length in zip(*_runs(binary_closing(near, np.ones(_RINGING, dtype=bool))), strict=True):
+        first, last = int(begin), int(begin + length) - 1
         inner = left[first : last + 1]
         size = float(inner[np.argmax(np.abs(inner))])
-        allowed = 2 * most if abs(size) > peak else most
-        if first < 1 or last > len(left) - 2 or last - first + 1 > allowed:
-            continue
-        jumps = np.diff(values[first - 1 : last + 2]) / size
-        if min(jumps.max(), -jumps.min()) > _JUMP:
-            spikes.append((first, last))
+        short = length <= (2 * most if abs(size) > peak else most) and first >= 1 and last <= len(left) - 2
+        if short and (np.abs(inner) > bounds[first : last + 1]).any():
+            jumps = np.diff(values[first - 1 : last + 2]) / size
+            if min(jumps.max(), -jumps.min()) > _JUMP:
+                spikes.append((first, last))
     return spikes
 
 
@@ -555,7 +542,7 @@ def _rested(values: Array, step: float, name: str, time: Array, changes: list[Ch
     """
     told: list[Change] = []
     middle = float(np.median(values[: max(2 * _BASELINE, len(values) // 50)]))
-    scatter = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2.0)
+    scatter = _ROBUST * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2.0)
     try:
         wave = first_wave(values - middle, step, scatter)
         # a drift hides the foot: a line through what lies well before the rise comes off first
@@ -581,7 +568,7 @@ def _rested(values: Array, step: float, name: str, time: Array, changes: list[Ch
                            text=f"{name}: no baseline before the wave, taken from the end of the record"))  # fmt: skip
     else:
         away = np.abs(quiet - np.median(quiet))
-        burst = away > max(6.0 * 1.4826 * float(np.median(away)), _TOLD * wave.peak)
+        burst = away > max(_ODD * _ROBUST * float(np.median(away)), _TOLD * wave.peak)
         if 0 < burst.sum() < len(quiet) // 3:
             worst = int(np.argmax(away))
             told.append(Change(

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from uqsphere.study.axis import ENERGY, SPEED, Axis, limit_of, quantity_of, spaced, strength_name, with_number
 from uqsphere.study.document import Accuracy, Analysis, Budget, Dependence, Gauge, ModelChoice
 from uqsphere.study.faults import Raw
 from uqsphere.study.resolve import load_study
 from uqsphere.study.study import (
+    ENERGY,
+    SPEED,
+    Axis,
     EndImpedance,
     Family,
     Limit,
@@ -19,8 +21,13 @@ from uqsphere.study.study import (
     Ways,
     breaks_by,
     law_json,
+    limit_of,
     means_fracture,
+    quantity_of,
+    spaced,
+    strength_name,
     ways_of,
+    with_number,
 )
 
 __all__ = [

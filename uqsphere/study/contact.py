@@ -7,13 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.materials import library
 from uqsphere.mechanics.rigs import LAW, RIGS, Rig, body_of, law_of, sphere_body
 from uqsphere.mechanics.yielding import Body
 from uqsphere.quantities import format_value
 from uqsphere.study.document import ContactTable, Document, LimitTable, ModelChoice
-from uqsphere.study.faults import Findings, one_of, shown, suggestion
-from uqsphere.study.scene import Scene, take_from_library
+from uqsphere.study.faults import Findings
+from uqsphere.study.scene import Scene, material_of, take_from_library
 from uqsphere.study.sphere_tests import is_sphere_tests
 from uqsphere.uq import Law
 
@@ -58,12 +57,10 @@ def _fixed(scene: Scene, name: str) -> float | None:
 def _read_inserts(material: str | None, scene: Scene, findings: Findings) -> None:
     """Inserts have a modulus, given or of a material, and stand before bars that give way."""
     if material is not None:
-        known = library()["plates"] | library()["bars"]
-        if material not in known:
-            said = f"unknown material {shown(material)}, known for inserts: {one_of(tuple(known))}"
-            findings.add(("bars", "insert_material"), said + suggestion(material, tuple(known)))
+        found = material_of(material, ("bars", "insert_material"), findings, ("plates", "bars"), " for inserts")
+        if found is None:
             return
-        take_from_library(scene, findings, "bars", known[material], ("E", "nu", "yield_strength"), "insert_")
+        take_from_library(scene, findings, "bars", found, ("E", "nu", "yield_strength"), "insert_")
     parts = [
         key for key in ("insert_nu", "insert_yield_strength", "insert_thickness") if f"bars.{key}" in scene.readings
     ]

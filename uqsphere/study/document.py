@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Final
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
@@ -23,16 +23,21 @@ from uqsphere.mechanics.scene import CONTACT_LAWS
 from uqsphere.study.faults import Misplaced, Raw, one_of, shown
 from uqsphere.study.particle_tables import ENERGY_OF, FeedTable, MaterialTable, Platens, ProductTable, TestsTable
 from uqsphere.study.tables import (
+    CLOSED,
     MOST_LISTED,
     Check,
     Fixed,
     Flag,
+    Length,
     Node,
     Number,
+    Positive,
     Real,
+    Share,
     Text,
     Whole,
     among,
+    fixed,
     key,
     several,
     within,
@@ -100,11 +105,6 @@ def _together(values: tuple[str, ...]) -> tuple[str, ...]:
     return values
 
 
-def _fixed(dimension: str, symbol: str, lower: float = 0.0, display: str = "") -> Fixed:
-    return Fixed(Quantity(name=dimension, symbol=symbol, dimension=dimension, lower=lower, display=display,
-                          meaning=f"the {dimension}"))  # fmt: skip
-
-
 def _window(values: tuple[float, ...]) -> tuple[float, ...]:
     if len(values) != 2:
         raise ValueError(f"found {len(values)} values, two are due: begin and end of the pulse in the record")
@@ -119,15 +119,12 @@ def _ends(values: tuple[Raw, ...]) -> tuple[Raw, ...]:
     return values
 
 
-Share = Annotated[Real, within(0.0, 1.0)]
-Positive = Annotated[Real, within(0.0)]
 Correlation = Annotated[Real, within(-1.0, 1.0)]
 Shares = Annotated[tuple[Share, ...], Check(_in_order, lambda: {"minItems": 1})]
 Names = Annotated[tuple[Text, ...], several(1, "names")]
-Seconds = Annotated[float, _fixed("time", "t")]
+Seconds = Annotated[float, fixed("time", "t")]
 #: an instant of a record, which may begin before 0
-Instant = Annotated[float, _fixed("time", "t", -math.inf)]
-Length = Annotated[float, _fixed("length", "d", display="m")]
+Instant = Annotated[float, fixed("time", "t", -math.inf)]
 Methods = Annotated[
     tuple[Annotated[Text, among((*METHODS, "auto"))], ...],
     several(1, "methods"),
@@ -138,11 +135,8 @@ Methods = Annotated[
 
 # --- the tables -------------------------------------------------------------------------------------
 
-#: no key beyond those declared
-_CLOSED: Final = ConfigDict(extra="forbid", defer_build=True)
 
-
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class SphereTable:
     """The sphere."""
 
@@ -161,7 +155,7 @@ class SphereTable:
     )
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class BarsTable:
     """Both bars, alike in material and diameter."""
 
@@ -207,7 +201,7 @@ class BarsTable:
     rigid_contact: Flag = key("leaves the bars out of the contact stiffness, `1/E* = (1 - nu²)/E`", False)
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class StrikerTable:
     """The striker."""
 
@@ -221,7 +215,7 @@ class StrikerTable:
     diameter: Number = key("of a striker that is no piece of the bars", default_is="that of the bars")
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class PulseTable:
     """The incident pulse; `uqsphere.study.scene.PULSE_KEYS` says which keys go with which shape."""
 
@@ -251,7 +245,7 @@ class PulseTable:
     noise: Flag | None = key("the noise of the record becomes random inputs")
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class ContactTable:
     """What a face does beyond Hertz: the softer of two bodies yields or crushes, or the sphere is damaged."""
 
@@ -283,7 +277,7 @@ class ContactTable:
     )
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class RigTable:
     """What loads the sphere; one of `speed` and `drop_height` where the sphere itself moves."""
 
@@ -297,7 +291,7 @@ class RigTable:
     angle: Number = key("between path and surface, above 5 deg; 90 deg is square on", default_is='`"90 deg"`')
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class PartnerTable:
     """What every body that touches the sphere has."""
 
@@ -311,7 +305,7 @@ class PartnerTable:
     pile_up: Number = key("pile-up of the face far beyond yield")
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class TargetTable(PartnerTable):
     """What a sphere is thrown at, or lies on."""
 
@@ -327,14 +321,14 @@ class TargetTable(PartnerTable):
     face_radius: Number = key('radius of a rounded face; `"flat"` is flat', default_is="flat")
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class OtherTable(PartnerTable):
     """The other sphere, which is not judged."""
 
     radius: Number = key("radius of the other sphere", due='add radius = "10 mm"')
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class HammerTable(PartnerTable):
     """The weight that falls on the sphere, without drag; it is caught after the first blow."""
 
@@ -346,7 +340,7 @@ class HammerTable(PartnerTable):
     drop_height: Number = key("height that the weight falls from", default_is="one of `speed` and `drop_height`")
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class RodTable(PartnerTable):
     """The rod of a load cell."""
 
@@ -356,7 +350,7 @@ class RodTable(PartnerTable):
     gauge: Length | None = key("distance of the gauge from the sphere, for `history` alone")
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class PlatensTable(PartnerTable):
     """Two platens that press slowly."""
 
@@ -367,7 +361,7 @@ class PlatensTable(PartnerTable):
     machine_stiffness: Number = key("stiffness of the machine in series", default_is="rigid")
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class ServiceTable(RigTable):
     """A machine that the answer is wanted for: a rig with its tables nested."""
 
@@ -388,7 +382,7 @@ class ServiceTable(RigTable):
     )
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class Gauge:
     """A strain gauge: its bar, and its distance from the sphere [m]."""
 
@@ -400,7 +394,7 @@ class Gauge:
     )
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class ModelChoice:
     """Which mechanics, and how precisely; `horizon` [s]."""
 
@@ -435,7 +429,7 @@ def _parameter(name: str) -> Fixed:
                           meaning=f"the {part.meaning}"))  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class LimitTable:
     """A strength, and the quantity or criterion that is held against it."""
 
@@ -494,7 +488,7 @@ class LimitTable:
     )
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class Dependence:
     """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a Student t copula."""
 
@@ -513,7 +507,7 @@ class Dependence:
     )
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class Accuracy:
     """Half-widths of the 95 % intervals asked for: mean and quantile over sd, sobol absolute, probability relative.
 
@@ -533,7 +527,7 @@ _PURSUED: Final = {"mean": "mean", "quantile": "quantile", "indices": "sobol", "
                    "miss": "probability"}  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class Budget:
     """Where a run stops at the latest; `time` [s].
 
@@ -545,7 +539,7 @@ class Budget:
     exhaust: Flag = False
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class ToleranceRequest:
     """Distribution-free limits from independent runs: the share that they hold, with which confidence.
 
@@ -557,7 +551,7 @@ class ToleranceRequest:
     runs: Annotated[Whole, within(0.0)] = 0
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class Analysis:
     """What is asked, how precisely, and at what cost.
 
@@ -634,7 +628,7 @@ class Analysis:
         return bool({"auto", "sobol"} & set(self.methods)) and self.pursues("indices")
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class FamilyTable:
     """Another number of the scene, and values of it."""
 
@@ -644,7 +638,7 @@ class FamilyTable:
     )
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class MarginsTable:
     """The inverse question."""
 
@@ -669,7 +663,7 @@ class MarginsTable:
     against: Text | None = key('`"specific_energy"`: every curve also over the specific energy imposed on the sphere')
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class EmpiricalTable:
     """A distribution from a column of observations."""
 
@@ -685,14 +679,14 @@ class EmpiricalTable:
     made_up: Flag = key("the observations were made up, so that no verdict is established by them", False)
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class OutputsTable:
     """What a black box answers."""
 
     names: tuple[Text, ...] = key("names of the outputs", ())
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class Document:
     """A study file."""
 

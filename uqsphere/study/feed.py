@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
-from uqsphere.materials import library
 from uqsphere.mechanics.rigs import GRAVITY, drop_speed
 from uqsphere.quantities import INPUTS
 from uqsphere.study.columns import open_observations
 from uqsphere.study.document import Document
-from uqsphere.study.faults import Findings, Misplaced, Place, Raw, one_of, shown, suggestion, unknown
+from uqsphere.study.faults import Findings, Misplaced, Place, Raw, one_of, shown, suggestion
 from uqsphere.study.numbers import Reading, plain_quantity, read_number
 from uqsphere.study.particle_tables import (
     FROM_TESTS,
@@ -24,6 +23,8 @@ from uqsphere.study.particle_tables import (
     ProductTable,
     SizesTable,
 )
+from uqsphere.study.scene import material_of
+from uqsphere.study.study import Particles, Study
 from uqsphere.units import UNITS, Quantity
 from uqsphere.uq import Law
 
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from uqsphere.feed.answers import FeedPlan
     from uqsphere.feed.population import Sizes
     from uqsphere.feed.product import ProductPlan
-    from uqsphere.study.study import Study
 
 #: what a blow offers: dimension, kind of `uqsphere.feed.population.Blows`
 _ENERGIES: Final = {
@@ -45,16 +45,6 @@ _EXAMPLES: Final = {
     "d63": '"30 mm"', "n": "1.2", "d50": '"20 mm"', "log_sd": "0.7", "file": '"sieves.csv"', "top": '"70 mm"',
 }  # fmt: skip
 _MATERIAL: Final = {"E": '"60 GPa"', "nu": "0.25", "density": '"2700 kg/m3"'}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Particles:
-    """What particles are of: E [Pa], nu, density [kg/m³], and the name of the material where it has one."""
-
-    E: float
-    nu: float
-    density: float
-    name: str = ""
 
 
 def without_scene(data: Mapping[str, Raw]) -> bool:
@@ -81,9 +71,8 @@ def read_particles(document: Document, study: Study | None, findings: Findings) 
 
 
 def _particles(table: MaterialTable, findings: Findings) -> Particles | None:
-    known = library()["sphere"]
-    if table.name is not None and table.name not in known:
-        findings.add(("material", "name"), unknown("material", table.name, known))
+    material = None if table.name is None else material_of(table.name, ("material", "name"), findings, ("sphere",))
+    if material is None and table.name is not None:
         return None
     found: dict[str, float] = {}
     for key, example in _MATERIAL.items():
@@ -92,8 +81,8 @@ def _particles(table: MaterialTable, findings: Findings) -> Particles | None:
             reading = read_number(raw, place, INPUTS[f"sphere.{key}"], findings)
             if reading is not None:
                 found[key] = reading.nominal
-        elif table.name is not None:
-            found[key] = known[table.name].properties[key].value
+        elif material is not None:
+            found[key] = material.properties[key].value
         elif findings.clean(place):
             findings.add(place, f'{key} is missing: add {key} = {example}, or name = "limestone" to take it from')
     return Particles(**found, name=table.name or "") if len(found) == len(_MATERIAL) else None
@@ -319,14 +308,12 @@ def _partner(on: OnTable | None, findings: Findings) -> tuple[float, float] | No
     if on is None:
         return None
     place = ("feed", "on")
-    known = {**library()["plates"], **library()["bars"], **library()["sphere"]}
-    if on.material is not None and on.material not in known:
-        findings.add((*place, "material"), unknown("material", on.material, known))
-        return None
     given = {key: getattr(on, key) for key in ("E", "nu")}
     if on.material is not None:
-        properties = known[on.material].properties
-        given = {key: properties[key].value if value is None else value for key, value in given.items()}
+        material = material_of(on.material, (*place, "material"), findings)
+        if material is None:
+            return None
+        given = {key: material.properties[key].value if value is None else value for key, value in given.items()}
     for key, value in given.items():
         if value is None:
             findings.lack((*place, key), f'{key} is missing: add it, or material = "steel"')

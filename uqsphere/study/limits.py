@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Criterion
 from uqsphere.mechanics.outputs import PATHS, follows_force
 from uqsphere.quantities import OUTPUTS, lookup
@@ -142,6 +143,33 @@ def _platens_of(
     if is_sphere_tests(table.strength):
         raw, at = table.strength.get("platens", "bars"), (*place, "strength", "platens")
     return None if raw is None or not findings.clean(at) else read_platens(raw, at, scene, findings)
+
+
+def say_platens(limit: dict[str, Raw], bars: Mapping[str, Raw]) -> None:
+    """Say what a strength was measured between, which the file leaves to the bars that it has."""
+    strength = limit.get("strength")
+    if is_sphere_tests(strength):
+        assert isinstance(strength, Mapping)
+        if strength.get("platens", "bars") == "bars" and bars:
+            limit["strength"] = {**strength, "platens": _as_platens(bars)}
+    elif limit.get("platens", "bars") == "bars":
+        limit["platens"] = _as_platens(bars) if bars else limit.get("platens", "rigid")
+
+
+def _as_platens(bars: Mapping[str, Raw]) -> Raw:
+    """The bars of a study as platens: their material, or E and nu at their means."""
+    material = bars.get("material")
+    if isinstance(material, str) and "E" not in bars and "nu" not in bars:
+        return material
+    known = library()["bars"].get(str(material))
+    found: dict[str, Raw] = {}
+    for key, unit in (("E", " Pa"), ("nu", "")):
+        raw = bars.get(key)
+        if raw is None and known is not None:
+            value = known.properties[key].value
+            raw = f"{value!r}{unit}" if unit else value
+        found[key] = raw.get("mean") if isinstance(raw, Mapping) else raw
+    return {key: value for key, value in found.items() if value is not None}
 
 
 def _read_strength(

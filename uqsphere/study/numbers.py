@@ -11,7 +11,6 @@ import numpy as np
 
 from uqsphere.errors import AccessError, FolderError
 from uqsphere.quantities import INPUTS, format_value
-from uqsphere.study.axis import SHARE_WORTH_A_WORD
 from uqsphere.study.columns import inside_folder, open_observations, unit_factor
 from uqsphere.study.document import EmpiricalTable
 from uqsphere.study.faults import Findings, Misplaced, Place, Raw, one_of, shown, suggestion
@@ -23,6 +22,8 @@ from uqsphere.uq.families import FAMILIES, Family, LawError, family_named
 from uqsphere.uq.families.observed import DRAWN
 from uqsphere.uq.fitting import LEAST_TESTS, count_tests, fitted_law
 
+#: more than this share of a law outside what has a meaning is worth a word
+SHARE_WORTH_A_WORD: Final = 1e-6
 #: parameters of a law that are values of the quantity itself
 _WHERE: Final = ("mean", "mode", "lower", "upper")
 #: standard deviation over mean of a positive number that is worth a warning, and that is refused

@@ -7,13 +7,28 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Annotated, Final
 
-from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 
 from uqsphere.feed.tests import TEST_RIGS
 from uqsphere.study.faults import Raw, one_of, shown, suggestion
-from uqsphere.study.tables import Check, Fixed, Flag, Node, Number, Real, Text, Whole, among, key, within
-from uqsphere.units import UNITS, Quantity
+from uqsphere.study.tables import (
+    CLOSED,
+    Check,
+    Flag,
+    Length,
+    Node,
+    Number,
+    Positive,
+    Real,
+    Share,
+    Text,
+    Whole,
+    among,
+    fixed,
+    key,
+    within,
+)
+from uqsphere.units import UNITS
 
 #: what an energy per mass, or a strength in it, can mean, and the quantity that is then held against it
 ENERGY_OF: Final = {
@@ -24,8 +39,6 @@ ENERGY_OF: Final = {
 LAWS: Final = ("average", "lognormal", "weibull", "vogel_peukert")
 SIZES: Final = ("tavares", "king", "power", "class", "weakest_link")
 _SHARES: Final = ("%", "share")
-#: no key beyond those declared
-_CLOSED: Final = ConfigDict(extra="forbid", defer_build=True)
 
 
 def platen_words() -> tuple[str, ...]:
@@ -87,7 +100,7 @@ Texts = Annotated[Mapping[str, Raw], Check(_texts)]
 Lengths = Annotated[Text, among(tuple(UNITS["length"]))] | None
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class TestColumns:
     """What the columns of a table of tests are called: a row is one blow or one compression."""
 
@@ -133,7 +146,7 @@ class TestColumns:
     made_up: Flag = key("the tests were made up, so that no verdict is established by them", False)
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class TestsTable(TestColumns):
     """Tests of single particles, which `uqsphere fit` makes a law of fracture energy from."""
 
@@ -152,7 +165,7 @@ class TestsTable(TestColumns):
     prior: Mapping[str, Raw] = key("lognormal laws of parameters in place of the house's priors, by name", {})
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class SphereTestsTable(TestColumns):
     """A strength from the forces, or the energies, at which spheres broke."""
 
@@ -166,7 +179,7 @@ class SphereTestsTable(TestColumns):
     unbiased: Flag = key("takes the bias of few tests out of the modulus or the scatter", False)
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class FitStrengthTable:
     """A strength that `uqsphere fit` has found: its draws are what few tests leave open."""
 
@@ -186,10 +199,6 @@ FROM_TESTS: Final = "tests"
 _MOST_BLOWS, _MOST_CLASSES = 1000, 200
 
 
-def _plain(dimension: str, symbol: str) -> Fixed:
-    return Fixed(Quantity(name=dimension, symbol=symbol, dimension=dimension, meaning=f"the {dimension}"))
-
-
 def _three(values: tuple[Raw, ...]) -> tuple[tuple[float, float, float], ...]:
     """Rows of a table of incomplete beta functions: n above 1, both parameters above 0, n rising."""
     rows = []
@@ -204,12 +213,7 @@ def _three(values: tuple[Raw, ...]) -> tuple[tuple[float, float, float], ...]:
     return tuple(rows)
 
 
-_Share = Annotated[Real, within(0.0, 1.0)]
-_Positive = Annotated[Real, within(0.0)]
-_Length = Annotated[float, _plain("length", "d")]
-
-
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class MaterialTable:
     """What particles are of, where the study has no sphere; laws enter by their means."""
 
@@ -219,27 +223,27 @@ class MaterialTable:
     density: Number = key("density", default_is="from the material")
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class SizesTable:
     """How the mass of the feed is spread over sizes, and the classes that it is cut into."""
 
     law: Annotated[Text, among(SIZE_LAWS)] = key(
         "`rosin_rammler`, `gaudin_schuhmann`, `lognormal` or `table`", "", due='add law = "rosin_rammler"'
     )
-    d63: _Length | None = key("`rosin_rammler`: size that 63.2 % is finer than")
-    n: _Positive | None = key("`rosin_rammler`, `gaudin_schuhmann`: exponent")
-    d50: _Length | None = key("`lognormal`: median by mass")
-    log_sd: _Positive | None = key("`lognormal`: standard deviation of ln d")
+    d63: Length | None = key("`rosin_rammler`: size that 63.2 % is finer than")
+    n: Positive | None = key("`rosin_rammler`, `gaudin_schuhmann`: exponent")
+    d50: Length | None = key("`lognormal`: median by mass")
+    log_sd: Positive | None = key("`lognormal`: standard deviation of ln d")
     file: Text | None = key("`table`: CSV beside the study")
     sieve: Text = key("`table`: column of sieves", "sieve_mm")
     sieve_unit: Annotated[Text, among(tuple(UNITS["length"]))] = key("`table`: unit of the sieves", "mm")
     passing: Text = key("`table`: column of shares finer, in %", "passing_percent")
-    top: _Length | None = key("largest size: what is coarser is cut", default_is="largest sieve; else required")
+    top: Length | None = key("largest size: what is coarser is cut", default_is="largest sieve; else required")
     ratio: Annotated[Real, within(1.0, 4.0)] = key("of one sieve to the next", 2.0**0.5, default_is="`1.41421356`")
     classes: Annotated[Whole, within(1, _MOST_CLASSES, closed=True)] = key("classes; what is finer is the rest", 14)
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class EnergyTable:
     """What a blow offers: one of its keys, a value or a law (a spectrum: every blow of every particle is drawn)."""
 
@@ -250,24 +254,24 @@ class EnergyTable:
     service: Text | None = key("a `[service.NAME]` of the study: its closing speed and its partner")
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class OnTable:
     """What the particles are hit by, for the share of the energy that they take up."""
 
     material: Text | None = key("a material of bars or plates; fills `E` and `nu`")
-    E: Annotated[float, _plain("pressure", "E")] | None = key("Young's modulus", default_is="from the material")
+    E: Annotated[float, fixed("pressure", "E")] | None = key("Young's modulus", default_is="from the material")
     nu: Annotated[Real, within(0.0, 0.5)] | None = key("Poisson ratio", default_is="from the material")
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class GoalTable:
     """What must break, and how sure that must be."""
 
-    broken: _Share = key("least share of the feed that must break", 0.0, due="add broken = 0.9")
-    at_least: _Share = key("least probability of that", 0.95)
+    broken: Share = key("least share of the feed that must break", 0.0, due="add broken = 0.9")
+    at_least: Share = key("least probability of that", 0.95)
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class FeedTable:
     """A feed of particles and the blows that it gets."""
 
@@ -281,14 +285,14 @@ class FeedTable:
     rest: Annotated[Text, among(("stays", "breaks"))] = key(
         "what becomes of particles finer than the last sieve", "stays"
     )
-    lot: Annotated[float, _plain("mass", "m")] | None = key(
+    lot: Annotated[float, fixed("mass", "m")] | None = key(
         "mass of a lot, whose particles scatter", default_is="no scatter beside ignorance"
     )
-    fines: _Length | None = key("sieve whose passing is asked for")
+    fines: Length | None = key("sieve whose passing is asked for")
     goal: GoalTable | None = key("what must break, `{ broken = 0.9, at_least = 0.95 }`; exit code 3 unless it is met")
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class CurveTable:
     """The family that gives the product's curve from t10."""
 
@@ -302,7 +306,7 @@ class CurveTable:
     )
 
 
-@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+@dataclass(frozen=True, kw_only=True, config=CLOSED)
 class ProductTable:
     """How fine the product of crushing is."""
 

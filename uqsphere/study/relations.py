@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from uqsphere.quantities import INPUTS, lookup
-from uqsphere.study.axis import ENERGY, SPEED, make_axis, strength_name
 from uqsphere.study.document import Dependence, Document, FamilyTable, MarginsTable
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.limits import LimitReading
 from uqsphere.study.numbers import Reading, plain_quantity, read_fixed
 from uqsphere.study.scene import Scene
-from uqsphere.study.study import Family, Margins, Study, tie_of
+from uqsphere.study.study import ENERGY, SPEED, Family, Margins, Study, make_axis, strength_name, tie_of
 from uqsphere.units import Quantity
 from uqsphere.uq import Law, LawError, make_law
 

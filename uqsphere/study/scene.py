@@ -4,7 +4,7 @@ other rigs need, and whether all goes together."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
@@ -24,7 +24,7 @@ from uqsphere.study.document import (
     PulseTable,
     TargetTable,
 )
-from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion, unknown
+from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
 from uqsphere.study.numbers import Reading, read_fixed, read_number
 from uqsphere.study.particle_tables import FROM_TESTS, ProductTable, known_platens
 from uqsphere.study.study import EndImpedance, Source
@@ -186,19 +186,27 @@ def _fill_from_library(document: Document, section: str, scene: Scene, findings:
     kind, keys = _GIVES[section]
     if document.contact is not None and document.contact.law == "plastic":
         keys = (*keys, *_GIVES_OF_YIELD.get(section, ()))
-    known = library()[kind]
     name = table.material
     if name is None:
         if section in _EXAMPLES and not findings.touched((section, "material")):
             for key, example in _EXAMPLES[section].items():
                 require(scene, findings, f"{section}.{key}", example, ', or a material = "…" to take it from')
         return
+    found = material_of(name, (section, "material"), findings, (kind,), f" for {kind}")
+    if found is not None:
+        take_from_library(scene, findings, section, found, keys)
+
+
+def material_of(
+    name: str, place: Place, findings: Findings, kinds: Sequence[str] = MATERIAL_KINDS, what: str = ""
+) -> Material | None:
+    """The material of a name among those of some kinds; None, with the fault noted, where there is none."""
+    known = {one: material for kind in kinds for one, material in library()[kind].items()}
     if name not in known:
         elsewhere = next((other for other in MATERIAL_KINDS if name in library()[other]), None)
         near = f" ({shown(name)} is for {elsewhere})" if elsewhere else suggestion(name, known)
-        findings.add((section, "material"), f"unknown material {shown(name)}, known for {kind}: {one_of(known)}{near}")
-        return
-    take_from_library(scene, findings, section, known[name], keys)
+        findings.add(place, f"unknown material {shown(name)}, known{what}: {one_of(known)}{near}")
+    return known.get(name)
 
 
 def take_from_library(
@@ -667,7 +675,7 @@ def read_rig(document: Document, scene: Scene, findings: Findings) -> None:
     if start is not None and (start == "rig" or document.hammer is not None):
         _one_of_two(scene, findings, start, ("speed", "drop_height"), ('"3 m/s"', '"1 m"'))
     if start == "rig" and "rig.angle" in INPUTS:
-        scene.readings.setdefault("rig.angle", Reading(value=0.5 * 3.141592653589793))
+        scene.readings.setdefault("rig.angle", Reading(value=0.5 * math.pi))
 
 
 def _one_of_two(scene: Scene, findings: Findings, table: str, keys: tuple[str, str], examples: tuple[str, str]) -> None:
@@ -721,15 +729,9 @@ def _check_platens(scene: Scene, findings: Findings) -> None:
 
 def _fill_material(table: str, name: str | None, scene: Scene, findings: Findings) -> None:
     """The numbers that the library gives: a partner is of a material of bars, of plates, or a rock."""
-    if name is None:
+    found = None if name is None else material_of(name, (table, "material"), findings)
+    if found is None:
         return
-    kinds = [kind for kind in library() if kind != "sphere"] + ["sphere"]
-    kind = next((kind for kind in kinds if name in library()[kind]), None)
-    if kind is None:
-        known = [one for kind in kinds for one in library()[kind]]
-        findings.add((table, "material"), unknown("material", name, known))
-        return
-    found = library()[kind][name]
     take_from_library(scene, findings, table, found, ("E", "nu", "density", "yield_strength"))
     if found.properties["E"].value < _SOFT:
         findings.warn((table, "material"), f"{name} is no elastic solid: {found.properties['E'].note}")

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Annotated, Final, TypeVar, get_args, get_origin
 
 from pydantic import (
+    ConfigDict,
     Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
@@ -43,6 +44,8 @@ Number = Raw
 
 #: words for the far end of a bar, and the velocity reflection coefficient that each stands for
 BAR_ENDS: Final = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
+#: no key beyond those declared
+CLOSED: Final = ConfigDict(extra="forbid", defer_build=True)
 #: entries of a list
 MOST_LISTED: Final = 200
 #: turns in which faulty parts are taken out, one level at a turn at the most; faults that get a suggestion
@@ -146,6 +149,12 @@ class Fixed:
         return raw if info.context is None else fixed_value(raw, self.quantity)
 
 
+def fixed(dimension: str, symbol: str, lower: float = 0.0, display: str = "") -> Fixed:
+    """A number of a dimension, above a bound."""
+    return Fixed(Quantity(name=dimension, symbol=symbol, dimension=dimension, lower=lower, display=display,
+                          meaning=f"the {dimension}"))  # fmt: skip
+
+
 def within(low: float, high: float = math.inf, *, closed: bool = False) -> Check:
     """A number between two bounds, which are excluded unless `closed`."""
     if high == math.inf:
@@ -161,6 +170,11 @@ def within(low: float, high: float = math.inf, *, closed: bool = False) -> Check
 
     least, most = ("minimum", "maximum") if closed else ("exclusiveMinimum", "exclusiveMaximum")
     return Check(look, lambda: {least: low} | ({} if high == math.inf else {most: high}))
+
+
+Share = Annotated[Real, within(0.0, 1.0)]
+Positive = Annotated[Real, within(0.0)]
+Length = Annotated[float, fixed("length", "d", display="m")]
 
 
 def among(words: Sequence[str] | Callable[[], Iterable[str]]) -> Check:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from uqsphere.feed.infer import Request
     from uqsphere.feed.likelihood import Prior
     from uqsphere.feed.product import Fineness
-    from uqsphere.study.feed import Particles
+    from uqsphere.study.study import Particles
 
 #: columns of which every row has one: dimension of each
 MEASURED: Final = {"force": "force", "energy": "energy", "specific_energy": "specific_energy", "speed": "speed"}

@@ -11,11 +11,12 @@ import codecs
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import date, time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
+
+import numpy as np
 
 from uqsphere.errors import Problem, StudyError, UsageError
 from uqsphere.files import TooLarge, read_given
@@ -198,26 +199,8 @@ def _fault(path: Path, message: str, line: int = 1, column: int = 1) -> StudyErr
 
 _KEYS = ("bare_key", "quoted_key", "dotted_key")
 _PUNCTUATION = frozenset({"[", "]", "{", "}", ",", "=", "comment"})
-
-
-@dataclass(frozen=True, kw_only=True)
-class Lines:
-    """The rows of a text as bytes, and how far columns have been counted in each, in characters."""
-
-    rows: list[bytes]
-    counted: dict[int, tuple[int, int]] = field(default_factory=dict)
-
-    def point(self, node: Node) -> tuple[int, int]:
-        """Line and column of a node, from 1, in characters."""
-        row, column = node.start_point
-        # Nodes come in order: counting goes on from the last one, or a long line would cost its square.
-        done, characters = self.counted.get(row, (0, 0))
-        if done > column:
-            done, characters = 0, 0
-        if row < len(self.rows):
-            characters += len(self.rows[row][done:column].decode("utf-8", "replace"))
-        self.counted[row] = (column, characters)
-        return row + 1, characters + 1
+#: line and column of a node, from 1, in characters
+Point = Callable[["Node"], tuple[int, int]]
 
 
 def locate(text: str) -> dict[Place, tuple[int, int]]:
@@ -235,25 +218,31 @@ def locate(text: str) -> dict[Place, tuple[int, int]]:
 
     data = text.encode("utf-8")
     root = Parser(Language(tree_sitter_toml.language())).parse(data).root_node
-    lines = Lines(rows=data.split(b"\n"))
+    # characters up to every byte: a byte that goes on with one begins with the bits 10
+    characters = np.concatenate([[0], np.cumsum(np.frombuffer(data, dtype=np.uint8) & 0xC0 != 0x80)])
+
+    def point(node: Node) -> tuple[int, int]:
+        row, column = node.start_point
+        return row + 1, int(characters[node.start_byte] - characters[node.start_byte - column]) + 1
+
     found: dict[Place, tuple[int, int]] = {}
     counts: dict[Place, int] = {}
     for child in root.children:
         if child.type == "pair":
-            _visit_pair(child, (), found, lines)
+            _visit_pair(child, (), found, point)
         elif child.type in ("table", "table_array_element"):
-            _visit_table(child, found, counts, lines)
+            _visit_table(child, found, counts, point)
     return found
 
 
-def _visit_table(node: Node, found: dict[Place, tuple[int, int]], counts: dict[Place, int], lines: Lines) -> None:
+def _visit_table(node: Node, found: dict[Place, tuple[int, int]], counts: dict[Place, int], point: Point) -> None:
     key = next((child for child in node.children if child.type in _KEYS), None)
     if key is None:
         return
     parts = _key_parts(key)
     base = _entered(tuple(name for name, _ in parts[:-1]), counts)
     header = (*base, parts[-1][0])
-    at = lines.point(node)
+    at = point(node)
     # A table above this one that has no header of its own is best shown by the first header below it.
     for length in range(1, len(header) + 1):
         found.setdefault(header[:length], at)
@@ -263,7 +252,7 @@ def _visit_table(node: Node, found: dict[Place, tuple[int, int]], counts: dict[P
     found[header] = at
     for child in node.children:
         if child.type == "pair":
-            _visit_pair(child, header, found, lines)
+            _visit_pair(child, header, found, point)
 
 
 def _entered(base: Place, counts: dict[Place, int]) -> Place:
@@ -276,7 +265,7 @@ def _entered(base: Place, counts: dict[Place, int]) -> Place:
     return place
 
 
-def _visit_pair(node: Node, base: Place, found: dict[Place, tuple[int, int]], lines: Lines) -> None:
+def _visit_pair(node: Node, base: Place, found: dict[Place, tuple[int, int]], point: Point) -> None:
     # A comment behind an inline table belongs to the pair, after the value.
     parts = [child for child in node.children if child.type not in _PUNCTUATION]
     key, value = parts[0], parts[-1]
@@ -285,21 +274,21 @@ def _visit_pair(node: Node, base: Place, found: dict[Place, tuple[int, int]], li
     place = base
     for name, part in _key_parts(key):
         place = (*place, name)
-        found.setdefault(place, lines.point(part))
+        found.setdefault(place, point(part))
     if value is not key:
-        _visit_value(value, place, found, lines)
+        _visit_value(value, place, found, point)
 
 
-def _visit_value(node: Node, place: Place, found: dict[Place, tuple[int, int]], lines: Lines) -> None:
+def _visit_value(node: Node, place: Place, found: dict[Place, tuple[int, int]], point: Point) -> None:
     if node.type == "inline_table":
         for child in node.children:
             if child.type == "pair":
-                _visit_pair(child, place, found, lines)
+                _visit_pair(child, place, found, point)
     elif node.type == "array":
         elements = [child for child in node.children if child.type not in _PUNCTUATION and not child.is_error]
         for index, child in enumerate(elements):
-            found.setdefault((*place, index), lines.point(child))
-            _visit_value(child, (*place, index), found, lines)
+            found.setdefault((*place, index), point(child))
+            _visit_value(child, (*place, index), found, point)
 
 
 def _key_parts(node: Node) -> list[tuple[str, Node]]:
