@@ -14,7 +14,6 @@ same anywhere, but for moments.  Faulty models and closed streams are tests: tes
 
 from __future__ import annotations
 
-import argparse
 import collections
 import contextlib
 import functools
@@ -41,7 +40,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.campaigns import table, tell
+from tests.campaigns import options, table, tell
 from tests.conftest import BOX, MARGINS, SMALL
 
 ROOT = Path(__file__).parent.parent.parent
@@ -938,19 +937,11 @@ def tried(part: str, count: int, *, seed: int = 1, start: int = 0, keep: Path | 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print a row for each part; exit code 1 if anything failed."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)} (default: all, a tenth of each)")
-    parser.add_argument("--count", type=int)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--start", type=int, default=0)
-    parser.add_argument("--keep", type=Path, help="a folder for studies that failed")
-    chosen = parser.parse_args(arguments)
-    if unknown := sorted(set(chosen.parts) - set(PARTS)):
-        parser.error(f"no part is called {unknown[0]}: {', '.join(PARTS)}")
+    chosen = options(__doc__, arguments, words=PARTS, count=int, seed=1, start=0, keep=Path)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
     rows = []
-    for part in chosen.parts or PARTS:
-        count = chosen.count or (PARTS[part][1] if chosen.parts else -(-PARTS[part][1] // 10))
+    for part in chosen.words or PARTS:
+        count = chosen.count or (PARTS[part][1] if chosen.words else -(-PARTS[part][1] // 10))
         found = tried(part, count, seed=chosen.seed, start=chosen.start, keep=chosen.keep)
         codes = ", ".join(f"{code}: {number:,}" for code, number in found["codes"].items())
         rows.append((part, f"{found['done']:,}", codes, found["failures"], f"{found['slowest']:.1f}",
