@@ -13,7 +13,6 @@ from scenes import ENDLESS, example
 from scipy.special import ndtr, owens_t
 
 import uqsphere
-from uqsphere.errors import StudyError
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.closed_form import loading_time
 from uqsphere.mechanics.criteria import CRITERIA, demand
@@ -366,14 +365,6 @@ def test_a_sphere_without_scatter_breaks_at_its_force(tmp_path: Path) -> None:
     found = uqsphere.run(uqsphere.load_study(path), out=tmp_path / "r").results.document()["fracture"]
     assert found["union"]["value"] == 1.0
     assert found["force"]["median"]["value"] == pytest.approx(1000.0, rel=1e-4)
-
-
-def test_what_cannot_mean_fracture_is_refused(tmp_path: Path, small_text: str) -> None:
-    path = tmp_path / "wrong.toml"
-    wrong = '[limits.long]\nquantity = "contact_time"\nstrength = "1 ms"\nfracture = true\n'
-    path.write_text(small_text.replace("[analysis]", wrong + "[analysis]"), encoding="utf-8")
-    with pytest.raises(StudyError, match="breaks no sphere"):
-        uqsphere.load_study(path)
 
 
 def test_where_faces_yield_the_path_is_that_of_the_law():

@@ -437,11 +437,6 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     assert main(["analyse", str(tmp_path / "bytes.csv"), "--inputs", "a", "--outputs", "y"]) == 2
 
 
-def test_a_folder_is_no_table(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="this is a folder"):
-        read_data(tmp_path, ["a"], ["y"])
-
-
 # --- What runs leave open of inputs that depend on each other: laws and dependences that belong together.
 
 
