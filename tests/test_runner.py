@@ -12,6 +12,7 @@ from typing import Any
 
 import jsonschema
 import pytest
+from conftest import BOX
 
 import uqsphere
 from uqsphere.errors import FolderError, TooManyFailures
@@ -294,6 +295,16 @@ def test_probabilities_close_to_one_keep_their_own_key(study_from: Callable[...,
     study = study_from("analysis.quantiles=[0.5, 0.9999999, 0.99999999]", quick=True)
     results = checked(uqsphere.run(study, out=tmp_path / "r"))
     assert list(results["quantities"]["p_max"]["quantiles"]) == ["0.5", "0.9999999", "0.99999999"]
+
+
+def test_a_model_factor_multiplies_the_demand(tmp_path: Path) -> None:
+    text = BOX + '[limits.high]\nquantity = "y"\nstrength = 0.8\nmodel_factor = 1.25\n'
+    (tmp_path / "s.toml").write_text(text)
+    found = uqsphere.run(
+        uqsphere.load_study(tmp_path / "s.toml"), out=tmp_path / "r", model=lambda rows: {"y": rows["x1"]}
+    )
+    exceeded = found.results.document()["limits"]["high"]["exceedance"]
+    assert exceeded["value"] == pytest.approx(1.0 - 0.8 / 1.25, abs=0.01)
 
 
 # --- the loop of a run: why it ends, what it gives up, and the forecast and the caution around that
