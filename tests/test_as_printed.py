@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from report_folders import limit, with_pairs, write_folder
+from scenes import ENDLESS, example
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
@@ -25,14 +26,7 @@ from uqsphere.report.contents import read_contents
 from uqsphere.report.page import GLOSSARY, _distinct, _numbers_of, margin_boxes, unbroken, words_used
 from uqsphere.results.entries import Manifest
 
-SCENE = Scene(
-    columns={name: np.array([value]) for name, value in {
-        "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0, "bars.E": 210e9,
-        "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04, "striker.speed": 1.0,
-        "striker.length": 0.4,
-    }.items()},
-    infinite=True,
-)  # fmt: skip
+SCENE = example(numbers=ENDLESS, infinite=True)
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scenes import example as scene_with
 
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.field import waves_at
@@ -11,18 +12,7 @@ from uqsphere.mechanics.history import balance_of, rod_record
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
 
-BASE = {
-    "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
-    "bars.E": 210e9, "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04,
-    "bars.incident_length": 1.5, "bars.receiving_length": 1.5,
-    "bars.incident_end": 1.0, "bars.receiving_end": 1.0, "striker.length": 0.4, "striker.speed": 1.0,
-}  # fmt: skip
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
-
-
-def scene_with(shape: str = "rectangular", **changes: float) -> Scene:
-    numbers = {**BASE, **{name.replace("_", ".", 1): value for name, value in changes.items()}}
-    return Scene(columns={name: np.array([value]) for name, value in numbers.items()}, shape=shape)
 
 
 class Balance:

@@ -11,6 +11,7 @@ import pytest
 from conftest import CLOSED, log_peak
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scenes import ENDLESS
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.stats import norm
@@ -32,10 +33,7 @@ from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.questions.distributions import sample_distributions
 from uqsphere.study import Study
 
-BASE = {
-    "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0, "bars.E": 210e9,
-    "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04, "striker.speed": 1.0,
-}  # fmt: skip
+BASE = {name: value for name, value in ENDLESS.items() if name != "striker.length"}
 
 
 def scaled_scene(mu, theta, **settings) -> Scene:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scenes import EXAMPLE
 from scipy.integrate import solve_ivp
 
 import uqsphere
@@ -15,11 +16,9 @@ from uqsphere.mechanics.field import field_at
 from uqsphere.mechanics.history import trace
 from uqsphere.mechanics.scene import Scene
 
-BASE = {
-    "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 7650.0,
-    "bars.E": 210e9, "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04,
-    "bars.incident_length": 0.6, "bars.receiving_length": 0.5,
-    "bars.incident_end": 1.0, "bars.receiving_end": 0.4, "striker.length": 0.2, "striker.speed": 1.0,
+BASE = EXAMPLE | {
+    "sphere.density": 7650.0, "bars.incident_length": 0.6, "bars.receiving_length": 0.5, "bars.receiving_end": 0.4,
+    "striker.length": 0.2,
 }  # fmt: skip
 C0 = np.sqrt(210e9 / 7850.0)
 Z = 7850.0 * C0 * np.pi * 0.02**2

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scenes import ENDLESS
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import gamma
@@ -350,9 +351,7 @@ def test_sizes_in_the_text_are_those_of_the_code() -> None:
 
 def scene(count: int = 1, **changed: Any) -> dict[str, Any]:
     """Columns of the example of theory section 3, `count` rows."""
-    values = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0, "bars.E": 210e9,
-              "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04, "striker.speed": 1.0,
-              "striker.length": 0.4, **changed}  # fmt: skip
+    values = {**ENDLESS, **changed}
     return {name: np.broadcast_to(np.asarray(value, dtype=float), (count,)) for name, value in values.items()}
 
 

@@ -493,16 +493,12 @@ def test_a_limit_is_learned_although_its_quantity_is_too_rough(ask, monkeypatch:
 
 def test_a_design_point_on_a_surrogate_is_confirmed_by_a_run(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(globals(), "EXPENSIVE", PLANE.replace("14.0", "11.0"))
-    limit = ask(Counted(plane)).results.document()["limits"]["high"]
+    results = ask(Counted(plane)).results.document()
+    limit, found = results["limits"]["high"], results["sensitivity"]["y"]
     point = {name: np.array([value]) for name, value in limit["design_point"].items()}
     assert float(plane(point)[0]) == pytest.approx(11.0, abs=1e-3)
     assert any("the model gives 11" in text for text in limit["checks"])
-
-
-def test_pairs_and_groups_come_off_the_surrogate(ask, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(globals(), "EXPENSIVE", PLANE.replace("14.0", "11.0"))
-    found = ask(Counted(plane)).results.document()["sensitivity"]["y"]
-    # Var = 1 + 1/4, the product alone 1/4
+    # pairs and groups come off the surrogate too: Var = 1 + 1/4, the product alone 1/4
     assert holds(found["second"]["x1|x2"], 0.2)
     assert found["second"]["x1|x2"]["value"] == pytest.approx(0.2, abs=0.01)
     assert holds(found["groups"]["first"]["both"], 1.0)

@@ -17,6 +17,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.text import Text
 from report_folders import limit, put, with_pairs, write_folder
+from scenes import example
 
 import uqsphere
 from uqsphere.cli import main
@@ -199,25 +200,8 @@ def test_areas_of_a_density_are_shares(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def scene_and_history() -> tuple[Any, Any]:
     from uqsphere.mechanics.history import trace
-    from uqsphere.mechanics.scene import Scene
 
-    numbers = {
-        "sphere.E": 52e9,
-        "sphere.nu": 0.25,
-        "sphere.radius": 0.01,
-        "sphere.density": 2650.0,
-        "bars.E": 210e9,
-        "bars.nu": 0.3,
-        "bars.density": 7850.0,
-        "bars.diameter": 0.04,
-        "bars.incident_length": 1.5,
-        "bars.receiving_length": 1.5,
-        "bars.incident_end": 1.0,
-        "bars.receiving_end": 1.0,
-        "striker.speed": 1.0,
-        "striker.length": 0.4,
-    }
-    scene = Scene(columns={name: np.array([value]) for name, value in numbers.items()})
+    scene = example()
     return scene, trace(scene, tolerance=1e-6)
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import CLOSED, log_peak, middle, spread
+from scenes import ENDLESS, example
 from scipy.special import ndtr, owens_t
 
 import uqsphere
-from uqsphere.errors import StudyError
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.closed_form import loading_time
 from uqsphere.mechanics.criteria import CRITERIA, demand
@@ -29,17 +29,10 @@ from uqsphere.report.contents import read_contents
 from uqsphere.results.tables import tables
 
 FORCE, ENERGY = LoadingPath(over="force"), LoadingPath(over="energy")
-GRANITE = {
-    "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
-    "bars.E": 210e9, "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04,
-    "bars.incident_length": 1.5, "bars.receiving_length": 1.5,
-    "bars.incident_end": 1.0, "bars.receiving_end": 1.0, "striker.length": 0.4, "striker.speed": 1.0,
-}  # fmt: skip
 
 
 def scene(rows: int = 1, shape: str = "rectangular", **settings: Any) -> Scene:
-    columns = {name: np.full(rows, value) for name, value in GRANITE.items()}
-    return Scene(columns=columns, shape=shape, **settings)
+    return example(shape, rows, **settings)
 
 
 # --- crossing times ---------------------------------------------------------------------------------------
@@ -374,22 +367,10 @@ def test_a_sphere_without_scatter_breaks_at_its_force(tmp_path: Path) -> None:
     assert found["force"]["median"]["value"] == pytest.approx(1000.0, rel=1e-4)
 
 
-def test_what_cannot_mean_fracture_is_refused(tmp_path: Path, small_text: str) -> None:
-    path = tmp_path / "wrong.toml"
-    wrong = '[limits.long]\nquantity = "contact_time"\nstrength = "1 ms"\nfracture = true\n'
-    path.write_text(small_text.replace("[analysis]", wrong + "[analysis]"), encoding="utf-8")
-    with pytest.raises(StudyError, match="breaks no sphere"):
-        uqsphere.load_study(path)
-
-
 def test_where_faces_yield_the_path_is_that_of_the_law():
     """At the moment found the force is that of the level: by the law, or by Hertz's third power."""
-    numbers = {
-        "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0, "bars.E": 205e9,
-        "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04, "bars.yield_strength": 1e9,
-        "striker.speed": 0.5, "striker.length": 0.8,
-    }  # fmt: skip
-    one = Scene(columns={k: np.array([v]) for k, v in numbers.items()}, infinite=True, contact_law="plastic")
+    numbers = ENDLESS | {"bars.E": 205e9, "bars.yield_strength": 1e9, "striker.speed": 0.5, "striker.length": 0.8}
+    one = example(numbers=numbers, infinite=True, contact_law="plastic")
     answers = solve(one, tolerance=1e-9, threads=1, quantities=("P_max", "p_max", "energy")).values
     top, whole = answers["P_max"], one.faces.pressed(one.faces.depth_at(answers["P_max"]))
     for share in (0.5, 0.97):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scenes import EXAMPLE, example
 from scipy.integrate import cumulative_simpson
 
 from uqsphere.mechanics import contact
@@ -16,14 +17,8 @@ from uqsphere.mechanics.field import (
     overlaps,
 )
 from uqsphere.mechanics.history import History, equilibrium, trace
-from uqsphere.mechanics.scene import Scene
 
-BASE = {
-    "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
-    "bars.E": 210e9, "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04,
-    "bars.incident_length": 1.5, "bars.receiving_length": 1.2,
-    "bars.incident_end": 1.0, "bars.receiving_end": 1.0, "striker.length": 0.4, "striker.speed": 1.0,
-}  # fmt: skip
+BASE = EXAMPLE | {"bars.receiving_length": 1.2}
 C0 = np.sqrt(210e9 / 7850.0)
 F0 = np.pi * 0.02**2
 Z = 7850.0 * C0 * F0
@@ -32,9 +27,7 @@ TOLERANCE = 1e-9
 
 def history_with(shape: str = "rectangular", fidelity: str = "full", infinite: bool = False,
                  horizon: float | None = None, **changes: float) -> History:  # fmt: skip
-    numbers = {**BASE, **{name.replace("_", ".", 1): value for name, value in changes.items()}}
-    columns = {name: np.array([value]) for name, value in numbers.items()}
-    scene = Scene(columns=columns, shape=shape, infinite=infinite, horizon=horizon)
+    scene = example(shape, numbers=BASE, infinite=infinite, horizon=horizon, **changes)
     return trace(scene, fidelity=fidelity, tolerance=TOLERANCE)
 
 

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scenes import example as granite
 from scipy.integrate import solve_ivp
 
 from uqsphere.mechanics import contact
@@ -14,22 +15,8 @@ from uqsphere.mechanics.closed_form import massless_approach
 from uqsphere.mechanics.field import waves_at
 from uqsphere.mechanics.history import find_changes, trace
 from uqsphere.mechanics.integrator import solve as dynamics
-from uqsphere.mechanics.scene import Scene
 
-BASE = {
-    "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
-    "bars.E": 210e9, "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04,
-    "bars.incident_length": 1.5, "bars.receiving_length": 1.5,
-    "bars.incident_end": 1.0, "bars.receiving_end": 1.0, "striker.length": 0.4, "striker.speed": 1.0,
-}  # fmt: skip
 TOLERANCE = 1e-9
-
-
-def granite(shape: str = "rectangular", **changes: object) -> Scene:
-    settings = {name: changes.pop(name) for name in list(changes) if name in Scene.__dataclass_fields__}
-    numbers = {**BASE, **{name.replace("_", ".", 1): value for name, value in changes.items()}}
-    columns = {name: np.array([value], float) for name, value in numbers.items()}
-    return Scene(columns=columns, shape=shape, **settings)
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ from uqsphere.store import open_store, write_json
 from uqsphere.study import Study
 
 #: every k-th input/output call of a whole run is tried; UQSPHERE_EVERY=1 tries all of them, in half an hour
-EVERY = int(os.environ.get("UQSPHERE_EVERY", "60"))
+EVERY = int(os.environ.get("UQSPHERE_EVERY", "150"))
 
 
 class Killed(BaseException):

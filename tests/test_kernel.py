@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scenes import EXAMPLE
 from scipy.integrate import solve_ivp
 
 from uqsphere.mechanics.integrator import compiled, kernel
@@ -26,13 +27,6 @@ SOLVER = 5.0
 EXACT = 1e-12
 
 REFERENCE = json.loads((Path(__file__).parent / "data" / "reference_scenes.json").read_text())
-#: granite between 40 mm steel bars, theory section 2
-EXAMPLE = {
-    "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
-    "bars.E": 210e9, "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04,
-    "bars.incident_length": 1.5, "bars.receiving_length": 1.5,
-    "bars.incident_end": 1.0, "bars.receiving_end": 1.0, "striker.length": 0.4, "striker.speed": 1.0,
-}  # fmt: skip
 
 
 def scaled_scene(mu: Any, theta: Any, trips: Any = None, ends: Any = None, **structure: Any) -> Scene:
@@ -73,13 +67,6 @@ def relative(found: Any, expected: Any) -> Any:
 
 
 # ---- oracles
-
-
-def test_example_of_the_theory() -> None:
-    found = solve(Scene(columns={name: np.array([value]) for name, value in EXAMPLE.items()}), tolerance=1e-8)
-    assert relative(found.values["p_max"], 3.0208635e9).max() < 1e-7
-    assert relative(found.values["contact_time"], 1.52195874e-3).max() < 1e-7
-    assert relative(found.values["first_peak"], 2.554e9).max() < 5e-4
 
 
 def test_reference_scenes_between_finite_bars() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scenes import EXAMPLE, example
 
 import uqsphere
 from uqsphere.errors import StudyError
@@ -129,11 +130,9 @@ def test_rows_do_not_depend_on_each_other():
 # --- pulses of strikers that are no piece of the bar, ramps and the presets of the paper's Fig. 2 -
 
 
-BASE = {
-    "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
-    "bars.E": 210e9, "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04,
-    "bars.incident_length": 3.0, "bars.receiving_length": 3.0,
-    "bars.incident_end": 1.0, "bars.receiving_end": 0.0, "striker.length": 0.2, "striker.speed": 2.0,
+BASE = EXAMPLE | {
+    "bars.incident_length": 3.0, "bars.receiving_length": 3.0, "bars.receiving_end": 0.0, "striker.length": 0.2,
+    "striker.speed": 2.0,
 }  # fmt: skip
 
 
@@ -185,9 +184,9 @@ def test_a_stiff_striker_gives_all_it_has(ratio):
 
 
 def test_a_striker_like_the_bar_sends_the_plain_pulse():
-    plain = Scene(columns={name: np.array([value]) for name, value in BASE.items()})
+    plain = example(numbers=BASE)
     own = {"striker.E": 210e9, "striker.density": 7850.0, "striker.diameter": 0.04}
-    same = Scene(columns={name: np.array([value]) for name, value in {**BASE, **own}.items()})
+    same = example(numbers=BASE | own)
     names = ("p_max", "contact_time", "force_imbalance")
     one, other = (dynamics.solve(scene, tolerance=1e-9, quantities=names).values for scene in (plain, same))
     for name in names:

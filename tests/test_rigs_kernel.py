@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scenes import EXAMPLE, example
 
 from tests.independent.rigs import Pole, strike, strike_rod
 from tests.independent.yielding import Law
@@ -233,15 +234,12 @@ def test_blows_that_yield_agree_with_their_closed_form() -> None:
 
 @pytest.mark.parametrize("speed", [0.3, 0.8, 2.0])
 def test_width_and_rise_of_faces_that_yield_are_those_of_their_forces(speed: float) -> None:
-    numbers = {
-        "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0, "bars.E": 205e9,
-        "bars.nu": 0.29, "bars.density": 7850.0, "bars.diameter": 0.04, "bars.incident_length": 1.5,
-        "bars.receiving_length": 1.5, "bars.incident_end": 1.0, "bars.receiving_end": 0.0, "striker.length": 0.5,
-        "striker.speed": speed, "pulse.rise": 25e-6, "pulse.fall": 25e-6,
+    numbers = EXAMPLE | {
+        "bars.E": 205e9, "bars.nu": 0.29, "bars.receiving_end": 0.0, "striker.length": 0.5, "striker.speed": speed,
+        "pulse.rise": 25e-6, "pulse.fall": 25e-6,
         "contact.onset_pressure": 0.75e9, "contact.hardness": 1.5e9, "contact.pile_up": 2.0,
     }  # fmt: skip
-    columns = {name: np.array([value]) for name, value in numbers.items()}
-    scene = Scene(columns=columns, shape="trapezoid", contact_law="plastic", contact_dynamics="path")
+    scene = example("trapezoid", numbers=numbers, contact_law="plastic", contact_dynamics="path")
     asked = ("P_max", "pulse_width", "rise_time", "contact_time", "first_gap", "impulse_time", "time_above")
     found = solve(scene, quantities=asked)
     whole = motion(scene, 0, tolerance=1e-9)

@@ -15,7 +15,7 @@ import pytest
 from conftest import BOX
 
 import uqsphere
-from uqsphere.errors import FolderError, TooManyFailures, UsageError
+from uqsphere.errors import FolderError, TooManyFailures
 from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import Accuracy, campaign, evaluations_needed, out_of_reach, speed_rows_of
 from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work
@@ -289,12 +289,6 @@ def test_auto_measures_and_says_why(
     assert model["chosen"] == chosen
     assert "standard deviation" in model["why"]
     assert model["measured_error"]["p_max"] < 0.04
-
-
-def test_questions_that_do_not_fit_are_refused(study_from: Callable[..., Study], tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="impact scene"):
-        uqsphere.run(study_from(), out=tmp_path / "r", model=lambda inputs: inputs)
-    assert not (tmp_path / "r").exists()
 
 
 def test_probabilities_close_to_one_keep_their_own_key(study_from: Callable[..., Study], tmp_path: Path) -> None:

@@ -4,28 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scenes import EXAMPLE
+from scenes import example as granite
 
 from uqsphere.mechanics.scene import STATUS, Scene
 
 EXACT = 1e-12
-GRANITE = {
-    "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
-    "bars.E": 210e9, "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04,
-    "bars.incident_length": 1.5, "bars.receiving_length": 1.5,
-    "bars.incident_end": 1.0, "bars.receiving_end": 1.0, "striker.length": 0.4, "striker.speed": 1.0,
-}  # fmt: skip
-
-
-def granite(shape: str = "rectangular", rows: int = 1, **changes: object) -> Scene:
-    """The scene of theory section 3; numbers as `sphere_E = ...`, the rest goes to the Scene itself."""
-    settings = {name: changes.pop(name) for name in list(changes) if name in Scene.__dataclass_fields__}
-    numbers = {**GRANITE, **{name.replace("_", ".", 1): value for name, value in changes.items()}}
-    columns = {name: np.broadcast_to(np.asarray(value, float), rows) for name, value in numbers.items()}
-    return Scene(columns=columns, shape=shape, **settings)
 
 
 def test_infinite_bars_need_neither_lengths_nor_ends():
-    columns = {k: np.array([v]) for k, v in GRANITE.items() if not k.endswith(("_length", "_end"))}
+    columns = {k: np.array([v]) for k, v in EXAMPLE.items() if not k.endswith(("_length", "_end"))}
     scene = Scene(columns=columns, infinite=True)
     assert scene.status.tolist() == [0]
     assert np.isinf(scene.first_echo).all()
@@ -53,8 +41,8 @@ def test_a_structure_without_meaning_is_refused(changes, message):
     ("changes", "code"),
     [
         ({}, 0),
-        *(({name.replace(".", "_", 1): value}, 1) for name in GRANITE for value in (np.nan, np.inf)),
-        *(({name.replace(".", "_", 1): 0.0}, 1) for name in GRANITE if not name.endswith(("_end", ".nu"))),
+        *(({name.replace(".", "_", 1): value}, 1) for name in EXAMPLE for value in (np.nan, np.inf)),
+        *(({name.replace(".", "_", 1): 0.0}, 1) for name in EXAMPLE if not name.endswith(("_end", ".nu"))),
         ({"sphere_nu": 0.5}, 1),
         ({"sphere_nu": -1.0}, 1),
         ({"bars_nu": 0.5}, 1),

@@ -204,7 +204,7 @@ def test_indices_off_many_points_cover_and_are_narrower() -> None:
     p = 1.0 - float(ndtr(2.6))
     jumps = 64.0 * p * (1.0 - p)
     truth = jumps / (1.0 + jumps + 2e-4)
-    for seed in range(30):
+    for seed in range(15):
         mixed = np.stack([
             blocks.mix(*ndtri(uniform_halves(blocks, count=2048, seed=seed, task="many", replicate=r)))
             for r in range(16)
@@ -215,7 +215,7 @@ def test_indices_off_many_points_cover_and_are_narrower() -> None:
         assert found.value is not None
         held.append(found.low <= truth <= found.high)
         ratio.append(found.half_width / plain.half_width)
-    assert sum(held) >= 25
+    assert sum(held) >= 12
     assert np.median(ratio) < 0.5
 
 

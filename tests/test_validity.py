@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import EXAMPLE, example
 
 from uqsphere.mechanics.closed_form import solve_closed
 from uqsphere.mechanics.integrator import solve as dynamics
@@ -14,21 +15,17 @@ from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import RULES, Check, check_validity
 from uqsphere.mechanics.yielding import Face
 
-BASE = {
-    "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
-    "bars.E": 210e9, "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04,
-    "bars.yield_strength": 2.5e9, "bars.incident_length": 1.5, "bars.receiving_length": 1.5,
-    "bars.incident_end": 1.0, "bars.receiving_end": 0.0, "striker.length": 0.8, "striker.speed": 0.5,
+BASE = EXAMPLE | {
+    "bars.yield_strength": 2.5e9, "bars.receiving_end": 0.0, "striker.length": 0.8, "striker.speed": 0.5,
     "pulse.rise": 50e-6, "pulse.fall": 50e-6,
 }  # fmt: skip
 
 
 def scene_with(shape: str = "trapezoid", rows: int = 1, **changes: object) -> Scene:
-    settings = {name: changes.pop(name) for name in list(changes) if name in Scene.__dataclass_fields__}
-    numbers = {**BASE, **{name.replace("_", ".", 1): value for name, value in changes.items()}}
-    columns = {name: np.broadcast_to(np.asarray(value, float), rows) for name, value in numbers.items()}
     # not a number stands for a column that is not given
-    return Scene(columns={k: v for k, v in columns.items() if not np.isnan(v).all()}, shape=shape, **settings)
+    gone = [name.replace("_", ".", 1) for name, value in changes.items() if value is np.nan]
+    given = {name: value for name, value in changes.items() if value is not np.nan}
+    return example(shape, rows, numbers={k: v for k, v in BASE.items() if k not in gone}, **given)
 
 
 def checks(scene: Scene, **values: object) -> dict[str, Check]:

@@ -14,7 +14,6 @@ oscillator: Igusa and Der Kiureghian (1985); quadratic form of 15 normal numbers
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 import time
@@ -24,8 +23,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from tests.campaigns import options, tell
 from tests.campaigns import table as markdown
-from tests.campaigns import tell
 from uqsphere.arrays import Array
 from uqsphere.uq.expansion import fit_chaos, germ_points, predict
 from uqsphere.uq.expansion.germs import Germ, GermLike, base_of, germs_of
@@ -511,13 +510,9 @@ def table(found: Sequence[Measured]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Prints the table; progress goes to stderr."""
-    parser = argparse.ArgumentParser(description="Sparse polynomial chaos on 22 analytical models")
-    parser.add_argument("--models", nargs="+", default=list(MODELS), choices=list(MODELS))
-    parser.add_argument("--sizes", nargs="+", type=int, default=[64, 128, 256, 512])
-    parser.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
-    parser.add_argument("--rival", type=float, metavar="SECONDS", help="run OpenTURNS beside, so long for a design")
-    asked = parser.parse_args(arguments)
+    """Prints the table; progress goes to stderr.  `--rival SECONDS` runs OpenTURNS beside, so long for a design."""
+    asked = options("Sparse polynomial chaos on 22 analytical models", arguments, models=[*MODELS],
+                    sizes=[64, 128, 256, 512], seeds=[*SEEDS], rival=float)  # fmt: skip
 
     def notice(one: Measured) -> None:
         rival = (

@@ -8,7 +8,6 @@ output is one, and otherwise converged references that `reference` recomputes.
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -19,7 +18,7 @@ from typing import Final
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from tests.campaigns import table, tell
+from tests.campaigns import options, table, tell
 from uqsphere.arrays import Array
 from uqsphere.runner.evaluate import REPLICATES
 from uqsphere.uq.describe import Description, describe
@@ -594,13 +593,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Prints the table of the ways asked for; progress goes to stderr."""
     from threadpoolctl import threadpool_limits
 
-    parser = argparse.ArgumentParser(description="coverage of nominal 95 % intervals on models with known answers")
-    parser.add_argument("ways", nargs="*", choices=[*WAYS, []], help="which of them (default: all)")
-    parser.add_argument("--repetitions", type=int, help="of every model (default: some 300)")
-    asked = parser.parse_args(arguments)
+    asked = options("coverage of nominal 95 % intervals on models with known answers", arguments, words=WAYS,
+                    repetitions=int)  # fmt: skip
     rows: list[CoverageRow] = []
     with threadpool_limits(limits=1, user_api="blas"):
-        for way in asked.ways or WAYS:
+        for way in asked.words or WAYS:
             repetitions, count = WAYS[way]
             tell(f"coverage: {way}")
             rows += count(repetitions=asked.repetitions or repetitions)

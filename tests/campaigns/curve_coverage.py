@@ -10,7 +10,6 @@ ends enclose the one that was asked for; a band covers at a value where it holds
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,6 +20,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 import uqsphere
+from tests.campaigns import options
 from uqsphere.arrays import Array
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.questions.curves import CurveFound, curves_along
@@ -153,13 +153,9 @@ def coverage(name: str, seeds: Sequence[int], most: int) -> tuple[dict[float, li
 
 def main() -> None:
     """Print the coverage of every model, and of all together."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else None)
-    parser.add_argument("--seeds", type=int, default=60)
-    parser.add_argument("--most", type=int, default=3000)
-    parser.add_argument("models", nargs="*", default=[])
-    asked = parser.parse_args()
+    asked = options(__doc__, words=MODELS, seeds=60, most=3000)
     pooled: list[bool] = []
-    for name in asked.models or MODELS:
+    for name in asked.words or MODELS:
         values, bands, remarks = coverage(name, range(asked.seeds), asked.most)
         every = [hit for hits in values.values() for hit in hits]
         pooled += [*every]

@@ -9,13 +9,13 @@ Many series are fitted side by side: the same likelihood, maximum and ensemble a
 
 from __future__ import annotations
 
-import argparse
 import math
 import time
 from collections.abc import Sequence
 
 import numpy as np
 
+from tests.campaigns import options
 from uqsphere.arrays import Array
 from uqsphere.feed import laws
 from uqsphere.feed.infer import PRIORS, Request, draw
@@ -187,14 +187,14 @@ def choice(series: int, seed: int) -> None:
         print(f"n = {n}: {100 * right / (series // 2 * 2):.0f} %", flush=True)
 
 
+PARTS = {"coverage": coverage, "calibration": calibration, "choice": choice}
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("coverage", "calibration", "choice"))
-    parser.add_argument("--series", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=1)
-    chosen = parser.parse_args()
+    chosen = options(__doc__, words=PARTS, series=200, seed=1)
     begin = time.process_time()
-    {"coverage": coverage, "calibration": calibration, "choice": choice}[chosen.what](chosen.series, chosen.seed)
+    for part in chosen.words or PARTS:
+        PARTS[part](chosen.series, chosen.seed)
     print(f"{time.process_time() - begin:.0f} s of CPU")
 
 

@@ -8,11 +8,10 @@ indices are those of Gauss's rule, its quantiles those of a million Sobol' point
 
 from __future__ import annotations
 
-import argparse
-
 import numpy as np
 from scipy.special import ndtri
 
+from tests.campaigns import options
 from uqsphere.arrays import Array
 from uqsphere.uq import fields
 from uqsphere.uq.expansion import germ_points
@@ -68,10 +67,7 @@ def covered(rows: int, seed: int, exact: dict[str, Array]) -> dict[str, float]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description="Coverage of the intervals of a field")
-    parser.add_argument("--designs", type=int, default=40)
-    parser.add_argument("--rows", type=int, nargs="+", default=[64, 128])
-    asked = parser.parse_args()
+    asked = options("Coverage of the intervals of a field", designs=40, rows=[64, 128])
     exact, every = truth(), fields.MOST_COMPONENTS
     print("| components | rows | " + " | ".join([*exact, "variance left"]) + " |\n|" + "---|" * 9)
     for most in (every, 2, 1):

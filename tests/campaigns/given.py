@@ -9,7 +9,6 @@ every closed effect Var(E[y | z_u]) follows in closed form; Shapley effects and 
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,7 +22,7 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
 import uqsphere
-from tests.campaigns import table, tell
+from tests.campaigns import options, table, tell
 from tests.campaigns.coverage import CoverageModel, CoverageRow, Hit, Tally, coverage_hit, coverage_models, summary
 from uqsphere.arrays import Array
 from uqsphere.given import Data, analyse_runs
@@ -497,11 +496,8 @@ def tied_text(runs: int) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """All models with fitted laws; `--quick` has two of them, a few repetitions and the smaller size."""
-    parser = argparse.ArgumentParser(description="coverage of the intervals of `uqsphere analyse`")
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--repetitions", type=int, default=REPETITIONS)
-    parser.add_argument("--runs", type=int, help="runs of models whose inputs are tied, beside brute force")
-    asked = parser.parse_args(arguments)
+    asked = options("coverage of the intervals of `uqsphere analyse`", arguments, quick=False,
+                    repetitions=REPETITIONS, runs=int)  # fmt: skip
     if asked.runs:
         print(tied_text(asked.runs))
         return 0

@@ -12,7 +12,6 @@ The record of the experimentalist's tutorial is one such test, of a softer spher
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 from dataclasses import dataclass, replace
@@ -22,6 +21,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from tests.campaigns import options
 from uqsphere.mechanics.field import waves_at
 from uqsphere.mechanics.integrator.solve import Motion, motion
 from uqsphere.mechanics.scene import Scene
@@ -207,13 +207,7 @@ def tutorial_record() -> str:
 
 def main() -> None:
     """Print the coverage as JSON, or write the record of the tutorial."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repetitions", type=int, default=200)
-    parser.add_argument("--noise", type=float, default=2e-6, help="strain")
-    parser.add_argument("--gain-sd", type=float, default=0.01)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--write", type=Path, metavar="FILE.csv", help="write the record of the tutorial instead")
-    chosen = parser.parse_args()
+    chosen = options(__doc__, repetitions=200, noise=2e-6, gain_sd=0.01, seed=1, write=Path)
     if chosen.write is not None:
         chosen.write.write_text(tutorial_record(), encoding="utf-8")
         return

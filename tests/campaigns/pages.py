@@ -7,7 +7,6 @@ Pictures are of brief and page at every width, light and dark, by Chromium, and 
 
 from __future__ import annotations
 
-import argparse
 import html
 import re
 import shutil
@@ -16,7 +15,7 @@ import tempfile
 from pathlib import Path
 from typing import Any, Final
 
-from tests.campaigns import table, tell
+from tests.campaigns import options, table, tell
 from uqsphere.report import build_report
 from uqsphere.report.page import build_brief, typeset
 
@@ -105,12 +104,9 @@ def pictures(folder: Path, out: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs="+", type=Path, help="result folders; brief and page are written into them")
-    parser.add_argument("--pictures", type=Path, metavar="DIR", help="pictures of them, by Chromium")
-    given = parser.parse_args()
+    given = options(__doc__, words=(), pictures=Path)
     rows = []
-    for folder in given.folders:
+    for folder in map(Path, given.words):
         rows.append(row(folder))
         tell(" ".join(rows[-1]))
         if given.pictures:

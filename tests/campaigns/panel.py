@@ -7,7 +7,6 @@ The page's own script answers, by node; each setting is then run as the panel's 
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
 import subprocess
@@ -21,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 
 import uqsphere
-from tests.campaigns import table, tell
+from tests.campaigns import options, table, tell
 from uqsphere.report.contents import read_contents
 from uqsphere.report.whatif import panels
 from uqsphere.results.entries import Est
@@ -143,13 +142,7 @@ def compare(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--study", type=Path, default=Path("studies/granite.toml"))
-    parser.add_argument("--folder", type=Path, help="a finished run of the study (default: run it)")
-    parser.add_argument("--settings", type=int, default=50)
-    parser.add_argument("--evaluations", type=int, default=20_000)
-    parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
+    given = options(__doc__, study=Path("studies/granite.toml"), folder=Path, settings=50, evaluations=20_000, seed=1)
     with tempfile.TemporaryDirectory() as temporary:
         place = Path(temporary)
         folder = given.folder or uqsphere.run(uqsphere.load_study(given.study), out=place / "study").folder

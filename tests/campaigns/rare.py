@@ -7,7 +7,6 @@ our own stands as reference, and the difference is shown.
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 import tempfile
@@ -22,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 import uqsphere
-from tests.campaigns import table, tell
+from tests.campaigns import options, table, tell
 from uqsphere.results.entries import Est
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.rare import active
@@ -495,17 +494,10 @@ def margin_text(repetitions: int, runs: int) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Prints the tables; progress goes to stderr."""
-    parser = argparse.ArgumentParser(description="Rare-event methods on public problems")
-    parser.add_argument("--repetitions", type=int, default=10, help="runs of each problem (default 10)")
-    parser.add_argument("--through-run", choices=[*BUDGETS], help="as studies of a user, with a budget in all")
-    parser.add_argument("--margin", action="store_true", help="the margin of a kinked output")
-    parser.add_argument("--runs", type=int, default=150, help="runs of the margin in all (default 150)")
-    parser.add_argument("--few", action="store_true", help="few calls alone")
-    parser.add_argument("--at-once", type=int, default=1, help="calls that are chosen together (default 1)")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="another constant of learning")
-    asked = parser.parse_args(arguments)
-    for name, value in (text.split("=") for text in asked.set):
+    """Prints the tables; progress goes to stderr.  Words `NAME=VALUE` are other constants of learning."""
+    asked = options("Rare-event methods on public problems", arguments, words=(), repetitions=10, through_run=str,
+                    margin=False, runs=150, few=False, at_once=1)  # fmt: skip
+    for name, value in (word.split("=") for word in asked.words):
         setattr(active, name, literal_eval(value))
     if asked.margin or asked.few:
         few = partial(few_call_text, at_once=asked.at_once)

@@ -8,13 +8,13 @@ of losses jump where contact is nearly kept; the kernel says so by status 7, whi
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections import Counter, defaultdict
 from typing import Any
 
 import numpy as np
 
+from tests.campaigns import options
 from tests.test_rigs_kernel import RIGID, Row, arguments, rig, second
 from uqsphere.mechanics.integrator import solve, tracked
 
@@ -66,10 +66,7 @@ def _marched(picked: Any, closer: float, graze: Any, given: dict[str, Any]) -> s
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rows", type=int, default=120)
-    parser.add_argument("--seed", type=int, default=1)
-    chosen = parser.parse_args()
+    chosen = options(__doc__, rows=120, seed=1)
     rng = np.random.default_rng(chosen.seed)
     strata = [(kind, yields) for kind in KINDS for yields in (False, True)]
     rows = [(stratum, random_row(rng, *stratum)) for stratum in strata for _ in range(chosen.rows // len(strata))]

@@ -10,7 +10,6 @@ curves of which that is more than half of t10 are told apart, for no family can 
 
 from __future__ import annotations
 
-import argparse
 import csv
 import os
 import re
@@ -19,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.campaigns import options
 from uqsphere.feed.product import Curve, fit_alpha
 from uqsphere.report.figures.canvas import (
     BLUE,
@@ -115,9 +115,7 @@ def picture(found: list[tuple[str, int, dict[str, float], tuple[float, float]]])
 
 
 def main(arguments: list[str]) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--figure", type=Path)
-    chosen = parser.parse_args(arguments)
+    chosen = options(__doc__, arguments, figure=Path)
     data = read(Path(os.environ["UQSPHERE_RECORDS"]) / "rae_sieve.csv")
     found, kept = compare(data), compare(without_floor(data))
     print(table(found), "\nwithout curves that have a floor:\n", table(kept), sep="\n")

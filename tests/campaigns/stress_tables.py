@@ -144,11 +144,6 @@ class _Degrees:
         return np.asarray((self.load * value) @ self.value - (self.load * slope) @ self.slope + inertia)
 
 
-def legendre_even(x: Array, terms: int) -> tuple[Array, Array]:
-    """P_n and x P_n' of the even degrees from 2 on, (degrees, points)."""
-    return _legendre(x, terms, 2)
-
-
 def _legendre(x: Array, terms: int, first: int) -> tuple[Array, Array]:
     """P_n and x P_n' of every second degree from `first`, 2 or 3, on, (degrees, points)."""
     count = (terms - first) // 2 + 1
@@ -245,18 +240,8 @@ def largest_one_sided(load: Array, contact_ratio: float, nu: float) -> float:
     series = np.zeros(2 * len(even))
     series[::2], series[1 : 2 * len(odd) : 2] = even, odd
     k = np.arange(len(series), dtype=float)
-    first, second = series[1:] * k[1:], series[2:] * k[2:] * (k[2:] - 1.0)
     depth = np.concatenate([np.geomspace(0.5 * contact_ratio, 1.0, 60), np.linspace(1.05, 1.8, 16)])
-    z = float(1.0 - depth[int(np.argmax([series @ _powers(1.0 - one, k) for one in depth]))])
-    for _ in range(40):
-        power = _powers(z, k)
-        slope, bend = float(first @ power[:-1]), float(second @ power[:-2])
-        step = -slope / bend if bend < 0.0 else 0.1 * math.copysign(1.0 - z, slope)
-        step = min(max(step, -0.3 * (1.0 - z)), 0.3 * (1.0 - z))
-        z += step
-        if abs(step) <= 1e-13 * (1.0 - z):
-            break
-    return float(series @ _powers(z, k))
+    return _peak(series, float(1.0 - depth[int(np.argmax([series @ _powers(1.0 - one, k) for one in depth]))]))[1]
 
 
 def _peak(series: Array, u: float) -> tuple[float, float]:
@@ -357,7 +342,7 @@ def rim_tension(contact_ratio: float, places: npt.ArrayLike, nu: npt.ArrayLike) 
     load = Load.balanced(a)
     terms = 4 * math.ceil(200.0 / a)
     p = load_coefficients(load, terms)
-    values, slopes = legendre_even(np.cos(angle), terms)
+    values, slopes = _legendre(np.cos(angle), terms, 2)
     n = np.arange(2, terms + 1, 2, dtype=float)[:, None]
     first = 0.5 / (n * n + n + 1.0 + v * (2.0 * n + 1.0))
     second = -first * (n * n + 2.0 * n - 1.0 + 2.0 * v) / (n - 1.0)
@@ -382,12 +367,7 @@ def field_of_the_table() -> Array:
     low, high = (math.log(bound) for bound in CONTACT_RATIO)
     ratios = np.exp(low + 0.5 * (_unit_nodes(_SHAPE[1]) + 1.0) * (high - low))
     places, poisson = 0.5 * (_unit_nodes(_SHAPE[0]) + 1.0), 0.5 * (_unit_nodes(_SHAPE[2]) + 1.0) * POISSON[1]
-    found = np.stack([rim_tension(float(ratio), places, poisson) for ratio in ratios], axis=1)
-    for axis, count in enumerate(_SHAPE):
-        matrix = np.cos(np.outer(np.arange(count), math.pi * (np.arange(count) + 0.5) / count)) * (2.0 / count)
-        matrix[0] *= 0.5
-        found = np.moveaxis(np.tensordot(matrix, found, axes=(1, axis)), 0, axis)
-    return np.asarray(found)
+    return _chebyshev(np.stack([rim_tension(float(ratio), places, poisson) for ratio in ratios], axis=1))
 
 
 def _tension(contact_ratio: Array, sine: Array, nu: float) -> Array:
@@ -424,16 +404,10 @@ def _largest_seen(contact_ratio: float, sine: Array, nu: float) -> Array:
 
 def rim_integrals(contact_ratio: float, nu: float, moduli: npt.ArrayLike) -> Array:
     """I_rim^(1/m) of every modulus (k,), over that of the half space, `half_space_rim`."""
-    nodes, weight = np.polynomial.legendre.leggauss(12)
-
-    def panels(edges: Array) -> tuple[Array, Array]:
-        half = 0.5 * np.diff(edges)[:, None]
-        return (edges[:-1, None] + half * (nodes + 1.0)).ravel(), (half * weight).ravel()
-
     length = math.log(1.0 / contact_ratio)
     # places that the contact has grown over, in ln(a/rho), and those outside, in z
-    inner, inner_weight = panels(np.concatenate([[0.0], np.geomspace(0.02, 8.0, 14)]))
-    outer, outer_weight = panels(np.linspace(0.0, 1.0, 25))
+    inner, inner_weight = _gauss(np.concatenate([[0.0], np.geomspace(0.02, 8.0, 14)]), 12)
+    outer, outer_weight = _gauss(np.linspace(0.0, 1.0, 25), 12)
     sine = contact_ratio * np.concatenate([np.exp(-inner), np.exp(outer**2 * length)])
     measure = np.concatenate([inner_weight, 2.0 * outer * length * outer_weight])
     # both hemispheres over the whole sphere: rho drho/(r² cos t)
@@ -499,7 +473,7 @@ def _rim() -> Array:
 
 def chebyshev_nodes(counts: tuple[int, ...]) -> list[Array]:
     """Values of a/r, nu (and m) at the Chebyshev points of a table of that shape."""
-    units = [np.cos(math.pi * (np.arange(count) + 0.5) / count) for count in counts]
+    units = [_unit_nodes(count) for count in counts]
     low, high = (math.log(bound) for bound in CONTACT_RATIO)
     most_nu = POISSON[1] if len(counts) == 2 else POISSON_WEIBULL[1]
     nodes = [np.exp(low + 0.5 * (units[0] + 1.0) * (high - low)), 0.5 * (units[1] + 1.0) * most_nu]
@@ -509,10 +483,9 @@ def chebyshev_nodes(counts: tuple[int, ...]) -> list[Array]:
     return nodes
 
 
-def chebyshev_fit(values: Array) -> Array:
-    """Coefficients of ln(values) given at `chebyshev_nodes`, of the same shape."""
-    found = np.log(values)
-    for axis, count in enumerate(values.shape):
+def _chebyshev(found: Array) -> Array:
+    """Coefficients of values at the Chebyshev points of every axis, of the same shape."""
+    for axis, count in enumerate(found.shape):
         angles = math.pi * (np.arange(count) + 0.5) / count
         matrix = np.cos(np.outer(np.arange(count), angles)) * (2.0 / count)
         matrix[0] *= 0.5
@@ -523,7 +496,7 @@ def chebyshev_fit(values: Array) -> Array:
 def pack(values: Array) -> dict[str, Any]:
     """A table as JSON holds it: whole numbers of one unit, rows without the zeros at their end."""
     unit = _UNITS[values.ndim]
-    whole = np.rint(chebyshev_fit(values) / unit).astype(np.int64)
+    whole = np.rint(_chebyshev(np.log(values)) / unit).astype(np.int64)
     rows = [np.trim_zeros(row, "b").tolist() for row in whole.reshape(-1, values.shape[-1])]
     return {"shape": list(values.shape), "unit": unit, "rows": rows}
 

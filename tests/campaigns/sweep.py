@@ -8,7 +8,6 @@ mu; the pulse's duration gives theta; the bars' lengths follow from the pulse.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import math
 import sys
@@ -20,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from tests.campaigns import options
 from uqsphere.mechanics.history import balance_of
 from uqsphere.mechanics.integrator import solve as integrator
 from uqsphere.mechanics.integrator.solve import motions, solve
@@ -517,23 +517,17 @@ SLICE: Final = 110
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Prints the table after every slice."""
-    parser = argparse.ArgumentParser(description="N hard scenes against a tighter tolerance, or the reference")
-    parser.add_argument("scenes", type=int, metavar="N")
-    parser.add_argument("--reference", action="store_true", help="against the reference integrator")
-    parser.add_argument("--seed", type=int, default=1, help="of the first slice of scenes (default 1)")
-    parser.add_argument("--law", choices=("hertz", "plastic", "damage"), default="hertz", help="of the contact")
-    parser.add_argument("--short", action="store_true", help="no spheres and pulses that take most of the time")
-    parser.add_argument("--balances", action="store_true", help="of energy, in place of answers")
-    parser.add_argument("--room", type=int, default=262_144, help="steps that a reflection still needs, at most")
-    asked = parser.parse_args(arguments)
+    """Prints the table after every slice.  `--room`: steps that a reflection still needs, at most."""
+    asked = options("N hard scenes against a tighter tolerance, or the reference", arguments, words=(), reference=False,
+                    seed=1, law="hertz", short=False, balances=False, room=262_144)  # fmt: skip
+    scenes = int(asked.words[0])
     integrator._CAPACITIES = tuple(room for room in integrator._CAPACITIES if room <= asked.room)
     off: list[Array] = []
     parts: list[Comparison] = []
-    for k, begin in enumerate(range(0, asked.scenes, SLICE)):
+    for k, begin in enumerate(range(0, scenes, SLICE)):
         seed = asked.seed + k
         short = _SHORT if asked.short or asked.balances else {}
-        plan = design(min(SLICE, asked.scenes - begin), seed, narrower=short)
+        plan = design(min(SLICE, scenes - begin), seed, narrower=short)
         if asked.law != "hertz":
             plan = with_law(plan, asked.law, seed)
         if asked.balances:

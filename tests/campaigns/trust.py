@@ -1,4 +1,4 @@
-"""What a stranger may send and what may go wrong on the way: studies, folders, kills, faulty models, streams, disks.
+"""What a stranger may send and what may go wrong on the way: studies, folders, kills, disks.
 
     python -m tests.campaigns.trust                               all parts at a tenth of their numbers, as one table
     python -m tests.campaigns.trust studies --count 20000         one part
@@ -9,12 +9,11 @@ with files missing, cut, exchanged, or in their place a link, a pipe, a socket, 
 kind.  Commands run in this process under guard: exit code, texts, time, and every write outside one folder.
 Runs, or the workers of a cluster on this machine, are killed at random moments; a model that writes down its calls
 shows what was evaluated twice.  `disks` are small ones in memory, which take root to mount.  The same seed gives the
-same anywhere, but for moments.
+same anywhere, but for moments.  Faulty models and closed streams are tests: test_faulty_models.py, test_edges.py.
 """
 
 from __future__ import annotations
 
-import argparse
 import collections
 import contextlib
 import functools
@@ -41,7 +40,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.campaigns import table, tell
+from tests.campaigns import options, table, tell
 from tests.conftest import BOX, MARGINS, SMALL
 
 ROOT = Path(__file__).parent.parent.parent
@@ -869,7 +868,7 @@ def scale_trials(seed: int, place: Path) -> Trial:
     return trial
 
 
-# --- models, streams and disks ----------------------------------------------------------------------
+# --- disks ------------------------------------------------------------------------------------------
 
 
 def _command(line: str, place: Path) -> Outcome:
@@ -879,60 +878,6 @@ def _command(line: str, place: Path) -> Outcome:
                           timeout=PATIENCE)  # fmt: skip
     seconds = sum(os.times()[2:4]) - sum(began[2:4])  # of the processor, those of children
     return Outcome(code=done.returncode, out=done.stdout, err=done.stderr, seconds=seconds)
-
-
-def model_trials(seed: int, place: Path) -> Trial:
-    """Models that end, hang, fork, print, or return what no model should, by the command and by Python's door.
-
-    Code 4 and no results, or no harm.
-    """
-    import uqsphere
-    from tests.test_faulty_models import FAULTY, HARMLESS, HEAD, STUDY
-
-    (place / "s.toml").write_text(STUDY, "utf-8")
-    bodies = [*FAULTY.values(), *((body, None) for body in HARMLESS.values())]
-
-    def trial(number: int) -> tuple[Outcome, list[str]]:
-        body, said = bodies[number % len(bodies)]
-        (place / "own.py").write_text(f"{HEAD}\ndef f(rows):\n    {body}\n    return good(rows)\n", "utf-8")
-        shutil.rmtree(place / "r", ignore_errors=True)
-        if number < len(bodies):
-            found = _command("uqsphere run s.toml --model own.py:f --out r --json", place)
-        else:
-            run = {"out": place / "r", "model": f"{place / 'own.py'}:f"}
-            found = watched([], Path("/"), do=lambda _: run_of(uqsphere.load_study(place / "s.toml"), **run))
-        faults = faults_of(found, (0, 3) if said is None else (4,))
-        if (place / "r" / "results.json").exists() != (said is None) or (said or "") not in found.err:
-            faults.append("results of a model without answers, or none of a good one, or not the reason")
-        if bool(found.out) != (said is None and number < len(bodies)):
-            faults.append("other words than the document on stdout")
-        # the process of the model may tell of its own end, and take its time; Python's door starts processes
-        harmless = ("steers", "takes", "traceback", "forbidden")
-        return found, [f"{body}: {fault}" for fault in faults if not fault.startswith(harmless)]
-
-    return trial
-
-
-#: what becomes of the streams of a run
-STREAMS = (">&-", "2>&-", "<&-", ">&- 2>&- <&-", ">/dev/full", "2>/dev/full", "| head -1", "| true", "2>&1 | true",
-           "--json >&-", "--json | true", "--json >/dev/full")  # fmt: skip
-
-
-def stream_trials(seed: int, place: Path) -> Trial:
-    """Streams that are closed, full, or not read: results are written and the code is the run's."""
-    case = write_case(place / "case", 0.0)
-
-    def trial(number: int) -> tuple[Outcome, list[str]]:
-        _clear(case)
-        streams = STREAMS[number % len(STREAMS)]
-        line = f"uqsphere run killed.toml --model killed.py:f --out r {streams}; exit ${{PIPESTATUS[0]}}"
-        found = _command(line, case)
-        faults = faults_of(found, (0, 6) if "full" in streams else (0,))
-        if not (case / "r" / "results.json").exists():
-            faults.append("no results")
-        return found, [f"{streams}: {fault}" for fault in faults if fault != "says nothing"]
-
-    return trial
 
 
 def disk_trials(seed: int, place: Path) -> Trial:
@@ -964,7 +909,7 @@ def disk_trials(seed: int, place: Path) -> Trial:
 PARTS: dict[str, tuple[Callable[[int, Path], Trial], int]] = {
     "studies": (study_trials, 20_000), "runs": (run_trials, 300), "folders": (folder_trials, 5_000),
     "kills": (kill_trials, 6), "workers": (worker_trials, 10), "scale": (scale_trials, 8),
-    "models": (model_trials, 52), "streams": (stream_trials, 12), "disks": (disk_trials, 10),
+    "disks": (disk_trials, 10),
 }  # fmt: skip
 
 
@@ -992,19 +937,11 @@ def tried(part: str, count: int, *, seed: int = 1, start: int = 0, keep: Path | 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print a row for each part; exit code 1 if anything failed."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)} (default: all, a tenth of each)")
-    parser.add_argument("--count", type=int)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--start", type=int, default=0)
-    parser.add_argument("--keep", type=Path, help="a folder for studies that failed")
-    chosen = parser.parse_args(arguments)
-    if unknown := sorted(set(chosen.parts) - set(PARTS)):
-        parser.error(f"no part is called {unknown[0]}: {', '.join(PARTS)}")
+    chosen = options(__doc__, arguments, words=PARTS, count=int, seed=1, start=0, keep=Path)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
     rows = []
-    for part in chosen.parts or PARTS:
-        count = chosen.count or (PARTS[part][1] if chosen.parts else -(-PARTS[part][1] // 10))
+    for part in chosen.words or PARTS:
+        count = chosen.count or (PARTS[part][1] if chosen.words else -(-PARTS[part][1] // 10))
         found = tried(part, count, seed=chosen.seed, start=chosen.start, keep=chosen.keep)
         codes = ", ".join(f"{code}: {number:,}" for code, number in found["codes"].items())
         rows.append((part, f"{found['done']:,}", codes, found["failures"], f"{found['slowest']:.1f}",

@@ -1,0 +1,29 @@
+"""The scene that many tests begin with: theory section 3, a granite sphere of 20 mm between steel bars of 40 mm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from uqsphere.mechanics.scene import Scene
+
+#: sphere, bars and striker, which are enough for infinite bars
+ENDLESS = {
+    "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
+    "bars.E": 210e9, "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04,
+    "striker.length": 0.4, "striker.speed": 1.0,
+}  # fmt: skip
+EXAMPLE = ENDLESS | {
+    "bars.incident_length": 1.5, "bars.receiving_length": 1.5, "bars.incident_end": 1.0, "bars.receiving_end": 1.0,
+}  # fmt: skip
+
+
+def example(
+    shape: str = "rectangular", rows: int = 1, *, numbers: Mapping[str, float] = EXAMPLE, **changes: object
+) -> Scene:
+    """The scene with other numbers, as `sphere_E = ...`; the rest goes to the Scene itself."""
+    settings = {name: changes.pop(name) for name in list(changes) if name in Scene.__dataclass_fields__}
+    given = {**numbers, **{name.replace("_", ".", 1): value for name, value in changes.items()}}
+    columns = {name: np.array(np.broadcast_to(np.asarray(value, float), rows)) for name, value in given.items()}
+    return Scene(columns=columns, shape=shape, **settings)
