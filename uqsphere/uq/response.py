@@ -91,7 +91,7 @@ def half_width(influence: Array) -> float:
 
 def _freedom(second: Array, fourth: Array, n: int) -> Array:
     """Satterthwaite's degrees of freedom of n values with these sums of squares and of fourth powers."""
-    return np.clip(2.0 / np.maximum(fourth / second**2 - 1.0 / n, 1e-12), 1.0, n - 1.0)
+    return np.asarray(np.clip(2.0 / np.maximum(fourth / second**2 - 1.0 / n, 1e-12), 1.0, n - 1.0))
 
 
 def _quantile(freedom: Array) -> Array:

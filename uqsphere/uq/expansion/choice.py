@@ -138,24 +138,26 @@ def _run(contest: Contest, solver: str, transform: Transform, outputs: Array, ba
                 sizes=sizes)  # fmt: skip
     path = SOLVERS[solver](task)
     active, least = path.best()
+    reported, steady = _reported(least, transform.back(path.held_out) - outputs, variance)
     return Found(
         contest=contest,
         transform=transform,
         solver=solver,
         indices=indices[active],
         rows=rows[active],
-        **_errors(least, transform.back(path.held_out) - outputs, variance),
+        error=least,
+        reported=reported,
+        steady=steady,
         without=tuple(indices[chosen] for chosen in path.chosen_without()),
         ended=path.order.size < most,
     )
 
 
-def _errors(error: float, off: Array, variance: float) -> dict[str, float]:
-    """The errors of a contender whose predictions are off by (n,), over n variances of the output."""
+def _reported(error: float, off: Array, variance: float) -> tuple[float, float]:
+    """`reported` and `steady` of predictions that are off by (n,), over n variances of the output."""
     squares = off**2
     mean, reported = float(np.mean(squares)), error + float(np.std(squares)) * math.sqrt(off.size) / variance
-    steady = reported * steadied(squares) / mean if 0.0 < mean < np.inf else reported
-    return {"error": error, "reported": reported, "steady": steady}
+    return reported, reported * steadied(squares) / mean if 0.0 < mean < np.inf else reported
 
 
 def lowered(found: Found, outputs: Array) -> Iterator[Found]:
@@ -174,8 +176,10 @@ def lowered(found: Found, outputs: Array) -> Iterator[Found]:
             rows = products(contest.values, without[fold]) if without else found.rows[kept]
             predicted[there] = solve_rows(rows[:, ~there], values[~there]) @ rows[:, there]
         off = found.transform.back(predicted) - outputs
-        yield replace(found, indices=found.indices[kept], rows=found.rows[kept], without=without,
-                      **_errors(float(off @ off) / variance, off, variance))  # fmt: skip
+        error = float(off @ off) / variance
+        reported, steady = _reported(error, off, variance)
+        yield replace(found, indices=found.indices[kept], rows=found.rows[kept], error=error, reported=reported,
+                      steady=steady, without=without)  # fmt: skip
 
 
 def compete(contests: Sequence[Contest], outputs: Array, *, plain: bool = False) -> list[Found]:

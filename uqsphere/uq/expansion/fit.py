@@ -99,7 +99,7 @@ def fit_outputs(
         raise ValueError(f"need points (n, {len(germs)}) and outputs (n,), n >= 4; found {points.shape}, {n}")
     if not (np.isfinite(outputs).all() and np.isfinite(points).all()):
         raise ValueError("a polynomial chaos cannot be fitted to values that are not finite")
-    kinds = [] if settled else [tuple(base_of(germ) for germ in germs)]
+    kinds: list[tuple[GermLike, ...]] = [] if settled else [tuple(base_of(germ) for germ in germs)]
     contests = [prepare(points, one) for one in dict.fromkeys([*kinds, tuple(germs)]) if germs]
     law = law_points(germs, 0)[0][:SAMPLED] if germs else points
     return [_fitted(contests, points, column, tuple(germs), plain, law, most) for column in outputs.T]
