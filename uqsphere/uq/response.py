@@ -31,10 +31,19 @@ import numpy.typing as npt
 from uqsphere.arrays import Array, Flags
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.estimate import Absent, Estimate, Why, absent, none_of
-from uqsphere.uq.expansion import Chaos, Piece, fit_outputs, held, padded, predict
+from uqsphere.uq.expansion import Chaos, fit_outputs, held, padded, predict
 from uqsphere.uq.expansion.choice import deal
+from uqsphere.uq.expansion.expansion import Transform
 from uqsphere.uq.expansion.germs import GermLike, rows_of
-from uqsphere.uq.expansion.shares import Companion, active_inputs, chaos_moments, law_points, law_shares
+from uqsphere.uq.expansion.shares import (
+    SAMPLED,
+    Companion,
+    active_inputs,
+    chaos_moments,
+    law_points,
+    law_shares,
+    moments_of,
+)
 from uqsphere.uq.heavy_tails import half_range, hill, widened_share, without_moments
 from uqsphere.uq.indices import ordered
 
@@ -43,17 +52,14 @@ METHOD: Final = "surrogate, corrected by its residuals"
 MOST: Final = 0.05
 #: folds that rows are dealt into: seven eighths of them fit each time, and eight fits take the time of eight
 FOLDS: Final = 8
-#: rows whose residuals a level of the response shares, at least and as a part of all: a local mean of fewer is noise
+#: rows whose residuals a level of the response shares, at least: a local mean of fewer is noise
 LEAST_NEAR: Final = 12
-PART_NEAR: Final = 8
 #: standard errors among the rows that grow beyond them: chosen on outputs that level off (docs/validation.md)
 GROWING: Final = 4.0
 #: how near to zero, over its bound, a reciprocal or root is let where its bounds are taken off
 NEAR_ZERO: Final = 1e-6
 #: a Hill estimate below this may well be that of no variance
 HEAVY: Final = 2.4
-#: points of the law that shares drawn in beyond the rows are sampled on
-POINTS: Final = 4096
 
 Folds: TypeAlias = npt.NDArray[np.intp]
 
@@ -79,13 +85,13 @@ def half_width(influence: Array) -> float:
     if unit == 0.0:
         return 0.0
     squares = (off / unit) ** 2
-    freedom = _freedom(float(squares.sum()), float((squares**2).sum()), n)
-    return float(_quantile(np.asarray(freedom))) * unit * math.sqrt(float(squares.sum()) / (n - 1) / n)
+    freedom = _freedom(squares.sum(), (squares**2).sum(), n)
+    return float(_quantile(freedom)) * unit * math.sqrt(float(squares.sum()) / (n - 1) / n)
 
 
-def _freedom(second: float, fourth: float, n: int) -> float:
+def _freedom(second: Array, fourth: Array, n: int) -> Array:
     """Satterthwaite's degrees of freedom of n values with these sums of squares and of fourth powers."""
-    return min(max(2.0 / max(fourth / second**2 - 1.0 / n, 1e-12), 1.0), n - 1.0)
+    return np.asarray(np.clip(2.0 / np.maximum(fourth / second**2 - 1.0 / n, 1e-12), 1.0, n - 1.0))
 
 
 def _quantile(freedom: Array) -> Array:
@@ -95,9 +101,8 @@ def _quantile(freedom: Array) -> Array:
 
 
 def spread_of(values: Array) -> float:
-    """Standard deviation of values (n,) of any size: squares of 1e155 are beyond floating point."""
-    unit = float(np.abs(values).max(initial=0.0)) or 1.0
-    return float(np.std(values / unit)) * unit
+    """Standard deviation of values (n,) of any size."""
+    return moments_of(values)[1]
 
 
 def _rms(values: Array) -> float:
@@ -198,10 +203,6 @@ class Response:
         """The mean of the folds (n,) at germ points (n, d)."""
         return np.asarray(np.mean([predict(fit, points) for fit in self.fits], axis=0))
 
-    def of_fold(self, fold: int, points: Array) -> Array:
-        """What the response without a fold says (n,) at germ points (n, d)."""
-        return np.asarray(predict(self.fits[fold % len(self.fits)], points))
-
 
 def cross_fit(
     points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False, active: Flags | None = None
@@ -229,8 +230,7 @@ def cross_fit(
 
 
 def _response(fits: tuple[Chaos, ...], folds: Folds, points: Array, outputs: Array) -> Response:
-    spread, unit = spread_of(outputs), float(np.abs(outputs).max(initial=0.0)) or 1.0
-    middle = float(np.mean(outputs / unit)) * unit
+    middle, spread = moments_of(outputs)
     if not spread > 0.0 or spread <= 1e-14 * abs(middle):
         # what scatters by rounding is no function of the inputs, and is there all the same
         levels = np.full(len(outputs), float(outputs[0]) if spread == 0.0 else middle)
@@ -263,7 +263,7 @@ def with_residuals(response: Response, values: Array, rng: np.random.Generator) 
     order = np.argsort(response.levels, kind="stable")
     levels, residuals = response.levels[order], response.residuals[order]
     count = len(levels)
-    size = min(max(LEAST_NEAR, count // PART_NEAR), count)
+    size = min(max(LEAST_NEAR, count // FOLDS), count)
     first = np.clip(np.searchsorted(levels, values) - size // 2, 0, count - size)
     drawn = residuals[first + rng.integers(0, size, size=values.shape)]
     unit = float(np.abs(residuals).max(initial=0.0)) or 1.0
@@ -272,8 +272,7 @@ def with_residuals(response: Response, values: Array, rng: np.random.Generator) 
     # differences of sums: what rounding leaves of none is none
     near = np.maximum(second[size:] - second[:-size], 1e-15 * second[-1] + 1e-150)
     far = np.maximum(fourth[size:] - fourth[:-size], near**2 / size)
-    freedom = 2.0 / np.maximum(far / near**2 - 1.0 / size, 1e-12)
-    half = _quantile(np.clip(freedom, 1.0, size - 1.0)) * np.sqrt(near / size / (size - 1))
+    half = _quantile(_freedom(near, far, size)) * np.sqrt(near / size / (size - 1))
     return values + drawn, response.scale * unit * half[first]
 
 
@@ -317,14 +316,18 @@ def answered(
     The folds take turns: each replicate has the response of one.
     """
     rows = points.reshape(*shape, -1)
-    centre = np.array([response.of_fold(r, rows[r]) for r in range(shape[0])])
+    centre = np.array([predict(response.fits[r % len(response.fits)], rows[r]) for r in range(shape[0])])
     values, reach = with_residuals(response, centre, rng)
     plain, down, up = (describe(values + k * reach, quantiles=quantiles, method=METHOD) for k in (0.0, -1.0, 1.0))
     found, spread = _widened(response, plain, down, up), None
     inner, free = (alternatives(response, rows, centre, kind) for kind in (within_rows, released))
     within = None if inner is None else values + (inner - centre)
     if within is not None:
-        found = _drawn_in(found, plain, describe(within, quantiles=quantiles, method=METHOD))
+        drawn = describe(within, quantiles=quantiles, method=METHOD)
+        found = replace(
+            found, mean=extended(found.mean, plain.mean, drawn.mean), sd=extended(found.sd, plain.sd, drawn.sd),
+            quantiles={p: extended(e, plain.quantiles[p], drawn.quantiles[p]) for p, e in found.quantiles.items()},
+        )  # fmt: skip
     if free is not None:
         beyond = values + (free - centre)
         farther = describe(beyond, quantiles=quantiles, method=METHOD)
@@ -428,35 +431,27 @@ def released(response: Response, fit: Chaos, points: Array, values: Array) -> Ar
     """Values (n,) without the bounds that hold the inverse of a transform; None where they hold none."""
     held = np.zeros(values.shape, dtype=bool)
     for piece in fit.pieces:
-        if piece.transform is not None and piece.transform.kind != "identity":
+        if piece.transform is not None:
             ends = piece.transform.back(np.array([-math.inf, math.inf]))
             held |= (values == ends[0]) | (values == ends[1])
     if not held.any():
         return None
-    free = replace(fit, pieces=tuple(map(_free, fit.pieces)))
+    free = replace(fit, pieces=tuple(replace(piece, transform=_free(piece.transform)) for piece in fit.pieces))
     answer = np.array(values)
     with np.errstate(over="ignore"):
         answer[held] = predict(free, points[held])
     return answer
 
 
-def _free(piece: Piece) -> Piece:
-    """The piece with bounds only where its transform has no inverse beyond."""
-    transform = piece.transform
-    if transform is None or transform.kind == "identity":
-        return piece
+def _free(transform: Transform | None) -> Transform | None:
+    """The transform with bounds only where it has no inverse beyond."""
+    if transform is None:
+        return None
     lowest = -math.inf
     if transform.kind in ("square root", "reciprocal"):
         bound = transform.centre + transform.scale * transform.lowest
         lowest = (NEAR_ZERO * bound - transform.centre) / transform.scale
-    return replace(piece, transform=replace(transform, lowest=lowest, highest=math.inf))
-
-
-def _drawn_in(found: Description, plain: Description, within: Description) -> Description:
-    """A description whose intervals reach as far again as `within`, of values drawn in, lies from `plain`."""
-    quantiles = {p: extended(e, plain.quantiles[p], within.quantiles[p]) for p, e in found.quantiles.items()}
-    mean, sd = extended(found.mean, plain.mean, within.mean), extended(found.sd, plain.sd, within.sd)
-    return replace(found, mean=mean, sd=sd, quantiles=quantiles)
+    return replace(transform, lowest=lowest, highest=math.inf)
 
 
 def extended(found: Estimate, plain: Estimate, other: Estimate) -> Estimate:
@@ -631,7 +626,7 @@ def _parts(fit: Chaos, asked: Sequence[Subset], number: int, points: Array) -> _
         active, coefficients = piece.multi_indices > 0, piece.coefficients / deviation
         rows = rows_of(fit.germs, points, piece.multi_indices)
     else:
-        there = law_points(fit.germs, number)[0][:POINTS]
+        there = law_points(fit.germs, number)[0][:SAMPLED]
         companion = Companion(fit, there, (predict(fit, there) - mean) / deviation)
         active, coefficients, rows = companion.active, companion.coefficients, companion.rows(points)
     masks = np.array([subset.terms(active) for subset in asked])
@@ -683,7 +678,7 @@ def _beyond_rows(response: Response, asked: Sequence[Subset], found: Sequence[Es
 def _drawn_shares(response: Response, fold: int, asked: Sequence[Subset], seed: int) -> Array:
     """What drawing the response of a fold in along each of d inputs moves shares by, (d, m), at the same points."""
     fit = response.fits[fold]
-    one, other = (points[:POINTS] for points in law_points(fit.germs, _number(seed, fold)))
+    one, other = (points[:SAMPLED] for points in law_points(fit.germs, _number(seed, fold)))
     active = set(active_inputs(fit))
     subsets = [part for part in _parts_of(asked) if active & set(part)]
     where = [one, other]

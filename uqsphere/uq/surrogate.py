@@ -294,7 +294,9 @@ def _law_of(told: Mapping[str, Any]) -> Law:
 
 
 def _fit_document(fit: Chaos) -> dict[str, object]:
-    border = None if fit.border is None else {**vars(fit.border), "weights": _listed(fit.border.weights)}
+    border = None if fit.border is None else dict(vars(fit.border))
+    if border is not None and border["weights"] is not None:
+        border["weights"] = border["weights"].tolist()
     return {
         "germs": [germ if isinstance(germ, str) else "own" for germ in fit.germs],
         "transforms": [None if piece.transform is None else asdict(piece.transform) for piece in fit.pieces],
@@ -305,10 +307,6 @@ def _fit_document(fit: Chaos) -> dict[str, object]:
     }
 
 
-def _listed(values: Array | None) -> list[float] | None:
-    return None if values is None else values.tolist()
-
-
 def _fit_of(told: Mapping[str, Any], laws: Sequence[Law], arrays: Mapping[str, Array], k: int) -> Chaos:
     germs: list[GermLike] = [name if name in GERMS else germs_of((law,))[0]
                              for name, law in zip(told["germs"], laws, strict=True)]  # fmt: skip
@@ -317,10 +315,9 @@ def _fit_of(told: Mapping[str, Any], laws: Sequence[Law], arrays: Mapping[str, A
               transform=None if transform is None else Transform(**transform))
         for p, transform in enumerate(told["transforms"])
     )  # fmt: skip
-    border = told["border"]
-    if border is not None:
-        weights = border["weights"]
-        border = Border(**{**border, "weights": None if weights is None else np.array(weights)})
+    border = None if told["border"] is None else Border(**told["border"])
+    if border is not None and border.weights is not None:
+        border = replace(border, weights=np.array(border.weights))
     return Chaos(pieces=pieces, border=border, germs=tuple(germs), cross_validation_error=float(told["error"]),
                  samples=int(told["samples"]), solver=str(told["solver"]))  # fmt: skip
 

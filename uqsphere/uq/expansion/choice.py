@@ -18,11 +18,10 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.uq.expansion.expansion import Transform, identity, possible_transforms
 from uqsphere.uq.expansion.germs import (
+    HIGHEST_DEGREE,
     GermLike,
     Indices,
-    base_of,
     grown,
-    most_degree,
     nested,
     orthonormal_values,
     products,
@@ -61,7 +60,6 @@ class Contest:
 
     germs: tuple[GermLike, ...]
     values: list[Array]
-    highest: int
     bases: tuple[Basis, ...]
     folds: npt.NDArray[np.intp]
     most_terms: int
@@ -96,20 +94,18 @@ class Found:
 def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
     """Bases at germ points (n, d), for any number of outputs."""
     n, dimension = points.shape
-    highest = min(most_degree(germ) for germ in germs)
-    values = [orthonormal_values(germ, points[:, j], highest) for j, germ in enumerate(germs)]
+    values = [orthonormal_values(germ, points[:, j], HIGHEST_DEGREE) for j, germ in enumerate(germs)]
     many = n > _MANY
     most = 800 if many else min(max(400, 3 * n), 1500)
     bases = []
     for norm in NORMS:
-        found = nested(dimension, norm, highest, most)
+        found = nested(dimension, norm, HIGHEST_DEGREE, most)
         if found is not None and (dimension > 1 or norm == 1.0):
             indices, sizes = found
             bases.append((indices, products(values, indices), sizes))
     return Contest(
         germs=tuple(germs),
         values=values,
-        highest=highest,
         bases=tuple(bases),
         folds=deal(n, 10 if n <= 150 else 5),
         most_terms=max(min(n // 2, _MOST_TERMS), 1),
@@ -142,8 +138,7 @@ def _run(contest: Contest, solver: str, transform: Transform, outputs: Array, ba
                 sizes=sizes)  # fmt: skip
     path = SOLVERS[solver](task)
     active, least = path.best()
-    off = transform.back(path.held_out) - outputs
-    reported, mean = least + spread_of(off) / variance, float(np.mean(off**2))
+    reported, steady = _reported(least, transform.back(path.held_out) - outputs, variance)
     return Found(
         contest=contest,
         transform=transform,
@@ -152,10 +147,17 @@ def _run(contest: Contest, solver: str, transform: Transform, outputs: Array, ba
         rows=rows[active],
         error=least,
         reported=reported,
-        steady=reported * steadied(off**2) / mean if 0.0 < mean < np.inf else reported,
+        steady=steady,
         without=tuple(indices[chosen] for chosen in path.chosen_without()),
         ended=path.order.size < most,
     )
+
+
+def _reported(error: float, off: Array, variance: float) -> tuple[float, float]:
+    """`reported` and `steady` of predictions that are off by (n,), over n variances of the output."""
+    squares = off**2
+    mean, reported = float(np.mean(squares)), error + float(np.std(squares)) * math.sqrt(off.size) / variance
+    return reported, reported * steadied(squares) / mean if 0.0 < mean < np.inf else reported
 
 
 def lowered(found: Found, outputs: Array) -> Iterator[Found]:
@@ -175,22 +177,9 @@ def lowered(found: Found, outputs: Array) -> Iterator[Found]:
             predicted[there] = solve_rows(rows[:, ~there], values[~there]) @ rows[:, there]
         off = found.transform.back(predicted) - outputs
         error = float(off @ off) / variance
-        reported = error + spread_of(off) / variance
-        mean = float(np.mean(off**2))
+        reported, steady = _reported(error, off, variance)
         yield replace(found, indices=found.indices[kept], rows=found.rows[kept], error=error, reported=reported,
-                      steady=reported * steadied(off**2) / mean if 0.0 < mean < np.inf else reported,
-                      without=without)  # fmt: skip
-
-
-def spread_of(off: Array) -> float:
-    """Standard error of the sum of squares of what predictions (n,) are off by."""
-    return float(np.std(off**2)) * math.sqrt(off.size)
-
-
-def rivals(points: Array, germs: Sequence[GermLike]) -> list[Contest]:
-    """The contests at germ points (n, d): in the germs known by name, and in those of laws of their own."""
-    named = tuple(base_of(germ) for germ in germs)
-    return [prepare(points, one) for one in dict.fromkeys((named, tuple(germs)))]
+                      steady=steady, without=without)  # fmt: skip
 
 
 def compete(contests: Sequence[Contest], outputs: Array, *, plain: bool = False) -> list[Found]:
@@ -201,19 +190,14 @@ def compete(contests: Sequence[Contest], outputs: Array, *, plain: bool = False)
     """
     held = [contest for contest in contests if contest.bases]
     if len(held) > 1:
-        looks = [_look(contest, outputs) for contest in held]
+        looks = [_screen(contest, [identity(outputs)], outputs)[0] for contest in held]
         held = [contest for contest, error in zip(held, looks, strict=True) if error <= _CLEAR * min(looks)]
     found = [one for contest in held for one in _held(contest, outputs, plain)]
     return sorted(found, key=_handicapped)
 
 
-def _look(contest: Contest, outputs: Array) -> float:
-    """What forward selection leaves of the output itself on a basis of no more terms than samples."""
-    return _screen(contest, [identity(outputs)], outputs)[0]
-
-
 def _screen(contest: Contest, transforms: Sequence[Transform], outputs: Array) -> list[float]:
-    """What one solver on one basis leaves, of no more terms than samples."""
+    """What forward selection leaves on one basis, of no more terms than samples."""
     indices, rows, sizes = contest.bases[min(1, len(contest.bases) - 1)]
     size = max([s for s in sizes if s <= outputs.size] or [sizes[0]])
     basis = indices[:size], rows[:size], sizes
@@ -259,10 +243,7 @@ def _handicapped(found: Found) -> float:
 
 
 def _screened(contest: Contest, outputs: Array) -> list[Transform]:
-    """The identity and the most promising of the other transforms, or one of them where the other is far behind.
-
-    One solver on one basis tells.
-    """
+    """The identity and the most promising of the other transforms, or one of them where the other is far behind."""
     transforms = possible_transforms(outputs)
     errors = _screen(contest, transforms, outputs)
     if errors[0] < _ENOUGH or len(transforms) == 1:
@@ -312,36 +293,27 @@ def _grow(contest: Contest, found: Found, outputs: Array) -> Found:
     """Bases that grow around the terms that were kept, as long as the error falls."""
     values = found.transform.forward(outputs)
     solver = "forward selection" if found.solver == "least squares" else found.solver
+    enough = _GROWS if outputs.size > 150 else _GROWS_FEW
     for _ in range(contest.rounds):
         if found.error < _ENOUGH or len(found.indices) < 2:
             break
-        further = _grown(contest, found, values, solver, outputs) or _skipped(contest, found, values, solver, outputs)
-        if further is None:
+        for indices in _larger(contest, found, values):
+            indices = indices[np.argsort(indices.sum(axis=1) > 0, kind="stable")]  # the constant first
+            basis = indices, products(contest.values, indices), ()
+            trial = _run(contest, solver, found.transform, outputs, basis, contest.most_terms)
+            if trial.error < enough * found.error:
+                found = trial
+                break
+        else:
             break
-        found = further
     return found
 
 
-def _grown(contest: Contest, found: Found, values: Array, solver: str, outputs: Array) -> Found | None:
-    """What the neighbours of the terms that were kept bring, if it is enough."""
+def _larger(contest: Contest, found: Found, values: Array) -> Iterator[Indices]:
+    """The terms kept with their neighbours; then with those two degrees above, where one explains most of the rest."""
     weights = np.abs(solve_rows(found.rows, values))
-    return _tried(contest, found, grown(found.indices, weights, contest.highest, contest.most_candidates), solver,
-                  outputs)  # fmt: skip
-
-
-def _skipped(contest: Contest, found: Found, values: Array, solver: str, outputs: Array) -> Found | None:
-    """What terms two degrees above those kept bring, where one of them explains most of what is left."""
-    above = skipping(found.indices, contest.highest)
-    if not len(above) or neglected(found.rows, values, products(contest.values, above), most=1).share < _EXPLAINS:
-        return None
-    weights = np.abs(solve_rows(found.rows, values))
-    near = grown(found.indices, weights, contest.highest, max(contest.most_candidates - len(above), 1))
-    return _tried(contest, found, np.unique(np.concatenate([near, above]), axis=0), solver, outputs)
-
-
-def _tried(contest: Contest, found: Found, indices: Indices, solver: str, outputs: Array) -> Found | None:
-    """What a solver makes of these terms, if the error falls clearly."""
-    indices = indices[np.argsort(indices.sum(axis=1) > 0, kind="stable")]  # the constant first
-    basis = indices, products(contest.values, indices), ()
-    trial = _run(contest, solver, found.transform, outputs, basis, contest.most_terms)
-    return trial if trial.error < (_GROWS if outputs.size > 150 else _GROWS_FEW) * found.error else None
+    yield grown(found.indices, weights, HIGHEST_DEGREE, contest.most_candidates)
+    above = skipping(found.indices, HIGHEST_DEGREE)
+    if len(above) and neglected(found.rows, values, products(contest.values, above), most=1).share >= _EXPLAINS:
+        near = grown(found.indices, weights, HIGHEST_DEGREE, max(contest.most_candidates - len(above), 1))
+        yield np.unique(np.concatenate([near, above]), axis=0)

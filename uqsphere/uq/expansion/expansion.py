@@ -17,17 +17,14 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.uq.expansion.germs import GermLike, Indices, products, rows_of, tables_of
 
-#: how far beyond the range of its samples a transformed output may go, over that range
-_MARGIN: Final = 1.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class Transform:
     """z = (w(sign (y - origin)) - centre)/scale, its inverse taking z within [lowest, highest].
 
     `kind` says what w is: identity, log, shifted log, square root or reciprocal.
-    The bounds keep the exponential of a polynomial, which has no bounds of its own, within a range of the samples
-    around them; the identity has none.  Outputs are counted in `unit`, which keeps squares of large ones finite.
+    The bounds keep the exponential of a polynomial, which has no bounds of its own, as far from the samples as these
+    range; the identity has none.  Outputs are counted in `unit`, which keeps squares of large ones finite.
     """
 
     kind: str
@@ -94,8 +91,7 @@ def _fitted(kind: str, outputs: Array, sign: float, origin: float) -> Transform 
         return None
     z = (w - centre) / scale
     low, high = float(z.min()), float(z.max())
-    reach = _MARGIN * (high - low)
-    lowest, highest = low - reach, high + reach
+    lowest, highest = low - (high - low), high + (high - low)
     if kind in ("square root", "reciprocal"):
         # w itself must stay positive
         least = 0.0 if kind == "square root" else 0.25 * float(w.min())

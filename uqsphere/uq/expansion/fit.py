@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Final
@@ -11,10 +11,10 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.expansion.choice import Contest, Found, compete, lowered, prepare, rivals
+from uqsphere.uq.expansion.choice import Contest, Found, compete, lowered, prepare
 from uqsphere.uq.expansion.expansion import Chaos, Piece, predict
-from uqsphere.uq.expansion.germs import GermLike, grown, products, rows_of, skipping
-from uqsphere.uq.expansion.shares import law_points
+from uqsphere.uq.expansion.germs import HIGHEST_DEGREE, GermLike, base_of, grown, products, rows_of, skipping
+from uqsphere.uq.expansion.shares import SAMPLED, law_points
 from uqsphere.uq.expansion.solvers import blended, leaned, neglected, refits, solve_rows, steadied
 from uqsphere.uq.expansion.splits import Split, find_split
 
@@ -23,10 +23,8 @@ _NOTHING: Final = 0.9
 #: an output that leaves more than this is taken for a rough one
 _ROUGH: Final = 2e-3
 _SPLIT_HELPS: Final = 0.6
-#: contenders that are looked at beyond the samples, and at how many points
+#: contenders that are looked at beyond the samples
 _TRIED: Final = 5
-_LOOKED_AT: Final = 4096
-_FEWER_LOOKED_AT: Final = 2048
 #: share of the samples left out one by one in the error of two pieces: with a fifth fewer, border and terms are lost
 _FEWER: Final = 0.5
 #: terms beside those kept among which those that come next are looked for
@@ -101,22 +99,19 @@ def fit_outputs(
         raise ValueError(f"need points (n, {len(germs)}) and outputs (n,), n >= 4; found {points.shape}, {n}")
     if not (np.isfinite(outputs).all() and np.isfinite(points).all()):
         raise ValueError("a polynomial chaos cannot be fitted to values that are not finite")
-    if not germs:
-        contests = []
-    else:
-        contests = [prepare(points, germs)] if settled else rivals(points, germs)
-    law = law_points(germs, 0)[0][:_LOOKED_AT] if germs else points
+    kinds: list[tuple[GermLike, ...]] = [] if settled else [tuple(base_of(germ) for germ in germs)]
+    contests = [prepare(points, one) for one in dict.fromkeys([*kinds, tuple(germs)]) if germs]
+    law = law_points(germs, 0)[0][:SAMPLED] if germs else points
     return [_fitted(contests, points, column, tuple(germs), plain, law, most) for column in outputs.T]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Candidate:
-    """An expansion with its K-fold error, `values` under the law of the inputs, and the error that it reports."""
+    """An expansion with its K-fold error, what it varies too much (`_excess`), and the error that it reports."""
 
     chaos: Chaos
     folded: float
-    loose: float
-    values: Array
+    excess: float
     reported: float
 
 
@@ -143,14 +138,17 @@ def _fitted(
     candidates, tried = _candidates(leaders, split, points, scaled, unit, law), []
     for one in candidates:
         tried.append(one)
-        believed = max(one.folded, _excess(one, scaled))
+        believed = max(one.folded, one.excess)
         if believed < least:
             best, least = replace(one.chaos, cross_validation_error=min(one.reported, 1.0)), believed
             if believed == one.folded:
                 break
     if leaders and error <= most < best.cross_validation_error:
         lower = (_whole(found, scaled, unit, law) for found in lowered(leaders[0], scaled))
-        return _calmest(chain(tried, candidates, lower), most) or best
+        calm = [one for one in chain(tried, candidates, lower) if one.reported <= most]
+        if calm:  # the least of their errors is a lucky one: the largest is taken
+            one = max(calm, key=lambda one: one.reported)
+            return replace(one.chaos, cross_validation_error=one.reported)
     return best
 
 
@@ -159,18 +157,6 @@ def _split(contest: Contest, error: float, points: Array, scaled: Array) -> Spli
     if error <= _ROUGH or scaled.size < max(48, 6 * (len(contest.germs) + 1)):
         return None
     return find_split(contest, points, scaled, below=_SPLIT_HELPS * min(error, 1.0))
-
-
-def _calmest(candidates: Iterable[_Candidate], most: float) -> Chaos | None:
-    """Of those that report no more than `most` the one that reports most; None where there is none.
-
-    The least of their errors is a lucky one: what they report of where no sample lies is hardly known.
-    """
-    calm = [one for one in candidates if one.reported <= most]
-    if not calm:
-        return None
-    simpler = max(calm, key=lambda one: one.reported)
-    return replace(simpler.chaos, cross_validation_error=simpler.reported)
 
 
 def _candidates(
@@ -185,8 +171,8 @@ def _candidates(
         yield _whole(found, scaled, unit, law)
 
 
-def _excess(one: _Candidate, scaled: Array) -> float:
-    """How much more the expansion varies under the law of the inputs than the samples allow, over their variance.
+def _excess(values: Array, scaled: Array, loose: float) -> float:
+    """How much more values of an expansion under the law vary than the samples (n,) allow, over their variance.
 
     What is wild in the tails, or at the edges, no sample left out will tell: folds do not lie beyond the samples.
     The variance of the samples is uncertain by their fourth moment; two standard errors are let pass.  Samples with
@@ -195,8 +181,8 @@ def _excess(one: _Candidate, scaled: Array) -> float:
     """
     z = (scaled - scaled.mean()) / scaled.std()
     allowed = 1.0 + 2.0 * math.sqrt(max(float(np.mean(z**4)) - 1.0, 0.0) / z.size)
-    excess = float(np.mean((one.values - scaled.mean()) ** 2)) / float(np.var(scaled)) - allowed
-    return min(excess, _WILD * one.loose)
+    excess = float(np.mean((values - scaled.mean()) ** 2)) / float(np.var(scaled)) - allowed
+    return min(excess, _WILD * loose)
 
 
 def _constant(value: float, germs: tuple[GermLike, ...], error: float, samples: int) -> Chaos:
@@ -222,8 +208,8 @@ def _whole(found: Found, scaled: Array, unit: float, law: Array) -> _Candidate:
     chosen = np.mean(moved**2, axis=1) / variance
     if found.without:
         chosen = _chosen_without(found, scaled, law, values)
-    near = grown(indices, np.abs(fits.coefficients), contest.highest, len(indices) + _BESIDE)[len(indices) :]
-    near = np.unique(np.concatenate([near, skipping(indices, contest.highest)]), axis=0)
+    near = grown(indices, np.abs(fits.coefficients), HIGHEST_DEGREE, len(indices) + _BESIDE)[len(indices) :]
+    near = np.unique(np.concatenate([near, skipping(indices, HIGHEST_DEGREE)]), axis=0)
     coming = neglected(rows, transform.forward(scaled), products(contest.values, near))
     # what a small change of the transformed output is in the output itself, over the variance
     gain = float(np.mean(transform.slope(fits.coefficients @ there) ** 2)) / variance
@@ -237,16 +223,15 @@ def _whole(found: Found, scaled: Array, unit: float, law: Array) -> _Candidate:
                   samples=scaled.size, solver=found.solver)  # fmt: skip
     reported = leaned(blended(found.steady, left_out, steadied(shifts), steadied(chosen)), gain * coming.energy,
                       coming.share)  # fmt: skip
-    one = _Candidate(chaos=chaos, folded=found.reported, loose=float(np.mean(shifts)), values=values,
-                     reported=reported)  # fmt: skip
-    return replace(one, reported=max(one.reported, _excess(one, scaled)))
+    excess = _excess(values, scaled, float(np.mean(shifts)))
+    return _Candidate(chaos=chaos, folded=found.reported, excess=excess, reported=max(reported, excess))
 
 
 def _chosen_without(found: Found, scaled: Array, law: Array, values: Array) -> Array:
     """Mean squares (K,) between the values under the law and expansions whose terms were chosen without each fold."""
     contest, germs = found.contest, found.contest.germs
     every, places = np.unique(np.concatenate(found.without), axis=0, return_inverse=True)
-    law, values = law[:_FEWER_LOOKED_AT], values[:_FEWER_LOOKED_AT]
+    law, values = law[: SAMPLED // 2], values[: SAMPLED // 2]
     here = products(contest.values, every)
     there = rows_of(germs, law, every)
     outputs, begin, answer = found.transform.forward(scaled), 0, []
@@ -269,9 +254,9 @@ def _in_two(split: Split, points: Array, scaled: Array, unit: float, law: Array)
     chaos = Chaos(pieces=pieces, border=split.border, germs=split.contest.germs, cross_validation_error=split.error,
                   samples=scaled.size, solver=f"two pieces: {split.proposal}")  # fmt: skip
     loose = steadied(_shifts(split, points, scaled, law))
-    one = _Candidate(chaos=chaos, folded=split.error, loose=1.0, values=predict(chaos, law) / unit,
-                     reported=blended(split.steady, split.left_out, loose, share=_FEWER))  # fmt: skip
-    return replace(one, reported=max(one.reported, _excess(one, scaled)))
+    excess = _excess(predict(chaos, law) / unit, scaled, 1.0)
+    reported = max(blended(split.steady, split.left_out, loose, share=_FEWER), excess)
+    return _Candidate(chaos=chaos, folded=split.error, excess=excess, reported=reported)
 
 
 def _shifts(split: Split, points: Array, scaled: Array, law: Array) -> Array:

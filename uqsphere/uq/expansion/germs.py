@@ -78,12 +78,13 @@ def base_of(germ: GermLike) -> str:
     return germ.base if isinstance(germ, Germ) else germ
 
 
-@lru_cache(maxsize=8)
-def _recurrence(germ: str, degree: int) -> Array:
-    """Coefficients (2, degree + 1) of the monic three-term recurrence of a germ known by name.
+def recurrence_of(germ: GermLike, degree: int) -> Array:
+    """Monic recurrence (2, degree + 1 or more) of a germ's polynomials: its coefficients a and b.
 
-    a = 0; b_k = k of Hermite's polynomials and k² / (4 k² - 1) of Legendre's (Gautschi 2004, table 1.1).
+    b is k for the normal germ, k²/(4 k² - 1) for the uniform one.
     """
+    if isinstance(germ, Germ):
+        return germ.recurrence
     k = np.arange(degree + 1.0)
     return np.array([np.zeros_like(k), k if germ == "normal" else k * k / (4.0 * k * k - 1.0)])
 
@@ -105,7 +106,9 @@ def jacobi(alpha: float, beta: float, degree: int = HIGHEST_DEGREE) -> Array:
     return np.array([a, b])
 
 
-def stieltjes(name: str, density: Callable[[Array], Array], lower: float, upper: float, degree: int) -> Array:
+def stieltjes(
+    name: str, density: Callable[[Array], Array], lower: float, upper: float, degree: int = HIGHEST_DEGREE
+) -> Array:
     """Recurrence (2, degree + 1), on [-1, 1], of a density on [lower, upper].
 
     Stieltjes' procedure over Gauss-Legendre nodes (Gautschi 2004, section 2.2.3).  Raises ValueError for bounds that
@@ -138,40 +141,6 @@ def _legendre_nodes() -> tuple[Array, Array]:
 
     nodes, weights = roots_legendre(_NODES)
     return np.asarray(nodes), np.asarray(weights)
-
-
-def law_germ(
-    name: str,
-    *,
-    base: str,
-    from_normal: Callable[[Array], Array],
-    density: Callable[[Array], Array],
-    lower: float = -math.inf,
-    upper: float = math.inf,
-    recurrence: Array | None = None,
-    degree: int = HIGHEST_DEGREE,
-) -> Germ:
-    """The germ of a law with a density, at points of the germ `base`; arrays (n,) go in and come out.
-
-    `from_normal` gives its values at normal scores.  Where it has no bounds, lower or upper, it is cut where 2e-33 is
-    left of it.  `recurrence` is that of its polynomials on [-1, 1] between the bounds, where it is known; else
-    `stieltjes` finds it, whose errors are raised.
-
-    >>> import numpy as np
-    >>> from scipy.special import ndtr
-    >>> ramp = law_germ("ramp", base="uniform", from_normal=lambda z: np.sqrt(ndtr(z)), density=lambda x: 2.0 * x,
-    ...                 lower=0.0, upper=1.0, degree=3)
-    >>> float((0.5 + 0.5 * ramp.recurrence[0, 0]).round(6))
-    0.666667
-    """
-    from scipy.interpolate import CubicSpline
-
-    scores = np.linspace(-_REACH, _REACH, _KNOTS)
-    values = from_normal(scores)
-    low, high = (float(end if math.isfinite(end) else values[k]) for k, end in ((0, lower), (-1, upper)))
-    found = stieltjes(name, density, low, high, degree) if recurrence is None else recurrence
-    table = CubicSpline(scores, (values - 0.5 * (low + high)) / (0.5 * (high - low)))
-    return Germ(name=name, base=base, table=table, recurrence=found)
 
 
 #: share of a normal law that bounds cut off and its polynomials do not tell
@@ -210,31 +179,23 @@ def _own_polynomials(law: Law) -> bool:
 
 @lru_cache(maxsize=256)
 def _own_germ(family: Family, parameters: tuple[tuple[str, float], ...], lower: float, upper: float) -> GermLike:
-    """The germ of a law of its own; that of its family where it has no such polynomials."""
+    """The germ of a law of its own, cut where 2e-33 is left; that of its family where it has no such polynomials."""
+    from scipy.interpolate import CubicSpline
+
     law = Law(family=family, parameters=dict(parameters), lower=lower, upper=upper)
     own = law.parameters
     # a weibull, gamma or lognormal law begins where nothing lies below
     least = float(law.ppf(np.array([0.0]))[0])
-    known = jacobi(own["alpha"], own["beta"]) if family.name == "beta" else None
+    scores = np.linspace(-_REACH, _REACH, _KNOTS)
+    values = law.from_normal(scores)
+    low, high = (float(end if math.isfinite(end) else values[k]) for k, end in ((0, least), (-1, upper)))
     try:
-        return law_germ(family.name, base=family.germ, from_normal=law.from_normal, density=law.pdf, lower=least,
-                        upper=upper, recurrence=known)  # fmt: skip
+        beta = family.name == "beta"
+        found = jacobi(own["alpha"], own["beta"]) if beta else stieltjes(family.name, law.pdf, low, high)
+        table = CubicSpline(scores, (values - 0.5 * (low + high)) / (0.5 * (high - low)))
     except ValueError:
         return family.germ
-
-
-def recurrence_of(germ: GermLike, degree: int) -> Array:
-    """Monic recurrence (2, degree + 1 or more) of a germ's polynomials: its coefficients a and b."""
-    if isinstance(germ, str):
-        return _recurrence(germ, max(degree, HIGHEST_DEGREE))
-    if degree >= germ.recurrence.shape[1]:
-        raise ValueError(f"the germ {germ.name!r} has polynomials up to degree {germ.recurrence.shape[1] - 1}")
-    return germ.recurrence
-
-
-def most_degree(germ: GermLike) -> int:
-    """The highest degree that a germ is expanded to."""
-    return HIGHEST_DEGREE if isinstance(germ, str) else min(HIGHEST_DEGREE, germ.recurrence.shape[1] - 1)
+    return Germ(name=family.name, base=family.germ, table=table, recurrence=found)
 
 
 def orthonormal_values(germ: GermLike, points: Array, degree: int) -> Array:

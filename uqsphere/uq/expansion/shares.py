@@ -31,8 +31,9 @@ from uqsphere.uq.expansion.germs import (
 from uqsphere.uq.points import sobol_points
 
 _POINTS: Final = 8192
-#: points that a companion is fitted to, its degree and terms, and what it may leave of the variance elsewhere
-_FITTED: Final = 4096
+#: points of the law that an expansion is looked at on, and that a companion is fitted to
+SAMPLED: Final = 4096
+#: degree and terms of a companion, and what it may leave of the variance elsewhere
 _DEGREE: Final = 10
 _TERMS: Final = 250
 _NEAR: Final = 0.01
@@ -73,8 +74,8 @@ class Companion:
         self._indices = np.zeros((1, len(self._inputs)), dtype=np.int64) if found is None else found[0]
         self.active: Flags = np.zeros((len(self._indices), len(chaos.germs)), dtype=bool)
         self.active[:, list(self._inputs)] = self._indices > 0
-        rows = self.rows(points[:_FITTED])
-        self.coefficients = np.asarray(np.linalg.solve(rows @ rows.T, rows @ values[:_FITTED]), dtype=float)
+        rows = self.rows(points[:SAMPLED])
+        self.coefficients = np.asarray(np.linalg.solve(rows @ rows.T, rows @ values[:SAMPLED]), dtype=float)
         self._sum = Combination(self.coefficients, self._indices)
 
     def _tables(self, points: Array) -> list[Array]:
@@ -97,11 +98,10 @@ class Companion:
         return float(squares[~outside].sum()), float(squares[self.active[:, list(group)].any(axis=1)].sum())
 
 
-def sampled_moments(chaos: Chaos) -> tuple[float, float]:
-    """Mean and standard deviation of the expansion, from its values on a Sobol' design."""
-    values = predict(chaos, np.concatenate(law_points(chaos.germs, 0)))
-    largest = float(np.abs(values).max()) or 1.0
-    return float((values / largest).mean()) * largest, float((values / largest).std()) * largest
+def moments_of(values: Array) -> tuple[float, float]:
+    """Mean and standard deviation of values (n,) of any size: squares of 1e155 are beyond floating point."""
+    unit = float(np.abs(values).max(initial=0.0)) or 1.0
+    return float(np.mean(values / unit)) * unit, float(np.std(values / unit)) * unit
 
 
 def _controlled(values: Array, control: Array | None, known: float) -> float:
@@ -123,9 +123,7 @@ def law_shares(chaos: Chaos, groups: Sequence[Sequence[int]], replicate: int) ->
     """
     one, other = law_points(chaos.germs, replicate)
     f, g = predict(chaos, one), predict(chaos, other)
-    largest = float(np.abs(f).max()) or 1.0
-    centre = float(np.mean(f / largest)) * largest
-    unit = float(np.std(f / largest)) * largest
+    centre, unit = moments_of(f)
     if unit == 0.0:
         return np.zeros((len(groups), 2))
     f, g = (f - centre) / unit, (g - centre) / unit
@@ -168,7 +166,7 @@ def chaos_moments(chaos: Chaos) -> tuple[float, float]:
         coefficients = chaos.pieces[0].coefficients
         largest = float(np.abs(coefficients[1:]).max(initial=0.0)) or 1.0  # squares of large ones stay finite
         return float(coefficients[0]), largest * math.sqrt(float(np.sum((coefficients[1:] / largest) ** 2)))
-    return sampled_moments(chaos)
+    return moments_of(predict(chaos, np.concatenate(law_points(chaos.germs, 0))))
 
 
 def _shares(chaos: Chaos, replicate: int) -> tuple[Array, Array]:
@@ -178,19 +176,14 @@ def _shares(chaos: Chaos, replicate: int) -> tuple[Array, Array]:
         inputs = active_inputs(chaos)
         first[list(inputs)], total[list(inputs)] = law_shares(chaos, [[j] for j in inputs], replicate).T
         return first, total
-    squares = _squares(chaos)
+    coefficients = chaos.pieces[0].coefficients[1:]
+    squares = (coefficients / np.abs(coefficients).max()) ** 2
     active = chaos.pieces[0].multi_indices[1:] > 0
     alone = active.sum(axis=1) == 1
     variance = squares.sum()
     first = (squares[:, None] * (active & alone[:, None])).sum(axis=0) / variance
     total = (squares[:, None] * active).sum(axis=0) / variance
     return first, total
-
-
-def _squares(chaos: Chaos) -> Array:
-    """Squares of the coefficients but the constant, on a scale of their own."""
-    coefficients = chaos.pieces[0].coefficients[1:]
-    return np.asarray((coefficients / np.abs(coefficients).max()) ** 2)
 
 
 def error_with_tails(fits: Sequence[Chaos], error: float) -> float:

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.expansion.choice import Basis, Contest, deal
+from uqsphere.uq.expansion.choice import Contest, deal
 from uqsphere.uq.expansion.expansion import Border, Side, score_features
-from uqsphere.uq.expansion.germs import Indices
+from uqsphere.uq.expansion.germs import Indices, products
 from uqsphere.uq.expansion.solvers import Task, forward_selection, left_one_out, solve_rows, steadied
 
 Samples: TypeAlias = npt.NDArray[np.intp]
@@ -47,11 +47,11 @@ class Split:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Data:
-    """The samples that a proposal may see: germ points (n, d), outputs (n,), and the rows (P, n) of each basis."""
+    """All samples: germ points (n, d), outputs (n,), and the contest at these points."""
 
     points: Array
     outputs: Array
-    bases: tuple[Basis, ...]
+    contest: Contest
 
 
 #: a basis and how many of its terms, among which the terms of a piece are chosen
@@ -59,9 +59,9 @@ Trial: TypeAlias = tuple[int, int]
 Trials: TypeAlias = tuple[Trial | None, Trial | None]
 #: two expansions, each with its multi-indices and coefficients, and their border
 Halves: TypeAlias = tuple[tuple[tuple[Indices, Array], tuple[Indices, Array]], Border]
-#: samples and, if there is one, the side that each was on when all were seen -> where the second piece holds, and the
-#: border; the hint spares the turns a bad start, and nothing else is taken from it
-Proposal: TypeAlias = Callable[[_Data, Side | None], tuple[Side, Border] | None]
+#: points, outputs and, if there is one, the side that each was on when all were seen -> where the second piece holds,
+#: and the border; the hint spares the turns a bad start, and nothing else is taken from it
+Proposal: TypeAlias = Callable[[Array, Array, Side | None], tuple[Side, Border] | None]
 
 
 def _planes(points: Array, outputs: Array, side: Side) -> tuple[Array, Array]:
@@ -79,16 +79,13 @@ def _balanced(side: Side) -> bool:
     return bool(_LEAST_SHARE <= side.mean() <= 1.0 - _LEAST_SHARE)
 
 
-def _left_by_cuts(data: _Data, axes: Samples, places: Array) -> Array:
-    """Mean squares (t,) left by two planes on either side of cuts across inputs axes (t,) at places (t,), all at once.
-
-    A cut with fewer than a share of the samples on one side leaves everything.
-    """
-    n, d = data.points.shape
-    features = score_features(data.points, d + 1)
-    above = np.greater(data.points[:, axes].T, places[:, None])
+def _left_by_cuts(points: Array, outputs: Array, axes: Samples, places: Array) -> Array:
+    """Mean squares (t,) left by planes on either side of cuts across inputs axes (t,) at places (t,); inf where few."""
+    n, d = points.shape
+    features = score_features(points, d + 1)
+    above = np.greater(points[:, axes].T, places[:, None])
     pairs = (features[:, :, None] * features[:, None, :]).reshape(n, -1)
-    aims = features * data.outputs[:, None]
+    aims = features * outputs[:, None]
     predicted = np.zeros(above.shape)
     for side in (above, ~above):
         inside = side.astype(float)
@@ -96,39 +93,38 @@ def _left_by_cuts(data: _Data, axes: Samples, places: Array) -> Array:
         grams = (inside @ pairs).reshape(-1, d + 1, d + 1) + 1e-8 * counts * np.eye(d + 1)
         planes = np.linalg.solve(grams, (inside @ aims)[:, :, None])[:, :, 0]
         predicted += inside * (planes @ features.T)
-    left = np.mean((predicted - data.outputs) ** 2, axis=1)
+    left = np.mean((predicted - outputs) ** 2, axis=1)
     share = above.mean(axis=1)
     return np.where((share >= _LEAST_SHARE) & (share <= 1.0 - _LEAST_SHARE), left, np.inf)
 
 
-def _cut(data: _Data, hint: Side | None) -> tuple[Side, Border] | None:
-    """The cut across one input that leaves the least to two planes: of nine for each input, and of those near it."""
-    d = data.points.shape[1]
+def _cut(points: Array, outputs: Array, hint: Side | None) -> tuple[Side, Border] | None:
+    """The cut across one input that leaves the least to two planes: of nine for each input, and of those near it.
+
+    It lies in the middle between two neighbouring samples.
+    """
+    d = points.shape[1]
     levels = np.linspace(0.1, 0.9, 9)
-    places = np.quantile(data.points, levels, axis=0).T.ravel()
+    places = np.quantile(points, levels, axis=0).T.ravel()
     axes = np.repeat(np.arange(d), levels.size)
-    best = int(np.argmin(_left_by_cuts(data, axes, places)))
-    return _sharpened(data, int(axes[best]), float(places[best]))
-
-
-def _sharpened(data: _Data, axis: int, at: float) -> tuple[Side, Border] | None:
-    """The cut moved to the middle between the two neighbouring samples where it leaves least."""
-    ordered = np.sort(data.points[:, axis])
+    best = int(np.argmin(_left_by_cuts(points, outputs, axes, places)))
+    axis = int(axes[best])
+    ordered = np.sort(points[:, axis])
     middles = 0.5 * (ordered[1:] + ordered[:-1])
-    place = int(np.searchsorted(middles, at))
+    place = int(np.searchsorted(middles, places[best]))
     reach = max(len(ordered) // 12, 2)
     near = middles[max(place - reach, 0) : place + reach + 1]
-    left = _left_by_cuts(data, np.full(near.size, axis), near)
+    left = _left_by_cuts(points, outputs, np.full(near.size, axis), near)
     best = int(np.argmin(left))
     if not np.isfinite(left[best]):
         return None
     at = float(near[best])
-    return data.points[:, axis] > at, Border(kind="axis", axis=axis, at=at)
+    return points[:, axis] > at, Border(kind="axis", axis=axis, at=at)
 
 
-def _gap(data: _Data, hint: Side | None) -> tuple[Side, Border] | None:
+def _gap(points: Array, outputs: Array, hint: Side | None) -> tuple[Side, Border] | None:
     """Two groups of outputs with a gap between them, told apart by a logistic score of the inputs."""
-    ordered = np.sort(data.outputs)
+    ordered = np.sort(outputs)
     n = ordered.size
     first, last = int(_LEAST_SHARE * n), int((1.0 - _LEAST_SHARE) * n)
     gaps = ordered[first + 1 : last + 1] - ordered[first:last]
@@ -136,15 +132,15 @@ def _gap(data: _Data, hint: Side | None) -> tuple[Side, Border] | None:
     # A gap where outputs lie dense is one of many, and no border.
     if ordered[place + 1] - ordered[place] < 8.0 * (ordered[-1] - ordered[0]) / n:
         return None
-    side = data.outputs > 0.5 * (ordered[place] + ordered[place + 1])
-    d = data.points.shape[1]
+    side = outputs > 0.5 * (ordered[place] + ordered[place + 1])
+    d = points.shape[1]
     quadratic = (d + 1) * (d + 2) // 2
     best: tuple[float, Array] | None = None
     folds = deal(n, 5)
     for count in (d + 1, quadratic):
         if 4 * count > n:
             continue
-        features = score_features(data.points, count)
+        features = score_features(points, count)
         wrong = 0.0
         for fold in range(5):
             weights = _logistic(features[folds != fold], side[folds != fold])
@@ -172,22 +168,22 @@ def _logistic(features: Array, side: Side) -> Array:
 def _crossing(kind: str) -> Proposal:
     sign = 1.0 if kind == "upper" else -1.0
 
-    def propose(data: _Data, hint: Side | None) -> tuple[Side, Border] | None:
+    def propose(points: Array, outputs: Array, hint: Side | None) -> tuple[Side, Border] | None:
         """The larger (smaller) of two planes, from cuts across the inputs that matter, by turns."""
-        centred = data.points - data.points.mean(axis=0)
-        slopes = centred.T @ (data.outputs - data.outputs.mean()) / np.maximum(np.sum(centred**2, axis=0), 1e-300)
+        centred = points - points.mean(axis=0)
+        slopes = centred.T @ (outputs - outputs.mean()) / np.maximum(np.sum(centred**2, axis=0), 1e-300)
         directions = [centred @ slopes, *(centred[:, j] for j in np.argsort(-np.abs(slopes))[:3])]
         best: tuple[float, Side] | None = None
         starts = [along > np.median(along) for along in directions]
         for side in starts if hint is None else [hint, *starts]:
             for _ in range(_TURNS):
-                low, high = _planes(data.points, data.outputs, side)
+                low, high = _planes(points, outputs, side)
                 new = sign * (high - low) > 0.0
                 if not _balanced(new) or bool(np.all(new == side)):
                     break
                 side = new
-            low, high = _planes(data.points, data.outputs, side)
-            left = float(np.mean((np.where(side, high, low) - data.outputs) ** 2))
+            low, high = _planes(points, outputs, side)
+            left = float(np.mean((np.where(side, high, low) - outputs) ** 2))
             if _balanced(side) and (best is None or left < best[0]):
                 best = (left, side)
         return None if best is None else (best[1], Border(kind=kind))
@@ -216,7 +212,7 @@ def _piece(data: _Data, samples: Samples, trial: Trial | None = None) -> tuple[t
     folds = deal(samples.size, 5)
     best, chosen = (1.0, zero, np.zeros(1)), trial
     for which, size in _trials(data, samples.size) if trial is None else [trial]:
-        indices, rows, _ = data.bases[which]
+        indices, rows, _ = data.contest.bases[which]
         basis = np.ascontiguousarray(rows[:size][:, samples])
         task = Task(basis=basis, values=values, folds=folds, most=max(min(samples.size // 3, _MOST_TERMS), 1),
                     error=lambda predicted: float(np.vecdot(off := predicted - values, off)) / values.size)  # fmt: skip
@@ -231,7 +227,7 @@ def _piece(data: _Data, samples: Samples, trial: Trial | None = None) -> tuple[t
 def _trials(data: _Data, count: int) -> list[Trial]:
     """The two largest sets of each of two bases that are not too large for the samples."""
     answer = []
-    for which, (_, _, sizes) in enumerate(data.bases[:2]):
+    for which, (_, _, sizes) in enumerate(data.contest.bases[:2]):
         answer += [(which, s) for s in sizes if s <= max(min(2 * count, _MOST_CANDIDATES), sizes[0])][-2:]
     return answer
 
@@ -242,13 +238,8 @@ def _values(data: _Data, piece: tuple[Indices, Array]) -> Array:
 
 
 def _rows(data: _Data, indices: Indices) -> Array:
-    """Rows (k, n) of some terms, looked up in the bases."""
-    for known, rows, _ in data.bases:
-        places = {tuple(row): k for k, row in enumerate(known.tolist())}
-        wanted = [places.get(tuple(row), -1) for row in indices.tolist()]
-        if min(wanted) >= 0:
-            return rows[wanted]
-    raise ValueError("the terms belong to no basis")
+    """Rows (k, n) of some terms at all samples."""
+    return products(data.contest.values, indices)
 
 
 def _build(
@@ -258,15 +249,15 @@ def _build(
 
     `trials` are the sets that the pieces are chosen from, found here where they are not given.
     """
-    inner = _Data(points=data.points[seen], outputs=data.outputs[seen], bases=())
-    found = propose(inner, None if hint is None else hint[seen])
+    points = data.points[seen]
+    found = propose(points, data.outputs[seen], None if hint is None else hint[seen])
     if found is None or not _balanced(found[0]):
         return None
     side, border = found
     one, other = _piece(data, seen[~side], trials[0]), _piece(data, seen[side], trials[1])
     for _ in range(2 if border.kind in ("upper", "lower") else 0):
         low, high = (_values(data, piece)[seen] for piece in (one[0], other[0]))
-        new = border.side(inner.points, [low, high])
+        new = border.side(points, [low, high])
         if not _balanced(new) or bool(np.all(new == side)):
             break
         side = new
@@ -353,7 +344,7 @@ def find_split(contest: Contest, points: Array, outputs: Array, *, below: float)
 
     `points` (n, d) are those of the contest.  A proposal that its first fold shows to be hopeless is dropped.
     """
-    data = _Data(points=points, outputs=outputs, bases=contest.bases)
+    data = _Data(points=points, outputs=outputs, contest=contest)
     variance = float(np.var(outputs))
     count = int(contest.folds.max()) + 1
     folds = contest.folds if count == 5 else deal(outputs.size, 5)
