@@ -499,12 +499,14 @@ class _Fit:
     def solve(self, count: int, start: Array) -> tuple[Array, Array]:
         """Parameters of least loss and their covariance."""
         weight = 1.0 / self.prior
-        found = least_squares(
-            lambda x: np.append(self.residual(x, count), weight * x),
-            start,
-            lambda x: np.concatenate([self.slopes(x, count), np.diag(weight)]),
-            x_scale="jac",
-        )
+
+        def left(x: Array) -> Array:
+            return np.append(self.residual(x, count), weight * x)
+
+        def steep(x: Array) -> Array:
+            return np.concatenate([self.slopes(x, count), np.diag(weight)])
+
+        found = least_squares(left, start, steep, x_scale="jac")
         slopes = np.asarray(found.jac)
         information = slopes.T @ slopes
         scaled = np.sqrt(np.maximum(np.diag(information), 1e-300))
