@@ -65,12 +65,8 @@ def is_device_name(name: str) -> bool:
 def read_whole(path: Path, largest: int = LARGEST_DOCUMENT) -> bytes:
     """The content of a regular file that is no link and not larger than `largest` bytes.
 
-    Raises
-    ------
-    FolderError
-        For a link, a folder, a pipe or a device, or a file that is too large.
-    AccessError
-        Where the system refuses, or there is no such file.
+    Raises FolderError for a link, a folder, a pipe or a device, or a file that is too large; AccessError where the
+    system refuses, or there is no such file.
     """
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
@@ -92,12 +88,8 @@ def read_whole(path: Path, largest: int = LARGEST_DOCUMENT) -> bytes:
 def open_given(path: Path, largest: int) -> Iterator[BinaryIO]:
     """A file that the user named, open for reading: plain, or a link to a plain one, of at most `largest` bytes.
 
-    Raises
-    ------
-    AccessError
-        For a pipe or a device, and where the system refuses or there is no such file.
-    UsageError
-        For a folder, and a file that is larger.
+    Raises AccessError for a pipe or a device, and where the system refuses or there is no such file; UsageError for a
+    folder, and a file that is larger.
     """
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
@@ -147,10 +139,7 @@ def _float(text: str) -> float:
 def load_document(path: Path) -> Json:
     """The content of a JSON file of a result folder: finite numbers, text that can be written again.
 
-    Raises
-    ------
-    FolderError
-        When it is missing, damaged, no plain file, or not JSON.
+    Raises FolderError where it is missing, damaged, no plain file, or not JSON.
     """
     try:
         data = read_whole(path)
@@ -169,10 +158,7 @@ def load_document(path: Path) -> Json:
 def array_of(data: bytes) -> npt.NDArray[np.float64]:
     """The array of an .npy file of float64; nothing is allocated that the bytes do not hold.
 
-    Raises
-    ------
-    ValueError
-        For anything but a whole array of little-endian float64 in C order.
+    Raises ValueError for anything but a whole array of little-endian float64 in C order.
     """
     found = chunk_of(data)
     if found.dtype.names is not None:
@@ -183,10 +169,7 @@ def array_of(data: bytes) -> npt.NDArray[np.float64]:
 def chunk_of(data: bytes) -> Cells:
     """The array of an .npy file of float64, or of rows of plain numbers with names; sizes as with `array_of`.
 
-    Raises
-    ------
-    ValueError
-        For anything but a whole array in C order of what a run stores.
+    Raises ValueError for anything but a whole array in C order of what a run stores.
     """
     import io
 
@@ -225,10 +208,7 @@ def digest_of(path: Path) -> str:
 def refuse_links(folder: Path) -> None:
     """Refuse a result folder one of whose parts leads out of it.
 
-    Raises
-    ------
-    FolderError
-        For a folder inside it that is a link or no folder, and a lock that is no plain file.
+    Raises FolderError for a folder inside it that is a link or no folder, and a lock that is no plain file.
     """
     services = folder / "services"
     inner = sorted(services.iterdir()) if services.is_dir() and not services.is_symlink() else []
@@ -244,10 +224,7 @@ def refuse_links(folder: Path) -> None:
 def plain_files(folder: Path) -> Iterator[Path]:
     """Every file of a result folder and of the folders inside it that a run writes, in order of their names.
 
-    Raises
-    ------
-    FolderError
-        For links, pipes and devices, and for more entries than a run ever writes.
+    Raises FolderError for links, pipes and devices, and for more entries than a run ever writes.
     """
     refuse_links(folder)
     seen = 0

@@ -198,11 +198,8 @@ def strength_at(limit: Limit, fractiles: Array) -> Array:
 def subject_of(study: Study, quantile: float = 0.5) -> Subject:
     """What is to be broken, and in which rig.
 
-    Raises
-    ------
-    UsageError
-        For a black box, a study without a limit that means fracture, a pulse that does not follow from a striker and
-        a ramp, or a scene outside the domain of the model.
+    Raises UsageError for a black box, a study without a limit that means fracture, a pulse that does not follow from a
+    striker and a ramp, or a scene outside the domain of the model.
     """
     _check(study)
     limits, paths = zip(*fracture_limits(study), strict=True)
@@ -255,10 +252,7 @@ def request_of(
     Speeds: those of its margins, or a decade to either side of its own.  Lengths: its own.  Ramps: up to the pulse of
     the longest striker or the first return of a reflection, at most 200 us.
 
-    Raises
-    ------
-    UsageError
-        As `subject_of`, or where the study does not have what is left out.
+    Raises UsageError as `subject_of`, or where the study does not have what is left out.
     """
     _check(study)
     scene = scene_of(study, {}, 1, over_frequency=True)
@@ -297,10 +291,7 @@ def judge_points(
 def plan_test(study: Study, request: Request) -> Plan:
     """The map of a test, a chart for every striker length.
 
-    Raises
-    ------
-    UsageError
-        See `subject_of`.
+    Raises UsageError as `subject_of`.
     """
     subject = subject_of(study, request.quantile)
     count, ramps = request.grid
@@ -373,6 +364,17 @@ def _windows(
                 runs[chart, kind, rise] = _runs(kept[r][:, at].all(axis=1))
                 if not runs[chart, kind, rise]:
                     nearest[chart][kind, rise] = _in_the_way({name: values[r] for name, values in used.items()}, at)
+    return _between(subject, request, speeds, runs, len(judged)), nearest
+
+
+def _between(
+    subject: Subject,
+    request: Request,
+    speeds: Array,
+    runs: Mapping[tuple[int, str, float], Sequence[tuple[int, int]]],
+    charts: int,
+) -> list[list[Window]]:
+    """Windows of every chart, from runs of speeds at which all is kept; the ends of the speeds have no edge."""
     edges = [
         _Edge(chart=chart, kind=kind, rise=rise, inner=float(speeds[inner]), outer=float(speeds[outer]))
         for (chart, kind, rise), own in runs.items()
@@ -381,7 +383,7 @@ def _windows(
         if 0 <= outer < len(speeds)
     ]
     places: Iterator[tuple[float, str | None]] = iter(_place(subject, request, edges))
-    windows: list[list[Window]] = [[] for _ in judged]
+    windows: list[list[Window]] = [[] for _ in range(charts)]
     for (chart, kind, rise), own in runs.items():
         made = []
         for begin, end in own:
@@ -389,7 +391,7 @@ def _windows(
             high, above = next(places) if end + 1 < len(speeds) else (float(speeds[-1]), None)
             made.append(Window(kind=kind, rise=rise, low=low, high=high, below=below, above=above))
         windows[chart] += _settable(made)
-    return windows, nearest
+    return windows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -472,10 +474,7 @@ class Blow:
 def plan_blow(study: Study, *, quantile: float = 0.5, count: int = 60) -> Blow:
     """What breaks the sphere of a study in its rig, over the range of its margins or a decade to either side.
 
-    Raises
-    ------
-    UsageError
-        For a study without a rig of its own, or without a limit that means fracture.
+    Raises UsageError for a study without a rig of its own, or without a limit that means fracture.
     """
     if study.rig == "none":
         raise UsageError("a test is planned in the study's own rig, and this study has none but its services")

@@ -49,36 +49,21 @@ _NUMBER = re.compile(r"[+-]?(?:\d(?:_?\d)*\.?(?:\d(?:_?\d)*)?|\.\d(?:_?\d)*)(?:[
 class Quantity:
     """One number by its name: an entry of the nomenclature, with all that is known of a quantity of interest.
 
-    Attributes
-    ----------
-    name, symbol, meaning : str
-    dimension : str
-        A key of `UNITS`.
-    display : str
-        The unit that people read, all values inside the code being SI.
-    lower, upper : float
-        What has a meaning at all; the bounds themselves are refused unless `closed`.
-    plausible : (low, high)
-        The range outside which a value is worth a second look.
-    follows : str
-        `force` or `energy` if a quantity of interest rises with the largest one so far; else empty.
-    fracture : bool
-        Its exceedance can mean that the sphere breaks.
-    early : bool
-        Only what comes before the first reflected wave counts.
-    place : str
-        What of the sphere it is a load of: `contact`, the circle's `rim`, the `core` of the sphere, the place `below` a
-        contact; else empty.  Loads of contact and rim fall where the bars yield, since the circle widens; those of the
-        core and below a contact are computed for equal forces at both faces.
-    censored : str
-        Column that says where the record ended before it was decided; empty if it always is.
-    rough : int
-        Base points that its Sobol' indices take for 1 %, where it jumps or a surrogate tells nothing of it: measured
-        on the shipped studies.  0 where it is smooth.
-    needs : tuple of str
-        Columns that `formula` reads.
-    formula : function of columns, optional
-        The quantity, (n,), from columns of the scene, of the scales, of the integrator and other quantities.
+    dimension : A key of `UNITS`.
+    display : the unit that people read, all values inside the code being SI.
+    lower, upper : what has a meaning at all; the bounds themselves are refused unless `closed`.
+    plausible : (low, high); the range outside which a value is worth a second look.
+    follows : `force` or `energy` if a quantity of interest rises with the largest one so far; else empty.
+    fracture : its exceedance can mean that the sphere breaks.
+    early : only what comes before the first reflected wave counts.
+    place : what of the sphere it is a load of: `contact`, the circle's `rim`, the `core` of the sphere, the place
+    `below` a contact; else empty.  Loads of contact and rim fall where the bars yield, since the circle widens; those
+    of the core and below a contact are computed for equal forces at both faces.
+    censored : column that says where the record ended before it was decided; empty if it always is.
+    rough : base points that its Sobol' indices take for 1 %, where it jumps or a surrogate tells nothing of it:
+    measured on the shipped studies.  0 where it is smooth.
+    needs : columns that `formula` reads.
+    formula : the quantity, (n,), from columns of the scene, of the scales, of the integrator and other quantities.
     """
 
     name: str
@@ -127,10 +112,7 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
     A dimensional value must be a string such as ``"25 mm"``; a plain number is taken for a dimensionless quantity
     only.  No expression is evaluated.  A message shows the unit `example`, SI without one.
 
-    Raises
-    ------
-    UnitError
-        With what was found, what is allowed, and the fix.
+    Raises UnitError with what was found, what is allowed, and the fix.
 
     >>> parse_value("25 mm", "length")
     0.025

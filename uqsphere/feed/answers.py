@@ -167,10 +167,8 @@ def answer_feed(
 ) -> Evaluated:
     """The answers of a feed to what a posterior leaves open.
 
-    Raises
-    ------
-    ValueError
-        Where fragments are to be hit again and nothing tells their sizes, or the tests tell nothing of a class.
+    Raises ValueError where fragments are to be hit again and nothing tells their sizes, or the tests tell nothing of a
+    class.
     """
     feed = plan.feed
     rng = random_generator(seed=feed.seed, task="feed.product")

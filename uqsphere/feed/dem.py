@@ -143,10 +143,7 @@ def _only(draws: Draws, law: str) -> list[int]:
 def rocky(draws: Draws, entry: FeedEntry, size: str) -> str:
     """rocky_breakage.py: draws as input variables of a project, and the setters of PyRocky.
 
-    Raises
-    ------
-    NotThere
-        For a law or a size law that Rocky's models do not have.
+    Raises NotThere for a law or a size law that Rocky's models do not have.
     """
     columns, notes = dict(draws.columns), list(draws.notes)
     rows, model = _only(draws, "lognormal"), "professor_tavares"
@@ -286,10 +283,7 @@ def liggghts(draws: Draws, posterior: Posterior, entry: FeedEntry) -> dict[str, 
 def edem(draws: Draws, entry: FeedEntry, size: str) -> str:
     """edem_tavares.csv: what is to be typed in, a row per draw and symbol.
 
-    Raises
-    ------
-    NotThere
-        For a law or a size law that the Tavares model does not have.
+    Raises NotThere for a law or a size law that the Tavares model does not have.
     """
     rows = _only(draws, "lognormal")
     if not rows or size != "tavares":

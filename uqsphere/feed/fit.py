@@ -265,10 +265,7 @@ class Posterior:
     def load(folder: Path) -> Posterior:
         """The posterior of a folder that `uqsphere fit` wrote.
 
-        Raises
-        ------
-        FolderError
-            Where it is missing or damaged.
+        Raises FolderError where it is missing or damaged.
         """
         about = read_fit(folder)
         path = folder / DRAWS_FILE

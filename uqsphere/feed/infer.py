@@ -124,10 +124,7 @@ class Drawn:
 def fit(tests: Specimens, request: Request, draws: int = DRAWS) -> tuple[Posterior, FitEntry]:
     """Posterior of a law and its size effect, and what is to be said of it.
 
-    Raises
-    ------
-    ValueError
-        For a size law that the law does not have.
+    Raises ValueError for a size law that the law does not have.
     """
     names = ("lognormal", "weibull") if request.law == "average" else (request.law,)
     if request.size == "weakest_link" and names != ("weibull",):

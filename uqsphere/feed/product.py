@@ -234,10 +234,7 @@ def fit_t10(x: Values, t10: Values, draws: int, rng: np.random.Generator) -> tup
     best : A, b, A b, and the relative error `sd` (NaN from two tests)
     A, b : (draws,) each
 
-    Raises
-    ------
-    ValueError
-        From fewer than three tests with a t10.
+    Raises ValueError from fewer than three tests with a t10.
     """
     x, y = np.asarray(x, dtype=float), np.log(np.asarray(t10, dtype=float))
     if len(x) < 3:

@@ -40,18 +40,11 @@ _TAIL, _MEETING = 0.10, 0.25
 class Rig:
     """Bars and gauges.
 
-    Attributes
-    ----------
-    bar : Bar
-    incident_gauge, receiving_gauge : float
-        Distances from the sphere [m].
-    incident_length, receiving_length : float
-        Of the bars [m]; infinite where nothing comes back.
-    correct_dispersion : bool
-    absorbing_length : float
-        Of the bars whose ends are said to send nothing back [m]: from its gauge to there, the shorter one.
-    receiving_bar : Bar, optional
-        Where it is another than the incident bar.
+    incident_gauge, receiving_gauge : distances from the sphere [m].
+    incident_length, receiving_length : of the bars [m]; infinite where nothing comes back.
+    absorbing_length : of the bars whose ends are said to send nothing back [m]: from its gauge to there, the shorter
+    one.
+    receiving_bar : where it is another than the incident bar.
     """
 
     bar: Bar
@@ -87,28 +80,18 @@ class Rig:
 class Faces:
     """Strains of the three waves at the faces, tension positive, on one time axis.
 
-    Attributes
-    ----------
-    step : float
-        Time between samples [s]; the first is the begin of the incident wave at face A.
+    step : time between samples [s]; the first is the begin of the incident wave at face A.
     incident, reflected, transmitted : (n,) arrays
-    noise, memory, offset : (3,) arrays
-        Of the three: standard deviation of a sample, samples over which it is correlated, standard deviation of the
-        baseline.
-    known : int
-        Samples of the incident wave; it is taken as over behind them.
-    shared : bool
-        Incident and reflected wave come from one gauge, and share gain and baseline.
-    overlap : (n,) array
-        Strain by which the tail of the incident wave may be wrong at face A, where it meets the reflected one.
-    alone : tuple of bool
-        Whether the incident, and the receiving, bar's signal lacks a gauge that would show bending.
-    spread : (n,) array
-        Bending that the gauges of the receiving bar show, 0 with one.
-    merged : bool
-        The two overlap by more than a tail: only the force at B is known.
-    pulse : CutPulse
-        The incident wave as samples.
+    noise, memory, offset : (3,) arrays; of the three: standard deviation of a sample, samples over which it is
+    correlated, standard deviation of the baseline.
+    known : samples of the incident wave; it is taken as over behind them.
+    shared : incident and reflected wave come from one gauge, and share gain and baseline.
+    overlap : (n,) array; strain by which the tail of the incident wave may be wrong at face A, where it meets the
+    reflected one.
+    alone : tuple of bool; whether the incident, and the receiving, bar's signal lacks a gauge that would show bending.
+    spread : (n,) array; bending that the gauges of the receiving bar show, 0 with one.
+    merged : the two overlap by more than a tail: only the force at B is known.
+    pulse : CutPulse; the incident wave as samples.
     """
 
     step: float
@@ -160,19 +143,11 @@ def _carried(values: Array, step: float, bar: Bar, distance: float) -> tuple[Arr
 def at_faces(record: Record, rig: Rig, *, begin: float | None = None, end: float | None = None) -> Faces:
     """The three waves at the faces.
 
-    Parameters
-    ----------
-    record : Record
-        With baseline and sign; two signals (gauge of the incident bar, gauge of the receiving bar) or three (incident,
-        reflected and transmitted wave, each alone).
-    rig : Rig
-    begin, end : float, optional
-        Times in the record between which the incident wave passes its gauge [s].
+    record : with baseline and sign; two signals (gauge of the incident bar, gauge of the receiving bar) or three
+    (incident, reflected and transmitted wave, each alone).
+    begin, end : times in the record between which the incident wave passes its gauge [s].
 
-    Raises
-    ------
-    RecordError
-        Where waves overlap at a gauge, a part is missing, or fewer than 50 samples are left.
+    Raises RecordError where waves overlap at a gauge, a part is missing, or fewer than 50 samples are left.
     """
     signals = record.strain.shape[1]
     if signals not in (2, 3):
@@ -400,15 +375,9 @@ def forces_of(faces: Faces, columns: Mapping[str, float], gain_sd: float = 0.0,
               receiving: float | None = None) -> Forces:  # fmt: skip
     """Forces at the faces by two waves at A and one at B.
 
-    Parameters
-    ----------
-    faces : Faces
-    columns : mapping of str to float
-        Numbers of the scene, SI; the bars are needed.
-    gain_sd : float
-        Relative standard deviation of the gain of each gauge, which is taken as 1.
-    receiving : float, optional
-        E A of the receiving bar [N], where it is another.
+    columns : numbers of the scene, SI; the bars are needed.
+    gain_sd : relative standard deviation of the gain of each gauge, which is taken as 1.
+    receiving : E A of the receiving bar [N], where it is another.
     """
     scale = _stiffness_of_bar(columns)
     scale_b = scale if receiving is None else receiving
@@ -530,13 +499,16 @@ class _Fit:
     def solve(self, count: int, start: Array) -> tuple[Array, Array]:
         """Parameters of least loss and their covariance."""
         weight = 1.0 / self.prior
-        found = least_squares(
-            lambda x: np.append(self.residual(x, count), weight * x),
-            start,
-            lambda x: np.concatenate([self.slopes(x, count), np.diag(weight)]),
-            x_scale="jac",
-        )
-        information = found.jac.T @ found.jac
+
+        def left(x: Array) -> Array:
+            return np.append(self.residual(x, count), weight * x)
+
+        def steep(x: Array) -> Array:
+            return np.concatenate([self.slopes(x, count), np.diag(weight)])
+
+        found = least_squares(left, start, steep, x_scale="jac")
+        slopes = np.asarray(found.jac)
+        information = slopes.T @ slopes
         scaled = np.sqrt(np.maximum(np.diag(information), 1e-300))
         covariance = np.linalg.pinv(information / np.outer(scaled, scaled), rcond=1e-13) / np.outer(scaled, scaled)
         return found.x, covariance
@@ -608,21 +580,12 @@ def invert(faces: Faces, columns: Mapping[str, float], *, gain_sd: float = 0.01,
            departure: bool = True) -> Inverse:  # fmt: skip
     """Forces, contact stiffness and the end of the elastic contact of one test.
 
-    Parameters
-    ----------
-    faces : Faces
-    columns : mapping of str to float
-        Numbers of the scene by dotted path, SI; those of sphere and bars are needed.  `sphere.E` is where the search
-        begins, from an eighth to eight times its E*.
-    gain_sd : float
-        Relative standard deviation of the gain of each gauge.
-    departure : bool
-        Look for the end of the elastic contact.
+    columns : numbers of the scene by dotted path, SI; those of sphere and bars are needed.  `sphere.E` is where the
+    search begins, from an eighth to eight times its E*.
+    gain_sd : relative standard deviation of the gain of each gauge.
+    departure : look for the end of the elastic contact.
 
-    Raises
-    ------
-    RecordError
-        Where the model cannot follow the record or no force rises above its noise.
+    Raises RecordError where the model cannot follow the record or no force rises above its noise.
     """
     scene = {name: float(columns[name]) for name in _NEEDED}
     if "bars.end_radius" in columns:

@@ -172,28 +172,15 @@ def read_test(record: Record, rig: Rig, columns: Mapping[str, float], *, gain_sd
               sphere: bool = True, bound: float = math.inf) -> Reading:  # fmt: skip
     """Forces, energies and equilibrium of a test, and stiffness and end of the elastic contact where a sphere fits.
 
-    Parameters
-    ----------
-    record : Record
-        Mended, of two signals or three; see `at_faces`.
-    rig : Rig
-    columns : mapping of str to float
-        Numbers of the scene, SI.
-    gain_sd : float
-        Relative standard deviation of the gain of each gauge.
-    window : (float or None, float or None)
-        Times of the record between which the incident wave passes its gauge [s]; found by itself where None.
-    receiving : float, optional
-        E A of the receiving bar [N], where it is another than the incident bar.
-    sphere : bool
-        Whether the specimen is the sphere of the study.
-    bound : float
-        Force that no such specimen bears [N].
+    record : mended, of two signals or three; see `at_faces`.
+    columns : numbers of the scene, SI.
+    gain_sd : relative standard deviation of the gain of each gauge.
+    window : times of the record between which the incident wave passes its gauge [s]; found by itself where None.
+    receiving : E A of the receiving bar [N], where it is another than the incident bar.
+    sphere : whether the specimen is the sphere of the study.
+    bound : force that no such specimen bears [N].
 
-    Raises
-    ------
-    RecordError
-        See `at_faces`.
+    Raises RecordError as `at_faces`.
     """
     faces = at_faces(record, rig, begin=window[0], end=window[1])
     scale = columns["bars.E"] * float(bars.section(columns["bars.diameter"]))
@@ -272,10 +259,7 @@ def calibrate(record: Record, rig: Rig, striker_speed: float = 0.0) -> Calibrati
     One signal: the incident bar alone, whose free end sends the wave back.  Two: both bars in touch; the wave goes
     through.  With the speed of a striker of the bar's own section and material, the plateau should be v/(2 c0).
 
-    Raises
-    ------
-    RecordError
-        Where the second passage of the wave is not found.
+    Raises RecordError where the second passage of the wave is not found.
     """
     first = -record.strain[:, 0]
     wave = first_wave(first, record.step, float(record.noise[0]))

@@ -83,11 +83,8 @@ class ContactFit:
 def read_loading(path: str | Path, *, columns: Sequence[str] = (), units: Sequence[str] = ("", "")) -> Loading:
     """Displacement and force of a file; their units from its header unless given.
 
-    Raises
-    ------
-    RecordError
-        For a file that is no table, unknown columns or units, cells without a number, too few samples, or a test that
-        was not pressed.
+    Raises RecordError for a file that is no table, unknown columns or units, cells without a number, too few samples,
+    or a test that was not pressed.
     """
     table = read_table(path)
     if not columns and len(table.names) == 2:
@@ -183,20 +180,11 @@ def fit_contact(
 ) -> ContactFit:
     """Onset, hardness and pile-up of the faces of a sphere from a slow test between two flat platens.
 
-    Parameters
-    ----------
-    loading : Loading
-    diameter : float
-        Of the sphere [m].
-    compliance : float
-        Of the machine [m/N], taken off the displacement.
-    pile_up : float, optional
-        Where it is known; a test that was not unloaded does not tell it.
+    diameter : of the sphere [m].
+    compliance : of the machine [m/N], taken off the displacement.
+    pile_up : where it is known; a test that was not unloaded does not tell it.
 
-    Raises
-    ------
-    RecordError
-        For a test that was not pressed, not unloaded, too short, or elastic throughout.
+    Raises RecordError for a test that was not pressed, not unloaded, too short, or elastic throughout.
 
     Valid for r_eff = diameter/2, equal faces, and a body whose law does not depend on the rate; theory (C5), (C9).
     """

@@ -45,20 +45,12 @@ class Bar:
 class CutPulse:
     """The pulse as samples.
 
-    Attributes
-    ----------
-    step : float
-        Time between samples [s].
-    strain : (n,) array
-        Compression above zero, from rest to rest.
-    begin : float
-        Time of the first sample in the record [s].
-    noise, memory : float
-        Standard deviation of a sample, and samples over which it is correlated.
-    corrected : float
-        Distance over which the dispersion was corrected [m], 0 for not at all.
-    inside : float
-        Share of the energy inside the band in which the correction holds, 1 without one.
+    step : time between samples [s].
+    strain : (n,) array; compression above zero, from rest to rest.
+    begin : time of the first sample in the record [s].
+    noise, memory : standard deviation of a sample, and samples over which it is correlated.
+    corrected : distance over which the dispersion was corrected [m], 0 for not at all.
+    inside : share of the energy inside the band in which the correction holds, 1 without one.
     """
 
     step: float
@@ -75,18 +67,11 @@ def cut_pulse(record: Record, *, bar: Bar | None = None, distance: float = 0.0, 
               end: float | None = None) -> CutPulse:  # fmt: skip
     """The incident pulse of a record that has its baseline and sign.
 
-    Parameters
-    ----------
-    record : Record
-    bar, distance : Bar, float
-        With a bar: dispersion is corrected from the gauge, on the surface, to the face a `distance` [m] away.
-    begin, end : float, optional
-        Times of the record [s] between which the pulse stands; found by itself if not given.
+    bar, distance : Bar, float; with a bar: dispersion is corrected from the gauge, on the surface, to the face a
+    `distance` [m] away.
+    begin, end : times of the record [s] between which the pulse stands; found by itself if not given.
 
-    Raises
-    ------
-    RecordError
-        Where no pulse is found, a part of it is missing, or it has fewer than 30 samples.
+    Raises RecordError where no pulse is found, a part of it is missing, or it has fewer than 30 samples.
     """
     values, noise = -record.strain[:, 0], float(record.noise[0])
     notes, memory = list(record.notes), float(record.memory[0])
@@ -177,10 +162,7 @@ def fit_pulse(cut: CutPulse, source: str = "", digest: str = "") -> MeasuredPuls
 
     The curve has continuous slope and curvature, and is zero at both ends.
 
-    Raises
-    ------
-    RecordError
-        Where the curve does not rise above zero.
+    Raises RecordError where the curve does not rise above zero.
     """
     place = cut.step * np.arange(len(cut.strain))
     length, size = float(place[-1]), float(np.abs(cut.strain).max())
@@ -231,10 +213,7 @@ def measured_pulse(path: str | Path, *, wiring: Wiring | None = None, columns: S
     `polarity`: ``auto`` takes the first wave as compression, ``tension`` a record that is positive in tension,
     ``compression`` one that is positive in compression.
 
-    Raises
-    ------
-    RecordError
-        See `read_table`, `make_record`, `mend`, `cut_pulse` and `fit_pulse`.
+    Raises RecordError as `read_table`, `make_record`, `mend`, `cut_pulse` and `fit_pulse`.
     """
     path = Path(path)
     record = mend(make_record(read_table(path), 1, wiring=wiring, columns=columns), polarity)

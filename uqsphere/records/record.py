@@ -69,14 +69,10 @@ class Change:
 class Wiring:
     """How a signal becomes a strain: eps = 4 U/(k N U_0 A) for a Wheatstone bridge, N active arms.
 
-    Attributes
-    ----------
-    unit : str
-        One of `SIGNAL_UNITS`; empty: what the file says, else strain.
-    gauge_factor, excitation, amplification, active_arms : float
-        k [-], bridge supply U_0 [V] (0: not given), A of the amplifier, N: 1 quarter, 2 half bridge.
-    time_unit : str
-        Unit of the time; empty: what the file says, else s.
+    unit : one of `SIGNAL_UNITS`; empty: what the file says, else strain.
+    gauge_factor, excitation, amplification, active_arms : k [-], bridge supply U_0 [V] (0: not given), A of the
+    amplifier, N: 1 quarter, 2 half bridge.
+    time_unit : unit of the time; empty: what the file says, else s.
     """
 
     unit: str = ""
@@ -103,27 +99,15 @@ class Wiring:
 class Record:
     """Strains over even time.
 
-    Attributes
-    ----------
-    start, step : float
-        Time of the first sample and between samples [s].
-    strain : (n, k) array
-        One column per signal, tension positive.
-    held : (n, k) array of bool
-        Samples that nobody knows: in gaps too long to be filled with any right, or clipped.
-    noise : (k,) array
-        Standard deviation of a sample at rest; 0 where there is no baseline to tell it from.
-    memory : (k,) array
-        Samples over which the noise is correlated, at least 1.
-    offset : (k,) array
-        Standard deviation of the baseline that was taken off.
-    spread : (n, k) array
-        Half the difference of the gauges of a bar, the bending they show; 0 with one gauge.
-    alone : (k,) array of bool
-        Whether a signal rests on one gauge because another of its bar was left out.
-    bars : tuple of tuples of int
-        The gauges that make a signal, before they are joined; one each after that.
-    names : tuple of str
+    start, step : time of the first sample and between samples [s].
+    strain : (n, k) array; one column per signal, tension positive.
+    held : (n, k) array of bool; samples that nobody knows: in gaps too long to be filled with any right, or clipped.
+    noise : (k,) array; standard deviation of a sample at rest; 0 where there is no baseline to tell it from.
+    memory : (k,) array; samples over which the noise is correlated, at least 1.
+    offset : (k,) array; standard deviation of the baseline that was taken off.
+    spread : (n, k) array; half the difference of the gauges of a bar, the bending they show; 0 with one gauge.
+    alone : (k,) array of bool; whether a signal rests on one gauge because another of its bar was left out.
+    bars : tuple of tuples of int; the gauges that make a signal, before they are joined; one each after that.
     changes : tuple of Change
     """
 
@@ -196,22 +180,13 @@ def make_record(table: Table, signals: int = 1, *, wiring: Wiring | Sequence[Wir
                 columns: Sequence[str] = ()) -> Record:  # fmt: skip
     """Strains of a table over even time, one column for every gauge, as they were recorded.
 
-    Parameters
-    ----------
-    table : Table
-    signals : int
-        Signals that are due beside the time, of one gauge or more each.
-    wiring : Wiring, optional
-        One for all signals or one for each.
-    columns : sequence of str
-        Names or numbers of the time's and the signals' columns, gauges of one bar as ``A+B``; all in their order if
-        empty, two gauges a bar where there are twice as many.
+    signals : signals that are due beside the time, of one gauge or more each.
+    wiring : one for all signals or one for each.
+    columns : names or numbers of the time's and the signals' columns, gauges of one bar as ``A+B``; all in their order
+    if empty, two gauges a bar where there are twice as many.
 
-    Raises
-    ------
-    RecordError
-        For a wrong number of columns, an unknown unit, time that runs backwards, numbers that no bar can have, fewer
-        than 20 samples.
+    Raises RecordError for a wrong number of columns, an unknown unit, time that runs backwards, numbers that no bar can
+    have, fewer than 20 samples.
     """
     wirings = [wiring or Wiring()] * signals if wiring is None or isinstance(wiring, Wiring) else list(wiring)
     clock, groups = _pick(table, signals, columns)
@@ -385,10 +360,7 @@ class Wave:
 def first_wave(values: Array, step: float, noise: float) -> Wave:
     """Where the first wave of a signal about zero stands, told back and forth from its body, not from its first noise.
 
-    Raises
-    ------
-    RecordError
-        Where no wave rises above the noise.
+    Raises RecordError where no wave rises above the noise.
     """
     width = max(1, round(2.0 * _SHORTEST / step))
     # bursts of a trigger swing within a few microseconds; running medians have nothing of them
@@ -423,17 +395,10 @@ def first_wave(values: Array, step: float, noise: float) -> Wave:
 def mend(record: Record, polarity: str = "auto") -> Record:
     """The chain: spikes, clipped stretches, baseline and drift, sign, the gauges of a bar; one signal a bar is left.
 
-    Parameters
-    ----------
-    record : Record
-    polarity : str
-        ``auto`` takes the first wave of every gauge as compression, ``tension`` a record that is positive in tension,
-        ``compression`` one that is positive in compression.
+    polarity : ``auto`` takes the first wave of every gauge as compression, ``tension`` a record that is positive in
+    tension, ``compression`` one that is positive in compression.
 
-    Raises
-    ------
-    RecordError
-        Where a bar has no signal with a wave and a rest to tell it from.
+    Raises RecordError where a bar has no signal with a wave and a rest to tell it from.
     """
     if polarity not in ("auto", "tension", "compression"):
         raise RecordError(f"polarity {polarity!r} is not known; allowed: auto, tension, compression")
@@ -535,10 +500,7 @@ class _Rested:
 def _rested(values: Array, step: float, name: str, time: Array, changes: list[Change]) -> _Rested:
     """A signal without its baseline and drift, told from the samples before its first wave.
 
-    Raises
-    ------
-    RecordError
-        Where the signal has no wave or is nowhere at rest.
+    Raises RecordError where the signal has no wave or is nowhere at rest.
     """
     told: list[Change] = []
     middle = float(np.median(values[: max(2 * _BASELINE, len(values) // 50)]))

@@ -70,16 +70,10 @@ class RecordError(ValueError):
 class Table:
     """Columns of a file.
 
-    Attributes
-    ----------
-    names : tuple of str
-        As written, without units; ``column 1`` … where the file has none.
-    units : tuple of str
-        As written in brackets behind the name or below it, else empty.
-    values : (n, columns) array
-        NaN where the file has no number.
-    notes : tuple of str
-        What was done to read it.
+    names : as written, without units; ``column 1`` … where the file has none.
+    units : as written in brackets behind the name or below it, else empty.
+    values : (n, columns) array; naN where the file has no number.
+    notes : what was done to read it.
     """
 
     names: tuple[str, ...]
@@ -107,10 +101,7 @@ class _Form:
 def read_bytes(path: Path) -> bytes:
     """The content of a record.
 
-    Raises
-    ------
-    RecordError
-        Where there is no such file, it is no plain file, or larger than `LARGEST_RECORD`.
+    Raises RecordError where there is no such file, it is no plain file, or larger than `LARGEST_RECORD`.
     """
     try:
         return read_given(path, LARGEST_RECORD)
@@ -121,18 +112,11 @@ def read_bytes(path: Path) -> bytes:
 def read_table(path: str | Path, interval: float = 0.0) -> Table:
     """The columns of a record.
 
-    Parameters
-    ----------
-    path : str or Path
-        Text in UTF-8, UTF-16 or Latin-1, columns divided by comma, semicolon, tab or blanks, lines that begin with
-        ``#`` left out; or an .xlsx.
-    interval : float
-        Time between samples [s], for a file that has no time; 0: what its metadata say.
+    path : text in UTF-8, UTF-16 or Latin-1, columns divided by comma, semicolon, tab or blanks, lines that begin with
+    ``#`` left out; or an .xlsx.
+    interval : time between samples [s], for a file that has no time; 0: what its metadata say.
 
-    Raises
-    ------
-    RecordError
-        Where the file is missing, no plain file, too large, empty or no table of numbers.
+    Raises RecordError where the file is missing, no plain file, too large, empty or no table of numbers.
     """
     path = Path(path)
     data = read_bytes(path)
@@ -184,10 +168,7 @@ def place_of(table: Table, name: str) -> int:
 def beside(first: Table, other: Table) -> Table:
     """The signals of two files of one recorder, a channel each, over the time of the first.
 
-    Raises
-    ------
-    RecordError
-        Where their clocks do not go together.
+    Raises RecordError where their clocks do not go together.
     """
     clocks = [table.values[:, 0] * UNITS["time"].get(table.units[0] or "s", 1.0) for table in (first, other)]
     steps = [float(np.median(np.diff(clock))) for clock in clocks]

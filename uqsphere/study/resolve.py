@@ -55,24 +55,13 @@ def load_study(
 ) -> Study:
     """The study of a TOML file, of such a text, or of the same tables as a dict, validated.
 
-    Parameters
-    ----------
-    path : str, Path or mapping
-        The file; nothing outside its folder is read.  Beside a `text` what it is called, and where its data lie.
-        A mapping holds the tables themselves: ``{"inputs": {"x": {"dist": "normal", "mean": 0, "sd": 1}}, ...}``.
-    overrides : sequence of str
-        ``PATH=VALUE`` each, such as ``striker.speed.mean=0.6 m/s``, put in place before anything is checked.
-    text : str, optional
-        The content of a study file, in place of reading one.
+    path : the file; nothing outside its folder is read.  Beside a `text` what it is called, and where its data lie. A
+    mapping holds the tables themselves: ``{"inputs": {"x": {"dist": "normal", "mean": 0, "sd": 1}}, ...}``.
+    overrides : ``PATH=VALUE`` each, such as ``striker.speed.mean=0.6 m/s``, put in place before anything is checked.
+    text : the content of a study file, in place of reading one.
 
-    Raises
-    ------
-    StudyError
-        With every fault of the file, each with its line and column.
-    AccessError
-        Where the file is missing or cannot be read.
-    UsageError
-        For an override that is none, and a value that no study file can hold.
+    Raises StudyError with every fault of the file, each with its line and column; AccessError where the file is missing
+    or cannot be read; UsageError for an override that is none, and a value that no study file can hold.
 
     >>> inputs = {"x": {"dist": "normal", "mean": 0.0, "sd": 1.0}}
     >>> load_study({"title": "Two tables", "inputs": inputs, "outputs": {"names": ["y"]}})

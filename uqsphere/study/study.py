@@ -138,37 +138,25 @@ class Study(metaclass=_FromTables):
     ...       "aim": "survive"}}, analysis={"budget": {"evaluations": 1000}}, title="A beam")
     <Study 'A beam': 1 random input, limits high, black box>
 
-    Attributes
-    ----------
-    fixed : mapping of str to float
-        Every fixed number by dotted path (black box: bare name), SI, defaults included; a bar end is its
-        velocity reflection coefficient.  What a scene does not have (lengths of infinite bars, a striker's
-        length beside a pulse of its own duration, the radius of flat bar ends) is absent.
-    random : mapping of str to Law
-        Every scattered number, in the order of the file.
-    given : mapping of str to mapping
-        The parameters of each law as the file gives them, in SI (``mean`` and ``cov``, say); `Law.with_mean`
-        reads it.  The keys are those of `random` and ``limits.NAME.strength``, ``limits.NAME.model_factor``.
-    warnings : tuple of str
-        What a user should know and what does not stop the study.
-    record : MeasuredPulse or None
-        The pulse of a measured record; `striker.speed` then follows from it and is none of the numbers.
-    overrides : tuple of str
-        What was set from outside the file, as PATH=VALUE; its effect is in the other attributes.
-    gauges : tuple of Gauge
-        Where `uqsphere history` puts gauges; no answer of a run depends on them.
-    receiving_damper : EndImpedance or None
-        The receiving bar's far end against frequency, which only `uqsphere history` can follow.
-    services : mapping of str to Study
-        The machines that are asked, each a study of its own.
-    made_up : tuple of str
-        The random numbers whose observations the file calls made up.
-    particles : Particles or None
-        What the particles of tests and of a feed are of, where the file has any.
-    feed : FeedPlan or None
-        What is asked of a feed, which `uqsphere feed` answers.
-    tests : TestsPlan or None
-        Tests of single particles, which `uqsphere fit` makes a law of.
+    fixed : every fixed number by dotted path (black box: bare name), SI, defaults included; a bar end is its velocity
+    reflection coefficient.  What a scene does not have (lengths of infinite bars, a striker's length beside a pulse of
+    its own duration, the radius of flat bar ends) is absent.
+    random : mapping of str to Law; every scattered number, in the order of the file.
+    given : mapping of str to mapping; the parameters of each law as the file gives them, in SI (``mean`` and ``cov``,
+    say); `Law.with_mean` reads it.  The keys are those of `random` and ``limits.NAME.strength``,
+    ``limits.NAME.model_factor``.
+    warnings : what a user should know and what does not stop the study.
+    record : MeasuredPulse or None; the pulse of a measured record; `striker.speed` then follows from it and is none of
+    the numbers.
+    overrides : what was set from outside the file, as PATH=VALUE; its effect is in the other attributes.
+    gauges : tuple of Gauge; where `uqsphere history` puts gauges; no answer of a run depends on them.
+    receiving_damper : EndImpedance or None; the receiving bar's far end against frequency, which only `uqsphere
+    history` can follow.
+    services : mapping of str to Study; the machines that are asked, each a study of its own.
+    made_up : the random numbers whose observations the file calls made up.
+    particles : Particles or None; what the particles of tests and of a feed are of, where the file has any.
+    feed : FeedPlan or None; what is asked of a feed, which `uqsphere feed` answers.
+    tests : TestsPlan or None; tests of single particles, which `uqsphere fit` makes a law of.
     """
 
     title: str

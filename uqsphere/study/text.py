@@ -63,12 +63,8 @@ _REWORDED: Final = (
 def read_text(path: Path) -> str:
     """The text of a study file: at most 1 MiB of UTF-8 (a byte order mark is dropped), no NUL, not empty.
 
-    Raises
-    ------
-    AccessError
-        See `uqsphere.files.open_given`.
-    StudyError
-        With the line and column of the first byte that is no text.
+    Raises AccessError as `uqsphere.files.open_given`; StudyError with the line and column of the first byte that is no
+    text.
     """
     try:
         data = read_given(path, LARGEST_FILE)
@@ -96,10 +92,7 @@ def read_text(path: Path) -> str:
 def parse_text(text: str, path: Path) -> dict[str, Raw]:
     """TOML text → plain values.
 
-    Raises
-    ------
-    StudyError
-        For nesting too deep, or a fault of syntax, with its line and column.
+    Raises StudyError for nesting too deep, or a fault of syntax, with its line and column.
     """
     import tomllib
 
@@ -326,11 +319,8 @@ def apply_overrides(data: dict[str, Raw], overrides: Sequence[str]) -> list[Plac
     VALUE is a TOML value; what is none (a bare quantity such as ``0.6 m/s``, a bare word) is a text.  The bare word
     ``null``, which TOML does not have, takes out what stands at the path: a value, a table or an item of a list.
 
-    Raises
-    ------
-    UsageError
-        Where there is no "=", the path is none, it leads through something that is not a table, or there is nothing
-        to take out.
+    Raises UsageError where there is no "=", the path is none, it leads through something that is not a table, or there
+    is nothing to take out.
 
     >>> data = {"striker": {"speed": {"mean": "0.5 m/s"}}}
     >>> apply_overrides(data, ["striker.speed.mean=0.6 m/s"])
@@ -411,10 +401,7 @@ def toml_text(tables: Mapping[str, object]) -> str:
 
     A law is one of `uqsphere.uq.law`, or a frozen distribution of scipy.stats or chaospy: it stands there as its table.
 
-    Raises
-    ------
-    UsageError
-        For any other value, with its place.
+    Raises UsageError for any other value, with its place.
 
     >>> print(toml_text({"seed": 1, "inputs": {"x": {"dist": "normal", "mean": 0.0, "sd": 1.0}}}), end="")
     seed = 1
