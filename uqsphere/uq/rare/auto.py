@@ -433,8 +433,9 @@ def find_probability(limit: LimitFunction, *, seed: int, accuracy: float = 0.015
 
 def _noted(method: str, evaluations: int, estimate: Estimate) -> list[tuple[str, int, float]]:
     """What a method has reached after so many evaluations, if it has an interval."""
-    reached = estimate.value and math.isfinite(estimate.half_width)
-    return [(method, evaluations, estimate.half_width / estimate.value)] if reached else []
+    if not estimate.value or not math.isfinite(estimate.half_width):
+        return []
+    return [(method, evaluations, estimate.half_width / estimate.value)]
 
 
 def _look_around(evaluator: Evaluator, pool: Pool, seed: int) -> Array | None:
