@@ -503,7 +503,7 @@ def _cover(evaluator: Evaluator, pool: Pool, mixture: Mixture, subset: SubsetAns
 def _sample(evaluator: Evaluator, mixture: Mixture, seed: int, accuracy: float) -> ImportanceAnswer:
     """The answer from what is left, but for the evaluations that tell the parts of the failure domain apart."""
     room = evaluator.left - int(min(FOR_MODES, 0.05 * evaluator.budget))
-    block = 256
+    block = 256 if evaluator.left > 10_000 else 128
     while block > LEAST_BLOCK and REPLICATES * block > room:
         block //= 2
     return importance_sampling(evaluator, defended(mixture), most=room, seed=seed, accuracy=accuracy, block=block)
