@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 from typing import Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial.chebyshev import chebvander
 
 from uqsphere.arrays import Array
 from uqsphere.uq.estimate import Estimate, absent, between, count_bound, logit_ends, student
@@ -70,7 +71,7 @@ class AxisFit:
         """Answers (R, n) at one value or at one for every row (R, n), each replicate by a fit without its fold."""
         count, replicates = self.coefficients.shape[1], products.shape[0]
         places = np.log(values) if self.logarithmic[0] else np.asarray(values, dtype=float)
-        powers = _chebyshev(_scaled(places, self.ends).reshape(-1), count)
+        powers = chebvander(_scaled(places, self.ends).reshape(-1), count - 1)
         own = self.coefficients[np.arange(replicates) % len(self.coefficients)]
         if places.ndim == 0:
             weights = np.einsum("a,rat->rt", powers[0], own)
@@ -160,11 +161,6 @@ def _all_terms(size: int, total: int) -> Iterator[tuple[int, ...]]:
             yield tuple(combination.count(k) for k in range(size))
 
 
-def _chebyshev(u: Array, count: int) -> Array:
-    """Chebyshev polynomials (n, count) of u."""
-    return np.asarray(np.polynomial.chebyshev.chebvander(u, count - 1))
-
-
 def _products(z: Array, degrees: Degrees) -> Array:
     """Products (n, T) of normed Hermite polynomials of the columns of z."""
     found = np.ones((len(z), len(degrees)))
@@ -178,7 +174,7 @@ def _products(z: Array, degrees: Degrees) -> Array:
 
 
 def _design(u: Array, z: Array, terms: Degrees) -> Array:
-    powers = _chebyshev(u, int(terms[:, 0].max(initial=0)) + 1)
+    powers = chebvander(u, int(terms[:, 0].max(initial=0)))
     return np.asarray(powers[:, terms[:, 0]] * _products(z, terms[:, 1:]))
 
 
@@ -448,13 +444,6 @@ def _turning(grid: Array, probabilities: Array) -> float | None:
     return float(grid[int(back[0])]) if back.size else None
 
 
-def _monotone(scores: Array) -> Array:
-    """The rising curve half-way between the running maximum and the running minimum from the right."""
-    rising = np.maximum.accumulate(scores)
-    falling = np.minimum.accumulate(scores[::-1])[::-1]
-    return 0.5 * (rising + falling)
-
-
 def _crossing(grid: Array, probabilities: Array, target: float, least: float) -> float | None:
     """Value at which one curve (K,) takes the target, by monotone cubic interpolation; None if nowhere."""
     from scipy.interpolate import PchipInterpolator
@@ -466,7 +455,9 @@ def _crossing(grid: Array, probabilities: Array, target: float, least: float) ->
     ceiling = min(least, 0.5 * float((1.0 - probabilities)[probabilities < 1.0].min(initial=1.0)))
     bounded = np.clip(probabilities, floor, 1.0 - max(ceiling, 1e-16))
     direction = 1.0 if bounded[-1] >= bounded[0] else -1.0
-    scores = _monotone(direction * np.asarray(ndtri(bounded)))
+    scores = direction * np.asarray(ndtri(bounded))
+    # half-way between the running maximum and the running minimum from the right
+    scores = 0.5 * (np.maximum.accumulate(scores) + np.minimum.accumulate(scores[::-1])[::-1])
     wanted = direction * float(ndtri(target))
     if not scores[0] <= wanted <= scores[-1] or scores[0] == scores[-1]:
         return None
@@ -483,9 +474,7 @@ def _crossing(grid: Array, probabilities: Array, target: float, least: float) ->
 
 def _scale(grid: Array) -> tuple[Callable[[Array], Array], Callable[[float], float]]:
     """Logarithm and exponential for a positive grid, else the values themselves."""
-    if grid[0] > 0.0:
-        return (lambda values: np.log(values)), math.exp
-    return (lambda values: values), float
+    return (np.log, math.exp) if grid[0] > 0.0 else (np.asarray, float)
 
 
 def _value(grid: Array, probabilities: Array, target: float, least: float, evaluations: int) -> Estimate:
@@ -600,9 +589,7 @@ def fit_lognormal_curve(grid: Array, probabilities: Array, *, evaluations: int) 
     curve = LognormalCurve(median=median, dispersion=dispersion, rising=rising, gap=0.0, gap_at=float(grid[0]))
     gaps = np.abs(curve.probability(grid) - pooled)
     worst = int(np.argmax(gaps))
-    return LognormalCurve(
-        median=median, dispersion=dispersion, rising=rising, gap=float(gaps[worst]), gap_at=float(grid[worst])
-    )
+    return replace(curve, gap=float(gaps[worst]), gap_at=float(grid[worst]))
 
 
 def _logarithmic(centre: float, own: Array, evaluations: int) -> Estimate:

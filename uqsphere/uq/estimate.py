@@ -164,6 +164,17 @@ def from_replicates(
     return around(value, student(values.size) * error, error, method, evaluations)
 
 
+def ratio_of_means(numerators: Array, denominators: Array) -> tuple[Array, Array]:
+    """Ratio (...) of two means over replicates (R, ...), and the deviations (R, ...) of the linearised ratio.
+
+    The replicates' own ratios would each carry the bias of a ratio of few points.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scale = denominators.mean(axis=0)
+        value = numerators.mean(axis=0) / scale
+        return np.asarray(value), np.asarray((numerators - value * denominators) / scale)
+
+
 def corrected(rows: Array, gaps: Array) -> tuple[float, float]:
     """Answers (R,) of replicates less what the cheap model makes of the same points beside its truth, (R,): their mean
     and its standard error, with R - 1 degrees of freedom.

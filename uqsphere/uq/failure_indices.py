@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, absent, between, from_replicates, student
+from uqsphere.uq.estimate import Estimate, absent, between, from_replicates, ratio_of_means, student
 from uqsphere.uq.joint import Joint
 
 #: failures, in samples of equal weight, below which their inputs are not described: a dozen for each of 16 replicates,
@@ -50,9 +50,8 @@ class GivenFailure:
 
 def _ratio(numerators: Array, denominators: Array, method: str, evaluations: int) -> Estimate:
     """Ratio of two means over replicates (R,), with the interval of the linearised ratio."""
-    scale = float(denominators.mean())
-    value = float(numerators.mean()) / scale
-    return from_replicates(value + (numerators - value * denominators) / scale, method, evaluations, value)
+    value, off = ratio_of_means(numerators, denominators)
+    return from_replicates(value + off, method, evaluations, float(value))
 
 
 def indicator_indices(probabilities: Array) -> dict[str, list[Estimate]]:

@@ -2,7 +2,7 @@
 
 Scatter is what a law describes; ignorance is that its parameters come from n observations.  For laws with a location
 and a scale the parameters that the same tests allow follow from pivots (`families.standard`), with stopped tests
-among them from simulated series (`weibull`).  Gamma, beta, Student and triangular laws take the posterior of their
+among them from simulated series (`pivots`).  Gamma, beta, Student and triangular laws take the posterior of their
 parameters; a kernel density or a step function is made again from the observations drawn with repetition, which says
 too little in the tails.
 """

@@ -22,6 +22,10 @@ from uqsphere.uq.sample import Sample
 
 #: orders of the moments that are judged
 MEAN, VARIANCE = 1.0, 2.0
+#: least and largest number of rows that a growth is read off, and the share of all that are taken between them
+FEWEST, MOST, SHARE = 32, 512, 1.0 / 32.0
+#: the same where there are few rows: more than this share are no tail, and fewer than these show no growth
+FEW_SHARE, LEAST = 1.0 / 8.0, 8
 #: rows below which nothing is read off, and below which one that makes most of the variance says that it is not known
 UNREADABLE, FEW = 32, 1000
 #: share of the variance that one of few rows may make
@@ -156,8 +160,8 @@ def _slope(out: Array, away: Array) -> tuple[float, float]:
 
 
 def _far(rows: int) -> int:
-    """How many of so many rows are taken for a tail: twice their root, of few rows an eighth, and eight at least."""
-    return max(min(2 * math.isqrt(rows), rows // 8), 8)
+    """How many of so many rows are taken for a tail."""
+    return min(max(int(SHARE * rows), FEWEST), MOST, max(int(FEW_SHARE * rows), LEAST))
 
 
 def hill(outputs: Array) -> float:

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, Why, absent, around, corrected, from_replicates, student
+from uqsphere.uq.estimate import Estimate, Why, absent, around, corrected, from_replicates, ratio_of_means, student
 from uqsphere.uq.expansion import Chaos, germ_points, predict
 from uqsphere.uq.points import sobol_points
 
@@ -224,11 +224,8 @@ _SHOWN: Final = {
 
 def _rows(ratio: Ratio) -> Array:
     """Answers (R, m) of the replicates: the pooled ratio and the linearised deviation from it; nan where V is 0."""
-    numerator, denominator = ratio
-    scale = denominator.mean(axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        index = numerator.mean(axis=0) / scale
-        return np.asarray(index + (numerator - index * denominator) / scale)
+    index, off = ratio_of_means(*ratio)
+    return np.asarray(index + off)
 
 
 def _estimates(rows: Array, methods: Sequence[str], evaluations: int) -> list[Estimate]:
@@ -341,9 +338,7 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
     )  # fmt: skip
 
 
-def _helped(
-    y: Outputs, blocks: Blocks, surrogate: Surrogate | None, chosen: tuple[tuple[int, ...], tuple[int, ...]]
-) -> dict[str, list[Estimate]]:
+def _helped(y: Outputs, blocks: Blocks, surrogate: Surrogate | None, chosen: _Chosen) -> dict[str, list[Estimate]]:
     """The indices by order, corrected by a surrogate where there is one that varies."""
     answers = _answers(y, *chosen)
     known = None if surrogate is None else blocks.split(surrogate.outputs)
@@ -353,31 +348,23 @@ def _helped(
     truths = surrogate.indices
     if surrogate.many is not None:
         truths = {order: rows for order, (rows, _) in _answers(blocks.split(surrogate.many), *chosen).items()}
-    return _controlled(y, known, truths, answers, chosen)
-
-
-def _with_room(estimate: Estimate, room: float) -> Estimate:
-    """The interval with room for what is not normal about a ratio of few points."""
-    if estimate.value is None or estimate.std_error is None:
-        return estimate
-    half, error = room * estimate.half_width, room * estimate.std_error
-    return replace(estimate, low=estimate.value - half, high=estimate.value + half, std_error=error)
-
-
-def _controlled(
-    y: Outputs, known: Outputs, truths: Mapping[str, Array], answers: Mapping[str, _Answer], chosen: _Chosen
-) -> dict[str, list[Estimate]]:
-    """Estimates by order with the surrogate's answers, and what they should have been, as control variate."""
-    others = _answers(known, *chosen)
-    carriers = _carriers(y, known, chosen)
-    return {
-        order: [
-            _estimate(rows[:, j], others[order][0][:, j], truths[order][..., j], method, float(carriers[order][j]),
-                      y.evaluations)
-            for j, method in enumerate(methods)
+    others, carriers = _answers(known, *chosen), _carriers(y, known, chosen)
+    found: dict[str, list[Estimate]] = {}
+    for order, (rows, methods) in answers.items():
+        truth_of = truths.get(order, np.empty(0)).T
+        columns = zip(rows.T, others[order][0].T, truth_of, carriers[order], methods, strict=True)
+        found[order] = [
+            _estimate(own, other, truth, method, float(load), y.evaluations)
+            for own, other, truth, load, method in columns
         ]
-        for order, (rows, methods) in answers.items()
-    }  # fmt: skip
+    return found
+
+
+def _with_room(e: Estimate, room: float) -> Estimate:
+    """The interval with room for what is not normal about a ratio of few points."""
+    if e.value is None or e.std_error is None:
+        return e
+    return around(e.value, room * e.half_width, room * e.std_error, e.method, e.evaluations)
 
 
 def _estimate(rows: Array, others: Array, truth: Array, method: str, carriers: float, evaluations: int) -> Estimate:

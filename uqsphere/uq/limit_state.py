@@ -81,8 +81,8 @@ class LimitState:
         """Normal score (R, n) of the strength's own law, where that of P(strength < it | inputs) is `score`."""
         if self.tie is not None:
             known, last = self.tie.given.reshape(-1, self.tie.given.shape[-1]), self.tie.copula.size - 1
-            drawn = conditional_scores(self.tie.copula, range(last), known, score.reshape(-1, 1))
-            return drawn.reshape(score.shape)
+            near = np.clip(score, -FARTHEST, FARTHEST).reshape(-1, 1)
+            return conditional_scores(self.tie.copula, range(last), known, near).reshape(score.shape)
         return score if self.shift is None else self.shift + self.remaining_sd * score
 
 
@@ -177,8 +177,8 @@ def _estimate(state: LimitState, breaking: bool) -> Estimate:
         least_below, most_above = below, np.where(broken, 1.0, above) if bound else above
         sides = (least_above, most_below), (least_below, most_above)
         least, most = sides if breaking else sides[::-1]
-        low = _interval(*least, counts, resolution)[1]
-        high = _interval(*most[::-1], counts, resolution)[2]
+        low = _interval(least[0], least[1], counts, resolution)[1]
+        high = _interval(most[1], most[0], counts, resolution)[2]
         error = max(error, 0.5 * (high - low) / student(below.shape[0]))
         named = ["censored"] * bool(late.any()) + ["failed"] * bound
         method += f", interval widened for {' and '.join(named)} rows"

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, absent, from_replicates
+from uqsphere.uq.estimate import Estimate, absent, from_replicates, ratio_of_means
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.points import random_generator, sobol_points
 
@@ -199,8 +199,8 @@ def _closed(y: Array, z: Array, none: Array) -> tuple[float, Array]:
     numerator = (y * z).mean(axis=1)
     if float(numerator.mean()) < LARGE * scale:
         numerator = (y * (z - none)).mean(axis=1)
-    value = float(numerator.mean()) / scale
-    return value, (numerator - value * denominator) / scale
+    value, off = ratio_of_means(numerator, denominator)
+    return float(value), off
 
 
 def _aggregate(closed: dict[tuple[int, ...], tuple[float, Array]], d: int, i: int) -> tuple[float, Array]:
@@ -231,11 +231,5 @@ def _walk(design: SubsetDesign, outputs: Array, orders: Orders) -> list[tuple[fl
     left[:, :, d - 1] = np.take_along_axis(half, 2 * d - orders[:, :, d - 1 :], axis=2)[:, :, 0]
     falls = np.empty((replicates, n, d))
     np.put_along_axis(falls, orders, left[:, :, :-1] - left[:, :, 1:], axis=2)
-    variance = left[:, :, 0].mean(axis=1)
-    scale = float(variance.mean())
-    found = []
-    for i in range(d):
-        share = falls[:, :, i].mean(axis=1)
-        value = float(share.mean()) / scale
-        found.append((value, (share - value * variance) / scale))
-    return found
+    values, off = ratio_of_means(falls.mean(axis=1), left[:, :, :1].mean(axis=1))
+    return list(zip(values.tolist(), off.T, strict=True))

@@ -9,6 +9,7 @@ hold for them.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,11 +47,11 @@ def least_runs(coverage: float, confidence: float, *, order: int = 1, sides: int
     low, high = 0, max(2, order * sides)
     while attained_confidence(high, coverage, order=order, sides=sides) < confidence:
         low, high = high, 2 * high
-    while high - low > 1:
-        middle = (low + high) // 2
-        enough = attained_confidence(middle, coverage, order=order, sides=sides) >= confidence
-        low, high = (low, middle) if enough else (middle, high)
-    return high
+
+    def enough(runs: int) -> bool:
+        return attained_confidence(runs, coverage, order=order, sides=sides) >= confidence
+
+    return low + bisect_left(range(low, high), True, key=enough)
 
 
 def largest_order(runs: int, coverage: float, confidence: float, *, sides: int = 1) -> int:
@@ -60,12 +61,11 @@ def largest_order(runs: int, coverage: float, confidence: float, *, sides: int =
     (1, 0, 39)
     """
     _check(coverage, 1, sides)
-    low, high = 0, runs // sides + 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        enough = attained_confidence(runs, coverage, order=middle, sides=sides) >= confidence
-        low, high = (middle, high) if enough else (low, middle)
-    return low
+
+    def too_high(order: int) -> bool:
+        return attained_confidence(runs, coverage, order=order, sides=sides) < confidence
+
+    return bisect_left(range(1, runs // sides + 1), True, key=too_high)
 
 
 def _check(coverage: float, order: int, sides: int) -> None:

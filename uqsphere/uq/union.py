@@ -16,9 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags, special
-from uqsphere.uq.copulas import FARTHEST
 from uqsphere.uq.estimate import Estimate, between, logit_ends, none_of, student
-from uqsphere.uq.joint import conditional_scores
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.limit_state import LimitState, score_of, tails
 
@@ -193,15 +191,10 @@ def _strengths(state: LimitState, score: Array, pick: tuple[Index, Index]) -> Ar
     law = state.strength
     if not isinstance(law, Law):
         return np.full(score.shape, float(law))
-    if state.tie is not None:
-        given = state.tie.given[pick]
-        known = given.reshape(-1, given.shape[-1])
-        near = np.clip(score, -FARTHEST, FARTHEST).reshape(-1, 1)
-        last = state.tie.copula.size - 1
-        score = conditional_scores(state.tie.copula, range(last), known, near).reshape(score.shape)
-    elif state.shift is not None:
-        score = state.shift[pick] + state.remaining_sd * score
-    return np.asarray(law.from_normal(score))
+    shift = None if state.shift is None else state.shift[pick]
+    tie = None if state.tie is None else replace(state.tie, given=state.tie.given[pick])
+    there = replace(state, demands=state.demands[pick], shift=shift, tie=tie, censored=None, failed=None)
+    return law.from_normal(there.score_drawn(score))
 
 
 # --- estimates over those samples ---------------------------------------------------------------------

@@ -60,7 +60,11 @@ def _from_score(table: CubicHermiteSpline, score: Array) -> Array:
     near = np.clip(score, scores[0], scores[-1])
     cell = np.clip(np.searchsorted(scores, near) - 1, 0, scores.size - 2)
     ends = table.x[cell], table.x[cell + 1]
-    solved = elementwise.find_root(lambda x, wanted: table(x) - wanted, ends, args=(near,), tolerances={"fatol": 1e-13})
+
+    def gap(x: Array, wanted: Array) -> Array:
+        return np.asarray(table(x) - wanted)
+
+    solved = elementwise.find_root(gap, ends, args=(near,), tolerances={"fatol": 1e-13})
     # in a gap between observations the score does not rise at all
     found = np.where(solved.success, solved.x, np.where(near > scores[cell], ends[1], ends[0]))
     if np.any(beyond := score != near):

@@ -433,8 +433,9 @@ def find_probability(limit: LimitFunction, *, seed: int, accuracy: float = 0.015
 
 def _noted(method: str, evaluations: int, estimate: Estimate) -> list[tuple[str, int, float]]:
     """What a method has reached after so many evaluations, if it has an interval."""
-    reached = estimate.value and math.isfinite(estimate.half_width)
-    return [(method, evaluations, estimate.half_width / estimate.value)] if reached else []
+    if not estimate.value or not math.isfinite(estimate.half_width):
+        return []
+    return [(method, evaluations, estimate.half_width / estimate.value)]
 
 
 def _look_around(evaluator: Evaluator, pool: Pool, seed: int) -> Array | None:
@@ -502,7 +503,7 @@ def _cover(evaluator: Evaluator, pool: Pool, mixture: Mixture, subset: SubsetAns
 def _sample(evaluator: Evaluator, mixture: Mixture, seed: int, accuracy: float) -> ImportanceAnswer:
     """The answer from what is left, but for the evaluations that tell the parts of the failure domain apart."""
     room = evaluator.left - int(min(FOR_MODES, 0.05 * evaluator.budget))
-    block = 256
+    block = 256 if evaluator.left > 10_000 else 128
     while block > LEAST_BLOCK and REPLICATES * block > room:
         block //= 2
     return importance_sampling(evaluator, defended(mixture), most=room, seed=seed, accuracy=accuracy, block=block)

@@ -68,10 +68,11 @@ def _search_rounds(
 ) -> None:
     """Add what each round finds, up to `most` evaluations in all; a round that finds nothing new is the last."""
     for turn in range(rounds):
-        begin = first if turn == 0 else _around(found, evaluator.size)
         bulges = [point.point for point in found if point.converged]
         if turn and not bulges:
             return
+        # later ones begin at the origin and at the mirror images of the points that are known
+        begin = np.concatenate([np.zeros((1, evaluator.size)), -np.array(bulges[:3])]) if turn else first
         searched = _search(evaluator, begin, scale, sign, bulges, most - evaluator.count)
         fresh = [p for p in searched if _new(p, found)]
         found += _distinct(fresh)
@@ -136,16 +137,10 @@ def _starts(size: int, seed: int) -> Array:
 def _scale(evaluator: Evaluator, origin: float, starts: Array) -> float:
     """A typical size of g: its value at the origin, or its spread over the starts where that is larger."""
     looked = evaluator.hard(starts)
-    known = np.append(looked[np.isfinite(looked)], origin) if math.isfinite(origin) else looked[np.isfinite(looked)]
-    if not known.size or float(np.ptp(known)) == 0.0:
-        return 0.0
-    return max(abs(origin) if math.isfinite(origin) else 0.0, float(np.ptp(known)))
-
-
-def _around(found: Sequence[DesignPoint], size: int) -> Array:
-    """Starts of a further round: the origin and the mirror images of the points that are known."""
-    known = [point.point for point in found if point.converged]
-    return np.concatenate([np.zeros((1, size)), -np.array(known[:3])]) if known else np.zeros((1, size))
+    known = np.append(looked, origin)
+    known = known[np.isfinite(known)]
+    spread = float(np.ptp(known)) if known.size else 0.0
+    return max(abs(origin) if math.isfinite(origin) else 0.0, spread) if spread else 0.0
 
 
 def _bulged(evaluator: Evaluator, bulges: Sequence[Array], scale: float) -> Callable[[Array], tuple[Array, Array]]:

@@ -600,10 +600,9 @@ def _one_block(
     mass = evaluator.mass(evaluator.values(points))
     ratio = np.exp(log_normal_density(points) - log_density(mixture, points))
     lost = np.isnan(mass)
-    weights = np.where(lost, 0.0, mass) * ratio
-    return tuple(
-        rows.reshape(REPLICATES, -1, *rows.shape[1:]) for rows in (weights, np.where(lost, ratio, 0.0), points)
-    )
+    weights, failed = np.where(lost, 0.0, mass) * ratio, np.where(lost, ratio, 0.0)
+    shape = (REPLICATES, -1)
+    return weights.reshape(shape), failed.reshape(shape), points.reshape(*shape, points.shape[1])
 
 
 def _estimate(table: _Drawn, evaluations: int, smooth: bool) -> Estimate:
