@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from pydantic import Field
@@ -246,7 +246,7 @@ def answer(mean: Array, lots: Array | None = None, particles: float | None = Non
     return Answer.model_validate(found)
 
 
-def _finding(mean: Outcome, lots: Outcome | None, feed: Feed, missing: str) -> dict[str, Answer]:
+def _finding(mean: Outcome, lots: Outcome | None, feed: Feed, missing: str) -> dict[str, Any]:
     def one(name: str, *, product: bool = False) -> Answer:
         of_lots = None if lots is None else getattr(lots, name)
         return answer(getattr(mean, name), of_lots, reason=missing if product else "")
