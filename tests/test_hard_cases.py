@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from test_kernel import scaled_scene
 
-from uqsphere.bench import rivals
-from uqsphere.bench.rivals import scattered_scene
+from uqsphere.bench import rivals, scattered_scene
 from uqsphere.mechanics.integrator.solve import solve
 from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
 

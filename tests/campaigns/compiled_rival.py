@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.bench.rivals import AFTER, scattered_scene
+from uqsphere.bench import AFTER, scattered_scene
 from uqsphere.mechanics.integrator.solve import scaled_arguments
 from uqsphere.mechanics.scene import Scene
 
