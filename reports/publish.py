@@ -85,7 +85,7 @@ def publish(out: Path, names: Iterable[str] | None = None, notice: Callable[[str
 
 
 def _benchmark(folder: Path) -> Path:
-    from uqsphere.bench.measure import run_bench
+    from uqsphere.bench import run_bench
 
     shutil.rmtree(folder, ignore_errors=True)  # files of another machine are no outputs of this one
     run_bench(folder, quick=True, notice=lambda text: None)

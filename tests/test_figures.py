@@ -27,8 +27,12 @@ from uqsphere.mechanics.history import view_field
 from uqsphere.report import history_figure, xt_figure
 from uqsphere.report.contents import read_contents
 from uqsphere.report.figures.canvas import Picture, inline, render, style
-from uqsphere.report.figures.convergence import convergence_figure, speed_figure
-from uqsphere.report.figures.distributions import distribution_figure, group_figure, sensitivity_figure
+from uqsphere.report.figures.distributions import (
+    convergence_figure,
+    distribution_figure,
+    sensitivity_figure,
+    speed_figure,
+)
 from uqsphere.report.figures.fragility import fragility_figure
 from uqsphere.report.figures.history import draw_forces, draw_gauges, force_rows, wave_forces
 from uqsphere.report.figures.scene import draw_field, force_band_figure
@@ -46,7 +50,6 @@ DRAWINGS: dict[str, Callable[[Any], Picture | None]] = {
     "fragility": lambda c: fragility_figure(c, next(iter(c.results.limits))),
     "convergence": convergence_figure,
     "speed": speed_figure,
-    "groups": lambda c: group_figure(c, next(iter(c.results.quantities))),
     "force band": force_band_figure,
 }
 

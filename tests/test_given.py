@@ -13,11 +13,11 @@ import pytest
 from report_folders import html_errors
 from scipy import stats
 
+import uqsphere.given as analysis
 from uqsphere.arrays import Array
 from uqsphere.cli import main
 from uqsphere.errors import UsageError
-from uqsphere.given import Data, analyse_runs, analysis, known_laws, read_data
-from uqsphere.given.analysis import combinations, quantile_interval
+from uqsphere.given import Data, analyse_runs, combinations, known_laws, quantile_interval, read_data
 from uqsphere.given.answers import (
     _answer,
     left_open,

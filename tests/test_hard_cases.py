@@ -7,7 +7,7 @@ import pytest
 from scenes import example as scene_with
 from test_kernel import scaled_scene
 
-from uqsphere.bench.rivals import scattered_scene
+from uqsphere.bench import scattered_scene
 from uqsphere.mechanics.integrator.solve import solve
 from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
 

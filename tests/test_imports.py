@@ -132,7 +132,7 @@ except UsageError as error:
 
 
 def test_doctor_says_what_a_system_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
-    from uqsphere.cli.doctor import examine
+    from uqsphere.cli.data import examine
 
     monkeypatch.setattr("uqsphere.runner.results.versions", lambda: {"numpy": "2.0", "chaospy": "missing"})
     for name, said in (("linux", "apt install gcc"), ("darwin", "xcode-select"), ("win32", "winget"), ("aix", "one")):

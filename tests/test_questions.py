@@ -15,7 +15,7 @@ from conftest import SUM
 
 import uqsphere
 from uqsphere.report.contents import read_contents
-from uqsphere.report.figures.convergence import error_series
+from uqsphere.report.figures.distributions import error_series
 from uqsphere.report.figures.fragility import family_table
 from uqsphere.report.tables import accuracy_table
 from uqsphere.runner.finished import Run

@@ -285,7 +285,7 @@ def test_a_record_drives_the_model_as_its_ideal_pulse_does(tmp_path: Path) -> No
 
 
 def test_the_integrators_follow_the_cubics_alike(tmp_path: Path) -> None:
-    from uqsphere.bench.rivals import solve_scipy
+    from uqsphere.bench import solve_scipy
     from uqsphere.mechanics.integrator.solve import solve
     from uqsphere.model import scene_of
 

@@ -157,35 +157,23 @@ def _lines(text: str, width: int) -> list[str]:
     return lines
 
 
-def _shrunk(
-    header: Sequence[str], rows: Sequence[Sequence[str]], widths: list[int], width: int, named: bool
-) -> list[int]:
-    """Widths of columns that fit side by side: headers give way first, then words, then numbers; the widest first."""
+def _shrink(header: Sequence[str], rows: Sequence[Sequence[str]], widths: list[int], width: int, named: bool) -> None:
+    """Make columns fit side by side: headers give way first, then words, then numbers; the widest first."""
     every = list(range(len(widths)))
     names = [k for k in every[int(named) :] if not any(_NUMBER.match(row[k]) for row in rows)]
     words = [max(map(len, title.split()), default=0) for title in header]
     content = [max([words[k], *(len(row[k]) for row in rows)]) for k in every]
-    numbers = [min(content[k], _longest_number(row[k] for row in rows)) for k in every]
+    parts = [[word for row in rows for word in row[k].split() if _NUMBER.match(word)] for k in every]
+    numbers = [min(content[k], max([_LEAST, *map(len, parts[k])])) for k in every]
     least = [min(c, _LEAST) for c in content]
     steps = [(every, content), (names, [min(c, _NAME) for c in content]), (names, least if named else content)]
     # a number is not parted, unless nothing else is left
     for columns, floor in (*steps, (every[int(named) :], numbers), (every, least)):
-        _give_way(widths, columns, floor, width - 2 * (len(widths) - 1))
-    return widths
-
-
-def _give_way(widths: list[int], columns: Sequence[int], floor: Sequence[int], room: int) -> None:
-    """Make some columns narrower, the widest first and none below its floor, until all fit into the room."""
-    while sum(widths) > room:
-        wide = [k for k in columns if widths[k] > floor[k]]
-        if not wide:
-            break
-        widths[max(wide, key=lambda k: widths[k])] -= 1
-
-
-def _longest_number(cells: Iterable[str]) -> int:
-    """Columns of the longest number in some cells, which no column of numbers goes below."""
-    return max([_LEAST, *(len(word) for cell in cells for word in cell.split() if _NUMBER.match(word))])
+        while sum(widths) > width - 2 * (len(widths) - 1):
+            wide = [k for k in columns if widths[k] > floor[k]]
+            if not wide:
+                break
+            widths[max(wide, key=lambda k: widths[k])] -= 1
 
 
 def table(
@@ -213,7 +201,7 @@ def table(
     inner = [len(margin), *([0] * (len(titles) - 1))]
     widths = [max([len(title), *(len(row[k]) + inner[k] for row in cells)]) for k, title in enumerate(titles)]
     if width is not None:
-        widths = _shrunk(titles, [[margin + row[0], *row[1:]] for row in cells], widths, width, named)
+        _shrink(titles, [[margin + row[0], *row[1:]] for row in cells], widths, width, named)
     lines = _set(titles, widths, "")
     for row in rows:
         if isinstance(row, str):
@@ -243,29 +231,6 @@ def writable(text: str) -> str:
     except (UnicodeEncodeError, LookupError):
         return _POWER.sub(lambda m: f"e{m[1].translate(_DIGITS)}", text).translate(_PLAIN)
     return text
-
-
-def bar(share: float, width: int = 20) -> str:
-    """A bar of eighths of a character, `share` of `width` long; `#` where the terminal has no such signs.
-
-    >>> len(bar(0.5, 4)), bar(0.0, 4)
-    (4, '    ')
-    """
-    share = min(max(share, 0.0), 1.0)
-    if not _draws_blocks():
-        return ("#" * round(share * width)).ljust(width)
-    eighths = round(share * width * 8)
-    text = "█" * (eighths // 8) + ("" if eighths % 8 == 0 else "▏▎▍▌▋▊▉"[eighths % 8 - 1])
-    return text.ljust(width)
-
-
-def _draws_blocks() -> bool:
-    """Whether stdout can be written the signs of a bar."""
-    try:
-        "█▏".encode(getattr(sys.stdout, "encoding", None) or "ascii")
-    except (UnicodeEncodeError, LookupError):
-        return False
-    return True
 
 
 def say(text: str) -> None:

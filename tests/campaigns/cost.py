@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from uqsphere.bench.rivals import bench_scenes, scattered_scene
+from uqsphere.bench import bench_scenes, scattered_scene
 from uqsphere.mechanics.integrator.solve import integrate
 from uqsphere.mechanics.scene import Scene
 

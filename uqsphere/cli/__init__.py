@@ -84,25 +84,25 @@ COMMANDS: Final = {
         *_STUDY, _path("--out", "DIR", "write history.csv and the figures here"),
     )),
     # --- that look at the folder of a run
-    "report": Command("build the report again from what is stored", "folders", (
+    "report": Command("build the report again from what is stored", "run", (
         _FOLDER,
         _flag("--pdf", "also as report.pdf (needs the extra: uqsphere[pdf])"),
         _flag("--brief", "the one sheet alone, as brief.html (with --pdf as brief.pdf)"),
         _flag("--full", "with --pdf: methods, tables and words in print too"),
     )),
-    "show": Command("the answers of a run as a table", "folders", (_FOLDER,)),
-    "export": Command("samples and tables of a run in another format", "folders", (
+    "show": Command("the answers of a run as a table", "run", (_FOLDER,)),
+    "export": Command("samples and tables of a run in another format", "run", (
         _FOLDER,
         _word("--format", None, required=True, choices=("csv", "parquet", "json")),
         _path("--out", "DIR", "where to write (default: DIR/export)"),
     )),
-    "verify": Command("checksums of everything stored, and some of it evaluated again", "folders", (
+    "verify": Command("checksums of everything stored, and some of it evaluated again", "run", (
         _FOLDER,
         _word("--chunks", "N", "chunks to evaluate again (default 3)", type=int, default=3),
         _word("--seed", None, "which of them (default 0)", type=int, default=0),
         _word("--model", _MODEL, "the model of a black box; THIS RUNS THE FILE"),
     )),
-    "compare": Command("two runs side by side: what changed, by how much, and whether that is significant", "folders", (
+    "compare": Command("two runs side by side: what changed, by how much, and whether that is significant", "run", (
         _path("before", "DIR"), _path("after", "DIR"), _path("--out", "FILE.html", "write a page with figures"),
     )),
     # --- that begin with data, or with the design of a test
@@ -145,7 +145,7 @@ COMMANDS: Final = {
         _word("--gain-sd", "SD", "of each gauge, relative (default 0.01)", type=float, default=0.01),
         _path("--out", "DIR", "write tables and figures here"),
     )),
-    "fit-contact": Command("onset, hardness and pile-up from a slow test on a sphere between two platens", "contact", (
+    "fit-contact": Command("onset, hardness and pile-up from a slow test on a sphere between two platens", "records", (
         _path("record", "FILE.csv", "displacement and force, loaded and let go"),
         _word("--diameter", "LENGTH", 'of the sphere, such as "20 mm"', required=True),
         _word("--platens", "NAME", "a material of bars or plates, or rigid; E of the sphere follows", default="rigid"),
@@ -208,7 +208,7 @@ COMMANDS: Final = {
         *_STUDY, _word("--port", None, "where it listens (default: 4242)", type=int, default=4242),
     )),
     "schema": Command("print the JSON schema of study files, for editors", "studies", ()),
-    "doctor": Command("check this installation", "doctor", ()),
+    "doctor": Command("check this installation", "data", ()),
 }  # fmt: skip
 
 

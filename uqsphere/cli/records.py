@@ -1,5 +1,5 @@
-"""What the records of tests say, for the command line: the pulse of one gauge, forces from two bars, a folder of tests,
-a calibration shot."""
+"""What tests say, for the command line: the pulse of one gauge, forces from two bars, a folder of tests, a calibration
+shot, and the law of a contact that yields, from a slow test on a sphere between two platens."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Final, Protocol
 from uqsphere.cli.studies import number_of
 from uqsphere.console import answer, plain, table
 from uqsphere.errors import UsageError
-from uqsphere.quantities import format_value
 
 if TYPE_CHECKING:
     from uqsphere.records.inverse import Rig
     from uqsphere.records.laboratory import Calibration, Reading
+    from uqsphere.records.loading import ContactFit
     from uqsphere.records.pulse import Bar
     from uqsphere.records.record import Record, Wiring
     from uqsphere.study import Study
@@ -44,12 +44,10 @@ _MOST, _NOTES = 1000, 12
 
 
 def _window(text: str | None) -> tuple[float | None, float | None]:
-    if text is None:
-        return None, None
-    parts = text.split(",")
-    if len(parts) != 2:
+    parts = [] if text is None else text.split(",")
+    if len(parts) not in (0, 2):
         raise UsageError(f'--window takes begin and end, such as "100 us,420 us", found {text!r}')
-    begin, end = (number_of(part, "time", "--window") for part in parts)
+    begin, end = (number_of(part, "time", "--window") for part in parts) if parts else (None, None)
     return begin, end
 
 
@@ -99,9 +97,9 @@ def command_records(chosen: argparse.Namespace) -> int:
     if study is not None and study.black_box:
         raise UsageError("records need a scene with sphere and bars; this study is a black box")
     if chosen.pdf:
-        from uqsphere.report.page import check_pdf
+        from uqsphere.report.lab import check_paper
 
-        check_pdf()
+        check_paper()
     path = chosen.record
     if chosen.beside and (path.is_dir() or chosen.calibration is not None):
         raise UsageError("--with adds channels to one record: it goes with no folder and no --calibration")
@@ -111,11 +109,15 @@ def command_records(chosen: argparse.Namespace) -> int:
             return _folder(chosen, study, shot)
         said = _said(chosen, path, study, shot)
     written = _write(chosen.out, said.files()) if chosen.out is not None else []
-    if not chosen.json:
-        more = len(said.notes) - _NOTES
-        notes = [*said.notes[:_NOTES], *[f"and {more} more, in --json and on the sheet"] * (more > 0)]
-        print("".join(f"note: {plain(note)}\n" for note in notes), end="", file=sys.stderr)
+    more = len(said.notes) - _NOTES
+    _note(chosen, [*said.notes[:_NOTES], *[f"and {more} more, in --json and on the sheet"] * (more > 0)])
     return answer(chosen, {**said.content, "written": written}, lambda: table(said.header, said.rows), written)
+
+
+def _note(chosen: argparse.Namespace, notes: Sequence[str]) -> None:
+    """Notes on stderr, where the answer is no document that has them."""
+    if not chosen.json:
+        print("".join(f"note: {plain(note)}\n" for note in notes), end="", file=sys.stderr)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -258,7 +260,7 @@ def _pulse(chosen: argparse.Namespace, path: Path, record: Record, study: Study 
         ("noise of each mode of the pulse", f"{pulse.noise:.2g} of its peak"),
     ]
     if speed is not None:
-        rows.append(("striker speed that it stands for", format_value(speed, "striker.speed")))
+        rows.append(("striker speed that it stands for", f"{speed:.4g} m/s"))
 
     def files() -> dict[str, str | bytes]:
         from uqsphere.report.lab import pulse_figure
@@ -303,7 +305,7 @@ def _test(chosen: argparse.Namespace, path: Path, record: Record, study: Study, 
     header = ("what", "value", "95 % interval")
 
     def files() -> dict[str, str | bytes]:
-        from uqsphere.report.lab import forces_figure, lab_sheet, pulse_figure
+        from uqsphere.report.lab import forces_figure, lab_sheet, printed, pulse_figure
         from uqsphere.store import csv_text
 
         force = read.forces
@@ -322,15 +324,9 @@ def _test(chosen: argparse.Namespace, path: Path, record: Record, study: Study, 
         page = lab_sheet(path.name, header, rows, notes, figures)
         found: dict[str, str | bytes] = {"forces.csv": csv_text(names, lines), "forces.svg": figures[0],
                                          "record.svg": figures[1], "sheet.html": page}  # fmt: skip
-        return {**found, **({"sheet.pdf": _paper(page)} if chosen.pdf else {})}
+        return {**found, **({"sheet.pdf": printed(page)} if chosen.pdf else {})}
 
     return _Said(content=content, notes=notes, header=header, rows=rows, files=files)
-
-
-def _paper(page: str) -> bytes:
-    from uqsphere.report.page import typeset
-
-    return bytes(typeset(page, "").write_pdf())
 
 
 def three(found: Found) -> Sequence[float]:
@@ -340,6 +336,12 @@ def three(found: Found) -> Sequence[float]:
 
 def ends(numbers: Sequence[float]) -> dict[str, float]:
     return dict(zip(("value", "low", "high"), numbers, strict=True))
+
+
+def _young(reduced: Sequence[float], soft: float, nu: float) -> list[float] | None:
+    """E of the sphere (Pa) by reduced moduli and the compliance `soft` [1/Pa] of what it is pressed with."""
+    rest = [1.0 / modulus - soft for modulus in reduced]
+    return [(1.0 - nu**2) / compliance for compliance in rest] if min(rest) > 0.0 else None
 
 
 def number_row(what: str, unit: str, factor: float, numbers: Sequence[float]) -> tuple[str, ...]:
@@ -389,12 +391,8 @@ def _of_the_sphere(read: Reading, columns: Mapping[str, float]) -> tuple[dict[st
     stiff, end = found.stiffness, found.departure
     reduced = (stiff.modulus, stiff.low, stiff.high)
     rows = [number_row("reduced modulus E*", "GPa", 1e-9, reduced)]
-    bar = (1.0 - columns["bars.nu"] ** 2) / columns["bars.E"]
-    rest = [1.0 / value - bar for value in reduced]
-    modulus = None
-    if min(rest) > 0.0:
-        young = [(1.0 - columns["sphere.nu"] ** 2) / value for value in rest]
-        modulus = ends(young)
+    young = _young(reduced, (1.0 - columns["bars.nu"] ** 2) / columns["bars.E"], columns["sphere.nu"])
+    if young is not None:
         rows.append(number_row("E of the sphere that gives it", "GPa", 1e-9, young))
     rows.append(("misfit over noise", f"{stiff.misfit:.3g}", ""))
     departure = None
@@ -412,7 +410,8 @@ def _of_the_sphere(read: Reading, columns: Mapping[str, float]) -> tuple[dict[st
         }  # fmt: skip
     return {
         "reduced_modulus": {**ends(reduced), "std_error": stiff.std_error},
-        "sphere_modulus": modulus, "gains": {"incident": stiff.gain_a, "receiving": stiff.gain_b},
+        "sphere_modulus": None if young is None else ends(young),
+        "gains": {"incident": stiff.gain_a, "receiving": stiff.gain_b},
         "misfit": stiff.misfit, "elastic_throughout": found.held, "departure": departure,
     }, rows  # fmt: skip
 
@@ -484,3 +483,60 @@ def _line(content: Mapping[str, object]) -> tuple[list[object], tuple[str, ...]]
     said = [f"doubted: {doubts}"] * bool(doubts) + [f"{mended} samples or stretches mended"] * bool(mended)
     value = f"{peak['value'] * 1e-3:.4g} kN ({peak['low'] * 1e-3:.4g} to {peak['high'] * 1e-3:.4g})"
     return line, (str(content["file"]), value, "; ".join(said))
+
+
+def command_fit_contact(chosen: argparse.Namespace) -> int:
+    """Onset, hardness and pile-up of a slow test, as the lines of a study."""
+    from uqsphere.materials import library
+    from uqsphere.mechanics.yielding import metal_onset
+    from uqsphere.records.loading import fit_contact, read_loading
+
+    diameter = number_of(chosen.diameter, "length", "--diameter", above=0.0)
+    machine = chosen.machine_stiffness
+    stiffness = math.inf if machine is None else number_of(machine, "stiffness", "--machine-stiffness", above=0.0)
+    if not 0.0 <= chosen.nu < 0.5:
+        raise UsageError(f"--nu {chosen.nu:g}: it lies from 0 to below 0.5")
+    if chosen.pile_up is not None and not 1.0 <= chosen.pile_up <= 3.0:
+        raise UsageError(f"--pile-up {chosen.pile_up:g}: it lies from 1 to 3")
+    known = {**library()["bars"], **library()["plates"]}
+    if chosen.platens != "rigid" and chosen.platens not in known:
+        raise UsageError(f"--platens: found {chosen.platens!r}, allowed: rigid, {', '.join(known)}")
+    with reading(chosen.record):
+        units = (chosen.displacement_unit, chosen.force_unit)
+        loading = read_loading(chosen.record, columns=columns_named(chosen), units=units)
+        fit = fit_contact(loading, diameter=diameter, compliance=1.0 / stiffness, pile_up=chosen.pile_up)
+    notes, soft = list(loading.notes), 0.0
+    if chosen.platens != "rigid":
+        bar = {key: entry.value for key, entry in known[chosen.platens].properties.items()}
+        soft = (1.0 - bar["nu"] ** 2) / bar["E"]
+        onset = float(metal_onset(bar.get("yield_strength", math.inf), bar["nu"]))
+        if fit.onset.high > onset / 1.3:
+            notes.append(f"the platens yield from {onset / 1e9:.3g} GPa on: what was fitted may be theirs")
+    return _answer_fit(chosen, fit, soft, notes)
+
+
+def _answer_fit(chosen: argparse.Namespace, fit: ContactFit, soft: float, notes: list[str]) -> int:
+    """The numbers of a fit with their intervals; `soft` [1/Pa] is what the platens add to the compliance."""
+    named = {"onset_pressure": fit.onset, "hardness": fit.hardness, "pile_up": fit.pile_up}
+    young = _young(three(fit.modulus), soft, chosen.nu)
+    document = {
+        "kind": "contact", "file": chosen.record.name, **{name: ends(three(part)) for name, part in named.items()},
+        "reduced_modulus": ends(three(fit.modulus)), "sphere_modulus": None if young is None else ends(young),
+        "depth": fit.depth, "dent": fit.dent, "misfit": fit.misfit, "samples": fit.samples, "notes": notes,
+    }  # fmt: skip
+    if chosen.pile_up is None and fit.hardness.high - fit.hardness.low > fit.hardness.value:
+        notes.append("the test hardly tells hardness from pile-up: --pile-up narrows the hardness (2 where a sphere "
+                     "crushes, 2.667 where a metal flows)")  # fmt: skip
+    _note(chosen, notes)
+    rows = [
+        number_row("onset pressure", "GPa", 1e-9, three(fit.onset)),
+        number_row("hardness", "GPa", 1e-9, three(fit.hardness)),
+        number_row("pile-up", "", 1.0, three(fit.pile_up)),
+        number_row("reduced modulus E*", "GPa", 1e-9, three(fit.modulus)),
+        *([] if young is None else [number_row("E of the sphere that gives it", "GPa", 1e-9, young)]),
+        ("pressed to, over first yield", f"{fit.depth:.3g}", ""), ("dent", f"{1e6 * fit.dent:.3g} um", ""),
+        ("misfit of the displacement", f"{1e6 * fit.misfit:.2g} um", f"{fit.samples} samples"),
+    ]  # fmt: skip
+    lines = ["", "[contact]", 'law = "plastic"', f'onset_pressure = "{fit.onset.value / 1e9:.4g} GPa"',
+             f'hardness = "{fit.hardness.value / 1e9:.4g} GPa"', f"pile_up = {fit.pile_up.value:.4g}"]  # fmt: skip
+    return answer(chosen, document, "\n".join([table(("what", "value", "95 % interval"), rows), *lines]))

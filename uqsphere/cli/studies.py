@@ -33,10 +33,7 @@ _LONGEST: Final = 60
 def number_of(text: str, dimension: str, option: str, *, unit: str = "", above: float | None = None) -> float:
     """The value of an option in SI; a bare number has the `unit`.
 
-    Raises
-    ------
-    UsageError
-        Where it is none of that dimension, or not above a number.
+    Raises UsageError where it is none of that dimension, or not above a number.
     """
     bare = False
     with contextlib.suppress(ValueError):
@@ -211,10 +208,7 @@ def server_of(study: Study, port: int) -> ThreadingHTTPServer:
     One vector of inputs (SI, order of `inputs_of`) gives one vector of outputs (SI, order of the study's
     `analysis.quantities`); a request's config may have `fidelity` and `tolerance`.
 
-    Raises
-    ------
-    UsageError
-        For a study without inputs that scatter or of a black box, and for a port that is taken.
+    Raises UsageError for a study without inputs that scatter or of a black box, and for a port that is taken.
     """
     from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 

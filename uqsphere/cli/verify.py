@@ -86,12 +86,8 @@ def verify_folder(folder: Path, *, chunks: int = 3, seed: int = 0, model: str | 
     seed : which ones.
     model : "FILE.py:FUNCTION" of a black-box study; without it nothing of such a study is evaluated again.
 
-    Raises
-    ------
-    FolderError
-        When the folder is no result folder at all.
-    UsageError
-        For a model that is not the one of the run.
+    Raises FolderError when the folder is no result folder at all, and UsageError for a model that is not the one of
+    the run.
     """
     if not folder.is_dir():
         raise FolderError(f"{folder} is not a result folder")

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -181,18 +182,18 @@ def odd_pairs(inputs: Joint, scores: Array) -> list[tuple[str, str, str]]:
     n = len(scores)
     found = []
     for columns, copula in inputs.blocks():
-        for one, i in enumerate(columns):
-            for j in columns[one + 1 :]:
-                if isinstance(copula, Elliptical) and copula.correlation[one, columns.index(j)] == 0.0:
-                    continue
-                pair = scores[:, [i, j]]
-                if isinstance(copula, Archimedean):
-                    pair = independent_scores(copula.among([one, columns.index(j)]), pair)
-                a, b = (pair - pair.mean(axis=0)).T
-                r = float(np.corrcoef(a, b)[0, 1])
-                squares = float(np.corrcoef(a * a, b * b)[0, 1])
-                if abs(squares - r * r) > 3.5 * math.sqrt((1.0 + 10.0 * r * r) / n):
-                    found.append((inputs.names[i], inputs.names[j], copula.label))
+        for one, other in combinations(range(len(columns)), 2):
+            if isinstance(copula, Elliptical) and copula.correlation[one, other] == 0.0:
+                continue
+            i, j = columns[one], columns[other]
+            pair = scores[:, [i, j]]
+            if isinstance(copula, Archimedean):
+                pair = independent_scores(copula.among([one, other]), pair)
+            a, b = (pair - pair.mean(axis=0)).T
+            r = float(np.corrcoef(a, b)[0, 1])
+            squares = float(np.corrcoef(a * a, b * b)[0, 1])
+            if abs(squares - r * r) > 3.5 * math.sqrt((1.0 + 10.0 * r * r) / n):
+                found.append((inputs.names[i], inputs.names[j], copula.label))
     return found
 
 
@@ -235,11 +236,8 @@ def _moved(response: Response, inputs: Joint, left_open: LeftOpen | None, seed: 
     halves = points[:, :d], points[:, d:]
     tied = inputs.dependent
     found = []
-    for which in (-1, *_numbers(left_open)):
-        if tied:
-            scores = _under(inputs, left_open, which).scores(np.concatenate(halves))
-        else:
-            scores = blocks.mix(*halves).reshape(-1, d)
+    for which, under in ((-1, inputs), *enumerate(left_open.inputs)):
+        scores = under.scores(np.concatenate(halves)) if tied else blocks.mix(*halves).reshape(-1, d)
         found.append(values(scores, which).reshape(-1, 1 if tied else d + 2))
     return found
 
@@ -275,19 +273,11 @@ def _going_on(response: Response, points: Array, ends: Array) -> Array:
     return values
 
 
-def _under(inputs: Joint, left_open: LeftOpen | None, which: int | None) -> Joint:
-    return inputs if which is None or which < 0 or left_open is None else left_open.inputs[which]
-
-
 @lru_cache(maxsize=64)
 def _drawn(dimension: int, count: int, replicate: int, what: str, seed: int) -> Array:
     """Independent normal scores (count, dimension) of one randomisation; the same for every output."""
     points = sobol_points(dimension=dimension, count=count, seed=seed, task=f"given: {what}", replicate=replicate)
     return np.asarray(ndtri(points))
-
-
-def _numbers(left_open: LeftOpen | None) -> range:
-    return range(0 if left_open is None else len(left_open.inputs))
 
 
 def _answer(
@@ -348,12 +338,11 @@ def _statistics(
     for k, (name, estimate) in enumerate(estimates):
         told_so = rows[1:, k].tolist() if rows.size else []
         value = rows[0, k] if rows.size else 0.0
-        if name in ("mean", "sd"):
-            within, way = ((0.0, math.inf), "factors") if name == "sd" else ((-math.inf, math.inf), "steps")
-            found[name] = _answer(estimate, told_so, value, within, way=way)
-        else:
-            lean = leaning(rows[:, k], rows[:, 0]) if rows.size else (0.0, 0.0)
-            found[name] = _answer(estimate, told_so, value, (-math.inf, math.inf), lean=lean, copulas=copulas)
+        within, way = ((0.0, math.inf), "factors") if name == "sd" else ((-math.inf, math.inf), "steps")
+        quantile = k > 1
+        lean = leaning(rows[:, k], rows[:, 0]) if rows.size and quantile else (0.0, 0.0)
+        kinds = copulas if quantile else ()
+        found[name] = _answer(estimate, told_so, value, within, way=way, lean=lean, copulas=kinds)
     return found
 
 
@@ -385,8 +374,7 @@ def variance_shares(response: Response, inputs: Joint, left_open: LeftOpen | Non
     name = f"given: subsets {task}"
     count = BLOCK * (min(max(_SHARED_ROWS // design.rows, _SHARED[0]), _SHARED[1]) // BLOCK)
 
-    def asked(which: int | None, replicates: int) -> dict[str, list[Estimate]]:
-        under = _under(inputs, left_open, which)
+    def asked(under: Joint, which: int | None, replicates: int) -> dict[str, list[Estimate]]:
         outputs, orders = [], []
         for replicate in range(replicates):
             scores = subset_scores(design, under, count=count, seed=seed, task=name, replicate=replicate)
@@ -397,10 +385,10 @@ def variance_shares(response: Response, inputs: Joint, left_open: LeftOpen | Non
         order = None if design.exact else np.stack(orders).reshape(*shape, d)
         return shapley_estimates(design, np.stack(outputs).reshape(*shape, design.rows), order)
 
-    found = asked(None, _REPLICATES)
+    found = asked(inputs, None, _REPLICATES)
     # all laws, since only together they scatter as they should; at the same few points, whose error all but cancels
-    own = asked(-1, 1)
-    rows = [asked(k, 1) for k in _numbers(left_open)]
+    own = asked(inputs, -1, 1)
+    rows = [asked(under, k, 1) for k, under in enumerate(left_open.inputs if left_open else ())]
     answer: Answers = {}
     for order, estimates in found.items():
         answer[order] = {}
@@ -446,35 +434,32 @@ def rank_correlations(columns: Array) -> list[tuple[int, int, Estimate]]:
     n, d = columns.shape
     if n < 5:
         raise ValueError(f"a correlation takes 5 rows or more, found {n}")
-    ranks = np.column_stack([rankdata(columns[:, j]) for j in range(d)])
-    matrix = np.corrcoef(ranks, rowvar=False).reshape(d, d)
+    matrix = np.corrcoef(rankdata(columns, axis=0), rowvar=False).reshape(d, d)
     error = math.sqrt(1.06 / (n - 3))
     found = []
-    for i in range(d):
-        for j in range(i + 1, d):
-            value = float(np.clip(matrix[i, j], -1.0, 1.0))
-            centre = math.atanh(np.clip(value, -1.0 + 1e-15, 1.0 - 1e-15))
-            low, high = math.tanh(centre - 1.96 * error), math.tanh(centre + 1.96 * error)
-            estimate = Estimate(
-                value=value, low=min(low, value), high=max(high, value), std_error=error * (1.0 - value**2),
-                method="Spearman, Fisher's interval", evaluations=n,
-            )  # fmt: skip
-            found.append((i, j, estimate))
+    for i, j in combinations(range(d), 2):
+        value = float(np.clip(matrix[i, j], -1.0, 1.0))
+        low, high = (math.tanh(_fisher(value) + side * 1.96 * error) for side in (-1.0, 1.0))
+        found.append((i, j, Estimate(value=value, low=min(low, value), high=max(high, value),
+                                     std_error=error * (1.0 - value**2), method="Spearman, Fisher's interval",
+                                     evaluations=n)))  # fmt: skip
     return found
+
+
+def _fisher(correlation: float) -> float:
+    return math.atanh(min(max(correlation, -1.0 + 1e-15), 1.0 - 1e-15))
 
 
 def tied(pairs: Sequence[tuple[int, int, Estimate]]) -> list[tuple[int, int, Estimate]]:
     """Pairs whose interval leaves out zero by so much that chance is no explanation among so many pairs."""
     factor = -float(ndtri(0.005 / max(1, len(pairs)))) / 1.96
-    found = []
-    for i, j, estimate in pairs:
-        if estimate.value is None or estimate.low is None or estimate.high is None:
-            continue
-        centre = math.atanh(min(max(estimate.value, -1.0 + 1e-15), 1.0 - 1e-15))
-        half = 0.5 * (math.atanh(min(estimate.high, 1.0 - 1e-15)) - math.atanh(max(estimate.low, -1.0 + 1e-15)))
-        if abs(centre) > factor * half:
-            found.append((i, j, estimate))
-    return found
+
+    def clear(e: Estimate) -> bool:
+        if e.value is None or e.low is None or e.high is None:
+            return False
+        return abs(_fisher(e.value)) > factor * 0.5 * (_fisher(e.high) - _fisher(e.low))
+
+    return [pair for pair in pairs if clear(pair[2])]
 
 
 def ties_of(x: Array, pairs: Mapping[tuple[int, int], float]) -> tuple[TiedPair, ...]:
@@ -498,8 +483,7 @@ def _weights(x: Array, spearman: float) -> tuple[str, dict[str, float]]:
     """The copula to take, the Gaussian where none is clearly better, and weights of all by their likelihood."""
     from scipy.stats import rankdata
 
-    ranks = np.column_stack([rankdata(column, method="ordinal") for column in x.T])
-    scores = np.asarray(ndtri(ranks / (len(x) + 1.0)))
+    scores = np.asarray(ndtri(rankdata(x, method="ordinal", axis=0) / (len(x) + 1.0)))
     told = {}
     for kind in CHOICES:
         try:
@@ -515,11 +499,9 @@ def _weights(x: Array, spearman: float) -> tuple[str, dict[str, float]]:
 
 def with_ties(names: Sequence[str], laws: Sequence[Law], ties: Sequence[TiedPair], every: Sequence[str]) -> Joint:
     """Inputs with their ties; `every` names the columns of the table.  Raises LawError where they cannot hold."""
-    dependences = [
-        Dependence(of=(every[tie.columns[0]], every[tie.columns[1]]), spearman=tie.spearman, copula=tie.copula)
-        for tie in ties
-    ]
-    return make_joint(names, laws, dependences)
+    return make_joint(names, laws, [
+        Dependence(of=tuple(every[k] for k in tie.columns), spearman=tie.spearman, copula=tie.copula) for tie in ties
+    ])  # fmt: skip
 
 
 # --- what is left open ------------------------------------------------------------------------------------------

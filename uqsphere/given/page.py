@@ -11,7 +11,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.console import screen_width, table, wrap, writable
 from uqsphere.errors import told as safe
-from uqsphere.given.analysis import Data, Document
+from uqsphere.given import Data, Document
 from uqsphere.quantities import format_estimate
 from uqsphere.report.brief import Answer, Brief
 from uqsphere.report.feed import page_files, told_cautions

@@ -484,7 +484,7 @@ _LACKING: Final[tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...]
 def absent_in(scene: Scene, quantity: str) -> str:
     """Why a scene does not have a quantity of interest, in words; empty where it has it.
 
-    >>> from uqsphere.bench.rivals import scattered_scene
+    >>> from uqsphere.bench import scattered_scene
     >>> absent_in(scattered_scene(1), "p_max"), absent_in(scattered_scene(1), "loaded_time")[:18]
     ('', 'the record of bars')
     """

@@ -14,8 +14,13 @@ from uqsphere.report import tables
 from uqsphere.report.contents import Contents, units_of
 from uqsphere.report.figures import fragility, scene
 from uqsphere.report.figures.canvas import Picture
-from uqsphere.report.figures.convergence import convergence_figure, speed_figure
-from uqsphere.report.figures.distributions import distribution_figure, field_figure, group_figure, sensitivity_figure
+from uqsphere.report.figures.distributions import (
+    convergence_figure,
+    distribution_figure,
+    field_figure,
+    sensitivity_figure,
+    speed_figure,
+)
 from uqsphere.report.figures.history import loop_figure
 from uqsphere.report.phrases import (
     ABSENT,
@@ -186,8 +191,7 @@ def drivers_blocks(contents: Contents) -> Iterator[Block]:
         words, picture = symbol(name), None if name in shown else sensitivity_figure(contents, name)
         yield _block(f"Indices of {words}", tables.index_table(contents, name), "sensitivity", picture=picture)
         yield _block(f"{words}: pairs of inputs", tables.pair_table(contents, name), "sensitivity")
-        table, picture = tables.group_table(contents, name), group_figure(contents, name)
-        yield _block(f"{words}: groups of inputs", table, "sensitivity", picture=picture)
+        yield _block(f"{words}: groups of inputs", tables.group_table(contents, name), "sensitivity")
         yield _block(f"{words} beyond its variance", tables.distances_table(contents, name), "drivers")
     asked = {limit_name(name): entry.measure_first for name, entry in results.limits.items()}
     asked |= {symbol(name): entry.measure_first for name, entry in results.sensitivity.items()}

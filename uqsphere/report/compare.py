@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from pydantic import Field
@@ -36,7 +36,6 @@ from uqsphere.report.phrases import (
     begin,
     call,
     estimate_text,
-    input_name,
     limit_name,
     loud,
     number_text,
@@ -48,9 +47,7 @@ from uqsphere.report.phrases import (
 from uqsphere.results import Results
 from uqsphere.results.entries import Entry, Est, Manifest, Resolved, read_resolved
 from uqsphere.store import write_outputs
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from uqsphere.uq import finite
 
 _LEVEL: Final = 0.05
 _SCORE: Final = 1.959963984540054
@@ -93,11 +90,8 @@ class Change(Entry):
 
     def told(self, say: Callable[[Est, str], str] | None = None) -> tuple[str, str, str, str]:
         """Before, after, difference with its interval, and that in per cent of what was; signs for what is not."""
-        sides = self.before, self.after
-        plain_say = say or estimate_text
-        before, after = (
-            probability_text(side) if self.chance and say is None else plain_say(side, self.reads) for side in sides
-        )
+        chance, say = self.chance and say is None, say or estimate_text
+        before, after = (probability_text(e) if chance else say(e, self.reads) for e in (self.before, self.after))
         difference = estimate_text(Est.of(self.difference, self.low, self.high), self.reads)
         difference = "none" if self.difference == 0.0 else difference
         if self.relative is None or self.section == "sensitivity":
@@ -239,11 +233,10 @@ def _difference(before: Est, after: Est) -> dict[str, float | None]:
     if None in a or None in b:
         return {}
     difference, low, high, significance = difference_interval(a, b)  # type: ignore[arg-type]
-    found: dict[str, float | None] = {"difference": difference, "low": low, "high": high}
     relative = difference / abs(before.number) if before.value else math.inf
-    found["relative"] = relative if math.isfinite(relative) else None
     # two exact answers that agree are no evidence of anything
-    return found | {"significance": None if low == high == 0.0 else significance}
+    return {"difference": difference, "low": low, "high": high, "relative": finite(relative),
+            "significance": None if low == high == 0.0 else significance}  # fmt: skip
 
 
 def _changes(before: Results, after: Results) -> tuple[list[Change], list[tuple[str, ...]]]:
@@ -321,13 +314,7 @@ def _said(value: Json, name: str) -> str:
 
 
 def compare_folders(before: Path, after: Path) -> Comparison:
-    """What differs between two finished runs.
-
-    Raises
-    ------
-    FolderError
-        When one of them is no finished run, or is damaged.
-    """
+    """What differs between two finished runs; raises FolderError where one is none, or is damaged."""
     from uqsphere.runner.finished import open_run
 
     folders = before, after
@@ -346,25 +333,16 @@ def compare_folders(before: Path, after: Path) -> Comparison:
     pairs = [(name, limit, second.limits[name]) for name, limit in first.limits.items() if name in second.limits]
     shared = [name for name in first.services if name in second.services]
     return Comparison(
-        schema_version=1,
-        before=sides[0],
-        after=sides[1],
-        same_study=first.study.hash == second.study.hash,
+        schema_version=1, before=sides[0], after=sides[1], same_study=first.study.hash == second.study.hash,
         identical=first.model_copy(update={"versions": {}}) == second.model_copy(update={"versions": {}}),
-        causes=tuple(_causes(resolved[0], resolved[1])),
+        causes=tuple(_causes(*resolved)),
         limits=tuple(
-            LimitPair(
-                limit=name, before=a.met, after=b.met, verdict_before=a.word, verdict_after=b.word,
-                target_before=a.target, target_after=b.target,
-            )
-            for name, a, b in pairs
+            LimitPair(limit=name, before=a.met, after=b.met, verdict_before=a.word, verdict_after=b.word,
+                      target_before=a.target, target_after=b.target) for name, a, b in pairs
         ),
-        changes=tuple(changes),
-        compared=sum(c.significance is not None for c in changes),
-        changed=sum(c.verdict == SURE for c in changes),
-        perhaps=sum(c.verdict == PERHAPS for c in changes),
-        only_before=alone[0],
-        only_after=alone[1],
+        changes=tuple(changes), compared=sum(c.significance is not None for c in changes),
+        changed=sum(c.verdict == SURE for c in changes), perhaps=sum(c.verdict == PERHAPS for c in changes),
+        only_before=alone[0], only_after=alone[1],
         services={name: compare_folders(*(folder / "services" / name for folder in folders)) for name in shared},
     )  # fmt: skip
 
@@ -387,11 +365,8 @@ def headline(found: Comparison) -> str:
     """What came of it, in a sentence or two."""
     if found.identical:
         return "Both runs have the same answers, to the last digit."
-    said = (
-        f"Of {found.compared} answers {found.changed} changed significantly"
-        + (f", and {found.perhaps} more perhaps" if found.perhaps else "")
-        + "."
-    )
+    perhaps = f", and {found.perhaps} more perhaps" if found.perhaps else ""
+    said = f"Of {found.compared} answers {found.changed} changed significantly{perhaps}."
     flipped = [entry.limit for entry in found.limits if entry.verdict_before != entry.verdict_after]
     if flipped:
         said += f" The verdict on {', '.join(flipped)} is another one."
@@ -449,40 +424,27 @@ def _changes_table(changes: Iterable[Change], say: Callable[[Est, str], str], in
 _MOST_MOVED: Final = 14
 
 
-def moved_rows(changes: Iterable[Change]) -> list[Change]:
-    """Answers with a relative difference that is known to some degree, the surest first."""
+def moved_picture(changes: Iterable[Change]) -> canvas.Picture | None:
+    """Relative differences that are known to some degree with their intervals, the surest; None where nothing moved."""
     rows = [c for c in changes
             if c.section != "sensitivity" and c.relative is not None and c.verdict in (SURE, PERHAPS)]  # fmt: skip
     rows = sorted(rows, key=lambda c: (c.section != "limits", c.significance, -abs(c.relative or 0.0)))[:_MOST_MOVED]
-    names = list(dict.fromkeys(c.name for c in rows))
-    return sorted(rows, key=lambda c: names.index(c.name))
-
-
-def moved_picture(changes: Iterable[Change]) -> canvas.Picture | None:
-    """Relative differences with their intervals; None where nothing moved."""
-    rows = moved_rows(changes)
     if not rows:
         return None
-    ends = 100.0 * np.array([[c.difference, c.low, c.high] for c in rows], dtype=float)
-    ends /= np.array([[abs(c.before.number)] for c in rows])
-    least, most = (float(pick(np.abs(ends[:, 0]))) for pick in (np.min, np.max))
-    wide = most > 30.0 * max(least, 1e-12)
+    ends = np.array([[c.difference, c.low, c.high] for c in rows], dtype=float)
+    ends *= 100.0 / np.array([[abs(c.before.number)] for c in rows])
     with canvas.style():
         figure, (axes,) = canvas.new_figure(1.2 + 0.42 * len(rows))
-        if wide:
-            axes.set_xscale("symlog", linthresh=max(least, 1e-3))
         axes.axvline(0.0, color=canvas.GREY, linewidth=0.8)
         for k, (row, (value, low, high)) in enumerate(zip(rows, ends, strict=True)):
             axes.plot([low, high], [k, k], color=canvas.INK, linewidth=1.2, marker="|", markersize=7)
             face = canvas.BLUE if row.verdict == SURE else canvas.PAPER
             axes.plot(value, k, marker="o", markersize=7, color=canvas.BLUE, markerfacecolor=face)
-            side = 1 if value >= 0.0 else -1
-            canvas.note(axes, number_text(f"{value:+.3g}") + " %", (high if side > 0 else low, k), (6 * side, 0),
-                        va="center", ha="left" if side > 0 else "right", fontsize=8.5)  # fmt: skip
+            right = value >= 0.0
+            canvas.note(axes, row.told()[3], (high if right else low, k), (6 if right else -6, 0), va="center",
+                        ha="left" if right else "right", fontsize=8.5)  # fmt: skip
         canvas.name_rows(axes, [canvas.wrap(f"{row.name}: {row.statistic}", 34) for row in rows], -0.6)
         axes.margins(x=0.22)
-        if wide:
-            _percent_ticks(axes)
         axes.set_xlabel("difference, in per cent of the value before")
         marks = [canvas.mark(canvas.BLUE, "changed", marker="o", linestyle="")]
         if any(row.verdict == PERHAPS for row in rows):
@@ -491,51 +453,23 @@ def moved_picture(changes: Iterable[Change]) -> canvas.Picture | None:
     return canvas.Picture(name="moved", title="What moved", figure=figure)
 
 
-def _percent_ticks(axes: Axes) -> None:
-    """Few round ticks on a symmetric logarithmic axis, none on top of another."""
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
-
-    low, high = axes.get_xlim()
-    axes.figure.draw_without_rendering()  # type: ignore[union-attr]
-    place = axes.transData.transform
-    kept: list[float] = []
-    last = -np.inf
-    powers = [10.0**k for k in range(-3, 12)]
-    for tick in [*(-p for p in reversed(powers)), 0.0, *powers]:
-        x = float(place((tick, 0.0))[0])
-        if low <= tick <= high and (x - last > 34.0 or tick == 0.0):
-            kept = [k for k in kept if tick != 0.0 or x - float(place((k, 0.0))[0]) > 34.0]
-            kept.append(tick)
-            last = x
-    axes.xaxis.set_major_locator(FixedLocator(kept))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: number_text(f"{value:g}")))
-
-
 def fragility_picture(before: Contents, after: Contents, name: str) -> canvas.Picture | None:
     """Both fragility curves of a limit with their bands."""
-    from uqsphere.report.figures.distributions import axis_label
-    from uqsphere.report.figures.fragility import on_paper, probability_axis
+    from uqsphere.report.figures.fragility import draw_curve, on_paper, probability_axis, solved_label
 
     entries = [contents.results.margins[name] for contents in (before, after)]
     solve = entries[0].solve
     if any(len(entry.curve) < 2 or entry.solve != solve for entry in entries):
         return None
+    sides = (entries[0], canvas.BLUE, "-", "before"), (entries[1], canvas.ORANGE, "--", "after")
     with canvas.style():
         figure, (axes,) = canvas.new_figure(3.6)
-        for entry, colour, line, word in zip(
-            entries, (canvas.BLUE, canvas.ORANGE), ("-", "--"), ("before", "after"), strict=True
-        ):
+        for entry, colour, line, word in sides:
             curve = np.array(entry.curve, dtype=float)
             curve = curve[on_paper(curve[:, 1], 1e-5)]
-            x = curve[:, 0] * display_unit(solve)[1]
-            middle, low, high = (canvas.score(curve[:, k]) for k in (1, 2, 3))
-            canvas.band(axes, x, low, high, colour)
-            axes.plot(x, middle, color=colour, linestyle=line, label=word)
+            draw_curve(axes, curve, display_unit(solve)[1], colour, 1e-6, linestyle=line, label=word)
         probability_axis(axes)
-        canvas.frame(
-            axes, x=axis_label(solve, canvas.shorten(input_name(solve), 50)), y="probability of exceeding the strength"
-        )
+        canvas.frame(axes, x=solved_label(before, solve), y="probability of exceeding the strength")
         canvas.legend_above(axes, 3, line=1.6)
     title = f"Fragility of {limit_name(name)}, before and after"
     return canvas.Picture(name=canvas.slug("fragility", name), title=title, figure=figure)
@@ -550,35 +484,23 @@ MOST_ROWS: Final = 400
 def write_page(before: Path, after: Path, found: Comparison, out: Path) -> Path:
     """Write the page of `compare_folders`, and beside it one for each service.
 
-    Parameters
-    ----------
-    before, after : the two result folders.
-    found : what was found.
-    out : a file that ends in .html or .htm, or a folder, where it is compare.html.
-
-    Raises
-    ------
-    FolderError
-        When one of the folders is damaged, or another's file or a link stands where the page is to be.
+    `out`: a file that ends in .html or .htm, or a folder, where it is compare.html.  Raises FolderError for a damaged
+    folder, and where another's file or a link stands where the page is to be.
     """
     page = out if out.suffix.lower() in (".html", ".htm") else out / "compare.html"
     for name, own in found.services.items():
         beside = page.with_name(f"{page.stem}-{name}.html")
         write_page(before / "services" / name, after / "services" / name, own, beside)
     contents = read_contents(before), read_contents(after)
-    shared = [name for name in contents[0].results.quantities if name in contents[1].results.quantities]
+    first, second = (one.results for one in contents)
+    shared = [name for name in first.quantities if name in second.quantities]
     laws = [Block(heading=begin(name, call(name)), table=_table(found, "quantities", name)) for name in shared]
-    indices = [
-        Block(heading=symbol(name), table=_table(found, "sensitivity", name))
-        for name in shared
-        if name in contents[0].results.sensitivity and name in contents[1].results.sensitivity
-    ]
+    indices = [Block(heading=symbol(name), table=_table(found, "sensitivity", name))
+               for name in shared if name in first.sensitivity and name in second.sensitivity]  # fmt: skip
     margins = [
-        Block(heading=f"Fragility of {limit_name(name)}", picture=picture,
+        Block(heading=f"Fragility of {limit_name(name)}", picture=fragility_picture(*contents, name),
               table=_table(found, "margins", f"limits.{name}"))
-        for name in contents[0].results.margins
-        if name in contents[1].results.margins
-        for picture in (fragility_picture(*contents, name),)
+        for name in first.margins if name in second.margins
     ]  # fmt: skip
     text = _page(found, {"laws": laws, "indices": indices, "margins": margins})
     return write_outputs(page.parent, {page.name: text})[0]
@@ -595,17 +517,11 @@ _SUBJECTS: Final = {
 
 def _table(found: Comparison, section: str, name: str) -> Table:
     """Before, after and difference of every answer of a section."""
-    rows = [
-        (c.statistic, *c.told(), c.verdict)
-        for c in found.changes
-        if c.section == section and (not name or c.name == name)
-    ]
-    return Table(
-        # a caption of its own: it names the region for those who cannot see what stands above it
-        caption=f"{_SUBJECTS[section].format(name=name)}: before, after, and after minus before, with 95 % intervals",
-        header=("answer", "before", "after", "difference", "in per cent", "change"),
-        rows=tuple(rows[:MOST_ROWS]),
-    )
+    chosen = [c for c in found.changes if c.section == section and (not name or c.name == name)][:MOST_ROWS]
+    # a caption of its own: it names the region for those who cannot see what stands above it
+    caption = f"{_SUBJECTS[section].format(name=name)}: before, after, and after minus before, with 95 % intervals"
+    header = ("answer", "before", "after", "difference", "in per cent", "change")
+    return Table(caption=caption, header=header, rows=tuple((c.statistic, *c.told(), c.verdict) for c in chosen))
 
 
 def _limits(found: Comparison) -> list[dict[str, str]]:
@@ -615,11 +531,7 @@ def _limits(found: Comparison) -> list[dict[str, str]]:
         miss = next(c for c in found.changes if c.name == f"limits.{entry.limit}" and c.section == "limits")
         before, after, *_ = miss.told()
         line = f"Probability of missing its aim: {before} before, {after} after."
-        if miss.verdict in (SURE, PERHAPS) and miss.relative is not None:
-            doubt = "" if miss.verdict == SURE else ", which may be chance"
-            share = number_text(f"{100.0 * abs(miss.relative):.3g}")
-            line += f" That is {share} % {'more' if miss.relative > 0.0 else 'less'}{doubt}."
-        elif miss.difference is not None:
+        if miss.verdict not in (SURE, PERHAPS) and miss.difference is not None:
             line += " No difference is seen above the intervals."
         words = {"before": entry.verdict_before, "after": entry.verdict_after}
         boxes.append({"name": canvas.shorten(entry.limit, 80), **words, "line": line})
@@ -654,23 +566,13 @@ def _page(found: Comparison, parts: Mapping[str, list[Block]]) -> str:
         runs.append((words, *texts))
     moved = moved_picture(found.changes)
     title = " / ".join(dict.fromkeys(side.title for side in sides))
-    shown = {
-        "version": "",
-        "title": title,
-        "margin_boxes": Markup(margin_boxes(title, Manifest())),
-        "headline": headline(found),
-        "boxes": _limits(found),
-        "causes": Table(
-            caption="What was changed in the study",
-            header=("number or choice", "before", "after"),
-            rows=tuple((c.what, c.before, c.after) for c in found.causes[:MOST_ROWS]),
-        ),
-        "moved": Block(heading="What moved", picture=moved) if moved else None,
-        "limits": _table(found, "limits", ""),
-        "parts": parts,
-        "runs": Table(caption="The two runs", header=("", "before", "after"), rows=tuple(runs)),
-        "alone": [("before", found.only_before[:200]), ("after", found.only_after[:200])],
-        "compared": found.compared,
-        "same_seed": found.before.seed == found.after.seed,
-    }
-    return template.render(shown) + "\n"
+    causes = tuple((c.what, c.before, c.after) for c in found.causes[:MOST_ROWS])
+    sides_of = ("before", "after")
+    return template.render(
+        version="", title=title, margin_boxes=Markup(margin_boxes(title, Manifest())), headline=headline(found),
+        causes=Table(caption="What was changed in the study", header=("number or choice", *sides_of), rows=causes),
+        runs=Table(caption="The two runs", header=("", *sides_of), rows=tuple(runs)), boxes=_limits(found),
+        moved=Block(heading="What moved", picture=moved) if moved else None, limits=_table(found, "limits", ""),
+        alone=[("before", found.only_before[:200]), ("after", found.only_after[:200])], compared=found.compared,
+        same_seed=found.before.seed == found.after.seed, parts=parts,
+    ) + "\n"  # fmt: skip

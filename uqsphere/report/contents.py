@@ -144,10 +144,7 @@ def _tests_of(folder: Path) -> dict[str, str]:
 def read_contents(folder: Path, tests: Mapping[str, str] | None = None) -> Contents:
     """Everything stored that the report shows; a service has the tests of the study that it belongs to.
 
-    Raises
-    ------
-    FolderError
-        When a file is missing or is not what a run writes.
+    Raises FolderError when a file is missing or is not what a run writes.
     """
     results = read_results(folder)
     manifest, resolved = read_manifest(folder), read_resolved(folder)

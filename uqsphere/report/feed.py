@@ -26,11 +26,6 @@ from uqsphere.store import csv_text
 #: rows of the table of tested sizes
 _MOST_SIZES: Final = 12
 _SURE: Final = "from memory, not checked at the source"
-#: what is on the pages from memory: found on the page, and said there
-_MARKED: Final = (
-    ("ratio", f"E_max/E50 = 4 is called Rocky's default {_SURE}."),
-    ("jk", f"The range of the drop-weight test, 0.1 to 2.5 kWh/t and 13 to 63 mm, is {_SURE}."),
-)
 
 
 def _n(value: float | None, factor: float = 1.0) -> str:
@@ -185,15 +180,12 @@ def _in_terminal(said: str, tables: Iterable[Table], more: Sequence[str], warnin
 
 
 def _fit_parts(entry: FitEntry, posterior: Posterior, tests: Specimens | None, feed: FeedEntry | None) -> list[Chapter]:
-    pictures = [] if tests is None else [
-        ("Tests and law", probability_plot(tests, posterior)), ("Size", size_plot(tests, posterior, feed)),
-        *((("Parameters", parameters_plot(posterior, entry)),) if entry.parameters else ()),
-    ]  # fmt: skip
+    pictures = () if tests is None else (probability_plot(tests, posterior), size_plot(tests, posterior, feed))
     sizes, parameters, laws = fit_tables(entry)
     remarks = (*(f"{capital(text)}." for text in entry.warnings), _goodness(entry))
-    remarks += (_MARKED[0][1],) if entry.ratio == 4.0 else ()
+    remarks += (f"E_max/E50 = 4 is called Rocky's default {_SURE}.",) if entry.ratio == 4.0 else ()
     blocks = (
-        *(Block(heading=heading, picture=picture) for heading, picture in pictures),
+        *(Block(heading=picture.title, picture=picture) for picture in pictures),
         Block(heading="By size", table=sizes),
         Block(heading="Parameters, posterior and prior", table=parameters),
         Block(heading="Laws compared", remarks=remarks, kind="notes", table=laws),
@@ -230,8 +222,7 @@ def feed_text(entry: FeedEntry) -> str:
 
 
 def _feed_parts(entry: FeedEntry) -> list[Chapter]:
-    pictures = [("Share broken by class", classes_plot(entry))]
-    pictures += [("Product", product_plot(entry))] if entry.curve else []
+    pictures = (classes_plot(entry), *((product_plot(entry),) if entry.curve else ()))
     classes = tuple(
         (f"{_n(one.lower, 1e3)} to {_n(one.upper, 1e3)}{' *' if one.extrapolated else ''}", _n(one.mass, 100.0),
          _n(one.particles), _interval(one.E50), _n(one.broken.value, 100.0),
@@ -241,13 +232,13 @@ def _feed_parts(entry: FeedEntry) -> list[Chapter]:
     )  # fmt: skip
     class_head = ("class [mm]", "mass [%]", "particles", "E50 [J/kg]", "broken [%]", "ignorance", "a lot", "blows")
     numbers = tuple((name, _interval(one), entry.sources.get(name, "")) for name, one in entry.product.items())
-    remarks = tuple(f"{capital(text)}." for text in entry.warnings)
-    remarks += (f"The curve: {entry.curve_law}, {entry.sources.get('t_n', '')}.",) if entry.curve else ()
-    remarks += (_MARKED[1][1],) if entry.form == "jk" and entry.curve else ()
+    remarks = (f"The curve: {entry.curve_law}, {entry.sources.get('t_n', '')}.",) if entry.curve else ()
+    if entry.form == "jk" and entry.curve:
+        remarks += (f"The range of the drop-weight test, 0.1 to 2.5 kWh/t and 13 to 63 mm, is {_SURE}.",)
     if entry.spectrum_error:
         remarks += (f"The spectrum is sampled: ± {entry.spectrum_error:.1g} of the share broken.",)
     blocks = (
-        *(Block(heading=heading, picture=picture) for heading, picture in pictures),
+        *(Block(heading=picture.title, picture=picture) for picture in pictures),
         Block(heading="Answers", table=answers_table(entry)),
         Block(heading="By class", remarks=remarks,
               table=Table(caption="* beyond the tested sizes", header=class_head, rows=classes)),
@@ -423,32 +414,6 @@ def size_plot(tests: Specimens, posterior: Posterior, feed: FeedEntry | None) ->
     return canvas.Picture(name="size", title=title, finding=finding, figure=figure, header=header, rows=rows)
 
 
-def parameters_plot(posterior: Posterior, entry: FitEntry) -> canvas.Picture:
-    """The posterior of every parameter beside its prior, over its logarithm."""
-    law, parameters = next(iter(entry.parameters.items()))
-    names = [name for name in parameters if name in posterior.draws]
-    with canvas.style():
-        figure, all_axes = canvas.new_figure(0.6 + 1.15 * len(names), rows=len(names))
-        for axes, name in zip(all_axes, names, strict=True):
-            drawn = posterior.draws[name][posterior.which == law]
-            values, told = np.log(drawn[np.isfinite(drawn)]), parameters[name]
-            grid = np.linspace(values.mean() - 4.5 * values.std(), values.mean() + 4.5 * values.std(), 61)
-            heights, edges = np.histogram(values, bins=grid, density=True)
-            canvas.band(
-                axes, np.exp(edges), np.zeros(len(edges)), np.append(heights, 0.0), canvas.BLUE, 0.35, step="post"
-            )
-            if told.prior is not None and told.prior[1] < 50.0:
-                z = (grid - np.log(told.prior[0])) / told.prior[1]
-                height = np.exp(-0.5 * z * z) / (told.prior[1] * np.sqrt(2.0 * np.pi))
-                axes.plot(np.exp(grid), height, color=canvas.GREY, linestyle="--")
-            canvas.log_axis(axes, "x", float(np.exp(grid[0])), float(np.exp(grid[-1])))
-            axes.set_yticks([])
-            unit = f" [{told.unit}]" if told.unit not in ("", "1") else ""
-            axes.set_xlabel(f"{name}{unit}{'' if told.told else ': these tests do not tell it'}")
-    finding = "Filled: what the tests leave open. Dashed: the prior. Densities are over the logarithm."
-    return canvas.Picture(name="posterior", title=f"Parameters of the {law} law", finding=finding, figure=figure)
-
-
 def classes_plot(entry: FeedEntry) -> canvas.Picture:
     """Share broken by class, with what more tests would tell and what a lot adds."""
     classes = [one for one in entry.classes if one.mass > 0.0][::-1]
@@ -460,17 +425,12 @@ def classes_plot(entry: FeedEntry) -> canvas.Picture:
         bars = axes.bar(at, value, color=colours, edgecolor=canvas.GREY, linewidth=0.6, width=0.8)
         for bar, one in zip(bars, classes, strict=True):
             bar.set_hatch("//" * one.extrapolated)
-        intervals = (
-            ("", -0.14, canvas.BLUE, "ignorance: more tests"),
-            ("lot_", 0.14, canvas.RED, "and scatter of a lot"),
-        )
-        for of, aside, colour, label in intervals:
+        for of, aside, colour, label in (("", -0.14, canvas.BLUE, "ignorance: more tests"),
+                                         ("lot_", 0.14, canvas.RED, "and scatter of a lot")):  # fmt: skip
             both = attrgetter(f"broken.{of}low", f"broken.{of}high")
-            ends = np.array([both(one) for one in classes], dtype=float)
-            known = np.isfinite(ends).all(axis=1)
-            if known.any():
-                a, b = 100.0 * ends[known].T
-                axes.vlines(at[known] + aside, a, b, color=colour, linewidth=2.2, label=label)
+            low, high = 100.0 * np.array([both(one) for one in classes], dtype=float).T
+            if np.isfinite(low).any():
+                axes.vlines(at + aside, low, high, color=colour, linewidth=2.2, label=label)
         axes.set_xticks(at, [f"{1e3 * one.size:.3g}" for one in classes], rotation=45)
         canvas.frame(axes, x="size of the class [mm] (hatched: beyond the tested sizes)", y="share broken [%]")
         axes.set_ylim(0.0, 104.0)

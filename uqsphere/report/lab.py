@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import html
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -118,69 +117,45 @@ def forces_figure(read: Reading) -> str:
 
 # --- sheets ---------------------------------------------------------------------------------------------------
 
-#: one sheet of paper, figures side by side below the table
-_STYLE = """
-body { font: 10pt/1.35 "DejaVu Sans", sans-serif; max-width: 190mm; margin: 6mm auto; padding: 0 4mm; }
-h1 { font-size: 14pt; margin: 0 0 2mm; } h2 { font-size: 10.5pt; margin: 3mm 0 1mm; }
-table { border-collapse: collapse; font-size: 8.5pt; } td, th { padding: 1px 8px 1px 0; text-align: left; }
-th { border-bottom: 1px solid #666; } ul { margin: 0; padding-left: 5mm; font-size: 7.5pt; }
-.figures { display: flex; gap: 3mm; } .figures div { width: 50%; } svg { width: 100%; height: auto; }
-@page { size: A4; margin: 10mm; }
-"""
 #: notes that fit on the sheet
 _NOTES = 16
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]], links: Sequence[str] = ()) -> str:
-    cells = "".join(f"<th>{html.escape(cell)}</th>" for cell in header)
-    lines = [f"<tr>{cells}</tr>"]
-    for k, row in enumerate(rows):
-        texts = [html.escape(cell) for cell in row]
-        wide = len(texts) == 3 and not texts[2] and " " in texts[1]
-        if k < len(links) and links[k]:
-            texts[0] = f'<a href="{html.escape(links[k])}">{texts[0]}</a>'
-        if wide:
-            lines.append(f'<tr><td>{texts[0]}</td><td colspan="2">{texts[1]}</td></tr>')
-            continue
-        lines.append("<tr>" + "".join(f"<td>{text}</td>" for text in texts) + "</tr>")
-    return "<table>" + "\n".join(lines) + "</table>"
+def _set(title: str, header: Sequence[str], rows: Iterable[tuple[Sequence[str], str]], **more: object) -> str:
+    """A page: a table, its first cells linked where they have a link, and below it what else there is."""
+    from uqsphere.report.page import page_environment
 
-
-def _page(title: str, body: str) -> str:
-    name = html.escape(title)
-    return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{name}</title><style>{_STYLE}</style>'
-        f"</head><body><h1>{name}</h1>\n{body}\n</body></html>\n"
-    )
+    template = page_environment().get_template("lab.html")
+    return template.render({"figures": (), "notes": (), **more}, title=title, header=header, rows=list(rows)) + "\n"
 
 
 def lab_sheet(
     name: str, header: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[str], figures: Sequence[str]
 ) -> str:
-    """HTML text: the sheet of one test.
+    """HTML text, the sheet of one test: the table of answers, the figures (SVG texts), what was read and mended."""
+    from markupsafe import Markup
 
-    Parameters
-    ----------
-    name : str
-        Of the record.
-    header, rows : sequences of str
-        The table of answers.
-    notes : sequence of str
-        What was read and mended.
-    figures : sequence of str
-        SVG texts.
-    """
-    said = [f"<li>{html.escape(note)}</li>" for note in notes[:_NOTES]]
-    if len(notes) > _NOTES:
-        said.append(f"<li>and {len(notes) - _NOTES} more</li>")
+    told = [*notes[:_NOTES], *([f"and {len(notes) - _NOTES} more"] if len(notes) > _NOTES else [])]
     # a sheet is paper: it has the colours of paper, not of a theme
-    papers = [canvas.on_paper(canvas.inline(svg, f"figure{k}")) for k, svg in enumerate(figures)]
-    drawn = "".join(f"<div>{svg}</div>" for svg in papers)
-    body = [_table(header, rows), f'<div class="figures">{drawn}</div>', "<h2>Read and mended</h2>"]
-    return _page(f"Test {name}", "\n".join([*body, "<ul>", *said, "</ul>"]))
+    papers = [Markup(canvas.on_paper(canvas.inline(svg, f"figure{k}"))) for k, svg in enumerate(figures)]
+    return _set(f"Test {name}", header, ((row, "") for row in rows), notes=told, figures=papers)
 
 
 def tests_page(name: str, header: Sequence[str], rows: Sequence[Sequence[str]], stems: Sequence[str]) -> str:
     """HTML text: the tests of a folder, each with its sheet."""
     links = ["" if row[1] in ("", "refused") else f"{stem}/sheet.html" for row, stem in zip(rows, stems, strict=True)]
-    return _page(f"Tests of {name}", _table(header, rows, links))
+    return _set(f"Tests of {name}", header, zip(rows, links, strict=True))
+
+
+def check_paper() -> None:
+    """Raises UsageError where sheets cannot be printed."""
+    from uqsphere.report.page import check_pdf
+
+    check_pdf()
+
+
+def printed(page: str) -> bytes:
+    """A sheet as PDF."""
+    from uqsphere.report.page import typeset
+
+    return bytes(typeset(page, "").write_pdf())

@@ -181,15 +181,14 @@ def probability_text(estimate: Est) -> str:
     if value is None:
         return ABSENT
     if low is None or high is None:
-        return _percent(value)
+        return plain_percent(value)
     if value == 0.0 and low == 0.0:
-        return f"none seen, at most {_percent(high)}"
+        return f"none seen, at most {plain_percent(high)}"
     if value == 1.0 and high == 1.0 and low < 1.0:
-        return f"all seen, at least {_percent(low)}"
+        return f"all seen, at least {plain_percent(low)}"
     if _lost(value, low, high):
-        return (
-            f"{_percent(float(f'{value:.2g}'))} ({_percent(float(f'{low:.2g}'))} to {_percent(float(f'{high:.2g}'))})"
-        )
+        own, least, most = (plain_percent(float(f"{p:.2g}")) for p in (value, low, high))
+        return f"{own} ({least} to {most})"
     if high < 1e-4:
         return estimate_text(estimate)
     # close to one the digits that count are those of what is missing
@@ -213,7 +212,7 @@ def probability_range(low: float, high: float) -> str:
     >>> probability_range(0.99901, 0.9999997)
     '99.901 % to 99.99997 %'
     """
-    return " to ".join(_percent(end) for end in outward(low, high))
+    return " to ".join(plain_percent(end) for end in outward(low, high))
 
 
 def outward(low: float, high: float) -> tuple[float, float]:
@@ -238,20 +237,15 @@ def _two_figures(p: float, *, up: bool) -> float:
     return float(f"{whole * step:.2g}")
 
 
-def _percent(value: float) -> str:
-    """Four digits at most, and never 100 % for less than all."""
-    if value > 0.99 and value < 1.0:
+def plain_percent(value: float) -> str:
+    """A share without interval, in per cent: four digits at most, and never 100 % for less than all."""
+    if 0.99 < value < 1.0:
         digits = max(0, 1 - math.floor(math.log10(100.0 * (1.0 - value))))
         text = f"{math.floor(100.0 * value * 10.0**digits + _ROUND) / 10.0**digits:.{digits}f}"
         return text.rstrip("0").rstrip(".") + " %"
     if 0.0 < value < 1e-4:
         return number_text(f"{value:.2g}")
     return number_text(f"{100.0 * value:.3g}") + " %"
-
-
-def plain_percent(value: float) -> str:
-    """A share without interval, in per cent."""
-    return _percent(value)
 
 
 def rounded(estimate: Est, name: str = "", digits: int = 4) -> str:
@@ -322,19 +316,6 @@ def short_share(value: float, target: float | None = None) -> str:
     ('<0.1 %', '>99.9 %')
     """
     return share(value, target).replace("under ", "<").replace("over ", ">")
-
-
-def two_digits(value: float) -> str:
-    """A share in per cent with two digits, and as many more as tell it from the whole.
-
-    >>> two_digits(0.0123), two_digits(0.9979), two_digits(1.52)
-    ('1.2 %', '99.8 %', '152 %')
-    """
-    percent = 100.0 * value
-    if percent < 99.5:
-        return number_text(f"{percent:.2g}") + " %"
-    decimals = 1 if percent < 99.95 else 2 if percent < 99.995 else 0
-    return f"{percent:.{decimals}f} %"
 
 
 def share_text(estimate: Est) -> str:

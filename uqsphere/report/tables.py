@@ -30,22 +30,13 @@ from uqsphere.report.phrases import (
     powers,
     probability_range,
     rounded,
+    share,
     symbol,
     thousands,
-    two_digits,
     unit_text,
     value_text,
 )
-from uqsphere.results import (
-    IndexEntry,
-    LimitEntry,
-    MeasureEntry,
-    MeasureRow,
-    ModelEntry,
-    PartEntry,
-    QuestionRow,
-    SharesEntry,
-)
+from uqsphere.results import IndexEntry, LimitEntry, MeasureEntry, MeasureRow, PartEntry, QuestionRow, SharesEntry
 from uqsphere.results.entries import CheckEntry, Est, Ests, MarginEntry
 from uqsphere.units import told_apart
 
@@ -53,20 +44,12 @@ from uqsphere.units import told_apart
 def quantity_table(contents: Contents, quantity: str) -> Table:
     """Mean, standard deviation, quantiles and censored share with their intervals."""
     entry = contents.results.quantities[quantity]
-    mean, sd = entry.mean.value, entry.sd.value
-    spread = cell(entry.sd, quantity)
-    if mean is not None and sd is not None and sd < 1e-9 * abs(mean):
-        spread = "none seen"
-    rows = [("mean", cell(entry.mean, quantity)), ("standard deviation", spread)]
-    if spread != "none seen" or entry.censored_share.value:
-        rows += [(f"{100.0 * float(p):g} % quantile", cell(e, quantity)) for p, e in entry.quantiles.items()]
+    rows = [("mean", cell(entry.mean, quantity)), ("standard deviation", cell(entry.sd, quantity))]
+    rows += [(f"{100.0 * float(p):g} % quantile", cell(e, quantity)) for p, e in entry.quantiles.items()]
     if entry.censored_share.value or lookup(quantity).censored:
         rows.append(("share that outlasts the record", cell(entry.censored_share, probability=True)))
-    return Table(
-        caption=f"{symbol(quantity)}: values with 95 % intervals",
-        header=("", "value (95 % interval)"),
-        rows=tuple(rows),
-    )
+    caption = f"{symbol(quantity)}: values with 95 % intervals"
+    return Table(caption=caption, header=("", "value (95 % interval)"), rows=tuple(rows))
 
 
 def limits_table(contents: Contents) -> Table:
@@ -110,27 +93,20 @@ def margins_table(contents: Contents, name: str, *, only_own: bool = False) -> T
             ends = f"{value_text(opened.low, subject, 3)} to {value_text(opened.high, subject, 3)}"
             row[1:1] = [ends if p == decisive else ABSENT]
         if yields:
-            share = entry.bars.yields_at.get(p)
-            row.append(ABSENT if share is None else plain_percent(float(f"{share:.2g}")))
+            part = entry.bars.yields_at.get(p)
+            row.append(ABSENT if part is None else plain_percent(float(f"{part:.2g}")))
         rows.append(tuple(row))
-    return Table(
-        caption=f"{begin(solve, input_name(solve))} at which {what} with a given probability",
-        header=tuple(header),
-        rows=tuple(rows),
-        note=_when_bars_yield(entry, subject),
-    )
+    caption = f"{begin(solve, input_name(solve))} at which {what} with a given probability"
+    return Table(caption=caption, header=tuple(header), rows=tuple(rows), note=_when_bars_yield(entry, subject))
 
 
 def _when_bars_yield(entry: MarginEntry, subject: str) -> str:
     """Where bars that are elastic by law begin to yield; empty where they do not, or nobody knows."""
-    share, bars = plain_percent(entry.bars.contact_probability), entry.bars
+    part, bars = plain_percent(entry.bars.contact_probability), entry.bars
     if bars.contact.value is not None:
-        return f"The bars yield under the sphere in {share} of the rows at {cell(bars.contact, subject)}."
-    return (
-        f"The bars yield in more than {share} of the rows at every value."
-        if bars.contact_everywhere == "yields"
-        else ""
-    )
+        return f"The bars yield under the sphere in {part} of the rows at {cell(bars.contact, subject)}."
+    everywhere = bars.contact_everywhere == "yields"
+    return f"The bars yield in more than {part} of the rows at every value." if everywhere else ""
 
 
 # --- How the answers were computed and how far to believe them: checks, model, methods, accuracy, repetition.
@@ -158,17 +134,11 @@ def checks_table(contents: Contents, *, broken: bool = False) -> Table | None:
 def _checks(checks: Sequence[CheckEntry], caption: str) -> Table:
     rows = []
     for check in checks:
-        shares = (
-            ("failure", check.share_failure),
-            ("warning", check.share_warning),
-            ("information", check.share_information),
-        )
-        broken = [f"{plain_percent(share)} {grade}" for grade, share in shares if share > 0.0]
-        grade = next((grade for grade, share in shares if share > 0.0), "ok")
-        if check.worst is None and grade == "ok":
-            grade = "not checked"
-        name = check.check.replace("_", " ")
-        rows.append((name, grade, ", ".join(broken) or "none", mathematical(str(check.text))))
+        shares = {grade: getattr(check, f"share_{grade}") for grade in ("failure", "warning", "information")}
+        broken = {grade: f"{plain_percent(share)} {grade}" for grade, share in shares.items() if share > 0.0}
+        grade = next(iter(broken), "not checked" if check.worst is None else "ok")
+        told = ", ".join(broken.values()) or "none"
+        rows.append((check.check.replace("_", " "), grade, told, mathematical(check.text)))
     return Table(caption=caption, rows=tuple(rows), header=("assumption", "grade", "share", "finding"))
 
 
@@ -246,15 +216,15 @@ def question_name(row: QuestionRow) -> str:
 def model_table(contents: Contents) -> Table:
     """Model chosen, why, its measured error, its evaluations, the scene's numbers."""
     model = contents.results.model
-    rows = [("model", str(model.chosen)), ("why", str(model.why))]
+    rows = [("model", model.chosen), ("why", model.why)]
     for name, error in model.measured_error.items():
-        text = (
-            ABSENT + " (could not be measured)"
-            if error is None
-            else number_text(f"{error:.2g}") + " standard deviations"
-        )
-        rows.append((f"measured error of {symbol(name)}", text))
-    rows += _ladder_rows(model)
+        text = f"{ABSENT} (could not be measured)" if error is None else f"{error:.2g} standard deviations"
+        rows.append((f"measured error of {symbol(name)}", number_text(text)))
+    for name, seen in model.considered.items():  # what was not tried for want of promise tells nobody anything
+        errors = [error for error in seen.error.values() if error is not None]
+        off = f"errs by up to {max(errors):.2g} standard deviations, " if errors else ""
+        rows.append((f"considered: {name}", f"{off}costs {seen.cost:.2g} of the full model"))
+    rows += model.savings()
     rows += [(f"evaluations, {name}", thousands(number)) for name, number in model.evaluations.items()]
     rows.append(("failed evaluations", thousands(model.failures)))
     if model.undecided:
@@ -269,22 +239,6 @@ def model_table(contents: Contents) -> Table:
             rows.append((label, value_text(model.numbers[key], like)))
     note = "Errors are the largest on the pilot sample, other numbers its medians: neither has an interval."
     return Table(caption="How the answers were computed", header=("", ""), rows=tuple(rows), note=note)
-
-
-def _ladder_rows(model: ModelEntry) -> list[tuple[str, str]]:
-    """What was considered beside the model that was chosen, and what the choice saved."""
-    rows = []
-    for name, seen in model.considered.items():
-        errors = [error for error in seen.error.values() if error is not None]
-        ties = [tie for tie in seen.correlation.values() if tie is not None]
-        text = f"costs {seen.cost:.2g} of the full model"
-        if errors:
-            text = f"errs by up to {max(errors):.2g} standard deviations, {text}"
-        if ties:
-            text += f"; correlation with it at least {min(ties):.4g}"
-        rows.append((f"considered: {name}", text))
-    # what was not tried for want of promise tells nobody anything
-    return rows + model.savings()
 
 
 def repeat_rows(contents: Contents) -> list[tuple[str, str]]:
@@ -314,27 +268,6 @@ def commands(contents: Contents) -> Sequence[str]:
 
 # --- methods ----------------------------------------------------------------------------------------
 
-#: what the words in the name of a method mean; a name is looked through in this order
-_MEANING = (
-    ("quasi-Monte Carlo", "sixteen independent scrambled Sobol’ sets; intervals rest on how far the sixteen differ"),
-    ("polynomial chaos", "the answer expanded in polynomials of the inputs; validated on points it has not seen"),
-    ("pick and freeze", "pairs of runs that share one input or all but one"),
-    ("pairs of runs", "pairs of runs that share some inputs, the others drawn anew given those"),
-    ("common random numbers", "the same random inputs at every value of the free scalar, read off between the values"),
-    ("rows at the value", "what a polynomial of all rows is off by at the value is read off rows evaluated there"),
-    ("importance sampling", "samples drawn where failures are, and weighted back"),
-    ("subset simulation", "rare events reached in steps of conditional probability"),
-    ("directional", "probabilities added up over directions in standard normal space"),
-    ("active learning", "a Gaussian process that is refined where the limit is passed"),
-    ("Jansen", "Jansen’s estimator, accurate for small shares"),
-    ("Saltelli", "Saltelli’s estimator"),
-    ("Azzini", "the estimator of Azzini and Rosati, accurate for large shares"),
-    ("controlled by a surrogate", "the polynomial chaos as control variate: it narrows intervals and cannot bias them"),
-    ("controlled by a table", "a table of scaled numbers beside the model: it narrows intervals and cannot bias them"),
-    ("strength integrated", "the strength’s law integrated exactly, not sampled"),
-    ("one-sided", "a bound where no failure was seen"),
-)
-
 
 def _named(contents: Contents) -> Iterator[tuple[str, str]]:
     """Methods in full, and what each answered."""
@@ -360,11 +293,8 @@ def plan_table(contents: Contents) -> Table | None:
         return None
     spent = sum(contents.results.model.evaluations.values())
     budget = contents.resolved.analysis.budget.evaluations
-    helped = ""
-    if plan.way == "sampling" and any("surrogate" in n or "polynomial" in n for n, _ in _named(contents)):
-        helped = "; surrogates, where methods name them, narrow its intervals or check it"
     rows = [
-        ("way", f"{plan.way}: {plan.why}{helped}"),
+        ("way", f"{plan.way}: {plan.why}"),
         ("forecast", f"{thousands(plan.sampling_evaluations)} evaluations by sampling, some "
                      f"{thousands(plan.surrogate_evaluations)} by a surrogate, whatever the budget"),
         ("taken", f"{thousands(spent)} evaluations of at most {thousands(budget)}"),
@@ -391,17 +321,14 @@ def part_row(part: PartEntry, seconds: float | None) -> tuple[str, str]:
 
 
 def methods_table(contents: Contents) -> Table:
-    """Every method once: its name in full, what it means, what it answered."""
+    """Every method once: its name in full, and what it answered."""
     used: dict[str, list[str]] = {}
     for method, what in _named(contents):
         found = used.setdefault(str(method), [])
         if what not in found:
             found.append(what)
-    rows = []
-    for method, answered in used.items():
-        meaning = "; ".join(text for word, text in _MEANING if word.lower() in method.lower())
-        rows.append((method, meaning or ABSENT, listed(answered[:6]) + (" and others" if len(answered) > 6 else "")))
-    return Table(caption="Methods", header=("method", "what it does", "used for"), rows=tuple(rows))
+    rows = ((name, listed(of[:6]) + (" and others" if len(of) > 6 else "")) for name, of in used.items())
+    return Table(caption="Methods", header=("method", "used for"), rows=tuple(rows))
 
 
 # --- Where the numbers of a study come from: inputs with their laws, fixed numbers, dependence, sources.
@@ -502,28 +429,25 @@ def parts_table(contents: Contents, name: str) -> Table | None:
         if spread is not None:
             rows.append((f"{words} (standard deviation of its logarithm)", number_text(f"{spread:#.2g}")))
     opened = entry.ignorance
-    if opened.laws:
-        ends = ["beyond the range" if end is None else rounded(Est.of(end), subject, 3)
-                for end in (opened.low, opened.high)]  # fmt: skip
-        rows.append((f"{solve} that the tests leave open (95 %)", " to ".join(ends)))
-        if opened.mean_law is not None:
-            words = f"{solve} with the mean over all laws that the tests allow"
-            rows.append((words, rounded(Est.of(opened.mean_law), subject, 3)))
-    if limit.ignorance.known:
-        told = probability_range(*limit.ignorance.miss)
-        rows.append(("probability of missing the aim that the tests leave open", told))
+    # what the tests leave open of value and probability stands in the tables of these
+    if opened.mean_law is not None:
+        words = f"{solve} with the mean over all laws that the tests allow"
+        rows.append((words, rounded(Est.of(opened.mean_law), subject, 3)))
     caption = f"Margin of {limit_name(name)}; the answer is where {plain_percent(entry.probability or 0.0)} exceed it"
     return Table(caption=caption, header=("", "value"), rows=tuple(rows)) if rows else None
 
 
 def _reserve_rows(contents: Contents, entry: MarginEntry, limit: LimitEntry) -> Iterator[tuple[str, str]]:
-    factor = reserve(contents, entry, limit)
-    if factor is not None:
-        word = "reserve" if factor >= 1.0 else "shortfall (reserve below 1)"
-        # in three digits, never more than it is
-        whole = f"{math.floor(100.0 * factor + 1e-9) / 100.0:.2f}" if factor < 100.0 else f"{math.floor(factor)}"
-        told = whole if factor >= 1.0 else f"{factor:.3g}"
-        yield f"{word} in {input_name(entry.solve)}: the answer against the planned value", told
+    """Factor by which the free scalar may move before the target is reached; below 1 where it is missed."""
+    here, value = contents.at_mean(entry.solve), entry.value.value
+    if here is None or value is None or not (here > 0.0 and value > 0.0):
+        return
+    factor = value / here if at_most(entry, limit.aim) else here / value
+    word = "reserve" if factor >= 1.0 else "shortfall (reserve below 1)"
+    # in three digits, never more than it is
+    whole = f"{math.floor(100.0 * factor + 1e-9) / 100.0:.2f}" if factor < 100.0 else f"{math.floor(factor)}"
+    told = whole if factor >= 1.0 else f"{factor:.3g}"
+    yield f"{word} in {input_name(entry.solve)}: the answer against the planned value", told
 
 
 def _factor_rows(contents: Contents, name: str) -> Iterator[tuple[str, str]]:
@@ -539,30 +463,21 @@ def _factor_rows(contents: Contents, name: str) -> Iterator[tuple[str, str]]:
         yield f"{safe} as planned: {fractiles} {apart}", _ranged(contents, name, factors.fractiles, of.demand)
 
 
-def reserve(contents: Contents, entry: MarginEntry, limit: LimitEntry) -> float | None:
-    """Factor by which the free scalar may move before the target is reached; below 1 where it is missed."""
-    here, value = contents.at_mean(entry.solve), entry.value.value
-    if here is None or value is None or not (here > 0.0 and value > 0.0):
-        return None
-    return float(value / here if at_most(entry, limit.aim) else here / value)
-
-
-def _partial_rows(entry: MarginEntry, limit: LimitEntry) -> list[tuple[str, str]]:
+def _partial_rows(entry: MarginEntry, limit: LimitEntry) -> Iterator[tuple[str, str]]:
     """The partial factors at the answer."""
-    rows, likeliest = [], "failure" if limit.aim == "survive" else "survival"
+    survive = limit.aim == "survive"
+    likeliest, fractile = ("failure", "5 %") if survive else ("survival", "95 %")
     for key, part in entry.lost_to.partial.items():
-        strength = key.endswith(".strength")
-        own = limit.quantity if strength else key
-        fractile = "5 %" if limit.aim == "survive" else "95 %"
-        what = (
-            f"its {fractile} fractile over its value at the likeliest {likeliest}"
-            if strength
-            else f"its value at the likeliest {likeliest} over its median"
+        own, what, values = (
+            key,
+            f"its value at the likeliest {likeliest} over its median",
+            (part.design, part.characteristic),
         )
-        values = (part.characteristic, part.design) if strength else (part.design, part.characteristic)
+        if key.endswith(".strength"):
+            own, what = limit.quantity, f"its {fractile} fractile over its value at the likeliest {likeliest}"
+            values = values[::-1]
         text = f"{part.factor:.3f} ({value_text(values[0], own)} over {value_text(values[1], own)})"
-        rows.append((f"at the answer, partial factor of {input_name(key)}: {what}", text))
-    return rows
+        yield f"at the answer, partial factor of {input_name(key)}: {what}", text
 
 
 def _ranged(contents: Contents, name: str, factor: float, fractile: float) -> str:
@@ -741,7 +656,7 @@ def _worth(entry: MeasureEntry, row: MeasureRow, power: int) -> tuple[str, ...]:
     if entry.of != "probability":
         return index_cell(row.effect), tests
     ends = (None if end is None else 10.0**-power * end for end in (sway.value, sway.low, sway.high))
-    return cell(Est.of(*ends)), two_digits(row.part), tests
+    return cell(Est.of(*ends)), share(row.part), tests
 
 
 def design_table(contents: Contents, name: str) -> Table | None:
@@ -753,11 +668,11 @@ def design_table(contents: Contents, name: str) -> Table | None:
     shares = limit.governing_inputs or {}
     rows = []
     for key in sorted(point, key=lambda k: -float(shares.get(k, 0.0))):
-        share = two_digits(float(shares[key])) if key in shares else ABSENT
+        part = share(float(shares[key])) if key in shares else ABSENT
         mean = contents.results.inputs[key].mean if key in contents.results.inputs else None
         subject = contents.subject(key)
         usual = ABSENT if mean is None else value_text(mean, subject)
-        rows.append((input_name(key), value_text(point[key], subject), usual, share))
+        rows.append((input_name(key), value_text(point[key], subject), usual, part))
     return Table(
         caption=f"Design point of {limit_name(name)}",
         header=("input", "value there", "mean", "importance factor"),

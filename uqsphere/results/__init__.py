@@ -525,18 +525,11 @@ class ModelEntry(Entry):
 
     def savings(self) -> list[tuple[str, str]]:
         """What cheaper fidelities did for the run, for people: (label, text) rows."""
-        rows = []
-        if self.fallback_share is not None:
-            rows.append(("left to full", f"{100.0 * self.fallback_share:.3g} % of the rows"))
-        for label, text in (
-            ("", self.control.text),
-            (", indices", self.control.indices),
-            (", margins", self.control.margins),
-        ):
-            rows += [(f"control variate{label}", text)] if text else []
-        if self.saved.full_evaluations:
-            rows.append(("saved", self.saved.text))
-        return rows
+        left = "" if self.fallback_share is None else f"{100.0 * self.fallback_share:.3g} % of the rows"
+        control, saved = self.control, self.saved.text if self.saved.full_evaluations else ""
+        told = {"left to full": left, "control variate": control.text, "control variate, indices": control.indices,
+                "control variate, margins": control.margins, "saved": saved}  # fmt: skip
+        return [(label, text) for label, text in told.items() if text]
 
 
 class PartEntry(Entry):

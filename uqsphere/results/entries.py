@@ -446,10 +446,7 @@ _ALTERNATIVES = frozenset({"int", "float", "bool", "str", "Est", "[key]", "const
 def read_entry(path: Path, kind: type[_Entry]) -> _Entry:
     """A document of a result folder.
 
-    Raises
-    ------
-    FolderError
-        When it is missing, damaged or not what a run writes.
+    Raises FolderError when it is missing, damaged or not what a run writes.
     """
     return checked_entry(path, load_document(path), kind)
 

@@ -1,10 +1,13 @@
-"""Quantities in figures: how they are distributed beside the strengths, what makes their scatter, and vectors."""
+"""Quantities in figures: how they are distributed beside the strengths, what makes their scatter, vectors, and how the
+errors of all answers fell."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, replace
+from itertools import cycle
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -15,8 +18,9 @@ from uqsphere.report.figures import canvas
 from uqsphere.report.phrases import limit_name, listed, plain_percent, share_text, short_input, symbol, unit_text
 from uqsphere.report.tables import ranked
 from uqsphere.results import IndexEntry, QuantityEntry
-from uqsphere.results.entries import Est, Ests
+from uqsphere.results.entries import AccuracyTable, Est, Ests
 from uqsphere.results.tables import Stored
+from uqsphere.runner.results import FURTHER
 from uqsphere.uq import Law
 
 if TYPE_CHECKING:
@@ -24,6 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+
 
 #: a range of more than this ratio is drawn on a logarithmic axis
 _WIDE: Final = 40.0
@@ -278,20 +283,6 @@ def _index_mark(axes: Axes, estimate: Est, y: float, colour: str, marker: str) -
     return float(max(high, value))
 
 
-def group_figure(contents: Contents, quantity: str) -> canvas.Picture | None:
-    """Closed and total indices of groups of inputs; None where none is known."""
-    groups = contents.results.sensitivity.get(quantity, IndexEntry()).groups
-    names = [n for n, e in groups.total.items() if e.value is not None]
-    if not names:
-        return None
-    names.sort(key=lambda n: -groups.total[n].number)
-    labels, axis = {n: canvas.shorten(n, 40) for n in names}, f"share of the variance of {symbol(quantity, 24)}"
-    words = ("by themselves (closed)", "with interactions (total)")
-    figure = draw_indices(names, labels, groups.first, groups.total, axis, words)
-    title = f"What groups of inputs do to {symbol(quantity)}"
-    return canvas.Picture(name=canvas.slug("groups", quantity), title=title, figure=figure)
-
-
 def sensitivity_figure(contents: Contents, quantity: str) -> canvas.Picture | None:
     """First and total indices with their uncertainty, the largest on top; None where there are none."""
     entry = contents.results.sensitivity.get(quantity, IndexEntry())
@@ -342,3 +333,152 @@ def field_figure(name: str, stored: Stored, *, over_time: bool) -> canvas.Pictur
     return canvas.Picture(
         name=f"field-{canvas.slug(name)}", title=f"{name}: band and what makes its scatter", figure=figure
     )
+
+
+_COLOURS: Final = (canvas.BLUE, canvas.ORANGE, canvas.GREEN, canvas.RED, canvas.SKY)
+#: series with a label; the rest is drawn thin
+_LABELLED: Final = 10
+#: errors below this share of what was asked lie below the axis: they would leave the rest no room
+_LEAST: Final = 1e-3
+#: what the errors of answers without a course are called in a label, in the order of `FURTHER`
+_WORDS: Final = dict(
+    zip(FURTHER, ("value", "fracture", "share", "median", "delta", "PAWN", "index of a miss", "inputs of a miss"),
+        strict=True)
+)  # fmt: skip
+_FRACTURE: Final = {
+    "union": "fracture probability",
+    "first_loading": "fracture, first loading",
+    "curve": "fracture value",
+    "governed_by": "limit that comes first",
+}
+#: answers that no stage pursues are marks alone
+_FURTHER_MARK: Final[dict[str, Any]] = {
+    "marker": "o", "markersize": 3.5, "markerfacecolor": "none", "markeredgecolor": canvas.GREY, "markeredgewidth": 0.8,
+}  # fmt: skip
+_STYLES: Final = ("-", "--", ":", "-.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Series:
+    """The errors of one method for one question: points (evaluations, seconds, error over what was asked)."""
+
+    method: str
+    quantity: str
+    kind: str
+    asked: float
+    points: tuple[tuple[float, float, float], ...] = ()
+
+    @property
+    def label(self) -> str:
+        """Which question it is."""
+        head, _, rest = self.quantity.partition(".")
+        if head == "fracture" and rest:
+            return _FRACTURE.get(rest, f"{rest.replace('_', ' ')} at fracture")
+        rest, _, where = rest.partition(" at ")
+        name = limit_name(rest, 20) if head in ("limits", "margins") and rest else symbol(self.quantity, 20)
+        name += f" ({where.partition(' ')[2]})" if where else ""
+        return f"{name} {_short(self.kind)}"
+
+
+def _short(kind: str) -> str:
+    if kind in FURTHER:
+        return _WORDS[kind]
+    for word in ("band", "mean", "quantile", "probability", "index"):
+        if word in kind:
+            return word
+    return "unexplained" if "variance" in kind else kind
+
+
+def _asked(kind: str, accuracy: AccuracyTable) -> float | None:
+    if _short(kind) == "band":
+        return accuracy.curve
+    word = {"mean": "mean", "quantile": "quantile", "probability": "probability"}.get(_short(kind), "sobol")
+    found: float | None = getattr(accuracy, FURTHER.get(kind, word))
+    return found
+
+
+def error_series(contents: Contents) -> list[Series]:
+    """The speed-error rows of a run as series; the seconds are those of the manifest, in the same order."""
+    rows = contents.results.speed_error
+    seconds = list(contents.manifest.speed_error_seconds)
+    seconds += [math.nan] * (len(rows) - len(seconds))
+    accuracy = contents.resolved.analysis.accuracy
+    found: dict[tuple[str, str, str], Series] = {}
+    for row, second in zip(rows, seconds, strict=False):
+        if not row.error or row.error <= 0.0:
+            continue
+        key = (row.method, row.quantity, row.error_kind)
+        asked = _asked(row.error_kind, accuracy)
+        if asked is None:
+            continue
+        series = found.setdefault(key, Series(method=key[0], quantity=key[1], kind=key[2], asked=asked))
+        point = (float(row.evaluations), float(second), row.error / asked)
+        found[key] = replace(series, points=(*series.points, point))
+    return list(found.values())
+
+
+def _drawing(contents: Contents, column: int, name: str, title: str, label: str) -> canvas.Picture | None:
+    """Every error over what it took: a course for each question, a mark and a colour for each method."""
+    series = _shown(contents, column)
+    if not series:
+        return None
+    pursued = [s for s in series if s.kind not in FURTHER]
+    further = np.array([s.points[-1] for s in series if s.kind in FURTHER]).reshape(-1, 3)
+    methods = sorted({s.method for s in pursued})
+    below, labelled = sum(s.points[-1][2] < _LEAST for s in series), _labelled(pursued)
+    asked: dict[str, Any] = {"color": canvas.INK, "linewidth": 1.0, "linestyle": (0, (6, 3))}
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(4.2 + 0.12 * len(labelled))
+        _limits(axes, np.array([(p[column], p[2]) for s in series for p in s.points]))
+        if len(further):
+            axes.plot(further[:, column], further[:, 2], label="read off the same rows", **_FURTHER_MARK)
+        axes.axhline(1.0, label="what was asked", **asked)
+        for k, s in enumerate(pursued):
+            at, points = methods.index(s.method), np.array(s.points)
+            axes.plot(points[:, column], points[:, 2], markersize=4.5, color=_COLOURS[at % len(_COLOURS)],
+                      marker=canvas.MARKS[at % len(canvas.MARKS)], linestyle=_STYLES[k % len(_STYLES)],
+                      linewidth=1.2 if s in labelled else 0.6, label=s.label if s in labelled else None)  # fmt: skip
+        if below:
+            axes.plot([], [], linestyle="", label=f"not shown: {below} below {_LEAST:g}")
+        canvas.frame(axes, x=label, y="error over what was asked", grid=True)
+        _legends(axes, methods)
+    return canvas.Picture(name=name, title=title, figure=figure)
+
+
+def _legends(axes: Axes, methods: list[str]) -> None:
+    """Marks of the methods above, courses below."""
+    marks = zip(methods, cycle(_COLOURS), cycle(canvas.MARKS))
+    handles = [canvas.mark(c, canvas.wrap(name, 30, lines=3), marker=m, markersize=5) for name, c, m in marks]
+    canvas.legend_above(axes, 2, handles)
+    axes.add_artist(axes.get_legend())
+    axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.2), ncols=2, fontsize=8.0, handlelength=2.6)
+
+
+def _shown(contents: Contents, column: int) -> list[Series]:
+    """Series of points that have a place, those that end with the largest error first."""
+    known = ((s, tuple(p for p in s.points if p[column] > 0.0)) for s in error_series(contents))
+    return sorted((replace(s, points=points) for s, points in known if points), key=lambda s: -s.points[-1][2])
+
+
+def _labelled(pursued: list[Series]) -> list[Series]:
+    """The series with a label: of two methods for one question the better one, and none that ends below the axis."""
+    best = {(s.quantity, s.kind): s for s in pursued}
+    return [s for s in pursued if s is best[s.quantity, s.kind] and s.points[-1][2] >= _LEAST][:_LABELLED]
+
+
+def _limits(axes: Axes, points: Array) -> None:
+    """Axes about the points (n, 2) and an error of one."""
+    (x, y), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    wide = max(right / x, 10.0**0.5) ** 0.1
+    canvas.log_axis(axes, "x", x / wide, right * wide)
+    canvas.log_axis(axes, "y", max(min(1.0, y) / 2.0, _LEAST), max(1.0, top) * 2.0)
+
+
+def convergence_figure(contents: Contents) -> canvas.Picture | None:
+    """Error over what was asked against the evaluations spent."""
+    return _drawing(contents, 0, "convergence", "Error against evaluations", "model evaluations")
+
+
+def speed_figure(contents: Contents) -> canvas.Picture | None:
+    """Error over what was asked against the seconds of this machine."""
+    return _drawing(contents, 1, "speed", "Error against time", "seconds since the start, this machine")

@@ -67,6 +67,14 @@ def on_paper(p: Array, least: float) -> slice:
     return slice(max(int(inside[0]) - 1, 0), int(inside[-1]) + 2) if len(inside) else slice(None)
 
 
+def draw_curve(axes: Axes, curve: Array, factor: float, colour: str, least: float = _LAST, **line: Any) -> Array:
+    """A curve (K, 4) with its band on probability paper, followed down to `least`; its values as they are drawn."""
+    x, (middle, low, high) = curve[:, 0] * factor, canvas.score(curve[:, 1:].T, least)
+    canvas.band(axes, x, low, high, colour)
+    axes.plot(x, middle, color=colour, **line)
+    return np.asarray(x)
+
+
 def fragility_figure(contents: Contents, name: str) -> canvas.Picture | None:
     """Probability of exceeding over the free scalar, with its band, the operating point and the target."""
     entry = contents.results.margins.get(name)
@@ -78,10 +86,7 @@ def fragility_figure(contents: Contents, name: str) -> canvas.Picture | None:
     with canvas.style():
         figure, (axes,) = canvas.new_figure(3.9)
         kept = _interesting(curve[:, 1], curve[:, 0], here)
-        x = curve[kept, 0] * factor
-        middle, low, high = (canvas.score(curve[kept, k], _LAST) for k in (1, 2, 3))
-        canvas.band(axes, x, low, high, canvas.BLUE)
-        axes.plot(x, middle, color=canvas.BLUE)
+        x = draw_curve(axes, curve[kept], factor, canvas.BLUE)
         x_scale(axes, x)
         z = lognormal_scores(entry, curve[kept, :2])
         if np.isfinite(z).any():
@@ -265,7 +270,7 @@ def family_figure(contents: Contents, name: str) -> canvas.Picture | None:
     if len(members) < 2:
         return None
     factor = display_unit(contents.subject(entry.solve))[1]
-    handles, ends = [], list[float]()
+    ends = list[float]()
     with canvas.style():
         figure, (axes,) = canvas.new_figure(3.7)
         labels = member_values(path, [member.value for member in members], 3)
@@ -274,23 +279,14 @@ def family_figure(contents: Contents, name: str) -> canvas.Picture | None:
             kept = on_paper(curve[:, 1], 1e-4)
             x, p = curve[kept, 0] * factor, curve[kept, 1]
             ends += [float(x[0]), float(x[-1])]
-            colour = _COLOURS[k % len(_COLOURS)]
-            own: dict[str, Any] = {"marker": canvas.MARKS[k % len(canvas.MARKS)], "markersize": 4.5}
-            axes.plot(x, canvas.score(p), color=colour)
-            # marks at the probabilities asked for alone: those of all curves are to be compared
-            asked = [(e.value * factor, float(q)) for q, e in member.values.items() if e.value is not None]
-            points = np.array([point for point in asked if x[0] <= point[0] <= x[-1]]).reshape(-1, 2)
-            axes.plot(points[:, 0], canvas.score(points[:, 1]), color=colour, linestyle="none", **own)
-            handles.append(canvas.mark(colour, number_text(label), **own))
+            axes.plot(x, canvas.score(p), color=_COLOURS[k % len(_COLOURS)], marker=canvas.MARKS[k % len(canvas.MARKS)],
+                      markersize=4.5, markevery=0.15, label=number_text(label))  # fmt: skip
         x_scale(axes, np.array([min(ends), max(ends)]))
         axes.set_ylim(float(canvas.score(1e-3)) - 0.2, float(canvas.score(0.999)) + 0.2)
         probability_axis(axes)
-        canvas.frame(
-            axes,
-            x=solved_label(contents, entry.solve),
-            y=f"probability that {symbol(contents.results.limits[name].quantity, 24)}\nexceeds the strength",
-        )
-        axes.legend(handles=handles, title=canvas.shorten(input_name(path), 30), title_fontsize=9.0, loc="upper left")
+        what = symbol(contents.results.limits[name].quantity, 24)
+        canvas.frame(axes, x=solved_label(contents, entry.solve), y=f"probability that {what}\nexceeds the strength")
+        axes.legend(title=canvas.shorten(input_name(path), 30), title_fontsize=9.0, loc="upper left")
     return canvas.Picture(
         name=canvas.slug("fragility-family", name), title=f"Fragility of {limit_name(name)} over {input_name(path)}",
         figure=figure, header=(path, entry.solve, "probability", "low", "high"),

@@ -38,10 +38,8 @@ _CHANGES: Final = 12
 
 
 def history_figure(history: History) -> str:
-    """SVG text of one scene over time: contact forces, contact pressures, sphere velocity, waves.
-
-    Contacts lost and found, the end of the record and the largest pressures are marked.
-    """
+    """SVG text of one scene over time: contact forces, contact pressures, sphere velocity, waves; contacts lost and
+    found, the end of the record and the largest pressures are marked."""
     return canvas.render(draw_history(history))
 
 
@@ -89,7 +87,7 @@ def draw_history(history: History) -> canvas.Picture:
         elif end >= history.horizon:
             text = f"in contact up to the end of the record at {end * factor:.4g} {unit}"
         figure.suptitle(text, x=0.02, ha="left", fontsize=8.5)
-    return canvas.Picture(name="history", title="One scene over time", finding=history_finding(history), figure=figure)
+    return canvas.Picture(name="history", title="One scene over time", figure=figure)
 
 
 def _panels(history: History) -> list[tuple[str, list[tuple[str, Array, str, str]]]]:
@@ -170,7 +168,7 @@ def balance_picture(balance: Balance, hertz: Sequence[float]) -> canvas.Picture:
     columns |= {f"{name} [J]": course for name, course, _, _ in parts}
     rows = tuple(zip(*(column.tolist() for column in columns.values()), strict=True))
     return canvas.Picture(name="balance", title="Force over approach, and where the energy is", header=tuple(columns),
-                          rows=rows, finding=_balance_finding(balance), figure=figure)  # fmt: skip
+                          rows=rows, figure=figure)  # fmt: skip
 
 
 def loop_figure(contents: Contents) -> canvas.Picture | None:
@@ -184,18 +182,6 @@ def loop_figure(contents: Contents) -> canvas.Picture | None:
     return balance_picture(balance, hardest["hertz_constants"])
 
 
-def _balance_finding(balance: Balance) -> str:
-    plastic, passed = float(balance.plastic[:, -1].sum()), float(balance.passed[1, -1])
-    given = float(balance.kinetic[0] + max(balance.passed[0, -1], 0.0))
-    if given <= 0.0:
-        return "No work is done on the sphere."
-    text = f"Of the work done on the sphere {100.0 * passed / given:.2g} % is passed on at face B"
-    if plastic > 0.0:
-        dents = ", ".join(f"{1e6 * float(d):.2g} µm" for d in balance.dent[:, -1] if d > 0.0)
-        text += f" and {100.0 * plastic / given:.2g} % is plastic; dents of {dents} stay"
-    return text + "."
-
-
 def _peaks(axes: Axes, history: History, factor: float) -> None:
     """The largest pressures before and after the first loss of contact."""
     peaks = [peak for peak in (history.first_peak, history.later_peak) if peak is not None]
@@ -207,30 +193,6 @@ def _peaks(axes: Axes, history: History, factor: float) -> None:
         right = peak.time > 0.7 * history.horizon
         words = f"{format_value(peak.pressure, 'p_max')} at {peak.face}"
         canvas.note(axes, words, at, (-6 if right else 6, 5), ha="right" if right else "left", fontsize=8.5)
-
-
-def history_finding(history: History) -> str:
-    """What happens, in sentences."""
-    unit, factor = canvas.time_unit(history.horizon)
-    if history.first_peak is None:
-        return "The sphere is never pressed."
-    first = history.first_peak
-    text = (
-        f"The contact pressure is largest at face {first.face}, {format_value(first.pressure, 'p_max')} after "
-        f"{first.time * factor:.4g} {unit}."
-    )
-    lost = next((change for change in history.changes if change.kind == "lost"), None)
-    if lost is None:
-        text += f" Contact lasts to the end of the history at {history.horizon * factor:.4g} {unit}."
-    else:
-        text += f" Face {lost.face} is the first to lose contact, at {lost.time * factor:.4g} {unit}."
-    if history.later_peak is not None and history.later_peak_is_larger:
-        later = history.later_peak
-        text += (
-            f" The sphere is pressed harder later, {format_value(later.pressure, 'p_max')} at face {later.face} after "
-            f"{later.time * factor:.4g} {unit}, which no quantity of the record sees."
-        )
-    return text
 
 
 # --- x-t diagram --------------------------------------------------------------------------------------
@@ -305,23 +267,7 @@ def draw_gauges(history: History) -> canvas.Picture:
         axes[-1].set_xlabel("time since first touch [µs]")
         if any(record.overlaps for record in records):
             figure.suptitle("shaded: two waves at the gauge at once", x=0.02, ha="left", fontsize=8.5)
-    return canvas.Picture(
-        name="gauges", title="Signals of the strain gauges", finding=gauges_finding(history), figure=figure
-    )
-
-
-def gauges_finding(history: History) -> str:
-    """Extremes and overlaps of every gauge, in sentences."""
-    parts = []
-    for record in history.gauges:
-        low, high = record.strain.min() * 1e6, record.strain.max() * 1e6
-        where = f"The gauge on the {record.bar} bar, {record.position:.4g} m from the sphere,"
-        parts.append(f"{where} shows {low:.4g} to {high:.4g} microstrain.")
-        for overlap in record.overlaps:
-            second = "the reflected one" if overlap.second == "reflected" else overlap.second
-            span = f"From {overlap.begin * 1e6:.4g} us to {overlap.end * 1e6:.4g} us"
-            parts.append(f"{span} it sees the {overlap.first} wave and {second} at once.")
-    return " ".join(parts)
+    return canvas.Picture(name="gauges", title="Signals of the strain gauges", figure=figure)
 
 
 def _arrivals(axes: Axes, history: History, record: GaugeRecord, begin: float, end: float) -> None:

@@ -147,10 +147,7 @@ def stress_picture(contact_ratio: float, nu: float, pressure: float) -> canvas.P
     nu : Poisson ratio of the sphere, 0 to 0.5
     pressure : p_0 [Pa] at that force
 
-    Raises
-    ------
-    ValueError
-        Outside these ranges.
+    Raises ValueError outside these ranges.
     """
     if outside(contact_ratio, nu):
         raise ValueError(f"no picture for a/r = {contact_ratio:g}, nu = {nu:g}: outside the tables of the stress")
