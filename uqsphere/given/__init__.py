@@ -9,7 +9,7 @@ from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, TextIO, TypeAlias
+from typing import Final, TextIO, TypeAlias, cast
 
 import numpy as np
 
@@ -156,9 +156,8 @@ def combinations(x: Array) -> list[Combination]:
     spread, centre = x.std(axis=0), x.mean(axis=0)
     varying = [k for k in range(x.shape[1]) if np.isfinite(spread[k]) and spread[k] > 1e-14 * abs(centre[k])]
     # lengths and angles of the columns are those of the triangle that they are a rotation of
-    columns = dict(
-        zip(varying, np.linalg.qr((x[:, varying] - centre[varying]) / spread[varying], mode="r").T, strict=True)
-    )
+    triangle = np.asarray(np.linalg.qr((x[:, varying] - centre[varying]) / spread[varying], mode="r"))
+    columns = dict(zip(varying, triangle.T, strict=True))
     found = []
     kept: list[int] = []
     for k, column in columns.items():
@@ -551,7 +550,9 @@ def _apart(ranks: Mapping[str, Estimate], chaos: Document, output: Document) -> 
     for what, form, way, alone, other in pairs:
         if None in (alone["value"], other["value"], alone["std_error"]):
             continue
-        if abs(alone["value"] - other["value"]) > _APART * math.hypot(alone["std_error"], other["std_error"]):
+        if abs(alone["value"] - other["value"]) > _APART * math.hypot(
+            *(cast("float", one["std_error"]) for one in (alone, other))
+        ):
             told.append(f"{what}: {alone['value']:{form}} {way}, {other['value']:{form}} by expansion")
     return told
 

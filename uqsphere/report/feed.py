@@ -232,7 +232,8 @@ def _feed_parts(entry: FeedEntry) -> list[Chapter]:
     )  # fmt: skip
     class_head = ("class [mm]", "mass [%]", "particles", "E50 [J/kg]", "broken [%]", "ignorance", "a lot", "blows")
     numbers = tuple((name, _interval(one), entry.sources.get(name, "")) for name, one in entry.product.items())
-    remarks = (f"The curve: {entry.curve_law}, {entry.sources.get('t_n', '')}.",) if entry.curve else ()
+    curve = f"The curve: {entry.curve_law}, {entry.sources.get('t_n', '')}."
+    remarks: tuple[str, ...] = (curve,) if entry.curve else ()
     if entry.form == "jk" and entry.curve:
         remarks += (f"The range of the drop-weight test, 0.1 to 2.5 kWh/t and 13 to 63 mm, is {_SURE}.",)
     if entry.spectrum_error:

@@ -318,6 +318,19 @@ def short_share(value: float, target: float | None = None) -> str:
     return share(value, target).replace("under ", "<").replace("over ", ">")
 
 
+def two_digits(value: float) -> str:
+    """A share in per cent with two digits, and as many more as tell it from the whole.
+
+    >>> two_digits(0.0123), two_digits(0.9979), two_digits(1.52)
+    ('1.2 %', '99.8 %', '152 %')
+    """
+    percent = 100.0 * value
+    if percent < 99.5:
+        return number_text(f"{percent:.2g}") + " %"
+    decimals = 1 if percent < 99.95 else 2 if percent < 99.995 else 0
+    return f"{percent:.{decimals}f} %"
+
+
 def share_text(estimate: Est) -> str:
     """A Sobol' index as a share of the variance, rounded to what its interval supports.
 

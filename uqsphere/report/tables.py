@@ -30,9 +30,9 @@ from uqsphere.report.phrases import (
     powers,
     probability_range,
     rounded,
-    share,
     symbol,
     thousands,
+    two_digits,
     unit_text,
     value_text,
 )
@@ -656,7 +656,7 @@ def _worth(entry: MeasureEntry, row: MeasureRow, power: int) -> tuple[str, ...]:
     if entry.of != "probability":
         return index_cell(row.effect), tests
     ends = (None if end is None else 10.0**-power * end for end in (sway.value, sway.low, sway.high))
-    return cell(Est.of(*ends)), share(row.part), tests
+    return cell(Est.of(*ends)), two_digits(row.part), tests
 
 
 def design_table(contents: Contents, name: str) -> Table | None:
@@ -668,7 +668,7 @@ def design_table(contents: Contents, name: str) -> Table | None:
     shares = limit.governing_inputs or {}
     rows = []
     for key in sorted(point, key=lambda k: -float(shares.get(k, 0.0))):
-        part = share(float(shares[key])) if key in shares else ABSENT
+        part = two_digits(float(shares[key])) if key in shares else ABSENT
         mean = contents.results.inputs[key].mean if key in contents.results.inputs else None
         subject = contents.subject(key)
         usual = ABSENT if mean is None else value_text(mean, subject)

@@ -450,7 +450,10 @@ def _legends(axes: Axes, methods: list[str]) -> None:
     marks = zip(methods, cycle(_COLOURS), cycle(canvas.MARKS))
     handles = [canvas.mark(c, canvas.wrap(name, 30, lines=3), marker=m, markersize=5) for name, c, m in marks]
     canvas.legend_above(axes, 2, handles)
-    axes.add_artist(axes.get_legend())
+    above = axes.get_legend()
+    assert above is not None
+    axes.add_artist(above)
+    above.set_clip_on(False)  # what is cut off at the axes is left out of the layout
     axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.2), ncols=2, fontsize=8.0, handlelength=2.6)
 
 

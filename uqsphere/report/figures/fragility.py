@@ -279,8 +279,13 @@ def family_figure(contents: Contents, name: str) -> canvas.Picture | None:
             kept = on_paper(curve[:, 1], 1e-4)
             x, p = curve[kept, 0] * factor, curve[kept, 1]
             ends += [float(x[0]), float(x[-1])]
-            axes.plot(x, canvas.score(p), color=_COLOURS[k % len(_COLOURS)], marker=canvas.MARKS[k % len(canvas.MARKS)],
-                      markersize=4.5, markevery=0.15, label=number_text(label))  # fmt: skip
+            own: dict[str, Any] = {"color": _COLOURS[k % len(_COLOURS)], "marker": canvas.MARKS[k % len(canvas.MARKS)]}
+            axes.plot(x, canvas.score(p), color=own["color"])
+            # marks at the probabilities asked for alone: those of all curves are to be compared
+            asked = [(e.value * factor, float(q)) for q, e in member.values.items() if e.value is not None]
+            points = np.array([point for point in asked if x[0] <= point[0] <= x[-1]]).reshape(-1, 2)
+            axes.plot(points[:, 0], canvas.score(points[:, 1]), linestyle="none", markersize=4.5, **own)
+            axes.plot([], [], markersize=4.5, label=number_text(label), **own)
         x_scale(axes, np.array([min(ends), max(ends)]))
         axes.set_ylim(float(canvas.score(1e-3)) - 0.2, float(canvas.score(0.999)) + 0.2)
         probability_axis(axes)
