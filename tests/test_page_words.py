@@ -55,7 +55,7 @@ def test_formulas_have_the_signs_of_print() -> None:
     from uqsphere.mechanics.criteria import CRITERIA
     from uqsphere.mechanics.validity import RULES
 
-    texts = [text for rule in RULES for text in (rule.words, rule.fine, rule.meaning)]
+    texts = [text for rule in RULES for text in (rule.words, rule.meaning)]
     texts += [criterion.range_text for criterion in CRITERIA.values()]
     for text in texts:
         assert not re.search(r"sqrt|<=|>=|\^\d|\+-|\brho\b|\bnu\b", mathematical(text))

@@ -204,7 +204,7 @@ def test_a_model_that_fails_where_the_aim_is_missed_establishes_nothing(
 ) -> None:
     def failing(scene: Any, answers: Any) -> dict[str, Any]:
         rule = Rule(name="x", meaning="pressure", measure=lambda scene, answers: answers.values["p_max"], failure=3.2e9,
-                    words="", fine="")  # fmt: skip
+                    words="")  # fmt: skip
         return {"pressure": grades(rule, answers.values["p_max"])}
 
     monkeypatch.setattr("uqsphere.mechanics.validity.grades_of", failing)

@@ -156,6 +156,7 @@ def load_black_box(reference: str) -> BlackBox:
     read.
     """
     import importlib.util
+    from importlib.machinery import SourceFileLoader
 
     path, name = checked_reference(reference)
     if not name:
@@ -168,7 +169,11 @@ def load_black_box(reference: str) -> BlackBox:
     module = importlib.util.module_from_spec(spec)
     try:
         with _at_work(told(path.name, 60)):
-            spec.loader.exec_module(module)
+            if isinstance(spec.loader, SourceFileLoader):
+                # the file as it is now: bytecode beside it may be that of the same second
+                exec(spec.loader.source_to_code(spec.loader.get_data(str(path)), str(path)), module.__dict__)
+            else:
+                spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         raise ModelError(
             f"{path} raised {type(error).__name__} on loading: {told(error)}{where_raised(error)}"
