@@ -17,7 +17,7 @@ from types import FrameType, TracebackType
 from typing import TYPE_CHECKING
 
 from uqsphere.cli.studies import number_of, study_of
-from uqsphere.console import answer, plain, say, stderr_width
+from uqsphere.console import answer, plain, say, screen_width, stderr_width
 from uqsphere.errors import FolderError, ModelError, UsageError
 from uqsphere.study import Study
 
@@ -246,30 +246,59 @@ MISSED = 3
 
 def command_run(chosen: argparse.Namespace) -> int:
     """Run a study and write its report."""
-    from uqsphere.report import build_report
-    from uqsphere.report.brief import summary_of
-    from uqsphere.report.contents import read_contents
+    from uqsphere.runner.beside import elsewhere, may_copy, second_process
 
     study = study_of(chosen)
     if chosen.jobs is not None and chosen.jobs < 1:
         raise UsageError(f"--jobs must be at least 1, found {chosen.jobs}")
     seconds = None if chosen.budget is None else number_of(chosen.budget, "time", "--budget", above=0.0)
-    found, interrupted = _watched_run(study, chosen, seconds)
-    if sys.stderr.isatty():
-        say("writing the report")
-    page = build_report(found.folder, chosen.jobs)
+    with second_process((_load_page, _load_salib), copied=may_copy(chosen.jobs)):
+        found, interrupted = _watched_run(study, chosen, seconds)
+        if sys.stderr.isatty():
+            say("writing the report")
+        page, summary = elsewhere(_page, found.folder, chosen.jobs, screen_width())()
     if missed := len(found.results.accuracy.missed):
         say(f"accuracy not reached in {missed} {'place' if missed == 1 else 'places'}: the report has what was asked")
-    answer(chosen, found.results.document(), lambda: f"{summary_of(read_contents(found.folder))}\n\nreport: {page}")
+    answer(chosen, found.results.document(), lambda: f"{summary}\n\nreport: {page}")
     if interrupted:
         # what is there has been told; the command line says how to go on
         raise KeyboardInterrupt
     return 0 if found.met else MISSED
 
 
+def _load_page() -> None:
+    """What a page takes long to load."""
+    from uqsphere.report.figures.canvas import new_figure
+    from uqsphere.report.page import page_environment
+
+    page_environment()
+    new_figure(1.0)
+
+
+def _load_salib() -> None:
+    """What checks sampled indices."""
+    import SALib.analyze.sobol  # noqa: F401
+
+
+def _draft(folder: Path, results: Results, manifest: Manifest) -> None:
+    from uqsphere.report.page import write_draft
+
+    write_draft(folder, results, manifest)
+
+
+def _page(folder: Path, jobs: int | None, width: int) -> tuple[Path, str]:
+    """The page of a finished run, and what the terminal says of it."""
+    from uqsphere.report import build_report
+    from uqsphere.report.brief import summary_of
+    from uqsphere.report.contents import read_contents
+
+    return build_report(folder, jobs), summary_of(read_contents(folder), width)
+
+
 def _watched_run(study: Study, chosen: argparse.Namespace, seconds: float | None) -> tuple[Run, bool]:
     """Run a study, its progress on stderr; the run, and whether Ctrl-C ended it early."""
     from uqsphere.runner.api import run
+    from uqsphere.runner.beside import elsewhere
 
     budget = study.analysis.budget
     progress = Progress(
@@ -280,9 +309,7 @@ def _watched_run(study: Study, chosen: argparse.Namespace, seconds: float | None
     out = chosen.out or Path(f"{study.path.stem}-results")
 
     def draft(results: Results, manifest: Manifest) -> None:
-        from uqsphere.report.page import write_draft
-
-        write_draft(out, results, manifest)
+        elsewhere(_draft, out, results, manifest)
 
     with contextlib.ExitStack() as around:
         executor = None

@@ -10,11 +10,15 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from typing import Final, NoReturn, TypeVar, cast
+from contextvars import ContextVar
+from functools import partial
+from multiprocessing.connection import Connection, Pipe
+from typing import Any, Final, ParamSpec, TypeVar, cast
 
 from uqsphere.runner.workers import processors
 
 T = TypeVar("T")
+P = ParamSpec("P")
 #: what tells Linux to end a process with the one that started it (prctl.h)
 _END_WITH_PARENT: Final = 1
 
@@ -36,29 +40,23 @@ def aside(function: Callable[[], T], *, copied: bool) -> Iterator[Callable[[], T
         found = function()
         yield lambda: found
         return
-    own = os.getpid()
     read, write = os.pipe()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # threads of linear algebra, none of which is at work
-        child = os.fork()
-    if not child:
-        _answer_for(own, function, write)
-    os.close(write)
+
+    def told() -> None:
+        with os.fdopen(write, "wb") as pipe:
+            pipe.write(_tried(function))
 
     def answer() -> T:
         with os.fdopen(os.dup(read), "rb") as pipe:
             said = pipe.read()
-        failed, content = pickle.loads(said) if said else (False, function())
-        if failed:
-            raise cast("Exception", content)
-        return cast("T", content)
+        return cast("T", _taken(said) if said else function())
 
     try:
-        yield answer
+        with _copy_doing(told):
+            os.close(write)
+            yield answer
     finally:
         os.close(read)
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
 
 
 def shared_out(function: Callable[[int], T], order: Sequence[int], *, copied: bool) -> list[T]:
@@ -81,23 +79,121 @@ def shared_out(function: Callable[[int], T], order: Sequence[int], *, copied: bo
     return [found[k] if k in found else function(k) for k in sorted(order)]
 
 
-def _answer_for(owner: int, function: Callable[[], object], write: int) -> NoReturn:
-    """What a copy of a process does: it ends with its owner, and says nothing but its answer."""
+class Second:
+    """A copy of this process that loads what is needed late while this one works, and then does what it is asked."""
+
+    def __init__(self, link: Connection) -> None:
+        self.owner = os.getpid()
+        self._link = link
+        self._asked = list[Callable[[], Any]]()
+        self._said = list[bytes]()
+
+    def ask(self, work: Callable[[], T]) -> Callable[[], T]:
+        """Have `work()`, which can be pickled, done there after all that was asked before; what waits for its answer.
+
+        What a process that is lost has not answered is done here.
+        """
+        number = len(self._asked)
+        self._asked.append(work)
+        with contextlib.suppress(OSError):
+            self._link.send(work)
+        return partial(self._answer, number)
+
+    def _answer(self, number: int) -> Any:
+        with contextlib.suppress(OSError, EOFError):
+            while len(self._said) <= number:
+                self._said.append(self._link.recv_bytes())
+        return _taken(self._said[number]) if number < len(self._said) else self._asked[number]()
+
+    def settle(self) -> None:
+        """Wait for all that was asked."""
+        for number in range(len(self._asked)):
+            self._answer(number)
+
+
+_SECOND: Final[ContextVar[Second | None]] = ContextVar("second process", default=None)
+
+
+@contextlib.contextmanager
+def second_process(load: Sequence[Callable[[], object]], *, copied: bool) -> Iterator[None]:
+    """While the block goes on `elsewhere` asks a copy of this process, which first does one `load` after the other.
+
+    Where it is not `copied` nothing changes.  What was asked is done when the block ends.
+    """
+    if not copied:
+        yield
+        return
+    here, there = Pipe()
+
+    def serve() -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        here.close()
+        steps = iter(load)
+        while True:
+            if not there.poll() and (step := next(steps, None)) is not None:
+                step()
+                continue
+            there.send_bytes(_tried(there.recv()))
+
+    second = Second(here)
+    try:
+        with _copy_doing(serve):
+            there.close()
+            token = _SECOND.set(second)
+            try:
+                yield
+                second.settle()
+            finally:
+                _SECOND.reset(token)
+    finally:
+        here.close()
+
+
+def elsewhere(function: Callable[P, T], *given: P.args, **named: P.kwargs) -> Callable[[], T]:
+    """Have `function(*given)` done by the second process of this one, where it has one; what waits for its answer."""
+    second, work = _SECOND.get(), partial(function, *given, **named)
+    return second.ask(work) if second is not None and second.owner == os.getpid() else work
+
+
+def _tried(function: Callable[[], object]) -> bytes:
+    """What a function answers, or the error that it ends with, packed."""
+    said: tuple[bool, object]
+    try:
+        said = False, function()
+    except Exception as error:
+        said = True, error
+    return pickle.dumps(said, pickle.HIGHEST_PROTOCOL)
+
+
+def _taken(said: bytes) -> object:
+    failed, content = pickle.loads(said)
+    if failed:
+        raise cast("Exception", content)
+    return content
+
+
+@contextlib.contextmanager
+def _copy_doing(body: Callable[[], None]) -> Iterator[None]:
+    """A copy of this process does `body()` and says nothing but that; it ends with the block or with its owner."""
     import ctypes
 
+    owner = os.getpid()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # threads of linear algebra, none of which is at work
+        child = os.fork()
+    if not child:
+        try:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+            ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGKILL)
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, 1)
+            os.dup2(null, 2)
+            if os.getppid() == owner:
+                body()
+        finally:
+            os._exit(0)
     try:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGKILL)
-        null = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(null, 1)
-        os.dup2(null, 2)
-        if os.getppid() == owner:
-            said: tuple[bool, object]
-            try:
-                said = False, function()
-            except Exception as error:
-                said = True, error
-            with os.fdopen(write, "wb") as pipe:
-                pipe.write(pickle.dumps(said, pickle.HIGHEST_PROTOCOL))
+        yield
     finally:
-        os._exit(0)
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work, with_answered
 from uqsphere.runner.fidelity import solved
 from uqsphere.runner.forecast import JUDGED
 from uqsphere.runner.questions.any_limit import AnyLimit
-from uqsphere.runner.schedule import REPLICATES, WAYS, WAYS_CURVE
+from uqsphere.runner.schedule import PILOT, REPLICATES, WAYS, WAYS_CURVE
 from uqsphere.study import Limit, Study, Ways, means_fracture, spaced, ways_of
 from uqsphere.uq import Sample
 from uqsphere.uq.whatif import root
@@ -28,13 +29,17 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
 
+#: one in so many values of the free scalar is looked at first
+_STRIDE: Final = 4
+
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence:
     """Rows of a run's sample with the demands of all ways to break; `along` has such rows by values of the free scalar.
 
-    `work` has the limits of the ways behind those of the file; `static` are the same rows under the static contact law,
-    None where no face yields, or the study has such a law itself.
+    `work` has the limits of the ways behind those of the file; `scene` and `answers`, on which the checks of the model
+    are made, are those of the first points of each replicate.  `static` are the rows under the static contact law, None
+    where no face yields, or the study has such a law itself.
     """
 
     work: Work
@@ -78,8 +83,8 @@ def gather(work: Work, sample: Sample) -> Evidence | None:
     """
     study, random = work.study, bool(work.scene_names)
     left = study.analysis.budget.evaluations - work.ledger.total
-    # the rows are answered twice, by the study's contact law and by the static one
-    count = min(WAYS.first, sample.count, left // 2 // (sample.replicates if random else 1))
+    # the rows are answered by the study's contact law, by the static one, and by all that checks read
+    count = min(WAYS.first, sample.count, left // 3 // (sample.replicates if random else 1))
     if study.black_box or count < 1 or not any(means_fracture(limit) for limit in study.limits):
         return None
     head, d = sample.head(count), len(work.scene_names)
@@ -93,9 +98,12 @@ def gather(work: Work, sample: Sample) -> Evidence | None:
     )
     own = replace(work, study=_wider(study, ways), ledger=Ledger(started=work.ledger.started), fidelity="full",
                   fallback=None, spare=True)  # fmt: skip
-    answers = _solved(own, scene)
-    found = Evidence(work=own, ways=ways, sample=_with(own, head, answers), scene=scene, answers=answers,
-                     along=_along(own, left - 2 * len(rows)), static=_static(own, head, scene, answers))  # fmt: skip
+    answers = _solved(own, scene, own.quantities)
+    first = np.arange(head.size).reshape(head.replicates, -1)[:, : -(-PILOT.first // head.replicates)]
+    checked = scene.at(first.ravel()) if random else scene
+    found = Evidence(work=own, ways=ways, sample=_with(own, head, answers), scene=checked,
+                     answers=_solved(own, checked, all_with(scene, own.quantities)),
+                     along=_along(own, left - 3 * len(rows)), static=_static(own, head, scene, answers))  # fmt: skip
     work.ledger.evaluations["ways"] = own.ledger.total
     return found
 
@@ -103,12 +111,14 @@ def gather(work: Work, sample: Sample) -> Evidence | None:
 def _wider(study: Study, ways: Ways) -> Study:
     """The study with the limits of the ways behind its own, asked for the demands of all of them."""
     limits = (*study.limits, *(way.limit for way in ways.assumed))
-    asked = tuple(dict.fromkeys(limit.quantity for limit in limits))
+    # by the Hertz pressure faces yield
+    asked = tuple(dict.fromkeys([*(limit.quantity for limit in limits), "p_hertz"]))
     return replace(study, limits=limits, analysis=replace(study.analysis, quantities=asked))
 
 
-def _solved(work: Work, scene: Scene) -> Answers:
-    return solved(work, f"verdict.{scene.contact_law}", scene, all_with(scene, work.quantities))
+def _solved(work: Work, scene: Scene, quantities: tuple[str, ...] | None) -> Answers:
+    asked = "" if quantities else ".checked"
+    return solved(work, f"verdict.{scene.contact_law}{asked}", scene, quantities)
 
 
 def _static(work: Work, points: Sample, scene: Scene, elastic: Answers) -> Sample | None:
@@ -124,7 +134,7 @@ def _static(work: Work, points: Sample, scene: Scene, elastic: Answers) -> Sampl
     if not rows.any():
         return None
     # the motion is the elastic one, which stands: faces that do not yield need no other answer
-    found = _solved(work, yielding.at(np.flatnonzero(rows)))
+    found = _solved(work, yielding.at(np.flatnonzero(rows)), work.quantities)
     answered = is_answered(found.status)
     rows[rows] = answered
     values = {name: column.copy() for name, column in elastic.values.items()}
@@ -144,15 +154,26 @@ def _with(work: Work, points: Sample, answers: Answers) -> Sample:
 
 
 def _along(work: Work, left: int) -> dict[float, Sample]:
-    """Few rows at values of the free scalar, none where it moves no row, or the budget or the time is over."""
+    """Few rows at values of the free scalar, none where it moves no row, or the budget or the time is over.
+
+    Every fourth value first, then those between two whose probabilities differ, by a tenth of what is solved for.
+    """
     margins, count = work.study.margins, min(WAYS_CURVE.first, left // (REPLICATES * WAYS_CURVE.most))
     if margins is None or not margins.axis.moves_rows or count < 1:
         return {}
+    values = list(spaced(margins.axis.low, margins.axis.high, WAYS_CURVE.most))
+    limits = [AnyLimit.of(work, (limit,)) for limit in work.study.limits if means_fracture(limit)]
     try:
-        values = spaced(margins.axis.low, margins.axis.high, WAYS_CURVE.most)
-        return evaluate_along(work, dict.fromkeys(values, (0, count)), ".ways")
+        rows = evaluate_along(work, dict.fromkeys(values[::_STRIDE], (0, count)), ".ways")
+        said = [np.array([one.at(work, sample).any.mean() for one in limits]) for sample in rows.values()]
+        wanted = min(limit.target or min(margins.for_probability) for limit in work.study.limits)
+        moves = [bool((np.abs(after - before) > 0.1 * wanted).any()) for before, after in pairwise(said)]
+        between = [value for k, value in enumerate(values) if k % _STRIDE and moves[k // _STRIDE]]
+        if between:
+            rows |= evaluate_along(work, dict.fromkeys(between, (0, count)), ".ways.between")
     except OutOfBudget:
         return {}
+    return dict(sorted(rows.items()))
 
 
 def judged_ways(work: Work, found: Findings) -> Findings:

@@ -271,8 +271,10 @@ def _by_checks(case: _Case) -> str:
     from uqsphere.mechanics.validity import grades_of
 
     evidence = case.evidence
-    weights = np.zeros(0) if evidence is None else np.ravel(case.before)
-    if evidence is None or not weights.sum() > 0.0:
+    if evidence is None:
+        return ""
+    weights = np.ravel(case.before[:, : max(len(evidence.scene) // len(case.before), 1)])
+    if not weights.sum() > 0.0:
         return ""
     for meaning, grades in grades_of(evidence.scene, evidence.answers).items():
         share = float((weights * (np.resize(grades, weights.shape) == FAILURE)).sum() / weights.sum())

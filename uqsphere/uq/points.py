@@ -8,19 +8,25 @@ depends on the order in which things are drawn, and a sequence can be continued 
 from __future__ import annotations
 
 import hashlib
+from functools import lru_cache
+from importlib import resources
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from uqsphere.arrays import Array
 
 #: Dimensions for which direction numbers exist (Joe and Kuo 2008).
 MOST_DIMENSIONS = 21201
 
-#: points that are passed over at once
-_BLOCK: Final = 65_536
+_Words = npt.NDArray[np.uint64]
+#: points that are made at once
+_BLOCK: Final = 4096
 #: from here on the scrambling matrices of 52-bit points would fill the memory
 _WIDE: Final = 1000
+#: sequences that may be continued
+_MOST_LEFT: Final = 64
 
 
 def _seed(seed: int, task: str, replicate: int) -> np.random.SeedSequence:
@@ -56,14 +62,54 @@ def sobol_points(*, dimension: int, count: int, start: int = 0, seed: int, task:
     bits = 52 if dimension < _WIDE else 30
     if start + count > 2**bits:
         raise ValueError(f"a sequence in {dimension} dimensions holds 2^{bits} points")
-    from scipy.stats import qmc
+    directions, shift = _scrambled(dimension, bits, seed, task, replicate)
+    size = min(_BLOCK, 1 << (count - 1).bit_length())
+    block = np.zeros((size, dimension), dtype=np.uint64)
+    for k in range(size.bit_length() - 1):  # the Gray code of 2^k to 2^(k+1) is that below it, mirrored, with one bit
+        block[1 << k : 2 << k] = block[: 1 << k][::-1] ^ directions[k]
+    begins = range(start - start % size, start + count, size)
+    points = np.concatenate([block ^ _at(directions, shift, begin) for begin in begins])
+    return points[start - begins[0] :][:count] * 0.5**bits + 0.5 ** (bits + 1)
 
-    generator = np.random.default_rng(_seed(seed, task, replicate))
-    sequence = qmc.Sobol(dimension, scramble=True, bits=bits, rng=generator)
-    # the very first point by itself, since of a number that is no power of two SciPy warns; those before `start` are
-    # drawn and left, since its fast_forward takes no sequence of more than 32 bits
-    points = sequence.random(1)
-    for begin in range(1, start, _BLOCK):
-        sequence.random(min(_BLOCK, start - begin))
-    points = sequence.random(count) if start else np.concatenate([points, sequence.random(count - 1)])
-    return np.asarray(points + 0.5 ** (bits + 1))
+
+def _at(directions: _Words, shift: _Words, number: int) -> _Words:
+    """The point (d,) of that number."""
+    gray = number ^ (number >> 1)
+    taken = [bit for bit in range(gray.bit_length()) if gray >> bit & 1]
+    return np.asarray(np.bitwise_xor.reduce(directions[taken], axis=0, initial=0) ^ shift)
+
+
+@lru_cache(maxsize=_MOST_LEFT)
+def _scrambled(dimension: int, bits: int, seed: int, task: str, replicate: int) -> tuple[_Words, _Words]:
+    """Directions (bits, d) of one randomisation and its shift (d,); the draws are those of `scipy.stats.qmc.Sobol`,
+    whose package takes half a second to load."""
+    generator = np.random.default_rng(_seed(seed, task, replicate).spawn(1)[0])
+    kind = np.uint32 if bits <= 32 else np.uint64
+    places = np.arange(bits, dtype=np.uint64)
+    shift = generator.integers(2, size=(dimension, bits), dtype=kind).astype(np.uint64) @ (np.uint64(1) << places)
+    lower = np.tril(generator.integers(2, size=(dimension, bits, bits), dtype=kind)).astype(np.float64)
+    lower[:, np.arange(bits), np.arange(bits)] = 1.0
+    # the bits of the directions, the highest first, times the matrices, modulo two
+    digits = (_directions(dimension, bits)[:, None, :] >> places[::-1, None]) & np.uint64(1)
+    scrambled = (lower @ digits.astype(np.float64)).astype(np.uint64) & np.uint64(1)
+    return np.einsum("dpj,p->jd", scrambled, np.uint64(1) << places[::-1]), shift
+
+
+@lru_cache(maxsize=8)
+def _directions(dimension: int, bits: int) -> _Words:
+    """Direction numbers (d, bits) of the sequence (Joe and Kuo 2008, in SciPy's table)."""
+    with resources.files("scipy").joinpath("stats/_sobol_direction_numbers.npz").open("rb") as file:
+        table = np.load(file)
+        polynomials, first = table["poly"][:dimension].tolist(), table["vinit"][:dimension].tolist()
+    found = [[1] * bits]
+    for polynomial, row in zip(polynomials[1:], first[1:], strict=True):
+        degree = polynomial.bit_length() - 1
+        row = row[:degree]
+        for j in range(degree, bits):
+            new = row[j - degree]
+            for k in range(1, degree + 1):
+                if polynomial >> (degree - k) & 1:
+                    new ^= row[j - k] << k
+            row.append(new)
+        found.append(row[:bits])
+    return np.array(found, dtype=np.uint64) << np.arange(bits, dtype=np.uint64)[::-1]

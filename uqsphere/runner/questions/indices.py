@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.results import Fields, SpeedRow, SurrogateEntry
+from uqsphere.runner.beside import elsewhere
 from uqsphere.runner.campaign import INDEX_KIND, Accuracy, Cost, Course, Missed, campaign, indices_missed, speed_rows_of
 from uqsphere.runner.evaluate import MOST_DROPPED, Work, evaluate_points
 from uqsphere.runner.questions.distributions import Sampled
@@ -686,7 +687,7 @@ def _beside_salib(indices: Sensitivity, outputs: Array) -> Sensitivity:
     """The same with what SALib's estimators find on the same rows (R, N, d + 2)."""
     from uqsphere.uq.interop import salib_check
 
-    agree, text = salib_check(tuple(indices.first), indices.sampled, outputs)
+    agree, text = elsewhere(salib_check, tuple(indices.first), indices.sampled, outputs)()
     told = " ".join(part for part in (indices.text, text) if part)
     return replace(indices, text=told, agree=indices.agree if agree else False)
 
