@@ -104,13 +104,13 @@ def march(
     the pulse in scaled time.  horizon (n,): end of the record, inf for the rule of infinite bars, which needs
     pulse_end (n,).  level (n,): scale of x that is expected at least.  graze (n,): see events.after_step; 0 for
     the rule itself.  local: error allowed in one step, asked: in the answers.  capacity: steps kept of one row.
-    kept* receive the series (x1, x2, u, q1, q2) of the last row if they have room (first dimension > 0).
+    kept* (len(order), steps, ...) receive the series (x1, x2, u, q1, q2) of every row where they have room for steps.
     laws (n, tracked.LAWS, 2): of faces that yield or differ; (n, 0, 2): both forces are x^(3/2).
     rigs (n, tracked.RIGS, 2), speed (n,): what stands at the poles where it is not two bars, with `laws`, and u at the
     start; such a record ends when the bodies part.  (n, 0, 2): bars.
     """
     lanes, last_point = LANES, tracked.POINTS
-    keeping = kept_start.shape[0] > 0
+    keeping = kept_start.shape[1] > 0
     # numba counts the owners of an array at every call it is passed to: here they are held once for all
     owned = (
         np.zeros((TERMS, PAIR)), np.zeros((TERMS, LANES)), np.zeros((TERMS, PAIR)), np.zeros((TERMS, PAIR)),
@@ -160,6 +160,7 @@ def march(
     steady = bare(numbers[16])  # the wave that comes in from now on for ever, or -1
     reflect = bare(numbers[17:19])
     row, count, attempts, flags = bare(counts[0]), bare(counts[1]), bare(counts[2]), bare(counts[3])
+    place = np.zeros(lanes, dtype=np.int64)
     touching, on_slow = np.zeros(lanes, dtype=np.int64), np.zeros(lanes, dtype=np.bool_)
     # time before which the fast oscillation cannot have died out
     calm, slow_room = np.zeros(lanes), np.zeros((SLOW_ROOM, TERMS))
@@ -186,7 +187,7 @@ def march(
         for j in range(lanes):
             if row[j] >= 0 or taken >= len(order):
                 continue
-            r = order[taken]
+            r, place[j] = order[taken], taken
             taken += 1
             live += 1
             row[j] = r
@@ -435,25 +436,25 @@ def march(
                     for k in range(TERMS):
                         m = bar * LANES + j
                         wave[(bar * lanes + j) * capacity + n, k] = 0.5 * push[k, m] - gives * force[k, m]
-            if keeping and n < kept_start.shape[0]:
-                power = 1.0
-                kept_start[n], kept_length[n] = before, ending * h[j]
+            if keeping and n < kept_start.shape[1]:
+                power, at_row = 1.0, place[j]
+                kept_start[at_row, n], kept_length[at_row, n] = before, ending * h[j]
                 for k in range(TERMS):
-                    kept[n, 0, k] = x[k, j] * power
-                    kept[n, 1, k] = x[k, LANES + j] * power
-                    kept[n, 2, k] = u[k, j] * power
-                    kept[n, 3, k] = force[k, j] * power
-                    kept[n, 4, k] = force[k, LANES + j] * power
+                    kept[at_row, n, 0, k] = x[k, j] * power
+                    kept[at_row, n, 1, k] = x[k, LANES + j] * power
+                    kept[at_row, n, 2, k] = u[k, j] * power
+                    kept[at_row, n, 3, k] = force[k, j] * power
+                    kept[at_row, n, 4, k] = force[k, LANES + j] * power
                     power *= ending
                 if yielding:
                     # the series of a force ends a power of the step before that of its approach: what is left out at
                     # the end of the step goes to the last term, which errs by a fortieth of it inside
                     for m in range(j, PAIR, LANES):
-                        kept[n, 3 + m // LANES, TERMS - 1] += face_force(law, m, value_of(x, m, ending))[0] - value_of(
+                        kept[at_row, n, 3 + m // LANES, TERMS - 1] += face_force(law, m, value_of(x, m, ending))[0] - value_of(
                             force, m, ending
                         )
-                    kept[n, 0, 0] += law[tracked.DENT, j]
-                    kept[n, 1, 0] += law[tracked.DENT, LANES + j]
+                    kept[at_row, n, 0, 0] += law[tracked.DENT, j]
+                    kept[at_row, n, 1, 0] += law[tracked.DENT, LANES + j]
             touching[j] = 0
             if (
                 why == 1

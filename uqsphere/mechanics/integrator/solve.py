@@ -229,15 +229,15 @@ def _rigs(scene: Scene, rows: Places) -> Array:
 class Scaled:
     """Scaled answers (n, ANSWERS) of `uqsphere.mechanics.integrator.tracked`, status (n,) and steps (n,) of n rows.
 
-    What was not asked for may be NaN.  `others` (n, ANSWERS): the other answer where the status is 7.  `path`: start,
-    length and states (as of `Motion`) of the last row's steps, where they were kept.
+    What was not asked for may be NaN.  `others` (n, ANSWERS): the other answer where the status is 7.  `paths`: start,
+    length and states (as of `Motion`) of every row's steps, where they were kept.
     """
 
     answers: Array
     others: Array
     status: Places
     steps: Places
-    path: tuple[Array, Array, Array] | None = None
+    paths: tuple[tuple[Array, Array, Array], ...] = ()
 
 
 def march_rows(
@@ -252,7 +252,7 @@ def march_rows(
 ) -> Scaled:
     """Run the kernel on all rows of `arguments`, with more room for those that run out of it.
 
-    asked: the tolerance of the answers, where `tolerance` is closer; keep: the path of the last row.
+    asked: the tolerance of the answers, where `tolerance` is closer; keep: the paths.
     """
     from uqsphere.mechanics.integrator.kernel import march
 
@@ -268,19 +268,22 @@ def march_rows(
     local = share * tolerance * (1.0 if mode == MODES["full"] else 0.1)
     n = len(arguments["mass"])
     answers, status, steps = empty_answers(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-    order, path = np.arange(n), None
+    order, paths = np.arange(n), dict[int, tuple[Array, Array, Array]]()
     for capacity in _CAPACITIES:
-        room = capacity if keep else 0
-        kept = (np.zeros(room), np.zeros(room), np.zeros((room, 5, tracked.TERMS)))
+        room = len(order), capacity if keep else 0
+        kept = (np.zeros(room), np.zeros(room), np.zeros((*room, 5, tracked.TERMS)))
         rows = [arguments[name] for name in _ARGUMENTS]
         march(*(mode, wanted, *rows, local, asked, stop_at_loss, capacity, answers, status, order, steps, *kept))
         if keep:
-            taken = int(steps[order[-1]])
-            path = kept[0][:taken], kept[1][:taken], kept[2][:taken]
+            paths |= {
+                row: (kept[0][k, :taken].copy(), kept[1][k, :taken].copy(), kept[2][k, :taken].copy())
+                for k, (row, taken) in enumerate(zip(order.tolist(), steps[order].tolist(), strict=True))
+            }
         order = order[status[order] == tracked.FULL]
         if len(order) == 0:
             break
-    return Scaled(answers=answers, others=empty_answers(n), status=status, steps=steps, path=path)
+    kept_paths = tuple(path for _, path in sorted(paths.items()))
+    return Scaled(answers=answers, others=empty_answers(n), status=status, steps=steps, paths=kept_paths)
 
 
 def integrate(
@@ -361,23 +364,25 @@ def motions(
     arguments = scaled_arguments(scene, rows)
     wanted = wishes(quantities, scene.demands)
 
-    def one(k: int) -> Motion | int:
-        given = {name: column[[k]] for name, column in arguments.items()}
+    def of(block: slice) -> list[Motion | int]:
+        given = {name: column[block] for name, column in arguments.items()}
         found = march_rows(given, MODES[fidelity], tolerance, wanted=wanted, stop_at_loss=stop_at_loss, keep=True)
-        if found.status[0] != 0 or found.path is None:
-            return int(found.status[0])
-        start, length, states = found.path
-        own = given["laws"].shape[1] > 0
-        return Motion(
-            scene=scene, row=int(rows[k]), start=start, length=length, states=states[:, :3],
-            forces=states[:, 3:] if own else None, end=float(found.answers[0, tracked.ANSWER_END]), fidelity=fidelity,
-        )  # fmt: skip
+        own, ends = given["laws"].shape[1] > 0, found.answers[:, tracked.ANSWER_END].tolist()
+        return [
+            Motion(scene=scene, row=row, start=start, length=length, states=states[:, :3],
+                   forces=states[:, 3:] if own else None, end=end, fidelity=fidelity)
+            if status == 0 else status
+            for row, end, status, (start, length, states) in zip(
+                rows[block].tolist(), ends, found.status.tolist(), found.paths, strict=True)
+        ]  # fmt: skip
 
-    workers = min(thread_count(threads), len(rows))
+    # a call keeps room for all steps of its rows, which fill the lanes of the kernel
+    blocks = [slice(begin, begin + tracked.LANES) for begin in range(0, len(rows), tracked.LANES)]
+    workers = min(thread_count(threads), len(blocks))
     if workers <= 1:
-        return [one(k) for k in range(len(rows))]
+        return [motion for block in blocks for motion in of(block)]
     with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(one, range(len(rows))))
+        return [motion for found in pool.map(of, blocks) for motion in found]
 
 
 def _check_request(scene: Scene, fidelity: str, tolerance: float) -> None:

@@ -139,13 +139,15 @@ def _force_band(work: Work, every: Sample) -> dict[str, Json] | None:
 
 def _motions(work: Work, rows: Array) -> list[Motion] | None:
     """The motions of rows of inputs; None where one is answered by another fidelity alone."""
-    from uqsphere.mechanics.integrator.solve import motion
+    from uqsphere.mechanics.integrator.solve import Motion, motions
 
     scene, fidelity = _scene(work, rows)
-    try:
-        return [motion(scene, row, fidelity=fidelity, tolerance=_tolerance(work)) for row in range(len(rows))]
-    except ValueError:
+    if scene.status.any() or fidelity == "linear" and scene.faces is not None:
         return None
+    found = motions(scene, np.arange(len(rows)), fidelity=fidelity, tolerance=_tolerance(work), threads=work.threads,
+                    stop_at_loss=False)  # fmt: skip
+    courses = [one for one in found if isinstance(one, Motion)]
+    return courses if len(courses) == len(found) else None
 
 
 def _scene(work: Work, rows: Array) -> tuple[Scene, str]:
