@@ -268,11 +268,15 @@ def command_run(chosen: argparse.Namespace) -> int:
 
 def _load_page() -> None:
     """What a page takes long to load."""
-    from uqsphere.report.figures.canvas import new_figure
+    from uqsphere.report.figures.canvas import Picture, legend_above, new_figure, render
     from uqsphere.report.page import page_environment
 
-    page_environment()
-    new_figure(1.0)
+    for name in ("brief.html", "template.html"):
+        page_environment().get_template(name)
+    figure, axes = new_figure(1.0)
+    axes[0].plot([0.0, 1.0], label="$x$")
+    legend_above(axes[0], 1)
+    render(Picture(name="first", title="", figure=figure))
 
 
 def _load_salib() -> None:

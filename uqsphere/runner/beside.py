@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import pickle
 import signal
@@ -188,6 +189,7 @@ def _copy_doing(body: Callable[[], None]) -> Iterator[None]:
             null = os.open(os.devnull, os.O_WRONLY)
             os.dup2(null, 1)
             os.dup2(null, 2)
+            gc.freeze()  # what was there before is not its own to look through
             if os.getppid() == owner:
                 body()
         finally:

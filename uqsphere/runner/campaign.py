@@ -12,8 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
+from uqsphere.files import Json
 from uqsphere.results import AnalysisEntry, CheckEntry, FractureEntry, SpeedRow, ToleranceEntry
-from uqsphere.results.entries import CarriedEntry
+from uqsphere.results.entries import CarriedEntry, Sliders
 from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.schedule import CAUTION
 from uqsphere.units import told_apart
@@ -244,6 +245,13 @@ def rounded(value: float) -> int:
 # --- all that a run found ------------------------------------------------------------------------------------------
 
 
+class Shown(NamedTuple):
+    """What the page shows beside answers: what its sliders work with, and how contact forces go over time."""
+
+    sliders: Sliders
+    courses: dict[str, Json] | None
+
+
 @dataclass(frozen=True, kw_only=True)
 class Findings:
     """All that a run found, before it is written down."""
@@ -262,6 +270,7 @@ class Findings:
     carried: Mapping[str, CarriedEntry] = field(default_factory=dict)
     far: Sequence[CheckEntry] = ()
     unsure: Unsure | None = None
+    shown: Shown | None = None
 
     @property
     def curves_tabled(self) -> list[Tabled]:

@@ -236,7 +236,7 @@ class _Sheet:
                 if chunk.unsaved or chunk.parts:
                     # parts that were waited for are given up only for what is as safe
                     content = packed(self.part(chunk.start, chunk.stop))
-                    self.store.save(chunk.name, content, durable=durable or whole is None or bool(chunk.parts))
+                    self.store.save(chunk.name, content, durable=durable or bool(chunk.parts))
                     self.store.drop(chunk.parts)
                     chunk.parts.clear()
             else:
@@ -296,7 +296,7 @@ def collect(
         with contextlib.suppress(AccessError):
             sheet.save()
         raise
-    sheet.save()
+    sheet.save(durable=loose >= DURABLE)
     return Gathered(answered=sheet.part(0, len(rows)), reused=reused, complete=done == len(rows))
 
 
@@ -339,12 +339,14 @@ def remembered(
         known = _found(stored, kind or cast("type[Found]", Answers))
         if known is not None:
             return known
+    began = time.perf_counter()
     found = solve()
+    seconds = time.perf_counter() - began
     columns = {name: np.asarray(column) for name, column in _columns(found)}
     table = np.empty(len(next(iter(columns.values()))), dtype=[(n, c.dtype, c.shape[1:]) for n, c in columns.items()])
     for column in columns:
         table[column] = columns[column]
-    store.save(name, table)
+    store.save(name, table, durable=seconds >= DURABLE)
     return found
 
 

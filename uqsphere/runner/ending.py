@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from uqsphere.results import PlanEntry, Results
-from uqsphere.runner.beside import aside, may_copy
 from uqsphere.runner.campaign import Findings
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.evidence import judged_ways
 from uqsphere.runner.expensive import Expensive, Priced
 from uqsphere.runner.finished import Run, save_points, write_results
+from uqsphere.runner.halves import shown
 from uqsphere.runner.questions.fields import save_courses
 from uqsphere.runner.results import account, bare_results, build_manifest, build_results, further_rows
-from uqsphere.runner.sliders import save_sliders
-from uqsphere.store import Store, keep_data
+from uqsphere.store import Store, keep_data, write_json
 
 
 def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None, found: Findings) -> Run:
@@ -29,11 +28,10 @@ def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None
     )
     store.take_over()
     save_points(work, store, found.sampled.sample)
-    copied = store.shared and not work.study.black_box and may_copy(work.threads)
-    with aside(lambda: save_courses(work, store, found.sampled.sample), copied=copied) as courses:
-        save_sliders(work, store, found.evidence, found.margins)
-        results = build_results(work, found, plan)
-        courses()
+    beside = found.shown or shown(work, found.sampled, found.margins)
+    write_json(store.folder / "sliders.json", beside.sliders.document())
+    save_courses(store, beside.courses)
+    results = build_results(work, found, plan)
     further = further_rows(results)
     results = results.model_copy(update={"speed_error": (*results.speed_error, *(row for _, row in further))})
     ends = [ledger.seconds.get(part, ledger.elapsed) for part, _ in further]

@@ -89,14 +89,9 @@ def gather(work: Work, sample: Sample) -> Evidence | None:
         return None
     head, d = sample.head(count), len(work.scene_names)
     rows = head.inputs[:, :, :d].reshape(head.size, d)[: None if random else 1]
-    ways = ways_of(study)
-    scene = scene_of(_wider(study, ways), {name: rows[:, k] for k, name in enumerate(work.scene_names)}, len(rows))
-    lacking = {way.called: why for way in ways.assumed if (why := absent_in(scene, way.limit.quantity))}
-    ways = Ways(
-        assumed=tuple(way for way in ways.assumed if way.called not in lacking),
-        not_judged={**ways.not_judged, **lacking},
-    )
-    own = replace(work, study=_wider(study, ways), ledger=Ledger(started=work.ledger.started), fidelity="full",
+    wide, ways = with_ways(study)
+    scene = scene_of(wide, {name: rows[:, k] for k, name in enumerate(work.scene_names)}, len(rows))
+    own = replace(work, study=wide, ledger=Ledger(started=work.ledger.started), fidelity="full",
                   fallback=None, spare=True)  # fmt: skip
     answers = _solved(own, scene, own.quantities)
     first = np.arange(head.size).reshape(head.replicates, -1)[:, : -(-PILOT.first // head.replicates)]
@@ -108,8 +103,21 @@ def gather(work: Work, sample: Sample) -> Evidence | None:
     return found
 
 
+def with_ways(study: Study) -> tuple[Study, Ways]:
+    """The study with the limits of the ways behind its own, asked for the demands of all of them, and these ways."""
+    ways, means = ways_of(study), study.at_means()
+    if not ways.assumed:
+        return _wider(study, ways), ways
+    scene = scene_of(_wider(study, ways), {name: np.array([means[name]]) for name in study.random}, 1)
+    lacking = {way.called: why for way in ways.assumed if (why := absent_in(scene, way.limit.quantity))}
+    ways = Ways(
+        assumed=tuple(way for way in ways.assumed if way.called not in lacking),
+        not_judged={**ways.not_judged, **lacking},
+    )
+    return _wider(study, ways), ways
+
+
 def _wider(study: Study, ways: Ways) -> Study:
-    """The study with the limits of the ways behind its own, asked for the demands of all of them."""
     limits = (*study.limits, *(way.limit for way in ways.assumed))
     # by the Hertz pressure faces yield
     asked = tuple(dict.fromkeys([*(limit.quantity for limit in limits), "p_hertz"]))

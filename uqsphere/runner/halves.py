@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace
 from typing import Any, Final
 
 from uqsphere.runner.beside import aside, may_copy
-from uqsphere.runner.campaign import Findings
+from uqsphere.runner.campaign import Findings, Shown
 from uqsphere.runner.drivers import find_drivers
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.evidence import judged_ways
@@ -15,11 +16,13 @@ from uqsphere.runner.expensive import Expensive, keep_indices, keep_margins
 from uqsphere.runner.forecast import forecast
 from uqsphere.runner.questions.carried import find_carried
 from uqsphere.runner.questions.distributions import Sampled
+from uqsphere.runner.questions.fields import find_courses
 from uqsphere.runner.questions.fracture import find_fracture
 from uqsphere.runner.questions.further import Analyses
-from uqsphere.runner.questions.margins import find_margins, judge_answers
+from uqsphere.runner.questions.margins import MarginAnswer, find_margins, judge_answers
 from uqsphere.runner.questions.shapley import share_variance
 from uqsphere.runner.results import told_early
+from uqsphere.runner.sliders import find_sliders
 from uqsphere.store import Store
 
 #: share of the budget that may be spent, with the most that margins and fracture take, for these to be answered beside
@@ -62,7 +65,12 @@ def breaking(work: Work, sampled: Sampled, one: Expensive | None) -> dict[str, A
     work.ledger.close("carriers")
     fracture = find_fracture(work, sampled, margins)
     work.ledger.close("fracture")
-    return {"margins": margins, "carried": carried, "fracture": fracture}
+    return {"margins": margins, "carried": carried, "fracture": fracture, "shown": shown(work, sampled, margins)}
+
+
+def shown(work: Work, sampled: Sampled, margins: Mapping[str, MarginAnswer]) -> Shown:
+    """What the page shows beside answers."""
+    return Shown(sliders=find_sliders(work, margins), courses=find_courses(work, sampled.sample))
 
 
 def sharing(work: Work, found: Findings, one: Expensive | None, first: Analyses | None) -> Findings:

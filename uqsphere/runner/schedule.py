@@ -75,7 +75,7 @@ CARRIED_CURVE: Final = Schedule(share=0.05)
 #: rows on which the ways to break are judged, and the values of a free scalar and rows at each of them
 WAYS: Final = Schedule(first=512)
 WAYS_CURVE: Final = Schedule(first=16, most=25)
-#: rows around the study that let its page answer for other settings, in all, and their share of those of the run
+#: rows around the study that let its page answer for other settings, in all, beside as many of the budget
 SLIDERS: Final = Schedule(first=2048, least=512, share=1 / 16)
 #: runs of the one design of an expensive model: those that are timed, the fewest, the most
 SURROGATE: Final = Schedule(first=32, least=8, judged=128, most=1024)

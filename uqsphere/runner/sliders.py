@@ -20,10 +20,9 @@ from uqsphere.model import is_answered, scene_of
 from uqsphere.quantities import INPUTS
 from uqsphere.results.entries import AxisEntry, SliderEntry, Sliders, SurfaceEntry, WayEntry
 from uqsphere.runner.evaluate import Ledger, Work
-from uqsphere.runner.evidence import Evidence
+from uqsphere.runner.evidence import with_ways
 from uqsphere.runner.fidelity import solved
 from uqsphere.runner.schedule import SLIDERS
-from uqsphere.store import Store, write_json
 from uqsphere.study import SPEED, Study, Way, law_json, spaced, ways_of, with_number
 from uqsphere.uq import Law, LawError, sobol_points
 from uqsphere.uq.expansion.germs import Indices, hyperbolic_indices, orthonormal_values, products
@@ -52,26 +51,21 @@ _ROUGH, _LOST = 0.15, 0.01
 _FAR: Final = 4.0
 
 
-def save_sliders(work: Work, store: Store, evidence: Evidence | None, margins: Mapping[str, MarginAnswer]) -> None:
-    """Store sliders.json."""
-    write_json(store.folder / "sliders.json", find_sliders(work, evidence, margins).document())
-
-
-def find_sliders(work: Work, evidence: Evidence | None, margins: Mapping[str, MarginAnswer]) -> Sliders:
+def find_sliders(work: Work, margins: Mapping[str, MarginAnswer]) -> Sliders:
     """The sliders of a study and the surfaces of its limits' demands, with the reason where there are none."""
     study = work.study
     if study.black_box:
         return Sliders(reason="a model of your own is asked by a run alone")
     if not study.limits:
         return Sliders(reason="the study has no limits")
-    count = min(SLIDERS.first, int(SLIDERS.share * work.ledger.total))
+    count = min(SLIDERS.first, int(SLIDERS.share * study.analysis.budget.evaluations))
     if count < SLIDERS.least or work.ledger.stopped_by_time or work.ledger.interrupted:
         return Sliders(reason="the run was too short for it")
     try:
         sliders = _sliders(study, margins)
         if not sliders:
             return Sliders(reason="none of its numbers can be moved")
-        wide = study if evidence is None else evidence.work.study
+        wide, ways = with_ways(study)
         axes = _axes(study, sliders)
         values, points = _drawn(study, axes, count)
         scene = scene_of(wide, values, count)
@@ -90,8 +84,8 @@ def find_sliders(work: Work, evidence: Evidence | None, margins: Mapping[str, Ma
             rough[name] = fitted
         else:
             surfaces[name] = fitted
-    ways = {} if evidence is None else _ways(study, evidence.ways.assumed, sliders, surfaces)
-    return Sliders(evaluations=count, axes=axes, sliders=tuple(sliders), surfaces=surfaces, rough=rough, ways=ways)
+    return Sliders(evaluations=count, axes=axes, sliders=tuple(sliders), surfaces=surfaces, rough=rough,
+                   ways=_ways(study, ways.assumed, sliders, surfaces))  # fmt: skip
 
 
 def _sliders(study: Study, margins: Mapping[str, MarginAnswer]) -> list[SliderEntry]:

@@ -450,9 +450,9 @@ def march(
                     # the series of a force ends a power of the step before that of its approach: what is left out at
                     # the end of the step goes to the last term, which errs by a fortieth of it inside
                     for m in range(j, PAIR, LANES):
-                        kept[at_row, n, 3 + m // LANES, TERMS - 1] += face_force(law, m, value_of(x, m, ending))[0] - value_of(
-                            force, m, ending
-                        )
+                        kept[at_row, n, 3 + m // LANES, TERMS - 1] += face_force(law, m, value_of(x, m, ending))[
+                            0
+                        ] - value_of(force, m, ending)
                     kept[at_row, n, 0, 0] += law[tracked.DENT, j]
                     kept[at_row, n, 1, 0] += law[tracked.DENT, LANES + j]
             touching[j] = 0

@@ -357,7 +357,7 @@ def render(picture: Picture) -> str:
         if engine is not None:
             # laid out once and not again: drawing would do it twice over
             engine.execute(picture.figure)
-            picture.figure.set_layout_engine("none")
+            picture.figure.set_layout_engine(None)
         picture.figure.savefig(buffer, format="svg", metadata=nothing)
     root = ElementTree.fromstring(_NO_XML.sub(b"", buffer.getvalue()))
     _plain(root, set(re.findall(r"(?:url\(#|href=\"#)([\w-]+)", buffer.getvalue().decode("utf-8"))))

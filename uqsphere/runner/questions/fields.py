@@ -113,7 +113,7 @@ _PLACES, _TIMES = 150, 190
 _HARDNESS = ("P_max", "p_max", "core_tension", "energy")
 
 
-def _force_band(work: Work, every: Sample) -> dict[str, Json] | None:
+def find_courses(work: Work, every: Sample) -> dict[str, Json] | None:
     """Quantiles of the contact forces at each instant [s] over the first scenes of every randomisation, in N, and the
     hardest scene of all samples by a quantity that the run computed, else by the largest force; None where there is no
     band of two bars, or a scene cannot be followed."""
@@ -229,10 +229,9 @@ def _end_of_loading(times: Array, forces: Array) -> float:
     return float(min(1.04 * times[last], times[int(known.sum()) - 1]))
 
 
-def save_courses(work: Work, store: Store, every: Sample) -> None:
+def save_courses(store: Store, found: dict[str, Json] | None) -> None:
     """Store courses.json and tables/courses.csv; nothing where there is no band."""
-    found = _force_band(work, every)
-    if found is None:
+    if not found:
         (store.folder / "courses.json").unlink(missing_ok=True)
         return
     write_json(store.folder / "courses.json", found)
