@@ -238,6 +238,11 @@ class Store:
             if match is not None:
                 self.index.setdefault(match["key"], []).append(name)
 
+    def take_in(self, damaged: Iterable[str]) -> None:
+        """Take note of what another process has stored, and of what it found damaged."""
+        self.damaged[:] = sorted({*self.damaged, *damaged})
+        self.look()
+
     def tidy(self) -> None:
         """Remove what a killed process left half written."""
         for room in (self.folder / "evaluations", self.folder, self.folder / "tables", self.folder / "figures"):

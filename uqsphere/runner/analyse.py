@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from uqsphere.runner.beside import aside, may_copy
 from uqsphere.runner.campaign import Findings
 from uqsphere.runner.drivers import Drivers
 from uqsphere.runner.ending import finish, finish_bare
 from uqsphere.runner.evaluate import Work, draw
+from uqsphere.runner.evidence import Early, gather_early
 from uqsphere.runner.expensive import Expensive, answer_expensive, keep_answers, price
 from uqsphere.runner.fidelity import Pilot, first_look
 from uqsphere.runner.finished import Run
@@ -98,6 +100,21 @@ def _by_sampling(
     notice: Callable[[str], None] | None,
 ) -> Findings:
     """Everything by sampling the model; surrogates that did not answer all still answer what they know better."""
+    beside = replace(work, progress=None, reached=None)
+    copied = store.shared and not work.study.black_box and may_copy(work.threads)
+    with aside(lambda: gather_early(beside), copied=copied) as early:
+        return _sampled(work, store, pilot, one, first, notice, early)
+
+
+def _sampled(
+    work: Work,
+    store: Store,
+    pilot: Pilot,
+    one: Expensive | None,
+    first: Analyses | None,
+    notice: Callable[[str], None] | None,
+    early: Callable[[], Early | None],
+) -> Findings:
     ledger = work.ledger
     sampled = sample_distributions(work)
     ledger.close("sampling")
@@ -117,6 +134,7 @@ def _by_sampling(
         drivers=Drivers(),
         tabled=sampled.tabled,
         far=carried_far(work.study),
+        early=early,
         tolerance=tolerance,
         analyses=find_analyses(work) if first is None else first,
     )

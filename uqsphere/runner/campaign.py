@@ -8,7 +8,7 @@ over, or the rest is out of the budget's reach.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
@@ -21,7 +21,7 @@ from uqsphere.units import told_apart
 
 if TYPE_CHECKING:
     from uqsphere.runner.drivers import Drivers
-    from uqsphere.runner.evidence import Evidence
+    from uqsphere.runner.evidence import Early, Evidence
     from uqsphere.runner.fidelity import Pilot
     from uqsphere.runner.questions.distributions import Sampled
     from uqsphere.runner.questions.indices import Sensitivity
@@ -245,13 +245,6 @@ def rounded(value: float) -> int:
 # --- all that a run found ------------------------------------------------------------------------------------------
 
 
-class Shown(NamedTuple):
-    """What the page shows beside answers: what its sliders work with, and how contact forces go over time."""
-
-    sliders: Sliders
-    courses: dict[str, Json] | None
-
-
 @dataclass(frozen=True, kw_only=True)
 class Findings:
     """All that a run found, before it is written down."""
@@ -265,12 +258,15 @@ class Findings:
     tolerance: dict[str, ToleranceEntry] = field(default_factory=dict)
     analyses: dict[str, AnalysisEntry] = field(default_factory=dict)
     stops: dict[str, str] = field(default_factory=dict)
+    early: Callable[[], Early | None] | None = None
     evidence: Evidence | None = None
     fracture: FractureEntry | None = None
     carried: Mapping[str, CarriedEntry] = field(default_factory=dict)
     far: Sequence[CheckEntry] = ()
     unsure: Unsure | None = None
-    shown: Shown | None = None
+    #: what the page shows beside answers: what its sliders work with, and how contact forces go over time
+    sliders: Sliders | None = None
+    courses: dict[str, Json] | None = None
 
     @property
     def curves_tabled(self) -> list[Tabled]:

@@ -8,9 +8,9 @@ from uqsphere.runner.evaluate import Work
 from uqsphere.runner.evidence import judged_ways
 from uqsphere.runner.expensive import Expensive, Priced
 from uqsphere.runner.finished import Run, save_points, write_results
-from uqsphere.runner.halves import shown
-from uqsphere.runner.questions.fields import save_courses
+from uqsphere.runner.questions.fields import find_courses, save_courses
 from uqsphere.runner.results import account, bare_results, build_manifest, build_results, further_rows
+from uqsphere.runner.sliders import find_sliders
 from uqsphere.store import Store, keep_data, write_json
 
 
@@ -28,9 +28,9 @@ def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None
     )
     store.take_over()
     save_points(work, store, found.sampled.sample)
-    beside = found.shown or shown(work, found.sampled, found.margins)
-    write_json(store.folder / "sliders.json", beside.sliders.document())
-    save_courses(store, beside.courses)
+    sliders = found.sliders or find_sliders(work, found.margins)
+    write_json(store.folder / "sliders.json", sliders.document())
+    save_courses(store, found.courses or find_courses(work, found.sampled.sample))
     results = build_results(work, found, plan)
     further = further_rows(results)
     results = results.model_copy(update={"speed_error": (*results.speed_error, *(row for _, row in further))})

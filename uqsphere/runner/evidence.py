@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -76,7 +76,26 @@ class Evidence:
         return math.exp(place) if logarithmic else place
 
 
-def gather(work: Work, sample: Sample) -> Evidence | None:
+class Early(NamedTuple):
+    """Rows along the free scalar that were made before they are asked for, and what that took."""
+
+    along: dict[float, Sample]
+    evaluations: int
+    damaged: list[str]
+
+
+def gather_early(work: Work) -> Early | None:
+    """Rows of the ways that wait for nothing; None where there are none, or they are much of the budget."""
+    study, most = work.study, REPLICATES * WAYS_CURVE.first * WAYS_CURVE.most
+    left = WAYS_CURVE.share * (study.analysis.budget.evaluations - work.ledger.total)
+    if study.black_box or most > left or not any(means_fracture(limit) for limit in study.limits):
+        return None
+    own = _own(work, with_ways(study)[0])
+    along = _along(own, most)
+    return Early(along, own.ledger.total, [] if work.store is None else work.store.damaged)
+
+
+def gather(work: Work, sample: Sample, early: Early | None) -> Evidence | None:
     """The rows that verdicts on fracture rest on beside the answers of the run, with the full model.
 
     None where no limit means fracture, and where the budget has nothing left.  Counted as evaluations of the ways.
@@ -91,16 +110,22 @@ def gather(work: Work, sample: Sample) -> Evidence | None:
     rows = head.inputs[:, :, :d].reshape(head.size, d)[: None if random else 1]
     wide, ways = with_ways(study)
     scene = scene_of(wide, {name: rows[:, k] for k, name in enumerate(work.scene_names)}, len(rows))
-    own = replace(work, study=wide, ledger=Ledger(started=work.ledger.started), fidelity="full",
-                  fallback=None, spare=True)  # fmt: skip
+    own = _own(work, wide)
     answers = _solved(own, scene, own.quantities)
     first = np.arange(head.size).reshape(head.replicates, -1)[:, : -(-PILOT.first // head.replicates)]
     checked = scene.at(first.ravel()) if random else scene
     found = Evidence(work=own, ways=ways, sample=_with(own, head, answers), scene=checked,
                      answers=_solved(own, checked, all_with(scene, own.quantities)),
-                     along=_along(own, left - 3 * len(rows)), static=_static(own, head, scene, answers))  # fmt: skip
-    work.ledger.evaluations["ways"] = own.ledger.total
+                     along=_along(own, left - 3 * len(rows)) if early is None else early.along,
+                     static=_static(own, head, scene, answers))  # fmt: skip
+    work.ledger.evaluations["ways"] = own.ledger.total + (0 if early is None else early.evaluations)
     return found
+
+
+def _own(work: Work, wide: Study) -> Work:
+    """The work on a study with all ways, by the full model, with an account of its own."""
+    return replace(work, study=wide, ledger=Ledger(started=work.ledger.started), fidelity="full", fallback=None,
+                   spare=True)  # fmt: skip
 
 
 def with_ways(study: Study) -> tuple[Study, Ways]:
@@ -188,6 +213,9 @@ def judged_ways(work: Work, found: Findings) -> Findings:
     """What was found, with the rows that verdicts on fracture rest on beside it, once."""
     if JUDGED in work.ledger.parts:
         return found
-    found = replace(found, evidence=gather(work, found.sampled.sample))
+    early = None if found.early is None else found.early()
+    if early is not None and work.store is not None:
+        work.store.take_in(early.damaged)
+    found = replace(found, evidence=gather(work, found.sampled.sample, early))
     work.ledger.close(JUDGED)
     return found

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace
 from typing import Any, Final
 
 from uqsphere.runner.beside import aside, may_copy
-from uqsphere.runner.campaign import Findings, Shown
+from uqsphere.runner.campaign import Findings
 from uqsphere.runner.drivers import find_drivers
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.evidence import judged_ways
@@ -19,7 +18,7 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.fields import find_courses
 from uqsphere.runner.questions.fracture import find_fracture
 from uqsphere.runner.questions.further import Analyses
-from uqsphere.runner.questions.margins import MarginAnswer, find_margins, judge_answers
+from uqsphere.runner.questions.margins import find_margins, judge_answers
 from uqsphere.runner.questions.shapley import share_variance
 from uqsphere.runner.results import told_early
 from uqsphere.runner.sliders import find_sliders
@@ -49,13 +48,12 @@ def side_by_side(work: Work, store: Store, found: Findings, first: Analyses | No
         shared = sharing(own, told_early(own, judged_ways(own, found)), None, first)
         fracture, spent, damaged = broken()
     work.ledger.follow(spent, base)
-    store.damaged[:] = sorted({*store.damaged, *damaged})
-    store.look()
+    store.take_in(damaged)
     return replace(shared, **fracture)
 
 
 def breaking(work: Work, sampled: Sampled, one: Expensive | None) -> dict[str, Any]:
-    """Margins, what is carried from tests, and fracture, as `Findings` has them."""
+    """Margins, what is carried from tests, fracture, and what sliders show, as `Findings` has them."""
     margins = find_margins(work, sampled)
     if one is not None:
         margins = keep_margins(work, margins, one)
@@ -65,16 +63,12 @@ def breaking(work: Work, sampled: Sampled, one: Expensive | None) -> dict[str, A
     work.ledger.close("carriers")
     fracture = find_fracture(work, sampled, margins)
     work.ledger.close("fracture")
-    return {"margins": margins, "carried": carried, "fracture": fracture, "shown": shown(work, sampled, margins)}
-
-
-def shown(work: Work, sampled: Sampled, margins: Mapping[str, MarginAnswer]) -> Shown:
-    """What the page shows beside answers."""
-    return Shown(sliders=find_sliders(work, margins), courses=find_courses(work, sampled.sample))
+    sliders = find_sliders(work, margins)
+    return {"margins": margins, "carried": carried, "fracture": fracture, "sliders": sliders}
 
 
 def sharing(work: Work, found: Findings, one: Expensive | None, first: Analyses | None) -> Findings:
-    """What was found, with indices and drivers."""
+    """What was found, with indices, drivers and courses."""
     shared = share_variance(work, found.sampled, first)
     if one is not None:
         shared = replace(shared, sensitivity=keep_indices(shared.sensitivity, one))
@@ -82,4 +76,6 @@ def sharing(work: Work, found: Findings, one: Expensive | None, first: Analyses 
     drivers = find_drivers(work, found.sampled, shared)
     work.ledger.close("drivers")
     stops = {"sampling": found.sampled.stopped, "sensitivity": shared.stopped}
-    return replace(found, sensitivity=shared.sensitivity, drivers=drivers, tabled=shared.tabled, stops=stops)
+    courses = find_courses(work, found.sampled.sample)
+    return replace(found, sensitivity=shared.sensitivity, drivers=drivers, courses=courses, tabled=shared.tabled,
+                   stops=stops)  # fmt: skip

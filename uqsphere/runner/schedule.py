@@ -72,9 +72,10 @@ FRACTURE_CURVE: Final = Schedule(first=64, most=17)
 CARRIED: Final = Schedule(first=1024, share=0.2)
 #: the curve of one carrier: with the sample and the margins less than half of the budget
 CARRIED_CURVE: Final = Schedule(share=0.05)
-#: rows on which the ways to break are judged, and the values of a free scalar and rows at each of them
+#: rows on which the ways to break are judged, and the values of a free scalar and rows at each of them, which are made
+#: before the sample where they are no larger a share of the budget
 WAYS: Final = Schedule(first=512)
-WAYS_CURVE: Final = Schedule(first=16, most=25)
+WAYS_CURVE: Final = Schedule(first=16, most=25, share=1 / 16)
 #: rows around the study that let its page answer for other settings, in all, beside as many of the budget
 SLIDERS: Final = Schedule(first=2048, least=512, share=1 / 16)
 #: runs of the one design of an expensive model: those that are timed, the fewest, the most

@@ -142,7 +142,7 @@ def _motions(work: Work, rows: Array) -> list[Motion] | None:
     from uqsphere.mechanics.integrator.solve import Motion, motions
 
     scene, fidelity = _scene(work, rows)
-    if scene.status.any() or fidelity == "linear" and scene.faces is not None:
+    if scene.status.any() or (fidelity == "linear" and scene.faces is not None):
         return None
     found = motions(scene, np.arange(len(rows)), fidelity=fidelity, tolerance=_tolerance(work), threads=work.threads,
                     stop_at_loss=False)  # fmt: skip
