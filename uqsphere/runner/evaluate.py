@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Final
@@ -162,6 +162,10 @@ class Work:
     def quantities(self) -> tuple[str, ...]:
         """Names of the answers, in the order of their columns."""
         return self.columns or self.study.analysis.quantities
+
+    def only(self, asked: Iterable[str]) -> Work:
+        """The same, but that of the study's quantities no others are asked for."""
+        return replace(self, columns=tuple(dict.fromkeys(name for name in asked if name in self.quantities)))
 
     @property
     def scene_names(self) -> tuple[str, ...]:

@@ -143,7 +143,7 @@ def _search(work: Work, at: int, limit: Limit, answer: LimitAnswer, room: float)
     if tied_strength(work, limit):
         return replace(answer, design_reason=_TIED), []
     share = RARE.share if more_to_come(work.study) else 1.0
-    space, budget = limit_space(work, limit, at), int(min(RARE.most, share * room))
+    space, budget = limit_space(work.only([limit.quantity]), limit, at), int(min(RARE.most, share * room))
     if _goes_on(work, answer, budget):
         asked = work.study.analysis.accuracy.probability
         rare = find_probability(space.function, seed=work.study.seed, accuracy=asked, budget=budget)
@@ -361,7 +361,7 @@ def find_design(work: Work, limit: Limit) -> DesignFound | str:
         return "the strength depends on an input by a copula that is not Gaussian"
     if work.study.analysis.budget.evaluations - work.ledger.total < DESIGN_POINT:
         return f"no design point was searched for: the budget has no room for {DESIGN_POINT:,} evaluations more"
-    space = limit_space(replace(work, spare=True), limit, 0)
+    space = limit_space(replace(work.only([limit.quantity]), spare=True), limit, 0)
     return _nearest(work, _design_points(work, space, DESIGN_POINT), space)
 
 
