@@ -23,7 +23,7 @@ from uqsphere.errors import AccessError, ModelError, StudyError, TooManyFailures
 from uqsphere.report.page import GOES_ON, build_report, write_draft
 from uqsphere.results import Results
 from uqsphere.results.entries import Manifest
-from uqsphere.runner.beside import aside, may_copy, shared_out
+from uqsphere.runner.beside import aside, elsewhere, may_copy, second_process, shared_out
 from uqsphere.runner.chunks import CHUNK, block_size
 from uqsphere.runner.evaluate import Ledger
 from uqsphere.runner.remote import Task
@@ -428,6 +428,46 @@ def test_work_that_two_processes_share_is_done_whatever_becomes_of_the_copy() ->
         return k if os.getpid() == here else os._exit(3)
 
     assert shared_out(fatal, order, copied=True) == [0, 1, 2, 3, 4]
+
+
+def _process_or_error(number: int) -> int:
+    if number < 0:
+        raise AccessError("a number below zero")
+    return os.getpid()
+
+
+def _only_in(process: int) -> int:
+    return process if os.getpid() == process else os._exit(3)
+
+
+def _noted(path: Path, text: str) -> None:
+    path.write_text(text + (path.read_text() if path.exists() else ""))
+
+
+@pytest.mark.skipif(not may_copy(None), reason="needs Linux and two processors")
+def test_a_second_process_loads_ahead_and_does_what_it_is_asked_in_turn(tmp_path: Path) -> None:
+    here, loaded, told = os.getpid(), tmp_path / "loaded", tmp_path / "told"
+    with second_process([lambda: loaded.write_text(str(os.getpid()))], copied=True):
+        there = elsewhere(_process_or_error, 1)
+        wrong = elsewhere(_process_or_error, -1)
+        assert there() != here
+        assert loaded.read_text() == str(there())
+        with pytest.raises(AccessError, match="below zero"):
+            wrong()
+        elsewhere(_noted, told, "a")
+    assert told.read_text() == "a"  # what nobody has waited for is done when the block ends
+    assert elsewhere(_process_or_error, 2)() == here
+    with second_process([], copied=False):
+        assert elsewhere(_process_or_error, 2)() == here
+
+
+@pytest.mark.skipif(not may_copy(None), reason="needs Linux and two processors")
+def test_what_a_second_process_that_is_lost_was_asked_is_done_here_once(tmp_path: Path) -> None:
+    told = tmp_path / "told"
+    with second_process([], copied=True):
+        assert elsewhere(_only_in, os.getpid())() == os.getpid()
+        elsewhere(_noted, told, "a")()
+    assert told.read_text() == "a"
 
 
 def test_a_ledger_adds_what_was_spent_beside_it() -> None:

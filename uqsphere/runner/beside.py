@@ -87,7 +87,7 @@ class Second:
         self.owner = os.getpid()
         self._link = link
         self._asked = list[Callable[[], Any]]()
-        self._said = list[bytes]()
+        self._said, self._open = list[bytes](), set[int]()
 
     def ask(self, work: Callable[[], T]) -> Callable[[], T]:
         """Have `work()`, which can be pickled, done there after all that was asked before; what waits for its answer.
@@ -96,19 +96,21 @@ class Second:
         """
         number = len(self._asked)
         self._asked.append(work)
+        self._open.add(number)
         with contextlib.suppress(OSError):
             self._link.send(work)
         return partial(self._answer, number)
 
     def _answer(self, number: int) -> Any:
+        self._open.discard(number)
         with contextlib.suppress(OSError, EOFError):
             while len(self._said) <= number:
                 self._said.append(self._link.recv_bytes())
         return _taken(self._said[number]) if number < len(self._said) else self._asked[number]()
 
     def settle(self) -> None:
-        """Wait for all that was asked."""
-        for number in range(len(self._asked)):
+        """Wait for what was asked and nobody has waited for."""
+        for number in sorted(self._open):
             self._answer(number)
 
 
