@@ -337,8 +337,9 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Known]:
     sides = [_face(scene, name, tracked) for name in poles]
     found: dict[str, Known] = {column: partial(_largest, sides, column) for column in _LARGEST}
     if "x_first_a" in tracked or "x_first_b" in tracked:
-        firsts = [Columns(_side(scene, pole, tracked[f"x_first_{name}"])) for name, pole in poles.items()]
-        found["first_peak"] = partial(_largest, firsts, "p_max")
+        found["first_peak"] = lambda: _largest(
+            [Columns(_side(scene, pole, tracked[f"x_first_{name}"])) for name, pole in poles.items()], "p_max"
+        )
     more = _of_forces(scene, tracked, sides) | _of_damage(scene, sides) | _energies(scene, tracked, sides)
     return {"sides": sides} | found | more
 
