@@ -389,7 +389,8 @@ def _planned(paper: _Paper, answers: Sequence[Answer]) -> list[str]:
     if high > 1.2 * low and high > _LEAST:
         parts.append(_beside(paper, x + 2, high_y + (1 if high < _MOST else 2.4 * paper.sheet.type), share(high)))
     if low > _LEAST:
-        parts.append(_beside(paper, x + 2, low_y + paper.sheet.type * (1 if low < _MOST else 2), share(low)))
+        under = low_y + paper.sheet.type * (1 if low < _MOST else 2)
+        parts.append(_beside(paper, x + 2, min(under, paper.bottom - 4), share(low)))
     return parts
 
 
