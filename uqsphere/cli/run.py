@@ -280,8 +280,9 @@ def _load_page() -> None:
 
 
 def _load_salib() -> None:
-    """What checks sampled indices."""
-    import SALib.analyze.sobol  # noqa: F401
+    from uqsphere.uq.interop import load_salib
+
+    load_salib()
 
 
 def _draft(folder: Path, results: Results, manifest: Manifest) -> None:

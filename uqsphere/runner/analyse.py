@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 from uqsphere.runner.beside import aside, may_copy
 from uqsphere.runner.campaign import Findings
@@ -102,8 +103,11 @@ def _by_sampling(
     """Everything by sampling the model; surrogates that did not answer all still answer what they know better."""
     beside = replace(work, progress=None, reached=None)
     copied = store.shared and not work.study.black_box and may_copy(work.threads)
-    with aside(lambda: gather_early(beside), copied=copied) as early:
-        return _sampled(work, store, pilot, one, first, notice, early)
+    with aside(lambda: gather_early(beside), copied=copied) as told:
+        early = cache(told)
+        found = _sampled(work, store, pilot, one, first, notice, early)
+        early()  # kept for who asks when the other process has ended
+        return found
 
 
 def _sampled(

@@ -178,6 +178,11 @@ def to_salib(inputs: Joint, count: int = 1024, *, second: bool = False, seed: in
     return SalibDesign(problem=problem, rows=mixed[:, order].reshape(-1, d), second=second)
 
 
+def load_salib() -> None:
+    """What `salib_check` takes long to load: pandas and SciPy's statistics come with it."""
+    import SALib.analyze.sobol  # noqa: F401
+
+
 def salib_indices(outputs: Array) -> dict[str, list[Estimate]]:
     """First and total indices by SALib's estimators from outputs (R, N, d + 2) at blocks A, AB_1 ... AB_d, B.
 
