@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial, reduce
 from typing import Final
@@ -11,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.mechanics.integrator.solve import thread_count
 from uqsphere.model import EvaluatedRows
 from uqsphere.runner.evaluate import Work, evaluate_points, with_answered
 from uqsphere.runner.limits import state_of
@@ -355,6 +357,11 @@ class AxisRows:
                                   own=lambda value: at_value(self.work, limit, state, value))  # fmt: skip
             self._tables[limit.name] = curve.table(self.grid)
         return self._tables[limit.name]
+
+    def make_tables(self, limits: Sequence[Limit]) -> None:
+        """The tables of several limits, on as many processors as there are."""
+        with ThreadPoolExecutor(thread_count(self.work.threads)) as pool:
+            list(pool.map(self.table, limits))
 
     def lost(self, quantity: str) -> float:
         """Share of the rows without a number of a quantity."""

@@ -277,6 +277,7 @@ class _Bands:
 
     def errors(self) -> list[SpeedRow]:
         """The half-width of every band."""
+        self.rows.make_tables(self.limits)
         return [
             row
             for limit in self.limits
