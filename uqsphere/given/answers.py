@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import expit, logit, ndtri
 
 from uqsphere.arrays import Array, Places
-from uqsphere.uq import Estimate, Law, LawError, absent, random_generator, sobol_points
+from uqsphere.uq import NORMAL, Estimate, Law, LawError, absent, random_generator, sobol_points
 from uqsphere.uq.copulas import ARCHIMEDEAN, Archimedean, Elliptical
 from uqsphere.uq.expansion import germ_points
 from uqsphere.uq.indices import Blocks
@@ -306,7 +306,7 @@ def _answer(
     low, high = min(max(low, within[0]), estimate.value), max(min(high, within[1]), estimate.value)
     if way == "shares" and 0.0 < low < _NOTHING:
         low = 0.0
-    whole = replace(estimate, low=low, high=high, std_error=0.25 * (high - low))
+    whole = estimate.spanning(low, high)
     return Answer(surrogate=estimate, left_open=max(below, above), whole=whole)
 
 
@@ -439,7 +439,7 @@ def rank_correlations(columns: Array) -> list[tuple[int, int, Estimate]]:
     found = []
     for i, j in combinations(range(d), 2):
         value = float(np.clip(matrix[i, j], -1.0, 1.0))
-        low, high = (math.tanh(_fisher(value) + side * 1.96 * error) for side in (-1.0, 1.0))
+        low, high = (math.tanh(_fisher(value) + side * NORMAL * error) for side in (-1.0, 1.0))
         found.append((i, j, Estimate(value=value, low=min(low, value), high=max(high, value),
                                      std_error=error * (1.0 - value**2), method="Spearman, Fisher's interval",
                                      evaluations=n)))  # fmt: skip
@@ -452,7 +452,7 @@ def _fisher(correlation: float) -> float:
 
 def tied(pairs: Sequence[tuple[int, int, Estimate]]) -> list[tuple[int, int, Estimate]]:
     """Pairs whose interval leaves out zero by so much that chance is no explanation among so many pairs."""
-    factor = -float(ndtri(0.005 / max(1, len(pairs)))) / 1.96
+    factor = -float(ndtri(0.005 / max(1, len(pairs)))) / NORMAL
 
     def clear(e: Estimate) -> bool:
         if e.value is None or e.low is None or e.high is None:

@@ -47,10 +47,9 @@ from uqsphere.report.phrases import (
 from uqsphere.results import Results
 from uqsphere.results.entries import Entry, Est, Manifest, Resolved, read_resolved
 from uqsphere.store import write_outputs
-from uqsphere.uq import finite
+from uqsphere.uq import NORMAL, finite
 
 _LEVEL: Final = 0.05
-_SCORE: Final = 1.959963984540054
 #: what is said of an answer in two runs: it moved, perhaps, not to be seen, the same in every bit, not known
 SURE, PERHAPS, NONE, SAME, UNKNOWN = "changed", "perhaps", "not seen", "the same", "not known"
 
@@ -171,7 +170,7 @@ def difference_interval(
     elif towards == 0.0:
         significance = 0.0
     else:
-        significance = math.erfc(_SCORE * abs(difference) / towards / math.sqrt(2.0))
+        significance = math.erfc(NORMAL * abs(difference) / towards / math.sqrt(2.0))
     return difference, difference - below, difference + above, significance
 
 

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from numpy.polynomial.chebyshev import chebvander
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, absent, between, count_bound, logit_ends, student
+from uqsphere.uq.estimate import CELL, Estimate, absent, between, probability_ends, spread, student
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, tails
 from uqsphere.uq.sample import Sample
@@ -262,9 +262,9 @@ class Curve:
         pairs = [self._expected(self.many, self.response.at(x), x) for x in values]
         fitted, variance = np.array([p.mean(axis=1) for p, _ in pairs]), np.array([v.mean() for _, v in pairs])
         # what rows scatter about the response bounds the spread below, as few rows may happen to agree; and of a fixed
-        # strength the share of the many beyond it is known to one of them, evenly (1/12 of its square)
+        # strength the share of the many beyond it is known to one of them, evenly
         counted = not isinstance(self.own(values[0]).strength, Law)
-        one = 1.0 / (12.0 * self.many.size * self.many.count) if counted else 0.0
+        one = CELL**2 / (self.many.size * self.many.count) if counted else 0.0
         if self.places is None:
             missed = np.array([self._missed(x).mean(axis=1) for x in values])
             return _spread_by(fitted + missed, variance / self.rows.size + one)
@@ -412,17 +412,13 @@ def fragility(
 def _curve(grid: Array, probabilities: Array, samples: int) -> list[list[float]]:
     """Rows of the curve, the interval in logits; none or all exceeding gets the bound of a count of zero."""
     replicates = probabilities.shape[1]
-    bound = count_bound(samples * replicates)
     rows = []
     for value, row in zip(grid, probabilities, strict=True):
         p = float(row.mean())
         q = float((1.0 - row).mean())
-        if p == 0.0 or q == 0.0:
-            low, high = (0.0, bound) if p == 0.0 else (1.0 - bound, 1.0)
-        else:
-            # Counts that agree in all replicates are still known to one sample only.
-            spread = float(np.std(row, ddof=1)) or 0.3 / samples
-            low, high = logit_ends(p, q, student(replicates) * (spread / math.sqrt(replicates)))
+        # counts that agree in all replicates are still known to one sample only
+        error = spread(row) or spread(row, 1.0 / samples)
+        low, high, _ = probability_ends(p, q, error, replicates, samples * replicates)
         rows.append([float(value), p, min(low, p), max(high, p)])
     return rows
 
@@ -494,13 +490,12 @@ def _value(grid: Array, probabilities: Array, target: float, least: float, evalu
     found = np.array([answer for answer in own if answer is not None])
     if found.size < replicates:
         return absent("too close to an end of the range: some replicates do not reach it", METHOD, evaluations)
-    spread = float(np.std(forward(found), ddof=1)) / math.sqrt(replicates)
     # What the curve through every other point answers differently bounds what is lost between the points:
     # halving the grid costs a monotone cubic at least a factor of four.
     coarse = np.unique(np.concatenate([np.arange(0, grid.size, 2), [grid.size - 1]]))
     other = _crossing(grid[coarse], pooled[coarse], target, least) if coarse.size > 1 else None
     lost = abs(float(forward(np.array([other]))[0]) - centre) / 4.0 if other is not None else 0.0
-    half = student(replicates) * spread + lost
+    half = student(replicates) * spread(forward(found)) + lost
     low, high = backward(centre - half), backward(centre + half)
     return between(value, low, high, replicates, METHOD, evaluations)
 
@@ -596,7 +591,7 @@ def _logarithmic(centre: float, own: Array, evaluations: int) -> Estimate:
     """Estimate of exp(centre), its interval from the spread of the replicates' logarithms."""
     if not math.isfinite(centre):
         return absent("no finite value", _PROBIT, evaluations)
-    error = float(np.std(own, ddof=1)) / math.sqrt(own.size)
+    error = spread(own)
     half = student(own.size) * error
     value = math.exp(centre)
     return Estimate(value=value, low=math.exp(centre - half), high=math.exp(centre + half),

@@ -225,7 +225,7 @@ def _with_rarest(sd: Estimate, outputs: Array, order: float) -> Estimate:
     high = sd.value * math.sqrt(1.0 + 2.0 * index / (index - 1.0) * met_once / kept.size)
     if high <= sd.high or not math.isfinite(high):
         return sd
-    return replace(sd, high=high, std_error=0.25 * (high - (sd.low or 0.0)))
+    return sd.spanning(sd.low or 0.0, high)
 
 
 def half_range(outputs: Array) -> float:
@@ -273,7 +273,7 @@ def widened_share(share: Estimate, sd: Estimate) -> Estimate:
     ends = [end / factor for end in (share.low, share.high) for factor in (less, more)]
     ends += [1.0 - (1.0 - end) / factor for end in (share.low, share.high) for factor in (less, more)]
     low, high = min(min(ends), share.low), max(min(max(ends), 1.0), share.high)
-    return replace(share, low=low, high=high, std_error=max(share.std_error or 0.0, 0.25 * (high - low)))
+    return share.spanning(low, high)
 
 
 # --- shares of the variance -----------------------------------------------------------------------
@@ -309,7 +309,7 @@ def no_narrower(share: Estimate, half: float) -> Estimate:
     if half > WORTHLESS:
         return _without(share, Absent.because(Why.NOT_KNOWN, "too few samples carry the variance"))
     value = min(max(share.value, 0.0), 1.0)
-    return replace(share, value=value, low=value - half, high=value + half, std_error=0.5 * half)
+    return replace(share, value=value).spanning(value - half, value + half)
 
 
 # --- samples --------------------------------------------------------------------------------------

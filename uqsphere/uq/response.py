@@ -357,8 +357,7 @@ def _widened(response: Response, middle: Description, down: Description, up: Des
 def _span(estimate: Estimate, low: float, high: float, evaluations: int) -> Estimate:
     if estimate.value is None:
         return replace(estimate, method=METHOD, evaluations=evaluations)
-    low, high = min(low, estimate.value), max(high, estimate.value)
-    return replace(estimate, low=low, high=high, std_error=0.25 * (high - low), method=METHOD, evaluations=evaluations)
+    return replace(estimate, method=METHOD, evaluations=evaluations).spanning(low, high)
 
 
 def joined(middle: Estimate, one: Estimate, other: Estimate, evaluations: int) -> Estimate:
@@ -459,8 +458,7 @@ def extended(found: Estimate, plain: Estimate, other: Estimate) -> Estimate:
     if found.value is None or found.low is None or found.high is None or plain.value is None or other.value is None:
         return found
     by = other.value - plain.value
-    low, high = found.low + min(by, 0.0), found.high + max(by, 0.0)
-    return replace(found, low=low, high=high, std_error=max(found.std_error or 0.0, 0.25 * (high - low)))
+    return found.spanning(found.low + min(by, 0.0), found.high + max(by, 0.0))
 
 
 def stretched(held: Description, free: Description, values: Array, runs: int) -> Description:
@@ -489,8 +487,7 @@ def _stretched(held: Estimate, free: Estimate, runs: int) -> Estimate:
         return absent(text, held.method, held.evaluations, why.why)
     if free.low >= held.low and free.high <= held.high:
         return held
-    low, high = min(held.low, free.low), max(held.high, free.high)
-    return replace(held, low=low, high=high, std_error=0.25 * (high - low))
+    return held.holding(free)
 
 
 def _reach_of(held: Estimate, free: Estimate) -> Estimate:
@@ -670,8 +667,7 @@ def _beyond_rows(response: Response, asked: Sequence[Subset], found: Sequence[Es
     for estimate, less, more in zip(found, down, up, strict=True):
         assert estimate.low is not None
         assert estimate.high is not None
-        low, high = max(estimate.low + less, 0.0), min(estimate.high + more, 1.0)
-        answer.append(replace(estimate, low=low, high=high, std_error=0.25 * (high - low)))
+        answer.append(estimate.spanning(max(estimate.low + less, 0.0), min(estimate.high + more, 1.0)))
     return answer
 
 

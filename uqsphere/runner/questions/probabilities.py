@@ -501,7 +501,6 @@ def _with_learned(limit: Limit, answer: LimitAnswer, learned: ActiveAnswer) -> L
         own = own.holding(old)
     if learned.warning and old.value is not None and old.half_width < own.half_width:
         return replace(answer, checks=(*checks, "what was known before is known better, and kept"))
-    own = replace(own, std_error=own.half_width / 1.96)
     exceeded = own if limit.aim == "survive" else complement(own)
     return replace(answer, exceedance=exceeded, miss=own, modes=learned.modes or None, checks=tuple(checks))
 

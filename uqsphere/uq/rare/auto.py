@@ -546,9 +546,7 @@ def _certify(answer: ImportanceAnswer, subset: SubsetAnswer, checks: list[str]) 
             f"importance sampling ({own.value:.3g}) and subset simulation ({other.value:.3g}) disagree: the interval "
             "holds both"
         )
-    low, high = min(own.low, other.low), max(own.high, other.high)
-    return replace(own, low=low, high=high, std_error=0.5 * (high - low) / 1.96,
-                   method=f"{own.method}, widened to hold subset simulation"), agreed  # fmt: skip
+    return replace(own.holding(other), method=f"{own.method}, widened to hold subset simulation"), agreed
 
 
 def _bound(alone: Estimate) -> Estimate:
