@@ -423,11 +423,16 @@ def _changes_table(changes: Iterable[Change], say: Callable[[Est, str], str], in
 _MOST_MOVED: Final = 14
 
 
+def _moved(changes: Iterable[Change]) -> list[Change]:
+    """The surest relative differences that are known to some degree, those of limits first."""
+    known = (c for c in changes if c.section != "sensitivity" and c.relative is not None)
+    rows = [c for c in known if c.verdict in (SURE, PERHAPS)]
+    return sorted(rows, key=lambda c: (c.section != "limits", c.significance, -abs(c.relative or 0.0)))[:_MOST_MOVED]
+
+
 def moved_picture(changes: Iterable[Change]) -> canvas.Picture | None:
     """Relative differences that are known to some degree with their intervals, the surest; None where nothing moved."""
-    rows = [c for c in changes
-            if c.section != "sensitivity" and c.relative is not None and c.verdict in (SURE, PERHAPS)]  # fmt: skip
-    rows = sorted(rows, key=lambda c: (c.section != "limits", c.significance, -abs(c.relative or 0.0)))[:_MOST_MOVED]
+    rows = _moved(changes)
     if not rows:
         return None
     ends = np.array([[c.difference, c.low, c.high] for c in rows], dtype=float)
