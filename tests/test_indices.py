@@ -27,7 +27,7 @@ from uqsphere.uq.indices import (
     ESTIMATORS,
     Blocks,
     Surrogate,
-    _estimates,
+    _estimate,
     _method,
     _rows,
     agree,
@@ -58,7 +58,7 @@ def index_estimates(y: np.ndarray, blocks: Blocks, estimator: str) -> dict[str, 
     parts = blocks.split(y)
     arguments = (parts.a, parts.b, parts.ab, *((parts.ba,) if estimator == "azzini_rosati" else ()))
     return {
-        order: _estimates(_rows(ratio(*arguments)), [_method(estimator, order)] * blocks.inputs_count, y.size)
+        order: [_estimate(column, _method(estimator, order), math.inf, y.size) for column in _rows(ratio(*arguments)).T]
         for order, ratio in ESTIMATORS[estimator].items()
     }
 
