@@ -124,8 +124,6 @@ _LARGE: Final = 2048
 #: rows of each replicate where inputs depend on each other, and base points at least and at most
 _SHARED_ROWS: Final = 4096
 _SHARED: Final = (64, 512)
-#: a share of the variance that is not told from none: fitted bounds leave such of what cancels under the law itself
-_NOTHING: Final = 1e-6
 #: scores at which a law is compared with another
 _GRID: Final = np.linspace(-FARTHEST, FARTHEST, 321)
 
@@ -304,7 +302,8 @@ def _answer(
     low = estimate.value - math.hypot(estimate.value - estimate.low, below)
     high = estimate.value + math.hypot(estimate.high - estimate.value, above)
     low, high = min(max(low, within[0]), estimate.value), max(min(high, within[1]), estimate.value)
-    if way == "shares" and 0.0 < low < _NOTHING:
+    # a share of the variance that is not told from none: fitted bounds leave such of what cancels under the law itself
+    if way == "shares" and 0.0 < low < 1e-6:
         low = 0.0
     whole = estimate.spanning(low, high)
     return Answer(surrogate=estimate, left_open=max(below, above), whole=whole)

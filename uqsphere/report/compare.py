@@ -419,15 +419,13 @@ def _changes_table(changes: Iterable[Change], say: Callable[[Est, str], str], in
 
 # --- figures -----------------------------------------------------------------------------------------------
 
-#: rows of the figure of what moved
-_MOST_MOVED: Final = 14
-
 
 def _moved(changes: Iterable[Change]) -> list[Change]:
     """The surest relative differences that are known to some degree, those of limits first."""
     known = (c for c in changes if c.section != "sensitivity" and c.relative is not None)
     rows = [c for c in known if c.verdict in (SURE, PERHAPS)]
-    return sorted(rows, key=lambda c: (c.section != "limits", c.significance, -abs(c.relative or 0.0)))[:_MOST_MOVED]
+    # rows of the figure of what moved
+    return sorted(rows, key=lambda c: (c.section != "limits", c.significance, -abs(c.relative or 0.0)))[:14]
 
 
 def moved_picture(changes: Iterable[Change]) -> canvas.Picture | None:

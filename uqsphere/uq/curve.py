@@ -38,8 +38,6 @@ HIGHEST: Final = 6
 ROWS_PER_TERM: Final = 5
 #: most terms of an expansion
 MOST_TERMS: Final = 200
-#: keeps the normal equations solvable where terms cannot be told apart, over the number of rows
-RIDGE: Final = 1e-11
 #: a richer basis is taken where its error on rows not seen is smaller by this
 BETTER: Final = 0.99
 #: predictions may leave the range of the answers by this share of it
@@ -186,7 +184,8 @@ def _crosswise(design: Array, y: Array, fold: npt.NDArray[np.int64]) -> tuple[li
     folds = [(design[fold == k], y[fold == k]) for k in range(FOLDS)]
     squares = [own.T @ own for own, _ in folds]
     sums = [own.T @ answers for own, answers in folds]
-    ridge = RIDGE * np.eye(design.shape[1]) * len(y)
+    # keeps the normal equations solvable where terms cannot be told apart, over the number of rows
+    ridge = 1e-11 * np.eye(design.shape[1]) * len(y)
     coefficients, missed = [], 0.0
     for k, (own, answers) in enumerate(folds):
         others = [j for j in range(FOLDS) if j != k]
@@ -212,8 +211,6 @@ def _shaped(coefficients: list[Array], terms: Degrees) -> tuple[Array, Degrees]:
 SCATTER: Final = ((-math.sqrt(3.0), 1.0 / 6.0), (0.0, 2.0 / 3.0), (math.sqrt(3.0), 1.0 / 6.0))
 #: steps of the curve on either side whose rows a straight line goes through: that which leaves the smallest error
 REACHES: Final = (4.0, 2.0, 1.0)
-#: squared bias of a line over that of its difference from one of half the reach, whose bias is a quarter
-BIAS: Final = (4.0 / 3.0) ** 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -292,7 +289,8 @@ class Curve:
             excess = bent.mean(axis=1) ** 2 - bent.var(axis=1, ddof=1) / bent.shape[1]
             tables.append(fitted + side[:, None] * lines)
             floors.append(ratio * variance * squares + one)
-            biases.append(side**2 * BIAS * np.maximum(near @ excess, 0.0))
+            # squared bias of a line over that of its difference from one of half the reach, whose bias is a quarter
+            biases.append(side**2 * ((4.0 / 3.0) ** 2) * np.maximum(near @ excess, 0.0))
             own = np.maximum(tables[-1].var(axis=1, ddof=1) / fitted.shape[1], floors[-1])
             totals.append(near @ ((own + biases[-1]) / side**2))
         best, every = np.argmin(totals, axis=0), np.arange(values.size)

@@ -56,8 +56,6 @@ FOLDS: Final = 8
 LEAST_NEAR: Final = 12
 #: standard errors among the rows that grow beyond them: chosen on outputs that level off (docs/validation.md)
 GROWING: Final = 4.0
-#: how near to zero, over its bound, a reciprocal or root is let where its bounds are taken off
-NEAR_ZERO: Final = 1e-6
 #: a Hill estimate below this may well be that of no variance
 HEAVY: Final = 2.4
 
@@ -449,7 +447,8 @@ def _free(transform: Transform | None) -> Transform | None:
     lowest = -math.inf
     if transform.kind in ("square root", "reciprocal"):
         bound = transform.centre + transform.scale * transform.lowest
-        lowest = (NEAR_ZERO * bound - transform.centre) / transform.scale
+        # how near to zero, over its bound, a reciprocal or root is let where its bounds are taken off
+        lowest = (1e-6 * bound - transform.centre) / transform.scale
     return replace(transform, lowest=lowest, highest=math.inf)
 
 
