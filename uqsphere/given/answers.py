@@ -21,6 +21,7 @@ from scipy.special import expit, logit, ndtri
 from uqsphere.arrays import Array, Places
 from uqsphere.uq import NORMAL, Estimate, Law, LawError, absent, random_generator, sobol_points
 from uqsphere.uq.copulas import ARCHIMEDEAN, Archimedean, Elliptical
+from uqsphere.uq.estimate import REPLICATES
 from uqsphere.uq.expansion import germ_points
 from uqsphere.uq.indices import Blocks
 from uqsphere.uq.joint import (
@@ -118,8 +119,7 @@ def _share(angle: float) -> Array:
 #: laws that are tried in place of the fitted ones, and points of the design that they are tried on
 LAWS: Final = 64
 _POINTS: Final = 512
-#: the large design that the surrogate is evaluated on
-_REPLICATES: Final = 16
+#: points of each replicate of the large design that the surrogate is evaluated on
 _LARGE: Final = 2048
 #: rows of each replicate where inputs depend on each other, and base points at least and at most
 _SHARED_ROWS: Final = 4096
@@ -319,10 +319,10 @@ def _statistics(
     task: str,
 ) -> dict[str, Answer]:
     d = len(inputs.names)
-    large = np.concatenate([_drawn(d, _LARGE, replicate, "large", seed) for replicate in range(_REPLICATES)])
+    large = np.concatenate([_drawn(d, _LARGE, replicate, "large", seed) for replicate in range(REPLICATES)])
     scores = np.clip(inputs.scores(large), -FARTHEST, FARTHEST)
     generator = random_generator(seed=seed, task=f"given: residuals {task}")
-    points, shape = germ_points(scores, response.germs), (_REPLICATES, _LARGE)
+    points, shape = germ_points(scores, response.germs), (REPLICATES, _LARGE)
     middle = answered(response, points, shape, generator, quantiles).description
 
     def told_by(outputs: Array) -> list[float]:
@@ -384,7 +384,7 @@ def variance_shares(response: Response, inputs: Joint, left_open: LeftOpen | Non
         order = None if design.exact else np.stack(orders).reshape(*shape, d)
         return shapley_estimates(design, np.stack(outputs).reshape(*shape, design.rows), order)
 
-    found = asked(inputs, None, _REPLICATES)
+    found = asked(inputs, None, REPLICATES)
     # all laws, since only together they scatter as they should; at the same few points, whose error all but cancels
     own = asked(inputs, -1, 1)
     rows = [asked(under, k, 1) for k, under in enumerate(left_open.inputs if left_open else ())]

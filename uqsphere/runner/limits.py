@@ -19,6 +19,7 @@ from uqsphere.uq import NORMAL, Estimate, Law, Sample, absent, exact
 from uqsphere.uq.describe import controlled_probability
 from uqsphere.uq.failure_indices import BY_DIRECTION, failure_shares
 from uqsphere.uq.limit_state import (
+    CERTAIN,
     LimitState,
     by_replicate,
     exceedance,
@@ -189,7 +190,7 @@ def _governing(work: Work, limit: Limit, sample: Sample, state: LimitState) -> t
     if isinstance(limit.strength, Law):
         with np.errstate(divide="ignore"):
             score = np.asarray(ndtri(limit.strength.cdf(np.where(keep, state.demands, 0.0))))
-        score = np.clip(state.score_given_inputs(score), -37.0, 37.0)[keep]
+        score = np.clip(state.score_given_inputs(score), -CERTAIN, CERTAIN)[keep]
         weight = np.asarray(ndtr(score))
         names.append(strength_name(limit.name))
     else:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from uqsphere.uq.describe import quantile_estimates
 from uqsphere.uq.estimate import Estimate, absent, between, probability_ends, spread, student
 from uqsphere.uq.joint import Tie, conditional_score, conditional_scores
 from uqsphere.uq.law import Law
+
+#: normal scores beyond which a tail is taken for certain: the largest whose tail is a normal number
+CERTAIN: Final = 37.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -17,12 +17,10 @@ import numpy.typing as npt
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.estimate import Estimate, none_of, probability_ends, quantile, spread, weighted_reader
 from uqsphere.uq.law import Law, make_law
-from uqsphere.uq.limit_state import LimitState, score_of, tails
+from uqsphere.uq.limit_state import CERTAIN, LimitState, score_of, tails
 
 Index = npt.NDArray[np.int64]
 
-#: normal scores beyond which a tail is taken for certain
-_FAR = 37.0
 _TINY = 1e-300
 
 
@@ -101,7 +99,7 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
         # a point of the upper tail
         with np.errstate(divide="ignore"):
             drawn = -special.ndtri(np.maximum(rng.random(shape[1:]) * above, _TINY))
-        holding[j] = np.clip(drawn, -_FAR, _FAR)
+        holding[j] = np.clip(drawn, -CERTAIN, CERTAIN)
     return Union(states=tuple(states), chances=chances, holding=holding, factor=factor)
 
 
@@ -119,7 +117,7 @@ def union_state(union: Union) -> LimitState:
         held = np.log1p(-union.chances).sum(axis=0)
     score = score_of(p, np.exp(held))
     return LimitState(
-        demands=np.clip(score, -_FAR, _FAR),
+        demands=np.clip(score, -CERTAIN, CERTAIN),
         strength=make_law("normal", {"mean": 0.0, "sd": 1.0}),
         failed=union.broken,
         on_failure=policy,
@@ -170,7 +168,7 @@ def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breakin
     first = np.minimum((course <= rng.random(rows.shape) * course[-1]).sum(axis=0), size - 1)
     for j in range(size):
         with np.errstate(divide="ignore"):
-            lower = np.clip(special.ndtri(np.maximum(rng.random(rows.shape) * chances[j], _TINY)), -_FAR, _FAR)
+            lower = np.clip(special.ndtri(np.maximum(rng.random(rows.shape) * chances[j], _TINY)), -CERTAIN, CERTAIN)
         free = rng.standard_normal(rows.shape)
         normals[j] = np.where(first == j, lower, np.where(first < j, free, normals[j]))
     scores = np.tensordot(union.factor, normals, axes=1)

@@ -23,7 +23,7 @@ from typing import TypeAlias
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, absent, student
+from uqsphere.uq.estimate import REPLICATES, Estimate, absent, student
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.form import DesignPoint
 from uqsphere.uq.rare.problem import Evaluator, Spent, log_normal_density
@@ -405,8 +405,6 @@ def _covariance(scatter: Array, number: float, d: int) -> Array:
 
 # --- importance sampling -------------------------------------------------------------------------------------
 
-#: independent randomisations that an interval rests on
-REPLICATES = 16
 #: least standard error on a hard limit, over that of independent points
 HARD = 0.7
 METHOD = "importance sampling"
