@@ -8,7 +8,7 @@ their probability, and the linearised ratio for what is one mean over another.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
@@ -164,6 +164,18 @@ def freedom(replicates: int, carriers: Array) -> Array:
     [15.0, 7.5, 1.0]
     """
     return np.asarray(np.maximum(1.0 / (1.0 / (replicates - 1) + 2.0 / carriers), 1.0))
+
+
+def added(errors: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Standard error and degrees of freedom of what independent errors, each with its own, add up to.
+
+    B. L. Welch, Biometrika 34, 1947, 28.
+
+    >>> added([(3.0, 15.0), (4.0, 15.0), (0.0, 1.0)])[0], round(added([(1.0, 15.0), (1.0, 15.0)])[1], 9)
+    (5.0, 30.0)
+    """
+    error = math.hypot(*(own for own, _ in errors))
+    return error, 1.0 / sum((own / error) ** 4 / freedom for own, freedom in errors) if error > 0.0 else math.inf
 
 
 def spread(rows: Array, cell: float = 0.0) -> float:

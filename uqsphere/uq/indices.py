@@ -22,7 +22,18 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, Why, absent, around, corrected, freedom, ratio_of_means, spread, student
+from uqsphere.uq.estimate import (
+    Estimate,
+    Why,
+    absent,
+    added,
+    around,
+    corrected,
+    freedom,
+    ratio_of_means,
+    spread,
+    student,
+)
 from uqsphere.uq.expansion import Chaos, germ_points, predict
 from uqsphere.uq.points import sobol_points
 
@@ -339,24 +350,28 @@ def _helped(y: Outputs, blocks: Blocks, surrogate: Surrogate | None, chosen: _Ch
     if surrogate is None or known is None or not known.varies:
         return plain
     # the surrogate's indices by order: (m,), or (R, m) as many points of the replicates tell them
-    truths = surrogate.indices
+    truths, loads = surrogate.indices, {}
     if surrogate.many is not None:
-        truths = {order: rows for order, (rows, _) in _answers(blocks.split(surrogate.many), *chosen).items()}
+        many = blocks.split(surrogate.many)
+        truths = {order: rows for order, (rows, _) in _answers(many, *chosen).items()}
+        loads = _carriers(many, None, chosen)
     others, carriers = _answers(known, *chosen), _carriers(y, known, chosen)
     found: dict[str, list[Estimate]] = {}
     for order, (rows, _) in answers.items():
         truth_of = truths.get(order, np.empty(0)).T
-        columns = zip(rows.T, others[order][0].T, truth_of, carriers[order], plain[order], strict=True)
+        load = np.stack([carriers[order], loads.get(order, np.full(len(truth_of), math.inf))], axis=1)
+        columns = zip(rows.T, others[order][0].T, truth_of, load, plain[order], strict=True)
         found[order] = [_corrected(*one) for one in columns]
     return found
 
 
-def _corrected(rows: Array, others: Array, truth: Array, carriers: float, plain: Estimate) -> Estimate:
+def _corrected(rows: Array, others: Array, truth: Array, carriers: Array, plain: Estimate) -> Estimate:
     """A corrected answer, from those of the model and of the surrogate (R,), and the truth of the latter: a number, or
     (R,) from many points.
 
-    `carriers` are the points that carry what it may be off by.  Where the rows alone, `plain`, know it better they
-    answer; not beside many points, which are there since the rows alone may have met none of what matters.
+    `carriers` (2,) are the points that carry what the correction may be off by, and the many.  Where the rows alone,
+    `plain`, know it better they answer; not beside many points, which are there since the rows alone may have met none
+    of what matters.
     """
     if plain.value is None:
         return plain
@@ -366,8 +381,9 @@ def _corrected(rows: Array, others: Array, truth: Array, carriers: float, plain:
     if not (math.isfinite(error) and math.isfinite(known)):
         return plain
     # a surrogate that is the model itself leaves rounding, of its coefficients as of the sums
-    error = math.hypot(max(error, 1e-13), known)
-    half = student(1.0 + float(freedom(replicates, np.asarray(carriers)))) * error
+    own, of_many = freedom(replicates, carriers).tolist()
+    error, free = added([(max(error, 1e-13), own), (known, of_many)])
+    half = student(1.0 + free) * error
     if half > plain.half_width and not np.ndim(truth):
         return plain
     return around(value, half, error, method, plain.evaluations)
