@@ -15,11 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Absent, Estimate, Why, absent, student
+from uqsphere.uq.estimate import REPLICATES, Absent, Estimate, Why, absent, student
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.form import FormAnswer, find_design_points
 from uqsphere.uq.rare.importance import (
-    REPLICATES,
     ImportanceAnswer,
     Mixture,
     Pool,
