@@ -19,6 +19,8 @@ MOST_DIMENSIONS = 21201
 
 #: points that are passed over at once
 _BLOCK: Final = 65_536
+#: from here on the scrambling matrices of 52-bit points would fill the memory
+_WIDE: Final = 1000
 
 
 def _seed(seed: int, task: str, replicate: int) -> np.random.SeedSequence:
@@ -51,8 +53,7 @@ def sobol_points(*, dimension: int, count: int, start: int = 0, seed: int, task:
         )
     if count == 0 or dimension == 0:
         return np.empty((count, dimension))
-    # from here on the scrambling matrices of 52-bit points would fill the memory
-    bits = 52 if dimension < 1000 else 30
+    bits = 52 if dimension < _WIDE else 30
     if start + count > 2**bits:
         raise ValueError(f"a sequence in {dimension} dimensions holds 2^{bits} points")
     from scipy.stats import qmc
