@@ -22,7 +22,7 @@ import numpy.typing as npt
 from numpy.polynomial.chebyshev import chebvander
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import CELL, Estimate, absent, between, probability_ends, spread, student
+from uqsphere.uq.estimate import CELL, Estimate, absent, between, half_of_mean, probability_ends, spread, student
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, tails
 from uqsphere.uq.sample import Sample
@@ -356,8 +356,7 @@ def half_widths(curve: Array) -> tuple[Array, Array]:
     """Half-widths of the 95 % intervals over the smaller side (K,), and the smaller side (K,), of curves (K, R)."""
     p = curve.mean(axis=1)
     side = np.minimum(p, 1.0 - p)
-    error = curve.std(axis=1, ddof=1) / math.sqrt(curve.shape[1])
-    return student(curve.shape[1]) * error / np.where(side > 0.0, side, 1.0), side
+    return half_of_mean(curve.T) / np.where(side > 0.0, side, 1.0), side
 
 
 # --- its inverse -----------------------------------------------------------------------------------------

@@ -187,6 +187,11 @@ def spread(rows: Array, cell: float = 0.0) -> float:
     return max(float(np.std(rows, ddof=1)), CELL * cell) / math.sqrt(rows.size)
 
 
+def half_of_mean(answers: Array) -> Array:
+    """Half-width (...) of the mean of answers (R, ...), by their differences."""
+    return np.asarray(student(len(answers)) * np.std(answers, axis=0, ddof=1) / math.sqrt(len(answers)))
+
+
 def from_replicates(
     values: Array, method: str, evaluations: int, pooled: float | None = None, floor: float = 0.0
 ) -> Estimate:

@@ -30,7 +30,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags
 from uqsphere.uq.describe import Description, describe
-from uqsphere.uq.estimate import Absent, Estimate, Why, absent, none_of
+from uqsphere.uq.estimate import Absent, Estimate, Why, absent, half_of_mean, none_of
 from uqsphere.uq.expansion import Chaos, fit_outputs, held, padded, predict
 from uqsphere.uq.expansion.choice import deal
 from uqsphere.uq.expansion.expansion import Transform
@@ -567,7 +567,7 @@ def shares(response: Response, asked: Sequence[Subset], seed: int = 0) -> list[E
     whole = max(float(np.mean([(one.deviation / unit) ** 2 for one in folds])) + float(changed.mean()), 1e-300)
     values = (tops.mean(axis=0) + moved.mean(axis=0)) / whole
     influence = (moved - values * changed[:, None]) / whole
-    between = _between(tops / whole)
+    between = half_of_mean(tops / whole)
     found = []
     for j in range(len(asked)):
         half = math.hypot(response.scale * half_width(influence[:, j]), between[j]) + 1e-15
@@ -589,12 +589,6 @@ def share_of_noise(response: Response, estimate: Estimate) -> Estimate:
     noise = 2.0 * math.sqrt(max(value * (1.0 - value), error) * error / n)
     half = math.hypot(estimate.half_width, float(_quantile(np.asarray(n - 1.0))) * noise) + error + 1e-15
     return _span(estimate, max(0.0, value - half), min(1.0, value + half), n)
-
-
-def _between(tops: Array) -> Array:
-    """Half-width (m,) of the mean of answers (K, m) of the folds by their differences."""
-    count = len(tops)
-    return np.asarray(_quantile(np.asarray(count - 1.0)) * tops.std(axis=0, ddof=1) / math.sqrt(count))
 
 
 def _number(seed: int, fold: int) -> int:
