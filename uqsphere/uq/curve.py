@@ -22,7 +22,7 @@ import numpy.typing as npt
 from numpy.polynomial.chebyshev import chebvander
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import CELL, Estimate, absent, between, half_of_mean, probability_ends, spread, student
+from uqsphere.uq.estimate import CELL, SURE, Estimate, absent, between, half_of_mean, probability_ends, spread, student
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, tails
 from uqsphere.uq.sample import Sample
@@ -361,8 +361,6 @@ def half_widths(curve: Array) -> tuple[Array, Array]:
 
 # --- its inverse -----------------------------------------------------------------------------------------
 
-#: standard errors after which a difference is taken for one
-_SURE = 4.0
 METHOD = "common random numbers, monotone interpolation"
 
 
@@ -423,7 +421,7 @@ def _curve(grid: Array, probabilities: Array, samples: int) -> list[list[float]]
 def _passes_once(probabilities: Array, target: float) -> bool:
     """Whether curves (K, R) are surely on one side of a probability at first and on the other from some value on."""
     mean, error = probabilities.mean(axis=1), probabilities.std(axis=1, ddof=1) / math.sqrt(probabilities.shape[1])
-    sides = np.sign(mean - target)[np.abs(mean - target) > _SURE * error + 1e-9]
+    sides = np.sign(mean - target)[np.abs(mean - target) > SURE * error + 1e-9]
     return int(np.count_nonzero(np.diff(sides))) == 1
 
 
@@ -432,7 +430,7 @@ def _turning(grid: Array, probabilities: Array) -> float | None:
     steps = np.diff(probabilities, axis=0)
     mean = steps.mean(axis=1)
     error = steps.std(axis=1, ddof=1) / math.sqrt(steps.shape[1])
-    sure = np.flatnonzero(np.abs(mean) > _SURE * error + 1e-9)
+    sure = np.flatnonzero(np.abs(mean) > SURE * error + 1e-9)
     back = sure[np.sign(mean[sure]) != np.sign(mean[sure[0]])] if sure.size else sure
     return float(grid[int(back[0])]) if back.size else None
 

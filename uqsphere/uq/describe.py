@@ -38,6 +38,9 @@ from uqsphere.uq.estimate import (
 
 #: samples that must lie beyond a quantile for it to be estimated at all
 LEAST_BEYOND: Final = 5
+#: share of the variance that one sample may make, and samples of which one that makes more means no convergence: of
+#: fewer it means that nothing is known
+DOMINANT, CONVERGES = 0.4, 1000
 #: probabilities on either side of a quantile, over the smaller side up to a tenth, where differences are counted
 RANGE: Final = 0.5
 
@@ -250,7 +253,7 @@ def _moments(samples: Array, kept: Flags, counts: Array, method: str) -> tuple[E
     if sd.low is not None and sd.high is not None and sd.std_error is not None:
         reach = _skew_reach(found, total / len(counts))
         sd = replace(sd, low=max(0.0, sd.low), high=sd.high + reach * sd.std_error)
-    if found.largest_share > 0.4 and total >= 1000:
+    if found.largest_share > DOMINANT and total >= CONVERGES:
         reason = Absent.because(
             Why.NO_CONVERGENCE, f"one sample of {total} makes {100.0 * found.largest_share:.0f} % of the variance"
         )

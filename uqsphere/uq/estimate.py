@@ -39,6 +39,8 @@ REPLICATES: Final = 16
 NORMAL: Final = 1.959963984540054
 #: standard deviation of what may lie anywhere in a cell of length one
 CELL: Final = 12.0**-0.5
+#: standard errors after which a difference is taken for one
+SURE: Final = 4.0
 #: what no number of evaluations would give: its accuracy is not pursued
 NEVER: Final = (Why.NO_MOMENT, Why.UNTOLD)
 

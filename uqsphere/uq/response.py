@@ -44,7 +44,7 @@ from uqsphere.uq.expansion.shares import (
     law_shares,
     moments_of,
 )
-from uqsphere.uq.heavy_tails import half_range, hill, widened_share, without_moments
+from uqsphere.uq.heavy_tails import CAUCHY, VARIANCE, half_range, hill, widened_share, without_moments
 from uqsphere.uq.indices import ordered
 
 METHOD: Final = "surrogate, corrected by its residuals"
@@ -56,8 +56,6 @@ FOLDS: Final = 8
 LEAST_NEAR: Final = 12
 #: standard errors among the rows that grow beyond them: chosen on outputs that level off (docs/validation.md)
 GROWING: Final = 4.0
-#: a Hill estimate below this may well be that of no variance
-HEAVY: Final = 2.4
 
 Folds: TypeAlias = npt.NDArray[np.intp]
 
@@ -467,7 +465,7 @@ def stretched(held: Description, free: Description, values: Array, runs: int) ->
     """
     mean, sd = _stretched(held.mean, free.mean, runs), _stretched(held.sd, free.sd, runs)
     order = hill(values)
-    if sd.value is not None and order <= HEAVY:
+    if sd.value is not None and order <= VARIANCE * CAUCHY:
         text = (
             f"beyond the reach of the {runs} runs large values are as frequent as in a law without moments from order "
         )
