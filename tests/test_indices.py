@@ -27,7 +27,7 @@ from uqsphere.uq.indices import (
     ESTIMATORS,
     Blocks,
     Surrogate,
-    _estimates,
+    _estimate,
     _method,
     _rows,
     agree,
@@ -58,7 +58,7 @@ def index_estimates(y: np.ndarray, blocks: Blocks, estimator: str) -> dict[str, 
     parts = blocks.split(y)
     arguments = (parts.a, parts.b, parts.ab, *((parts.ba,) if estimator == "azzini_rosati" else ()))
     return {
-        order: _estimates(_rows(ratio(*arguments)), [_method(estimator, order)] * blocks.inputs_count, y.size)
+        order: [_estimate(column, _method(estimator, order), math.inf, y.size) for column in _rows(ratio(*arguments)).T]
         for order, ratio in ESTIMATORS[estimator].items()
     }
 
@@ -162,10 +162,31 @@ def test_the_size_of_the_total_index_decides_and_the_text_says_so() -> None:
     assert found.large == (0,)  # total index 0.56; those of x2 and x3 are below a half
     pairs, plain = (index_estimates(y, blocks, name) for name in ("janon_monod", "saltelli"))
     assert found.first[0].value == pytest.approx(pairs["first"][0].value, rel=1e-12)
-    assert found.total[0].half_width == pytest.approx(pairs["total"][0].half_width, rel=1e-9)
-    assert (found.first[1:], found.total[1:]) == (plain["first"][1:], plain["total"][1:])
+    assert found.total[0].std_error == pytest.approx(pairs["total"][0].std_error, rel=1e-9)
+    for row, others in ((found.first, plain["first"]), (found.total, plain["total"])):
+        assert [(e.value, e.std_error) for e in row[1:]] == [(e.value, e.std_error) for e in others[1:]]
     assert "1 of 3 input has a total index above 0.5" in found.text
     assert "2 of 5 inputs have" in choice_text(Blocks(inputs_count=5), 2)
+
+
+def test_intervals_are_longer_where_few_points_carry_an_index() -> None:
+    rows = np.array([0.4, 0.5, 0.6, 0.5])
+    alone, shared = (_estimate(rows, "m", carriers, 64) for carriers in (1.0, math.inf))
+    assert alone.std_error == shared.std_error == pytest.approx(0.1 * math.sqrt(2.0 / 3.0) / 2.0)
+    assert shared.half_width == pytest.approx(student(4) * shared.std_error)
+    assert alone.half_width == pytest.approx(student(2) * shared.std_error)
+
+
+def test_a_surrogate_with_an_effect_that_the_model_has_not_leaves_it_at_none() -> None:
+    """The model's own rows show exactly none; the sampling error of the surrogate's effect is no answer."""
+    blocks, rng = Blocks(inputs_count=2), np.random.default_rng(3)
+    mixed = blocks.mix(*rng.standard_normal((2, 16 * 32, 2))).reshape(16, 32, blocks.count, 2)
+    model, known = mixed[..., 0], mixed[..., 0] + 0.1 * mixed[..., 1]
+    truth = {"first": np.array([1.0, 0.01]) / 1.01, "total": np.array([1.0, 0.01]) / 1.01}
+    truth |= dict.fromkeys(("second", "group_first", "group_total"), np.empty(0))
+    found = sampled_indices(model, blocks, Surrogate(outputs=known, indices=truth))
+    assert found.first[1].low <= 0.0 <= found.first[1].high
+    assert found.total[1].low <= 0.0 <= found.total[1].high
 
 
 def test_constant_outputs_are_absent_and_bad_ones_refused() -> None:
@@ -194,7 +215,7 @@ def test_a_first_index_above_the_total_one_leaves_room_for_both() -> None:
     assert (whole.value, whole.low, whole.high) == (0.9306, 0.9118, 0.9549)
     (alone,), (whole,) = ordered([replace(first, low=0.94)], [total])
     assert (alone.low, whole) == (0.94, total)
-    (alone,), (whole,) = ordered([replace(total, low=0.96, high=0.99)], [first])
+    (alone,), (whole,) = ordered([replace(total, value=0.97, low=0.96, high=0.99)], [first])
     assert (alone.low, alone.high, whole) == (0.9512, 0.99, first)
     nothing = absent("no scatter", "m", 1)
     assert ordered([nothing], [total]) == ([nothing], [total])

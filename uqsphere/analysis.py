@@ -47,6 +47,7 @@ from uqsphere.uq import (
     tolerance,
 )
 from uqsphere.uq.curve import LognormalCurve
+from uqsphere.uq.estimate import REPLICATES
 from uqsphere.uq.fitting import STRENGTHS, StrengthFit, fit_strength, make_tests
 from uqsphere.uq.foreign import LawLike, as_law, joint_of
 from uqsphere.uq.surrogate import Surrogate, fit_surrogate, load_surrogate
@@ -82,8 +83,6 @@ Model: TypeAlias = Callable[[dict[str, Array]], npt.ArrayLike]
 #: indices of every input by their order: {"first": {"a": Estimate, ...}, ...}
 Indices: TypeAlias = dict[str, dict[str, Estimate]]
 
-#: randomisations that an interval rests on, as in a run
-_REPLICATES: Final = 16
 #: evaluations up to which a model is dear: active learning in place of sampling
 _DEAR: Final = 1000
 
@@ -208,12 +207,12 @@ def _shares(x: npt.ArrayLike, y: npt.ArrayLike, inputs: Inputs, seed: int) -> In
 def _dealt(x: npt.ArrayLike, y: npt.ArrayLike, names: Sequence[str] | None) -> tuple[Array, Array, list[str]]:
     """Rows as (R, n/R, d) and (R, n/R): what is left over is left out."""
     rows, values = _arrays(x, y)
-    n = len(values) // _REPLICATES
-    kept = n * _REPLICATES
+    n = len(values) // REPLICATES
+    kept = n * REPLICATES
     called = [f"x{k + 1}" for k in range(rows.shape[1])] if names is None else list(names)
     if len(called) != rows.shape[1]:
         raise UsageError(f"{rows.shape[1]} names are due, found {len(called)}")
-    return rows[:kept].reshape(_REPLICATES, n, -1), values[:kept].reshape(_REPLICATES, n), called
+    return rows[:kept].reshape(REPLICATES, n, -1), values[:kept].reshape(REPLICATES, n), called
 
 
 def delta_indices(x: npt.ArrayLike, y: npt.ArrayLike, inputs: Sequence[str] | None = None) -> dict[str, Estimate]:
@@ -368,17 +367,15 @@ def fragility(
     grid = np.asarray(levels, dtype=float)
     with _refusing():
         law = float(strength) if isinstance(strength, (int, float)) else as_law(strength)
-        count = max(evaluations // (_REPLICATES * max(grid.size, 1)), 8)
-        points = np.concatenate(
-            [_normals(len(given.names), count, replicate, seed) for replicate in range(_REPLICATES)]
-        )
+        count = max(evaluations // (REPLICATES * max(grid.size, 1)), 8)
+        points = np.concatenate([_normals(len(given.names), count, replicate, seed) for replicate in range(REPLICATES)])
         x = given.physical(points)
         rows = []
         for level in grid:
             answers = _called(partial(_at_level, model, free, float(level)), given, x)
             if not np.isfinite(answers).all():
                 raise UsageError(f"the model has no finite answer at {free} = {level:g}")
-            state = LimitState(demands=answers.reshape(_REPLICATES, count), strength=law)
+            state = LimitState(demands=answers.reshape(REPLICATES, count), strength=law)
             rows.append(tails(state)[0].mean(axis=1))
         table, spent = np.array(rows), grid.size * len(x)
         found = curve.fragility(grid, table, probabilities, samples=count, evaluations=spent)

@@ -159,7 +159,19 @@ def _lines(text: str, width: int) -> list[str]:
 
 def _shrink(header: Sequence[str], rows: Sequence[Sequence[str]], widths: list[int], width: int, named: bool) -> None:
     """Make columns fit side by side: headers give way first, then words, then numbers; the widest first."""
-    every = list(range(len(widths)))
+    for columns, floor in _floors(header, rows, len(widths), named):
+        while sum(widths) > width - 2 * (len(widths) - 1):
+            wide = [k for k in columns if widths[k] > floor[k]]
+            if not wide:
+                break
+            widths[max(wide, key=lambda k: widths[k])] -= 1
+
+
+def _floors(
+    header: Sequence[str], rows: Sequence[Sequence[str]], count: int, named: bool
+) -> tuple[tuple[list[int], list[int]], ...]:
+    """Which columns give way in each step, and how narrow every column may become in it."""
+    every = list(range(count))
     names = [k for k in every[int(named) :] if not any(_NUMBER.match(row[k]) for row in rows)]
     words = [max(map(len, title.split()), default=0) for title in header]
     content = [max([words[k], *(len(row[k]) for row in rows)]) for k in every]
@@ -168,12 +180,7 @@ def _shrink(header: Sequence[str], rows: Sequence[Sequence[str]], widths: list[i
     least = [min(c, _LEAST) for c in content]
     steps = [(every, content), (names, [min(c, _NAME) for c in content]), (names, least if named else content)]
     # a number is not parted, unless nothing else is left
-    for columns, floor in (*steps, (every[int(named) :], numbers), (every, least)):
-        while sum(widths) > width - 2 * (len(widths) - 1):
-            wide = [k for k in columns if widths[k] > floor[k]]
-            if not wide:
-                break
-            widths[max(wide, key=lambda k: widths[k])] -= 1
+    return (*steps, (every[int(named) :], numbers), (every, least))
 
 
 def table(

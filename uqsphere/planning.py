@@ -62,8 +62,6 @@ FRACTILES: Final = tuple(float(k) / 20.0 for k in range(1, 20))
 #: ramps whose windows are listed, and halvings that place an edge between two speeds of the map
 LISTED: Final = 9
 HALVINGS: Final = 12
-#: speeds of a listed ramp for each one of the map, so that a narrow window is not stepped over
-_FINER: Final = 2
 #: relative step in which a laboratory sets the speed of a striker: shots repeat within about 1 % (as standard
 #: deviation; general literature on gas guns), so that less than twice that is not set but met by chance
 SETTING: Final = 0.02
@@ -304,7 +302,8 @@ def plan_test(study: Study, request: Request) -> Plan:
     maps = [{name: values.reshape(shape) for name, values in one.items()} for one in used]
     places = np.unique(np.linspace(0, ramps - 1, min(LISTED, ramps)).round().astype(int))
     listed = rises[places]
-    windows, nearest = _windows(subject, request, np.geomspace(*request.speeds, _FINER * (count - 1) + 1), listed)
+    # speeds of a listed ramp for each one of the map, so that a narrow window is not stepped over
+    windows, nearest = _windows(subject, request, np.geomspace(*request.speeds, 2 * (count - 1) + 1), listed)
     charts = []
     for length, one, own, near in zip(request.lengths, maps, windows, nearest, strict=True):
         binds, kept = binding(one)

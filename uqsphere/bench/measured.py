@@ -23,6 +23,7 @@ from uqsphere.console import table
 from uqsphere.materials import library
 from uqsphere.mechanics.bars import phase_speed
 from uqsphere.store import csv_text, write_atomically
+from uqsphere.uq.estimate import NORMAL
 
 if TYPE_CHECKING:
     from uqsphere.report.figures.canvas import Picture
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
 _MODULUS_SD, _YIELD_SD = 0.02, 0.05
 #: standard deviation of a Poisson's ratio of steel or titanium that was not published (0.28 to 0.34)
 _NU_SD: Final = 0.015
-#: two-sided 95 % of a normal
-_REACH: Final = 1.96
 #: bars of the laboratory whose records are read: E [Pa], density [kg/m³], nu, diameter [m]; gauges [m]
 _TITANIUM: Final = {"bars.E": 110e9, "bars.density": 4430.0, "bars.nu": 0.33, "bars.diameter": 0.05}
 _GAUGES, _LENGTH = (1.25, 1.0), 2.5
@@ -156,7 +155,7 @@ def _fracture_energy(row: Row, rows: Sequence[Row]) -> tuple[float, float]:
     size = 2e-3 * float(row["radius1_mm"])
     value = known.value * (1.0 + (known.further["size"] / size) ** known.further["exponent"])
     low, high = known.range or (known.value, known.value)
-    return value, value * (high - low) / (2.0 * _REACH * known.value)
+    return value, value * (high - low) / (2.0 * NORMAL * known.value)
 
 
 #: group -> what predicts it: value and standard deviation in the unit of the row
@@ -246,7 +245,7 @@ def summary(found: Sequence[Compared]) -> list[tuple[str, ...]]:
         if not np.isfinite(ratios).any():
             rows.append((group, str(len(points)), "", "", points[0].why))
             continue
-        within = [abs(one.ratio - 1.0) < _REACH * one.ratio_sd for one in points if one.ratio_sd > 0.0]
+        within = [abs(one.ratio - 1.0) < NORMAL * one.ratio_sd for one in points if one.ratio_sd > 0.0]
         share = f"{np.mean(within):.0%}" if within else "none given"
         rows.append((group, str(len(points)), f"{ratios.mean():.3f} ± {ratios.std():.3f}",
                      f"{ratios.min():.3f} to {ratios.max():.3f}", share))  # fmt: skip
@@ -267,7 +266,7 @@ def measured_figure(found: Sequence[Compared]) -> Picture:
         unit = max(one.measured for one in points)
         x = np.array([one.measured for one in points]) / unit
         y = np.array([one.predicted for one in points]) / unit
-        wide = np.array([[_REACH * one.measured_sd, _REACH * one.predicted_sd] for one in points]).T / unit
+        wide = np.array([[NORMAL * one.measured_sd, NORMAL * one.predicted_sd] for one in points]).T / unit
         wide = np.minimum(wide, 0.9 * np.stack([x, y]))
         axes.errorbar(x, y, xerr=wide[0], yerr=wide[1], color=colour, marker=mark, markersize=4.0, linestyle="none",
                       linewidth=0.7, label=group)  # fmt: skip

@@ -25,8 +25,6 @@ _MOST_POINTS: Final = 400
 _MOST_LENGTHS: Final = 6
 #: how the sides of a window and the kinds of specimen are called
 _RANGE: Final = "range"
-#: values of a rig's one number that are listed
-_LISTED: Final = 12
 
 
 def _range(text: str | None, dimension: str, unit: str, option: str, *, zero: bool) -> tuple[float, float] | None:
@@ -109,10 +107,11 @@ def _plan_blow(study: Study, chosen: argparse.Namespace, count: int) -> int:
     lines = [("the sphere breaks by", ", ".join(limit.name for limit in found.limits)),
              (f"at quantile {found.quantile:g} of the strength", said["quantile"]),
              ("at 5 to 95 % of it", said["batch"])]  # fmt: skip
+    # values of a rig's one number that are listed
     points = [
         (format_value(float(found.values[k]), found.path), format_value(float(found.force[k]), "P_max"),
          f"{100.0 * found.share[k]:.0f} %", found.check[k] or ("no answer" if found.grade[k] < 0 else "-"))
-        for k in range(0, count, max(count // _LISTED, 1))
+        for k in range(0, count, max(count // 12, 1))
     ]  # fmt: skip
     blocks = [f"{plain(study.title)}: what breaks the sphere, all else at its mean", table(("what", "value"), lines),
               table((found.path, "force", "spheres that break", "the model warns of"), points)]  # fmt: skip

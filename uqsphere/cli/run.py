@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 #: seconds between two lines of progress where there is no terminal, and between two bars where there is one
 _LINE_EVERY, _DRAW_EVERY = 5.0, 0.1
-#: columns of a bar
-_BAR = 24
 
 
 def _left(seconds: float) -> str:
@@ -95,7 +93,8 @@ class Progress:
         """The bar and what fits beside it; below it the accuracy reached so far, where there is one."""
         # the last column stays free: some terminals go on to the next line when it is written
         width = stderr_width() - 1
-        length = min(_BAR, width // 5)
+        # columns of a bar
+        length = min(24, width // 5)
         text = f"[{'#' * round(length * share):<{length}}]"
         for k, piece in enumerate(piece for piece in pieces if piece):
             longer = f"{text}{', ' if k else ' '}{plain(piece)}"

@@ -78,8 +78,6 @@ FEW: Final = 50
 _WORTH_WORDS: Final = 2.0
 #: candidates of the importance sample behind a log score, and the fewest that they must be worth
 _CANDIDATES, _LEAST_WORTH = 2000, 50.0
-#: ln likelihood of what cannot be, as a simplex takes it
-_NOWHERE: Final = 1e12
 #: made-up series behind a goodness of fit, cells and rounds of the Turnbull estimate, most specimens it is made for
 _SERIES, _CELLS, _ROUNDS, _MOST = 199, 60, 60, 400
 
@@ -450,7 +448,8 @@ def _largest(model: Model, told: Evidence, start: Array) -> float:
     from scipy.optimize import minimize
 
     def lost(x: Array) -> float:
-        return min(-float(log_likelihood(model, told, x[None, None])[0, 0]), _NOWHERE)
+        # ln likelihood of what cannot be, as a simplex takes it
+        return min(-float(log_likelihood(model, told, x[None, None])[0, 0]), 1e12)
 
     found = minimize(lost, start[0], method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-10, "maxiter": 1000})
     return max(best, -float(found.fun))

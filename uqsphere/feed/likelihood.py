@@ -37,8 +37,6 @@ _GAMMA: Final = (0.7, 23.0)
 _NODES: Final = 24
 #: relative steps of the differences that find a maximum, and where its steps count as none
 _STEP, _SETTLED, _MOST_STEPS = 1e-4, 1e-9, 80
-#: ln likelihood of what cannot be, for differences
-_NOWHERE: Final = -1e12
 #: ln of a bound that is none
 _CERTAIN: Final = 1e4
 #: rows of distinct tests above which they are gathered in cells of size and energy, and the first width of these
@@ -242,7 +240,8 @@ def maximise(value: Callable[[Array], Array], start: Array) -> tuple[Array, Arra
     curved = np.broadcast_to(np.eye(d), (len(x), d, d)).copy()
     for _ in range(_MOST_STEPS):
         found = value(x[:, None, :] + _STEP * stencil)
-        found = np.nan_to_num(found, posinf=0.0, neginf=_NOWHERE)
+        # ln likelihood of what cannot be, for differences
+        found = np.nan_to_num(found, posinf=0.0, neginf=-1e12)
         slope = (found[:, 1 : d + 1] - found[:, d + 1 : 2 * d + 1]) / (2.0 * _STEP)
         curved = _curvature(found, pairs, d)
         slope, curved = np.clip(slope, -1e12, 1e12), np.clip(curved, -1e12, 1e12)

@@ -21,11 +21,12 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.feed import laws
 from uqsphere.feed.fit import Posterior
+from uqsphere.uq.estimate import NORMAL
 
 #: quantiles of an energy at failure that stand for all
 _NODES: Final = 64
-#: half-width of a 95 % interval over its standard deviation, and relative steps of differences
-_NINETY_FIVE, _STEP = 1.959963984540054, 1e-3
+#: relative steps of differences
+_STEP: Final = 1e-3
 #: energies that are tried, over the median at the size, and blows; sizes between the smallest and the largest
 _LEVELS: Final = (0.25, 0.35, 0.5, 0.71, 1.0, 1.41, 2.0, 4.0)
 _BLOWS: Final = (1, 3, 10)
@@ -260,7 +261,7 @@ def plan_tests(
     grid = options(posterior, target, sizes)
     go, measured = (next(one for one in grid if one.measured is kind) for kind in (False, True))
     about = normal(posterior, target)
-    aim = (math.log1p(precision) if relative else precision) / _NINETY_FIVE
+    aim = (math.log1p(precision) if relative else precision) / NORMAL
     # all that are measured, and the first of the others
     best = sorted(grid, key=lambda one: not one.measured)[: sum(one.measured for one in grid) + 40]
     # the normal law is a little narrower than the draws: what it forecasts is the share that is left
@@ -268,7 +269,7 @@ def plan_tests(
     scale = now / about.sd(np.zeros_like(about.covariance))
     path, taken = course(about, best, MOST_TESTS, aim / scale)
     long, _ = course(about, best, 30, 0.0)
-    after = {1: _NINETY_FIVE * min(go.sd, measured.sd), **{n: _NINETY_FIVE * (scale * long[n]) for n in (10, 30)}}
+    after = {1: NORMAL * min(go.sd, measured.sd), **{n: NORMAL * (scale * long[n]) for n in (10, 30)}}
     sizes_taken = [one.size for one in taken]
     middle = float(np.median(target))
     # by what each adds to the precision of the target
@@ -276,7 +277,7 @@ def plan_tests(
     gains = [about.sd(information(about, one)) ** -2 - before for one in (measured, go)]
     return TestPlan(
         target=words, relative=relative, value=math.exp(middle) if relative else middle,
-        now=_NINETY_FIVE * now, go=go, measured=measured, after=after,
+        now=NORMAL * now, go=go, measured=measured, after=after,
         needed=len(taken) if path[-1] <= aim / scale else None,
         sizes={size: sizes_taken.count(size) / len(taken) for size in sorted({*sizes_taken})},
         worth=gains[0] / gains[1] if gains[1] > 0.0 else math.inf, practice=_practice(about, sizes, scale),
@@ -291,7 +292,7 @@ def _practice(about: Normal, sizes: Sequence[float], scale: float) -> dict[str, 
         "SMC": [Option(size=middle, energy=energy) for energy in SMC_ENERGIES],
     }
     return {
-        name: _NINETY_FIVE * scale * about.sd(PRACTICE * np.sum([information(about, one) for one in tests], axis=0))
+        name: NORMAL * scale * about.sd(PRACTICE * np.sum([information(about, one) for one in tests], axis=0))
         for name, tests in programmes.items()
     }
 

@@ -33,8 +33,6 @@ FORMS: Final = {"jk": "mass_per_energy", "tavares": "number", "tavares_own": "nu
 ALPHA: Final = (math.log(0.6), 0.25)
 #: sd of t_n around a family that was not fitted, at t_n = 0.5 (docs/validation.md: 0.06 to 0.13 where it was fitted)
 DISCREPANCY: Final = 0.05
-#: sd of the normal score of t_n that is DISCREPANCY at t_n = 0.5
-_SCORE: Final = math.sqrt(2.0 * math.pi)
 #: points of the grids that b, A and alpha are read off
 _GRID: Final = 401
 _STEEPEST: Final = 1e6
@@ -289,4 +287,5 @@ def fit_alpha(
 
 def drawn_curve(curve: Curve, draws: int, rng: np.random.Generator, sd: float = DISCREPANCY) -> Curve:
     """The curve with a discrepancy in every draw: `sd` of t_n at t_n = 0.5."""
-    return replace(curve, shift=_SCORE * sd * rng.standard_normal(draws))
+    # sd of the normal score of t_n that is DISCREPANCY at t_n = 0.5
+    return replace(curve, shift=math.sqrt(2.0 * math.pi) * sd * rng.standard_normal(draws))

@@ -84,14 +84,7 @@ def _columns(path: Path, text: TextIO, names: Sequence[str]) -> Array:
     header = next(rows, None)
     if header is None:
         raise UsageError(f"{path} is empty")
-    for mark, called in ((";", "semicolons"), ("\t", "tabs")):
-        if len(header) == 1 and mark in header[0]:
-            raise UsageError(f"{path} is divided by {called}: commas between columns and points in numbers are due")
-    for name in names:
-        if header.count(name) != 1:
-            said = "twice or more" if name in header else "not"
-            raise UsageError(f"{path}: the column {name!r} is {said} there; columns: {', '.join(header[:30])}")
-    places = [header.index(name) for name in names]
+    places = _places(path, header, names)
     values = array("d")
     for row in rows:
         for name, k in zip(names, places, strict=True):
@@ -102,6 +95,18 @@ def _columns(path: Path, text: TextIO, names: Sequence[str]) -> Array:
                 raise UsageError(f"{path}:{reader.line_num}: {found}")
             values.append(value)
     return np.array(values).reshape(-1, len(names))
+
+
+def _places(path: Path, header: Sequence[str], names: Sequence[str]) -> list[int]:
+    """Where each of the columns stands in the first row of a table."""
+    for mark, called in ((";", "semicolons"), ("\t", "tabs")):
+        if len(header) == 1 and mark in header[0]:
+            raise UsageError(f"{path} is divided by {called}: commas between columns and points in numbers are due")
+    for name in names:
+        if header.count(name) != 1:
+            said = "twice or more" if name in header else "not"
+            raise UsageError(f"{path}: the column {name!r} is {said} there; columns: {', '.join(header[:30])}")
+    return [header.index(name) for name in names]
 
 
 # --- Columns of a table that others give exactly: copies and linear combinations, which no analysis can tell apart.

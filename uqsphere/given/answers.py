@@ -19,8 +19,9 @@ import numpy as np
 from scipy.special import expit, logit, ndtri
 
 from uqsphere.arrays import Array, Places
-from uqsphere.uq import Estimate, Law, LawError, absent, random_generator, sobol_points
+from uqsphere.uq import NORMAL, Estimate, Law, LawError, absent, random_generator, sobol_points
 from uqsphere.uq.copulas import ARCHIMEDEAN, Archimedean, Elliptical
+from uqsphere.uq.estimate import REPLICATES
 from uqsphere.uq.expansion import germ_points
 from uqsphere.uq.indices import Blocks
 from uqsphere.uq.joint import (
@@ -118,14 +119,11 @@ def _share(angle: float) -> Array:
 #: laws that are tried in place of the fitted ones, and points of the design that they are tried on
 LAWS: Final = 64
 _POINTS: Final = 512
-#: the large design that the surrogate is evaluated on
-_REPLICATES: Final = 16
+#: points of each replicate of the large design that the surrogate is evaluated on
 _LARGE: Final = 2048
 #: rows of each replicate where inputs depend on each other, and base points at least and at most
 _SHARED_ROWS: Final = 4096
 _SHARED: Final = (64, 512)
-#: a share of the variance that is not told from none: fitted bounds leave such of what cancels under the law itself
-_NOTHING: Final = 1e-6
 #: scores at which a law is compared with another
 _GRID: Final = np.linspace(-FARTHEST, FARTHEST, 321)
 
@@ -304,9 +302,10 @@ def _answer(
     low = estimate.value - math.hypot(estimate.value - estimate.low, below)
     high = estimate.value + math.hypot(estimate.high - estimate.value, above)
     low, high = min(max(low, within[0]), estimate.value), max(min(high, within[1]), estimate.value)
-    if way == "shares" and 0.0 < low < _NOTHING:
+    # a share of the variance that is not told from none: fitted bounds leave such of what cancels under the law itself
+    if way == "shares" and 0.0 < low < 1e-6:
         low = 0.0
-    whole = replace(estimate, low=low, high=high, std_error=0.25 * (high - low))
+    whole = estimate.spanning(low, high)
     return Answer(surrogate=estimate, left_open=max(below, above), whole=whole)
 
 
@@ -320,10 +319,10 @@ def _statistics(
     task: str,
 ) -> dict[str, Answer]:
     d = len(inputs.names)
-    large = np.concatenate([_drawn(d, _LARGE, replicate, "large", seed) for replicate in range(_REPLICATES)])
+    large = np.concatenate([_drawn(d, _LARGE, replicate, "large", seed) for replicate in range(REPLICATES)])
     scores = np.clip(inputs.scores(large), -FARTHEST, FARTHEST)
     generator = random_generator(seed=seed, task=f"given: residuals {task}")
-    points, shape = germ_points(scores, response.germs), (_REPLICATES, _LARGE)
+    points, shape = germ_points(scores, response.germs), (REPLICATES, _LARGE)
     middle = answered(response, points, shape, generator, quantiles).description
 
     def told_by(outputs: Array) -> list[float]:
@@ -385,7 +384,7 @@ def variance_shares(response: Response, inputs: Joint, left_open: LeftOpen | Non
         order = None if design.exact else np.stack(orders).reshape(*shape, d)
         return shapley_estimates(design, np.stack(outputs).reshape(*shape, design.rows), order)
 
-    found = asked(inputs, None, _REPLICATES)
+    found = asked(inputs, None, REPLICATES)
     # all laws, since only together they scatter as they should; at the same few points, whose error all but cancels
     own = asked(inputs, -1, 1)
     rows = [asked(under, k, 1) for k, under in enumerate(left_open.inputs if left_open else ())]
@@ -439,7 +438,7 @@ def rank_correlations(columns: Array) -> list[tuple[int, int, Estimate]]:
     found = []
     for i, j in combinations(range(d), 2):
         value = float(np.clip(matrix[i, j], -1.0, 1.0))
-        low, high = (math.tanh(_fisher(value) + side * 1.96 * error) for side in (-1.0, 1.0))
+        low, high = (math.tanh(_fisher(value) + side * NORMAL * error) for side in (-1.0, 1.0))
         found.append((i, j, Estimate(value=value, low=min(low, value), high=max(high, value),
                                      std_error=error * (1.0 - value**2), method="Spearman, Fisher's interval",
                                      evaluations=n)))  # fmt: skip
@@ -452,7 +451,7 @@ def _fisher(correlation: float) -> float:
 
 def tied(pairs: Sequence[tuple[int, int, Estimate]]) -> list[tuple[int, int, Estimate]]:
     """Pairs whose interval leaves out zero by so much that chance is no explanation among so many pairs."""
-    factor = -float(ndtri(0.005 / max(1, len(pairs)))) / 1.96
+    factor = -float(ndtri(0.005 / max(1, len(pairs)))) / NORMAL
 
     def clear(e: Estimate) -> bool:
         if e.value is None or e.low is None or e.high is None:

@@ -469,8 +469,6 @@ def _yielded(scene: Scene, face: Face | Softening, ahead: Partner) -> dict[str, 
 
 #: integral of dx/sqrt(1 - x^2.5) from 0, from 0.5^(2/3) and from 0.1^(2/3), to 1: unloading times over alpha_e/v, (R11)
 _UNLOADING: Final = (1.4716375921624, 0.8084992204472, 1.2555247086606)
-#: Gauss points of a quarter of a blow below and above onset: analytic in the angle, 1e-12 at all depths
-_POINTS: Final = 24
 
 
 def _loading(face: Face | Softening, depth: Array, start: Array) -> Array:
@@ -478,7 +476,8 @@ def _loading(face: Face | Softening, depth: Array, start: Array) -> Array:
 
     With z = z_m cos²(t) the integrand is smooth at both ends; it bends at the onset, where the range is cut.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(_POINTS)
+    # Gauss points of a quarter of a blow below and above onset: analytic in the angle, 1e-12 at all depths
+    nodes, weights = np.polynomial.legendre.leggauss(24)
     ends = [np.arccos(np.sqrt(np.minimum(place / depth, 1.0))) for place in (np.maximum(start, 1.0), start)]
     total, work, low = np.zeros_like(depth), face.work(depth), np.zeros_like(depth)
     for high in ends:

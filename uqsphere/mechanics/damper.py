@@ -25,9 +25,6 @@ Complex = npt.NDArray[np.complex128]
 #: largest share of the response that may come before its cause, and largest |R|: both leave room for a table's rounding
 _ANTICIPATION: Final = 0.02
 _PASSIVE: Final = 1.0 + 1e-6
-#: how much slower than the end of the table the part dies out that has the response's jump: any number that is large
-#: against 1 and small against the table's range of frequencies serves
-_DECAYS: Final = 50.0
 #: samples of the response per sample of the wave, per period of the sphere's oscillation and per round trip: histories
 #: are then right to about 1e-7 (`tests/test_damper.py`); and the most samples, for memory
 _FINER: Final = 8
@@ -120,7 +117,9 @@ def _weights(damper: Damper, step: float, count: int) -> Array:
     frequency = np.asarray(np.fft.rfftfreq(size, fine), dtype=float)
     whole = damper.at(frequency) - damper.limit
     # the jump at time zero goes by itself, as J exp(-b t): what is left has none, and its transform does not ring
-    decay = 2.0 * np.pi * float(damper.frequency[-1]) / _DECAYS
+    # how much slower than the end of the table the part dies out that has the response's jump: any number that is large
+    # against 1 and small against the table's range of frequencies serves
+    decay = 2.0 * np.pi * float(damper.frequency[-1]) / 50.0
     rest = np.fft.irfft(whole - damper.jump / (2j * np.pi * frequency + decay), size) / fine
     _check_causality(np.fft.irfft(whole, size) / fine, fine * step)
     rest = rest[: size // 2]

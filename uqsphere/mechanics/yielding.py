@@ -255,10 +255,6 @@ class Face:
         return np.asarray(np.sqrt(0.4 * self.force(depth) * self.recovery(depth) / self.work(depth)))
 
 
-#: rounding of a largest approach that stands at the force's peak
-_AT_PEAK: Final = 1e-9
-
-
 def energy_share(damage: Values, gamma: Values) -> Array:
     """E_k/E_f of a damage d from 0 to 1, (C17).
 
@@ -412,7 +408,8 @@ def critical_approach(energy: Values, share: Values, hertz_constant: Values, gam
 
 def over_peak(damage: Values, gamma: Values) -> Values:
     """A damage over that of the force's peak."""
-    return damage / (peak_damage(gamma) * (1.0 - _AT_PEAK))
+    # rounding of a largest approach that stands at the force's peak
+    return damage / (peak_damage(gamma) * (1.0 - 1e-9))
 
 
 def broken(damage: Values, gamma: Values) -> Flags:

@@ -25,6 +25,7 @@ from uqsphere.mechanics.scene import Scene
 from uqsphere.records.pulse import WINDOW, Bar, CutPulse, carried, cut_pulse, fit_pulse
 from uqsphere.records.record import Record
 from uqsphere.records.table import RecordError
+from uqsphere.uq.estimate import NORMAL
 
 #: samples at the faces, at the least
 _FEWEST: Final = 50
@@ -277,8 +278,6 @@ def _within(values: Array, first: int, last: int) -> Array:
 # Blocks of the residuals say whether one E* serves from first touch to the end; if not, the blocks are taken in one by
 # one, and the first that the fit to those before it does not foresee holds the point of departure.
 
-#: two-sided 95 % of a normal
-NINETY_FIVE: Final = 1.959963984540054
 #: blocks of a record, and the residual of a block over its standard deviation that no chance explains
 _BLOCKS, _ODD = 24, 4.5
 #: blocks that one fit has to foresee
@@ -313,7 +312,7 @@ class Forces:
     def interval(self, face: str) -> tuple[Array, Array]:
         """Limits that hold the true force with 95 % at every instant, (n,), (n,) [N]."""
         force, sd = {"A": (self.force_a, self.sd_a), "B": (self.force_b, self.sd_b)}[face]
-        return force - NINETY_FIVE * sd, force + NINETY_FIVE * sd
+        return force - NORMAL * sd, force + NORMAL * sd
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -593,7 +592,7 @@ def invert(faces: Faces, columns: Mapping[str, float], *, gain_sd: float = 0.01,
     forces = forces_of(faces, scene, gain_sd)
     fit = _Fit(faces, scene, gain_sd)
     largest = float(forces.force_b.max())
-    if not largest > 3.0 * NINETY_FIVE * float(forces.sd_b[0]):
+    if not largest > 3.0 * NORMAL * float(forces.sd_b[0]):
         raise RecordError("no force at the receiving face rises above the noise of the record")
     length = len(forces.time)
     loaded = int(np.argmax(forces.force_b > _LOADED * largest))
@@ -638,7 +637,7 @@ def _stiffness(fit: _Fit, parameters: Array, covariance: Array, used: int) -> St
         unexplained=math.sqrt(max(float(np.square(residual * fit.sd[:, None]).mean() - np.square(noise).mean()), 0.0))
         / largest,
         expected=math.exp(fit.start[_MODULUS]),
-        modulus=modulus, low=modulus * math.exp(-NINETY_FIVE * spread), high=modulus * math.exp(NINETY_FIVE * spread),
+        modulus=modulus, low=modulus * math.exp(-NORMAL * spread), high=modulus * math.exp(NORMAL * spread),
         std_error=modulus * spread, gain_a=math.exp(parameters[_GAIN_A]), gain_b=math.exp(parameters[_GAIN_B]),
         misfit=math.sqrt(float(np.square(scaled).mean())), samples=used,
     )  # fmt: skip

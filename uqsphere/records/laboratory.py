@@ -19,9 +19,10 @@ from scipy.special import ndtri
 
 from uqsphere.arrays import Array
 from uqsphere.mechanics import bars
-from uqsphere.records.inverse import NINETY_FIVE, Faces, Forces, Inverse, Rig, at_faces, forces_of, invert
+from uqsphere.records.inverse import Faces, Forces, Inverse, Rig, at_faces, forces_of, invert
 from uqsphere.records.record import Record, first_wave
 from uqsphere.records.table import RecordError
+from uqsphere.uq.estimate import NORMAL
 
 #: share of the largest force above which its top stands, and part of the top that one parabola follows
 _TOP, _PART = 0.8, 3
@@ -128,7 +129,7 @@ def _peak(forces: Forces, faces: Faces, face: str, scales: tuple[float, float]) 
     # of several places that might as well be the top the highest is found too high, by Blom's mean of the largest of m
     rivals = 1.0 + float((curve > value - 2.0 * kept).sum()) / (width * max(1.0, memory / width))
     value -= kept * float(ndtri((rivals - 0.375) / (rivals + 0.25)))
-    spread = NINETY_FIVE * math.hypot(math.sqrt(max(float(sd[at]) ** 2 - noise**2, 0.0)), kept)
+    spread = NORMAL * math.hypot(math.sqrt(max(float(sd[at]) ** 2 - noise**2, 0.0)), kept)
     low, high, doubts = value - spread, value + spread, []
     highest = float(force.max())
     if highest > value + 5.0 * noise + _SINGLE * value:

@@ -690,8 +690,6 @@ def _broken_at(mode: Mode, axis: Axis, x: float) -> float | None:
 
 #: lines that the answers take at most
 LINES: Final = 30
-#: quantities that get a line
-_QUANTITIES: Final = 4
 
 
 def summary_of(contents: Contents, width: int | None = None) -> str:
@@ -760,7 +758,8 @@ def _quantities(contents: Contents) -> list[str]:
     """Mean, scatter and the middle nine cases of ten of the first quantities."""
     found = []
     with reading_units(units_of(contents.results)):
-        for name, entry in list(contents.results.quantities.items())[:_QUANTITIES]:
+        # quantities that get a line
+        for name, entry in list(contents.results.quantities.items())[:4]:
             ends = [entry.quantiles[p] for p in ("0.05", "0.95") if p in entry.quantiles]
             within = f", nine in ten {' to '.join(rounded(end, name, 3) for end in ends)}" if len(ends) == 2 else ""
             found.append(f"{name}: mean {rounded(entry.mean, name, 3)}, sd {rounded(entry.sd, name, 2)}{within}")

@@ -47,10 +47,9 @@ from uqsphere.report.phrases import (
 from uqsphere.results import Results
 from uqsphere.results.entries import Entry, Est, Manifest, Resolved, read_resolved
 from uqsphere.store import write_outputs
-from uqsphere.uq import finite
+from uqsphere.uq import NORMAL, finite
 
 _LEVEL: Final = 0.05
-_SCORE: Final = 1.959963984540054
 #: what is said of an answer in two runs: it moved, perhaps, not to be seen, the same in every bit, not known
 SURE, PERHAPS, NONE, SAME, UNKNOWN = "changed", "perhaps", "not seen", "the same", "not known"
 
@@ -171,7 +170,7 @@ def difference_interval(
     elif towards == 0.0:
         significance = 0.0
     else:
-        significance = math.erfc(_SCORE * abs(difference) / towards / math.sqrt(2.0))
+        significance = math.erfc(NORMAL * abs(difference) / towards / math.sqrt(2.0))
     return difference, difference - below, difference + above, significance
 
 
@@ -420,15 +419,18 @@ def _changes_table(changes: Iterable[Change], say: Callable[[Est, str], str], in
 
 # --- figures -----------------------------------------------------------------------------------------------
 
-#: rows of the figure of what moved
-_MOST_MOVED: Final = 14
+
+def _moved(changes: Iterable[Change]) -> list[Change]:
+    """The surest relative differences that are known to some degree, those of limits first."""
+    known = (c for c in changes if c.section != "sensitivity" and c.relative is not None)
+    rows = [c for c in known if c.verdict in (SURE, PERHAPS)]
+    # rows of the figure of what moved
+    return sorted(rows, key=lambda c: (c.section != "limits", c.significance, -abs(c.relative or 0.0)))[:14]
 
 
 def moved_picture(changes: Iterable[Change]) -> canvas.Picture | None:
     """Relative differences that are known to some degree with their intervals, the surest; None where nothing moved."""
-    rows = [c for c in changes
-            if c.section != "sensitivity" and c.relative is not None and c.verdict in (SURE, PERHAPS)]  # fmt: skip
-    rows = sorted(rows, key=lambda c: (c.section != "limits", c.significance, -abs(c.relative or 0.0)))[:_MOST_MOVED]
+    rows = _moved(changes)
     if not rows:
         return None
     ends = np.array([[c.difference, c.low, c.high] for c in rows], dtype=float)

@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 
 #: letters of a title in the margin
 _LONGEST: Final = 90
-#: letters of an interval that is kept on one line: a longer one would not fit a narrow column
-_WHOLE: Final = 34
 
 _UNIT: Final = re.compile(r"(?<=[\d)]) (?=%|[µmkMG]?(?:Pa|N|m|s|J)\b|m/s|kg/m)")
 _POWER: Final = re.compile(r"(?<=\d) × (?=10)")
@@ -63,7 +61,8 @@ def unbroken(text: str) -> str:
     text = _QUOTED.sub("“\\1”", APOSTROPHE.sub("’", text))
     text = _COMMAS.sub(lambda found: found[0].replace(",", "\u202f"), text)
     text = _UNIT.sub("\u00a0", _POWER.sub("\u00a0×\u00a0", text))
-    return _INTERVAL.sub(lambda found: found[0].replace(" ", "\u00a0") if len(found[0]) <= _WHOLE else found[0], text)
+    # letters of an interval that is kept on one line: a longer one would not fit a narrow column
+    return _INTERVAL.sub(lambda found: found[0].replace(" ", "\u00a0") if len(found[0]) <= 34 else found[0], text)
 
 
 def margin_boxes(title: str, manifest: Manifest) -> str:

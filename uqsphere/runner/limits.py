@@ -15,10 +15,11 @@ from uqsphere.runner.campaign import Missed
 from uqsphere.runner.evaluate import Work
 from uqsphere.study import Limit, strength_name
 from uqsphere.units import told_apart
-from uqsphere.uq import Estimate, Law, Sample, absent, exact
+from uqsphere.uq import NORMAL, Estimate, Law, Sample, absent, exact
 from uqsphere.uq.describe import controlled_probability
 from uqsphere.uq.failure_indices import BY_DIRECTION, failure_shares
 from uqsphere.uq.limit_state import (
+    CERTAIN,
     LimitState,
     by_replicate,
     exceedance,
@@ -34,8 +35,8 @@ TABLED = "randomised quasi-Monte Carlo, controlled by a table, strength integrat
 NEGLIGIBLE = 1e-12
 #: a probability below this is left to the methods for rare events where sampling is not accurate
 SMALL = 0.01
-#: a probability above this is as well sampled; 97.5 % point of a normal law
-MOST_SEARCHED, NORMAL = 0.3, 1.96
+#: a probability above this is as well sampled
+MOST_SEARCHED = 0.3
 #: runs that a probability has to rest on
 SEEN = 1.0
 #: runs that have to carry a smaller one for the spread of replicates to tell how well it is known, by Kish's count:
@@ -189,7 +190,7 @@ def _governing(work: Work, limit: Limit, sample: Sample, state: LimitState) -> t
     if isinstance(limit.strength, Law):
         with np.errstate(divide="ignore"):
             score = np.asarray(ndtri(limit.strength.cdf(np.where(keep, state.demands, 0.0))))
-        score = np.clip(state.score_given_inputs(score), -37.0, 37.0)[keep]
+        score = np.clip(state.score_given_inputs(score), -CERTAIN, CERTAIN)[keep]
         weight = np.asarray(ndtr(score))
         names.append(strength_name(limit.name))
     else:

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from uqsphere.study.document import FURTHER
+from uqsphere.uq.estimate import REPLICATES as REPLICATES
 from uqsphere.uq.rare import LOOKS
 
 if TYPE_CHECKING:
     from uqsphere.study import Study
 
-#: independent randomisations of every design: intervals rest on their spread, with the t of 15 degrees of freedom
-REPLICATES: Final = 16
 #: how far a forecast must lie beyond the budget before it is acted on: half-widths are uncertain by a fifth
 CAUTION: Final = 1.5
 

@@ -27,7 +27,7 @@ from uqsphere.runner.evidence import Evidence
 from uqsphere.runner.questions.any_limit import tied_otherwise
 from uqsphere.runner.whatif import find_assumed, find_ignorance
 from uqsphere.study import Limit, Study, Way, breaks_by, means_fracture, strength_name, ways_of
-from uqsphere.uq import Estimate, complement, exact, student, target_met
+from uqsphere.uq import Estimate, complement, exact, spread, student, target_met
 
 if TYPE_CHECKING:
     from uqsphere.runner.questions.distributions import Sampled
@@ -48,7 +48,7 @@ def _more(base: Estimate, gained: Array) -> Estimate:
     """A probability as the run knows it, moved by the mean of what rows (R, n) of the same sample gain or lose."""
     rows = gained.mean(axis=1)
     gain = float(rows.mean())
-    error = float(np.std(rows, ddof=1)) / math.sqrt(rows.size) if rows.size > 1 else 0.0
+    error = spread(rows) if rows.size > 1 else 0.0
     half = student(rows.size) * error if rows.size > 1 else 0.0
     value = None if base.value is None else _clipped(base.value + gain)
     low, high = (base.low or 0.0) + gain - half, (1.0 if base.high is None else base.high) + gain + half

@@ -22,7 +22,7 @@ from uqsphere.runner.evaluate import Work
 from uqsphere.runner.limits import LimitAnswer, state_of, told_by_runs
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.study import Limit, spaced, strength_name
-from uqsphere.uq import Estimate, Law, LawError, LimitState, Sample, miss, random_generator, target_met
+from uqsphere.uq import NORMAL, Estimate, Law, LawError, LimitState, Sample, miss, random_generator, target_met
 from uqsphere.uq.fitting import count_tests, is_fitted, laws_of_more_tests, possible_laws, possible_tails
 from uqsphere.uq.whatif import (
     MOST_TESTS,
@@ -310,8 +310,9 @@ def _against(answer: Estimate, same: Estimate, other: Estimate) -> Estimate:
     value = rows[2][1] + rows[0][1] - rows[1][1]
     half = [math.hypot(*(abs(row[end] - row[1]) for row in rows)) for end in (0, 2)]
     low, middle, high = (probability_of_logit(x) for x in (value - half[0], value, value + half[1]))
-    return replace(other, value=middle, low=low, high=high, std_error=0.25 * (high - low),
-                   method=f"{other.method}, put right by the answer's own method")  # fmt: skip
+    return replace(other, value=middle, method=f"{other.method}, put right by the answer's own method").spanning(
+        low, high
+    )
 
 
 # --- how many tests would settle the target -----------------------------------------------------------------
@@ -355,7 +356,7 @@ def _more_tests(work: Work, sampled: Sampled, limit: Limit, strength: Law, sprea
     found: Fields = {"tests": tests, "known_to": KNOWN}
     if spread is not None:
         # the range shrinks with the root of the number of tests
-        found["to_know_the_value"] = max(0, math.ceil(tests * (1.96 * spread / KNOWN) ** 2) - tests)
+        found["to_know_the_value"] = max(0, math.ceil(tests * (NORMAL * spread / KNOWN) ** 2) - tests)
     if limit.target is None:
         return found
     if _decided(work, limit, sampled.sample)(_laws_of(work, limit, strength, FEW_LAWS)):

@@ -5,7 +5,19 @@ Knows only arrays and callables rows -> rows; the physics is somewhere else.
 
 from __future__ import annotations
 
-from uqsphere.uq.estimate import NEVER, Estimate, Why, absent, exact, finite, from_replicates, student, widest
+from uqsphere.uq.estimate import (
+    NEVER,
+    NORMAL,
+    Estimate,
+    Why,
+    absent,
+    exact,
+    finite,
+    from_replicates,
+    spread,
+    student,
+    widest,
+)
 from uqsphere.uq.families import LawError
 from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import Law, make_law
@@ -14,7 +26,7 @@ from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.sample import Sample, without
 
 __all__ = [
-    "NEVER", "Dependence", "Estimate", "Joint", "Law", "LawError", "LimitState", "Sample", "Why", "absent",
+    "NEVER", "NORMAL", "Dependence", "Estimate", "Joint", "Law", "LawError", "LimitState", "Sample", "Why", "absent",
     "complement", "exact", "finite", "from_replicates", "make_joint", "make_law", "miss", "random_generator",
-    "score_of", "sobol_points", "student", "tails", "target_met", "widest", "without",
+    "score_of", "sobol_points", "spread", "student", "tails", "target_met", "widest", "without",
 ]  # fmt: skip

@@ -308,7 +308,8 @@ def rank_indices(inputs: Array, outputs: Array, generator: np.random.Generator) 
         above = max(math.tanh(far + half) + short, index + float(_left(z, 2)) - float(_left(z)))
         low, high = min(math.tanh(far - half), index), min(max(above, index, 0.0), 1.0)
         found.append(
-            Estimate(value=index, low=low, high=high, std_error=max(error, 0.25 * (high - low)), method=_METHOD,
-                     evaluations=n)
-        )  # fmt: skip
+            Estimate(value=index, low=low, high=high, std_error=error, method=_METHOD, evaluations=n).spanning(
+                low, high
+            )
+        )
     return found

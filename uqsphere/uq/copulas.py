@@ -20,8 +20,6 @@ from uqsphere.arrays import Array, Places, special
 
 #: scores are kept within these bounds: the tail beyond is less than 1e-315
 FARTHEST = 38.0
-#: exp of it is far from the largest number
-_LARGEST_FRANK = 500.0
 #: step of differences of a log-density by a score
 _STEP = 1e-4
 
@@ -223,7 +221,8 @@ def _frank_derivative(theta: float, count: int, state: State) -> Array:
 def _frank_strength(tau: float) -> float:
     from scipy.optimize import brentq
 
-    return float(brentq(lambda theta: _frank_tau(theta) - tau, 1e-6, _LARGEST_FRANK, xtol=1e-13, rtol=1e-14))
+    # exp of it is far from the largest number
+    return float(brentq(lambda theta: _frank_tau(theta) - tau, 1e-6, 500.0, xtol=1e-13, rtol=1e-14))
 
 
 def _frank_tau(theta: float) -> float:
@@ -372,9 +371,6 @@ def _root(gap: Callable[[Array, Places], Array], size: int) -> Array:
 
 # --- Gaussian and Student t -------------------------------------------------------------------------------
 
-#: below it, a t variate could not be squared
-_LEAST_BETA = 1e-290
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Elliptical:
@@ -464,7 +460,8 @@ def _student(score: Array, dof: float) -> Array:
     near = np.minimum(size, 0.5)
     inside = special.betaincinv(0.5, 0.5 * dof, special.erf(near / math.sqrt(2.0)))
     outside = special.betaincinv(0.5 * dof, 0.5, 2.0 * np.asarray(special.ndtr(-np.maximum(size, 0.5))))
-    ratio = np.where(size < 0.5, inside / (1.0 - inside), 1.0 / np.maximum(outside, _LEAST_BETA) - 1.0)
+    # below it, a t variate could not be squared
+    ratio = np.where(size < 0.5, inside / (1.0 - inside), 1.0 / np.maximum(outside, 1e-290) - 1.0)
     return np.asarray(np.sign(score) * np.sqrt(dof * ratio))
 
 

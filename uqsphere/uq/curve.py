@@ -22,7 +22,7 @@ import numpy.typing as npt
 from numpy.polynomial.chebyshev import chebvander
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, absent, between, count_bound, logit_ends, student
+from uqsphere.uq.estimate import CELL, SURE, Estimate, absent, between, half_of_mean, probability_ends, spread, student
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, tails
 from uqsphere.uq.sample import Sample
@@ -38,8 +38,6 @@ HIGHEST: Final = 6
 ROWS_PER_TERM: Final = 5
 #: most terms of an expansion
 MOST_TERMS: Final = 200
-#: keeps the normal equations solvable where terms cannot be told apart, over the number of rows
-RIDGE: Final = 1e-11
 #: a richer basis is taken where its error on rows not seen is smaller by this
 BETTER: Final = 0.99
 #: predictions may leave the range of the answers by this share of it
@@ -186,7 +184,8 @@ def _crosswise(design: Array, y: Array, fold: npt.NDArray[np.int64]) -> tuple[li
     folds = [(design[fold == k], y[fold == k]) for k in range(FOLDS)]
     squares = [own.T @ own for own, _ in folds]
     sums = [own.T @ answers for own, answers in folds]
-    ridge = RIDGE * np.eye(design.shape[1]) * len(y)
+    # keeps the normal equations solvable where terms cannot be told apart, over the number of rows
+    ridge = 1e-11 * np.eye(design.shape[1]) * len(y)
     coefficients, missed = [], 0.0
     for k, (own, answers) in enumerate(folds):
         others = [j for j in range(FOLDS) if j != k]
@@ -212,8 +211,6 @@ def _shaped(coefficients: list[Array], terms: Degrees) -> tuple[Array, Degrees]:
 SCATTER: Final = ((-math.sqrt(3.0), 1.0 / 6.0), (0.0, 2.0 / 3.0), (math.sqrt(3.0), 1.0 / 6.0))
 #: steps of the curve on either side whose rows a straight line goes through: that which leaves the smallest error
 REACHES: Final = (4.0, 2.0, 1.0)
-#: squared bias of a line over that of its difference from one of half the reach, whose bias is a quarter
-BIAS: Final = (4.0 / 3.0) ** 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -262,9 +259,9 @@ class Curve:
         pairs = [self._expected(self.many, self.response.at(x), x) for x in values]
         fitted, variance = np.array([p.mean(axis=1) for p, _ in pairs]), np.array([v.mean() for _, v in pairs])
         # what rows scatter about the response bounds the spread below, as few rows may happen to agree; and of a fixed
-        # strength the share of the many beyond it is known to one of them, evenly (1/12 of its square)
+        # strength the share of the many beyond it is known to one of them, evenly
         counted = not isinstance(self.own(values[0]).strength, Law)
-        one = 1.0 / (12.0 * self.many.size * self.many.count) if counted else 0.0
+        one = CELL**2 / (self.many.size * self.many.count) if counted else 0.0
         if self.places is None:
             missed = np.array([self._missed(x).mean(axis=1) for x in values])
             return _spread_by(fitted + missed, variance / self.rows.size + one)
@@ -292,7 +289,8 @@ class Curve:
             excess = bent.mean(axis=1) ** 2 - bent.var(axis=1, ddof=1) / bent.shape[1]
             tables.append(fitted + side[:, None] * lines)
             floors.append(ratio * variance * squares + one)
-            biases.append(side**2 * BIAS * np.maximum(near @ excess, 0.0))
+            # squared bias of a line over that of its difference from one of half the reach, whose bias is a quarter
+            biases.append(side**2 * ((4.0 / 3.0) ** 2) * np.maximum(near @ excess, 0.0))
             own = np.maximum(tables[-1].var(axis=1, ddof=1) / fitted.shape[1], floors[-1])
             totals.append(near @ ((own + biases[-1]) / side**2))
         best, every = np.argmin(totals, axis=0), np.arange(values.size)
@@ -358,14 +356,11 @@ def half_widths(curve: Array) -> tuple[Array, Array]:
     """Half-widths of the 95 % intervals over the smaller side (K,), and the smaller side (K,), of curves (K, R)."""
     p = curve.mean(axis=1)
     side = np.minimum(p, 1.0 - p)
-    error = curve.std(axis=1, ddof=1) / math.sqrt(curve.shape[1])
-    return student(curve.shape[1]) * error / np.where(side > 0.0, side, 1.0), side
+    return half_of_mean(curve.T) / np.where(side > 0.0, side, 1.0), side
 
 
 # --- its inverse -----------------------------------------------------------------------------------------
 
-#: standard errors after which a difference is taken for one
-_SURE = 4.0
 METHOD = "common random numbers, monotone interpolation"
 
 
@@ -412,17 +407,13 @@ def fragility(
 def _curve(grid: Array, probabilities: Array, samples: int) -> list[list[float]]:
     """Rows of the curve, the interval in logits; none or all exceeding gets the bound of a count of zero."""
     replicates = probabilities.shape[1]
-    bound = count_bound(samples * replicates)
     rows = []
     for value, row in zip(grid, probabilities, strict=True):
         p = float(row.mean())
         q = float((1.0 - row).mean())
-        if p == 0.0 or q == 0.0:
-            low, high = (0.0, bound) if p == 0.0 else (1.0 - bound, 1.0)
-        else:
-            # Counts that agree in all replicates are still known to one sample only.
-            spread = float(np.std(row, ddof=1)) or 0.3 / samples
-            low, high = logit_ends(p, q, student(replicates) * (spread / math.sqrt(replicates)))
+        # counts that agree in all replicates are still known to one sample only
+        error = spread(row) or spread(row, 1.0 / samples)
+        low, high, _ = probability_ends(p, q, error, replicates, samples * replicates)
         rows.append([float(value), p, min(low, p), max(high, p)])
     return rows
 
@@ -430,7 +421,7 @@ def _curve(grid: Array, probabilities: Array, samples: int) -> list[list[float]]
 def _passes_once(probabilities: Array, target: float) -> bool:
     """Whether curves (K, R) are surely on one side of a probability at first and on the other from some value on."""
     mean, error = probabilities.mean(axis=1), probabilities.std(axis=1, ddof=1) / math.sqrt(probabilities.shape[1])
-    sides = np.sign(mean - target)[np.abs(mean - target) > _SURE * error + 1e-9]
+    sides = np.sign(mean - target)[np.abs(mean - target) > SURE * error + 1e-9]
     return int(np.count_nonzero(np.diff(sides))) == 1
 
 
@@ -439,7 +430,7 @@ def _turning(grid: Array, probabilities: Array) -> float | None:
     steps = np.diff(probabilities, axis=0)
     mean = steps.mean(axis=1)
     error = steps.std(axis=1, ddof=1) / math.sqrt(steps.shape[1])
-    sure = np.flatnonzero(np.abs(mean) > _SURE * error + 1e-9)
+    sure = np.flatnonzero(np.abs(mean) > SURE * error + 1e-9)
     back = sure[np.sign(mean[sure]) != np.sign(mean[sure[0]])] if sure.size else sure
     return float(grid[int(back[0])]) if back.size else None
 
@@ -494,13 +485,12 @@ def _value(grid: Array, probabilities: Array, target: float, least: float, evalu
     found = np.array([answer for answer in own if answer is not None])
     if found.size < replicates:
         return absent("too close to an end of the range: some replicates do not reach it", METHOD, evaluations)
-    spread = float(np.std(forward(found), ddof=1)) / math.sqrt(replicates)
     # What the curve through every other point answers differently bounds what is lost between the points:
     # halving the grid costs a monotone cubic at least a factor of four.
     coarse = np.unique(np.concatenate([np.arange(0, grid.size, 2), [grid.size - 1]]))
     other = _crossing(grid[coarse], pooled[coarse], target, least) if coarse.size > 1 else None
     lost = abs(float(forward(np.array([other]))[0]) - centre) / 4.0 if other is not None else 0.0
-    half = student(replicates) * spread + lost
+    half = student(replicates) * spread(forward(found)) + lost
     low, high = backward(centre - half), backward(centre + half)
     return between(value, low, high, replicates, METHOD, evaluations)
 
@@ -596,7 +586,7 @@ def _logarithmic(centre: float, own: Array, evaluations: int) -> Estimate:
     """Estimate of exp(centre), its interval from the spread of the replicates' logarithms."""
     if not math.isfinite(centre):
         return absent("no finite value", _PROBIT, evaluations)
-    error = float(np.std(own, ddof=1)) / math.sqrt(own.size)
+    error = spread(own)
     half = student(own.size) * error
     value = math.exp(centre)
     return Estimate(value=value, low=math.exp(centre - half), high=math.exp(centre + half),

@@ -19,6 +19,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.units import told_apart
 from uqsphere.uq.estimate import (
+    CELL,
     NEVER,
     Absent,
     Estimate,
@@ -28,13 +29,18 @@ from uqsphere.uq.estimate import (
     between,
     corrected,
     from_replicates,
-    logit_ends,
+    probability_ends,
+    quantile,
     share,
+    spread,
     student,
 )
 
 #: samples that must lie beyond a quantile for it to be estimated at all
 LEAST_BEYOND: Final = 5
+#: share of the variance that one sample may make, and samples of which one that makes more means no convergence: of
+#: fewer it means that nothing is known
+DOMINANT, CONVERGES = 0.4, 1000
 #: probabilities on either side of a quantile, over the smaller side up to a tenth, where differences are counted
 RANGE: Final = 0.5
 
@@ -48,14 +54,6 @@ def hazen(ordered: Array, p: float) -> float:
     if fraction == 0.0 or left == right:
         return left
     return left + fraction * (right - left)
-
-
-def woodruff_reach(shares: Array, n: float) -> float:
-    """Half-width of the interval of a probability, from the shares (R,) of replicates of n samples at a quantile."""
-    # Points that are evenly spread can agree on the count and still not know where in its cell x lies: the
-    # deviation of a uniform cell is the least.  Where the counts differ, they show it themselves.
-    error = max(float(np.std(shares, ddof=1)), 0.29 / n) / math.sqrt(shares.size)
-    return student(shares.size) * error
 
 
 def quantile_estimates(
@@ -88,7 +86,7 @@ def quantile_estimates(
             continue
         at = value if math.isfinite(value) else highest
         below = ((least <= at) & kept).sum(axis=1) / counts
-        reach = woodruff_reach(below, n)
+        reach = student(replicates) * spread(below, 1.0 / n)
         low, high = hazen(ordered, max(p - reach, 0.0)), hazen(upper, min(p + reach, 1.0))
         if not (math.isfinite(low) and math.isfinite(high) and math.isfinite(value)):
             shares = {"censored": float(censored.mean()), "failed": float((failed & kept).mean())}
@@ -124,10 +122,8 @@ def controlled_quantile(p: float, rows: tuple[Array, Array, Array], many: Array,
     else:
         moved = (expensive <= at).mean(axis=1) - (cheap <= at).mean(axis=1)
     _, error = corrected(moved, -(more <= at).mean(axis=1))
-    error = math.hypot(error, 0.5 / more.shape[1] / math.sqrt(replicates))
-    half, middle = student(replicates) * error, p - float(moved.mean())
-    value, low, high = (read(x) for x in (middle, middle - half, middle + half))
-    return between(value, low, high, replicates, method, expensive.size)
+    error = math.hypot(error, CELL / more.shape[1] / math.sqrt(replicates))
+    return quantile(read, p - float(moved.mean()), error, replicates, method, expensive.size)
 
 
 # --- the whole description -----------------------------------------------------------------------------------
@@ -235,7 +231,7 @@ def describe(
         return Description(mean=nothing, sd=nothing, quantiles=none, censored_share=nothing, scale=math.nan)
     shown = method + (", restricted to the record" if late.any() else "")
     shown += ", without failed rows" if broken.any() else ""
-    mean, sd, spread = _moments(samples, kept, counts, shown)
+    mean, sd, scale = _moments(samples, kept, counts, shown)
     if (late | broken).all():
         mean = sd = absent("every sample outlasts the record", method, total, Why.CENSORED)
     estimates, exempt = quantile_estimates(
@@ -245,9 +241,7 @@ def describe(
         censored_share = from_replicates((late & kept).sum(axis=1) / counts, "share of the samples", total)
     else:
         censored_share = share(late, "share of the samples")
-    return Description(
-        mean=mean, sd=sd, quantiles=estimates, censored_share=censored_share, scale=spread, exempt=exempt
-    )
+    return Description(mean=mean, sd=sd, quantiles=estimates, censored_share=censored_share, scale=scale, exempt=exempt)
 
 
 def _moments(samples: Array, kept: Flags, counts: Array, method: str) -> tuple[Estimate, Estimate, float]:
@@ -259,7 +253,7 @@ def _moments(samples: Array, kept: Flags, counts: Array, method: str) -> tuple[E
     if sd.low is not None and sd.high is not None and sd.std_error is not None:
         reach = _skew_reach(found, total / len(counts))
         sd = replace(sd, low=max(0.0, sd.low), high=sd.high + reach * sd.std_error)
-    if found.largest_share > 0.4 and total >= 1000:
+    if found.largest_share > DOMINANT and total >= CONVERGES:
         reason = Absent.because(
             Why.NO_CONVERGENCE, f"one sample of {total} makes {100.0 * found.largest_share:.0f} % of the variance"
         )
@@ -278,7 +272,7 @@ def _skew_reach(found: Moments, count: float) -> float:
     since so uncertain a skewness must not narrow anything.
     """
     size = len(found.deviations)
-    g = min(max(skewness(found.deviations), found.skewness / math.sqrt(count), 0.0), 3.0)
+    g = max(skewness(found.deviations), found.skewness / math.sqrt(count), 0.0)
     return g * (1.0 + 2.0 * student(size) ** 2) / (6.0 * math.sqrt(size))
 
 
@@ -329,8 +323,8 @@ def controlled_probability(
     if not 0.0 < p < 1.0:
         return None
     if counted:  # the cells of the many points, and one row in which the models may disagree
-        error = math.hypot(error, math.hypot(0.5 / m / math.sqrt(replicates), 1.0 / (n * replicates)))
-    low, high = logit_ends(p, 1.0 - p, student(replicates) * error)
+        error = math.hypot(error, math.hypot(CELL / m / math.sqrt(replicates), 1.0 / (n * replicates)))
+    low, high, error = probability_ends(p, 1.0 - p, error, replicates, n * replicates)
     return Estimate(value=p, low=low, high=high, std_error=error, method=method, evaluations=n * replicates)
 
 
@@ -355,9 +349,9 @@ def describe_controlled(
     mean, error = corrected(expensive.mean(axis=1), cheap.mean(axis=1) - cheap_many.mean(axis=1))
     # about one centre for all replicates, so that their means are not taken for scatter of the quantity
     squares = [((rows - mean) ** 2).mean(axis=1) for rows in (expensive, cheap, cheap_many)]
-    variance, spread = corrected(squares[0], squares[1] - squares[2])
+    variance, error_of_it = corrected(squares[0], squares[1] - squares[2])
     scale = math.sqrt(variance) if variance > 0.0 else float(expensive.std())
-    loose = 0.5 * spread / scale if scale > 0.0 else 0.0
+    loose = 0.5 * error_of_it / scale if scale > 0.0 else 0.0
     many = np.sort(cheap_many, axis=None)
     factor = student(replicates)
     sd = around(scale, factor * loose, loose, method, total)

@@ -1,9 +1,14 @@
-"""Estimates: numbers with their intervals, and answers that are absent for a reason."""
+"""Estimates: numbers with their intervals, and answers that are absent for a reason.
+
+All intervals of sampled answers are made here, by one recipe (docs/theory.md, "Intervals"): independent replicates,
+Student's law, the spread of a cell where counts agree, logits for probabilities, ends of quantiles read off those of
+their probability, and the linearised ratio for what is one mean over another.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
@@ -28,6 +33,14 @@ class Why(Enum):
     REFUSED = "refused"  # a method or surrogate that may not be used
 
 
+#: independent randomisations that an interval rests on: the t of 15 degrees of freedom is 9 % above that of many
+REPLICATES: Final = 16
+#: two-sided 95 % point of the normal law
+NORMAL: Final = 1.959963984540054
+#: standard deviation of what may lie anywhere in a cell of length one
+CELL: Final = 12.0**-0.5
+#: standard errors after which a difference is taken for one
+SURE: Final = 4.0
 #: what no number of evaluations would give: its accuracy is not pursued
 NEVER: Final = (Why.NO_MOMENT, Why.UNTOLD)
 
@@ -95,10 +108,16 @@ class Estimate:
             return False
         return self.low > other.high or self.high < other.low
 
+    def spanning(self, low: float, high: float) -> Estimate:
+        """The same from one end to another, which its standard error follows; the value stays inside."""
+        if self.value is not None:
+            low, high = min(low, self.value), max(high, self.value)
+        return replace(self, low=low, high=high, std_error=0.5 * (high - low) / NORMAL)
+
     def holding(self, other: Estimate) -> Estimate:
         """The same with an interval that holds both."""
         ends = [end for end in (self.low, self.high, other.low, other.high) if end is not None]
-        return replace(self, low=min(ends), high=max(ends))
+        return self.spanning(min(ends), max(ends))
 
     def as_dict(self) -> dict[str, float | int | str | None]:
         """Ready for JSON: value, low, high, std_error, method, evaluations, and reason where there is one."""
@@ -135,6 +154,44 @@ def student(replicates: float) -> float:
     from scipy.special import stdtrit
 
     return float(stdtrit(replicates - 1, 0.975))
+
+
+def freedom(replicates: int, carriers: Array) -> Array:
+    """Degrees of freedom of a spread over replicates that so many points (m,) carry, by Kish's count.
+
+    Those of the replicates, R - 1, and half the number of the carriers, as resistances in parallel, at least one: where
+    few points carry what an answer is off by, the few that were met speak for those that were not.
+
+    >>> freedom(16, np.array([np.inf, 30.0, 1.0])).round(1).tolist()
+    [15.0, 7.5, 1.0]
+    """
+    return np.asarray(np.maximum(1.0 / (1.0 / (replicates - 1) + 2.0 / carriers), 1.0))
+
+
+def added(errors: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Standard error and degrees of freedom of what independent errors, each with its own, add up to.
+
+    B. L. Welch, Biometrika 34, 1947, 28.
+
+    >>> added([(3.0, 15.0), (4.0, 15.0), (0.0, 1.0)])[0], round(added([(1.0, 15.0), (1.0, 15.0)])[1], 9)
+    (5.0, 30.0)
+    """
+    error = math.hypot(*(own for own, _ in errors))
+    return error, 1.0 / sum((own / error) ** 4 / freedom for own, freedom in errors) if error > 0.0 else math.inf
+
+
+def spread(rows: Array, cell: float = 0.0) -> float:
+    """Standard error of the mean of the answers (R,) of replicates.
+
+    Counts that agree in all replicates are still known to one cell only, whose length `cell` is the resolution of a
+    replicate: the deviation of a uniform cell is the least.
+    """
+    return max(float(np.std(rows, ddof=1)), CELL * cell) / math.sqrt(rows.size)
+
+
+def half_of_mean(answers: Array) -> Array:
+    """Half-width (...) of the mean of answers (R, ...), by their differences."""
+    return np.asarray(student(len(answers)) * np.std(answers, axis=0, ddof=1) / math.sqrt(len(answers)))
 
 
 def from_replicates(
@@ -189,7 +246,7 @@ def corrected(rows: Array, gaps: Array) -> tuple[float, float]:
     if len(rows) < 4:
         raise ValueError(f"a control variate needs at least four replicates, found {len(rows)}")
     rest = rows - gaps
-    return float(rest.mean()), float(np.std(rest, ddof=1)) / math.sqrt(len(rows))
+    return float(rest.mean()), spread(rest)
 
 
 def count_bound(total: float) -> float:
@@ -197,22 +254,36 @@ def count_bound(total: float) -> float:
     return -math.expm1(math.log(0.05) / total)
 
 
+def probability_ends(p: float, q: float, error: float, replicates: int, total: float) -> tuple[float, float, float]:
+    """Ends and standard error of a probability p with its complement q, in logits, which stay inside 0 and 1.
+
+    None or all of `total` has the one-sided 95 % bound of a count of none.
+    """
+    if p <= 0.0:
+        return 0.0, count_bound(total), 1.0 / total
+    if q <= 0.0:
+        return 1.0 - count_bound(total), 1.0, 1.0 / total
+    return *logit_ends(p, q, student(replicates) * error), error
+
+
 def none_of(total: int, method: str = "share of the samples", *, every: bool = False) -> Estimate:
     """A share of which none was seen in `total` samples, or all were: 0 or 1 with its one-sided 95 % bound."""
-    low, high = (1.0 - count_bound(total), 1.0) if every else (0.0, count_bound(total))
+    low, high, error = probability_ends(float(every), float(not every), 0.0, 1, total)
     method = f"{method}, one-sided 95 % bound"
-    return Estimate(value=float(every), low=low, high=high, std_error=1.0 / total, method=method, evaluations=total)
+    return Estimate(value=float(every), low=low, high=high, std_error=error, method=method, evaluations=total)
 
 
 def share(flags: Flags, method: str = "share of the samples") -> Estimate:
-    """Share of True in (R, n), within [0, 1]; none or all True gets the one-sided 95 % bound on the count."""
+    """Share of True in (R, n); none or all True gets the one-sided 95 % bound on the count."""
     replicates, n = flags.shape
     if not flags.any() or flags.all():
         return none_of(flags.size, method, every=bool(flags.any()))
-    plain = from_replicates(flags.mean(axis=1), method, flags.size, floor=0.3 / n / math.sqrt(replicates))
-    if plain.low is None or plain.high is None:
-        return plain
-    return replace(plain, low=max(0.0, plain.low), high=min(1.0, plain.high))
+    if replicates < 2:
+        return absent("an interval needs at least two independent replicates", method, flags.size)
+    rows = flags.mean(axis=1)
+    p = float(rows.mean())
+    low, high, error = probability_ends(p, 1.0 - p, spread(rows, 1.0 / n), replicates, flags.size)
+    return Estimate(value=p, low=low, high=high, std_error=error, method=method, evaluations=flags.size)
 
 
 # --- independent runs -----------------------------------------------------------------------------
@@ -227,6 +298,27 @@ def between(value: float, low: float, high: float, replicates: int, method: str,
     error = 0.5 * (high - low) / student(replicates)
     low, high = min(low, value), max(high, value)
     return Estimate(value=value, low=low, high=high, std_error=error, method=method, evaluations=evaluations)
+
+
+def quantile(
+    read: Callable[[float], float], p: float, error: float, replicates: int, method: str, evaluations: int
+) -> Estimate:
+    """A quantile at p off a function that reads a distribution at a probability, where that has a standard error.
+
+    The ends are read off those of the interval of the probability (R. S. Woodruff, J. Amer. Statist. Assoc. 47, 1952,
+    635): nothing is asked of the density.
+    """
+    half = student(replicates) * error
+    value, low, high = (read(min(max(x, 0.0), 1.0)) for x in (p, p - half, p + half))
+    return between(value, low, high, replicates, method, evaluations)
+
+
+def weighted_reader(values: Array, weights: Array) -> Callable[[float], float]:
+    """Reads the distribution of samples of any shape and their weights at a probability."""
+    order = np.argsort(values, axis=None, kind="stable")
+    ordered, mass = values.reshape(-1)[order], weights.reshape(-1)[order]
+    middles = (np.cumsum(mass) - 0.5 * mass) / mass.sum()
+    return lambda p: float(np.interp(p, middles, ordered))
 
 
 def around(value: float, half: float, error: float, method: str, evaluations: int) -> Estimate:

@@ -17,7 +17,16 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, absent, between, from_replicates, ratio_of_means, student
+from uqsphere.uq.estimate import (
+    Estimate,
+    absent,
+    count_bound,
+    from_replicates,
+    quantile,
+    ratio_of_means,
+    spread,
+    weighted_reader,
+)
 from uqsphere.uq.joint import Joint
 
 #: failures, in samples of equal weight, below which their inputs are not described: a dozen for each of 16 replicates,
@@ -108,7 +117,7 @@ def held_open(
     p = float(probabilities.mean())
     if np.any((probabilities > 0.0) & (probabilities < 1.0)) or not 0.0 < p < 1.0:
         return dict(found)
-    least = min((1.0 - 0.05 ** (1.0 / pairs)) / (2.0 * p * (1.0 - p)), 1.0)
+    least = min(count_bound(pairs) / (2.0 * p * (1.0 - p)), 1.0)
     return {
         order: [e if e.high is None else replace(e, high=max(e.high, least)) for e in row]
         for order, row in found.items()
@@ -173,19 +182,11 @@ def _root(square: Estimate, method: str) -> Estimate:
 def _weighted_quantiles(
     values: Array, weights: Array, quantiles: Sequence[float], method: str
 ) -> dict[float, Estimate]:
-    order = np.argsort(values, axis=None, kind="stable")
-    ordered, mass = values.reshape(-1)[order], weights.reshape(-1)[order]
-    middles = (np.cumsum(mass) - 0.5 * mass) / mass.sum()
-    share = weights.sum(axis=1)
-    factor = student(len(values))
-    found = {}
+    read, share, found = weighted_reader(values, weights), weights.sum(axis=1), {}
     for p in quantiles:
-        at = float(np.interp(p, middles, ordered))
-        below = (weights * (values <= at)).sum(axis=1)
-        deviations = (below - p * share) / share.mean()
-        error = max(float(np.std(deviations, ddof=1)) / math.sqrt(len(values)), 0.5 / values.size)
-        low, high = (float(np.interp(p + sign * factor * error, middles, ordered)) for sign in (-1.0, 1.0))
-        found[p] = between(at, low, high, len(values), method, values.size)
+        below = (weights * (values <= read(p))).sum(axis=1)
+        error = spread((below - p * share) / share.mean(), 1.0 / values.shape[1])
+        found[p] = quantile(read, p, error, len(values), method, values.size)
     return found
 
 

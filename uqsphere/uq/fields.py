@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, student
+from uqsphere.uq.estimate import Estimate, half_of_mean
 from uqsphere.uq.expansion import fit_outputs
 from uqsphere.uq.expansion.choice import deal
 from uqsphere.uq.expansion.germs import GermLike, Indices, rows_of
@@ -119,7 +119,7 @@ def answer_field(
     variance = float(np.sum(np.var(scaled, axis=0))) or 1.0
     half = np.array([half_width(column) for column in residuals.T])
     means = np.array([fold.coefficients[0] for fold in folds])
-    mean = _band(means.mean(axis=0) + residuals.mean(axis=0), np.hypot(_between(means), half), unit)
+    mean = _band(means.mean(axis=0) + residuals.mean(axis=0), np.hypot(half_of_mean(means), half), unit)
     first, total, aggregated = _indices(folds, dealt, points, expected, residuals)
     d = len(germs)
     return FieldAnswer(
@@ -158,11 +158,6 @@ def _fitted(points: Array, outputs: Array, germs: Sequence[GermLike]) -> _Fold:
     return _Fold(germs=fits[0].germs, terms=terms, coefficients=coefficients, components=components, centre=centre)
 
 
-def _between(answers: Array) -> Array:
-    """Half-width of the mean of the answers (K, ...) of the folds, by their differences."""
-    return np.asarray(student(len(answers)) * np.std(answers, axis=0, ddof=1) / math.sqrt(len(answers)))
-
-
 def _band(value: Array, half: Array, unit: float = 1.0) -> Band:
     return Band(value=unit * value, low=unit * (value - half), high=unit * (value + half))
 
@@ -184,7 +179,7 @@ def _quantiles(
     answers = np.array(found)
     # what the rows near a level tell of its residuals, as `response.with_residuals` has it
     near = math.sqrt(len(residuals) / LEAST_NEAR) * half
-    return _band(answers.mean(axis=0), np.hypot(_between(answers), near), unit)
+    return _band(answers.mean(axis=0), np.hypot(half_of_mean(answers), near), unit)
 
 
 def _indices(
@@ -241,4 +236,4 @@ def _shares(tops: Array, moved: Array, spreads: Array, changed: Array, squares: 
     for place in np.ndindex(*value.shape):
         if np.isfinite(value[place]):
             half[place] = half_width(influence[:, *place])
-    return value, np.hypot(half, _between(tops / whole)), squares.mean(axis=0) / whole
+    return value, np.hypot(half, half_of_mean(tops / whole)), squares.mean(axis=0) / whole

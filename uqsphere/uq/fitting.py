@@ -246,8 +246,6 @@ def _distance(below: Array, after: Array | None = None) -> Array:
 FITS: Final = ("kde", "steps", *(name for name, family in FAMILIES.items() if not family.observed))
 #: fewer observations than this say nothing of scatter that could be trusted
 LEAST_TESTS: Final = 3
-#: attempts to draw observations again before they are given up
-_ATTEMPTS: Final = 20
 #: samples of the fitted law that the distance is judged by
 _SAMPLES: Final = 999
 #: candidates for every posterior; freedom of the t distribution that they come from
@@ -457,7 +455,8 @@ def _laws(law: Law, columns: Mapping[str, Array]) -> list[Law]:
 def _redrawn(law: Law, generator: np.random.Generator) -> Law:
     """A kernel density or step function of the observations drawn with repetition."""
     observations = np.asarray(law.data)
-    for _ in range(_ATTEMPTS):
+    # attempts to draw observations again before they are given up
+    for _ in range(20):
         drawn = np.sort(generator.choice(observations, observations.size))
         if drawn[0] < drawn[-1]:
             width = 0.0 if law.is_steps else bandwidth(drawn)

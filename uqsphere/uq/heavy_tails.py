@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.describe import Description
-from uqsphere.uq.estimate import Absent, Estimate, Why, absent
+from uqsphere.uq.describe import CONVERGES, DOMINANT, Description
+from uqsphere.uq.estimate import SURE, Absent, Estimate, Why, absent, count_bound
 from uqsphere.uq.indices import WORTHLESS
 from uqsphere.uq.law import Law
 from uqsphere.uq.sample import Sample
@@ -26,13 +26,11 @@ MEAN, VARIANCE = 1.0, 2.0
 FEWEST, MOST, SHARE = 32, 512, 1.0 / 32.0
 #: the same where there are few rows: more than this share are no tail, and fewer than these show no growth
 FEW_SHARE, LEAST = 1.0 / 8.0, 8
-#: rows below which nothing is read off, and below which one that makes most of the variance says that it is not known
-UNREADABLE, FEW = 32, 1000
-#: share of the variance that one of few rows may make
-DOMINANT: Final = 0.4
-#: standard errors by which a growth must differ from none, and by which it may be larger than it looks
-SEEN, DOUBT = 4.0, 2.0
-#: a Hill estimate below this is no mean: that of a Cauchy law from as many rows as are taken here
+#: rows below which nothing is read off
+UNREADABLE: Final = 32
+#: standard errors by which a growth may be larger than it looks
+DOUBT: Final = 2.0
+#: a Hill estimate below this order of a moment, over it, is no moment: that of a Cauchy law from as many rows as here
 CAUCHY: Final = 1.2
 
 
@@ -40,9 +38,6 @@ CAUCHY: Final = 1.2
 FEWEST_VARIED: Final = 20
 #: base points that carry the variance of a design, below which its replicates do not show what they lack
 FEW_CARRIERS: Final = 100.0
-#: half-width of an index times the points that carry it: a product of two answers of which none was seen together in
-#: n points may still have the share 3/n, by the one-sided 95 % bound of a count of none
-NONE_SEEN: Final = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +111,7 @@ def heavy_tail(
         out = side * (x - np.median(x))
         middle = np.median(outputs[kept]) if centred is None or name not in centred else centred[name][kept]
         growth, error, bend = _growth(out, outputs[kept] - middle)
-        if growth > SEEN * error and growth > 0.0:
+        if growth > SURE * error and growth > 0.0:
             doubt = DOUBT * error
             order = law_order / (growth + doubt)
             found.append(HeavyTail(name=name, law_order=law_order, growth=growth, order=order, rows=count,
@@ -195,7 +190,7 @@ def without_moments(
     if tail is not None and sd.value is not None and tail.order <= 2.0 * VARIANCE:
         sd = _with_rarest(sd, outputs, tail.order)
         described = replace(described, sd=sd)
-    if sd.value is not None and outputs.size < FEW and (lone := _dominated(outputs)):
+    if sd.value is not None and outputs.size < CONVERGES and (lone := _dominated(outputs)):
         described = replace(described, sd=_without(sd, lone), scale=half_range(outputs))
         return replace(described, mean=_without(mean, lone)) if min(law_order, hill(outputs)) <= CAUCHY else described
     if sd.value is None and mean.value is not None and (order := hill(outputs)) <= CAUCHY:
@@ -225,7 +220,7 @@ def _with_rarest(sd: Estimate, outputs: Array, order: float) -> Estimate:
     high = sd.value * math.sqrt(1.0 + 2.0 * index / (index - 1.0) * met_once / kept.size)
     if high <= sd.high or not math.isfinite(high):
         return sd
-    return replace(sd, high=high, std_error=0.25 * (high - (sd.low or 0.0)))
+    return sd.spanning(sd.low or 0.0, high)
 
 
 def half_range(outputs: Array) -> float:
@@ -273,7 +268,7 @@ def widened_share(share: Estimate, sd: Estimate) -> Estimate:
     ends = [end / factor for end in (share.low, share.high) for factor in (less, more)]
     ends += [1.0 - (1.0 - end) / factor for end in (share.low, share.high) for factor in (less, more)]
     low, high = min(min(ends), share.low), max(min(max(ends), 1.0), share.high)
-    return replace(share, low=low, high=high, std_error=max(share.std_error or 0.0, 0.25 * (high - low)))
+    return share.spanning(low, high)
 
 
 # --- shares of the variance -----------------------------------------------------------------------
@@ -302,14 +297,17 @@ def carriers(outputs: Array) -> float:
     return float(squares.sum() ** 2 / (squares**2).sum())
 
 
-def no_narrower(share: Estimate, half: float) -> Estimate:
-    """A share of the variance with at least this half-width; none where that would be the whole range."""
+def no_narrower(share: Estimate, carriers: float) -> Estimate:
+    """A share of the variance that so many points carry: a product of two answers of which none was seen together may
+    still have what a count of none leaves.  None is given where that would be the whole range.
+    """
+    half = count_bound(carriers)
     if share.value is None or share.half_width >= half:
         return share
     if half > WORTHLESS:
         return _without(share, Absent.because(Why.NOT_KNOWN, "too few samples carry the variance"))
     value = min(max(share.value, 0.0), 1.0)
-    return replace(share, value=value, low=value - half, high=value + half, std_error=0.5 * half)
+    return replace(share, value=value).spanning(value - half, value + half)
 
 
 # --- samples --------------------------------------------------------------------------------------

@@ -5,8 +5,9 @@ BA_u is B with the columns u of A.
 
 Write a, b, ab, ba for the outputs on the blocks A, B, AB_j, BA_j, about their common mean, and V for their variance.
 Every estimator is a ratio of two means over the points of a replicate.  The value is the ratio of the means over all
-replicates, and the interval that of the linearised ratio, Student's with R - 1 degrees of freedom: the replicates' own
-ratios would each carry the bias of a ratio of few points.
+replicates, and the interval that of the linearised ratio: the replicates' own ratios would each carry the bias of a
+ratio of few points.  Student's degrees of freedom are those of the replicates and of the points that carry the answer
+(`uqsphere.uq.estimate.freedom`).
 """
 
 from __future__ import annotations
@@ -21,7 +22,18 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, Why, absent, around, corrected, from_replicates, ratio_of_means, student
+from uqsphere.uq.estimate import (
+    Estimate,
+    Why,
+    absent,
+    added,
+    around,
+    corrected,
+    freedom,
+    ratio_of_means,
+    spread,
+    student,
+)
 from uqsphere.uq.expansion import Chaos, germ_points, predict
 from uqsphere.uq.points import sobol_points
 
@@ -202,9 +214,6 @@ LARGE: Final = 0.5
 
 METHOD: Final = "pick and freeze"
 
-#: points of a replicate below which intervals are longer, and by how much: from 32 the lowest cells have 90.7 and 88 %
-#: of 300 without
-_FEW, _ROOM, _ROOM_TOTAL = 64, 1.08, 1.12
 #: What is left of a difference of two sums that cancel, over V.
 _ROUNDING: Final = 1e-15
 _CONTROLLED: Final = " A surrogate, whose indices are known exactly, is the control variate of each."
@@ -228,16 +237,13 @@ def _rows(ratio: Ratio) -> Array:
     return np.asarray(index + off)
 
 
-def _estimates(rows: Array, methods: Sequence[str], evaluations: int) -> list[Estimate]:
-    """Estimates of m indices from the answers (R, m) of replicates."""
-    found = []
-    for column, method in zip(rows.T, methods, strict=True):
-        if not np.isfinite(column).all():
-            found.append(absent(_NO_SCATTER, method, evaluations))
-            continue
-        floor = _ROUNDING if np.any(column) else 0.0
-        found.append(from_replicates(column, method, evaluations, floor=floor))
-    return found
+def _estimate(rows: Array, method: str, carriers: float, evaluations: int, floor: float = _ROUNDING) -> Estimate:
+    """An index from the answers (R,) of replicates and how many points carry it; no error is below `floor`."""
+    if not np.isfinite(rows).all():
+        return absent(_NO_SCATTER, method, evaluations)
+    value, error = float(rows.mean()), max(spread(rows), floor) if np.any(rows) else 0.0
+    half = student(1.0 + float(freedom(len(rows), np.asarray(carriers)))) * error
+    return around(value, half, error, method, evaluations)
 
 
 def _method(name: str, order: str) -> str:
@@ -325,11 +331,6 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
     large = _large(y, y.ab) if y.ba is None else ()
     chosen = large, _large(y, y.groups)
     found = _helped(y, blocks, surrogate, chosen)
-    if y.a.shape[1] < _FEW:
-        found = {
-            order: [_with_room(estimate, _ROOM_TOTAL if "total" in order else _ROOM) for estimate in row]
-            for order, row in found.items()
-        }
     helped = "" if surrogate is None else _CONTROLLED if surrogate.many is None else _TABULATED
     return SampledIndices(
         first=found["first"], total=found["total"], second=dict(zip(pairs, found["second"], strict=True)),
@@ -340,66 +341,63 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
 
 def _helped(y: Outputs, blocks: Blocks, surrogate: Surrogate | None, chosen: _Chosen) -> dict[str, list[Estimate]]:
     """The indices by order, corrected by a surrogate where there is one that varies."""
-    answers = _answers(y, *chosen)
+    answers, alone = _answers(y, *chosen), _carriers(y, None, chosen)
+    plain = {
+        order: [_estimate(*one, y.evaluations) for one in zip(rows.T, methods, alone[order], strict=True)]
+        for order, (rows, methods) in answers.items()
+    }
     known = None if surrogate is None else blocks.split(surrogate.outputs)
     if surrogate is None or known is None or not known.varies:
-        return {order: _estimates(rows, methods, y.evaluations) for order, (rows, methods) in answers.items()}
+        return plain
     # the surrogate's indices by order: (m,), or (R, m) as many points of the replicates tell them
-    truths = surrogate.indices
+    truths, loads = surrogate.indices, {}
     if surrogate.many is not None:
-        truths = {order: rows for order, (rows, _) in _answers(blocks.split(surrogate.many), *chosen).items()}
+        many = blocks.split(surrogate.many)
+        truths = {order: rows for order, (rows, _) in _answers(many, *chosen).items()}
+        loads = _carriers(many, None, chosen)
     others, carriers = _answers(known, *chosen), _carriers(y, known, chosen)
     found: dict[str, list[Estimate]] = {}
-    for order, (rows, methods) in answers.items():
+    for order, (rows, _) in answers.items():
         truth_of = truths.get(order, np.empty(0)).T
-        columns = zip(rows.T, others[order][0].T, truth_of, carriers[order], methods, strict=True)
-        found[order] = [
-            _estimate(own, other, truth, method, float(load), y.evaluations)
-            for own, other, truth, load, method in columns
-        ]
+        load = np.stack([carriers[order], loads.get(order, np.full(len(truth_of), math.inf))], axis=1)
+        columns = zip(rows.T, others[order][0].T, truth_of, load, plain[order], strict=True)
+        found[order] = [_corrected(*one) for one in columns]
     return found
 
 
-def _with_room(e: Estimate, room: float) -> Estimate:
-    """The interval with room for what is not normal about a ratio of few points."""
-    if e.value is None or e.std_error is None:
-        return e
-    return around(e.value, room * e.half_width, room * e.std_error, e.method, e.evaluations)
-
-
-def _estimate(rows: Array, others: Array, truth: Array, method: str, carriers: float, evaluations: int) -> Estimate:
+def _corrected(rows: Array, others: Array, truth: Array, carriers: Array, plain: Estimate) -> Estimate:
     """A corrected answer, from those of the model and of the surrogate (R,), and the truth of the latter: a number, or
     (R,) from many points.
 
-    Where few points carry what it may be off by, its standard error is that much less known: degrees of freedom are the
-    R - 1 of the replicates and half the number of those points, together as resistances in parallel, at least one: with
-    skewed outputs the few that were met speak for those that were not.  Where the rows alone know it better than that,
-    they answer; not beside many points, which are there since the rows alone may have met none of what matters.
+    `carriers` (2,) are the points that carry what the correction may be off by, and the many.  Where the rows alone,
+    `plain`, know it better they answer; not beside many points, which are there since the rows alone may have met none
+    of what matters.
     """
-    plain = _estimates(rows[:, None], [method], evaluations)[0]
-    replicates = len(rows)
-    value, error = corrected(rows, others - np.mean(truth))
-    spread = float(np.std(truth, ddof=1)) / math.sqrt(replicates) if np.ndim(truth) else 0.0
-    if not (math.isfinite(error) and math.isfinite(spread)):
+    if plain.value is None:
         return plain
-    freedom = max(1.0 / (1.0 / (replicates - 1) + 2.0 / carriers), 1.0)
-    # A surrogate that is the model itself leaves rounding, of its coefficients as of the sums.
-    error = max(error, 1e-13) if np.any(rows) else 0.0
-    half = math.hypot(student(1.0 + freedom) * error, student(replicates) * spread)
-    if np.ndim(truth):  # stages end where an interval happens to be narrow: 50 designs scatter by that much more
-        half *= _ROOM_TOTAL
+    method, replicates = f"{plain.method}, controlled by a surrogate", len(rows)
+    value, error = corrected(rows, others - np.mean(truth))
+    known = spread(truth) if np.ndim(truth) else 0.0
+    if not (math.isfinite(error) and math.isfinite(known)):
+        return plain
+    # a surrogate that is the model itself leaves rounding, of its coefficients as of the sums
+    own, of_many = freedom(replicates, carriers).tolist()
+    error, free = added([(max(error, 1e-13), own), (known, of_many)])
+    half = student(1.0 + free) * error
     if half > plain.half_width and not np.ndim(truth):
         return plain
-    return around(value, half, math.hypot(error, spread), f"{method}, controlled by a surrogate", evaluations)
+    return around(value, half, error, method, plain.evaluations)
 
 
-def _carriers(y: Outputs, known: Outputs, chosen: _Chosen) -> dict[str, Array]:
-    """How many points of the design carry what each corrected answer may be off by, by Kish's count: (m,) by order."""
+def _carriers(y: Outputs, known: Outputs | None, chosen: _Chosen) -> dict[str, Array]:
+    """How many points of the design carry what each answer, corrected by what is known, may be off by: Kish's count
+    (m,) by order."""
     sums: dict[str, Array] = {}
     for r in range(len(y.a)):
-        own, other = (_answers(outputs.points(r), *chosen) for outputs in (y, known))
+        own = _answers(y.points(r), *chosen)
+        other = {} if known is None else _answers(known.points(r), *chosen)
         for order, (rows, _) in own.items():
-            off = rows - other[order][0]
+            off = rows - other[order][0] if other else rows
             squares = (off - off.mean(axis=0)) ** 2
             sums[order] = sums.get(order, 0.0) + np.array([squares.sum(axis=0), (squares**2).sum(axis=0)])
     return {
@@ -418,9 +416,9 @@ def ordered(first: Sequence[Estimate], total: Sequence[Estimate]) -> tuple[list[
         if one.low is None or one.high is None or other.low is None or other.high is None or one.low <= other.high:
             continue
         if one.half_width < other.half_width:
-            whole[j] = replace(other, high=one.high, std_error=0.25 * (one.high - other.low))
+            whole[j] = other.spanning(other.low, one.high)
         else:
-            alone[j] = replace(one, low=other.low, std_error=0.25 * (one.high - other.low))
+            alone[j] = one.spanning(other.low, one.high)
     return alone, whole
 
 
@@ -524,6 +522,7 @@ def cross_check(
 ) -> tuple[bool, str]:
     """Indices from sampling and from the surrogate, input by input: (all agree, text for the report).
 
+    >>> from uqsphere.uq.estimate import from_replicates
     >>> one = from_replicates(np.array([0.5, 0.52, 0.51]), "a", 3)
     >>> other = from_replicates(np.array([0.7, 0.72, 0.71]), "b", 3)
     >>> cross_check(["x"], {"first": [one]}, {"first": [other]})

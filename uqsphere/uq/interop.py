@@ -205,10 +205,6 @@ def salib_indices(outputs: Array) -> dict[str, list[Estimate]]:
     return found
 
 
-#: of 1 - 5e-4 rather than 95 %: dozens of indices are compared, and none may differ by chance
-_RARE: Final = 0.9995
-
-
 def salib_check(names: Sequence[str], ours: Mapping[str, Sequence[Estimate]], outputs: Array) -> tuple[bool, str]:
     """Whether sampled indices are those of SALib's estimators on the same rows (R, N, d + 2), and a sentence of it.
 
@@ -217,7 +213,8 @@ def salib_check(names: Sequence[str], ours: Mapping[str, Sequence[Estimate]], ou
     """
     from scipy.special import stdtrit
 
-    factor = float(stdtrit(outputs.shape[0] - 1.0, _RARE)) / student(outputs.shape[0])
+    # of 1 - 5e-4 rather than 95 %: dozens of indices are compared, and none may differ by chance
+    factor = float(stdtrit(outputs.shape[0] - 1.0, 0.9995)) / student(outputs.shape[0])
     theirs = salib_indices(outputs)
     apart, largest, compared = [], 0.0, 0
     for order, rows in theirs.items():

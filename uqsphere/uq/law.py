@@ -19,8 +19,6 @@ from uqsphere.uq.families import FAMILIES, Family, LawError, family_named, famil
 from uqsphere.uq.families.family import Shapes
 from uqsphere.uq.families.observed import steps_ppf, steps_share_below
 
-_LEAST_MASS = 1e-290  # a truncation that leaves less cannot be told from nothing in floating point
-
 
 @dataclass(frozen=True, kw_only=True)
 class Law:
@@ -433,7 +431,8 @@ def checked(law: Law) -> Law:
         centre = math.inf
     if not math.isfinite(centre):
         raise beyond
-    if not law.mass > _LEAST_MASS:
+    # a truncation that leaves less cannot be told from nothing in floating point
+    if not law.mass > 1e-290:
         bounds = f"[{law.lower:g}, {law.upper:g}]"
         key = "lower" if math.isfinite(law.lower) else "upper"
         raise LawError(f"the truncation {bounds} leaves no mass of the {name} law", key)

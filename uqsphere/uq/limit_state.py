@@ -10,16 +10,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.copulas import FARTHEST
 from uqsphere.uq.describe import quantile_estimates
-from uqsphere.uq.estimate import Estimate, absent, between, count_bound, logit_ends, student
+from uqsphere.uq.estimate import Estimate, absent, between, probability_ends, spread, student
 from uqsphere.uq.joint import Tie, conditional_score, conditional_scores
 from uqsphere.uq.law import Law
+
+#: normal scores beyond which a tail is taken for certain: the largest whose tail is a normal number
+CERTAIN: Final = 37.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,21 +139,16 @@ def pick_replicates(state: LimitState, rows: Sequence[int]) -> LimitState:
     return replace(state, tie=tie, **chosen)
 
 
-def _interval(event: Array, other: Array, counts: Array, resolution: float) -> tuple[float, float, float, float]:
+def _interval(event: Array, other: Array, counts: Array, cell: float) -> tuple[float, float, float, float]:
     """Value, ends and standard error of the mean of `event` (R, n), interval in logits.
 
     None or all of the mass on one side gets the one-sided 95 % bound that a count of zero allows.
     """
     size = float(counts.sum())
     p, q = float(event.sum()) / size, float(other.sum()) / size
-    if p <= 0.0:
-        return 0.0, 0.0, count_bound(size), 1.0 / size
-    if q <= 0.0:
-        return 1.0, 1.0 - count_bound(size), 1.0, 1.0 / size
     # The smaller side has the digits.
     rows = (event if p <= q else other).sum(axis=1) / counts
-    error = max(float(np.std(rows, ddof=1)), resolution) / math.sqrt(rows.size)
-    return p / (p + q), *logit_ends(p, q, student(rows.size) * error), error
+    return p / (p + q), *probability_ends(p, q, spread(rows, cell), rows.size, size)
 
 
 def _estimate(state: LimitState, breaking: bool) -> Estimate:
@@ -162,9 +160,9 @@ def _estimate(state: LimitState, breaking: bool) -> Estimate:
     if kept_counts.min() < 2:
         return absent("too few successful samples in a replicate", state.method, total)
     n = state.demands.shape[1]
-    resolution = 0.0 if isinstance(state.strength, Law) else 0.3 / n
+    cell = 0.0 if isinstance(state.strength, Law) else 1.0 / n  # of what is counted
     event, other = (above, below) if breaking else (below, above)
-    value, low, high, error = _interval(event, other, kept_counts, resolution)
+    value, low, high, error = _interval(event, other, kept_counts, cell)
     bound = state.on_failure == "bound" and bool(broken.any())
     method = state.method
     if bound or late.any():
@@ -177,8 +175,8 @@ def _estimate(state: LimitState, breaking: bool) -> Estimate:
         least_below, most_above = below, np.where(broken, 1.0, above) if bound else above
         sides = (least_above, most_below), (least_below, most_above)
         least, most = sides if breaking else sides[::-1]
-        low = _interval(least[0], least[1], counts, resolution)[1]
-        high = _interval(most[1], most[0], counts, resolution)[2]
+        low = _interval(least[0], least[1], counts, cell)[1]
+        high = _interval(most[1], most[0], counts, cell)[2]
         error = max(error, 0.5 * (high - low) / student(below.shape[0]))
         named = ["censored"] * bool(late.any()) + ["failed"] * bound
         method += f", interval widened for {' and '.join(named)} rows"
@@ -319,11 +317,9 @@ def _margin(state: LimitState, strength: Law, p: float) -> Estimate:
     value = _root(pooled, p, typical)
     if value is None:
         return absent("no margin has this probability", state.method, total)
-    error = float(np.std(replicate_probabilities(value), ddof=1)) / math.sqrt(counts.size)
-    half = student(counts.size) * error
     unsure = float(late.sum()) / counts.sum()
     lost = float(broken.sum()) / total if state.on_failure == "bound" else 0.0
-    lowest, highest = logit_ends(p, 1.0 - p, half)
+    lowest, highest, _ = probability_ends(p, 1.0 - p, spread(replicate_probabilities(value)), counts.size, total)
     lowest, highest = lowest - unsure - lost, highest + lost
     if lowest <= 0.0 or highest >= 1.0:
         reason = "beyond the censored share" if unsure else "beyond what the samples can tell"

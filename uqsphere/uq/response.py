@@ -30,7 +30,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags
 from uqsphere.uq.describe import Description, describe
-from uqsphere.uq.estimate import Absent, Estimate, Why, absent, none_of
+from uqsphere.uq.estimate import Absent, Estimate, Why, absent, half_of_mean, none_of
 from uqsphere.uq.expansion import Chaos, fit_outputs, held, padded, predict
 from uqsphere.uq.expansion.choice import deal
 from uqsphere.uq.expansion.expansion import Transform
@@ -44,7 +44,7 @@ from uqsphere.uq.expansion.shares import (
     law_shares,
     moments_of,
 )
-from uqsphere.uq.heavy_tails import half_range, hill, widened_share, without_moments
+from uqsphere.uq.heavy_tails import CAUCHY, VARIANCE, half_range, hill, widened_share, without_moments
 from uqsphere.uq.indices import ordered
 
 METHOD: Final = "surrogate, corrected by its residuals"
@@ -56,10 +56,6 @@ FOLDS: Final = 8
 LEAST_NEAR: Final = 12
 #: standard errors among the rows that grow beyond them: chosen on outputs that level off (docs/validation.md)
 GROWING: Final = 4.0
-#: how near to zero, over its bound, a reciprocal or root is let where its bounds are taken off
-NEAR_ZERO: Final = 1e-6
-#: a Hill estimate below this may well be that of no variance
-HEAVY: Final = 2.4
 
 Folds: TypeAlias = npt.NDArray[np.intp]
 
@@ -357,8 +353,7 @@ def _widened(response: Response, middle: Description, down: Description, up: Des
 def _span(estimate: Estimate, low: float, high: float, evaluations: int) -> Estimate:
     if estimate.value is None:
         return replace(estimate, method=METHOD, evaluations=evaluations)
-    low, high = min(low, estimate.value), max(high, estimate.value)
-    return replace(estimate, low=low, high=high, std_error=0.25 * (high - low), method=METHOD, evaluations=evaluations)
+    return replace(estimate, method=METHOD, evaluations=evaluations).spanning(low, high)
 
 
 def joined(middle: Estimate, one: Estimate, other: Estimate, evaluations: int) -> Estimate:
@@ -450,7 +445,8 @@ def _free(transform: Transform | None) -> Transform | None:
     lowest = -math.inf
     if transform.kind in ("square root", "reciprocal"):
         bound = transform.centre + transform.scale * transform.lowest
-        lowest = (NEAR_ZERO * bound - transform.centre) / transform.scale
+        # how near to zero, over its bound, a reciprocal or root is let where its bounds are taken off
+        lowest = (1e-6 * bound - transform.centre) / transform.scale
     return replace(transform, lowest=lowest, highest=math.inf)
 
 
@@ -459,8 +455,7 @@ def extended(found: Estimate, plain: Estimate, other: Estimate) -> Estimate:
     if found.value is None or found.low is None or found.high is None or plain.value is None or other.value is None:
         return found
     by = other.value - plain.value
-    low, high = found.low + min(by, 0.0), found.high + max(by, 0.0)
-    return replace(found, low=low, high=high, std_error=max(found.std_error or 0.0, 0.25 * (high - low)))
+    return found.spanning(found.low + min(by, 0.0), found.high + max(by, 0.0))
 
 
 def stretched(held: Description, free: Description, values: Array, runs: int) -> Description:
@@ -470,7 +465,7 @@ def stretched(held: Description, free: Description, values: Array, runs: int) ->
     """
     mean, sd = _stretched(held.mean, free.mean, runs), _stretched(held.sd, free.sd, runs)
     order = hill(values)
-    if sd.value is not None and order <= HEAVY:
+    if sd.value is not None and order <= VARIANCE * CAUCHY:
         text = (
             f"beyond the reach of the {runs} runs large values are as frequent as in a law without moments from order "
         )
@@ -489,8 +484,7 @@ def _stretched(held: Estimate, free: Estimate, runs: int) -> Estimate:
         return absent(text, held.method, held.evaluations, why.why)
     if free.low >= held.low and free.high <= held.high:
         return held
-    low, high = min(held.low, free.low), max(held.high, free.high)
-    return replace(held, low=low, high=high, std_error=0.25 * (high - low))
+    return held.holding(free)
 
 
 def _reach_of(held: Estimate, free: Estimate) -> Estimate:
@@ -571,7 +565,7 @@ def shares(response: Response, asked: Sequence[Subset], seed: int = 0) -> list[E
     whole = max(float(np.mean([(one.deviation / unit) ** 2 for one in folds])) + float(changed.mean()), 1e-300)
     values = (tops.mean(axis=0) + moved.mean(axis=0)) / whole
     influence = (moved - values * changed[:, None]) / whole
-    between = _between(tops / whole)
+    between = half_of_mean(tops / whole)
     found = []
     for j in range(len(asked)):
         half = math.hypot(response.scale * half_width(influence[:, j]), between[j]) + 1e-15
@@ -593,12 +587,6 @@ def share_of_noise(response: Response, estimate: Estimate) -> Estimate:
     noise = 2.0 * math.sqrt(max(value * (1.0 - value), error) * error / n)
     half = math.hypot(estimate.half_width, float(_quantile(np.asarray(n - 1.0))) * noise) + error + 1e-15
     return _span(estimate, max(0.0, value - half), min(1.0, value + half), n)
-
-
-def _between(tops: Array) -> Array:
-    """Half-width (m,) of the mean of answers (K, m) of the folds by their differences."""
-    count = len(tops)
-    return np.asarray(_quantile(np.asarray(count - 1.0)) * tops.std(axis=0, ddof=1) / math.sqrt(count))
 
 
 def _number(seed: int, fold: int) -> int:
@@ -670,8 +658,7 @@ def _beyond_rows(response: Response, asked: Sequence[Subset], found: Sequence[Es
     for estimate, less, more in zip(found, down, up, strict=True):
         assert estimate.low is not None
         assert estimate.high is not None
-        low, high = max(estimate.low + less, 0.0), min(estimate.high + more, 1.0)
-        answer.append(replace(estimate, low=low, high=high, std_error=0.25 * (high - low)))
+        answer.append(estimate.spanning(max(estimate.low + less, 0.0), min(estimate.high + more, 1.0)))
     return answer
 
 

@@ -25,6 +25,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.uq.estimate import Estimate, absent, from_replicates, ratio_of_means
+from uqsphere.uq.indices import LARGE
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.points import random_generator, sobol_points
 
@@ -32,8 +33,6 @@ Orders = npt.NDArray[np.int64]
 
 #: inputs up to which every subset is paired by default
 MOST_EXACT = 10
-#: shares above this are read off the correlation of pairs
-LARGE = 0.5
 #: base points that share an order of the inputs; counts are multiples of it
 BLOCK = 16
 

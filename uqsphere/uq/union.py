@@ -8,7 +8,6 @@ Hajivassiliou and McFadden 1998, Keane 1994): unbiased, and for independent stre
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,14 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags, special
-from uqsphere.uq.estimate import Estimate, between, logit_ends, none_of, student
+from uqsphere.uq.estimate import Estimate, none_of, probability_ends, quantile, spread, weighted_reader
 from uqsphere.uq.law import Law, make_law
-from uqsphere.uq.limit_state import LimitState, score_of, tails
+from uqsphere.uq.limit_state import CERTAIN, LimitState, score_of, tails
 
 Index = npt.NDArray[np.int64]
 
-#: normal scores beyond which a tail is taken for certain
-_FAR = 37.0
 _TINY = 1e-300
 
 
@@ -102,7 +99,7 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
         # a point of the upper tail
         with np.errstate(divide="ignore"):
             drawn = -special.ndtri(np.maximum(rng.random(shape[1:]) * above, _TINY))
-        holding[j] = np.clip(drawn, -_FAR, _FAR)
+        holding[j] = np.clip(drawn, -CERTAIN, CERTAIN)
     return Union(states=tuple(states), chances=chances, holding=holding, factor=factor)
 
 
@@ -120,7 +117,7 @@ def union_state(union: Union) -> LimitState:
         held = np.log1p(-union.chances).sum(axis=0)
     score = score_of(p, np.exp(held))
     return LimitState(
-        demands=np.clip(score, -_FAR, _FAR),
+        demands=np.clip(score, -CERTAIN, CERTAIN),
         strength=make_law("normal", {"mean": 0.0, "sd": 1.0}),
         failed=union.broken,
         on_failure=policy,
@@ -171,7 +168,7 @@ def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breakin
     first = np.minimum((course <= rng.random(rows.shape) * course[-1]).sum(axis=0), size - 1)
     for j in range(size):
         with np.errstate(divide="ignore"):
-            lower = np.clip(special.ndtri(np.maximum(rng.random(rows.shape) * chances[j], _TINY)), -_FAR, _FAR)
+            lower = np.clip(special.ndtri(np.maximum(rng.random(rows.shape) * chances[j], _TINY)), -CERTAIN, CERTAIN)
         free = rng.standard_normal(rows.shape)
         normals[j] = np.where(first == j, lower, np.where(first < j, free, normals[j]))
     scores = np.tensordot(union.factor, normals, axes=1)
@@ -207,31 +204,18 @@ def share_of(flags: Flags, weights: Array, method: str, evaluations: int) -> Est
         return replace(none_of(flags.size, method, every=bool(flags.any())), evaluations=evaluations)
     rows = flags.mean(axis=1)
     p = float((weights * rows).mean())
-    error = _ratio_error(rows, weights, p, max(p * (1.0 - p), 0.25 / m) / m)
-    low, high = logit_ends(p, 1.0 - p, student(replicates) * error)
+    low, high, error = probability_ends(p, 1.0 - p, _error(rows, weights, p, m), replicates, flags.size)
     return Estimate(value=p, low=low, high=high, std_error=error, method=method, evaluations=evaluations)
 
 
-def _ratio_error(rows: Array, weights: Array, pooled: float, variance: float) -> float:
-    """Standard error of a weighted mean of replicates; not less than half of what independent samples would have."""
-    replicates = len(rows)
-    spread = math.sqrt(float(np.square(weights * (rows - pooled)).sum()) / (replicates * (replicates - 1)))
-    return max(spread, 0.5 * math.sqrt(variance / replicates))
+def _error(rows: Array, weights: Array, pooled: float, m: int) -> float:
+    """Standard error of a weighted mean (weights of mean 1) of the shares (R,) of replicates of m samples."""
+    return spread(weights * (rows - pooled), 1.0 / m)
 
 
 def weighted_quantile(values: Array, weights: Array, p: float, method: str, evaluations: int) -> Estimate:
     """Quantile of (R, m) samples where a replicate stands for its weight (R,); interval after Woodruff (1952)."""
     replicates, m = values.shape
-    order = np.argsort(values, axis=None, kind="stable")
-    ordered = values.ravel()[order]
-    mass = np.repeat(weights, m)[order]
-    course = (np.cumsum(mass) - 0.5 * mass) / mass.sum()
-
-    def at(share: float) -> float:
-        return float(np.interp(share, course, ordered))
-
-    value = at(p)
-    error = _ratio_error((values <= value).mean(axis=1), weights, p, p * (1.0 - p) / m)
-    half = student(replicates) * error
-    low, high = at(max(p - half, 0.0)), at(min(p + half, 1.0))
-    return between(value, low, high, replicates, method, evaluations)
+    read = weighted_reader(values, np.repeat(weights, m).reshape(values.shape))
+    error = _error((values <= read(p)).mean(axis=1), weights, p, m)
+    return quantile(read, p, error, replicates, method, evaluations)

@@ -22,8 +22,6 @@ from uqsphere.uq.limit_state import LimitState, tails, tails_given_inputs
 MOST_TESTS: Final = 5000
 #: logits beyond this are those of 0 and 1
 _FURTHEST: Final = 700.0
-#: numbers that are worked on at once: 8 MB
-_AT_ONCE: Final = 2**20
 #: weighted rows must be worth this share of as many without weights, for all but this share of the laws: the ends of
 #: a range are those of the farthest laws, and rows that hardly reach them make it too narrow (normal laws of 4, 6 and 8
 #: observations: 0.65, 0.79 and 0.92 of Student's interval of the mean, worth 0.02, 0.08 and 0.15)
@@ -91,7 +89,8 @@ def curves_under(states: Sequence[LimitState], laws: Sequence[Law]) -> Array:
     """
     found = np.full((len(laws), len(states)), 0.5)
     for j, state in enumerate(states):
-        for first in range(0, len(laws), size := max(_AT_ONCE // max(state.demands.size, 1), 1)):
+        # numbers that are worked on at once: 8 MB
+        for first in range(0, len(laws), size := max((2**20) // max(state.demands.size, 1), 1)):
             below, above = _sides_under(state, laws[first : first + size])
             total = below + above
             found[first : first + size, j] = np.where(total > 0.0, below / np.where(total > 0.0, total, 1.0), 0.5)

@@ -15,12 +15,10 @@ import numpy as np
 from uqsphere.mechanics.integrator import searches, tracked
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
-    ARMED,
     approach_at,
     face_yielded,
     largest_approach,
     largest_force,
-    least_between,
     most_stored,
     of_its_own,
 )
@@ -114,6 +112,37 @@ def _depth(piece, face, theta):
 
 
 @compiled(**INNER)
+def _note_loss(track, lane, piece, lost, ends, before, h):
+    """The first loss of contact of a row."""
+    apart()
+    if math.isnan(track[tracked.LOST, lane]):
+        track[tracked.LOST, lane], track[tracked.LOST_FACE, lane] = before + ends * h, lost
+        _, rate = searches.both(piece, lost, ends)
+        track[tracked.LOSS_RATE, lane] = abs(rate) / h
+
+
+@compiled(**INNER)
+def _parts(track, lane, piece, face, ends, graze):
+    """Whether a face that passes zero leaves, and goes deep enough for that to be a loss of contact."""
+    apart()
+    if not piece[face, 0] > 0.0:
+        return False
+    depth = _depth(piece, face, ends)
+    if depth >= -graze and math.isnan(track[tracked.LOST, lane]):
+        track[tracked.DEPTH, lane] = depth
+    return depth >= -graze
+
+
+@compiled(**INNER)
+def _touching_just_now(track, lane, piece, face):
+    """Whether a face touches at the start of a step, or is pressed and has not touched before: nothing to be met."""
+    apart()
+    if piece[face, 0] > 0.0:
+        return track[tracked.TOUCHED_A + face, lane] == 0.0
+    return piece[face, 0] == 0.0 and piece[face, 1] >= 0.0
+
+
+@compiled(**INNER)
 def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
     """Loss of contact or touch of either face in a step: theta at which the step ends, 2 + face or 0, and loss.
 
@@ -125,9 +154,7 @@ def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
     ends, why, lost = theta, 0, -1
     for face in range(2):
         pressed = piece[face, 0] > 0.0
-        if pressed and track[tracked.TOUCHED_A + face, lane] == 0.0:
-            continue
-        if piece[face, 0] == 0.0 and piece[face, 1] >= 0.0:  # touching just now
+        if _touching_just_now(track, lane, piece, face):
             continue
         level = near if pressed else 0.0
         if not searches.may_pass(grid, face, -1.0 if pressed else 1.0, theta / tracked.POINTS, level):
@@ -141,124 +168,28 @@ def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
         found = _near_loss(track, lane, piece, face, grid, theta, ends, near, hover, graze) if pressed else math.nan
         if not math.isnan(found):
             ends, why, lost = found, 1, face
-    if why > 1 and piece[why - 2, 0] > 0.0:
-        depth = _depth(piece, why - 2, ends)
-        if depth >= -graze:
-            lost = why - 2
-            if math.isnan(track[tracked.LOST, lane]):
-                track[tracked.DEPTH, lane] = depth
-    if lost >= 0 and math.isnan(track[tracked.LOST, lane]):
-        track[tracked.LOST, lane], track[tracked.LOST_FACE, lane] = before + ends * h, lost
-        _, rate = searches.both(piece, lost, ends)
-        track[tracked.LOSS_RATE, lane] = abs(rate) / h
+    if why > 1 and _parts(track, lane, piece, why - 2, ends, graze):
+        lost = why - 2
+    if lost >= 0:
+        _note_loss(track, lane, piece, lost, ends, before, h)
     return ends, why, lost
 
 
 @compiled(**INNER)
-def _dip(piece, face, level, a, b, slope_b):
-    """theta at which an approach that turns at `level` and dips below it is there again; it lies above it at b."""
+def _cut(flags, lane, piece, grid, ends, law):
+    """Values and slopes of a step that a change of branch cuts short; ends alone where nothing else is asked."""
     apart()
-    # where it turns the slope is zero but for rounding
-    a += 1e-3 * (b - a)
-    _, slope_a = searches.both(piece, face, a)
-    if slope_a < 0.0 < slope_b:
-        a = searches.bend(piece, face, a, b, slope_a, slope_b, searches.SHARP)
-    return searches.root(piece, face, level, a, b) if searches.value(piece, face, a) < level else a
+    if flags & ~tracked.SWITCHES or not (face_yielded(law, lane) and face_yielded(law, LANES + lane)):
+        searches.survey(piece, ends, grid)
+    else:
+        for face in range(2):
+            grid[face, 0, tracked.POINTS] = searches.value(piece, face, ends)
 
 
 @compiled(**INNER)
-def _switch(law, lane, piece, grid, theta, bends, bow):
-    """The first change of branch of either face in a step: its theta, and face + 4 or face + 6, 1: it breaks, or 0.
-
-    bends (2,): where each face turns, about, or -1.  bow (POINTS + 1, PAIR): half the second derivatives.
-    """
+def _largest(mode, flags, track, lane, piece, grid, places, ends, yielding, law):
+    """The largest values of a step into the trackers that `flags` name; the largest approach so far."""
     apart()
-    ends, why = theta, 0
-    for face in range(2):
-        m, found = face * LANES + lane, math.nan
-        width, breaks = theta / tracked.POINTS, False
-        if law[tracked.SPRING, m] == 0.0:
-            for i in range(tracked.POINTS):
-                begin, end = i * width, (i + 1) * width
-                left, right, guess = grid[face, 1, i], grid[face, 1, i + 1], bends[face]
-                if left > 0.0 and right > 0.0:
-                    # a fall that is over before the next point
-                    sides = 2.0 * width * bow[i, m], 2.0 * width * bow[i + 1, m]
-                    if least_between(left, sides[0], right, sides[1]) < 0.0:
-                        end, right = searches.slowest(piece, face, begin, end)
-                        guess = -1.0
-                if left > 0.0 >= right:
-                    found = searches.settle(piece, face, True, begin, end, left, right, 0.0, guess)
-                    break
-            if law[tracked.GAMMA, m] > 0.0:
-                limit = theta if math.isnan(found) else found
-                broken = searches.passage(piece, face, law[tracked.BREAKS, m], 1.0, 0.0, limit)
-                if not math.isnan(broken):
-                    found, breaks = broken, True
-        else:
-            room = law[tracked.LARGEST, m] - law[tracked.DENT, m]
-            for i in range(tracked.POINTS):
-                left, right = grid[face, 0, i], grid[face, 0, i + 1]
-                if left >= room * (1.0 - ARMED):
-                    # from its largest approach: down again, but for a dip of a turn that hardly was one
-                    if right > room * (1.0 + ARMED):
-                        found = _dip(piece, face, room, i * width, (i + 1) * width, grid[face, 1, i + 1])
-                elif right >= room:
-                    guess = searches.inverse_guess(
-                        i * width, width, left - room, width * grid[face, 1, i], right - room,
-                        width * grid[face, 1, i + 1],
-                    )  # fmt: skip
-                    found = searches.settle(
-                        piece, face, False, i * width, (i + 1) * width, left - room, right - room, room, guess
-                    )
-                elif (
-                    searches.highest_between(left, width * grid[face, 1, i], right, width * grid[face, 1, i + 1])
-                    >= room
-                ):
-                    found = searches.passage(piece, face, room, 1.0, i * width, (i + 1) * width)
-                if not math.isnan(found):
-                    break
-        if found <= ends and (why == 0 or found < ends):
-            ends, why = found, 1 if breaks else face + (6 if law[tracked.SPRING, m] == 0.0 else 4)
-    return ends, why
-
-
-@compiled(part=True, **INNER)
-def after_step(
-    mode, flags, track, lane, piece, grid, bends, bow, places, theta, before, h, echo, low, tiny, near, hover,
-    graze, stop_at_loss, yielding, law,
-):  # fmt: skip
-    """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
-
-    What ends the step: 0 nothing, 1 the record, 2 a face that lost contact or touched again while the motion goes on
-    (face + 2), a face that begins to yield (face + 4) or ceases to (face + 6).  `echo` is the time of the first
-    reflected wave, `tiny` the error allowed in an approach, `low` > 0 the share of the largest approach below which
-    the record ends; for the others see `_faces`.  grid (face, 2, POINTS + 1): values and slopes over [0, theta]; room.
-    bends, bow: see `_switch`.  places (2,) receive the theta of a face's largest approach so far, or -1: one that has
-    yielded is at its deepest on virgin loading.
-    """
-    apart()
-    ends, why = theta, 0
-    if flags & tracked.SWITCHES:
-        ends, why = _switch(law, lane, piece, grid, theta, bends, bow)
-        if why != 0:  # the step is cut: what `look` saw of it is more than there is
-            if flags & ~tracked.SWITCHES or not (face_yielded(law, lane) and face_yielded(law, LANES + lane)):
-                searches.survey(piece, ends, grid)
-            else:
-                for face in range(2):
-                    grid[face, 0, tracked.POINTS] = searches.value(piece, face, ends)
-            flags |= 1 << tracked.FACE_A
-        theta = ends
-    if flags & tracked.SOMETHING:
-        ends, met, lost = _faces(track, lane, piece, grid, theta, before, h, near, hover, graze)
-        if lost >= 0 and stop_at_loss:
-            why = 1
-        elif met == 1:
-            ends = theta
-        elif met != 0:
-            why = met
-    if ends < theta:
-        searches.survey(piece, ends, grid)
     own = yielding and of_its_own(law, lane)
     known = max(track[tracked.FACE_A, lane], track[tracked.FACE_B, lane])
     if flags & (1 << tracked.FACE_A):
@@ -275,11 +206,54 @@ def after_step(
             track[kind, lane], _ = searches.largest_of_both(
                 kind, mode, piece, ends, grid, track[kind, lane], own, law, lane
             )
+    return known
+
+
+@compiled(**INNER)
+def _note_touch(track, lane, grid, least, first):
+    """Faces that have been pressed by more than `least`, and the largest approach of the first passage."""
+    apart()
     for face in range(2):
-        if grid[face, 0, tracked.POINTS] > max(50.0 * tiny, 2.0 * hover):
+        if grid[face, 0, tracked.POINTS] > least:
             track[tracked.TOUCHED_A + face, lane] = 1.0
-        if before < echo * (1.0 - 1e-12):
+        if first:
             track[tracked.X_FIRST + face, lane] = track[tracked.FACE_A + face, lane]
+
+
+@compiled(part=True, **INNER)
+def after_step(
+    mode, flags, track, lane, piece, grid, bends, bow, places, theta, before, h, echo, low, tiny, near, hover,
+    graze, stop_at_loss, yielding, law,
+):  # fmt: skip
+    """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
+
+    What ends the step: 0 nothing, 1 the record, 2 a face that lost contact or touched again while the motion goes on
+    (face + 2), a face that begins to yield (face + 4) or ceases to (face + 6).  `echo` is the time of the first
+    reflected wave, `tiny` the error allowed in an approach, `low` > 0 the share of the largest approach below which
+    the record ends; for the others see `_faces`.  grid (face, 2, POINTS + 1): values and slopes over [0, theta]; room.
+    bends, bow: see `searches.switch`.  places (2,) receive the theta of a face's largest approach so far, or -1: one
+    that has yielded is at its deepest on virgin loading.
+    """
+    apart()
+    ends, why = theta, 0
+    if flags & tracked.SWITCHES:
+        ends, why = searches.switch(law, lane, piece, grid, theta, bends, bow)
+        if why != 0:  # the step is cut: what `look` saw of it is more than there is
+            _cut(flags, lane, piece, grid, ends, law)
+            flags |= 1 << tracked.FACE_A
+        theta = ends
+    if flags & tracked.SOMETHING:
+        ends, met, lost = _faces(track, lane, piece, grid, theta, before, h, near, hover, graze)
+        if lost >= 0 and stop_at_loss:
+            why = 1
+        elif met == 1:
+            ends = theta
+        elif met != 0:
+            why = met
+    if ends < theta:
+        searches.survey(piece, ends, grid)
+    known = _largest(mode, flags, track, lane, piece, grid, places, ends, yielding, law)
+    _note_touch(track, lane, grid, max(50.0 * tiny, 2.0 * hover), before < echo * (1.0 - 1e-12))
     if low > 0.0:
         found = _both_below(piece, low * known, ends)
         if not math.isnan(found):
@@ -358,6 +332,21 @@ _SEARCHED = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SHARE |
 _TO_THE_END = tracked.WANT_CONTACT | tracked.WANT_WHOLE
 
 
+@compiled(**INNER)
+def _alarmed(track, live, flags, known, crest, room, yielding):
+    """Flags of the steps that must be searched; whether an approach may be the largest of its row so far."""
+    apart()
+    higher = False
+    for j in range(LANES):
+        flags[j] = tracked.SOMETHING | 1 << tracked.FACE_A if room[10, j] > 0.0 else 0
+        known[0, j] = track[tracked.FACE_A, j]
+        higher |= live[j] >= 0 and crest[j] > known[0, j]
+        if yielding:
+            known[0, LANES + j] = track[tracked.FACE_B, j]
+            higher |= live[j] >= 0 and room[1, LANES + j] > known[0, LANES + j]
+    return higher
+
+
 @compiled(part=True, **INNER)
 def look(
     mode, wanted, x, at, rate, track, theta, low, near, live, flags, known, crest, room, yielding, law,
@@ -382,15 +371,7 @@ def look(
                row(rate, i + 1, 0), width, 1.0 * i, best, top, second, place, bent, floor)  # fmt: skip
     _sign(crest, alarm, top, row(room, 1, LANES), floor, row(room, 5, LANES), row(at, 0, 0), row(at, 0, LANES), low,
           near, row(track, tracked.TOUCHED_A, 0), row(track, tracked.TOUCHED_B, 0))  # fmt: skip
-    higher = False
-    for j in range(LANES):
-        flags[j] = tracked.SOMETHING | 1 << tracked.FACE_A if room[10, j] > 0.0 else 0
-        known[0, j] = track[tracked.FACE_A, j]
-        higher |= live[j] >= 0 and crest[j] > known[0, j]
-        if yielding:
-            known[0, LANES + j] = track[tracked.FACE_B, j]
-            higher |= live[j] >= 0 and room[1, LANES + j] > known[0, LANES + j]
-    if higher:
+    if _alarmed(track, live, flags, known, crest, room, yielding):
         for k in range(3):
             for c in range(0, PAIR, LANES):
                 curves_at(x, ORDER, PAIR, c, row(room, 3, c), value, slope, bend)
@@ -514,6 +495,18 @@ def decided(mode, wanted, track, lane, a, b, w, mu, level, tolerance):
 
 
 @compiled(**INNER)
+def _may_grow(wanted, track, lane, force, energy, slack):
+    """Whether a function of both faces that is wanted may come to more than before, by the most force and energy."""
+    apart()
+    return (
+        (wanted & tracked.WANT_DIFFERENCE and force > track[tracked.DIFFERENCE, lane] * slack)
+        or (wanted & tracked.WANT_MEAN and force > track[tracked.MEAN, lane] * slack)
+        or (wanted & tracked.WANT_ENERGY and energy > track[tracked.ENERGY, lane] * slack)
+        or (wanted & tracked.WANT_SHARE and energy > track[tracked.SHARE, lane] * slack)
+    )
+
+
+@compiled(**INNER)
 def decided_own(wanted, track, lane, x, w, mu, level, tolerance, law):
     """The same of faces with laws of their own, all springs now: what yields takes energy and brings none back."""
     apart()
@@ -538,12 +531,8 @@ def decided_own(wanted, track, lane, x, w, mu, level, tolerance, law):
         return False
     force = stiffest**0.4 * (2.5 * energy) ** 0.6
     known = largest_force(law, lane, track[tracked.FACE_A, lane], track[tracked.FACE_B, lane])
-    return not (
-        (wanted & tracked.WANT_DIFFERENCE and force > track[tracked.DIFFERENCE, lane] * slack)
-        or (wanted & tracked.WANT_MEAN and force > track[tracked.MEAN, lane] * slack)
-        or (wanted & tracked.WANT_ENERGY and energy > track[tracked.ENERGY, lane] * slack)
-        or (wanted & tracked.WANT_SHARE and energy > track[tracked.SHARE, lane] * slack)
-        or (wanted & tracked.WANT_WIDTH and force > 0.5 * known)
+    return not _may_grow(wanted, track, lane, force, energy, slack) and not (
+        wanted & tracked.WANT_WIDTH and force > 0.5 * known
     )
 
 

@@ -19,8 +19,6 @@ from uqsphere.report.brief import Answer, Mode, beyond_reach, crossing, ranged, 
 from uqsphere.report.figures.canvas import clean, shorten
 from uqsphere.report.phrases import counted, share
 
-#: probabilities that are marked on probability paper
-_TICKS: Final = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99)
 #: ends of probability paper
 _LEAST, _MOST = 0.0007, 0.993
 #: probability at which the name of the k-th curve stands beside it, and where else it may
@@ -247,7 +245,8 @@ def _band(lines: Sequence[Sequence[tuple[float, float]]]) -> str:
 def _scales(paper: _Paper) -> list[str]:
     """Both axes with their numbers."""
     size, axis, parts = paper.sheet.type, paper.axis, list[str]()
-    for p in _TICKS:
+    # probabilities that are marked on probability paper
+    for p in (0.001, 0.01, 0.1, 0.5, 0.9, 0.99):
         y, words = paper.y(p), f"{100 * p:g}{' %' if p == 0.99 else ''}"
         parts.append(_line(paper.left, y, paper.right, y, "grid"))
         parts.append(_text(paper.left - 5, y + 0.35 * size, words, at="end", kind="soft"))

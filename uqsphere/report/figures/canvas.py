@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
 # --- Paths of an SVG without what nobody sees: digits beyond a hundredth of a point, and corners flatter than that.
 
-#: corners that lie nearer to a straight line than this [pt] are left out
-_FLAT: Final = 0.04
 #: corners below which a piece stays as it is
 _FEWEST: Final = 8
 _NUMBER: Final = re.compile(r"-?\d+\.\d{3,}")
@@ -86,7 +84,8 @@ def _corners(points: Array) -> npt.NDArray[np.bool_]:
         else:
             away = np.hypot(*(inner - start).T)
         worst = int(np.argmax(away))
-        if away[worst] > _FLAT:
+        # corners that lie nearer to a straight line than this [pt] are left out
+        if away[worst] > 0.04:
             middle = first + 1 + worst
             kept[middle] = True
             open_parts += [(first, middle), (middle, last)]

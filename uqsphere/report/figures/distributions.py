@@ -30,10 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-#: a range of more than this ratio is drawn on a logarithmic axis
-_WIDE: Final = 40.0
-
-
 @dataclass(frozen=True, kw_only=True)
 class _Strength:
     """A strength on the axis of its quantity, by the limits that have it: a law, or one value."""
@@ -98,7 +94,8 @@ class _Scale:
 def _scale(values: Array, strengths: list[_Strength], factor: float) -> _Scale:
     ends = [*(float(x) for x in np.quantile(values, [0.0005, 0.9995])), *(end for s in strengths for end in s.ends)]
     low, high = min(ends), max(ends)
-    if low > 0.0 and high > _WIDE * low:
+    # a range of more than this ratio is drawn on a logarithmic axis
+    if low > 0.0 and high > 40.0 * low:
         return _Scale(low=low / 1.1, high=high * 1.1, logarithmic=True, factor=factor)
     margin = 0.04 * (high - low) or 0.05 * abs(high) or 1.0
     return _Scale(low=low - margin, high=high + margin, logarithmic=False, factor=factor)
@@ -336,8 +333,6 @@ def field_figure(name: str, stored: Stored, *, over_time: bool) -> canvas.Pictur
 
 
 _COLOURS: Final = (canvas.BLUE, canvas.ORANGE, canvas.GREEN, canvas.RED, canvas.SKY)
-#: series with a label; the rest is drawn thin
-_LABELLED: Final = 10
 #: errors below this share of what was asked lie below the axis: they would leave the rest no room
 _LEAST: Final = 1e-3
 #: what the errors of answers without a course are called in a label, in the order of `FURTHER`
@@ -466,7 +461,8 @@ def _shown(contents: Contents, column: int) -> list[Series]:
 def _labelled(pursued: list[Series]) -> list[Series]:
     """The series with a label: of two methods for one question the better one, and none that ends below the axis."""
     best = {(s.quantity, s.kind): s for s in pursued}
-    return [s for s in pursued if s is best[s.quantity, s.kind] and s.points[-1][2] >= _LEAST][:_LABELLED]
+    # series with a label; the rest is drawn thin
+    return [s for s in pursued if s is best[s.quantity, s.kind] and s.points[-1][2] >= _LEAST][:10]
 
 
 def _limits(axes: Axes, points: Array) -> None:

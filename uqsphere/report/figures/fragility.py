@@ -49,8 +49,6 @@ if TYPE_CHECKING:
 
 #: probabilities outside this range lie beyond the axis, and are followed this far
 _LEAST, _LAST = 1e-6, 1e-15
-#: what stands on probability paper, the roundest first
-_TICKS: Final = (0.5, 0.01, 0.99, 0.1, 0.9, 0.001, 0.999, 1e-6, 1e-5, 1e-4, 0.9999, 0.99999, 0.999999)
 #: letters on the curves that they stand on
 _BOX: Final = {"facecolor": canvas.PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
 _COLOURS: Final = (canvas.BLUE, canvas.RED, canvas.GREEN, canvas.PURPLE, canvas.ORANGE, canvas.SKY, canvas.INK)
@@ -248,7 +246,8 @@ def probability_axis(axes: Axes) -> None:
     """Ticks at round probabilities, the roundest first, none nearer to another than a line of text."""
     low, high = axes.get_ylim()
     seen: list[float] = []
-    for p in _TICKS:
+    # what stands on probability paper, the roundest first
+    for p in (0.5, 0.01, 0.99, 0.1, 0.9, 0.001, 0.999, 1e-6, 1e-5, 1e-4, 0.9999, 0.99999, 0.999999):
         height = float(canvas.score(p))
         if low <= height <= high and all(abs(height - float(canvas.score(q))) > 0.055 * (high - low) for q in seen):
             seen.append(p)

@@ -29,12 +29,8 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.history import Balance, History
     from uqsphere.report.contents import Contents
 
-#: instants of a drawn course
-_POINTS: Final = 1200
 #: places and instants of the picture of a rod
 _PLACES: Final = 160
-#: changes of contact with a line of their own; a sphere that rattles has more than can be told apart
-_CHANGES: Final = 12
 
 
 def history_figure(history: History) -> str:
@@ -52,7 +48,8 @@ def _thinned(history: History) -> npt.NDArray[np.int64]:
     """Instants to draw: an even choice, and every jump, which stands in two instants of one time."""
     time = history.time
     jumps = np.flatnonzero(np.diff(time) <= 0.0)
-    even = np.linspace(0, len(time) - 1, min(len(time), _POINTS)).round().astype(np.int64)
+    # instants of a drawn course
+    even = np.linspace(0, len(time) - 1, min(len(time), 1200)).round().astype(np.int64)
     peaks = [int(np.argmax(course)) for course in (history.force_a, history.force_b)]
     return np.unique(np.concatenate([even, jumps, jumps + 1, np.array(peaks)]))
 
@@ -71,7 +68,8 @@ def draw_history(history: History) -> canvas.Picture:
             place.set_ylabel(label)
             place.axhline(0.0, color=canvas.GREY, linewidth=0.6)
             place.grid()
-            for change in history.changes[:_CHANGES]:
+            # changes of contact with a line of their own; a sphere that rattles has more than can be told apart
+            for change in history.changes[:12]:
                 colour, line = (canvas.RED, ":") if change.kind == "lost" else (canvas.GREY, "-.")
                 place.axvline(change.time * factor, color=colour, linewidth=0.8, linestyle=line)
             if end < history.horizon:
@@ -231,8 +229,6 @@ def draw_rod(history: History, length: float) -> canvas.Picture:
 
 # --- What the bars see of one scene as figures and tables: gauge signals, and forces by wave analysis.
 
-#: gauges with a panel of their own; further ones are in the table
-_PANELS: Final = 5
 #: instants of the tables
 _ROWS: Final = 4000
 _LEVEL: Final = 0.05
@@ -243,7 +239,8 @@ _LEVEL: Final = 0.05
 
 def draw_gauges(history: History) -> canvas.Picture:
     """Signals of the gauges in microstrain over microseconds, what arrives when, and where waves overlap."""
-    records = history.gauges[:_PANELS]
+    # gauges with a panel of their own; further ones are in the table
+    records = history.gauges[:5]
     end = min(shown_time(history), *(float(record.time[-1]) for record in records))
     begin = min(float(record.time[0]) for record in records)
     with canvas.style():

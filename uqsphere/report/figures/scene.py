@@ -200,8 +200,6 @@ def stress_picture(contact_ratio: float, nu: float, pressure: float) -> canvas.P
 
 #: points of the table (places, times)
 _NODES: Final = (48, 160)
-#: a region needs this share of its bar's picture for a name
-_ROOM: Final = 0.012
 #: what a name stands on, so that it is read on the darkest stress too
 _LABEL: Final = {"boxstyle": "round,pad=0.2", "facecolor": canvas.LIGHT, "edgecolor": "none", "alpha": 0.7}
 
@@ -290,7 +288,8 @@ def _names(axes: Axes, view: FieldView) -> None:
         " returned": (x > 0.0) & (w > trips[1]) & (u < trips[1]),
     }
     for name, inside in regions.items():
-        if inside.mean() > _ROOM:
+        # a region needs this share of its bar's picture for a name
+        if inside.mean() > 0.012:
             axes.text(float(x[inside].mean()), float(t[inside].mean()) * 1e6, name.strip(), ha="center", va="center",
                       fontsize=9.0, color=canvas.ON_LIGHT, bbox=_LABEL)  # fmt: skip
 
@@ -328,9 +327,6 @@ def field_rows(history: History) -> tuple[list[str], list[list[object]]]:
 
 # --- The hardest of the scenes that were followed over time: what its bars see, and the stress inside its sphere.
 
-#: of the stored places and instants every so-manieth goes into the file of the figure
-_STRIDES: Final = (3, 2)
-
 
 def bars_figure(contents: Contents) -> canvas.Picture | None:
     """Stress in both bars over place and time; None where no scene was followed."""
@@ -338,7 +334,8 @@ def bars_figure(contents: Contents) -> canvas.Picture | None:
     if stored is None:
         return None
     view = FieldView.from_document(stored)
-    every, other = _STRIDES
+    # of the stored places and instants every so-manieth goes into the file of the figure
+    every, other = (3, 2)
     places, times, stress = view.places[::every], view.times[::other], view.stress[::other, ::every]
     x, t = np.meshgrid(places, times)
     rows = zip(x.ravel().tolist(), t.ravel().tolist(), stress.ravel().tolist(), strict=True)

@@ -286,8 +286,7 @@ def without_noise(found: Mapping[str, Sensitivity], first: Analyses | None) -> d
             if e.value is not None and e.low is not None and e.high is not None:
                 low, high = math.hypot(e.value - e.low, width), math.hypot(e.high - e.value, width)
                 value = e.value - share.value
-                total[name] = replace(e, value=max(value, 0.0), low=max(value - low, 0.0), high=max(value + high, 0.0),
-                                      std_error=0.5 * (low + high) / 1.96)  # fmt: skip
+                total[name] = replace(e, value=max(value, 0.0)).spanning(max(value - low, 0.0), max(value + high, 0.0))
         text = f"{one.text} The model's own scatter, {share.value:.2g} of the variance, is in no index."
         answers[quantity] = replace(one, total=total, text=text)
     return answers

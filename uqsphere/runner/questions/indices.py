@@ -23,7 +23,6 @@ from uqsphere.units import told_apart
 from uqsphere.uq import Estimate, Sample, Why, absent, widest, without
 from uqsphere.uq.heavy_tails import (
     FEW_CARRIERS,
-    NONE_SEEN,
     HeavyTail,
     carriers,
     no_narrower,
@@ -83,7 +82,7 @@ def shares_with_tails(
         elif pairs is not None and not indices.expanded:
             count = carriers(pairs.values[:, :, 0, k][~pairs.failed])
             if count < FEW_CARRIERS:
-                indices = _each(indices, lambda e, half=NONE_SEEN / count: no_narrower(e, half))  # type: ignore[misc]
+                indices = _each(indices, lambda e, count=count: no_narrower(e, count))  # type: ignore[misc]
         answers[quantity] = _admitted(quantity, indices, found[quantity], asked)
     return answers
 

@@ -30,7 +30,7 @@ from uqsphere.runner.schedule import DESIGN_POINT, LEARNED, MOST_LEARNED, RARE, 
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, Sample
 from uqsphere.uq.failure_indices import linear_shares
-from uqsphere.uq.limit_state import complement, score_of, shifted_score, strength_tails
+from uqsphere.uq.limit_state import CERTAIN, complement, score_of, shifted_score, strength_tails
 from uqsphere.uq.rare.auto import RareAnswer, find_probability
 from uqsphere.uq.rare.form import FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction
@@ -53,8 +53,6 @@ DOUBTFUL: Final = 1e-4
 BY_CHANCE: Final = 0.01
 #: plain sampling falls short of a doubtful probability by so much without contradicting it: its terms are skewed
 LACKING: Final = 1.25
-#: normal scores beyond which a tail is taken for certain
-_FAR: Final = 37.0
 _OWN: Final = "the design point is the surrogate's own"
 _TIED: Final = "the strength depends on an input by a copula that is not Gaussian, and no search was made"
 
@@ -236,11 +234,11 @@ def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Arr
             if shift is not None:
                 given = shifted_score(score, shift, remaining)
                 score = score_of(ndtr(given), ndtr(-given))
-            value = -np.clip(score, -_FAR, _FAR)
+            value = -np.clip(score, -CERTAIN, CERTAIN)
         else:
             value = limit.strength - demands
         # a demand that outlasts the record is only known to be larger: it is not known whether it fails
-        open_ended = censored & (value > (-_FAR if isinstance(limit.strength, Law) else 0.0))
+        open_ended = censored & (value > (-CERTAIN if isinstance(limit.strength, Law) else 0.0))
         value = np.where(np.isnan(demands) | open_ended, np.nan, value)
         return np.asarray(-value if limit.aim == "break" else value)
 
@@ -501,7 +499,6 @@ def _with_learned(limit: Limit, answer: LimitAnswer, learned: ActiveAnswer) -> L
         own = own.holding(old)
     if learned.warning and old.value is not None and old.half_width < own.half_width:
         return replace(answer, checks=(*checks, "what was known before is known better, and kept"))
-    own = replace(own, std_error=own.half_width / 1.96)
     exceeded = own if limit.aim == "survive" else complement(own)
     return replace(answer, exceedance=exceeded, miss=own, modes=learned.modes or None, checks=tuple(checks))
 

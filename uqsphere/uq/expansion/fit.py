@@ -134,15 +134,8 @@ def _fitted(
     leaders = compete(contests, scaled, plain=plain)
     error = leaders[0].error if leaders else 1.0
     split = None if plain else _split(leaders[0].contest if leaders else contests[0], error, points, scaled)
-    best, least = _constant(centre * unit, germs, 1.0, outputs.size), 1.0
-    candidates, tried = _candidates(leaders, split, points, scaled, unit, law), []
-    for one in candidates:
-        tried.append(one)
-        believed = max(one.folded, one.excess)
-        if believed < least:
-            best, least = replace(one.chaos, cross_validation_error=min(one.reported, 1.0)), believed
-            if believed == one.folded:
-                break
+    candidates = _candidates(leaders, split, points, scaled, unit, law)
+    best, tried = _best(candidates, _constant(centre * unit, germs, 1.0, outputs.size))
     if leaders and error <= most < best.cross_validation_error:
         lower = (_whole(found, scaled, unit, law) for found in lowered(leaders[0], scaled))
         calm = [one for one in chain(tried, candidates, lower) if one.reported <= most]
@@ -150,6 +143,19 @@ def _fitted(
             one = max(calm, key=lambda one: one.reported)
             return replace(one.chaos, cross_validation_error=one.reported)
     return best
+
+
+def _best(candidates: Iterator[_Candidate], constant: Chaos) -> tuple[Chaos, list[_Candidate]]:
+    """The first candidate that no excess makes worse than its folds do, else the best of all; and those looked at."""
+    best, least, tried = constant, 1.0, []
+    for one in candidates:
+        tried.append(one)
+        believed = max(one.folded, one.excess)
+        if believed < least:
+            best, least = replace(one.chaos, cross_validation_error=min(one.reported, 1.0)), believed
+            if believed == one.folded:
+                break
+    return best, tried
 
 
 def _split(contest: Contest, error: float, points: Array, scaled: Array) -> Split | None:

@@ -293,8 +293,6 @@ PREFIX: Final = "scipy."
 #: tail probabilities at which quantiles and probabilities are held against each other: a sample of 1e6 points reaches
 #: 1e-7, and what is rarer is looked for by importance sampling
 _TAILS: Final = np.array([0.3, 1e-3, 1e-6, 1e-9])
-#: what both may differ by, as a share: a tenth of the smallest error that a run can ask of a probability
-_AGREE: Final = 1e-4
 #: quantiles at 1e-6 and 1e-12 of a tail without variance lie at least this factor apart, 1e6^(1/2), less its start
 _HEAVY: Final = 100.0
 
@@ -358,7 +356,8 @@ def _check_tails(name: str, law: Any, numbers: Shapes, key: str) -> None:
             found = np.asarray(share(places, *numbers), dtype=float) / _TAILS
         if np.isnan(places).all():
             raise LawError(f"{name} has no law with these shapes", key)
-        wrong = ~(np.abs(found - 1.0) < _AGREE)
+        # what both may differ by, as a share: a tenth of the smallest error that a run can ask of a probability
+        wrong = ~(np.abs(found - 1.0) < 1e-4)
         if wrong.any():
             raise LawError(f"the {called} tail of {name} is wrong from the probability {_TAILS[wrong][0]:g} on: "
                            "its quantile there has another probability")  # fmt: skip

@@ -31,7 +31,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, absent
+from uqsphere.uq.estimate import NORMAL, Estimate, absent
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.rare import LOOKS
 from uqsphere.uq.rare.auto import find_probability
@@ -410,7 +410,7 @@ class Search:
         calm, looked, begun = 0, 0, len(self.points)
         while True:
             seen = self.look()
-            calm = calm + at_once if 1.96 * seen.doubt < accuracy else 0
+            calm = calm + at_once if NORMAL * seen.doubt < accuracy else 0
             left = int(max(self.evaluator.left, 0))
             if not left or (calm >= CALM and looked >= looks):
                 return seen, looked
@@ -449,7 +449,7 @@ class Search:
         # pointwise shifts that move the mean of all as far as the interval goes
         moved = float((slope * deviation).mean()) / math.sqrt(2.0 * math.pi)
         middle = float(ndtr(-mean / whole).mean())
-        reach = deviation * min(1.96 * here.doubt * middle / max(moved, 1e-300), 1.96 * self.widening)
+        reach = deviation * NORMAL * min(here.doubt * middle / max(moved, 1e-300), self.widening)
         found = [mean, mean + reach, mean - reach]
         return np.array([ndtr(-m) if self.own else (m < 0.0).astype(float) for m in found])
 
@@ -591,8 +591,7 @@ def _answer(search: Search, seen: Seen) -> ActiveAnswer:
     value, calls = found.estimate.value, evaluator.count
     estimate = replace(found.estimate, method=METHOD, evaluations=calls)
     if value:
-        spread = math.hypot(1.96 * seen.doubt, found.estimate.half_width / value)
-        low, high = value * math.exp(-spread), min(value * math.exp(spread), 1.0)
-        estimate = replace(estimate, low=low, high=high, std_error=(high - low) / 3.92)
+        spread = math.hypot(NORMAL * seen.doubt, found.estimate.half_width / value)
+        estimate = estimate.spanning(value * math.exp(-spread), min(value * math.exp(spread), 1.0))
     return ActiveAnswer(estimate=estimate, calls=calls, doubt=seen.doubt, modes=found.modes, design=found.design,
                         failed=evaluator.failed)  # fmt: skip

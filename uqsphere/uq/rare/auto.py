@@ -15,11 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Absent, Estimate, Why, absent, student
+from uqsphere.uq.estimate import REPLICATES, Absent, Estimate, Why, absent, student
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.form import FormAnswer, find_design_points
 from uqsphere.uq.rare.importance import (
-    REPLICATES,
     ImportanceAnswer,
     Mixture,
     Pool,
@@ -546,9 +545,7 @@ def _certify(answer: ImportanceAnswer, subset: SubsetAnswer, checks: list[str]) 
             f"importance sampling ({own.value:.3g}) and subset simulation ({other.value:.3g}) disagree: the interval "
             "holds both"
         )
-    low, high = min(own.low, other.low), max(own.high, other.high)
-    return replace(own, low=low, high=high, std_error=0.5 * (high - low) / 1.96,
-                   method=f"{own.method}, widened to hold subset simulation"), agreed  # fmt: skip
+    return replace(own.holding(other), method=f"{own.method}, widened to hold subset simulation"), agreed
 
 
 def _bound(alone: Estimate) -> Estimate:

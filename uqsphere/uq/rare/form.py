@@ -21,8 +21,6 @@ from uqsphere.uq.rare.problem import Evaluator, Spent
 
 #: step of the central differences, in standard deviations
 STEP = 0.03
-#: iterations of one search
-MOST_STEPS = 40
 #: variables from which on starts are few
 MANY = 12
 #: distance, in standard deviations, below which two design points are one
@@ -180,7 +178,8 @@ def _search(
     best: dict[int, DesignPoint] = {}
     active = np.arange(len(points))
     penalties = np.zeros(len(points))
-    for _ in range(MOST_STEPS):
+    # iterations of one search
+    for _ in range(40):
         if evaluator.count - first + active.size * (2 * evaluator.size + 6) > allowed:
             # the starts come in the order of their promise
             active = active[: int((allowed - (evaluator.count - first)) // (2 * evaluator.size + 6))]

@@ -23,7 +23,7 @@ from typing import TypeAlias
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, absent, student
+from uqsphere.uq.estimate import REPLICATES, Estimate, absent, student
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.form import DesignPoint
 from uqsphere.uq.rare.problem import Evaluator, Spent, log_normal_density
@@ -144,7 +144,6 @@ def widened_radial(component: Radial, scale: float) -> Radial:
 LEAST_RADIAL = 5
 #: dimensions beyond which few numbers have to describe a component, and a wider copy of a Gaussian misses the original
 FEW = 10
-_LOG_TWO_PI = math.log(2.0 * math.pi)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -192,7 +191,7 @@ def component_densities(components: Sequence[Component | Radial], points: Array)
             continue
         # the inverse of a triangle is safe here: no variance is below 1e-4
         scores = (points - component.mean) @ np.linalg.inv(component.factor).T
-        size = 0.5 * component.mean.size * _LOG_TWO_PI + float(np.log(np.diag(component.factor)).sum())
+        size = 0.5 * component.mean.size * math.log(2.0 * math.pi) + float(np.log(np.diag(component.factor)).sum())
         table[:, k] = -0.5 * np.einsum("ij,ij->i", scores, scores) - size
     return table
 
@@ -406,8 +405,6 @@ def _covariance(scatter: Array, number: float, d: int) -> Array:
 
 # --- importance sampling -------------------------------------------------------------------------------------
 
-#: independent randomisations that an interval rests on
-REPLICATES = 16
 #: least standard error on a hard limit, over that of independent points
 HARD = 0.7
 METHOD = "importance sampling"

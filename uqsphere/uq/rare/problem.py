@@ -17,7 +17,6 @@ from uqsphere.arrays import Array
 
 #: range of a free scalar beside standard normal variables, to either side
 REACH = 3.0
-_HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 
 
 class FailedEvaluation(ValueError):
@@ -119,4 +118,4 @@ class Evaluator:
 
 def log_normal_density(points: Array) -> Array:
     """Logarithm of the standard normal density at points (n, d)."""
-    return np.asarray(-0.5 * (points**2).sum(axis=1) - points.shape[1] * _HALF_LOG_TWO_PI)
+    return np.asarray(-0.5 * (points**2).sum(axis=1) - points.shape[1] * (0.5 * math.log(2.0 * math.pi)))
