@@ -40,8 +40,8 @@ from uqsphere.uq.points import random_generator, sobol_points
 # uniform germs and, for other laws, in the polynomials that it finds for the law itself.  Of all its degrees and norms
 # two are counted: the one with the least corrected leave-one-out error, which is what its user can choose by, and the
 # one with the least *true* error, which nobody can.  Seconds are those of one thread, summed over its degrees and
-# norms; beyond `--rival` seconds of a cell it gets no larger basis.  Each cell is a process of its own, ended after three
-# times as long (a basis of many inputs may never be done): what it had found by then counts.
+# norms; beyond `--rival` seconds of a cell it gets no larger basis.  Each cell is a process of its own, ended after
+# three times as long (a basis of many inputs may never be done): what it had found by then counts.
 
 #: most terms of a basis given to the rival, over the number of samples
 _SHARE: Final = 4
