@@ -19,6 +19,7 @@ from uqsphere.arrays import Array
 from uqsphere.uq.expansion.expansion import Transform, identity, possible_transforms
 from uqsphere.uq.expansion.germs import (
     HIGHEST_DEGREE,
+    Germ,
     GermLike,
     Indices,
     grown,
@@ -239,7 +240,9 @@ def _searched(contest: Contest, outputs: Array, plain: bool) -> list[tuple[Found
 
 def _handicapped(found: Found) -> float:
     """The error that contenders are ranked by: a transform has to help measurably."""
-    return found.error if found.transform.kind == "identity" else found.error / _HELPS
+    own = any(isinstance(germ, Germ) for germ in found.contest.germs)
+    handicaps = (found.transform.kind != "identity") + (not own)
+    return found.error / _HELPS**handicaps
 
 
 def _screened(contest: Contest, outputs: Array) -> list[Transform]:
