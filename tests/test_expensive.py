@@ -133,7 +133,7 @@ def test_a_rough_model_is_not_answered_by_a_smooth_lie(ask) -> None:
     box = Counted(chequered)
     results = ask(box, "analysis.budget.evaluations=600").results.document()
     # what the budget has room for: the limit, which no run exceeds, gets what the design leaves
-    assert 512 <= box.rows - 1 <= 600
+    assert 512 <= box.rows - 2 <= 600  # without the rows that are evaluated once more
     assert results["plan"]["way"] == "sampling"
     assert "too rough" in results["plan"]["why"]
     assert "(a constant from " in results["plan"]["why"]

@@ -148,7 +148,7 @@ def test_a_fault_at_every_call_loses_no_evaluation(
         store = open_store(folder, study.resolved(), study.text, study.hash)
         try:
             # without the row that is evaluated twice
-            work = Work(study=study, store=store, ledger=Ledger(repeated=True), fidelity="", black_box=box)
+            work = Work(study=study, store=store, ledger=Ledger(repeated=len(rows)), fidelity="", black_box=box)
             values = evaluate_points(work, "sampling.0", work.scene_names, rows).values
             store.take_over()
             write_json(folder / "results.json", {"sum": float(values.sum())})

@@ -199,6 +199,11 @@ def test_a_model_that_is_not_deterministic_is_told_at_once(tmp_path: Path, box_s
         uqsphere.run(box_study, out=tmp_path / "r", model=lambda x: {"y": generator.random(len(x["x1"]))})
 
 
+def test_a_model_that_answers_a_row_by_its_neighbours_is_told(tmp_path: Path, box_study: Study) -> None:
+    with pytest.raises(ModelError, match=r"a row by the rows beside it: .* alone and .* among others as 'y', at x1 = "):
+        uqsphere.run(box_study, out=tmp_path / "r", model=lambda x: {"y": x["x1"] - np.mean(x["x1"])})
+
+
 def test_what_a_model_reads_is_looked_at_when_a_run_goes_on(tmp_path: Path, box_study: Study) -> None:
     """A table is no part of the digest: a stored row is evaluated again."""
     table = {"slope": 2.0}

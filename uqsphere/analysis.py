@@ -125,7 +125,8 @@ def _joint(inputs: Inputs) -> Joint:
 
 
 def _arrays(x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[Array, Array]:
-    rows, values = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    with _refusing():
+        rows, values = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     if rows.ndim != 2 or values.shape != rows.shape[:1]:
         raise UsageError(f"x (n, d) and y (n,) are due, found {rows.shape} and {values.shape}")
     if not (np.isfinite(rows).all() and np.isfinite(values).all()):

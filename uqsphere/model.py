@@ -404,7 +404,9 @@ def _output(found: Mapping[str, npt.ArrayLike], name: str, count: int, due: bool
         raise ModelError(f"the model's {name!r} is not an array of numbers: {told(error)}") from error
     if column.shape != (count,):
         due_shape = f"shape ({count},), one number for each row of its inputs"
-        raise ModelError(f"the model's {name!r} must have {due_shape}, found {column.shape}")
+        places = column.shape[1] if column.ndim == 2 and len(column) == count else 0
+        hint = f"; an answer at many places is a field: analysis.fields.{name} = {places}" if places > 1 else ""
+        raise ModelError(f"the model's {name!r} must have {due_shape}, found {column.shape}{hint}")
     return column
 
 

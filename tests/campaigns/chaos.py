@@ -18,7 +18,10 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from multiprocessing import Pipe, get_context
+from multiprocessing.connection import Connection
 from typing import Any, Final
 
 import numpy as np
@@ -37,22 +40,44 @@ from uqsphere.uq.points import random_generator, sobol_points
 # uniform germs and, for other laws, in the polynomials that it finds for the law itself.  Of all its degrees and norms
 # two are counted: the one with the least corrected leave-one-out error, which is what its user can choose by, and the
 # one with the least *true* error, which nobody can.  Seconds are those of one thread, summed over its degrees and
-# norms; beyond `--rival` seconds of a cell it gets no larger basis.
+# norms; beyond `--rival` seconds of a cell it gets no larger basis.  Each cell is a process of its own, ended after
+# three times as long (a basis of many inputs may never be done): what it had found by then counts.
 
 #: most terms of a basis given to the rival, over the number of samples
 _SHARE: Final = 4
 _NORMS: Final = (1.0, 0.75, 0.5)
 
 
-def rival_fit(model: ChaosModel, samples: int, seed: int, most: float) -> tuple[float, float, float]:
+def rival_fit(name: str, samples: int, seed: int, most: float) -> tuple[float, float, float]:
     """The true error of OpenTURNS at the degree and norm of its least own error, the least true one, and its seconds.
 
     Needs the package openturns.
     """
+    here, there = Pipe(duplex=False)
+    child = get_context("fork").Process(target=_rival_fits, args=(there, name, samples, seed, most))
+    child.start()
+    there.close()
+    tried, seconds = [(1.0, 1.0)], 0.0
+    with suppress(EOFError):
+        while True:
+            own, true, seconds = here.recv()
+            tried.append((own, true))
+    child.join()
+    if len(tried) == 1:
+        raise RuntimeError(f"OpenTURNS answered nothing of {name}: is it installed?")
+    return min(tried)[1], min(error for _, error in tried), seconds
+
+
+def _rival_fits(told: Connection, name: str, samples: int, seed: int, most: float) -> None:
+    """Sends its own error, the true one and the seconds so far of every degree and norm."""
+    import resource
+
     import openturns as ot
 
+    resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(3.0 * most),) * 2)
     ot.Log.Show(ot.Log.NONE)
     ot.TBB.SetThreadsNumber(1)
+    model = MODELS[name]
     points, (checks, truth) = design(model, samples, seed), checked(model)
     outputs = model(points)
     begin = time.process_time()
@@ -61,7 +86,6 @@ def rival_fit(model: ChaosModel, samples: int, seed: int, most: float) -> tuple[
     rows = np.where(own, model.inputs(points), points)
     check = np.where(own, model.inputs(checks), checks), truth
     families = [ot.StandardDistributionPolynomialFactory(law) for law in laws]
-    tried = [(1.0, 1.0)]
     for norm in _NORMS:
         enumerate_terms = ot.HyperbolicAnisotropicEnumerateFunction(len(laws), norm)
         basis = ot.OrthogonalProductPolynomialFactory(families, enumerate_terms)
@@ -71,11 +95,11 @@ def rival_fit(model: ChaosModel, samples: int, seed: int, most: float) -> tuple[
             late = time.process_time() - begin > most
             if terms > max(_SHARE * samples, len(laws) + 1) or worse == 2 or late:
                 break
-            tried.append(_one(ot, laws, basis, terms, rows, outputs, check))
-            error = tried[-1][1]
+            own_error, error = _one(ot, laws, basis, terms, rows, outputs, check)
+            told.send((own_error, error, time.process_time() - begin))
             worse = 0 if error < last else worse + 1
             last = min(last, error)
-    return min(tried)[1], min(error for _, error in tried), time.process_time() - begin
+    told.close()
 
 
 def _rival_law(ot: Any, law: Law, germ: GermLike) -> Any:
@@ -444,7 +468,7 @@ def measure(
                 begin = time.process_time()
                 chaos = fit_chaos(points, outputs, model.germs)
                 seconds = time.process_time() - begin
-                theirs = (None, None, None) if rival is None else rival_fit(model, samples, seed, rival)
+                theirs = (None, None, None) if rival is None else rival_fit(name, samples, seed, rival)
                 found = Measured(
                     model=name, samples=samples, seed=seed, true=relative_error(predict(chaos, check[0]), check[1]),
                     reported=chaos.cross_validation_error, seconds=seconds,

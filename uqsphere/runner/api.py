@@ -201,9 +201,9 @@ def _check_usage(study: Study, model: str | BlackBox | None, executor: object) -
     if not study.parts:
         raise UsageError("this study has neither a rig nor a service to run: uqsphere feed or fit answers it")
     if study.black_box and model is None:
-        raise UsageError("this is a black-box study: give its model with --model FILE.py:FUNCTION")
+        raise UsageError("this is a black-box study: give its model, a function or --model FILE.py:FUNCTION")
     if not study.black_box and model is not None:
-        raise UsageError("--model serves black-box studies; this one describes an impact scene")
+        raise UsageError("a model serves black-box studies; this one describes an impact scene")
     if executor is not None and callable(model):
         raise UsageError("with an executor the model must be given as FILE.py:FUNCTION, so that workers can load it")
     if study.analysis.time_limit is not None and callable(model):

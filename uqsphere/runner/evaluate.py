@@ -37,6 +37,8 @@ NONE_ANSWERED = 1000
 _HALF_OF_THE_DIGITS = float(np.sqrt(np.finfo(float).eps))
 
 
+#: rows that come together, not one by one to be timed
+_TOGETHER: Final = 256
 #: why something is not known that nothing stood against
 LATE: Final = "the time was over, or the run was stopped"
 
@@ -51,8 +53,8 @@ class Ledger:
 
     `undecided` counts rows with two possible answers, `fallback` rows that a cheaper fidelity left to `full`;
     `note` is what the first failure said; `parts` has the evaluations of each part of the run, by fidelity; `rows` are
-    those of the speed-error table, `times` the seconds at which each was known; `repeated`: one row of a black box was
-    evaluated twice.
+    those of the speed-error table, `times` the seconds at which each was known; `repeated`: of how many rows
+    of a black box one was evaluated twice.
     """
 
     evaluations: dict[str, int] = field(default_factory=dict)
@@ -68,7 +70,7 @@ class Ledger:
     note: str = ""
     rows: list[SpeedRow] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
-    repeated: bool = False
+    repeated: int = 0
 
     @property
     def total(self) -> int:
@@ -282,7 +284,7 @@ def evaluate_points(
         raise OutOfBudget
     answered = found.answered
     if work.study.black_box:
-        if work.store is not None and work.store.shared and not ledger.repeated and not work.study.model.stochastic:
+        if work.store is not None and work.store.shared and not work.study.model.stochastic:
             _repeat_one(work, work.store, task, rows, found)
         answered = chosen_columns(answered, task.columns, work.quantities)
     _account(work, fidelity, answered)
@@ -290,11 +292,15 @@ def evaluate_points(
 
 
 def _repeat_one(work: Work, store: Store, task: Task, rows: Array, found: Gathered) -> None:
-    """Evaluate one answered row of a black box once more, which is not counted: the last stored one where some are."""
+    """Evaluate one answered row of a black box once more, which is not counted: the last stored one where some are.
+
+    Alone, and once more where many rows came together: one's answer may be that of its neighbours.
+    """
     known = np.flatnonzero(found.answered.good)
-    if known.size == 0:
+    before = work.ledger.repeated
+    if known.size == 0 or (before and (before >= _TOGETHER or len(rows) < _TOGETHER)):
         return
-    work.ledger.repeated = True
+    work.ledger.repeated = len(rows)
     at = known[min(found.reused, known.size) - 1]
     row = rows[[at]]
 
@@ -310,7 +316,14 @@ def _repeat_one(work: Work, store: Store, task: Task, rows: Array, found: Gather
     first, now = found.answered.values[at], once()
     if same(first, now):
         return
-    if found.reused == 0 or not same(now, once()):
+    steady = same(now, once())
+    if found.reused == 0 and steady:
+        raise ModelError(
+            f"the model answers a row by the rows beside it: {now[0]:.6g} alone and {first[0]:.6g} among others as "
+            f"{task.columns[0]!r}, {where_of(task.names, row[0])}; no mean, sort or largest value over the rows may "
+            "enter the answer to one, nor may the columns be changed"
+        )
+    if not steady:
         raise ModelError(
             f"the model is not deterministic: the same row gives {first[0]:.6g} and {now[0]:.6g} as "
             f"{task.columns[0]!r}, {where_of(task.names, row[0])}; say [model] stochastic = true, "

@@ -16,7 +16,7 @@ from uqsphere.errors import AccessError, FolderError, UsageError
 from uqsphere.files import LARGEST_ARRAY, array_of, load_document, read_whole, refuse_links
 from uqsphere.quantities import display_unit, format_estimate, lookup
 from uqsphere.results import NO_RIG, Results, read_results
-from uqsphere.results.entries import Manifest, SampleNames, read_entry, read_manifest
+from uqsphere.results.entries import Est, Manifest, SampleNames, read_entry, read_manifest
 from uqsphere.results.tables import table_cells, tables
 from uqsphere.store import Store, named_files, plain_cell, write_atomically, write_json, write_outputs, write_sums
 
@@ -98,10 +98,16 @@ def _chosen(name: str | None, known: Iterable[str], what: str) -> str:
     """A name that the run has; the first where none is given."""
     names = list(known)
     if not names or (name is not None and name not in names):
-        raise UsageError(
-            f"there is no {what} {'' if name is None else repr(name)} (there are: {', '.join(names) or 'none'})"
-        )
+        asked = what if name is None else f"{what} {name!r}"
+        raise UsageError(f"there is no {asked} (there are: {', '.join(names) or 'none'})")
     return names[0] if name is None else name
+
+
+def _told(one: Est) -> str:
+    """An estimate in words."""
+    if one.value is None or one.low is None or one.high is None:
+        return str(one.reason or "not known")
+    return format_estimate(one.value, one.low, one.high, most=5)
 
 
 class Keeper:
@@ -131,14 +137,20 @@ class Run:
     def __repr__(self) -> str:
         limits = [f"{row[0]} {row[1]} {row[3]}".rstrip() for row in self._answers()]
         place = "" if self.keeper else f" in {str(self.folder)!r}"
-        return f"<Run{place}: {'; '.join(limits) or ', '.join(self.results.quantities)}>"
+        fields = self.results.analyses.get("fields")
+        names = [*self.results.quantities, *(fields.values if fields else ())]
+        return f"<Run{place}: {'; '.join(limits) or ', '.join(names)}>"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: title, and every limit with its probability of a miss and its verdict."""
+        """What a notebook shows: title, and every limit with its probability of a miss and its verdict, else means."""
         from html import escape
 
-        head = ("limit", "probability of a miss", "target", "verdict")
-        rows = "".join("<tr>" + "".join(f"<td>{escape(c)}</td>" for c in row) + "</tr>" for row in self._answers())
+        head: tuple[str, ...] = ("limit", "probability of a miss", "target", "verdict")
+        answers: list[tuple[str, ...]] = [*self._answers()]
+        if not answers:
+            head = ("quantity", "mean")
+            answers = [(name, _told(entry.mean)) for name, entry in self.results.quantities.items()]
+        rows = "".join("<tr>" + "".join(f"<td>{escape(c)}</td>" for c in row) + "</tr>" for row in answers)
         titles = "".join(f"<th>{name}</th>" for name in head)
         return (
             f"<table><caption>{escape(self.results.study.title)}</caption>"
@@ -150,10 +162,7 @@ class Run:
         rows = []
         for service, part in self.results.parts.items():
             for name, limit in part.limits.items():
-                miss = limit.miss
-                told = str(miss.reason or "not known")
-                if miss.value is not None and miss.low is not None and miss.high is not None:
-                    told = format_estimate(miss.value, miss.low, miss.high, most=5)
+                told = _told(limit.miss)
                 called = f"{service}: {name}" if service else name
                 target = "" if limit.target is None else f"{limit.target:g}"
                 rows.append((called, told, target, "" if limit.target is None else limit.word))

@@ -222,4 +222,6 @@ def joint_of(laws: Joint | Mapping[str, LawLike], dependence: Sequence[Dependenc
     """Named laws, of whatever origin, with what ties them; a `Joint` as it is."""
     if isinstance(laws, Joint):
         return laws
+    if not isinstance(laws, Mapping):
+        raise LawError(f"a mapping of name to law, or a Joint, is due; found {type(laws).__name__}")
     return make_joint(tuple(laws), tuple(as_law(law) for law in laws.values()), dependence)

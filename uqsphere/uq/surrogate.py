@@ -98,14 +98,17 @@ class Surrogate:
 
     def columns(self, rows: Rows) -> Array:
         """Points (n, d) of rows, which must have every input, finite."""
-        if hasattr(rows, "columns") or isinstance(rows, Mapping):
-            missing = [name for name in self.names if name not in rows]
-            if missing:
-                raise UsageError(f"{missing[0]} is missing; the surrogate takes {', '.join(self.names)}")
-            parts = [np.atleast_1d(np.asarray(rows[name], dtype=float)) for name in self.names]
-            x = np.stack(np.broadcast_arrays(*parts), axis=-1)
-        else:
-            x = np.asarray(rows, dtype=float)
+        named = hasattr(rows, "columns") or isinstance(rows, Mapping)
+        if missing := [name for name in self.names if named and name not in rows]:
+            raise UsageError(f"{missing[0]} is missing; the surrogate takes {', '.join(self.names)}")
+        try:
+            if named:
+                parts = [np.atleast_1d(np.asarray(rows[name], dtype=float)) for name in self.names]
+                x = np.stack(np.broadcast_arrays(*parts), axis=-1)
+            else:
+                x = np.asarray(rows, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise UsageError(f"the rows are no columns of numbers, of one length: {error}") from error
         if x.ndim != 2 or x.shape[1] != len(self.names):
             raise UsageError(f"rows of shape (n, {len(self.names)}) are due, found {x.shape}")
         if not np.isfinite(x).all():
@@ -217,7 +220,11 @@ class Surrogate:
 
     def save(self, path: str | Path) -> Path:
         """Write the surrogate as plain arrays and one text, an .npz that needs no pickle; the path."""
-        Path(path).write_bytes(self.content())
+        content = self.content()
+        try:
+            Path(path).write_bytes(content)
+        except OSError as error:
+            raise AccessError(f"{path} cannot be written: {error}") from error
         return Path(path)
 
     def content(self) -> bytes:

@@ -1,7 +1,8 @@
 """The competition: transforms, bases and solvers are tried, and the choice falls by K-fold error in output units.
 
-Forward selection looks for the basis: degree by degree, norm by norm.  All solvers then meet on the best of them, and
-the winner's basis grows around the terms that it kept.  Every error on the way is that of samples left out of the
+Forward selection looks for the basis: degree by degree, norm by norm; where samples are many among the first of them,
+and then with all on wider ones.  All solvers meet on the best of them, and the winner's basis grows around the terms
+that it kept.  Every error on the way is that of samples left out of the
 whole choice of terms.
 """
 
@@ -19,6 +20,7 @@ from uqsphere.arrays import Array
 from uqsphere.uq.expansion.expansion import Transform, identity, possible_transforms
 from uqsphere.uq.expansion.germs import (
     HIGHEST_DEGREE,
+    Germ,
     GermLike,
     Indices,
     grown,
@@ -111,7 +113,7 @@ def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
         most_terms=max(min(n // 2, _MOST_TERMS), 1),
         quick_terms=max(n // 2 if n <= 150 else min(n // 4, _MOST_TERMS // 2), 1),
         most_candidates=most,
-        solvers=_SOLVERS[:1] if many else _SOLVERS,
+        solvers=_SOLVERS if n <= _ENOUGH_TO_SEARCH else _SOLVERS[:1],
         rounds=2 if many else 6 if n > 100 else 3,
         search=prepare(points[:_SEARCHED], germs) if n > _ENOUGH_TO_SEARCH else None,
     )
@@ -210,14 +212,18 @@ def _screen(contest: Contest, transforms: Sequence[Transform], outputs: Array) -
 def _held(contest: Contest, outputs: Array, plain: bool) -> list[Found]:
     """The leading contenders in one contest, the best first."""
     found = _searched(contest, outputs, plain)
-    least = min(_handicapped(one) for one, _ in found)
-    answer = []
-    for one, basis in found:
-        if _handicapped(one) <= _CLOSE * least:
-            answer += _leaders(contest, one, basis, outputs)
+    if contest.search is not None:
+        found = [_wider(contest, one.transform, basis, outputs) for one, basis in _close(found)]
+    answer = [one for leader, basis in _close(found) for one in _leaders(contest, leader, basis, outputs)]
     answer.sort(key=_handicapped)
     larger = _grow(contest, answer[0], outputs)
     return [larger, *answer] if larger is not answer[0] else answer
+
+
+def _close(found: list[tuple[Found, Basis]]) -> list[tuple[Found, Basis]]:
+    """Those whose errors are near the least."""
+    least = min(_handicapped(one) for one, _ in found)
+    return [(one, basis) for one, basis in found if _handicapped(one) <= _CLOSE * least]
 
 
 def _searched(contest: Contest, outputs: Array, plain: bool) -> list[tuple[Found, Basis]]:
@@ -239,7 +245,9 @@ def _searched(contest: Contest, outputs: Array, plain: bool) -> list[tuple[Found
 
 def _handicapped(found: Found) -> float:
     """The error that contenders are ranked by: a transform has to help measurably."""
-    return found.error if found.transform.kind == "identity" else found.error / _HELPS
+    own = any(isinstance(germ, Germ) for germ in found.contest.germs)
+    handicaps = (found.transform.kind != "identity") + (not own)
+    return found.error / _HELPS**handicaps
 
 
 def _screened(contest: Contest, outputs: Array) -> list[Transform]:
@@ -256,16 +264,32 @@ def _screened(contest: Contest, outputs: Array) -> list[Transform]:
 
 def _leaders(contest: Contest, found: Found, basis: Basis, outputs: Array) -> list[Found]:
     """All solvers on the basis on which the search ended."""
-    if found.error < _ENOUGH and contest.search is None:
+    if found.error < _ENOUGH:
         return [found]
-    # the search had forward selection there, perhaps with fewer terms allowed or on fewer samples
-    again = contest.search is not None or not (found.ended or contest.quick_terms == contest.most_terms)
+    few = contest.search is None
+    # the search had forward selection there, perhaps with fewer terms allowed
+    again = few and not (found.ended or contest.quick_terms == contest.most_terms)
     trials = [(solver, basis) for solver in contest.solvers if again or solver != found.solver]
     fresh = [_run(contest, solver, found.transform, outputs, where, contest.most_terms) for solver, where in trials]
-    # a whole set is no choice that few samples could mislead
-    whole = max(contest.most_terms, min(2 * outputs.size // 3, _MOST_TERMS))
+    # a whole set is no choice that few samples could mislead; where they are many, only a small one is worth its time
+    whole = max(contest.most_terms, min(2 * outputs.size // 3, _MOST_TERMS)) if few else contest.quick_terms
     fresh += [_run(contest, "least squares", found.transform, outputs, where, whole) for where in contest.bases]
     return fresh if again else [found, *fresh]
+
+
+def _wider(contest: Contest, transform: Transform, basis: Basis, outputs: Array) -> tuple[Found, Basis]:
+    """Forward selection on the basis found among the first samples, and on wider ones while the error falls."""
+    best = _run(contest, "forward selection", transform, outputs, basis, contest.most_terms)
+    for indices, rows, sizes in contest.bases:
+        for k, size in enumerate(sizes):
+            if size < _STRIDE * len(basis[0]) or best.error < _ENOUGH:
+                continue
+            wider = indices[:size], rows[:size], sizes[: k + 1]
+            trial = _run(contest, "forward selection", transform, outputs, wider, contest.most_terms)
+            if not trial.error < _GROWS * best.error:
+                break
+            best, basis = trial, wider
+    return best, basis
 
 
 def _search(contest: Contest, transform: Transform, outputs: Array) -> tuple[Found, Basis]:
