@@ -241,7 +241,7 @@ def test_intervals_cover_the_closed_form(study: Study) -> None:
 
 
 def test_a_run_has_it_everywhere(tmp_path: Path) -> None:
-    study = study_of(tmp_path)
+    study = study_of(tmp_path, ("evaluations = 60_000", "evaluations = 20_000"))
     run = uqsphere.run(study, out=tmp_path / "out")
     for name in ("energy", "pressure"):
         entry: dict[str, Any] = run.results.document()["margins"][name]["against"]
