@@ -21,7 +21,7 @@ STUDIES = Path(uqsphere.__file__).parent.parent / "studies"
 GRANITE = str(STUDIES / "granite.toml")
 #: overrides that put the small study into its closed form
 QUICK = ("--set", "bars.infinite=true", "--set", "model.fidelity=massless", "--set", 'analysis.quantities=["p_max"]',
-         "--set", 'analysis.methods=["sobol"]')  # fmt: skip
+         "--set", 'analysis.methods=["sobol"]', "--set", "limits.crushing.fracture=false")  # fmt: skip
 SLOW_MODEL = """\
 import time
 def f(inputs):
