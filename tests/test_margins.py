@@ -136,9 +136,11 @@ fidelity = "massless"
 [limits.energy]
 criterion = "specific_energy"
 strength = { dist = "lognormal", mean = "60 J/kg", cov = 0.35 }
+fracture = false
 [limits.pressure]
 quantity = "p_max"
 strength = { dist = "weibull", mean = "4 GPa", modulus = 12 }
+fracture = false
 [analysis]
 quantities = ["p_max"]
 accuracy = { mean = 0.5, quantile = 0.9, sobol = 0.9, probability = 0.5 }
