@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -23,11 +24,11 @@ from uqsphere.errors import AccessError, ModelError, StudyError, TooManyFailures
 from uqsphere.report.page import GOES_ON, build_report, write_draft
 from uqsphere.results import Results
 from uqsphere.results.entries import Manifest
-from uqsphere.runner.beside import aside, may_copy, shared_out
+from uqsphere.runner.beside import aside, shared_out
 from uqsphere.runner.chunks import CHUNK, block_size
 from uqsphere.runner.evaluate import Ledger
 from uqsphere.runner.remote import Task
-from uqsphere.runner.workers import LocalWorkers, TimeOver, WorkerDied, gather
+from uqsphere.runner.workers import LocalWorkers, TimeOver, WorkerDied, gather, processors
 from uqsphere.study import Study
 
 #: rows with 0.7 < x1 < 0.701 misbehave: a few in the first thousands
@@ -392,8 +393,11 @@ def test_a_cluster_gives_the_same_bytes_and_survives_its_workers(box: Any, tmp_p
 
 # --- parts of a run side by side -----------------------------------------------------------------------------
 
+#: a worker of pytest-xdist has threads of its own, so that a run in it makes no copies: they are asked for here
+copies = pytest.mark.skipif(sys.platform != "linux" or processors() < 2, reason="needs Linux and two processors")
 
-@pytest.mark.skipif(not may_copy(None), reason="needs Linux and two processors")
+
+@copies
 def test_a_copy_of_the_process_answers_and_leaves_this_one_as_it_is() -> None:
     held: list[int] = []
     here = os.getpid()
@@ -413,7 +417,7 @@ def test_a_copy_of_the_process_answers_and_leaves_this_one_as_it_is() -> None:
         assert lost() == here
 
 
-@pytest.mark.skipif(not may_copy(None), reason="needs Linux and two processors")
+@copies
 def test_work_that_two_processes_share_is_done_whatever_becomes_of_the_copy() -> None:
     here = os.getpid()
     order = [4, 0, 1, 2, 3]

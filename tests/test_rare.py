@@ -274,7 +274,7 @@ def test_untouched_space_is_looked_at_before_a_process_is_believed() -> None:
 
 TEXT = (
     'title = "Rare"\nseed = 5\n'
-    + (CLOSED % (0.1, 0.05, 0.1)).replace("30 ms", "12 ms")
+    + (CLOSED % (0.1, 0.05, 0.1)).replace("30 ms", "8 ms")
     + """
 [limits.random]
 quantity = "p_max"
