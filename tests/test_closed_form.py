@@ -224,14 +224,16 @@ TEXT = (
 [limits.crushing]
 quantity = "p_max"
 strength = { dist = "lognormal", mean = "5 GPa", cov = 0.1 }
+fracture = false
 
 [limits.rare]
 quantity = "p_max"
 strength = "5.6 GPa"
+fracture = false
 
 [analysis]
 quantities = ["p_max"]
-accuracy = { mean = 0.002, quantile = 0.01, sobol = 0.01, probability = 0.05 }
+accuracy = { mean = 0.004, quantile = 0.02, sobol = 0.02, probability = 0.1 }
 budget = { evaluations = 400_000, time = "10 min" }
 """
 )
@@ -305,11 +307,11 @@ def test_the_accuracy_asked_for_is_reached_and_true(answers: dict[str, Any]) -> 
     assert answers["accuracy"]["met"], answers["accuracy"]
     values = exact()
     sd = values["quantities", "p_max", "sd"]
-    allowed = {"mean": 0.002 * sd, "quantiles": 0.01 * sd, "first": 0.01, "total": 0.01}
+    allowed = {"mean": 0.004 * sd, "quantiles": 0.02 * sd, "first": 0.02, "total": 0.02}
     for path, value, estimate in compared(answers):
         tolerance = next((allowed[key] for key in path if key in allowed), None)
         if path[-1] == "exceedance":
-            tolerance = 0.05 * value
+            tolerance = 0.1 * value
         if tolerance is not None:
             assert 0.5 * (estimate["high"] - estimate["low"]) <= tolerance, path
             assert abs(estimate["value"] - value) <= 2.1 * tolerance, path

@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ STUDIES = Path(uqsphere.__file__).parent.parent / "studies"
 GRANITE = str(STUDIES / "granite.toml")
 #: overrides that put the small study into its closed form
 QUICK = ("--set", "bars.infinite=true", "--set", "model.fidelity=massless", "--set", 'analysis.quantities=["p_max"]',
-         "--set", 'analysis.methods=["sobol"]')  # fmt: skip
+         "--set", 'analysis.methods=["sobol"]', "--set", "limits.crushing.fracture=false")  # fmt: skip
 SLOW_MODEL = """\
 import time
 def f(inputs):
@@ -63,12 +62,6 @@ def ask(place: Path, capsys: pytest.CaptureFixture[str]) -> Any:
         return Answer(main(arguments), capsys.readouterr())
 
     return run
-
-
-def process(arguments: Sequence[str], cwd: Path, **options: Any) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, **options.pop("env", {})}
-    return subprocess.run([sys.executable, "-m", "uqsphere", *arguments], cwd=cwd, capture_output=True, text=True,
-                          timeout=300, env=environment, check=False, **options)  # fmt: skip
 
 
 # --- usage ----------------------------------------------------------------------------------------
@@ -192,17 +185,17 @@ def test_help_and_version(place: Path, capsys: pytest.CaptureFixture[str], argum
 
 
 def test_run_show_report_export(ask: Any, place: Path) -> None:
-    answer = ask("run", "small.toml", *QUICK)
-    assert answer.code == 0
+    command = ("run", "small.toml", *QUICK, "--set", "analysis.accuracy.quantile=1e-4",
+               "--set", "analysis.budget.evaluations=20_000")  # fmt: skip
+    answer = ask(*command)
+    assert answer.code == 0  # for an accuracy that is missed a warning is enough
+    assert "accuracy not reached" in answer.err
     assert "Contact pressure" in answer.out
     assert (place / "small-results" / "report.html").is_file()
     shown = ask("show", "small-results")
     assert shown.code == 0
     assert shown.err == ""
     assert shown.out.strip() in answer.out
-    again = ask("run", "small.toml", *QUICK, "--json", "--resume")
-    results = json.loads((place / "small-results" / "results.json").read_text())
-    assert again.document() == ask("show", "small-results", "--json").document() == results
     (place / "small-results" / "report.html").unlink()
     built = ask("report", "small-results", "--json")
     assert Path(built.document()["report"]).is_file()
@@ -214,30 +207,26 @@ def test_run_show_report_export(ask: Any, place: Path) -> None:
     rows = json.loads((place / "small-results" / "export" / "samples.json").read_text())
     assert len(lines) == len(rows) + 1
     assert float(lines[1].split(",")[0]) == pytest.approx(rows[0]["sphere.E"], rel=1e-14)
+    # the folder is that of this study and of nothing else, unless it is asked to be
+    assert ask(*command, "--set", "seed=77").code == 5
+    command += ("--set", "limits.crushing.target=1e-5")
+    refused = ask(*command)
+    assert refused.code == 5
+    assert "--extend" in refused.err
+    missed = ask(*command, "--extend", "--json")
+    assert missed.code == 3
+    results = json.loads((place / "small-results" / "results.json").read_text())
+    assert missed.document() == ask("show", "small-results", "--json").document() == results
+    assert results["limits"]["crushing"]["met"] is False
 
 
-def test_a_missed_target_is_exit_3(ask: Any) -> None:
-    answer = ask("run", "small.toml", *QUICK, "--set", "limits.crushing.target=1e-5", "--json")
-    assert answer.code == 3
-    assert answer.document()["limits"]["crushing"]["met"] is False
-
-
-def test_a_missed_accuracy_is_exit_0_with_a_warning(ask: Any) -> None:
-    answer = ask("run", "small.toml", *QUICK, "--set", "analysis.accuracy.quantile=1e-4",
-                 "--set", "analysis.budget.evaluations=20_000")  # fmt: skip
-    assert answer.code == 0
-    assert "accuracy not reached" in answer.err
-
-
-def test_foreign_and_other_folders_are_exit_5(ask: Any, place: Path) -> None:
+def test_foreign_folders_are_exit_5(ask: Any, place: Path) -> None:
     (place / "mine").mkdir()
     (place / "mine" / "thesis.txt").write_text("precious")
     for folder in ("mine", "small.toml"):
         answer = ask("run", "small.toml", *QUICK, "--out", folder, "--fresh")
         assert (answer.code, answer.out) == (5, ""), folder
     assert os.listdir(place / "mine") == ["thesis.txt"]
-    assert ask("run", "small.toml", *QUICK).code == 0
-    assert ask("run", "small.toml", *QUICK, "--set", "seed=77").code == 5
 
 
 @pytest.mark.parametrize("command", [("show",), ("report",), ("export", "--format", "csv")])
@@ -249,12 +238,9 @@ def test_folders_that_hold_no_run_are_exit_5(ask: Any, place: Path, command: tup
 
 
 def test_history(ask: Any, place: Path) -> None:
-    answer = ask("history", "small.toml", "--out", "h")
+    answer = ask("history", "small.toml")
     assert answer.code == 0
     assert "largest contact pressure" in answer.out
-    assert {path.name for path in (place / "h").iterdir()} >= {"history.csv", "history.svg", "stress.svg", "xt.svg"}
-    document = ask("history", "small.toml", "--json").document()
-    assert document["mu"] > 0.0
     infinite = ask("history", "small.toml", "--set", "bars.infinite=true", "--json")
     assert infinite.code == 0
     assert infinite.document()["theta"] > 0.0
@@ -266,11 +252,11 @@ def test_history(ask: Any, place: Path) -> None:
 # --- black boxes ----------------------------------------------------------------------------------
 
 
-def test_a_black_box_runs_and_its_prints_are_no_result(place: Path) -> None:
-    answer = process(["run", "box.toml", "--model", "model.py:f", "--json"], place)
-    assert answer.returncode == 0
-    assert json.loads(answer.stdout)["model"]["chosen"] == "black box"
-    assert "a word" in answer.stderr
+def test_a_black_box_runs_and_its_prints_are_no_result(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "box.toml", "--model", "model.py:f", "--json"]) == 0
+    out, err = capfd.readouterr()
+    assert json.loads(out)["model"]["chosen"] == "black box"
+    assert "a word" in err
 
 
 @pytest.mark.parametrize(
@@ -307,9 +293,6 @@ def test_an_interrupted_run_says_how_to_go_on(
     assert "'my results'" in line
     assert "--fresh" not in line  # which would drop what is kept
     assert len(list((place / "my results" / "evaluations").glob("sampling.*"))) == 1
-    monkeypatch.undo()
-    monkeypatch.chdir(place)
-    assert main(command[:-1]) == 0
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -337,11 +320,11 @@ def test_signals_keep_what_is_done(place: Path, number: int, code: int) -> None:
 
 
 def test_a_pipe_gets_plain_text_and_a_closed_one_no_complaint(finished: Path, place: Path) -> None:
-    shown = process(["show", str(finished)], place, env={"NO_COLOR": "1"})
-    assert shown.returncode == 0
-    assert "\x1b" not in shown.stdout + shown.stderr
-    command = f"'{sys.executable}' -m uqsphere list materials | true"
+    program = f"'{sys.executable}' -m uqsphere"
+    command = f"{program} show '{finished}'; {program} list materials | true"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False, timeout=60)
+    assert done.stdout
+    assert "\x1b" not in done.stdout
     assert done.stderr == ""
 
 
@@ -358,11 +341,12 @@ def test_a_full_disk_behind_stdout_is_exit_6(place: Path) -> None:
 
 def test_a_terminal_without_the_characters(place: Path, small_text: str) -> None:
     (place / "small.toml").write_text(small_text.replace('"Small"', '"Größe µm²"'), encoding="utf-8")
-    narrow = {"PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0", "LC_ALL": "C"}
-    text = process(["check", "small.toml"], place, env=narrow)
-    assert (text.returncode, text.stderr) == (0, "")
-    document = process(["check", "small.toml", "--json"], place, env=narrow)
-    assert json.loads(document.stdout)["title"] == "Größe µm²"
+    narrow = {**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0", "LC_ALL": "C"}
+    for more in ([], ["--json"]):
+        done = subprocess.run([sys.executable, "-m", "uqsphere", "check", "small.toml", *more], cwd=place, env=narrow,
+                              capture_output=True, text=True, timeout=60, check=False)  # fmt: skip
+        assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads(done.stdout)["title"] == "Größe µm²"
 
 
 def test_the_debug_switch_shows_the_place(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -421,7 +421,7 @@ def test_many_inputs_are_screened_before_anything_else(study_from: Callable[...,
 def test_dependent_inputs_have_no_classical_indices(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     tied = EXPENSIVE + '[[dependence]]\nof = ["x1", "x2"]\nspearman = 0.5\n'
     monkeypatch.setitem(globals(), "EXPENSIVE", tied)
-    results = ask(Counted(lambda x: x["x1"] + x["x2"])).results.document()
+    results = ask(Counted(lambda x: x["x1"] + x["x2"]), "analysis.budget.evaluations=64").results.document()
     assert results["sensitivity"]["y"]["first"]["x1"]["value"] is None
     # Var(x1 + x2) = 2 V (1 + rho), of uniforms with Spearman's (and so Pearson's) rho
     assert results["quantities"]["y"]["sd"]["value"] == pytest.approx(np.pi * np.sqrt(2.0 / 3.0 * 1.5), rel=5e-3)
@@ -626,7 +626,7 @@ def test_what_a_missed_accuracy_would_take() -> None:
 
 
 def test_intervals_of_the_surrogate_way_cover() -> None:
-    rows = [r for r in expensive_rows(repetitions=6, models=("ishigami", "product"), sizes=(64,)) if not r.exact]
+    rows = [r for r in expensive_rows(repetitions=4, models=("ishigami", "product"), sizes=(64,)) if not r.exact]
     assert {"mean", "sd", "quantile 0.95", "first index", "total index"} <= {r.kind for r in rows}
     assert np.mean([r.covered for r in rows]) > 0.9
     with pytest.raises(ValueError, match="unknown model"):

@@ -264,7 +264,8 @@ def test_the_files_and_what_is_in_them(written, capsys):
     assert main(["history", str(path), "--out", str(folder / "out"), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     names = {Path(name).name for name in document["written"]}
-    assert {"gauges.csv", "gauges.svg", "bar_forces.csv", "forces.svg", "field.csv", "xt.svg"} <= names
+    series = {f"{name}.{kind}" for name in ("history", "gauges") for kind in ("csv", "svg")}
+    assert series | {"bar_forces.csv", "forces.svg", "field.csv", "xt.svg", "stress.svg"} <= names
     signals = table(folder / "out" / "gauges.csv")
     assert list(signals) == ["time [us]", "incident 250 mm [microstrain]", "receiving 150 mm [microstrain]",
                              "incident 50 mm [microstrain]"]  # fmt: skip

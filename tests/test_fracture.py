@@ -167,7 +167,7 @@ def test_balance_judged_at_fracture() -> None:
 
 TWO = (
     'title = "Two ways to break, everything lognormal"\nseed = 5\n'
-    + CLOSED % (0.1, 0.05, 0.1)
+    + (CLOSED % (0.1, 0.05, 0.1)).replace("30 ms", "8 ms")
     + """\
 [limits.pressure]
 quantity = "p_max"

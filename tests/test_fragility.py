@@ -18,7 +18,7 @@ from uqsphere.uq.curve import fit_lognormal_curve, interpolate_rows
 GRID = np.geomspace(0.3, 5.0, 40)
 SMALL = (
     "analysis.accuracy={mean=0.5, quantile=0.9, sobol=0.9, probability=0.5}", 'analysis.methods=["qmc", "form"]',
-    "analysis.budget.evaluations=30_000", "model.tolerance=1e-3", "analysis.quantiles=[0.5]",
+    "analysis.budget.evaluations=20_000", "model.tolerance=1e-3", "analysis.quantiles=[0.5]",
 )  # fmt: skip
 
 # demand v^0.5 exp(0.1 z), strength lognormal about 1.5 with 0.2: fracture is lognormal in v in closed form
@@ -163,7 +163,8 @@ def test_an_impact_over_energy_with_a_family_and_bars(tmp_path: Path) -> None:
     study = Path(uqsphere.__file__).parent.parent / "studies" / "limestone_margin.toml"
     # bars yield under a sphere that stays elastic
     hertz = [*SMALL, 'contact.law="hertz"']
-    sets = [*hertz, f'margins.solve="{ENERGY}"', 'margins.between=["0.5 J/kg", "50 kJ/kg"]']
+    single = "margins.family=null"
+    sets = [*hertz, single, f'margins.solve="{ENERGY}"', 'margins.between=["0.5 J/kg", "50 kJ/kg"]']
     found = uqsphere.run(uqsphere.load_study(study, sets), out=tmp_path / "r").results.document()["margins"]["whole"]
     speeds = uqsphere.run(uqsphere.load_study(study, hertz), out=tmp_path / "s").results.document()["margins"]["whole"]
     # kinetic energy of the striker over the sphere's mass, at the means: v50 is the same event
@@ -181,7 +182,8 @@ def test_an_impact_over_energy_with_a_family_and_bars(tmp_path: Path) -> None:
     assert bars["contact"]["value"] > 0.0
     assert bars["contact_probability"] == 0.01
     # poles that are crushed press no harder than their hardness, 1.7 GPa, and bars of 1.9 GPa yield from 3 GPa on
-    crushed = uqsphere.run(uqsphere.load_study(study, SMALL), out=tmp_path / "c").results.document()["margins"]["whole"]
+    soft = uqsphere.run(uqsphere.load_study(study, [*SMALL, single]), out=tmp_path / "c")
+    crushed = soft.results.document()["margins"]["whole"]
     assert crushed["bars"]["contact"]["value"] is None
     assert crushed["bars"]["contact_everywhere"] == "elastic"
     assert set(crushed["bars"]["yields_at"].values()) == {0.0}
@@ -191,4 +193,3 @@ def test_an_impact_over_energy_with_a_family_and_bars(tmp_path: Path) -> None:
         assert told["value"] == entry["value"]["value"]
         (share,) = (c["share"] for c in told["checks"] if c["check"] == "bar_yield_contact")
         assert share == pytest.approx(speeds["bars"]["yields_at"]["0.01"], abs=0.05)
-    assert build_report(tmp_path / "s").stat().st_size < 3_000_000

@@ -128,13 +128,3 @@ def test_an_output_that_levels_off_is_answered_by_a_simpler_surrogate(tmp_path: 
         assert estimate["low"] <= share <= estimate["high"]
         assert estimate["high"] - estimate["low"] < 0.25
     assert sensitivity["surrogate"]["error"] <= 0.05
-
-
-def test_no_surrogate_tells_indices_where_inputs_depend_on_each_other(tmp_path: Path) -> None:
-    text = STUDY.replace("COST", "100 s").replace("RUNS", "64") + '[[dependence]]\nof = ["a", "b"]\nspearman = 0.2\n'
-    (tmp_path / "s.toml").write_text(text, "utf-8")
-    run = uqsphere.run(
-        load_study(tmp_path / "s.toml"), out=tmp_path / "r", model=lambda rows: {"y": rows["a"] + np.tanh(rows["b"])}
-    )
-    assert run.results.sensitivity["y"].first["b"].value is None
-    assert "depend on each other" in str(run.results.sensitivity["y"].first["b"].reason)

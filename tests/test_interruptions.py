@@ -21,7 +21,7 @@ import pytest
 import uqsphere
 from tests.campaigns.trust import answers_of, kill_runs, write_case
 from uqsphere.cli import main
-from uqsphere.errors import AccessError, FolderError, UqsphereError
+from uqsphere.errors import AccessError, FolderError
 from uqsphere.runner import chunks as gathering
 from uqsphere.runner.evaluate import Ledger, Work, evaluate_points
 from uqsphere.store import open_store, write_json
@@ -232,8 +232,8 @@ def test_a_resumed_scene_integrates_nothing_again(
 
 
 def test_random_kills_lose_nothing(tmp_path: Path) -> None:
-    found = kill_runs(write_case(tmp_path / "case", 0.0005), 2, jobs="1")
-    assert (found.kills, found.unequal, found.repeated) == (2, 0, 0)
+    found = kill_runs(write_case(tmp_path / "case", 0.0005), 1, jobs="1")
+    assert (found.kills, found.unequal, found.repeated) == (1, 0, 0)
     assert set(found.codes) == {0}
 
 
@@ -247,16 +247,19 @@ def test_a_clock_that_jumps_changes_nothing(study: Study, tmp_path: Path, monkey
     assert all(0.0 <= seconds < 600.0 for seconds in run.manifest.seconds.values())
 
 
-def test_two_processes_on_one_folder(tmp_path: Path) -> None:
+def test_two_processes_on_one_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     case = write_case(tmp_path / "case", 0.001)
-    command = [sys.executable, "-m", "uqsphere", "run", "killed.toml", "--model", "killed.py:f", "--out", "r"]
-    first = subprocess.Popen(command, cwd=case, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    monkeypatch.chdir(case)
+    command = ["run", "killed.toml", "--model", "killed.py:f", "--out", "r"]
+    first = subprocess.Popen([sys.executable, "-m", "uqsphere", *command], stdout=subprocess.DEVNULL,
+                             stderr=subprocess.DEVNULL)  # fmt: skip
     while not (case / "calls.log").exists():
         assert first.poll() is None
         time.sleep(0.05)
-    second = subprocess.run(command, cwd=case, capture_output=True, text=True, check=False)
-    assert second.returncode == 5
-    assert "locked" in second.stderr
+    assert main(command) == 5
+    assert "locked" in capsys.readouterr().err
     assert first.wait() == 0
 
 
@@ -364,28 +367,8 @@ def test_an_extension_that_is_cut_leaves_the_finished_run(study: Study, tmp_path
         uqsphere.run(wider, out=tmp_path / "r", model=box, extend=True, progress=stop)
     assert uqsphere.open_run(tmp_path / "r").results.study.hash == study.hash
     assert answers_of(tmp_path / "r") == before
-
-
-def test_the_command_extends(tmp_path: Path, small_text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "s.toml").write_text(small_text)
-    command = ["run", str(tmp_path / "s.toml"), "--out", str(tmp_path / "r"), "--set", "bars.infinite=true",
-               "--set", "model.fidelity=massless", "--set", 'analysis.quantities=["p_max"]',
-               "--set", 'analysis.methods=["qmc"]']  # fmt: skip
-    assert main(command) == 0
-    more = [*command, "--set", "limits.crushing.target=0.2"]
-    assert main(more) == 5
-    assert "--extend" in capsys.readouterr().err
-    assert main([*more, "--extend"]) == 0
+    # the mark of one study beside the results of another: what a kill between the two leaves
+    mark = tmp_path / "r" / "study.resolved.json"
+    mark.write_text(mark.read_text().replace('"hash": "', '"hash": "0'))
     with pytest.raises(FolderError, match="has not finished"):
-        raise_if_mixed(tmp_path / "r")
-
-
-def raise_if_mixed(folder: Path) -> None:
-    """The mark of one study beside the results of another: what a kill between the two leaves."""
-    mark = (folder / "study.resolved.json").read_text()
-    (folder / "study.resolved.json").write_text(mark.replace('"hash": "', '"hash": "0'))
-    try:
-        uqsphere.open_run(folder)
-    except UqsphereError:
-        (folder / "study.resolved.json").write_text(mark)
-        raise
+        uqsphere.open_run(tmp_path / "r")

@@ -136,9 +136,11 @@ fidelity = "massless"
 [limits.energy]
 criterion = "specific_energy"
 strength = { dist = "lognormal", mean = "60 J/kg", cov = 0.35 }
+fracture = false
 [limits.pressure]
 quantity = "p_max"
 strength = { dist = "weibull", mean = "4 GPa", modulus = 12 }
+fracture = false
 [analysis]
 quantities = ["p_max"]
 accuracy = { mean = 0.5, quantile = 0.9, sobol = 0.9, probability = 0.5 }
@@ -241,7 +243,7 @@ def test_intervals_cover_the_closed_form(study: Study) -> None:
 
 
 def test_a_run_has_it_everywhere(tmp_path: Path) -> None:
-    study = study_of(tmp_path)
+    study = study_of(tmp_path, ("evaluations = 60_000", "evaluations = 20_000"))
     run = uqsphere.run(study, out=tmp_path / "out")
     for name in ("energy", "pressure"):
         entry: dict[str, Any] = run.results.document()["margins"][name]["against"]

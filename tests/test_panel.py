@@ -32,7 +32,7 @@ STUDY = Path("studies/granite.toml")
 def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small run with a strength that depends on an input, and with rows around it."""
     place = tmp_path_factory.mktemp("panel")
-    study = uqsphere.load_study(STUDY, ("margins.for_probability=[0.01]", "analysis.ways='given'"))
+    study = uqsphere.load_study(STUDY, ("margins.for_probability=[0.01]", "limits.crushing.fracture=false"))
     study = replace(study, analysis=replace(study.analysis, budget=replace(study.analysis.budget, evaluations=20_000)))
     return uqsphere.run(study, out=place / "run").folder
 
@@ -49,7 +49,7 @@ def test_the_policy_knows_the_script_and_nothing_of_it_asks_the_net(tmp_path: Pa
 
 
 @pytest.mark.skipif(not NODE, reason="no node on this machine")
-def test_three_settings_agree_with_full_runs(run_folder: Path, tmp_path: Path) -> None:
+def test_settings_agree_with_full_runs(run_folder: Path, tmp_path: Path) -> None:
     data = panel_of(run_folder)
     assert data["absent"] == ""
     base = ask(data, [Setting(strength={}, at={}), Setting(strength={}, at={"sphere.radius": 0.02})])
@@ -58,11 +58,10 @@ def test_three_settings_agree_with_full_runs(run_folder: Path, tmp_path: Path) -
     assert base[1] is None
     settings = [
         Setting(strength={"mean": 4.3e9, "scatter": 10.0, "spearman": 0.2}, at={}),
-        Setting(strength={}, at={"striker.speed": 0.7}),
         Setting(strength={"scatter": 14.0}, at={"sphere.radius": 0.0085, "bars.diameter": 0.036}),
     ]
     rows = compare(STUDY, data, settings, tmp_path, 8000)
-    assert [found["kind"] for _, found, _ in rows] == ["exact", "estimate", "estimate"]
+    assert [found["kind"] for _, found, _ in rows] == ["exact", "estimate"]
     assert all(agrees(found, run) for _, found, run in rows)
     # what another setting answers is no agreement
     assert not agrees(rows[0][1], rows[1][2])

@@ -259,6 +259,8 @@ def test_a_run_with_a_table_repeats_whatever_its_threads(tmp_path: Path) -> None
         "analysis.accuracy.quantile=0.025",
         "analysis.budget.evaluations=60000",
         "analysis.methods=['qmc']",
+        "limits.crushing.fracture=false",
+        "margins=null",
     )
     study = uqsphere.load_study(STUDIES / "granite.toml", settings)
     runs = [uqsphere.run(study, out=tmp_path / "run", threads=1), uqsphere.run(study, out=tmp_path / "two", threads=2)]

@@ -17,6 +17,7 @@ from uqsphere.report.compare import compare_folders
 from uqsphere.report.contents import read_contents
 from uqsphere.report.page import build_brief, on_one_sheet, typeset
 from uqsphere.report.phrases import loud, short_share
+from uqsphere.runner.questions import indices
 
 STUDIES = Path(uqsphere.__file__).parent.parent / "studies"
 SMOKE = (
@@ -30,7 +31,7 @@ CASES: dict[str, tuple[tuple[str, ...], tuple[float, float]]] = {
     "granite": (ROUGH, (2.74e9, 2.80e9)),
     "limestone_ball_slow": (ROUGH, (1.2e9, 1.4e9)),
     "glass_bead_small_bar": (ROUGH, (2.4e9, 3.0e9)),
-    "granite_force": (ROUGH, (5.4e3, 5.5e3)),
+    "granite_force": ((*ROUGH, "analysis.fields={ force_a=24, force_b=24 }"), (5.4e3, 5.5e3)),
     "granite_three_ways": (ROUGH, (2.74e9, 2.80e9)),
     "limestone_three_ways": (ROUGH, (0.9e9, 2.0e9)),
     "as_printed": (ROUGH, (3.2e9, 3.9e9)),
@@ -122,7 +123,9 @@ def test_every_shipped_study_is_tried() -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_shipped_study_is_answered(name: str, tmp_path: Path) -> None:
+def test_a_shipped_study_is_answered(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # the fewest designs whose expansions tell how far they are off
+    monkeypatch.setattr(indices, "FITS", 4)
     found = small_run(name, tmp_path / "r")
     numbers_are_sane(name, found)
     indices_share_out_the_variance(found)

@@ -1,10 +1,8 @@
-"""What a fragility curve costs beside its points, how far it is from straight ones, and whether its values' intervals
-cover."""
+"""What a fragility curve costs beside its points, and how far it is from straight ones."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -16,11 +14,10 @@ from uqsphere.model import check_range
 from uqsphere.runner.axis_rows import AxisRows, evaluate_along
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.limits import state_of
-from uqsphere.runner.questions.curves import curves_along, find_rows
+from uqsphere.runner.questions.curves import find_rows
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study import Limit, Study, load_study
 from uqsphere.uq.curve import half_widths
-from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.whatif import probability
 
 #: what one point, and every point of the curve, is to be known to: half-width over the smaller side
@@ -130,67 +127,4 @@ def curve_cost(
         points=len(rows.grid), low_evaluations=first, high_evaluations=last, curve_evaluations=work.ledger.total,
         point_seconds=alone, curve_seconds=seconds, half_width=_half_width(table, LEAST), error=worst,
         reference_error=widest, reference_rows=REPLICATES * reference_rows,
-    )  # fmt: skip
-
-
-# --- whether the intervals of the values cover --------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class Coverage:
-    """How often the interval of a value held the truth, its median half-width, and the values' rms error, relative."""
-
-    probability: float
-    runs: int
-    covered: int
-    half_width: float
-    error: float
-    evaluations: float
-
-
-def straight_value(study: Study, limit: Limit, probability: float, near: float, rows: int) -> tuple[float, float]:
-    """The value at a probability and its standard error, by straight rows at two values that enclose it closely.
-
-    Between them, 0.8 % apart, normal scores are taken as a straight line in the logarithm.
-    """
-    from scipy.special import ndtri
-
-    work, half = _work(study), 0.004
-    wanted, place = float(ndtri(probability)), float(np.log(near))
-    for count in (64, 256, rows):
-        scores = [ndtri(_straight(work, limit, float(np.exp(place + s * half)), count)) for s in (-1.0, 1.0)]
-        slope = float(scores[1].mean() - scores[0].mean()) / (2.0 * half)
-        own = place + (wanted - 0.5 * (scores[0] + scores[1])) / slope
-        place = float(own.mean())
-    value = float(np.exp(place))
-    return value, value * float(own.std(ddof=1)) / float(np.sqrt(own.size))
-
-
-def value_coverage(
-    study: Study, limit: Limit, truth: Mapping[float, float], *, evaluations: int, seeds: Sequence[int]
-) -> list[Coverage]:
-    """Coverage of the values at given probabilities over seeds, each with a share of so many evaluations."""
-    assert study.margins is not None
-    asked = replace(study.margins, for_probability=tuple(truth), family=None)
-    limit = replace(limit, target=None)
-    answers: dict[float, list[Estimate]] = {p: [] for p in truth}
-    spent = []
-    for seed in seeds:
-        work = _work(replace(study, seed=seed, margins=asked, limits=(limit,)))
-        found = curves_along(work, [limit], most=evaluations)[limit.name]
-        for p, estimate in ({} if isinstance(found, str) else found.values).items():
-            answers[p].append(estimate)
-        spent.append(work.ledger.total)
-    return [_coverage(p, truth[p], found, float(np.mean(spent))) for p, found in answers.items()]
-
-
-def _coverage(probability: float, truth: float, found: Sequence[Estimate], spent: float) -> Coverage:
-    known = [e for e in found if e.value is not None and e.low is not None and e.high is not None]
-    values = np.array([(e.value, e.low, e.high) for e in known], dtype=float).reshape(-1, 3)
-    inside = (values[:, 1] <= truth) & (truth <= values[:, 2])
-    return Coverage(
-        probability=probability, runs=len(found), covered=int(inside.sum()),
-        half_width=float(np.median(0.5 * (values[:, 2] - values[:, 1]))) / truth if len(known) else float("inf"),
-        error=float(np.sqrt(np.mean((values[:, 0] / truth - 1.0) ** 2))) if len(known) else float("inf"),
-        evaluations=spent,
     )  # fmt: skip

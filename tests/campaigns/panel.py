@@ -117,9 +117,11 @@ def full_run(study: Path, setting: Setting, data: Mapping[str, Any], place: Path
 
 
 def _brief(study: Study, evaluations: int) -> Study:
-    """The study without margins and ways, for so many evaluations."""
+    """The study without margins, ways and the moment of fracture, for so many evaluations."""
     budget = replace(study.analysis.budget, evaluations=evaluations)
-    return replace(study, margins=None, analysis=replace(study.analysis, budget=budget, ways="given"))
+    limits = tuple(replace(limit, fracture=False) for limit in study.limits)
+    analysis = replace(study.analysis, budget=budget, ways="given")
+    return replace(study, margins=None, limits=limits, analysis=analysis)
 
 
 def agrees(found: Mapping[str, Any], known: Est) -> bool:

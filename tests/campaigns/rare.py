@@ -373,6 +373,59 @@ def few_call_text(repetitions: int, problems: Sequence[str] = FEW_PROBLEMS, at_o
             f"{table(header, rows)}\n\nOff by more than 20 % without interval or warning: {silent}.")  # fmt: skip
 
 
+def rival_text(repetitions: int, problems: Sequence[str] = FEW_PROBLEMS) -> str:
+    """The same problems by OpenTURNS as its manual has it: FORM, then importance sampling about its design point to a
+    half-width of 5 %, and subset simulation with 10,000 rows a level; calls of the model, and how far off.
+
+    OpenTURNS has no learning.  Needs the package openturns.
+    """
+    import openturns as ot
+
+    methods, rows = ("FORM", "importance sampling", "subset simulation"), []
+    for name in problems:
+        tell(f"OpenTURNS: {name}")
+        entry, found = problem(name), {method: [] for method in methods}  # type: dict[str, list[tuple[int, float]]]
+        for k in range(repetitions):
+            ot.RandomGenerator.SetSeed(1 + k)
+            calls = [0]
+
+            def function(points: object, entry: Problem = entry, calls: list[int] = calls) -> Array:
+                values = entry.function(np.asarray(points, dtype=float))
+                calls[0] += len(values)
+                return values[:, None]
+
+            model = ot.PythonFunction(entry.dimension, 1, func_sample=function)
+            normal = ot.RandomVector(ot.Normal(entry.dimension))
+            event = ot.ThresholdEvent(ot.CompositeRandomVector(model, normal), ot.Less(), 0.0)
+            solver = ot.Cobyla()
+            solver.setStartingPoint([0.0] * entry.dimension)
+            form = ot.FORM(solver, event)
+            try:
+                form.run()
+                found["FORM"].append((calls[0], form.getResult().getEventProbability()))
+                search = ot.PostAnalyticalImportanceSampling(form.getResult())
+                search.setMaximumOuterSampling(100_000)
+                search.setMaximumCoefficientOfVariation(0.05 / 1.96)
+                search.run()
+                found["importance sampling"].append((calls[0], search.getResult().getProbabilityEstimate()))
+            except RuntimeError:  # it says itself that its design point is none
+                tell(f"no design point of {name}, seed {1 + k}")
+            calls[0] = 0
+            search = ot.SubsetSampling(event)
+            search.setBlockSize(100)
+            search.setMaximumOuterSampling(100)
+            search.run()
+            found["subset simulation"].append((calls[0], search.getResult().getProbabilityEstimate()))
+        cells = []
+        for method in methods:
+            errors = [abs(p / entry.reference - 1.0) for _, p in found[method]]
+            cells += (
+                [f"{np.mean([n for n, _ in found[method]]):,.0f}", f"{max(errors):.1%}"] if errors else ["none", ""]
+            )
+        rows.append((name, *cells))
+    return table(("problem", *(head for method in methods for head in (f"{method}: calls", "worst"))), rows)
+
+
 # --- The same problems as a user has them: studies with a budget in all, through `uqsphere.run`.
 
 #: evaluations of a cheap model, and runs of an expensive one: how many in all, at what cost, how accurate
@@ -496,9 +549,12 @@ def margin_text(repetitions: int, runs: int) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Prints the tables; progress goes to stderr.  Words `NAME=VALUE` are other constants of learning."""
     asked = options("Rare-event methods on public problems", arguments, words=(), repetitions=10, through_run=str,
-                    margin=False, runs=150, few=False, at_once=1)  # fmt: skip
+                    margin=False, runs=150, few=False, at_once=1, rival=False)  # fmt: skip
     for name, value in (word.split("=") for word in asked.words):
         setattr(active, name, literal_eval(value))
+    if asked.rival:
+        print(rival_text(asked.repetitions))
+        return 0
     if asked.margin or asked.few:
         few = partial(few_call_text, at_once=asked.at_once)
         print(margin_text(asked.repetitions, asked.runs) if asked.margin else few(asked.repetitions))
