@@ -15,12 +15,10 @@ import numpy as np
 from uqsphere.mechanics.integrator import searches, tracked
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
-    ARMED,
     approach_at,
     face_yielded,
     largest_approach,
     largest_force,
-    least_between,
     most_stored,
     of_its_own,
 )
@@ -154,101 +152,21 @@ def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
     return ends, why, lost
 
 
-@compiled(**INNER)
-def _dip(piece, face, level, a, b, slope_b):
-    """theta at which an approach that turns at `level` and dips below it is there again; it lies above it at b."""
-    apart()
-    # where it turns the slope is zero but for rounding
-    a += 1e-3 * (b - a)
-    _, slope_a = searches.both(piece, face, a)
-    if slope_a < 0.0 < slope_b:
-        a = searches.bend(piece, face, a, b, slope_a, slope_b, searches.SHARP)
-    return searches.root(piece, face, level, a, b) if searches.value(piece, face, a) < level else a
-
-
-@compiled(**INNER)
-def _switch(law, lane, piece, grid, theta, bends, bow):
-    """The first change of branch of either face in a step: its theta, and face + 4 or face + 6, 1: it breaks, or 0.
-
-    bends (2,): where each face turns, about, or -1.  bow (POINTS + 1, PAIR): half the second derivatives.
-    """
-    apart()
-    ends, why = theta, 0
-    for face in range(2):
-        m, found = face * LANES + lane, math.nan
-        width, breaks = theta / tracked.POINTS, False
-        if law[tracked.SPRING, m] == 0.0:
-            for i in range(tracked.POINTS):
-                begin, end = i * width, (i + 1) * width
-                left, right, guess = grid[face, 1, i], grid[face, 1, i + 1], bends[face]
-                if left > 0.0 and right > 0.0:
-                    # a fall that is over before the next point
-                    sides = 2.0 * width * bow[i, m], 2.0 * width * bow[i + 1, m]
-                    if least_between(left, sides[0], right, sides[1]) < 0.0:
-                        end, right = searches.slowest(piece, face, begin, end)
-                        guess = -1.0
-                if left > 0.0 >= right:
-                    found = searches.settle(piece, face, True, begin, end, left, right, 0.0, guess)
-                    break
-            if law[tracked.GAMMA, m] > 0.0:
-                limit = theta if math.isnan(found) else found
-                broken = searches.passage(piece, face, law[tracked.BREAKS, m], 1.0, 0.0, limit)
-                if not math.isnan(broken):
-                    found, breaks = broken, True
-        else:
-            room = law[tracked.LARGEST, m] - law[tracked.DENT, m]
-            for i in range(tracked.POINTS):
-                left, right = grid[face, 0, i], grid[face, 0, i + 1]
-                if left >= room * (1.0 - ARMED):
-                    # from its largest approach: down again, but for a dip of a turn that hardly was one
-                    if right > room * (1.0 + ARMED):
-                        found = _dip(piece, face, room, i * width, (i + 1) * width, grid[face, 1, i + 1])
-                elif right >= room:
-                    guess = searches.inverse_guess(
-                        i * width, width, left - room, width * grid[face, 1, i], right - room,
-                        width * grid[face, 1, i + 1],
-                    )  # fmt: skip
-                    found = searches.settle(
-                        piece, face, False, i * width, (i + 1) * width, left - room, right - room, room, guess
-                    )
-                elif (
-                    searches.highest_between(left, width * grid[face, 1, i], right, width * grid[face, 1, i + 1])
-                    >= room
-                ):
-                    found = searches.passage(piece, face, room, 1.0, i * width, (i + 1) * width)
-                if not math.isnan(found):
-                    break
-        if found <= ends and (why == 0 or found < ends):
-            ends, why = found, 1 if breaks else face + (6 if law[tracked.SPRING, m] == 0.0 else 4)
-    return ends, why
-
-
 @compiled(part=True, **INNER)
 def after_step(
-    mode, flags, track, lane, piece, grid, bends, bow, places, theta, before, h, echo, low, tiny, near, hover,
-    graze, stop_at_loss, yielding, law,
+    mode, flags, track, lane, piece, grid, places, theta, before, h, echo, low, tiny, near, hover, graze, stop_at_loss,
+    yielding, law,
 ):  # fmt: skip
     """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
 
     What ends the step: 0 nothing, 1 the record, 2 a face that lost contact or touched again while the motion goes on
-    (face + 2), a face that begins to yield (face + 4) or ceases to (face + 6).  `echo` is the time of the first
-    reflected wave, `tiny` the error allowed in an approach, `low` > 0 the share of the largest approach below which
-    the record ends; for the others see `_faces`.  grid (face, 2, POINTS + 1): values and slopes over [0, theta]; room.
-    bends, bow: see `_switch`.  places (2,) receive the theta of a face's largest approach so far, or -1: one that has
-    yielded is at its deepest on virgin loading.
+    (face + 2).  `echo` is the time of the first reflected wave, `tiny` the error allowed in an approach, `low` > 0 the
+    share of the largest approach below which the record ends; for the others see `_faces`.  grid (face, 2, POINTS + 1):
+    values and slopes over [0, theta]; room.  places (2,) receive the theta of a face's largest approach so far, or -1:
+    one that has yielded is at its deepest on virgin loading.
     """
     apart()
     ends, why = theta, 0
-    if flags & tracked.SWITCHES:
-        ends, why = _switch(law, lane, piece, grid, theta, bends, bow)
-        if why != 0:  # the step is cut: what `look` saw of it is more than there is
-            if flags & ~tracked.SWITCHES or not (face_yielded(law, lane) and face_yielded(law, LANES + lane)):
-                searches.survey(piece, ends, grid)
-            else:
-                for face in range(2):
-                    grid[face, 0, tracked.POINTS] = searches.value(piece, face, ends)
-            flags |= 1 << tracked.FACE_A
-        theta = ends
     if flags & tracked.SOMETHING:
         ends, met, lost = _faces(track, lane, piece, grid, theta, before, h, near, hover, graze)
         if lost >= 0 and stop_at_loss:

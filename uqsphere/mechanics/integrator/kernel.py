@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from uqsphere.mechanics.integrator import events, incoming, tracked
+from uqsphere.mechanics.integrator.branches import branch_ends
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
     MOST_TURNS,
     face_force,
     largest_approach,
     may_be_wrong,
-    may_switch,
     most_force,
     new_faces,
     of_its_own,
@@ -121,7 +121,7 @@ def march(
         np.zeros((2, lanes), dtype=np.int64), np.zeros((tracked.TRACKS, lanes)), np.ones((SCALES, lanes)),
         np.zeros((4, 2, tracked.POINTS + 1)), np.zeros((3, PAIR)), np.zeros((19, lanes)),
         np.zeros((4, lanes), dtype=np.int64), np.zeros((tracked.NUMBERS, PAIR)), np.zeros((TERMS, PAIR)),
-        np.zeros((1, PAIR)), np.zeros((tracked.RIGS, PAIR)), np.zeros((TERMS, PAIR)), np.full((2, 2), -1.0),
+        np.zeros((1, PAIR)), np.zeros((tracked.RIGS, PAIR)), np.zeros((TERMS, PAIR)), np.full(2, -1.0),
         np.zeros((TERMS, PAIR)), np.zeros((3, TERMS)), np.zeros((tracked.POINTS + 1, PAIR)),
     )  # fmt: skip
     # faces that yield: their law, the series of the logarithm in it, a divisor; see `faces`
@@ -137,7 +137,7 @@ def march(
         np.zeros((2, PAIR)),
     )
     # what stands at the poles, the series of U_A and -U_B, where in a step faces are pressed deepest
-    rig, free, places, bends = bare(owned[26]), bare(owned[27]), bare(owned[28][0]), bare(owned[28][1])
+    rig, free, places = bare(owned[26]), bare(owned[27]), bare(owned[28])
     rigged = rigs.shape[1] > 0
     if not yielding:
         wanted &= ~tracked.WANT_SHARE
@@ -160,7 +160,11 @@ def march(
     steady = bare(numbers[16])  # the wave that comes in from now on for ever, or -1
     reflect = bare(numbers[17:19])
     row, count, attempts, flags = bare(counts[0]), bare(counts[1]), bare(counts[2]), bare(counts[3])
-    touching, on_slow = np.zeros(lanes, dtype=np.int64), np.zeros(lanes, dtype=np.bool_)
+    touching, meets, on_slow = (
+        np.zeros(lanes, dtype=np.int64),
+        np.zeros(lanes, dtype=np.int64),
+        np.zeros(lanes, dtype=np.bool_),
+    )
     # time before which the fast oscillation cannot have died out
     calm, slow_room = np.zeros(lanes), np.zeros((SLOW_ROOM, TERMS))
     row[:] = -1
@@ -341,6 +345,9 @@ def march(
                               row_of(bow, i, 0))  # fmt: skip
             else:
                 evaluate(x, theta, i / tracked.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0))
+        if yielding and branch_ends(row, touching, x, at, rate, bow, theta, law, softens, piece, room, meets):
+            for i in range(1, tracked.POINTS + 1):
+                evaluate(x, theta, i / tracked.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0))
         evaluate(u, theta, 1.0, half, at_u, rate_u)
         if mode != 1:
             root_error(root, theta, half, at, law, branch, row_of(room, 0, 0), row_of(room, 1, 0))
@@ -353,8 +360,6 @@ def march(
                 if switched[j]:
                     switched[j] = False
                     continue
-                if touching[j] == 0 and may_switch(law, j, room[1], rate, bow, theta[j] / last_point):
-                    flags[j] |= tracked.SWITCHES
                 reached = within_spring(law, j, x, room[1]) if touching[j] == 1 else 1.0
                 if reached < 1.0:
                     proposed[j] = reached * h[j]
@@ -380,7 +385,6 @@ def march(
             if yielding:
                 for m in range(j, PAIR, LANES):
                     raised = known[0, m] > track[tracked.FACE_A + m // LANES, j]
-                    bends[m // LANES] = room[3, m] if room[4, m] > 0.0 else -1.0
                     places[m // LANES] = (room[3, m] if room[4, m] > 0.0 else ending) if raised else -1.0
             if flags[j] != 0:
                 for face in range(2):
@@ -395,12 +399,15 @@ def march(
                         max(track[tracked.FACE_A, j], track[tracked.FACE_B, j]), max(known[0, j], known[0, LANES + j])
                     )
                 ending, why = events.after_step(
-                    mode, flags[j], track, j, piece, grid, bends, bow, places, theta[j], before, h[j],
+                    mode, flags[j], track, j, piece, grid, places, theta[j], before, h[j],
                     min(trips[0, j], trips[1, j]), quiet, local * size[0, j], near[j], asked * size[0, j], graze[r],
                     stop_at_loss and not rigged and not beyond[j], yielding, law,
                 )  # fmt: skip
-            # a step that is cut where a face begins to yield has not reached what `look` saw
-            if flags[j] & (1 << tracked.FACE_A) == 0 and why < 4:
+            if why == 0 and ending == theta[j]:
+                why = meets[j]
+                if why == 1:
+                    track[tracked.ENDED, j] = before + ending * h[j]
+            if flags[j] & (1 << tracked.FACE_A) == 0:
                 track[tracked.FACE_A, j] = known[0, j]
                 if before < min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
                     track[tracked.X_FIRST, j] = known[0, j]
@@ -466,9 +473,9 @@ def march(
                               count[j], local, out[r], yielding, law)  # fmt: skip
                 out[r, tracked.ANSWER_SPEED] = value_of(u, j, ending)
                 beyond[j], why = True, 2 + int(track[tracked.LOST_FACE, j])
-            if why >= 2 or (why == 1 and own[j]):
+            if ending < theta[j] and (why >= 2 or own[j]):
                 at_u[j] = value_of(u, j, ending)
-                for face in range(2):  # where a face leaves or changes its branch, the search has come by
+                for face in range(2):  # where a face leaves, the search has come by
                     m = face * LANES + j
                     at[last_point, m] = grid[face, 0, last_point] if why >= 2 else value_of(x, m, ending)
             if why >= 2:  # the motion goes on from where a face left or touched
@@ -575,6 +582,6 @@ def march(
 #: of integers, 1 to 3 arrays of so many dimensions
 PARTS: tuple[tuple[Any, str], ...] = (
     (events.look, "ii2222111nn212b2"),
-    (events.after_step, "ii2i23121fffffffffbb2"),
+    (events.after_step, "ii2i231fffffffffbb2"),
     (events.finish, "ii2i331111if1b2"),
 )

@@ -194,17 +194,17 @@ def curve(piece, face, turns, theta):
 
 
 @compiled(**INNER)
-def settle(piece, face, turns, a, b, at_a, at_b, level, guess):
+def settle(piece, face, turns, a, b, at_a, at_b, level):
     """theta between a and b at which a face passes `level`, or turns if `turns`; Newton, to the last bits.
 
-    at_a, at_b: what is sought a zero of, at the ends, which bracket it.  guess: where to begin, if it lies between.
+    at_a, at_b: what is sought a zero of, at the ends, which bracket it.
     """
     apart()
     if at_a == 0.0:
         return a
     if at_b == 0.0 or (at_a < 0.0) == (at_b < 0.0):
         return b
-    found = guess if a < guess < b else a + (b - a) * at_a / (at_a - at_b)
+    found = a + (b - a) * at_a / (at_a - at_b)
     for _ in range(60):
         off, slope = curve(piece, face, turns, found)
         off -= level
@@ -241,17 +241,6 @@ def slowest(piece, face, a, b):
         else:
             b, high = found, bow
     return found, rate
-
-
-@compiled(**INNER)
-def inverse_guess(begin, width, left, left_slope, right, right_slope):
-    """Where a rising function passes zero, by the cubic of its inverse; slopes times the width."""
-    if not (left_slope > 0.0 and right_slope > 0.0):
-        return -1.0
-    rise = right - left
-    y = -left / rise
-    z = 1.0 - y
-    return begin + width * (y * y * (1.0 + 2.0 * z) + y * z * rise * (z / left_slope - y / right_slope))
 
 
 @compiled(**INNER)
