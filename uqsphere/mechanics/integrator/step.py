@@ -194,7 +194,7 @@ def expand(
             _next_x(x_a, x_b, u_next, push_a, push_b, force_k, row(force, k, LANES), row(u, k, 0), h, inverse_mu, share)
 
 
-@compiled(**INNER)
+@compiled(**INNER, forceinline=True)  # what a call hands over costs as much as the work
 def _branches(k, x, root, force_k, law, log, inverse, start):
     """The k-th term of the forces where a face may be on virgin loading; start: room for the logarithm itself."""
     log_k, x_k, root_k, scale = row(log, k, 0), row(x, k, 0), row(root, k, 0), 1.0 * k
