@@ -312,10 +312,11 @@ def tail_level(law, lane, known_a, known_b, share):
 
 
 @compiled(**INNER)
-def wrong_branch(law, m, x, length, track, lane):
+def wrong_branch(law, m, x, length, beyond, track, lane):
     """Bring a face whose motion starts against its branch to the other one; whether it was.
 
-    x (TERMS, PAIR): the series of the step, of length `length`; its first term is changed with the dent.
+    x (TERMS, PAIR): the series of the step, of length `length`; its first term is changed with the dent.  A spring that
+    rises from its largest approach but turns before it is `beyond` it, as the error of a turn may leave it, stays one.
     """
     apart()
     still = STILL * length
@@ -325,7 +326,8 @@ def wrong_branch(law, m, x, length, track, lane):
             return True
         return False
     room = law[LARGEST, m] - law[DENT, m]
-    if x[0, m] >= room * (1.0 - ARMED) and (x[1, m] > still or (x[1, m] >= -still and x[2, m] > 0.0)):
+    rises = x[2, m] > 0.0 if x[1, m] <= still else x[1, m] * x[1, m] > -4.0 * x[2, m] * beyond
+    if x[0, m] >= room * (1.0 - ARMED) and x[1, m] >= -still and rises:
         x[0, m] = switch(law, m, x[0, m], track, lane)
         return True
     return False

@@ -95,7 +95,7 @@ def wrong_root(lane, length, branch, mass, local, rig, law, size):
 @compiled()
 def march(
     mode, wanted, mass, ends, round_trips, breaks, coefficients, frequencies, horizon, pulse_end, level, graze, laws,
-    rigs, speed, local, asked, stop_at_loss, capacity, out, status, order, steps, kept_start, kept_length, kept,
+    rigs, speed, local, closer, asked, stop_at_loss, capacity, out, status, order, steps, kept_start, kept_length, kept,
 ):  # fmt: skip
     """Integrate rows `order` of a batch; answers go to `out` (rows, tracked.ANSWERS) and `status` (rows).
 
@@ -103,7 +103,8 @@ def march(
     round_trips (n, 2): R and T of the two bars (T infinite: no reflection).  breaks, coefficients, frequencies:
     the pulse in scaled time.  horizon (n,): end of the record, inf for the rule of infinite bars, which needs
     pulse_end (n,).  level (n,): scale of x that is expected at least.  graze (n,): see events.after_step; 0 for
-    the rule itself.  local: error allowed in one step, asked: in the answers.  capacity: steps kept of one row.
+    the rule itself.  local: error allowed in one step, asked: in the answers; closer: share of the first once a face
+    has yielded.  capacity: steps kept of one row.
     kept* receive the series (x1, x2, u, q1, q2) of the last row if they have room (first dimension > 0).
     laws (n, tracked.LAWS, 2): of faces that yield or differ; (n, 0, 2): both forces are x^(3/2).
     rigs (n, tracked.RIGS, 2), speed (n,): what stands at the poles where it is not two bars, with `laws`, and u at the
@@ -167,6 +168,7 @@ def march(
     )
     # time before which the fast oscillation cannot have died out
     calm, slow_room = np.zeros(lanes), np.zeros((SLOW_ROOM, TERMS))
+    error = np.zeros(lanes)  # allowed in one step
     row[:] = -1
     inverse_mu[:] = 1.0
     # uninitialised: only the pages of steps that are taken ever cost memory.  A step's series is in powers of
@@ -209,6 +211,7 @@ def march(
             incoming.reflect_break(0.0, trips, queue, head, tail, j, end[j])
             stop[j] = incoming.next_break(breaks, r, 0.0, queue, head, tail, j, end[j])
             proposed[j] = 1e30
+            error[j] = local
             on_slow[j], calm[j], beyond[j] = False, decay_time(mass[r], local), False
             if yielding:
                 new_faces(law, j, laws[r])
@@ -232,11 +235,11 @@ def march(
                 continue
             if touching[j] == 1:
                 # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a touch
-                brief = (1e2 * local * min(1.0, 1.0 / quickest[j]) * size[0, j]) ** 0.4
+                brief = (1e2 * error[j] * min(1.0, 1.0 / quickest[j]) * size[0, j]) ** 0.4
                 if rigged:
-                    brief = (1e2 * local * min(1.0, 1.0 / quickest[j]) * min(size[0, j], size[2, j])) ** 0.4
+                    brief = (1e2 * error[j] * min(1.0, 1.0 / quickest[j]) * min(size[0, j], size[2, j])) ** 0.4
                 # the wave that presses has to be followed as well
-                smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * local, 1e-2))) * (stop[j] - time[j])
+                smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * error[j], 1e-2))) * (stop[j] - time[j])
                 proposed[j] = min(proposed[j], min(brief, smooth))
             left = stop[j] - time[j]
             trial = min(min(proposed[j], left), min(trips[0, j], trips[1, j]))
@@ -247,11 +250,11 @@ def march(
             low[j] = share * max(track[tracked.FACE_A, j], track[tracked.FACE_B, j]) if over else -math.inf
             if over and own[j]:
                 low[j] = tail_level(law, j, track[tracked.FACE_A, j], track[tracked.FACE_B, j], tracked.TAIL_SHARE)
-            near[j] = max(max(100.0 * local, asked) * size[0, j], graze[row[j]])
+            near[j] = max(max(100.0 * error[j], asked) * size[0, j], graze[row[j]])
             if rigged:  # only the first loss of contact is an answer of its own
                 near[j] = 0.0
                 if math.isnan(track[tracked.LOST, j]):
-                    near[j] = max(max(100.0 * local, asked) * min(size[0, j], size[2, j]), graze[row[j]])
+                    near[j] = max(max(100.0 * error[j], asked) * min(size[0, j], size[2, j]), graze[row[j]])
         incoming.incident(time, h, cubic, frequency, offset, push)
         for j in range(lanes):
             if row[j] >= 0 and time[j] >= min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
@@ -267,7 +270,7 @@ def march(
                     if trips[bar, j] <= time[j] * (1.0 + 1e-12) and first[bar, j] >= 0:
                         misfit[j] += incoming.add_echo(start, scale, wave, bar, j, first[bar, j], last[bar, j],
                                               time[j] - trips[bar, j], h[j], 2.0 * reflect[bar, j],
-                                              0.1 * local * size[0, j] / h[j], push, work)  # fmt: skip
+                                              0.1 * error[j] * size[0, j] / h[j], push, work)  # fmt: skip
         # ---- the motion over the steps
         apart, virgin = False, False
         if yielding:
@@ -277,7 +280,7 @@ def march(
                     virgin |= on_virgin_loading(law, j)
         expand(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
                rigged, rig, free, softens, sloped)  # fmt: skip
-        longest(x, u, free, size, rigged, local, theta)
+        longest(x, u, free, size, rigged, error, theta)
         for j in range(lanes):
             theta[j] = min(theta[j], 1.0)
             if row[j] < 0:
@@ -288,8 +291,8 @@ def march(
                     if turned[0, m] != time[j]:
                         turned[0, m], turned[1, m] = time[j], 0.0
                     doubtful = turned[1, m] < MOST_TURNS and may_be_wrong(law, m, x, h[j])
-                    if doubtful and wrong_branch(law, m, x, h[j], track, j):
-                        switched[j] = True
+                    if doubtful and wrong_branch(law, m, x, h[j], 1e-4 * error[j] * size[0, j], track, j):
+                        switched[j], error[j] = True, closer * local
                         turned[1, m] += 1.0
             if touching[j] == 1:
                 theta[j] = 1.0
@@ -315,7 +318,7 @@ def march(
                         root,
                         force,
                         size[0, j],
-                        local,
+                        error[j],
                         on_slow[j],
                         slow_room,
                         springs,
@@ -326,7 +329,7 @@ def march(
                 elif swing < math.inf:
                     # the oscillation needs this long to die out
                     rate_of_decay = 0.75 * math.sqrt(max(x[0, j], x[0, LANES + j]))
-                    calm[j] = time[j] + max(4.0 * h[j], 0.9 * math.log(swing / (local * size[0, j])) / rate_of_decay)
+                    calm[j] = time[j] + max(4.0 * h[j], 0.9 * math.log(swing / (error[j] * size[0, j])) / rate_of_decay)
                 else:
                     calm[j] = time[j] + 8.0 * h[j]
             left = stop[j] - time[j]
@@ -365,13 +368,13 @@ def march(
                     proposed[j] = reached * h[j]
                     continue
             impulse = h[j] * theta[j] * max(branch[j], branch[LANES + j])
-            allowed = 100.0 * local * size[0, j]
+            allowed = 100.0 * error[j] * size[0, j]
             if mode == 0:
-                allowed = min(allowed, 100.0 * local * mass[row[j]] * size[1, j])
+                allowed = min(allowed, 100.0 * error[j] * mass[row[j]] * size[1, j])
             if rigged:
-                impulse, allowed = wrong_root(j, h[j] * theta[j], branch, mass[row[j]], local, rig, law, size)
+                impulse, allowed = wrong_root(j, h[j] * theta[j], branch, mass[row[j]], error[j], rig, law, size)
             crossed = touching[j] == 0 and mode != 1 and not on_slow[j] and impulse > allowed
-            if crossed or misfit[j] * h[j] > local * size[0, j] or not theta[j] > 0.0:
+            if crossed or misfit[j] * h[j] > error[j] * size[0, j] or not theta[j] > 0.0:
                 proposed[j] = h[j] * (0.5 * theta[j] if crossed else 0.5 if theta[j] > 0.0 else 0.05)
                 if proposed[j] <= 1e-15 * (1.0 + time[j]) or attempts[j] > 10 * LIMIT:
                     status[r] = tracked.STUCK
@@ -400,7 +403,7 @@ def march(
                     )
                 ending, why = events.after_step(
                     mode, flags[j], track, j, piece, grid, places, theta[j], before, h[j],
-                    min(trips[0, j], trips[1, j]), quiet, local * size[0, j], near[j], asked * size[0, j], graze[r],
+                    min(trips[0, j], trips[1, j]), quiet, error[j] * size[0, j], near[j], asked * size[0, j], graze[r],
                     stop_at_loss and not rigged and not beyond[j], yielding, law,
                 )  # fmt: skip
             if why == 0 and ending == theta[j]:
@@ -470,7 +473,7 @@ def march(
                 and track[tracked.LOST, j] == track[tracked.ENDED, j]
             ):
                 events.finish(mode, wanted, track, j, path[j], branches[j], scale[j], start[j], length[j], crests[j],
-                              count[j], local, out[r], yielding, law)  # fmt: skip
+                              count[j], error[j], out[r], yielding, law)  # fmt: skip
                 out[r, tracked.ANSWER_SPEED] = value_of(u, j, ending)
                 beyond[j], why = True, 2 + int(track[tracked.LOST_FACE, j])
             if ending < theta[j] and (why >= 2 or own[j]):
@@ -488,7 +491,7 @@ def march(
                 if why < 4:
                     at[last_point, (why - 2) * LANES + j] = 0.0
                 else:
-                    own[j], m = True, (why % 2) * LANES + j
+                    own[j], error[j], m = True, closer * local, (why % 2) * LANES + j
                     at[last_point, m] = switch(law, m, at[last_point, m], track, j)
                     if mode == 2:
                         switch(law, (LANES + 2 * j) - m, at[last_point, m], track, j)
@@ -535,7 +538,7 @@ def march(
                 else:
                     if on_slow[j]:  # what jumps sets off the fast oscillation
                         proposed[j] = min(proposed[j], math.sqrt(mass[r]))
-                    on_slow[j], calm[j] = False, time[j] + decay_time(mass[r], local)
+                    on_slow[j], calm[j] = False, time[j] + decay_time(mass[r], error[j])
                     proposed[j] *= GROWTH
                     incoming.enter_piece(breaks, coefficients, frequencies, r, j, time[j], cubic, frequency, offset)
                     if time[j] >= breaks[r, -1] and trips[0, j] == math.inf and trips[1, j] == math.inf:
@@ -548,17 +551,17 @@ def march(
                     stop[j] = incoming.next_break(breaks, r, time[j], queue, head, tail, j, end[j])
             if not done and steady[j] >= 0.0 and touching[j] == 0 and not rigged:
                 if own[j]:
-                    done = events.decided_own(wanted, track, j, x, u[0, j], mass[r], steady[j], local, law)
+                    done = events.decided_own(wanted, track, j, x, u[0, j], mass[r], steady[j], error[j], law)
                 else:
                     done = events.decided(
-                        mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], local
+                        mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], error[j]
                     )
             if done and whole:
                 events.finish_whole(track, j, path[j], scale[j], length[j], count[j], out[r])
             if done:
                 if not beyond[j]:
                     events.finish(mode, wanted, track, j, path[j], branches[j], scale[j], start[j], length[j],
-                                  crests[j], count[j], local, out[r], yielding, law)  # fmt: skip
+                                  crests[j], count[j], error[j], out[r], yielding, law)  # fmt: skip
                     out[r, tracked.ANSWER_SPEED] = u[0, j]
                 out[r, tracked.ANSWER_SPEEDS], out[r, tracked.ANSWER_SPEEDS + 1] = free[0, j], -free[0, LANES + j]
                 status[r] = tracked.OK

@@ -40,8 +40,8 @@ _BLOCK = 512
 #: steps a row may take, tried in turn, so that memory stays small for the many rows that need few
 _CAPACITIES = (1024, 16_384, 262_144)
 #: error allowed in one step over the tolerance: for most quantities; where the difference of the forces is asked
-#: for; where the record ends in the tail of the force.  Measured by the sweep: every quantity then keeps the tolerance
-_LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL = 1.0, 0.05, 0.1
+#: for; where the record ends in the tail of the force; once a face has yielded.  Measured by the sweep: every quantity then keeps the tolerance
+_LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL, _LOCAL_YIELDED = 1.0, 0.05, 0.1, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,6 +266,8 @@ def march_rows(
         share = min(share, _LOCAL_TAIL)
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than the approaches need
     local = share * tolerance * (1.0 if mode == MODES["full"] else 0.1)
+    # what yields passes an error on: where the end of contact would have it integrated again it is integrated closer
+    closer = min(1.0, _LOCAL_YIELDED / share) if np.isfinite(arguments["horizon"]).all() else 1.0
     n = len(arguments["mass"])
     answers, status, steps = empty_answers(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     order, path = np.arange(n), None
@@ -273,7 +275,9 @@ def march_rows(
         room = capacity if keep else 0
         kept = (np.zeros(room), np.zeros(room), np.zeros((room, 5, tracked.TERMS)))
         rows = [arguments[name] for name in _ARGUMENTS]
-        march(*(mode, wanted, *rows, local, asked, stop_at_loss, capacity, answers, status, order, steps, *kept))
+        march(
+            *(mode, wanted, *rows, local, closer, asked, stop_at_loss, capacity, answers, status, order, steps, *kept)
+        )
         if keep:
             taken = int(steps[order[-1]])
             path = kept[0][:taken], kept[1][:taken], kept[2][:taken]
@@ -488,6 +492,7 @@ def _to_repeat(found: Scaled, tolerance: float, peak_only: bool) -> list[tuple[f
         sharpness = (
             answers[:, tracked.ANSWER_LOSS_RATE] * answers[:, tracked.ANSWER_CONTACT] / answers[:, tracked.ANSWER_X_MAX]
         )
+    sharpness = np.where(answers[:, tracked.ANSWER_UNLOADINGS] > 0.0, sharpness / _LOCAL_YIELDED, sharpness)
     # the same for a face that nearly left, a threshold that is nearly missed, a long motion
     long = (found.steps > _MANY_STEPS) & (not peak_only)
     near = np.isfinite(answers[:, tracked.ANSWER_NEAREST]) | long | _jumping(answers, tolerance)
