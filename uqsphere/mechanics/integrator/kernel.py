@@ -168,7 +168,7 @@ def march(
     )
     # time before which the fast oscillation cannot have died out
     calm, slow_room = np.zeros(lanes), np.zeros((SLOW_ROOM, TERMS))
-    error = np.zeros(lanes)  # allowed in one step
+    error, alone = np.zeros(lanes), np.zeros(lanes, dtype=np.bool_)
     row[:] = -1
     inverse_mu[:] = 1.0
     # uninitialised: only the pages of steps that are taken ever cost memory.  A step's series is in powers of
@@ -211,7 +211,7 @@ def march(
             incoming.reflect_break(0.0, trips, queue, head, tail, j, end[j])
             stop[j] = incoming.next_break(breaks, r, 0.0, queue, head, tail, j, end[j])
             proposed[j] = 1e30
-            error[j] = local
+            error[j], alone[j] = local, False
             on_slow[j], calm[j], beyond[j] = False, decay_time(mass[r], local), False
             if yielding:
                 new_faces(law, j, laws[r])
@@ -258,7 +258,7 @@ def march(
         incoming.incident(time, h, cubic, frequency, offset, push)
         for j in range(lanes):
             if row[j] >= 0 and time[j] >= min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
-                trial = incoming.echo_steps(j, time[j], h[j], trips, count[j], start, length, first, last)
+                trial = incoming.echo_steps(j, time[j], h[j], trips, count[j], start, length, first, last, alone[j])
                 if trial < h[j]:
                     shrink = trial / h[j]
                     power = shrink
@@ -376,6 +376,10 @@ def march(
             crossed = touching[j] == 0 and mode != 1 and not on_slow[j] and impulse > allowed
             if crossed or misfit[j] * h[j] > error[j] * size[0, j] or not theta[j] > 0.0:
                 proposed[j] = h[j] * (0.5 * theta[j] if crossed else 0.5 if theta[j] > 0.0 else 0.05)
+                if not crossed and theta[j] > 0.0 and not alone[j]:
+                    # a wave bends where the step that made it ends: what does not fit is tried again up to there
+                    alone[j] = max(last[0, j] - first[0, j], last[1, j] - first[1, j]) > 0
+                    proposed[j] = h[j] if alone[j] else proposed[j]
                 if proposed[j] <= 1e-15 * (1.0 + time[j]) or attempts[j] > 10 * LIMIT:
                     status[r] = tracked.STUCK
                     row[j] = -1
@@ -464,7 +468,7 @@ def march(
                         )
                     kept[n, 0, 0] += law[tracked.DENT, j]
                     kept[n, 1, 0] += law[tracked.DENT, LANES + j]
-            touching[j] = 0
+            touching[j], alone[j] = 0, False
             if (
                 why == 1
                 and whole
