@@ -519,7 +519,10 @@ def march(
             else:
                 size[0, j] = max(size[0, j], max(abs(x[0, j]), abs(x[0, LANES + j])))
             size[1, j] = max(size[1, j], abs(u[0, j]))
+            # what an echo cut short at a joint of its steps is tried again beyond it
+            kept_up = proposed[j] if ending == 1.0 and not at_stop else 0.0
             proposed[j] = ending * h[j] * (GROWTH if time[j] < min(trips[0, j], trips[1, j]) else GROWTH_ECHO)
+            proposed[j] = max(proposed[j], kept_up)
             if why >= 4:  # a face on its other branch moves on as smoothly as before
                 proposed[j] = max(proposed[j], h[j])
             done = why == 1
