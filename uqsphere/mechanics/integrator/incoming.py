@@ -167,8 +167,8 @@ def echo_steps(lane, time, h, trips, count, start, length, first, last, alone):
         while k < count - 1 and start[lane, k % room] + length[lane, k % room] <= begin + near:
             k += 1
         first[bar, lane] = k
-        # no more than a few steps at once: a wave that took many steps to make is not smooth
-        k = k if alone else min(k + 2, count - 1)
+        # no more than two steps at once: a wave that took many steps to make is not smooth
+        k = k if alone else min(k + 1, count - 1)
         h = min(h, max(start[lane, k % room] + length[lane, k % room] - begin, 0.1 * h))
     for bar in range(2):
         k = first[bar, lane]
