@@ -66,11 +66,10 @@ def _guessed(start, left, right, left_slope, right_slope, width):
 
 
 def _closer(place, value, slope, bend, spring, room, start, width):
-    """Newton's next place within its part of the step, and how far that is from the last."""
+    """Newton's next place, kept within its part of the step, and how far it went or would have."""
     elastic = spring > 0.0
     following = place - where(elastic, value - room, slope) / where(elastic, slope, 2.0 * bend)
-    following = larger(smaller(following, (start + 1.0) * width), start * width)
-    return following, size_of(following - place)
+    return larger(smaller(following, (start + 1.0) * width), start * width), size_of(following - place)
 
 
 _begin = elementwise(PAIR, 2, lambda largest, dent: (largest - dent, 0.0 * dent))
