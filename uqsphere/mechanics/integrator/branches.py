@@ -147,14 +147,24 @@ def _breaks(piece, face, m, law, at, rate, theta):
 
 
 @compiled(**INNER)
-def branch_ends(live, touching, x, at, rate, bow, theta, law, softens, piece, room, meets):
-    """End every lane's step where a face first changes its branch; whether any step is cut.
-
-    theta (LANES,) receives where; meets (LANES,): what ends the step, 0 nothing, 1 a face that breaks, face + 4 a
-    spring that begins to yield, face + 6 virgin loading that ceases to.  at, rate, bow (POINTS + 1, PAIR): values, derivatives
-    and half the second ones at equal distances over [0, theta].  room (11, PAIR), piece (2, TERMS): working space.
-    """
+def _end(face, m, x, at, rate, bow, theta, law, piece, room):
+    """theta at which a face changes its branch, or NaN, and whether it breaks there; looked at part by part."""
     apart()
+    for k in range(TERMS):
+        piece[face, k] = x[k, m]
+    if law[SPRING, m] > 0.0:
+        return _spring_end(piece, face, m, room[0, m], at, rate, theta), False
+    found = _virgin_end(piece, face, m, rate, bow, theta)
+    if law[GAMMA, m] > 0.0:
+        broken = _breaks(piece, face, m, law, at, rate, theta)
+        if not math.isnan(broken) and not broken > found:
+            return broken, True
+    return found, False
+
+
+@compiled(**INNER)
+def _settle(live, x, at, rate, bow, theta, law, room):
+    """Rows of `room`: 0 a spring's largest approach above its dent; 1 what `_first` finds, 7 where, 3 how surely."""
     top, kind, start, place = row(room, 0, 0), row(room, 1, 0), row(room, 2, 0), row(room, 7, 0)
     width, change, spring = row(room, 8, 0), row(room, 3, 0), row(law, SPRING, 0)
     left, right, left_slope, right_slope = row(room, 3, 0), row(room, 4, 0), row(room, 5, 0), row(room, 6, 0)
@@ -165,47 +175,44 @@ def branch_ends(live, touching, x, at, rate, bow, theta, law, softens, piece, ro
         _look(kind, start, left, right, left_slope, right_slope, row(at, i, 0), row(at, i + 1, 0), row(rate, i, 0),
               row(rate, i + 1, 0), row(bow, i, 0), row(bow, i + 1, 0), width, spring, top, 1.0 * i, kind, start, left,
               right, left_slope, right_slope)  # fmt: skip
-    met, clean = False, False
+    met = False
     for j in range(LANES):
-        meets[j] = 0
-        if live[j] >= 0 and touching[j] == 0:
-            most = max(room[1, j], room[1, LANES + j])
-            met |= most > 0.0
-            clean |= most > 0.0
-    if not (met or softens):
-        return False
-    if clean:
-        _guess(place, start, left, right, left_slope, right_slope, width)
-        for _ in range(3):
-            curves_at(x, ORDER, PAIR, 0, place, row(room, 4, 0), row(room, 5, 0), row(room, 6, 0))
-            curves_at(x, ORDER, PAIR, LANES, row(room, 7, LANES), row(room, 4, 0), row(room, 5, 0), row(room, 6, 0))
-            _refine(place, change, place, row(room, 4, 0), row(room, 5, 0), row(room, 6, 0), spring, top, start, width)
+        met |= live[j] >= 0 and (room[1, j] > 0.0 or room[1, LANES + j] > 0.0)
+    if not met:
+        return
+    value, slope, bend = row(room, 4, 0), row(room, 5, 0), row(room, 6, 0)
+    _guess(place, start, left, right, left_slope, right_slope, width)
+    for _ in range(3):
+        for c in range(0, PAIR, LANES):
+            curves_at(x, ORDER, PAIR, c, row(room, 7, c), value, slope, bend)
+        _refine(place, change, place, value, slope, bend, spring, top, start, width)
+
+
+@compiled(**INNER)
+def branch_ends(live, touching, x, at, rate, bow, theta, law, softens, piece, room, meets):
+    """End every lane's step where a face first changes its branch; whether any step is cut.
+
+    theta (LANES,) receives where; meets (LANES,): what ends the step, 0 nothing, 1 a face that breaks, face + 4 a
+    spring that begins to yield, face + 6 virgin loading that ceases to.  at, rate, bow (POINTS + 1, PAIR): values,
+    derivatives and half the second ones at equal distances over [0, theta].  room (11, PAIR), piece (2, TERMS): working
+    space.  softens: whether faces take damage.
+    """
+    apart()
+    _settle(live, x, at, rate, bow, theta, law, room)
     cut = False
     for j in range(LANES):
+        meets[j] = 0
         if live[j] < 0 or touching[j] != 0:
             continue
-        first = math.inf
+        first = theta[j]
         for face in range(2):
-            m, found = face * LANES + j, math.nan
-            virgin, breaks = law[SPRING, m] == 0.0, False
-            fragile = softens and virgin and law[GAMMA, m] > 0.0
-            if room[1, m] == 1.0 and room[3, m] < _SETTLED and not fragile:
+            m, found, breaks = face * LANES + j, math.nan, False
+            if room[1, m] == 1.0 and room[3, m] < _SETTLED and not softens:
                 found = room[7, m]
-            elif room[1, m] > 0.0 or fragile:
-                for k in range(TERMS):
-                    piece[face, k] = x[k, m]
-                if virgin:
-                    found = _virgin_end(piece, face, m, rate, bow, theta[j])
-                else:
-                    found = _spring_end(piece, face, m, room[0, m], at, rate, theta[j])
-                if fragile:
-                    broken = _breaks(piece, face, m, law, at, rate, theta[j])
-                    if not math.isnan(broken) and not broken > found:
-                        found, breaks = broken, True
-            if found < first:
-                first, meets[j] = found, 1 if breaks else face + (6 if virgin else 4)
-        if first <= theta[j]:
-            theta[j], cut = first, True
-        else:
-            meets[j] = 0
+            elif room[1, m] > 0.0 or softens:
+                found, breaks = _end(face, m, x, at, rate, bow, theta[j], law, piece, room)
+            if found < first or (found == first and meets[j] == 0):
+                first, cut = found, True
+                meets[j] = 1 if breaks else face + (4 if law[SPRING, m] > 0.0 else 6)
+        theta[j] = first
     return cut

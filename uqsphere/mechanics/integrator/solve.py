@@ -40,7 +40,8 @@ _BLOCK = 512
 #: steps a row may take, tried in turn, so that memory stays small for the many rows that need few
 _CAPACITIES = (1024, 16_384, 262_144)
 #: error allowed in one step over the tolerance: for most quantities; where the difference of the forces is asked
-#: for; where the record ends in the tail of the force; once a face has yielded.  Measured by the sweep: every quantity then keeps the tolerance
+#: for; where the record ends in the tail of the force; once a face has yielded, for the end of contact.  Measured by
+#: the sweep: every quantity then keeps the tolerance
 _LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL, _LOCAL_YIELDED = 1.0, 0.05, 0.1, 0.1
 
 
