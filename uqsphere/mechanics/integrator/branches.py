@@ -44,7 +44,8 @@ def _first(at_l, at_r, rate_l, rate_r, bow_l, bow_r, width, spring, room, begin,
     top = where((a_slope > 0.0) & (b_slope < 0.0), edge + 1.2 * a_slope * b_slope / (b_slope - a_slope), edge)
     # from its largest approach a spring goes down, but for a dip of a turn that hardly was one
     doubt = ((a < -near) & (top >= 0.0)) | ((a >= -near) & (b > near) & elastic)
-    found = where((a < -near) & (b >= 0.0), 1.0, where(doubt, 2.0, 0.0 * a))
+    # a point may be the place itself, to the last bit
+    found = where((a < -near) & (b >= -near), 1.0, where(doubt, 2.0, 0.0 * a))
     return (
         where(taken, kind, found),
         where(taken, start, begin),
@@ -109,7 +110,7 @@ def _spring_end(piece, face, m, room, at, rate, theta):
         if left >= room * (1.0 - ARMED):
             if right > room * (1.0 + ARMED):
                 found = _dip(piece, face, room, begin, end, rate[i + 1, m])
-        elif right >= room:
+        elif right >= room * (1.0 - ARMED):
             found = searches.settle(piece, face, False, begin, end, left - room, right - room, room)
         elif searches.highest_between(left, width * rate[i, m], right, width * rate[i + 1, m]) >= room:
             found = searches.passage(piece, face, room, 1.0, begin, end)
