@@ -42,6 +42,7 @@ from uqsphere.mechanics.integrator.step import (
     evaluate,
     evaluate_bent,
     expand,
+    expand_virgin,
     longest,
     root_error,
     slow_step,
@@ -278,7 +279,11 @@ def march(
                 if own[j] and row[j] >= 0:
                     apart = True
                     virgin |= on_virgin_loading(law, j)
-        expand(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
+        if virgin and not softens:
+            expand_virgin(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
+               rigged, rig, free, softens, sloped)  # fmt: skip
+        else:
+            expand(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
                rigged, rig, free, softens, sloped)  # fmt: skip
         longest(x, u, free, size, rigged, error, theta)
         for j in range(lanes):
