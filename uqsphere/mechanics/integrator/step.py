@@ -170,18 +170,16 @@ def _softened(k, x, force_k, law, power, inverse, sloped):
     _any_softened(force_k, force_k, row(law, HERTZ, 0), row(law, BY_LOG, 0), power_k)
 
 
+# push (TERMS, PAIR): 2 f and -2 h_B.  A face whose approach is not positive carries no force.  yielding, virgin: whether
+# faces have a law of their own, and whether one of them is on virgin loading; law: see
+# `uqsphere.mechanics.integrator.faces`; log (TERMS, PAIR): k times the k-th term of l on virgin loading, else of x;
+# inverse (PAIR,): room.  softens: whether faces take damage; log then has the terms of x^(gamma + 3/2); sloped
+# (TERMS, PAIR): room.  rigged, rig (RIGS, PAIR): whether something else than a bar stands at a pole, and what; free
+# (TERMS, PAIR): the series of U_A and -U_B.
 def _expand_of(on_law):
     """The function that fills the series of x (TERMS, PAIR), u (TERMS, LANES), root = sqrt(x) and force = q(x).
 
-    on_law: for steps in which faces that do not soften are on virgin loading; the others need not pay for them.
-
-    From their first terms; push: (TERMS, PAIR), 2 f and -2 h_B.  A face whose approach is not positive carries no
-    force.  yielding, virgin: whether faces have a law of their own, and whether one of them is on virgin loading; law:
-    see `uqsphere.mechanics.integrator.faces`; log (TERMS, PAIR): k times the k-th term of l on virgin loading, else of
-    x; inverse (PAIR,): room.  softens: whether faces take damage; log then has the terms of x^(gamma + 3/2); sloped
-    (TERMS, PAIR): room.
-    rigged, rig (RIGS, PAIR): whether something else than a bar stands at a pole, and what; free (TERMS, PAIR): the
-    series of U_A and -U_B.
+    From their first terms; on_law: in steps in which faces that do not soften are on virgin loading.
     """
 
     @compiled(**INNER)
