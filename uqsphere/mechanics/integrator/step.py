@@ -170,8 +170,8 @@ def _softened(k, x, force_k, law, power, inverse, sloped):
     _any_softened(force_k, force_k, row(law, HERTZ, 0), row(law, BY_LOG, 0), power_k)
 
 
-# push (TERMS, PAIR): 2 f and -2 h_B.  A face whose approach is not positive carries no force.  yielding, virgin: whether
-# faces have a law of their own, and whether one of them is on virgin loading; law: see
+# push (TERMS, PAIR): 2 f and -2 h_B.  A face whose approach is not positive carries no force.  yielding, virgin:
+# whether faces have a law of their own, and whether one of them is on virgin loading; law: see
 # `uqsphere.mechanics.integrator.faces`; log (TERMS, PAIR): k times the k-th term of l on virgin loading, else of x;
 # inverse (PAIR,): room.  softens: whether faces take damage; log then has the terms of x^(gamma + 3/2); sloped
 # (TERMS, PAIR): room.  rigged, rig (RIGS, PAIR): whether something else than a bar stands at a pole, and what; free
