@@ -23,7 +23,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 #: files with compiled code, or with numbers that it takes in
-_SOURCES = ("compiled", "events", "faces", "incoming", "kernel", "searches", "step", "tracked", "vectors")
+_SOURCES = ("branches", "compiled", "events", "faces", "incoming", "kernel", "searches", "step", "tracked", "vectors")
 #: what a process beside this one does at the first run ever
 _PARTS = "from uqsphere.mechanics.integrator import compiled, kernel; compiled.compile_parts(kernel.PARTS)"
 

@@ -176,17 +176,6 @@ def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
 
 
 @compiled(**INNER)
-def _cut(flags, lane, piece, grid, ends, law):
-    """Values and slopes of a step that a change of branch cuts short; ends alone where nothing else is asked."""
-    apart()
-    if flags & ~tracked.SWITCHES or not (face_yielded(law, lane) and face_yielded(law, LANES + lane)):
-        searches.survey(piece, ends, grid)
-    else:
-        for face in range(2):
-            grid[face, 0, tracked.POINTS] = searches.value(piece, face, ends)
-
-
-@compiled(**INNER)
 def _largest(mode, flags, track, lane, piece, grid, places, ends, yielding, law):
     """The largest values of a step into the trackers that `flags` name; the largest approach so far."""
     apart()
@@ -222,26 +211,19 @@ def _note_touch(track, lane, grid, least, first):
 
 @compiled(part=True, **INNER)
 def after_step(
-    mode, flags, track, lane, piece, grid, bends, bow, places, theta, before, h, echo, low, tiny, near, hover,
-    graze, stop_at_loss, yielding, law,
+    mode, flags, track, lane, piece, grid, places, theta, before, h, echo, low, tiny, near, hover, graze, stop_at_loss,
+    yielding, law,
 ):  # fmt: skip
     """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
 
     What ends the step: 0 nothing, 1 the record, 2 a face that lost contact or touched again while the motion goes on
-    (face + 2), a face that begins to yield (face + 4) or ceases to (face + 6).  `echo` is the time of the first
-    reflected wave, `tiny` the error allowed in an approach, `low` > 0 the share of the largest approach below which
-    the record ends; for the others see `_faces`.  grid (face, 2, POINTS + 1): values and slopes over [0, theta]; room.
-    bends, bow: see `searches.switch`.  places (2,) receive the theta of a face's largest approach so far, or -1: one
-    that has yielded is at its deepest on virgin loading.
+    (face + 2).  `echo` is the time of the first reflected wave, `tiny` the error allowed in an approach, `low` > 0 the
+    share of the largest approach below which the record ends; for the others see `_faces`.  grid (face, 2, POINTS + 1):
+    values and slopes over [0, theta]; room.  places (2,) receive the theta of a face's largest approach so far, or -1:
+    one that has yielded is at its deepest on virgin loading.
     """
     apart()
     ends, why = theta, 0
-    if flags & tracked.SWITCHES:
-        ends, why = searches.switch(law, lane, piece, grid, theta, bends, bow)
-        if why != 0:  # the step is cut: what `look` saw of it is more than there is
-            _cut(flags, lane, piece, grid, ends, law)
-            flags |= 1 << tracked.FACE_A
-        theta = ends
     if flags & tracked.SOMETHING:
         ends, met, lost = _faces(track, lane, piece, grid, theta, before, h, near, hover, graze)
         if lost >= 0 and stop_at_loss:

@@ -48,7 +48,6 @@ from uqsphere.mechanics.integrator.tracked import (
     ONSET,
     PEAK,
     PILE_UP,
-    POINTS,
     SHIFT,
     SOFTENING,
     SPRING,
@@ -313,10 +312,11 @@ def tail_level(law, lane, known_a, known_b, share):
 
 
 @compiled(**INNER)
-def wrong_branch(law, m, x, length, track, lane):
+def wrong_branch(law, m, x, length, beyond, track, lane):
     """Bring a face whose motion starts against its branch to the other one; whether it was.
 
-    x (TERMS, PAIR): the series of the step, of length `length`; its first term is changed with the dent.
+    x (TERMS, PAIR): the series of the step, of length `length`; its first term is changed with the dent.  A spring that
+    rises from its largest approach but turns before it is `beyond` it, as the error of a turn may leave it, stays one.
     """
     apart()
     still = STILL * length
@@ -326,7 +326,8 @@ def wrong_branch(law, m, x, length, track, lane):
             return True
         return False
     room = law[LARGEST, m] - law[DENT, m]
-    if x[0, m] >= room * (1.0 - ARMED) and (x[1, m] > still or (x[1, m] >= -still and x[2, m] > 0.0)):
+    rises = x[2, m] > 0.0 if x[1, m] <= still else x[1, m] * x[1, m] > -4.0 * x[2, m] * beyond
+    if x[0, m] >= room * (1.0 - ARMED) and x[1, m] >= -still and rises:
         x[0, m] = switch(law, m, x[0, m], track, lane)
         return True
     return False
@@ -370,32 +371,3 @@ def within_spring(law, lane, x, top):
         if law[SPRING, m] > 0.0 and top[m] - x[0, m] > rest > ARMED * law[LARGEST, m]:
             share = min(share, 0.9 * rest / (top[m] - x[0, m]))
     return share
-
-
-@compiled(**INNER)
-def least_between(left, left_slope, right, right_slope):
-    """What a rate can fall to between two ends at which it is positive: where the tangents meet, and a fifth more."""
-    if left_slope < 0.0 < right_slope:
-        return min(left, right) + 1.2 * left_slope * right_slope / (right_slope - left_slope)
-    return min(left, right)
-
-
-@compiled(**INNER)
-def may_switch(law, lane, top, rate, bow, width):
-    """Whether a face of a lane may change its branch within a step: by what it can reach at most, or a fall.
-
-    top (PAIR,): bounds of the approaches in the step; rate, bow (POINTS + 1, PAIR): their slopes at its points, `width`
-    apart, and half the second derivatives.
-    """
-    for face in range(2):
-        m = face * LANES + lane
-        if law[SPRING, m] == 0.0:
-            if top[m] >= law[BREAKS, m]:
-                return True
-            for i in range(POINTS):
-                bends = 2.0 * width * bow[i, m], 2.0 * width * bow[i + 1, m]
-                if rate[i + 1, m] < 0.0 or least_between(rate[i, m], bends[0], rate[i + 1, m], bends[1]) < 0.0:
-                    return True
-        elif top[m] >= law[LARGEST, m] - law[DENT, m]:
-            return True
-    return False

@@ -151,8 +151,11 @@ def reflect_break(time, trips, queue, head, tail, lane, horizon):
 
 
 @compiled(**INNER)
-def echo_steps(lane, time, h, trips, count, start, length, first, last):
-    """Find the steps on which the waves left that come back during the present step; its length, if need be cut."""
+def echo_steps(lane, time, h, trips, count, start, length, first, last, alone):
+    """Find the steps on which the waves left that come back during the present step; its length, if need be cut.
+
+    alone: whether no more than one of a bar may.
+    """
     apart()
     near, room = 1e-13 * (1.0 + time), start.shape[1]
     for bar in range(2):
@@ -164,8 +167,8 @@ def echo_steps(lane, time, h, trips, count, start, length, first, last):
         while k < count - 1 and start[lane, k % room] + length[lane, k % room] <= begin + near:
             k += 1
         first[bar, lane] = k
-        # no more than a few steps at once: a wave that took many steps to make is not smooth
-        k = min(k + 2, count - 1)
+        # no more than two steps at once: a wave that took many steps to make is not smooth
+        k = k if alone else min(k + 1, count - 1)
         h = min(h, max(start[lane, k % room] + length[lane, k % room] - begin, 0.1 * h))
     for bar in range(2):
         k = first[bar, lane]

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from uqsphere.mechanics.integrator import events, incoming, tracked
+from uqsphere.mechanics.integrator.branches import branch_ends
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
     MOST_TURNS,
     face_force,
     largest_approach,
     may_be_wrong,
-    may_switch,
     most_force,
     new_faces,
     of_its_own,
@@ -42,6 +42,7 @@ from uqsphere.mechanics.integrator.step import (
     evaluate,
     evaluate_bent,
     expand,
+    expand_virgin,
     longest,
     root_error,
     slow_step,
@@ -95,7 +96,7 @@ def wrong_root(lane, length, branch, mass, local, rig, law, size):
 @compiled()
 def march(
     mode, wanted, mass, ends, round_trips, breaks, coefficients, frequencies, horizon, pulse_end, level, graze, laws,
-    rigs, speed, local, asked, stop_at_loss, capacity, out, status, order, steps, kept_start, kept_length, kept,
+    rigs, speed, local, closer, asked, stop_at_loss, capacity, out, status, order, steps, kept_start, kept_length, kept,
 ):  # fmt: skip
     """Integrate rows `order` of a batch; answers go to `out` (rows, tracked.ANSWERS) and `status` (rows).
 
@@ -103,7 +104,8 @@ def march(
     round_trips (n, 2): R and T of the two bars (T infinite: no reflection).  breaks, coefficients, frequencies:
     the pulse in scaled time.  horizon (n,): end of the record, inf for the rule of infinite bars, which needs
     pulse_end (n,).  level (n,): scale of x that is expected at least.  graze (n,): see events.after_step; 0 for
-    the rule itself.  local: error allowed in one step, asked: in the answers.  capacity: steps kept of one row.
+    the rule itself.  local: error allowed in one step, asked: in the answers; closer: share of the first once a face
+    has yielded.  capacity: steps kept of one row.
     kept* (len(order), steps, ...) receive the series (x1, x2, u, q1, q2) of every row where they have room for steps.
     laws (n, tracked.LAWS, 2): of faces that yield or differ; (n, 0, 2): both forces are x^(3/2).
     rigs (n, tracked.RIGS, 2), speed (n,): what stands at the poles where it is not two bars, with `laws`, and u at the
@@ -121,7 +123,7 @@ def march(
         np.zeros((2, lanes), dtype=np.int64), np.zeros((tracked.TRACKS, lanes)), np.ones((SCALES, lanes)),
         np.zeros((4, 2, tracked.POINTS + 1)), np.zeros((3, PAIR)), np.zeros((19, lanes)),
         np.zeros((4, lanes), dtype=np.int64), np.zeros((tracked.NUMBERS, PAIR)), np.zeros((TERMS, PAIR)),
-        np.zeros((1, PAIR)), np.zeros((tracked.RIGS, PAIR)), np.zeros((TERMS, PAIR)), np.full((2, 2), -1.0),
+        np.zeros((1, PAIR)), np.zeros((tracked.RIGS, PAIR)), np.zeros((TERMS, PAIR)), np.full(2, -1.0),
         np.zeros((TERMS, PAIR)), np.zeros((3, TERMS)), np.zeros((tracked.POINTS + 1, PAIR)),
     )  # fmt: skip
     # faces that yield: their law, the series of the logarithm in it, a divisor; see `faces`
@@ -137,7 +139,7 @@ def march(
         np.zeros((2, PAIR)),
     )
     # what stands at the poles, the series of U_A and -U_B, where in a step faces are pressed deepest
-    rig, free, places, bends = bare(owned[26]), bare(owned[27]), bare(owned[28][0]), bare(owned[28][1])
+    rig, free, places = bare(owned[26]), bare(owned[27]), bare(owned[28])
     rigged = rigs.shape[1] > 0
     if not yielding:
         wanted &= ~tracked.WANT_SHARE
@@ -160,10 +162,11 @@ def march(
     steady = bare(numbers[16])  # the wave that comes in from now on for ever, or -1
     reflect = bare(numbers[17:19])
     row, count, attempts, flags = bare(counts[0]), bare(counts[1]), bare(counts[2]), bare(counts[3])
-    place = np.zeros(lanes, dtype=np.int64)
-    touching, on_slow = np.zeros(lanes, dtype=np.int64), np.zeros(lanes, dtype=np.bool_)
+    place, touching, meets = np.zeros(lanes, dtype=np.int64), np.zeros(lanes, dtype=np.int64), np.zeros(lanes, np.int64)
+    on_slow = np.zeros(lanes, dtype=np.bool_)
     # time before which the fast oscillation cannot have died out
     calm, slow_room = np.zeros(lanes), np.zeros((SLOW_ROOM, TERMS))
+    error, alone = np.zeros(lanes), np.zeros(lanes, dtype=np.bool_)
     row[:] = -1
     inverse_mu[:] = 1.0
     # uninitialised: only the pages of steps that are taken ever cost memory.  A step's series is in powers of
@@ -206,6 +209,7 @@ def march(
             incoming.reflect_break(0.0, trips, queue, head, tail, j, end[j])
             stop[j] = incoming.next_break(breaks, r, 0.0, queue, head, tail, j, end[j])
             proposed[j] = 1e30
+            error[j], alone[j] = local, False
             on_slow[j], calm[j], beyond[j] = False, decay_time(mass[r], local), False
             if yielding:
                 new_faces(law, j, laws[r])
@@ -229,11 +233,11 @@ def march(
                 continue
             if touching[j] == 1:
                 # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a touch
-                brief = (1e2 * local * min(1.0, 1.0 / quickest[j]) * size[0, j]) ** 0.4
+                brief = (1e2 * error[j] * min(1.0, 1.0 / quickest[j]) * size[0, j]) ** 0.4
                 if rigged:
-                    brief = (1e2 * local * min(1.0, 1.0 / quickest[j]) * min(size[0, j], size[2, j])) ** 0.4
+                    brief = (1e2 * error[j] * min(1.0, 1.0 / quickest[j]) * min(size[0, j], size[2, j])) ** 0.4
                 # the wave that presses has to be followed as well
-                smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * local, 1e-2))) * (stop[j] - time[j])
+                smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * error[j], 1e-2))) * (stop[j] - time[j])
                 proposed[j] = min(proposed[j], min(brief, smooth))
             left = stop[j] - time[j]
             trial = min(min(proposed[j], left), min(trips[0, j], trips[1, j]))
@@ -244,15 +248,15 @@ def march(
             low[j] = share * max(track[tracked.FACE_A, j], track[tracked.FACE_B, j]) if over else -math.inf
             if over and own[j]:
                 low[j] = tail_level(law, j, track[tracked.FACE_A, j], track[tracked.FACE_B, j], tracked.TAIL_SHARE)
-            near[j] = max(max(100.0 * local, asked) * size[0, j], graze[row[j]])
+            near[j] = max(max(100.0 * error[j], asked) * size[0, j], graze[row[j]])
             if rigged:  # only the first loss of contact is an answer of its own
                 near[j] = 0.0
                 if math.isnan(track[tracked.LOST, j]):
-                    near[j] = max(max(100.0 * local, asked) * min(size[0, j], size[2, j]), graze[row[j]])
+                    near[j] = max(max(100.0 * error[j], asked) * min(size[0, j], size[2, j]), graze[row[j]])
         incoming.incident(time, h, cubic, frequency, offset, push)
         for j in range(lanes):
             if row[j] >= 0 and time[j] >= min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
-                trial = incoming.echo_steps(j, time[j], h[j], trips, count[j], start, length, first, last)
+                trial = incoming.echo_steps(j, time[j], h[j], trips, count[j], start, length, first, last, alone[j])
                 if trial < h[j]:
                     shrink = trial / h[j]
                     power = shrink
@@ -264,7 +268,7 @@ def march(
                     if trips[bar, j] <= time[j] * (1.0 + 1e-12) and first[bar, j] >= 0:
                         misfit[j] += incoming.add_echo(start, scale, wave, bar, j, first[bar, j], last[bar, j],
                                               time[j] - trips[bar, j], h[j], 2.0 * reflect[bar, j],
-                                              0.1 * local * size[0, j] / h[j], push, work)  # fmt: skip
+                                              0.1 * error[j] * size[0, j] / h[j], push, work)  # fmt: skip
         # ---- the motion over the steps
         apart, virgin = False, False
         if yielding:
@@ -272,9 +276,13 @@ def march(
                 if own[j] and row[j] >= 0:
                     apart = True
                     virgin |= on_virgin_loading(law, j)
-        expand(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
+        if virgin and not softens:
+            expand_virgin(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
                rigged, rig, free, softens, sloped)  # fmt: skip
-        longest(x, u, free, size, rigged, local, theta)
+        else:
+            expand(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
+               rigged, rig, free, softens, sloped)  # fmt: skip
+        longest(x, u, free, size, rigged, error, theta)
         for j in range(lanes):
             theta[j] = min(theta[j], 1.0)
             if row[j] < 0:
@@ -285,8 +293,8 @@ def march(
                     if turned[0, m] != time[j]:
                         turned[0, m], turned[1, m] = time[j], 0.0
                     doubtful = turned[1, m] < MOST_TURNS and may_be_wrong(law, m, x, h[j])
-                    if doubtful and wrong_branch(law, m, x, h[j], track, j):
-                        switched[j] = True
+                    if doubtful and wrong_branch(law, m, x, h[j], 1e-4 * error[j] * size[0, j], track, j):
+                        switched[j], error[j] = True, closer * local
                         turned[1, m] += 1.0
             if touching[j] == 1:
                 theta[j] = 1.0
@@ -312,7 +320,7 @@ def march(
                         root,
                         force,
                         size[0, j],
-                        local,
+                        error[j],
                         on_slow[j],
                         slow_room,
                         springs,
@@ -323,7 +331,7 @@ def march(
                 elif swing < math.inf:
                     # the oscillation needs this long to die out
                     rate_of_decay = 0.75 * math.sqrt(max(x[0, j], x[0, LANES + j]))
-                    calm[j] = time[j] + max(4.0 * h[j], 0.9 * math.log(swing / (local * size[0, j])) / rate_of_decay)
+                    calm[j] = time[j] + max(4.0 * h[j], 0.9 * math.log(swing / (error[j] * size[0, j])) / rate_of_decay)
                 else:
                     calm[j] = time[j] + 8.0 * h[j]
             left = stop[j] - time[j]
@@ -342,6 +350,9 @@ def march(
                               row_of(bow, i, 0))  # fmt: skip
             else:
                 evaluate(x, theta, i / tracked.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0))
+        if yielding and branch_ends(row, touching, x, at, rate, bow, theta, law, softens, piece, room, meets):
+            for i in range(1, tracked.POINTS + 1):
+                evaluate(x, theta, i / tracked.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0))
         evaluate(u, theta, 1.0, half, at_u, rate_u)
         if mode != 1:
             root_error(root, theta, half, at, law, branch, row_of(room, 0, 0), row_of(room, 1, 0))
@@ -354,21 +365,23 @@ def march(
                 if switched[j]:
                     switched[j] = False
                     continue
-                if touching[j] == 0 and may_switch(law, j, room[1], rate, bow, theta[j] / last_point):
-                    flags[j] |= tracked.SWITCHES
                 reached = within_spring(law, j, x, room[1]) if touching[j] == 1 else 1.0
                 if reached < 1.0:
                     proposed[j] = reached * h[j]
                     continue
             impulse = h[j] * theta[j] * max(branch[j], branch[LANES + j])
-            allowed = 100.0 * local * size[0, j]
+            allowed = 100.0 * error[j] * size[0, j]
             if mode == 0:
-                allowed = min(allowed, 100.0 * local * mass[row[j]] * size[1, j])
+                allowed = min(allowed, 100.0 * error[j] * mass[row[j]] * size[1, j])
             if rigged:
-                impulse, allowed = wrong_root(j, h[j] * theta[j], branch, mass[row[j]], local, rig, law, size)
+                impulse, allowed = wrong_root(j, h[j] * theta[j], branch, mass[row[j]], error[j], rig, law, size)
             crossed = touching[j] == 0 and mode != 1 and not on_slow[j] and impulse > allowed
-            if crossed or misfit[j] * h[j] > local * size[0, j] or not theta[j] > 0.0:
+            if crossed or misfit[j] * h[j] > error[j] * size[0, j] or not theta[j] > 0.0:
                 proposed[j] = h[j] * (0.5 * theta[j] if crossed else 0.5 if theta[j] > 0.0 else 0.05)
+                if not crossed and theta[j] > 0.0 and not alone[j]:
+                    # a wave bends where the step that made it ends: what does not fit is tried again up to there
+                    alone[j] = max(last[0, j] - first[0, j], last[1, j] - first[1, j]) > 0
+                    proposed[j] = h[j] if alone[j] else proposed[j]
                 if proposed[j] <= 1e-15 * (1.0 + time[j]) or attempts[j] > 10 * LIMIT:
                     status[r] = tracked.STUCK
                     row[j] = -1
@@ -381,7 +394,6 @@ def march(
             if yielding:
                 for m in range(j, PAIR, LANES):
                     raised = known[0, m] > track[tracked.FACE_A + m // LANES, j]
-                    bends[m // LANES] = room[3, m] if room[4, m] > 0.0 else -1.0
                     places[m // LANES] = (room[3, m] if room[4, m] > 0.0 else ending) if raised else -1.0
             if flags[j] != 0:
                 for face in range(2):
@@ -396,12 +408,15 @@ def march(
                         max(track[tracked.FACE_A, j], track[tracked.FACE_B, j]), max(known[0, j], known[0, LANES + j])
                     )
                 ending, why = events.after_step(
-                    mode, flags[j], track, j, piece, grid, bends, bow, places, theta[j], before, h[j],
-                    min(trips[0, j], trips[1, j]), quiet, local * size[0, j], near[j], asked * size[0, j], graze[r],
+                    mode, flags[j], track, j, piece, grid, places, theta[j], before, h[j],
+                    min(trips[0, j], trips[1, j]), quiet, error[j] * size[0, j], near[j], asked * size[0, j], graze[r],
                     stop_at_loss and not rigged and not beyond[j], yielding, law,
                 )  # fmt: skip
-            # a step that is cut where a face begins to yield has not reached what `look` saw
-            if flags[j] & (1 << tracked.FACE_A) == 0 and why < 4:
+            if why == 0 and ending == theta[j]:
+                why = meets[j]
+                if why == 1:
+                    track[tracked.ENDED, j] = before + ending * h[j]
+            if flags[j] & (1 << tracked.FACE_A) == 0:
                 track[tracked.FACE_A, j] = known[0, j]
                 if before < min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
                     track[tracked.X_FIRST, j] = known[0, j]
@@ -450,12 +465,11 @@ def march(
                     # the series of a force ends a power of the step before that of its approach: what is left out at
                     # the end of the step goes to the last term, which errs by a fortieth of it inside
                     for m in range(j, PAIR, LANES):
-                        kept[at_row, n, 3 + m // LANES, TERMS - 1] += face_force(law, m, value_of(x, m, ending))[
-                            0
-                        ] - value_of(force, m, ending)
+                        left_out = face_force(law, m, value_of(x, m, ending))[0] - value_of(force, m, ending)
+                        kept[at_row, n, 3 + m // LANES, TERMS - 1] += left_out
                     kept[at_row, n, 0, 0] += law[tracked.DENT, j]
                     kept[at_row, n, 1, 0] += law[tracked.DENT, LANES + j]
-            touching[j] = 0
+            touching[j], alone[j] = 0, False
             if (
                 why == 1
                 and whole
@@ -464,12 +478,12 @@ def march(
                 and track[tracked.LOST, j] == track[tracked.ENDED, j]
             ):
                 events.finish(mode, wanted, track, j, path[j], branches[j], scale[j], start[j], length[j], crests[j],
-                              count[j], local, out[r], yielding, law)  # fmt: skip
+                              count[j], error[j], out[r], yielding, law)  # fmt: skip
                 out[r, tracked.ANSWER_SPEED] = value_of(u, j, ending)
                 beyond[j], why = True, 2 + int(track[tracked.LOST_FACE, j])
-            if why >= 2 or (why == 1 and own[j]):
+            if ending < theta[j] and (why >= 2 or own[j]):
                 at_u[j] = value_of(u, j, ending)
-                for face in range(2):  # where a face leaves or changes its branch, the search has come by
+                for face in range(2):  # where a face leaves, the search has come by
                     m = face * LANES + j
                     at[last_point, m] = grid[face, 0, last_point] if why >= 2 else value_of(x, m, ending)
             if why >= 2:  # the motion goes on from where a face left or touched
@@ -482,7 +496,7 @@ def march(
                 if why < 4:
                     at[last_point, (why - 2) * LANES + j] = 0.0
                 else:
-                    own[j], m = True, (why % 2) * LANES + j
+                    own[j], error[j], m = True, closer * local, (why % 2) * LANES + j
                     at[last_point, m] = switch(law, m, at[last_point, m], track, j)
                     if mode == 2:
                         switch(law, (LANES + 2 * j) - m, at[last_point, m], track, j)
@@ -506,7 +520,10 @@ def march(
             else:
                 size[0, j] = max(size[0, j], max(abs(x[0, j]), abs(x[0, LANES + j])))
             size[1, j] = max(size[1, j], abs(u[0, j]))
+            # what an echo cut short at a joint of its steps is tried again beyond it
+            kept_up = proposed[j] if ending == 1.0 and not at_stop else 0.0
             proposed[j] = ending * h[j] * (GROWTH if time[j] < min(trips[0, j], trips[1, j]) else GROWTH_ECHO)
+            proposed[j] = max(proposed[j], kept_up)
             if why >= 4:  # a face on its other branch moves on as smoothly as before
                 proposed[j] = max(proposed[j], h[j])
             done = why == 1
@@ -529,7 +546,7 @@ def march(
                 else:
                     if on_slow[j]:  # what jumps sets off the fast oscillation
                         proposed[j] = min(proposed[j], math.sqrt(mass[r]))
-                    on_slow[j], calm[j] = False, time[j] + decay_time(mass[r], local)
+                    on_slow[j], calm[j] = False, time[j] + decay_time(mass[r], error[j])
                     proposed[j] *= GROWTH
                     incoming.enter_piece(breaks, coefficients, frequencies, r, j, time[j], cubic, frequency, offset)
                     if time[j] >= breaks[r, -1] and trips[0, j] == math.inf and trips[1, j] == math.inf:
@@ -542,17 +559,17 @@ def march(
                     stop[j] = incoming.next_break(breaks, r, time[j], queue, head, tail, j, end[j])
             if not done and steady[j] >= 0.0 and touching[j] == 0 and not rigged:
                 if own[j]:
-                    done = events.decided_own(wanted, track, j, x, u[0, j], mass[r], steady[j], local, law)
+                    done = events.decided_own(wanted, track, j, x, u[0, j], mass[r], steady[j], error[j], law)
                 else:
                     done = events.decided(
-                        mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], local
+                        mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], error[j]
                     )
             if done and whole:
                 events.finish_whole(track, j, path[j], scale[j], length[j], count[j], out[r])
             if done:
                 if not beyond[j]:
                     events.finish(mode, wanted, track, j, path[j], branches[j], scale[j], start[j], length[j],
-                                  crests[j], count[j], local, out[r], yielding, law)  # fmt: skip
+                                  crests[j], count[j], error[j], out[r], yielding, law)  # fmt: skip
                     out[r, tracked.ANSWER_SPEED] = u[0, j]
                 out[r, tracked.ANSWER_SPEEDS], out[r, tracked.ANSWER_SPEEDS + 1] = free[0, j], -free[0, LANES + j]
                 status[r] = tracked.OK
@@ -576,6 +593,6 @@ def march(
 #: of integers, 1 to 3 arrays of so many dimensions
 PARTS: tuple[tuple[Any, str], ...] = (
     (events.look, "ii2222111nn212b2"),
-    (events.after_step, "ii2i23121fffffffffbb2"),
+    (events.after_step, "ii2i231fffffffffbb2"),
     (events.finish, "ii2i331111if1b2"),
 )

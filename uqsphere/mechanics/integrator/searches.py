@@ -10,7 +10,7 @@ import math
 
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.faces import ARMED, face_force, least_between, stored_energy
+from uqsphere.mechanics.integrator.faces import face_force, stored_energy
 from uqsphere.mechanics.integrator.tracked import CHI, INNER, LANES, ORDER
 from uqsphere.mechanics.integrator.vectors import apart
 
@@ -194,17 +194,17 @@ def curve(piece, face, turns, theta):
 
 
 @compiled(**INNER)
-def settle(piece, face, turns, a, b, at_a, at_b, level, guess):
+def settle(piece, face, turns, a, b, at_a, at_b, level):
     """theta between a and b at which a face passes `level`, or turns if `turns`; Newton, to the last bits.
 
-    at_a, at_b: what is sought a zero of, at the ends, which bracket it.  guess: where to begin, if it lies between.
+    at_a, at_b: what is sought a zero of, at the ends, which bracket it.
     """
     apart()
     if at_a == 0.0:
         return a
     if at_b == 0.0 or (at_a < 0.0) == (at_b < 0.0):
         return b
-    found = guess if a < guess < b else a + (b - a) * at_a / (at_a - at_b)
+    found = a + (b - a) * at_a / (at_a - at_b)
     for _ in range(60):
         off, slope = curve(piece, face, turns, found)
         off -= level
@@ -241,17 +241,6 @@ def slowest(piece, face, a, b):
         else:
             b, high = found, bow
     return found, rate
-
-
-@compiled(**INNER)
-def inverse_guess(begin, width, left, left_slope, right, right_slope):
-    """Where a rising function passes zero, by the cubic of its inverse; slopes times the width."""
-    if not (left_slope > 0.0 and right_slope > 0.0):
-        return -1.0
-    rise = right - left
-    y = -left / rise
-    z = 1.0 - y
-    return begin + width * (y * y * (1.0 + 2.0 * z) + y * z * rise * (z / left_slope - y / right_slope))
 
 
 @compiled(**INNER)
@@ -349,80 +338,3 @@ def may_pass(grid, face, sign, width, level):
         if highest_between(left, left_slope, right, right_slope) >= -level:
             return True
     return False
-
-
-# --- Changes of branch: where a face begins to yield, or ceases to.
-
-
-@compiled(**INNER)
-def _dip(piece, face, level, a, b, slope_b):
-    """theta at which an approach that turns at `level` and dips below it is there again; it lies above it at b."""
-    apart()
-    # where it turns the slope is zero but for rounding
-    a += 1e-3 * (b - a)
-    _, slope_a = both(piece, face, a)
-    if slope_a < 0.0 < slope_b:
-        a = bend(piece, face, a, b, slope_a, slope_b, SHARP)
-    return root(piece, face, level, a, b) if value(piece, face, a) < level else a
-
-
-@compiled(**INNER)
-def _ceases(piece, grid, face, m, width, turns, bow):
-    """theta at which a face on virgin loading turns back, about `turns` or -1 where that is not known, or NaN."""
-    apart()
-    for i in range(tracked.POINTS):
-        begin, end = i * width, (i + 1) * width
-        left, right, guess = grid[face, 1, i], grid[face, 1, i + 1], turns
-        bows = 2.0 * width * bow[i, m], 2.0 * width * bow[i + 1, m]
-        if left > 0.0 and right > 0.0 and least_between(left, bows[0], right, bows[1]) < 0.0:
-            # a fall that is over before the next point
-            end, right = slowest(piece, face, begin, end)
-            guess = -1.0
-        if left > 0.0 >= right:
-            return settle(piece, face, True, begin, end, left, right, 0.0, guess)
-    return math.nan
-
-
-@compiled(**INNER)
-def _yields(piece, grid, face, room, width):
-    """theta at which a face on its spring reaches `room`, its largest approach before, or NaN."""
-    apart()
-    found = math.nan
-    for i in range(tracked.POINTS):
-        left, right, begin, end = grid[face, 0, i], grid[face, 0, i + 1], i * width, (i + 1) * width
-        slopes = width * grid[face, 1, i], width * grid[face, 1, i + 1]
-        if left >= room * (1.0 - ARMED):
-            # from its largest approach: down again, but for a dip of a turn that hardly was one
-            if right > room * (1.0 + ARMED):
-                found = _dip(piece, face, room, begin, end, grid[face, 1, i + 1])
-        elif right >= room:
-            guess = inverse_guess(begin, width, left - room, slopes[0], right - room, slopes[1])
-            found = settle(piece, face, False, begin, end, left - room, right - room, room, guess)
-        elif highest_between(left, slopes[0], right, slopes[1]) >= room:
-            found = passage(piece, face, room, 1.0, begin, end)
-        if not math.isnan(found):
-            return found
-    return found
-
-
-@compiled(**INNER)
-def switch(law, lane, piece, grid, theta, bends, bow):
-    """The first change of branch of either face in a step: its theta, and face + 4 or face + 6, 1: it breaks, or 0.
-
-    bends (2,): where each face turns, about, or -1.  bow (POINTS + 1, PAIR): half the second derivatives.
-    """
-    apart()
-    ends, why, width = theta, 0, theta / tracked.POINTS
-    for face in range(2):
-        m, breaks = face * LANES + lane, False
-        if law[tracked.SPRING, m] == 0.0:
-            found = _ceases(piece, grid, face, m, width, bends[face], bow)
-            if law[tracked.GAMMA, m] > 0.0:
-                broken = passage(piece, face, law[tracked.BREAKS, m], 1.0, 0.0, theta if math.isnan(found) else found)
-                if not math.isnan(broken):
-                    found, breaks = broken, True
-        else:
-            found = _yields(piece, grid, face, law[tracked.LARGEST, m] - law[tracked.DENT, m], width)
-        if found <= ends and (why == 0 or found < ends):
-            ends, why = found, 1 if breaks else face + (6 if law[tracked.SPRING, m] == 0.0 else 4)
-    return ends, why

@@ -40,8 +40,9 @@ _BLOCK = 512
 #: steps a row may take, tried in turn, so that memory stays small for the many rows that need few
 _CAPACITIES = (1024, 16_384, 262_144)
 #: error allowed in one step over the tolerance: for most quantities; where the difference of the forces is asked
-#: for; where the record ends in the tail of the force.  Measured by the sweep: every quantity then keeps the tolerance
-_LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL = 1.0, 0.05, 0.1
+#: for; where the record ends in the tail of the force; once a face has yielded, for the end of contact.  Measured by
+#: the sweep: every quantity then keeps the tolerance
+_LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL, _LOCAL_YIELDED = 1.0, 0.05, 0.1, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,6 +226,12 @@ def _rigs(scene: Scene, rows: Places) -> Array:
     return rigs
 
 
+def _yielded_share(arguments: Mapping[str, Array]) -> float:
+    """Error allowed in one step over the tolerance once a face has yielded, for the end of contact between bars."""
+    bars_end = arguments["rigs"].shape[1] == 0 and bool(np.isfinite(arguments["horizon"]).all())
+    return _LOCAL_YIELDED if bars_end else _LOCAL
+
+
 @dataclass(frozen=True, kw_only=True)
 class Scaled:
     """Scaled answers (n, ANSWERS) of `uqsphere.mechanics.integrator.tracked`, status (n,) and steps (n,) of n rows.
@@ -266,6 +273,7 @@ def march_rows(
         share = min(share, _LOCAL_TAIL)
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than the approaches need
     local = share * tolerance * (1.0 if mode == MODES["full"] else 0.1)
+    closer = min(1.0, _yielded_share(arguments) / share)
     n = len(arguments["mass"])
     answers, status, steps = empty_answers(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     order, paths = np.arange(n), dict[int, tuple[Array, Array, Array]]()
@@ -273,7 +281,9 @@ def march_rows(
         room = len(order), capacity if keep else 0
         kept = (np.zeros(room), np.zeros(room), np.zeros((*room, 5, tracked.TERMS)))
         rows = [arguments[name] for name in _ARGUMENTS]
-        march(*(mode, wanted, *rows, local, asked, stop_at_loss, capacity, answers, status, order, steps, *kept))
+        march(
+            *(mode, wanted, *rows, local, closer, asked, stop_at_loss, capacity, answers, status, order, steps, *kept)
+        )
         if keep:
             paths |= {
                 row: (kept[0][k, :taken].copy(), kept[1][k, :taken].copy(), kept[2][k, :taken].copy())
@@ -315,7 +325,7 @@ def integrate(
 
         here = rows[block]
         part = march(np.arange(len(here)), tolerance, None)
-        _repeat_undecided(march, part, tolerance, peak_only=wanted == 0)
+        _repeat_undecided(march, part, tolerance, peak_only=wanted == 0, yielded=_yielded_share(arguments))
         found.answers[here], found.others[here] = part.answers, part.others
         found.status[here], found.steps[here] = part.status, part.steps
 
@@ -481,18 +491,19 @@ def _other_times(answers: Array) -> Array:
     return others
 
 
-def _to_repeat(found: Scaled, tolerance: float, peak_only: bool) -> list[tuple[float, Places]]:
+def _to_repeat(found: Scaled, tolerance: float, peak_only: bool, yielded: float = _LOCAL) -> list[tuple[float, Places]]:
     """Rows whose end of contact needs closer integration: (share of the tolerance, rows).
 
     An error of tolerance x_max in the approach moves the end of contact by that over the rate at which the
     face leaves; where this is more than the tolerance of the time itself, or where a face nearly left, the row is
-    integrated again.
+    integrated again.  yielded: share of the tolerance that rows have whose faces have yielded.
     """
     answers = found.answers
     with np.errstate(all="ignore"):
         sharpness = (
             answers[:, tracked.ANSWER_LOSS_RATE] * answers[:, tracked.ANSWER_CONTACT] / answers[:, tracked.ANSWER_X_MAX]
         )
+    sharpness = np.where(answers[:, tracked.ANSWER_UNLOADINGS] > 0.0, sharpness / yielded, sharpness)
     # the same for a face that nearly left, a threshold that is nearly missed, a long motion
     long = (found.steps > _MANY_STEPS) & (not peak_only)
     near = np.isfinite(answers[:, tracked.ANSWER_NEAREST]) | long | _jumping(answers, tolerance)
@@ -537,13 +548,15 @@ def _farther(answers: Array, one: Array, other: Array) -> Flags:
     return np.asarray(np.nan_to_num(ends[1], nan=-1.0) > np.nan_to_num(ends[0], nan=-1.0))
 
 
-def _repeat_undecided(march: March, found: Scaled, tolerance: float, *, peak_only: bool) -> None:
+def _repeat_undecided(
+    march: March, found: Scaled, tolerance: float, *, peak_only: bool, yielded: float = _LOCAL
+) -> None:
     """Integrate rows of a block more closely until their end of contact is certain or has two answers.
 
     `found` is brought up to date; undecided rows get the status for it.  With `peak_only` nothing beyond the largest
     approach is asked for.
     """
-    repetitions = _to_repeat(found, tolerance, peak_only)
+    repetitions = _to_repeat(found, tolerance, peak_only, yielded)
     while repetitions:
         factor, rows = repetitions.pop(0)
         closer = max(_FINEST, factor * tolerance)

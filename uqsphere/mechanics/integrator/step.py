@@ -136,65 +136,7 @@ _next_massless = elementwise(
 )
 
 
-@compiled(**INNER)
-def expand(
-    mode, h, inverse_mu, push, x, u, root, force, half, yielding, virgin, law, log, inverse, rigged, rig, free, softens,
-    sloped,
-):  # fmt: skip
-    """Fill the series of x (TERMS, PAIR), u (TERMS, LANES), root = sqrt(x) and force = q(x) from their first terms.
-
-    push : (TERMS, PAIR), 2 f and -2 h_B.  A face whose approach is not positive carries no force.  yielding, virgin:
-    whether faces have a law of their own, and whether one of them is on virgin loading; law: see
-    `uqsphere.mechanics.integrator.faces`; log (TERMS, PAIR): k times the k-th term of l on virgin loading, else of x;
-    inverse (PAIR,): room.  softens: whether faces take damage; log then has the terms of x^(gamma + 3/2); sloped
-    (TERMS, PAIR): room.
-    rigged, rig (RIGS, PAIR): whether something else than a bar stands at a pole, and what; free (TERMS, PAIR): the
-    series of U_A and -U_B.
-    """
-    apart()
-    if yielding:
-        _shifted_root(row(root, 0, 0), half, inverse, row(x, 0, 0), row(law, SHIFT, 0), row(law, BY_LOG, 0),
-                      row(law, BASE, 0))  # fmt: skip
-    else:
-        _first_root(row(root, 0, 0), half, row(x, 0, 0))
-    for k in range(TERMS):
-        x_k, force_k = row(x, k, 0), row(force, k, 0)
-        if mode == 1:
-            _spring(force_k, x_k, row(x, 0, 0))
-        else:
-            if k > 0:
-                root_k = row(root, k, 0)
-                products(root, root, k, 1, (k + 1) // 2, root_k)
-                if k % 2 == 0:
-                    _even_root(root_k, x_k, root_k, row(root, k // 2, 0), half)
-                else:
-                    _odd_root(root_k, x_k, root_k, half)
-            if virgin and not softens:
-                _branches(k, x, root, force_k, law, log, inverse, sloped)
-            else:
-                products(x, root, k, 0, k + 1, force_k)
-                if virgin:
-                    _softened(k, x, force_k, law, log, inverse, sloped)
-                elif yielding:
-                    _stiffer(force_k, force_k, row(law, SPRING, 0))
-        if k == ORDER:
-            break
-        share = 1.0 / (k + 1.0)
-        push_a, push_b = row(push, k, 0), row(push, k, LANES)
-        x_a, x_b, u_next = row(x, k + 1, 0), row(x, k + 1, LANES), row(u, k + 1, 0)
-        if mode == 2:
-            _next_massless(x_a, x_b, u_next, push_a, push_b, force_k, row(u, k, 0), h, share)
-        elif rigged:
-            _next_of_rig(x_a, x_b, u_next, row(free, k + 1, 0), row(free, k + 1, LANES), push_a, push_b, force_k,
-                         row(force, k, LANES), row(u, k, 0), row(free, k, 0), row(free, k, LANES),
-                         row(rig, RIG_GIVES, 0), row(rig, RIG_GIVES, LANES), row(rig, RIG_LIGHTNESS, 0),
-                         row(rig, RIG_LIGHTNESS, LANES), row(rig, RIG_THERE, 0), row(rig, RIG_THERE, LANES), h,
-                         inverse_mu, share)  # fmt: skip
-        else:
-            _next_x(x_a, x_b, u_next, push_a, push_b, force_k, row(force, k, LANES), row(u, k, 0), h, inverse_mu, share)
-
-
-@compiled(**INNER)
+@compiled(**INNER, forceinline=True)  # what a call hands over costs as much as the work
 def _branches(k, x, root, force_k, law, log, inverse, start):
     """The k-th term of the forces where a face may be on virgin loading; start: room for the logarithm itself."""
     log_k, x_k, root_k, scale = row(log, k, 0), row(x, k, 0), row(root, k, 0), 1.0 * k
@@ -226,6 +168,73 @@ def _softened(k, x, force_k, law, power, inverse, sloped):
         products(sloped, power, k, 1, k + 1, row(sloped, 0, 0))
         _power_term(power_k, power_k, row(sloped, 0, 0), row(law, GAMMA, 0), scale, inverse, 1.0 / scale)
     _any_softened(force_k, force_k, row(law, HERTZ, 0), row(law, BY_LOG, 0), power_k)
+
+
+# push (TERMS, PAIR): 2 f and -2 h_B.  A face whose approach is not positive carries no force.  yielding, virgin:
+# whether faces have a law of their own, and whether one of them is on virgin loading; law: see
+# `uqsphere.mechanics.integrator.faces`; log (TERMS, PAIR): k times the k-th term of l on virgin loading, else of x;
+# inverse (PAIR,): room.  softens: whether faces take damage; log then has the terms of x^(gamma + 3/2); sloped
+# (TERMS, PAIR): room.  rigged, rig (RIGS, PAIR): whether something else than a bar stands at a pole, and what; free
+# (TERMS, PAIR): the series of U_A and -U_B.
+def _expand_of(on_law):
+    """The function that fills the series of x (TERMS, PAIR), u (TERMS, LANES), root = sqrt(x) and force = q(x).
+
+    From their first terms; on_law: in steps in which faces that do not soften are on virgin loading.
+    """
+
+    @compiled(**INNER)
+    def expand(
+        mode, h, inverse_mu, push, x, u, root, force, half, yielding, virgin, law, log, inverse, rigged, rig, free,
+        softens, sloped,
+    ):  # fmt: skip
+        apart()
+        if yielding:
+            _shifted_root(row(root, 0, 0), half, inverse, row(x, 0, 0), row(law, SHIFT, 0), row(law, BY_LOG, 0),
+                          row(law, BASE, 0))  # fmt: skip
+        else:
+            _first_root(row(root, 0, 0), half, row(x, 0, 0))
+        for k in range(TERMS):
+            x_k, force_k = row(x, k, 0), row(force, k, 0)
+            if mode == 1:
+                _spring(force_k, x_k, row(x, 0, 0))
+            else:
+                if k > 0:
+                    root_k = row(root, k, 0)
+                    products(root, root, k, 1, (k + 1) // 2, root_k)
+                    if k % 2 == 0:
+                        _even_root(root_k, x_k, root_k, row(root, k // 2, 0), half)
+                    else:
+                        _odd_root(root_k, x_k, root_k, half)
+                if on_law:
+                    _branches(k, x, root, force_k, law, log, inverse, sloped)
+                else:
+                    products(x, root, k, 0, k + 1, force_k)
+                    if virgin:
+                        _softened(k, x, force_k, law, log, inverse, sloped)
+                    elif yielding:
+                        _stiffer(force_k, force_k, row(law, SPRING, 0))
+            if k == ORDER:
+                break
+            share = 1.0 / (k + 1.0)
+            push_a, push_b = row(push, k, 0), row(push, k, LANES)
+            x_a, x_b, u_next = row(x, k + 1, 0), row(x, k + 1, LANES), row(u, k + 1, 0)
+            if mode == 2:
+                _next_massless(x_a, x_b, u_next, push_a, push_b, force_k, row(u, k, 0), h, share)
+            elif rigged:
+                _next_of_rig(x_a, x_b, u_next, row(free, k + 1, 0), row(free, k + 1, LANES), push_a, push_b, force_k,
+                             row(force, k, LANES), row(u, k, 0), row(free, k, 0), row(free, k, LANES),
+                             row(rig, RIG_GIVES, 0), row(rig, RIG_GIVES, LANES), row(rig, RIG_LIGHTNESS, 0),
+                             row(rig, RIG_LIGHTNESS, LANES), row(rig, RIG_THERE, 0), row(rig, RIG_THERE, LANES), h,
+                             inverse_mu, share)  # fmt: skip
+            else:
+                _next_x(
+                    x_a, x_b, u_next, push_a, push_b, force_k, row(force, k, LANES), row(u, k, 0), h, inverse_mu, share
+                )
+
+    return expand
+
+
+expand, expand_virgin = _expand_of(False), _expand_of(True)
 
 
 def _root_16(a):

@@ -38,8 +38,6 @@ WANT_ALL = (1 << 9) - 1
 KINDS = MEAN + 1
 #: flag of a step in which a contact may be lost or found, or the record may end; the others are 1 << kind
 SOMETHING = 1 << KINDS
-#: flag of a step in which a face may begin or end to yield
-SWITCHES = 2 << KINDS
 
 # answers of a row, scaled: approach, force difference, energy, times; width and rise with their thresholds a little
 # lower, then a little higher; of faces A and B each: largest approach, that before the first echo, force of the other

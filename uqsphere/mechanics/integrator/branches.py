@@ -1,0 +1,219 @@
+"""Where in a step a face changes its branch: a spring at its largest approach so far, virgin loading where it turns.
+
+What is sought is where a function of a face rises through zero: of a spring its approach less the largest so far, of a
+face on virgin loading its rate with the other sign.  Values and slopes at a few points of the step say between which of
+them it does; Newton's iteration on the series, for all lanes together, settles where.  What the points leave in doubt,
+a dip or a bulge between them, is looked at face by face.
+"""
+
+from __future__ import annotations
+
+import math
+
+from uqsphere.mechanics.integrator import searches
+from uqsphere.mechanics.integrator.compiled import compiled
+from uqsphere.mechanics.integrator.faces import ARMED
+from uqsphere.mechanics.integrator.tracked import (
+    BREAKS,
+    DENT,
+    GAMMA,
+    INNER,
+    LANES,
+    LARGEST,
+    ORDER,
+    PAIR,
+    POINTS,
+    SPRING,
+    TERMS,
+)
+from uqsphere.mechanics.integrator.vectors import apart, curves_at, elementwise, larger, row, size_of, smaller, where
+
+#: change of a place, as a share of the trial step, after which the next one would be rounding
+_SETTLED = 1e-8
+
+
+def _first(at_l, at_r, rate_l, rate_r, bow_l, bow_r, width, spring, room, begin, kind, start, left, right, left_slope,
+           right_slope):  # fmt: skip
+    """What one part of a step has to say: 1 the function rises through zero in it, 2 it may; the first one counts."""
+    elastic, taken = spring > 0.0, kind > 0.0
+    a, b = where(elastic, at_l - room, -rate_l), where(elastic, at_r - room, -rate_r)
+    a_slope = width * where(elastic, rate_l, -2.0 * bow_l)
+    b_slope = width * where(elastic, rate_r, -2.0 * bow_r)
+    near = where(elastic, ARMED * room, 0.0)
+    edge = larger(a, b)
+    top = where((a_slope > 0.0) & (b_slope < 0.0), edge + 1.2 * a_slope * b_slope / (b_slope - a_slope), edge)
+    # from its largest approach a spring goes down, but for a dip of a turn that hardly was one
+    doubt = ((a < -near) & (top >= 0.0)) | ((a >= -near) & (b > near) & elastic)
+    # a point may be the place itself, to the last bit
+    found = where((a < -near) & (b >= -near), 1.0, where(doubt, 2.0, 0.0 * a))
+    return (
+        where(taken, kind, found),
+        where(taken, start, begin),
+        where(taken, left, a),
+        where(taken, right, b),
+        where(taken, left_slope, a_slope),
+        where(taken, right_slope, b_slope),
+    )
+
+
+def _guessed(start, left, right, left_slope, right_slope, width):
+    """Where a rising function passes zero, by the cubic of its inverse."""
+    rise = right - left
+    y = -left / rise
+    z = 1.0 - y
+    cubic = y * y * (1.0 + 2.0 * z) + y * z * rise * (z / left_slope - y / right_slope)
+    share = where((left_slope > 0.0) & (right_slope > 0.0), cubic, y)
+    return (start + larger(smaller(share, 1.0), 0.0)) * width
+
+
+def _closer(place, value, slope, bend, spring, room, start, width):
+    """Newton's next place, kept within its part of the step, and how far it went or would have."""
+    elastic = spring > 0.0
+    following = place - where(elastic, value - room, slope) / where(elastic, slope, 2.0 * bend)
+    return larger(smaller(following, (start + 1.0) * width), start * width), size_of(following - place)
+
+
+_begin = elementwise(PAIR, 2, lambda largest, dent: (largest - dent, 0.0 * dent))
+_part = elementwise(LANES, 1, lambda theta: theta * (1.0 / POINTS))
+_look = elementwise(PAIR, 6, _first)
+_guess = elementwise(PAIR, 1, _guessed)
+_refine = elementwise(PAIR, 2, _closer)
+
+
+@compiled(**INNER)
+def least_between(left, left_slope, right, right_slope):
+    """What a rate can fall to between two ends at which it is positive: where the tangents meet, and a fifth more."""
+    if left_slope < 0.0 < right_slope:
+        return min(left, right) + 1.2 * left_slope * right_slope / (right_slope - left_slope)
+    return min(left, right)
+
+
+@compiled(**INNER)
+def _dip(piece, face, level, a, b, slope_b):
+    """theta at which an approach that turns at `level` and dips below it is there again; it lies above it at b."""
+    apart()
+    # where it turns the slope is zero but for rounding
+    a += 1e-3 * (b - a)
+    _, slope_a = searches.both(piece, face, a)
+    if slope_a < 0.0 < slope_b:
+        a = searches.bend(piece, face, a, b, slope_a, slope_b, searches.SHARP)
+    return searches.root(piece, face, level, a, b) if searches.value(piece, face, a) < level else a
+
+
+@compiled(**INNER)
+def _spring_end(piece, face, m, room, at, rate, theta):
+    """theta at which a spring is at its largest approach so far again, or NaN."""
+    apart()
+    width, found = theta / POINTS, math.nan
+    for i in range(POINTS):
+        left, right, begin, end = at[i, m], at[i + 1, m], i * width, (i + 1) * width
+        if left >= room * (1.0 - ARMED):
+            if right > room * (1.0 + ARMED):
+                found = _dip(piece, face, room, begin, end, rate[i + 1, m])
+        elif right >= room * (1.0 - ARMED):
+            found = searches.settle(piece, face, False, begin, end, left - room, right - room, room)
+        elif searches.highest_between(left, width * rate[i, m], right, width * rate[i + 1, m]) >= room:
+            found = searches.passage(piece, face, room, 1.0, begin, end)
+        if not math.isnan(found):
+            break
+    return found
+
+
+@compiled(**INNER)
+def _virgin_end(piece, face, m, rate, bow, theta):
+    """theta at which a face on virgin loading turns, or NaN."""
+    apart()
+    width = theta / POINTS
+    for i in range(POINTS):
+        begin, end, left, right = i * width, (i + 1) * width, rate[i, m], rate[i + 1, m]
+        if left > 0.0 and right > 0.0 and least_between(left, 2.0 * width * bow[i, m], right,
+                                                        2.0 * width * bow[i + 1, m]) < 0.0:  # fmt: skip
+            # a fall that is over before the next point
+            end, right = searches.slowest(piece, face, begin, end)
+        if left > 0.0 >= right:
+            return searches.settle(piece, face, True, begin, end, left, right, 0.0)
+    return math.nan
+
+
+@compiled(**INNER)
+def _breaks(piece, face, m, law, at, rate, theta):
+    """theta at which a face that takes damage reaches its largest force, or NaN."""
+    apart()
+    width = theta / POINTS
+    for i in range(POINTS):
+        top = searches.highest_between(at[i, m], width * rate[i, m], at[i + 1, m], width * rate[i + 1, m])
+        if top >= law[BREAKS, m]:
+            return searches.passage(piece, face, law[BREAKS, m], 1.0, 0.0, theta)
+    return math.nan
+
+
+@compiled(**INNER)
+def _end(face, m, x, at, rate, bow, theta, law, piece, room):
+    """theta at which a face changes its branch, or NaN, and whether it breaks there; looked at part by part."""
+    apart()
+    for k in range(TERMS):
+        piece[face, k] = x[k, m]
+    if law[SPRING, m] > 0.0:
+        return _spring_end(piece, face, m, room[0, m], at, rate, theta), False
+    found = _virgin_end(piece, face, m, rate, bow, theta)
+    if law[GAMMA, m] > 0.0:
+        broken = _breaks(piece, face, m, law, at, rate, theta)
+        if not math.isnan(broken) and not broken > found:
+            return broken, True
+    return found, False
+
+
+@compiled(**INNER)
+def _settle(live, x, at, rate, bow, theta, law, room):
+    """Rows of `room`: 0 a spring's largest approach above its dent; 1 what `_first` finds, 7 where, 3 how surely."""
+    top, kind, start, place = row(room, 0, 0), row(room, 1, 0), row(room, 2, 0), row(room, 7, 0)
+    width, change, spring = row(room, 8, 0), row(room, 3, 0), row(law, SPRING, 0)
+    left, right, left_slope, right_slope = row(room, 3, 0), row(room, 4, 0), row(room, 5, 0), row(room, 6, 0)
+    _begin(top, kind, row(law, LARGEST, 0), row(law, DENT, 0))
+    for c in range(0, PAIR, LANES):
+        _part(row(room, 8, c), theta)
+    for i in range(POINTS):
+        _look(kind, start, left, right, left_slope, right_slope, row(at, i, 0), row(at, i + 1, 0), row(rate, i, 0),
+              row(rate, i + 1, 0), row(bow, i, 0), row(bow, i + 1, 0), width, spring, top, 1.0 * i, kind, start, left,
+              right, left_slope, right_slope)  # fmt: skip
+    met = False
+    for j in range(LANES):
+        met |= live[j] >= 0 and (room[1, j] > 0.0 or room[1, LANES + j] > 0.0)
+    if not met:
+        return
+    value, slope, bend = row(room, 4, 0), row(room, 5, 0), row(room, 6, 0)
+    _guess(place, start, left, right, left_slope, right_slope, width)
+    for _ in range(3):
+        for c in range(0, PAIR, LANES):
+            curves_at(x, ORDER, PAIR, c, row(room, 7, c), value, slope, bend)
+        _refine(place, change, place, value, slope, bend, spring, top, start, width)
+
+
+@compiled(**INNER)
+def branch_ends(live, touching, x, at, rate, bow, theta, law, softens, piece, room, meets):
+    """End every lane's step where a face first changes its branch; whether any step is cut.
+
+    theta (LANES,) receives where; meets (LANES,): what ends the step, 0 nothing, 1 a face that breaks, face + 4 a
+    spring that begins to yield, face + 6 virgin loading that ceases to.  at, rate, bow (POINTS + 1, PAIR): values,
+    derivatives and half the second ones at equal distances over [0, theta].  room (11, PAIR), piece (2, TERMS): working
+    space.  softens: whether faces take damage.
+    """
+    apart()
+    _settle(live, x, at, rate, bow, theta, law, room)
+    cut = False
+    for j in range(LANES):
+        meets[j] = 0
+        if live[j] < 0 or touching[j] != 0:
+            continue
+        first = theta[j]
+        for face in range(2):
+            m, found, breaks = face * LANES + j, math.nan, False
+            if room[1, m] == 1.0 and room[3, m] < _SETTLED and not softens:
+                found = room[7, m]
+            elif room[1, m] > 0.0 or softens:
+                found, breaks = _end(face, m, x, at, rate, bow, theta[j], law, piece, room)
+            if found < first or (found == first and meets[j] == 0):
+                first, cut = found, True
+                meets[j] = 1 if breaks else face + (4 if law[SPRING, m] > 0.0 else 6)
+        theta[j] = first
+    return cut
