@@ -241,21 +241,24 @@ class Silence:
 
 #: exit code of a finished run that misses a target
 MISSED = 3
+#: what a second process loads while the run goes on, and does for it: by name, so that this one loads nothing of it
+_LATE = ("uqsphere.report.page:load_page", "uqsphere.uq.interop:load_salib")
+_DRAFT, _PAGE = "uqsphere.report.page:write_draft", "uqsphere.report.page:build_and_sum_up"
 
 
 def command_run(chosen: argparse.Namespace) -> int:
     """Run a study and write its report."""
-    from uqsphere.runner.beside import elsewhere, may_copy, second_process
+    from uqsphere.runner.beside import elsewhere, may_copy, named, second_process
 
     study = study_of(chosen)
     if chosen.jobs is not None and chosen.jobs < 1:
         raise UsageError(f"--jobs must be at least 1, found {chosen.jobs}")
     seconds = None if chosen.budget is None else number_of(chosen.budget, "time", "--budget", above=0.0)
-    with second_process((_load_page, _load_salib), copied=may_copy(chosen.jobs)):
+    with second_process(_LATE, copied=may_copy(chosen.jobs)):
         found, interrupted = _watched_run(study, chosen, seconds)
         if sys.stderr.isatty():
             say("writing the report")
-        page, summary = elsewhere(_page, found.folder, chosen.jobs, screen_width())()
+        page, summary = elsewhere(named, _PAGE, found.folder, chosen.jobs, screen_width())()
     if missed := len(found.results.accuracy.missed):
         say(f"accuracy not reached in {missed} {'place' if missed == 1 else 'places'}: the report has what was asked")
     answer(chosen, found.results.document(), lambda: f"{summary}\n\nreport: {page}")
@@ -265,44 +268,10 @@ def command_run(chosen: argparse.Namespace) -> int:
     return 0 if found.met else MISSED
 
 
-def _load_page() -> None:
-    """What a page takes long to load."""
-    from uqsphere.report.figures.canvas import Picture, legend_above, new_figure, render
-    from uqsphere.report.page import page_environment
-
-    for name in ("brief.html", "template.html"):
-        page_environment().get_template(name)
-    figure, axes = new_figure(1.0)
-    axes[0].plot([0.0, 1.0], label="$x$")
-    legend_above(axes[0], 1)
-    render(Picture(name="first", title="", figure=figure))
-
-
-def _load_salib() -> None:
-    from uqsphere.uq.interop import load_salib
-
-    load_salib()
-
-
-def _draft(folder: Path, results: Results, manifest: Manifest) -> None:
-    from uqsphere.report.page import write_draft
-
-    write_draft(folder, results, manifest)
-
-
-def _page(folder: Path, jobs: int | None, width: int) -> tuple[Path, str]:
-    """The page of a finished run, and what the terminal says of it."""
-    from uqsphere.report import build_report
-    from uqsphere.report.brief import summary_of
-    from uqsphere.report.contents import read_contents
-
-    return build_report(folder, jobs), summary_of(read_contents(folder), width)
-
-
 def _watched_run(study: Study, chosen: argparse.Namespace, seconds: float | None) -> tuple[Run, bool]:
     """Run a study, its progress on stderr; the run, and whether Ctrl-C ended it early."""
     from uqsphere.runner.api import run
-    from uqsphere.runner.beside import elsewhere
+    from uqsphere.runner.beside import elsewhere, named
 
     budget = study.analysis.budget
     progress = Progress(
@@ -313,7 +282,7 @@ def _watched_run(study: Study, chosen: argparse.Namespace, seconds: float | None
     out = chosen.out or Path(f"{study.path.stem}-results")
 
     def draft(results: Results, manifest: Manifest) -> None:
-        elsewhere(_draft, out, results, manifest)
+        elsewhere(named, _DRAFT, out, results, manifest)
 
     with contextlib.ExitStack() as around:
         executor = None

@@ -19,11 +19,20 @@ from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.errors import UsageError
 from uqsphere.quantities import reading_units
-from uqsphere.report.brief import make_brief
+from uqsphere.report.brief import make_brief, summary_of
 from uqsphere.report.chapters import CHAPTERS, build_chapters, service_chapters
 from uqsphere.report.contents import Contents, read_contents, units_of
 from uqsphere.report.figures.brief import curve_drawings, mode_dots
-from uqsphere.report.figures.canvas import APOSTROPHE, Picture, inline, on_paper, render, shorten
+from uqsphere.report.figures.canvas import (
+    APOSTROPHE,
+    Picture,
+    inline,
+    legend_above,
+    new_figure,
+    on_paper,
+    render,
+    shorten,
+)
 from uqsphere.report.phrases import Block, Chapter, short_share, two
 from uqsphere.report.tables import commands, repeat_rows
 from uqsphere.report.whatif import panels
@@ -376,6 +385,21 @@ def _panel_parts(contents: Contents) -> Fields:
         "script": Markup(script),
         "policy": Markup(f"; script-src 'sha256-{digest}'") if script else "",
     }
+
+
+def load_page() -> None:
+    """What a page takes long to load: templates, and a first drawing with what drawings need."""
+    for name in ("brief.html", "template.html"):
+        page_environment().get_template(name)
+    figure, axes = new_figure(1.0)
+    axes[0].plot([0.0, 1.0], label="$x$")
+    legend_above(axes[0], 1)
+    render(Picture(name="first", title="", figure=figure))
+
+
+def build_and_sum_up(folder: Path, threads: int | None, width: int) -> tuple[Path, str]:
+    """The page of a finished run, and what a terminal of so many columns says of it."""
+    return build_report(folder, threads), summary_of(read_contents(folder), width)
 
 
 def write_draft(folder: Path, results: Results, manifest: Manifest) -> None:

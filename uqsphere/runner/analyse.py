@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 
-from uqsphere.runner.beside import aside, may_copy
 from uqsphere.runner.campaign import Findings
 from uqsphere.runner.drivers import Drivers
 from uqsphere.runner.ending import finish, finish_bare
 from uqsphere.runner.evaluate import Work, draw
-from uqsphere.runner.evidence import Early, gather_early
+from uqsphere.runner.evidence import Early, gathered_ahead
 from uqsphere.runner.expensive import Expensive, answer_expensive, keep_answers, price
 from uqsphere.runner.fidelity import Pilot, first_look
 from uqsphere.runner.finished import Run
@@ -101,13 +99,8 @@ def _by_sampling(
     notice: Callable[[str], None] | None,
 ) -> Findings:
     """Everything by sampling the model; surrogates that did not answer all still answer what they know better."""
-    beside = replace(work, progress=None, reached=None)
-    copied = store.shared and not work.study.black_box and may_copy(work.threads)
-    with aside(lambda: gather_early(beside), copied=copied) as told:
-        early = cache(told)
-        found = _sampled(work, store, pilot, one, first, notice, early)
-        early()  # kept for who asks when the other process has ended
-        return found
+    with gathered_ahead(work, store) as early:
+        return _sampled(work, store, pilot, one, first, notice, early)
 
 
 def _sampled(
@@ -146,5 +139,5 @@ def _sampled(
     if not room:
         if work.study.black_box:
             told_early(work, found)
-        return sharing(work, replace(found, **breaking(work, sampled, one)), one, first)
+        return sharing(work, replace(found, **breaking(work, found, one)), one, first)
     return side_by_side(work, store, found, first, room)

@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from functools import partial
+from importlib import import_module
 from multiprocessing.connection import Connection, Pipe
 from typing import Any, Final, ParamSpec, TypeVar, cast
 
@@ -118,8 +119,9 @@ _SECOND: Final[ContextVar[Second | None]] = ContextVar("second process", default
 
 
 @contextlib.contextmanager
-def second_process(load: Sequence[Callable[[], object]], *, copied: bool) -> Iterator[None]:
-    """While the block goes on `elsewhere` asks a copy of this process, which first does one `load` after the other.
+def second_process(load: Sequence[str], *, copied: bool) -> Iterator[None]:
+    """While the block goes on `elsewhere` asks a copy of this process, which does one `load` (`named`) after the other
+    where it is not asked.
 
     Where it is not `copied` nothing changes.  What was asked is done when the block ends.
     """
@@ -134,7 +136,7 @@ def second_process(load: Sequence[Callable[[], object]], *, copied: bool) -> Ite
         steps = iter(load)
         while True:
             if not there.poll() and (step := next(steps, None)) is not None:
-                step()
+                named(step)
                 continue
             there.send_bytes(_tried(there.recv()))
 
@@ -156,6 +158,12 @@ def elsewhere(function: Callable[P, T], *given: P.args, **named: P.kwargs) -> Ca
     """Have `function(*given)` done by the second process of this one, where it has one; what waits for its answer."""
     second, work = _SECOND.get(), partial(function, *given, **named)
     return second.ask(work) if second is not None and second.owner == os.getpid() else work
+
+
+def named(name: str, *given: Any) -> Any:
+    """What a function, "package.module:function", answers: its module is loaded by the process that calls it."""
+    module, _, function = name.partition(":")
+    return getattr(import_module(module), function)(*given)
 
 
 def _tried(function: Callable[[], object]) -> bytes:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -15,6 +17,7 @@ from uqsphere.mechanics.outputs import absent_in, all_with
 from uqsphere.mechanics.yielding import Face
 from uqsphere.model import EvaluatedRows, is_answered, scene_of
 from uqsphere.runner.axis_rows import evaluate_along
+from uqsphere.runner.beside import aside, may_copy
 from uqsphere.runner.campaign import Findings
 from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work, with_answered
 from uqsphere.runner.fidelity import solved
@@ -28,6 +31,7 @@ from uqsphere.uq.whatif import root
 if TYPE_CHECKING:
     from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
+    from uqsphere.store import Store
 
 #: one in so many values of the free scalar is looked at first
 _STRIDE: Final = 4
@@ -82,6 +86,17 @@ class Early(NamedTuple):
     along: dict[float, Sample]
     evaluations: int
     damaged: list[str]
+
+
+@contextmanager
+def gathered_ahead(work: Work, store: Store) -> Iterator[Callable[[], Early | None]]:
+    """While the block goes on, on another processor where there is one: what `gather_early` finds."""
+    beside = replace(work, progress=None, reached=None)
+    copied = store.shared and not work.study.black_box and may_copy(work.threads)
+    with aside(lambda: gather_early(beside), copied=copied) as told:
+        early = cache(told)
+        yield early
+        early()  # kept for who asks when the other process has ended
 
 
 def gather_early(work: Work) -> Early | None:
@@ -194,19 +209,23 @@ def _along(work: Work, left: int) -> dict[float, Sample]:
     margins, count = work.study.margins, min(WAYS_CURVE.first, left // (REPLICATES * WAYS_CURVE.most))
     if margins is None or not margins.axis.moves_rows or count < 1:
         return {}
-    values = list(spaced(margins.axis.low, margins.axis.high, WAYS_CURVE.most))
-    limits = [AnyLimit.of(work, (limit,)) for limit in work.study.limits if means_fracture(limit)]
+    values = spaced(margins.axis.low, margins.axis.high, WAYS_CURVE.most)
+    wanted = min(limit.target or min(margins.for_probability) for limit in work.study.limits)
     try:
         rows = evaluate_along(work, dict.fromkeys(values[::_STRIDE], (0, count)), ".ways")
-        said = [np.array([one.at(work, sample).any.mean() for one in limits]) for sample in rows.values()]
-        wanted = min(limit.target or min(margins.for_probability) for limit in work.study.limits)
-        moves = [bool((np.abs(after - before) > 0.1 * wanted).any()) for before, after in pairwise(said)]
-        between = [value for k, value in enumerate(values) if k % _STRIDE and moves[k // _STRIDE]]
-        if between:
+        if between := _between(work, values, rows, 0.1 * wanted):
             rows |= evaluate_along(work, dict.fromkeys(between, (0, count)), ".ways.between")
     except OutOfBudget:
         return {}
     return dict(sorted(rows.items()))
+
+
+def _between(work: Work, values: Sequence[float], rows: Mapping[float, Sample], least: float) -> list[float]:
+    """The values beside those of some rows between which the probability of a limit moves by more than `least`."""
+    limits = [AnyLimit.of(work, (limit,)) for limit in work.study.limits if means_fracture(limit)]
+    said = [np.array([one.at(work, sample).any.mean() for one in limits]) for sample in rows.values()]
+    moves = [bool((np.abs(after - before) > least).any()) for before, after in pairwise(said)]
+    return [value for k, value in enumerate(values) if k % _STRIDE and moves[k // _STRIDE]]
 
 
 def judged_ways(work: Work, found: Findings) -> Findings:

@@ -10,11 +10,9 @@ from uqsphere.runner.beside import aside, may_copy
 from uqsphere.runner.campaign import Findings
 from uqsphere.runner.drivers import find_drivers
 from uqsphere.runner.evaluate import Work
-from uqsphere.runner.evidence import judged_ways
 from uqsphere.runner.expensive import Expensive, keep_indices, keep_margins
 from uqsphere.runner.forecast import forecast
 from uqsphere.runner.questions.carried import find_carried
-from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.fields import find_courses
 from uqsphere.runner.questions.fracture import find_fracture
 from uqsphere.runner.questions.further import Analyses
@@ -44,16 +42,17 @@ def side_by_side(work: Work, store: Store, found: Findings, first: Analyses | No
     side, own = replace(work, ledger=deepcopy(base)), work.within(work.study.analysis.budget.evaluations - reserved)
     if copied:
         side = replace(side, progress=None, reached=None)
-    with aside(lambda: (breaking(side, found.sampled, None), side.ledger, store.damaged), copied=copied) as broken:
-        shared = sharing(own, told_early(own, judged_ways(own, found)), None, first)
+    with aside(lambda: (breaking(side, found, None), side.ledger, store.damaged), copied=copied) as broken:
+        shared = sharing(own, told_early(own, found), None, first)
         fracture, spent, damaged = broken()
     work.ledger.follow(spent, base)
     store.take_in(damaged)
     return replace(shared, **fracture)
 
 
-def breaking(work: Work, sampled: Sampled, one: Expensive | None) -> dict[str, Any]:
+def breaking(work: Work, found: Findings, one: Expensive | None) -> dict[str, Any]:
     """Margins, what is carried from tests, fracture, and what sliders show, as `Findings` has them."""
+    sampled = found.sampled
     margins = find_margins(work, sampled)
     if one is not None:
         margins = keep_margins(work, margins, one)

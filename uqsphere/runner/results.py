@@ -30,6 +30,7 @@ from uqsphere.results.entries import CheckEntry, Curve, Est, Fields, Manifest, P
 from uqsphere.runner.campaign import Cost, Findings, Missed
 from uqsphere.runner.deterministic import compare_with_paper
 from uqsphere.runner.evaluate import Work
+from uqsphere.runner.evidence import judged_ways
 from uqsphere.runner.forecast import forecast
 from uqsphere.runner.verdict import Judged, find_unsure, judge
 from uqsphere.study import Study, limit_of
@@ -184,7 +185,9 @@ def build_manifest(work: Work, seconds: list[float], prices: PricesEntry | None 
 
 
 def told_early(work: Work, found: Findings) -> Findings:
-    """What was found once verdicts are known, with how unsure that is; who asked for a draft is given it."""
+    """What was found with its verdicts, and with how unsure they are; who asked for a draft is given it."""
+    if not work.study.black_box:
+        found = judged_ways(work, found)
     if work.draft is None:
         return found
     found = replace(found, unsure=find_unsure(work, found.sampled))
