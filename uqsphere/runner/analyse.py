@@ -99,7 +99,7 @@ def _by_sampling(
     notice: Callable[[str], None] | None,
 ) -> Findings:
     """Everything by sampling the model; surrogates that did not answer all still answer what they know better."""
-    with gathered_ahead(work, store) as early:
+    with gathered_ahead(work) as early:
         return _sampled(work, store, pilot, one, first, notice, early)
 
 

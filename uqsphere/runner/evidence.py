@@ -25,13 +25,11 @@ from uqsphere.runner.forecast import JUDGED
 from uqsphere.runner.questions.any_limit import AnyLimit
 from uqsphere.runner.schedule import PILOT, REPLICATES, WAYS, WAYS_CURVE
 from uqsphere.study import Limit, Study, Ways, means_fracture, spaced, ways_of
-from uqsphere.uq import Sample
-from uqsphere.uq.whatif import root
+from uqsphere.uq import Sample, root
 
 if TYPE_CHECKING:
     from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
-    from uqsphere.store import Store
 
 #: one in so many values of the free scalar is looked at first
 _STRIDE: Final = 4
@@ -89,10 +87,11 @@ class Early(NamedTuple):
 
 
 @contextmanager
-def gathered_ahead(work: Work, store: Store) -> Iterator[Callable[[], Early | None]]:
+def gathered_ahead(work: Work) -> Iterator[Callable[[], Early | None]]:
     """While the block goes on, on another processor where there is one: what `gather_early` finds."""
     beside = replace(work, progress=None, reached=None)
-    copied = store.shared and not work.study.black_box and may_copy(work.threads)
+    stored = work.store is not None and work.store.shared
+    copied = stored and not work.study.black_box and may_copy(work.threads)
     with aside(lambda: gather_early(beside), copied=copied) as told:
         early = cache(told)
         yield early

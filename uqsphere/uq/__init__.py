@@ -24,9 +24,10 @@ from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.limit_state import LimitState, complement, miss, score_of, tails, target_met
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.sample import Sample, without
+from uqsphere.uq.whatif import root
 
 __all__ = [
     "NEVER", "NORMAL", "Dependence", "Estimate", "Joint", "Law", "LawError", "LimitState", "Sample", "Why", "absent",
-    "complement", "exact", "finite", "from_replicates", "make_joint", "make_law", "miss", "random_generator",
+    "complement", "exact", "finite", "from_replicates", "make_joint", "make_law", "miss", "random_generator", "root",
     "score_of", "sobol_points", "spread", "student", "tails", "target_met", "widest", "without",
 ]  # fmt: skip
