@@ -57,6 +57,8 @@ from uqsphere.mechanics.integrator.vectors import row as row_of
 GROWTH, GROWTH_ECHO = 4.0, 1.3
 #: steps a row may take at most: one that takes more has status 5
 LIMIT = 1 << 20
+#: steps whose errors may all go one way: a step at rest lacks up to 0.003 tolerances of energy (sweep, balances)
+FREE_STEPS = 1 << 10
 
 
 @compiled(**tracked.INNER)
@@ -294,7 +296,7 @@ def march(
                         turned[0, m], turned[1, m] = time[j], 0.0
                     doubtful = turned[1, m] < MOST_TURNS and may_be_wrong(law, m, x, h[j])
                     if doubtful and wrong_branch(law, m, x, h[j], 1e-4 * error[j] * size[0, j], track, j):
-                        switched[j], error[j] = True, closer * local
+                        switched[j], error[j] = True, min(error[j], closer * local)
                         turned[1, m] += 1.0
             if touching[j] == 1:
                 theta[j] = 1.0
@@ -435,6 +437,8 @@ def march(
             if whole:
                 events.note_whole(track, j, x, force, rate, piece, before, h[j], theta[j], ending, path[j, n])
             count[j] += 1
+            if count[j] > FREE_STEPS:  # errors that all go one way add up: of so many steps no more than a logarithm
+                error[j] *= 1.0 - 1.0 / count[j]
             start[j, n], scale[j, n], length[j, n], crests[j, n] = before, h[j], ending * h[j], crest[j]
             if yielding and store:
                 crests[j, n] = most_force(law, j, room[1])
@@ -496,7 +500,7 @@ def march(
                 if why < 4:
                     at[last_point, (why - 2) * LANES + j] = 0.0
                 else:
-                    own[j], error[j], m = True, closer * local, (why % 2) * LANES + j
+                    own[j], error[j], m = True, min(error[j], closer * local), (why % 2) * LANES + j
                     at[last_point, m] = switch(law, m, at[last_point, m], track, j)
                     if mode == 2:
                         switch(law, (LANES + 2 * j) - m, at[last_point, m], track, j)
