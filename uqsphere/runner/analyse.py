@@ -50,7 +50,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
         ledger.close("surrogate")
         found = _by_surrogate(work, pilot, expensive, first)
     if found is None:
-        found = _by_sampling(work, store, pilot, expensive, first, notice)
+        found = _by_sampling(work, pilot, expensive, first, notice)
         if notice is not None and store.damaged:
             notice(f"damaged chunks were found and evaluated again: {', '.join(store.damaged)}")
     if work.study.analysis.budget.evaluations < whole.study.analysis.budget.evaluations:
@@ -92,7 +92,6 @@ def _by_surrogate(work: Work, pilot: Pilot, one: Expensive, first: Analyses | No
 
 def _by_sampling(
     work: Work,
-    store: Store,
     pilot: Pilot,
     one: Expensive | None,
     first: Analyses | None,
@@ -100,12 +99,11 @@ def _by_sampling(
 ) -> Findings:
     """Everything by sampling the model; surrogates that did not answer all still answer what they know better."""
     with gathered_ahead(work) as early:
-        return _sampled(work, store, pilot, one, first, notice, early)
+        return _sampled(work, pilot, one, first, notice, early)
 
 
 def _sampled(
     work: Work,
-    store: Store,
     pilot: Pilot,
     one: Expensive | None,
     first: Analyses | None,
@@ -140,4 +138,4 @@ def _sampled(
         if work.study.black_box:
             told_early(work, found)
         return sharing(work, replace(found, **breaking(work, found, one)), one, first)
-    return side_by_side(work, store, found, first, room)
+    return side_by_side(work, found, first, room)

@@ -83,11 +83,13 @@ class Ledger:
         return time.monotonic() - self.started
 
     def close(self, part: str) -> None:
-        """Note that a part of the run is over: the seconds until now, and the evaluations since the part before."""
+        """Note that a part of the run is over, once more where it was taken up again: the seconds until now, and the
+        evaluations since the part before."""
         self.seconds[part] = self.elapsed
         closed = self.parts.values()
         spent = {name: n - sum(one.get(name, 0) for one in closed) for name, n in self.evaluations.items()}
-        self.parts[part] = {name: n for name, n in spent.items() if n}
+        known = self.parts.get(part, {})
+        self.parts[part] = known | {name: n + known.get(name, 0) for name, n in spent.items() if n}
 
     def follow(self, first: Ledger, base: Ledger) -> None:
         """Be what this is as though `first` had come before: both began as `base`."""

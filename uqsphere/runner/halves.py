@@ -17,10 +17,10 @@ from uqsphere.runner.questions.fields import find_courses
 from uqsphere.runner.questions.fracture import find_fracture
 from uqsphere.runner.questions.further import Analyses
 from uqsphere.runner.questions.margins import find_margins, judge_answers
+from uqsphere.runner.questions.probabilities import find_designs
 from uqsphere.runner.questions.shapley import share_variance
 from uqsphere.runner.results import told_early
 from uqsphere.runner.sliders import find_sliders
-from uqsphere.store import Store
 
 #: share of the budget that may be spent, with the most that margins and fracture take, for these to be answered beside
 #: what shares the variance out
@@ -35,9 +35,11 @@ def reserved(work: Work) -> int:
     return most if work.ledger.total + most <= ROOM * budget else 0
 
 
-def side_by_side(work: Work, store: Store, found: Findings, first: Analyses | None, reserved: int) -> Findings:
+def side_by_side(work: Work, found: Findings, first: Analyses | None, reserved: int) -> Findings:
     """Margins and fracture beside what shares the variance out, each with its own part of the budget: on two
     processors where there are two, with the same answers where there is one."""
+    store = work.store
+    assert store is not None
     base, copied = deepcopy(work.ledger), store.shared and may_copy(work.threads)
     side, own = replace(work, ledger=deepcopy(base)), work.within(work.study.analysis.budget.evaluations - reserved)
     if copied:
@@ -68,6 +70,7 @@ def breaking(work: Work, found: Findings, one: Expensive | None) -> dict[str, An
 
 def sharing(work: Work, found: Findings, one: Expensive | None, first: Analyses | None) -> Findings:
     """What was found, with indices, drivers and courses."""
+    found = replace(found, sampled=find_designs(work, found.sampled))
     shared = share_variance(work, found.sampled, first)
     if one is not None:
         shared = replace(shared, sensitivity=keep_indices(shared.sensitivity, one))

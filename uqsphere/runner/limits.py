@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -43,6 +44,8 @@ SEEN = 1.0
 #: of strengths with a normal score of their own, intervals held 30 % of the answers that one run carries, 60 % with
 #: three, 80 % with ten, and from twenty on 93 to 97 %
 CARRYING = 20.0
+#: why a limit has no design point that none was looked for of
+UNSOUGHT: Final = "no search for a design point was made"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +62,7 @@ class LimitAnswer:
     governing_method: str = BY_DIRECTION
     design: dict[str, float] | None = None
     design_points: int = 0
-    design_reason: str = "no search for a design point was made"
+    design_reason: str = UNSOUGHT
     modes: int | None = None
     checks: tuple[str, ...] = ()
     counted: bool = False

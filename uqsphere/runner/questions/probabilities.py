@@ -24,7 +24,7 @@ from uqsphere.arrays import Array, Flags
 from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import MISS_KIND, Accuracy, Cost, Missed, campaign, cost_of, speed_rows_of
 from uqsphere.runner.evaluate import LATE, OutOfBudget, Work, evaluate_points
-from uqsphere.runner.limits import LimitAnswer, limits_missed, takes_over
+from uqsphere.runner.limits import UNSOUGHT, LimitAnswer, limits_missed, takes_over
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.schedule import DESIGN_POINT, LEARNED, MOST_LEARNED, RARE, least_learned, more_to_come
 from uqsphere.study import Limit, strength_name
@@ -120,10 +120,9 @@ class SmallProbabilities:
 
 
 def refine_limits(work: Work, sampled: Sampled) -> Sampled:
-    """Sampled limits with design points, and with importance sampling's probabilities where sampling fell short."""
+    """Sampled limits with importance sampling's probabilities where sampling fell short."""
     limits = list(enumerate(work.study.limits))
-    searched = {"auto", "form", "importance", "subset"} & set(work.study.analysis.methods)
-    if not work.drawn.names or not limits or not searched:
+    if not limits or not _searches(work):
         return sampled
     question = SmallProbabilities(
         work=work, limits=dict(sampled.limits), todo=limits, go_on=partial(_search, replace(work, spare=True))
@@ -136,21 +135,48 @@ def refine_limits(work: Work, sampled: Sampled) -> Sampled:
     return replace(sampled, limits=question.limits, missed=missed, stopped=stopped)
 
 
+def find_designs(work: Work, sampled: Sampled) -> Sampled:
+    """Sampled limits with the design points of those that no search was made for."""
+    todo = [(at, limit) for at, limit in enumerate(work.study.limits)
+            if limit.name in sampled.limits and sampled.limits[limit.name].design_reason == UNSOUGHT]  # fmt: skip
+    if not todo or not _searches(work):
+        return sampled
+    question = SmallProbabilities(
+        work=work, limits=dict(sampled.limits), todo=todo, go_on=partial(_seek_design, replace(work, spare=True))
+    )
+    campaign(work, question)
+    work.ledger.close("rare events")
+    return replace(sampled, limits=question.limits)
+
+
+def _searches(work: Work) -> bool:
+    return bool(work.drawn.names) and bool({"auto", "form", "importance", "subset"} & set(work.study.analysis.methods))
+
+
+def _seek_design(
+    work: Work, at: int, limit: Limit, answer: LimitAnswer, room: float
+) -> tuple[LimitAnswer, list[SpeedRow]]:
+    """The design point of a limit whose probability is known."""
+    share = RARE.share if more_to_come(work.study) else 1.0
+    if int(min(RARE.most, share * room)) < DESIGN_POINT:
+        return answer, []
+    space = limit_space(work.only([limit.quantity]), limit, at)
+    return with_design(work, answer, _design_points(work, space, DESIGN_POINT), space), []
+
+
 def _search(work: Work, at: int, limit: Limit, answer: LimitAnswer, room: float) -> tuple[LimitAnswer, list[SpeedRow]]:
-    """The failures of a limit searched for where sampling fell short; else its design point alone."""
+    """The failures of a limit searched for where sampling fell short."""
     if tied_strength(work, limit):
         return replace(answer, design_reason=_TIED), []
     share = RARE.share if more_to_come(work.study) else 1.0
-    space, budget = limit_space(work.only([limit.quantity]), limit, at), int(min(RARE.most, share * room))
-    if _goes_on(work, answer, budget):
+    if _goes_on(work, answer, budget := int(min(RARE.most, share * room))):
+        space = limit_space(work.only([limit.quantity]), limit, at)
         asked = work.study.analysis.accuracy.probability
         rare = find_probability(space.function, seed=work.study.seed, accuracy=asked, budget=budget)
         rows = [
             row for m, n, error in rare.history for row in speed_rows_of(m, f"limits.{limit.name}", n, error, MISS_KIND)
         ]
         return _joined(work, limit, answer, rare, space), rows
-    if budget >= DESIGN_POINT:
-        return with_design(work, answer, _design_points(work, space, DESIGN_POINT), space), []
     return answer, []
 
 
