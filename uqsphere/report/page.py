@@ -389,7 +389,7 @@ def _panel_parts(contents: Contents) -> Fields:
 
 def load_page() -> None:
     """What a page takes long to load: templates, and a first drawing with what drawings need."""
-    for name in ("brief.html", "template.html"):
+    for name in ("brief.html", "brief_body.html", "parts.html", "template.html", "whatif.html"):
         page_environment().get_template(name)
     figure, axes = new_figure(1.0)
     axes[0].plot([0.0, 1.0], label="$x$")
