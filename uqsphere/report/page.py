@@ -175,7 +175,10 @@ def words_used(page: str) -> list[tuple[str, str]]:
 #: bytes that the figures of a page take up, which is never larger than 1 MB; what is beyond stays a file of its own
 MOST_INLINED: Final = 550_000
 #: what a page says that is written before the run is over
-GOES_ON: Final = "The run goes on: curves, drivers and the evidence are still to come, and this page is replaced then."
+GOES_ON: Final = (
+    "The run goes on: curves, drivers and the evidence are still to come, and this page is replaced then. If the run "
+    "has ended without, run it again: what was evaluated is kept."
+)
 #: characters of one text on the page; a study may hold megabytes
 LONGEST: Final = 1500
 

@@ -116,8 +116,9 @@ def gather(work: Work, sample: Sample, early: Early | None) -> Evidence | None:
     """
     study, random = work.study, bool(work.scene_names)
     left = study.analysis.budget.evaluations - work.ledger.total
-    # the rows are answered by the study's contact law, by the static one, and by all that checks read
-    count = min(WAYS.first, sample.count, left // 3 // (sample.replicates if random else 1))
+    # the rows are answered twice, by the study's contact law and by the static one, and some by all that checks read
+    checks = min(PILOT.first, left // 4)
+    count = min(WAYS.first, sample.count, (left - checks) // 2 // (sample.replicates if random else 1))
     if study.black_box or count < 1 or not any(means_fracture(limit) for limit in study.limits):
         return None
     head, d = sample.head(count), len(work.scene_names)
@@ -126,11 +127,11 @@ def gather(work: Work, sample: Sample, early: Early | None) -> Evidence | None:
     scene = scene_of(wide, {name: rows[:, k] for k, name in enumerate(work.scene_names)}, len(rows))
     own = _own(work, wide)
     answers = _solved(own, scene, own.quantities)
-    first = np.arange(head.size).reshape(head.replicates, -1)[:, : -(-PILOT.first // head.replicates)]
+    first = np.arange(head.size).reshape(head.replicates, -1)[:, : max(checks // head.replicates, 1)]
     checked = scene.at(first.ravel()) if random else scene
     found = Evidence(work=own, ways=ways, sample=_with(own, head, answers), scene=checked,
                      answers=_solved(own, checked, all_with(scene, own.quantities)),
-                     along=_along(own, left - 3 * len(rows)) if early is None else early.along,
+                     along=_along(own, left - 2 * len(rows) - checks) if early is None else early.along,
                      static=_static(own, head, scene, answers))  # fmt: skip
     work.ledger.evaluations["ways"] = own.ledger.total + (0 if early is None else early.evaluations)
     return found

@@ -437,7 +437,7 @@ def march(
             if whole:
                 events.note_whole(track, j, x, force, rate, piece, before, h[j], theta[j], ending, path[j, n])
             count[j] += 1
-            if count[j] > FREE_STEPS:  # errors that all go one way add up: of so many steps no more than a logarithm
+            if own[j] and count[j] > FREE_STEPS:  # errors to one side add up: of so many steps no more than a logarithm
                 error[j] *= 1.0 - 1.0 / count[j]
             start[j, n], scale[j, n], length[j, n], crests[j, n] = before, h[j], ending * h[j], crest[j]
             if yielding and store:
