@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
 from pathlib import Path
@@ -41,7 +41,7 @@ def good(inputs):
     return {"y": inputs["x1"] + inputs["x2"] ** 2}
 
 def expensive(inputs):
-    time.sleep(0.001 * len(inputs["x1"]))
+    time.sleep(0.0002 * len(inputs["x1"]))
     return good(inputs)
 
 def odd(inputs):
@@ -157,10 +157,14 @@ def test_what_the_model_has_started_ends_with_it(tmp_path: Path, how: str) -> No
     mark = tmp_path / "pid"
     line = f"echo $$ > {mark}.new; mv {mark}.new {mark}; exec sleep 3600"
     pool = LocalWorkers(1)
-    limit = (lambda: 2.0) if how == "limit" else None
-    slow = pool.submit_limited(subprocess.call, ["sh", "-c", line], limit=limit)
-    while not mark.exists():
-        time.sleep(0.01)
+
+    def begun() -> float:
+        while not mark.exists():
+            time.sleep(0.01)
+        return 0.05
+
+    slow = pool.submit_limited(subprocess.call, ["sh", "-c", line], limit=begun if how == "limit" else None)
+    begun()
     if how == "gone":
         # as when the run itself is killed: the other end of the pipe is closed
         (process,) = pool._processes
@@ -254,7 +258,7 @@ def test_an_expensive_black_box_gets_processes(box: Any, tmp_path: Path, monkeyp
 
 @pytest.mark.parametrize(("name", "override", "status"), [
     ("raising", "analysis.on_failure='drop'", "raised an exception"),
-    ("hanging", 'analysis.time_limit="2 s"', "took longer"),
+    ("hanging", 'analysis.time_limit="0.5 s"', "took longer"),
     ("dying", "analysis.rows_per_call=256", "ended the process"),
 ])  # fmt: skip
 def test_a_row_that_fails_fails_alone(box: Any, tmp_path: Path, name: str, override: str, status: str) -> None:
@@ -308,13 +312,25 @@ def test_a_model_that_hangs_on_every_row_is_given_up(box: Any, tmp_path: Path, m
 
 def test_calls_that_hold_a_row_that_hangs_do_not_take_the_limit_of_all_their_rows(box: Any, tmp_path: Path) -> None:
     """The calls after the first are cut as soon as they are far slower than rows have been."""
-    study, reference = box("often", "analysis.on_failure='drop'", 'analysis.time_limit="2 s"')
+    study, reference = box("often", "analysis.on_failure='drop'", 'analysis.time_limit="0.5 s"')
     rows = np.random.default_rng(1).random((120, 2))
     rows[:, 0] *= 0.89
     rows[45, 0] = rows[70, 0] = 0.95
     task = Task(study=study, names=("x1", "x2"), columns=("y",), needed=("y",), fidelity="full", tolerance=1e-6,
                 model=reference, digest=model_digest(reference), go_on=True)  # fmt: skip
-    pool, began = LocalWorkers(1), time.monotonic()
+    allowed: list[float] = []
+
+    class Told(LocalWorkers):
+        def ask(self, packed: bytes, rows: np.ndarray, limit: Callable[[], float] | None) -> Any:
+            def told() -> float:
+                assert limit is not None
+                if len(rows) > 1:
+                    allowed.append(limit())
+                return limit()
+
+            return super().ask(packed, rows, told)
+
+    pool = Told(1)
     try:
         found = list(gather(pool, task, rows, [(k, k + 40) for k in range(0, 120, 40)], go_on=lambda: True))
     finally:
@@ -322,8 +338,9 @@ def test_calls_that_hold_a_row_that_hangs_do_not_take_the_limit_of_all_their_row
     failed = sorted(start for start, _, answered, _ in found if answered.status.any())
     assert failed == [45, 70]
     assert sorted(k for start, stop, _, _ in found for k in range(start, stop)) == list(range(120))
-    # 8 s and two rows, with processes that start; not the 80 s of 40 rows
-    assert time.monotonic() - began < 50.0
+    # four rows' limits and ten times what their rows have taken, in place of 20 s
+    assert len(allowed) == 3
+    assert 2.0 < min(allowed) <= max(allowed) < 10.0
 
 
 def test_what_needs_a_reference_says_so(box: Any, tmp_path: Path) -> None:

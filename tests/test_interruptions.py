@@ -232,7 +232,7 @@ def test_a_resumed_scene_integrates_nothing_again(
 
 
 def test_random_kills_lose_nothing(tmp_path: Path) -> None:
-    found = kill_runs(write_case(tmp_path / "case", 0.0005), 1, jobs="1")
+    found = kill_runs(write_case(tmp_path / "case", 0.0002), 1, seed=5, jobs="1")
     assert (found.kills, found.unequal, found.repeated) == (1, 0, 0)
     assert set(found.codes) == {0}
 
@@ -250,7 +250,7 @@ def test_a_clock_that_jumps_changes_nothing(study: Study, tmp_path: Path, monkey
 def test_two_processes_on_one_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    case = write_case(tmp_path / "case", 0.001)
+    case = write_case(tmp_path / "case", 0.0003)
     monkeypatch.chdir(case)
     command = ["run", "killed.toml", "--model", "killed.py:f", "--out", "r"]
     first = subprocess.Popen([sys.executable, "-m", "uqsphere", *command], stdout=subprocess.DEVNULL,

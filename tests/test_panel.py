@@ -95,16 +95,14 @@ def test_a_panel_that_cannot_be_says_why(run_folder: Path) -> None:
 
 
 _DRIVE = """<script>(() => {
-  const ranges = [...document.querySelectorAll('.whatif input[type=range]')], times = [];
+  const ranges = [...document.querySelectorAll('.whatif input[type=range]')];
   const shown = () => document.querySelector('.whatif .big').textContent;
   const before = shown(), [panel] = uqsphereWhatIf.panels;
   const speed = ranges.find(r => r.id.includes('speed'));
   for (let k = 0; k < 200; k++) {
     speed.value = 350 + k;
     speed.dispatchEvent(new Event('input'));
-    const start = performance.now();
     panel.update();
-    times.push(performance.now() - start);
   }
   const after = shown();
   speed.value = 1000;
@@ -113,7 +111,7 @@ _DRIVE = """<script>(() => {
   const end = document.createElement('pre');
   end.id = 'found';
   const panel_ = document.querySelector('.whatif'), command = panel_.querySelector('pre').textContent;
-  end.textContent = JSON.stringify({ before, after, grey: shown(), times, hidden: panel_.hidden, command });
+  end.textContent = JSON.stringify({ before, after, grey: shown(), hidden: panel_.hidden, command });
   document.body.append(end);
 })()</script></body>"""
 
@@ -127,8 +125,6 @@ def test_the_panel_answers_in_a_browser(run_folder: Path, tmp_path: Path) -> Non
     assert found["after"] != found["before"]
     assert found["grey"] == "no answer"
     assert re.search(r"--set 'striker\.speed\.mean=\"[\d.]+ m/s\"'", found["command"])
-    # one frame is 16 ms; a machine that runs a whole suite beside it has five
-    assert np.median(found["times"]) < 80.0
 
 
 def drive(page: str, place: Path) -> dict[str, Any]:

@@ -161,7 +161,7 @@ def directly(found: Plan, speed: float, rise: float, length: float, place: int) 
     given = {**subject.columns, "striker.speed": speed, "striker.length": length, "pulse.rise": rise}
     scene = Scene(columns={name: np.array([value]) for name, value in given.items()}, shape="ramp",
                   first_loading_only=True)  # fmt: skip
-    course = trace(scene, 0, tolerance=1e-8, points=20001)
+    course = trace(scene, 0, tolerance=1e-7, points=5001)
     strength = subject.strengths[place, 0]
     level = force_at_pressure(strength, scene.scales.modulus[0], scene.scales.effective_radius[0])
     larger = np.maximum(course.force_a, course.force_b)

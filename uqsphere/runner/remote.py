@@ -12,13 +12,14 @@ import pickle
 import platform
 import queue
 import struct
+import sys
 import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import metadata
-from typing import IO, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -30,6 +31,9 @@ from uqsphere.errors import ModelError, ModelRaised, UqsphereError, UsageError, 
 from uqsphere.mechanics.fidelity import Fallback
 from uqsphere.model import STATUS_RAISED, EvaluatedRows, answer_black_box, answer_scene
 from uqsphere.study import Study
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 _LENGTH: Final = struct.Struct(">Q")
 #: one evaluation at a time in a process: nothing is known of a model's threads, and the kernel has its own
@@ -129,12 +133,18 @@ class Watch:
             self.seconds += time.perf_counter() - started
 
 
+@lru_cache(maxsize=1)
+def _linear_algebra(modules: int) -> ThreadpoolController:
+    """Libraries that are there with so many modules: a look for them takes longer than a call of a quick model."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
 def evaluate_remote(packed: bytes, rows: Array) -> tuple[EvaluatedRows, float]:
     """Answers of rows in a worker process, with the seconds that the model took; one thread."""
-    from threadpoolctl import threadpool_limits
-
     task, box = _opened(packed)
-    with _one_at_a_time, threadpool_limits(limits=1, user_api="blas"):
+    with _one_at_a_time, _linear_algebra(len(sys.modules)).limit(limits=1, user_api="blas"):
         began, watch = time.perf_counter(), None if box is None else Watch(box)
         found = evaluate_rows(task, rows, watch, 1)
         return found, time.perf_counter() - began if watch is None else watch.seconds
