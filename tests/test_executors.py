@@ -456,6 +456,8 @@ def test_a_second_process_loads_ahead_and_does_what_it_is_asked_in_turn(tmp_path
         there = elsewhere(_process_or_error, 1)
         wrong = elsewhere(_process_or_error, -1)
         assert there() != here
+        with aside(lambda: (os.getpid(), elsewhere(_process_or_error, 2)()), copied=True) as copy:
+            assert len(set(copy())) == 1  # another copy asks nothing of it
         while not elsewhere(_loaded, "SALib.analyze.sobol")():
             time.sleep(0.01)
         with pytest.raises(AccessError, match="below zero"):
