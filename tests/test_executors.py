@@ -509,6 +509,8 @@ def test_a_run_side_by_side_is_that_of_one_processor_and_its_page_stands_early(t
     two = uqsphere.run(study, out=tmp_path / "2", threads=2, draft=draft)
     assert one.results == two.results
     assert one.manifest.evaluations == two.manifest.evaluations <= 60_000
+    taken = {part.part: part.taken for part in two.results.plan.parts}
+    assert min(taken["margins"], taken["fracture"], taken["sensitivity"], taken["ways to break"]) > 0
     assert len(early) == 1
     assert GOES_ON in early[0]
     assert "Not established" in early[0]
