@@ -116,7 +116,10 @@ def test_shares_stay_in_the_unit_interval_and_none_is_not_zero_for_certain() -> 
     assert share(np.ones((4, 25), dtype=bool)).low == pytest.approx(0.05 ** (1 / 100))
     few = np.zeros((4, 25), dtype=bool)
     few[0, 0] = True
-    assert 0.0 <= share(few).low <= 0.01 <= share(few).high
+    found = share(few)
+    assert 0.0 <= found.low <= 0.01 <= found.high
+    ends = [math.log(99.0 * end / (1.0 - end)) for end in (found.low, found.high)]
+    assert ends == pytest.approx([-ends[1], ends[1]])  # as far to both sides in logits
 
 
 def test_heavy_tails_are_said_and_not_printed() -> None:

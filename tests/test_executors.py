@@ -473,6 +473,8 @@ def test_a_second_process_loads_ahead_and_does_what_it_is_asked_in_turn(tmp_path
         there = elsewhere(_process_or_error, 1)
         wrong = elsewhere(_process_or_error, -1)
         assert there() != here
+        with aside(lambda: (os.getpid(), elsewhere(_process_or_error, 2)()), copied=True) as copy:
+            assert len(set(copy())) == 1  # another copy asks nothing of it
         while not elsewhere(_loaded, "SALib.analyze.sobol")():
             time.sleep(0.01)
         with pytest.raises(AccessError, match="below zero"):
@@ -524,6 +526,8 @@ def test_a_run_side_by_side_is_that_of_one_processor_and_its_page_stands_early(t
     two = uqsphere.run(study, out=tmp_path / "2", threads=2, draft=draft)
     assert one.results == two.results
     assert one.manifest.evaluations == two.manifest.evaluations <= 60_000
+    taken = {part.part: part.taken for part in two.results.plan.parts}
+    assert min(taken["margins"], taken["fracture"], taken["sensitivity"], taken["ways to break"]) > 0
     assert len(early) == 1
     assert GOES_ON in early[0]
     assert "Not established" in early[0]

@@ -20,6 +20,7 @@ from scipy.integrate import solve_ivp
 from uqsphere.mechanics.integrator import compiled, kernel
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator.solve import motion, solve
+from uqsphere.mechanics.integrator.tracked import LANES
 from uqsphere.mechanics.outputs import Answers
 from uqsphere.mechanics.scene import UNDECIDED, Scene, answered
 
@@ -246,6 +247,17 @@ def test_steps_of_a_motion_join() -> None:
         assert np.abs(gaps).max() < EXACT
         assert np.abs(found.start[:-1] + found.length[:-1] - found.start[1:]).max() < EXACT * found.end
         assert found.start[-1] + found.length[-1] == pytest.approx(found.end, rel=EXACT)
+
+
+def test_motions_of_many_rows_are_those_of_each() -> None:
+    scene = random_scene(40, 16)
+    rows = np.random.default_rng(2).permutation(40)[: 2 * LANES + 3]
+    for row, one in zip(rows.tolist(), dynamics.motions(scene, rows, stop_at_loss=False, threads=2), strict=True):
+        alone = motion(scene, row)
+        assert isinstance(one, dynamics.Motion)
+        assert (one.row, one.end) == (row, alone.end)
+        assert np.array_equal(one.start, alone.start)
+        assert np.array_equal(one.states, alone.states)
 
 
 def test_record_on_infinite_bars_ends_where_both_forces_are_small() -> None:

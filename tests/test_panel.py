@@ -23,6 +23,9 @@ from tests.campaigns.panel import NODE, Setting, agrees, ask, compare, panel_of
 from uqsphere.report import build_report
 from uqsphere.report.contents import read_contents
 from uqsphere.report.whatif import _law, panels
+from uqsphere.results.entries import SurfaceEntry
+from uqsphere.runner import sliders
+from uqsphere.study.study import ways_of
 from uqsphere.uq.law import make_law
 
 STUDY = Path("studies/granite.toml")
@@ -65,6 +68,26 @@ def test_settings_agree_with_full_runs(run_folder: Path, tmp_path: Path) -> None
     assert all(agrees(found, run) for _, found, run in rows)
     # what another setting answers is no agreement
     assert not agrees(rows[0][1], rows[1][2])
+
+
+def test_surfaces_are_their_polynomial_and_sliders_move_the_laws() -> None:
+    points = np.random.default_rng(1).uniform(-1.0, 1.0, (400, 2))
+    logs = 1.0 + 0.5 * points[:, 0] - 0.3 * points[:, 0] * points[:, 1] + 0.2 * points[:, 1] ** 2
+    found = sliders._surface(points, np.exp(logs), np.ones(400, dtype=bool))
+    assert isinstance(found, SurfaceEntry)
+    terms = zip(found.powers, found.coefficients, strict=True)
+    assert sum(c * (points**powers).prod(axis=1) for powers, c in terms) == pytest.approx(logs, abs=1e-6)
+    study = uqsphere.load_study(STUDY, ["sphere.E={ dist = 'lognormal', mean = '52 GPa', cov = 0.12 }"])
+    stiff = sliders._slider(study, "sphere.E", 52e9, (40e9, 60e9))
+    size = sliders._slider(study, "sphere.radius", 0.01, (0.008, 0.013))
+    assert stiff is not None
+    assert size is not None
+    assert stiff.spreads == pytest.approx([np.sqrt(np.log1p(0.12**2))] * len(stiff.nodes))
+    ways = ways_of(study).assumed
+    told = sliders._ways(study, ways, [size], {way.limit.quantity: found for way in ways})
+    # a larger sphere is weaker
+    assert all(np.all(np.diff(way.scales["sphere.radius"]) < 0.0) for way in told.values() if way.scales)
+    assert any(way.scales for way in told.values())
 
 
 @pytest.mark.skipif(not NODE, reason="no node on this machine")

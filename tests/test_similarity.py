@@ -21,7 +21,7 @@ from uqsphere.runner.questions.curves import curves_along
 from uqsphere.runner.similarity import Tabled, find_numbers, integrated, make_similarity
 from uqsphere.study import Study
 from uqsphere.uq import Law
-from uqsphere.uq.describe import controlled_probability, describe_controlled
+from uqsphere.uq.describe import controlled_probability, describe, describe_controlled
 from uqsphere.uq.estimate import corrected
 from uqsphere.uq.indices import Blocks, Surrogate, sampled_indices, uniform_halves
 from uqsphere.uq.points import sobol_points
@@ -158,6 +158,9 @@ def test_intervals_cover_the_truth() -> None:
     for seed in range(60):
         rows = sample(seed)
         described = describe_controlled(*rows, quantiles=SHARES, method="controlled")
+        alone = describe(rows[0], quantiles=())
+        assert described.mean.std_error < alone.mean.std_error
+        assert described.sd.std_error < alone.sd.std_error
         shares = [(part > RARE).mean(axis=1) for part in rows]
         rare = controlled_probability(*shares, sizes=(256, 2048), counted=True, method="controlled")
         assert rare is not None

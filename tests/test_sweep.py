@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 
 from tests.campaigns import sweep
-from tests.campaigns.sweep import ALLOWED, STRATA, against_itself, against_reference, balances, design, table, with_law
+from tests.campaigns.sweep import (
+    ALLOWED,
+    STRATA,
+    against_itself,
+    against_reference,
+    balances,
+    design,
+    table,
+    unbalanced,
+    with_law,
+)
 from uqsphere.mechanics.integrator.solve import solve
 from uqsphere.mechanics.outputs import Answers
 from uqsphere.mechanics.scene import Scene, answered
@@ -73,6 +83,12 @@ def test_the_forces_of_a_motion_keep_its_energy_to_the_end_of_a_step() -> None:
                                        "incident": (1.0, 30.0, True)})  # fmt: skip
     lacking = balances(with_law(plan, "plastic", 22)[10:11], 1e-6)
     assert np.nanmax(lacking) < 10.0
+
+
+def test_errors_of_many_steps_to_one_side_do_not_add_up() -> None:
+    """(C15) of 6,368 steps, nearly all at rest: with the same error allowed in each of them it lacked 18."""
+    scene = with_law(design(110, 25, narrower=sweep._SHORT), "plastic", 25)[11]
+    assert unbalanced(scene, 5, 1e-6) < 10.0 * 1e-6
 
 
 def test_the_largest_difference_of_forces_is_found_where_one_of_them_ends() -> None:

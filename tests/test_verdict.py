@@ -12,6 +12,8 @@ import uqsphere
 from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.validity import Rule, grades
+from uqsphere.runner.evaluate import Ledger, Work
+from uqsphere.runner.evidence import gather_early
 from uqsphere.runner.finished import Run
 from uqsphere.study import Limit, load_study
 from uqsphere.study.study import breaks_by, means_fracture, ways_of
@@ -149,6 +151,29 @@ def test_to_break_every_way_must_be_exceeded(tmp_path: Path) -> None:
 
 
 # --- reasons ------------------------------------------------------------------------------------------------
+
+
+def test_rows_along_the_speed_are_made_where_a_curve_moves(tmp_path: Path) -> None:
+    limits = CONTACT % "4 GPa" + "target = 0.05\n"
+    head = HEAD.replace("40_000", "200_000").format(rock="granite", more="")
+    margins = '[margins]\nsolve = "striker.speed"\nbetween = ["0.01 m/s", "10 m/s"]\nfor_probability = [0.05]\n'
+    path = tmp_path / "study.toml"
+    path.write_text(head + margins + limits, encoding="utf-8")
+    work = Work(study=load_study(path), store=None, ledger=Ledger(), fidelity="full")
+    early = gather_early(work)
+    assert early is not None
+    run = uqsphere.run(load_study(path), out=tmp_path / "out")
+    taken = {one.part: one.taken for one in run.results.plan.parts}
+    # beside them the sample, as it is, where contacts yield, and for the checks of the model
+    assert 1 <= (taken["ways to break"] - early.evaluations) / taken["sampling"] <= 3
+    curves = np.array([[p for _, p in one.curve] for one in run.results.verdicts[0].judged if one.assumed])
+    values, made = np.geomspace(0.01, 10.0, 25), list(early.along)
+    assert [value for value, _ in run.results.verdicts[0].judged[-1].curve] == made
+    places = [int(np.argmin(np.abs(values - value))) for value in made]
+    assert values[places] == pytest.approx(made)
+    for begin in range(0, 24, 4):
+        moved = np.abs(curves[:, places.index(begin)] - curves[:, places.index(begin + 4)]).max() > 0.1 * 0.05
+        assert [place in places for place in range(begin + 1, begin + 4)] == 3 * [moved]
 
 
 def test_an_assumed_strength_that_turns_a_verdict_leaves_it_not_established(tmp_path: Path) -> None:

@@ -193,10 +193,9 @@ def _settle(live, x, at, rate, bow, theta, law, room):
 def branch_ends(live, touching, x, at, rate, bow, theta, law, softens, piece, room, meets):
     """End every lane's step where a face first changes its branch; whether any step is cut.
 
-    theta (LANES,) receives where; meets (LANES,): what ends the step, 0 nothing, 1 a face that breaks, face + 4 a
-    spring that begins to yield, face + 6 virgin loading that ceases to.  at, rate, bow (POINTS + 1, PAIR): values,
-    derivatives and half the second ones at equal distances over [0, theta].  room (11, PAIR), piece (2, TERMS): working
-    space.  softens: whether faces take damage.
+    theta (LANES,) receives where; meets (LANES,): what ends the step, 0 nothing, 1 a face that breaks, face + 4 one
+    that changes its branch.  at, rate, bow (POINTS + 1, PAIR): values, derivatives and half the second ones at equal
+    distances over [0, theta].  room (11, PAIR), piece (2, TERMS): working space.  softens: whether faces take damage.
     """
     apart()
     _settle(live, x, at, rate, bow, theta, law, room)
@@ -214,6 +213,6 @@ def branch_ends(live, touching, x, at, rate, bow, theta, law, softens, piece, ro
                 found, breaks = _end(face, m, x, at, rate, bow, theta[j], law, piece, room)
             if found < first or (found == first and meets[j] == 0):
                 first, cut = found, True
-                meets[j] = 1 if breaks else face + (4 if law[SPRING, m] > 0.0 else 6)
+                meets[j] = 1 if breaks else face + 4
         theta[j] = first
     return cut
