@@ -145,6 +145,7 @@ CASES = [
     one("a stiffness in MPa without its unit", '"52 GPa"', "52000.0", "sphere.E.mean: 52000 has", '"52000 MPa"',
         at="E = {"),
     one("a stiffness as text without its unit", 'mean = "52 GPa"', 'mean = "52"', "sphere.E.mean", 'write "52 GPa"'),
+    one("a decimal comma", '"40 mm"', '"0,04 m"', "bars.diameter", "decimal comma", 'write "0.04 m"'),
     one("a unit of something else", '"40 mm"', '"40 GPa"', "unknown unit 'GPa' for a length", "mm"),
     one("a unit where none is due", "nu = 0.25", 'nu = "0.25 m"', "plain number", "found 'm'"),
     one("a boolean for a number", "nu = 0.25", "nu = true", "sphere.nu", "found true"),
@@ -306,6 +307,23 @@ limits = { one = { criterion = "specific_energy", energy_is = "contact", strengt
 def test_what_sentences_of_the_grammar_found(text: str, said: str, tmp_path: Path) -> None:
     """A gauge of the rod before those of the file, a product that nobody asks for, a law of yield without numbers."""
     assert f"study.toml:{said}" in str(faults(text.encode(), tmp_path))
+
+
+def test_a_fault_of_a_number_is_not_told_of_a_strength_that_needs_it(tmp_path: Path) -> None:
+    """The tests of spheres are read with the stiffness of the sphere: that one alone is to be mended."""
+    rows = "".join(f"{force},20\n" for force in (4.1, 5.2, 4.8, 6.3, 5.5))
+    (tmp_path / "tests.csv").write_text("force,diameter\n" + rows, "utf-8")
+    text = (Path(__file__).parents[1] / "studies" / "granite.toml").read_text("utf-8")
+    strength = (
+        'strength = { dist = "empirical", file = "tests.csv", force = "force", force_unit = "kN", '
+        'diameter = "diameter", diameter_unit = "mm", fit = "weibull" }'
+    )
+    edits = {STRENGTH: strength, "cov = 0.12": "cov = -0.12"}
+    for old, new in edits.items():
+        assert old in text
+        text = text.replace(old, new)
+    error = faults(text.encode(), tmp_path)
+    assert ["cov must be positive" in problem.message for problem in error.problems] == [True], str(error)
 
 
 def test_a_scene_that_cannot_be_has_a_number_to_blame(tmp_path: Path) -> None:

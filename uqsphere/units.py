@@ -145,6 +145,8 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
     if unit not in table:
         if not unit:
             raise UnitError(f'{text!r} has no unit: write "{number} {example}" (units: {allowed})')
+        if unit.startswith(",") and unit[1:2].isdigit():
+            raise UnitError(f'{text!r} has a decimal comma: write "{stripped.replace(",", ".", 1)}"')
         raise UnitError(f"unknown unit {unit!r} for a {dimension.replace('_', ' ')} (units: {allowed})")
     return _finite(float(number) * table[unit], text)
 

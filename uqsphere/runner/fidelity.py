@@ -174,6 +174,8 @@ def row_cost(answers: Answers) -> float:
 
 
 def _correlation(cheap: Array, full: Array) -> float | None:
+    if not cheap.size:  # every compared row failed
+        return None
     x, y = cheap - cheap.mean(), full - full.mean()
     xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
     return xy / float(np.sqrt(xx * yy)) if xx > 0.0 and yy > 0.0 else None

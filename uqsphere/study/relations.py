@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -27,7 +27,8 @@ SETS_ENERGY: Final = (SPEED, ENERGY, "rig.speed", "rig.drop_height", "hammer.spe
 class Named:
     """The numbers of a study by name: those that scatter, in order, and where every one stands, faulty ones too.
 
-    `strengths` are the quantities of the limits by the paths of their strengths.
+    `strengths` are the quantities of the limits by the paths of their strengths; `unread` are the parts of limits that
+    could not be understood, some for the fault of another number.
     """
 
     scene: Scene
@@ -35,6 +36,7 @@ class Named:
     random: Mapping[str, Reading]
     places: Mapping[str, Place]
     strengths: Mapping[str, str]
+    unread: Collection[str] = ()
 
     def is_random(self, name: str, place: Place, among: Sequence[str], findings: Findings) -> bool:
         """Whether a name is that of a random number; noted where not, but for a number that is faulty itself."""
@@ -43,7 +45,7 @@ class Named:
         if name not in self.places:
             listed = one_of(list(among[:20])) if among else "none"
             findings.add(place, f"unknown random input {shown(name)}, random here: {listed}{suggestion(name, among)}")
-        elif findings.clean(self.places[name]):
+        elif findings.clean(self.places[name]) and name not in self.unread:
             findings.add(place, f"{shown(name)} is a fixed number here: give it a distribution, or leave it out")
         return False
 
@@ -69,6 +71,7 @@ def named_numbers(document: Document, scene: Scene, limits: Sequence[LimitReadin
         scene=scene, black_box=black_box, places=places | own,
         random={n: item for n, item in readings.items() if item is not None and isinstance(item.value, Law)},
         strengths={strength_name(limit.name): limit.quantity for limit in limits if limit.quantity is not None},
+        unread=[name for limit in limits for name, item in limit.parts.items() if item is None],
     )  # fmt: skip
 
 
