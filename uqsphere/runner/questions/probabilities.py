@@ -137,8 +137,8 @@ def refine_limits(work: Work, sampled: Sampled) -> Sampled:
 
 def find_designs(work: Work, sampled: Sampled) -> Sampled:
     """Sampled limits with the design points of those that no search was made for."""
-    todo = [(at, limit) for at, limit in enumerate(work.study.limits)
-            if limit.name in sampled.limits and sampled.limits[limit.name].design_reason == UNSOUGHT]  # fmt: skip
+    unsought = {name for name, one in sampled.limits.items() if one.design is None and one.design_reason == UNSOUGHT}
+    todo = [(at, limit) for at, limit in enumerate(work.study.limits) if limit.name in unsought]
     if not todo or not _searches(work):
         return sampled
     question = SmallProbabilities(
