@@ -20,11 +20,12 @@ import pytest
 import uqsphere
 from tests.campaigns.trust import answers_of
 from uqsphere.black_box import model_digest
+from uqsphere.cli.run import LATE
 from uqsphere.errors import AccessError, ModelError, StudyError, TooManyFailures, UsageError
 from uqsphere.report.page import GOES_ON, build_report, write_draft
 from uqsphere.results import Results
 from uqsphere.results.entries import Manifest
-from uqsphere.runner.beside import aside, elsewhere, second_process, shared_out
+from uqsphere.runner.beside import aside, elsewhere, named, second_process, shared_out
 from uqsphere.runner.chunks import CHUNK, block_size
 from uqsphere.runner.evaluate import Ledger
 from uqsphere.runner.remote import Task
@@ -493,6 +494,12 @@ def test_what_a_second_process_that_is_lost_was_asked_is_done_here_once(tmp_path
         assert elsewhere(_only_in, os.getpid())() == os.getpid()
         elsewhere(_noted, told, "a")()
     assert told.read_text() == "a"
+
+
+def test_what_a_command_has_loaded_ahead_is_there_by_its_name() -> None:
+    # a second process that fails in it is lost, and its work done here: nobody would see it
+    for name in LATE:
+        named(name)
 
 
 def test_a_ledger_adds_what_was_spent_beside_it() -> None:

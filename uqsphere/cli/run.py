@@ -242,7 +242,7 @@ class Silence:
 #: exit code of a finished run that misses a target
 MISSED = 3
 #: what a second process loads while the run goes on, and does for it: by name, so that this one loads nothing of it
-_LATE = ("uqsphere.report.page:load_page", "uqsphere.uq.interop:load_salib")
+LATE = ("uqsphere.report.page:load_page", "uqsphere.uq.interop:load_salib")
 _DRAFT, _PAGE = "uqsphere.report.page:write_draft", "uqsphere.report.page:build_and_sum_up"
 
 
@@ -254,7 +254,7 @@ def command_run(chosen: argparse.Namespace) -> int:
     if chosen.jobs is not None and chosen.jobs < 1:
         raise UsageError(f"--jobs must be at least 1, found {chosen.jobs}")
     seconds = None if chosen.budget is None else number_of(chosen.budget, "time", "--budget", above=0.0)
-    with second_process(_LATE, copied=may_copy(chosen.jobs)):
+    with second_process(LATE, copied=may_copy(chosen.jobs)):
         found, interrupted = _watched_run(study, chosen, seconds)
         if sys.stderr.isatty():
             say("writing the report")

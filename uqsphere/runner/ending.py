@@ -28,9 +28,11 @@ def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None
     )
     store.take_over()
     save_points(work, store, found.sampled.sample)
-    sliders = found.sliders or find_sliders(work, found.margins)
+    sliders, courses = found.sliders, found.courses
+    if sliders is None:  # what a surrogate answered, or fields by themselves
+        sliders, courses = find_sliders(work, found.margins), find_courses(work, found.sampled.sample)
     write_json(store.folder / "sliders.json", sliders.document())
-    save_courses(store, found.courses or find_courses(work, found.sampled.sample))
+    save_courses(store, courses)
     results = build_results(work, found, plan)
     further = further_rows(results)
     results = results.model_copy(update={"speed_error": (*results.speed_error, *(row for _, row in further))})
