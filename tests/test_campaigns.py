@@ -6,6 +6,8 @@ import html
 import json
 import math
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +35,15 @@ def test_every_mutant_has_its_file_its_line_and_its_tests() -> None:
     for one in mutate.read_mutants():
         assert one.before in (mutate.ROOT / "uqsphere" / one.file).read_text(encoding="utf-8"), one
         assert all((mutate.ROOT / "tests" / test.partition("::")[0]).is_file() for test in one.tests.split()), one
+
+
+def test_every_campaign_can_be_begun_as_its_documents_have_it() -> None:
+    """In a process of its own: beside tests the folder of the tests is on the path as well."""
+    names = [f"tests.campaigns.{path.stem}" for path in (mutate.ROOT / "tests" / "campaigns").glob("[a-z]*.py")]
+    done = subprocess.run([sys.executable, "-c", f"import {', '.join(names)}"], cwd=mutate.ROOT, text=True,
+                          capture_output=True, check=False)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert len(names) > 20
 
 
 # --- coverage -------------------------------------------------------------------------------------

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes import EXAMPLE, example
 
 from tests.independent.rigs import Pole, strike, strike_rod
 from tests.independent.yielding import Law
+from tests.scenes import EXAMPLE, example
 from uqsphere.mechanics.closed_form import solve_blow
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.solve import Scaled, march_rows, motion, solve
