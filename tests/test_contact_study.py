@@ -8,7 +8,7 @@ import pytest
 from uqsphere.errors import StudyError, UsageError
 from uqsphere.mechanics.criteria import in_the_test
 from uqsphere.mechanics.outputs import at_force, columns_of
-from uqsphere.model import cheaper_fidelities, evaluate, scene_of, solve_scene
+from uqsphere.model import check_quantities, cheaper_fidelities, evaluate, scene_of, solve_scene
 from uqsphere.runner.deterministic import compare_with_paper
 from uqsphere.runner.fidelity import out_of_reach
 from uqsphere.study import load_study
@@ -79,6 +79,21 @@ def test_a_study_without_contact_is_what_it_was(tmp_path):
     assert not any(key.startswith("contact") for key in plain.options)
     assert scene_of(plain, {}, 1).faces is None
     assert hertz.warnings == ('contact.pile_up: not used: it belongs to law = "plastic"',)
+    for settings, law in (
+        (("contact.law=hertz", "contact.dynamics=path"), "plastic"),
+        (("contact.blows=3",), "damage"),
+    ):
+        (warning,) = load(tmp_path, *settings).warnings
+        assert f'not used: it belongs to law = "{law}"' in warning
+
+
+@pytest.mark.parametrize("asked", ["analysis.quantities=['dent']", "limits.crushing.quantity=damage"])
+def test_what_elastic_bars_do_not_have_is_refused_with_the_law_that_has_it(tmp_path, asked):
+    settings = ("contact.law=hertz", "limits.crushing.strength=0.5", "limits.crushing.strength_is=null", asked)
+    text = BASE if "limits" in asked else BASE.replace("[limits.crushing]", "[limits.other]")
+    study = load(tmp_path, *(settings if "limits" in asked else (settings[0], asked)), text=text)
+    with pytest.raises(UsageError, match=r"the rig bars has no (dent|damage) here: .* law = .* is due"):
+        check_quantities(study)
 
 
 @pytest.mark.parametrize(
@@ -98,7 +113,9 @@ def test_it_has_no_default_where_a_face_yields(tmp_path):
 
 
 @pytest.mark.parametrize(("settings", "path", "said"), [
-    (("contact.hardness='1 GPa'",), "contact.hardness", "cannot flow at less than its onset"),
+    (("contact.hardness='1 GPa'",), "contact.hardness", "give a hardness of 1.615 GPa or more"),
+    (("sphere.hardness='1 GPa'",), "sphere.onset_pressure", "missing beside the hardness"),
+    (("limits.crushing.quantity=p_hertz",), "limits.crushing.strength_is", 'strength_is = "hertz"'),
     (("sphere.onset_pressure='3 GPa'", "sphere.hardness='0.5 GPa'"), "sphere.hardness", "cannot flow at less than"),
     (("bars.onset_pressure='3 GPa'", "bars.hardness='1 GPa'"), "bars.hardness", "cannot flow at less than its onset"),
     (("contact.hardness='200 GPa'",), "contact.hardness", 'law = "hertz"'),

@@ -326,7 +326,7 @@ def _quantity_answers(contents: Contents) -> Iterator[Answer]:
             continue
         ends = [entry.quantiles[p].value for p in ("0.05", "0.95") if p in entry.quantiles]
         told = [value * factor for value in ends if value is not None]
-        note = f"Nine in ten lie between {two(min(told))} and {two(max(told))}." if len(told) == 2 else ""
+        note = f"Nine in ten lie between {two(min(told))} and {two(max(told))}." if len(set(told)) == 2 else ""
         yield Answer(question=question, big=two(median.value * factor), unit=unit_text(unit), note=note)
 
 
