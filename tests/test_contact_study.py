@@ -9,6 +9,7 @@ from uqsphere.errors import StudyError, UsageError
 from uqsphere.mechanics.criteria import in_the_test
 from uqsphere.mechanics.outputs import at_force, columns_of
 from uqsphere.model import check_quantities, cheaper_fidelities, evaluate, scene_of, solve_scene
+from uqsphere.runner.api import run
 from uqsphere.runner.deterministic import compare_with_paper
 from uqsphere.runner.fidelity import out_of_reach
 from uqsphere.study import load_study
@@ -194,6 +195,39 @@ def test_the_paper_is_no_comparison_for_what_yields_or_does_not_move(tmp_path):
     still = load(tmp_path, "model.compare_with_paper=true", "contact.law='hertz'", "striker.speed='1e-12 m/s'")
     with pytest.raises(UsageError, match=r"model.compare_with_paper: leave it out; at the means .* too many steps"):
         compare_with_paper(still)
+
+
+def test_the_rim_has_the_tension_of_the_force_on_its_own_circle_and_a_crushed_pole_at_most_that_of_hertz(tmp_path):
+    """(1 - 2 nu) P/(2 pi a²) holds for every load that is alike around the axis; 16 % less by the true p_max."""
+    names, speed = ("edge_tension", "P_max", "a_max", "p_hertz", "p_max"), {"striker.speed": np.array([0.5])}
+    found = evaluate(load(tmp_path, "model.horizon='3 ms'"), speed, names)
+    rim = 0.5 * found["P_max"] / (2.0 * np.pi * np.square(found["a_max"]))
+    assert found["edge_tension"].to_numpy() == pytest.approx(rim.to_numpy(), rel=1e-12)
+    assert (found["edge_tension"] > 1.1 * 0.5 / 3.0 * found["p_max"]).all()
+    crushed = load(tmp_path, "model.horizon='3 ms'", "sphere.onset_pressure='1 GPa'", "sphere.hardness='2 GPa'")
+    found = evaluate(crushed, speed, names)
+    assert found["edge_tension"].to_numpy() == pytest.approx(0.5 / 3.0 * found["p_hertz"].to_numpy(), rel=1e-12)
+
+
+@pytest.mark.parametrize(("onset", "aim", "strength", "verdict"), [
+    ("1 GPa", "break", "100 MPa", "not established"), ("1 GPa", "break", "2 GPa", "not met"),
+    ("4 GPa", "break", "100 MPa", "met"), ("1 GPa", "survive", "2 GPa", "met"),
+])  # fmt: skip
+def test_a_bound_establishes_no_break(tmp_path, onset, aim, strength, verdict):
+    text = BASE.partition("[limits.crushing]")[0] + f"""
+[limits.rim]
+criterion = "edge_tension"
+strength = {{ dist = "weibull", mean = "{strength}", modulus = 12 }}
+aim = "{aim}"
+target = 0.01
+[contact]
+law = "plastic"
+"""
+    study = load(tmp_path, "model.horizon='3 ms'", f"sphere.onset_pressure='{onset}'", "sphere.hardness='5 GPa'",
+                 text=text)  # fmt: skip
+    limit = run(study, out=tmp_path / "run").results.limits["rim"]
+    assert limit.verdict == verdict
+    assert (verdict == "not established") == ("upper bound" in str(limit.reasons))
 
 
 PRESSED = """
