@@ -109,6 +109,7 @@ def test_checks_are_told_with_what_they_do_to_the_answer(tmp_path: Path) -> None
         ("small_contact", "survive", True, "effect unknown"),
         ("force_balance", "survive", False, "effect unknown"),
         ("force_balance", "survive", True, ""),
+        ("reachable", "break", True, "more break if it was computed from a force by Hertz (strength_is)"),
     ):
         contents = read_contents(
             write_folder(tmp_path / f"{check}{aim}{followed}", limits={"x": limit(0.01, 0.2, True, aim=aim)})

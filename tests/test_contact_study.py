@@ -8,7 +8,7 @@ import pytest
 from uqsphere.errors import StudyError, UsageError
 from uqsphere.mechanics.criteria import in_the_test
 from uqsphere.mechanics.outputs import at_force, columns_of
-from uqsphere.model import check_quantities, cheaper_fidelities, evaluate, scene_of, solve_scene
+from uqsphere.model import cheaper_fidelities, check_quantities, evaluate, scene_of, solve_scene
 from uqsphere.runner.api import run
 from uqsphere.runner.deterministic import compare_with_paper
 from uqsphere.runner.fidelity import out_of_reach
@@ -214,7 +214,9 @@ def test_the_rim_has_the_tension_of_the_force_on_its_own_circle_and_a_crushed_po
     ("4 GPa", "break", "100 MPa", "met"), ("1 GPa", "survive", "2 GPa", "met"),
 ])  # fmt: skip
 def test_a_bound_establishes_no_break(tmp_path, onset, aim, strength, verdict):
-    text = BASE.partition("[limits.crushing]")[0] + f"""
+    text = (
+        BASE.partition("[limits.crushing]")[0]
+        + f"""
 [limits.rim]
 criterion = "edge_tension"
 strength = {{ dist = "weibull", mean = "{strength}", modulus = 12 }}
@@ -223,6 +225,7 @@ target = 0.01
 [contact]
 law = "plastic"
 """
+    )
     study = load(tmp_path, "model.horizon='3 ms'", f"sphere.onset_pressure='{onset}'", "sphere.hardness='5 GPa'",
                  text=text)  # fmt: skip
     limit = run(study, out=tmp_path / "run").results.limits["rim"]

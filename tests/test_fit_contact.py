@@ -110,7 +110,9 @@ def test_numbers_of_another_unit_are_doubted(tmp_path, capsys):
     assert main(["fit-contact", str(path), "--diameter", "20 mm"]) == 0
     told = capsys.readouterr().err
     assert told.count("is unusual") == 2
-    assert "are the units, those of the force and of the displacement, and the diameter right?" in " ".join(told.split())
+    assert "are the units, those of the force and of the displacement, and the diameter right?" in " ".join(
+        told.split()
+    )
 
 
 def test_a_hardness_that_is_not_told_says_so(tmp_path, capsys):

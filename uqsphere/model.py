@@ -163,7 +163,7 @@ def check_quantities(study: Study) -> None:
     from uqsphere.mechanics.outputs import absent_in
 
     scene = scene_of(study, {})
-    asked = {name: "analysis.quantities" for name in study.analysis.quantities}
+    asked = dict.fromkeys(study.analysis.quantities, "analysis.quantities")
     asked |= {limit.quantity: f"limits.{limit.name}.quantity" for limit in study.limits if limit.quantity not in asked}
     for name, place in asked.items():
         if why := absent_in(scene, name):

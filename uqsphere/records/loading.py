@@ -237,7 +237,9 @@ def _prepared(loading: Loading, diameter: float, compliance: float, pile_up: flo
     if not force[top] > 0.0:
         raise RecordError("the force is never positive: is compression negative in this file? Turn its sign")
     if np.median(np.abs(np.diff(displacement))) > _JUMP * np.ptp(displacement):
-        raise RecordError("the displacement jumps back and forth: put the samples in the order in which they were taken")
+        raise RecordError(
+            "the displacement jumps back and forth: put the samples in the order in which they were taken"
+        )
     pressed = displacement[: top + 1]
     if not (pressed - pressed.mean()) @ force[: top + 1] > 0.0:
         raise RecordError(
