@@ -88,6 +88,11 @@ def test_a_study_without_contact_is_what_it_was(tmp_path):
         assert f'not used: it belongs to law = "{law}"' in warning
 
 
+def test_a_study_without_scatter_misses_no_accuracy(tmp_path):
+    study = load(tmp_path, "model.horizon='3 ms'", "analysis.quantities=['dent']", "limits.crushing=null")
+    assert not run(study, out=tmp_path / "run").results.accuracy.missed
+
+
 @pytest.mark.parametrize("asked", ["analysis.quantities=['dent']", "limits.crushing.quantity=damage"])
 def test_what_elastic_bars_do_not_have_is_refused_with_the_law_that_has_it(tmp_path, asked):
     settings = ("contact.law=hertz", "limits.crushing.strength=0.5", "limits.crushing.strength_is=null", asked)

@@ -547,7 +547,7 @@ def _answer_fit(chosen: argparse.Namespace, fit: ContactFit, soft: float, notes:
         ("pressed to, over first yield", f"{fit.depth:.3g}", ""), ("dent", f"{1e6 * fit.dent:.3g} um", ""),
         ("misfit of the displacement", f"{1e6 * fit.misfit:.2g} um", f"{fit.samples} samples"),
     ]  # fmt: skip
-    told = "  # not told by this test" * fit.hardness.open
+    end = "  # not told by this test" * fit.hardness.open
     lines = ["", "[contact]", 'law = "plastic"', f'onset_pressure = "{fit.onset.value / 1e9:.4g} GPa"',
-             f'hardness = "{fit.hardness.value / 1e9:.4g} GPa"{told}', f"pile_up = {fit.pile_up.value:.4g}"]  # fmt: skip
+             f'hardness = "{fit.hardness.value / 1e9:.4g} GPa"{end}', f"pile_up = {fit.pile_up.value:.4g}"]  # fmt: skip
     return answer(chosen, document, "\n".join([table(("what", "value", "95 % interval"), rows), *lines]))
