@@ -11,6 +11,7 @@ from report_folders import estimate, limit, put, write_folder
 
 from uqsphere.cli import main
 from uqsphere.mechanics.validity import RULES
+from uqsphere.report import brief, phrases
 from uqsphere.report.brief import Answer, Axis, Mode, make_brief, ranged, share_span, span
 from uqsphere.report.cautions import check_words
 from uqsphere.report.contents import read_contents
@@ -108,6 +109,7 @@ def test_checks_are_told_with_what_they_do_to_the_answer(tmp_path: Path) -> None
         ("small_contact", "survive", True, "effect unknown"),
         ("force_balance", "survive", False, "effect unknown"),
         ("force_balance", "survive", True, ""),
+        ("reachable", "break", True, "more break if it was computed from a force by Hertz (strength_is)"),
     ):
         contents = read_contents(
             write_folder(tmp_path / f"{check}{aim}{followed}", limits={"x": limit(0.01, 0.2, True, aim=aim)})
@@ -133,6 +135,23 @@ def test_a_way_without_a_number_opens_the_safe_end() -> None:
     ):
         answer = Answer(question="", big="", unit="", note="", aim=aim, axis=axis, target=0.01, modes=modes)
         assert ranged(answer) == told
+
+
+def test_a_way_along_which_no_rows_were_left_is_said_to_be_left_out() -> None:
+    axis = Axis(path="striker.speed", words="striker speed", unit="m/s", factor=1.0, planned=0.2)
+    modes = (Mode(limit="contact", name="Contact pressure", place="contact", miss=0.002, at_target=0.42),
+             Mode(limit="core", name="Core tension", place="core", miss=0.001, at_target=1.4),
+             Mode(limit="", name="Ring crack", place="rim", miss=0.004, assumed=True))  # fmt: skip
+    answer = Answer(question="", big="", unit="", note="", axis=axis, target=0.1, modes=modes)
+    second = brief._second(answer)
+    assert second is not None
+    assert second[2] == "ring crack left out"
+    solved = brief._solved(answer)
+    assert solved is not None
+    assert solved.note.endswith("Ring crack left out.")
+    curved = replace(answer, modes=(*modes[:2], replace(modes[2], curve=((0.1, 0.0), (1.0, 0.5)), at_target=0.3)))
+    assert (brief._second(curved) or ("",) * 3)[2] == "by way of breaking"
+    assert phrases.capital("sphere.hardness: 6 GPa") == "sphere.hardness: 6 GPa"
 
 
 def test_a_way_that_was_not_seen_has_its_bound() -> None:

@@ -8,7 +8,8 @@ import pytest
 from uqsphere.errors import StudyError, UsageError
 from uqsphere.mechanics.criteria import in_the_test
 from uqsphere.mechanics.outputs import at_force, columns_of
-from uqsphere.model import cheaper_fidelities, evaluate, scene_of, solve_scene
+from uqsphere.model import cheaper_fidelities, check_quantities, evaluate, scene_of, solve_scene
+from uqsphere.runner.api import run
 from uqsphere.runner.deterministic import compare_with_paper
 from uqsphere.runner.fidelity import out_of_reach
 from uqsphere.study import load_study
@@ -79,6 +80,26 @@ def test_a_study_without_contact_is_what_it_was(tmp_path):
     assert not any(key.startswith("contact") for key in plain.options)
     assert scene_of(plain, {}, 1).faces is None
     assert hertz.warnings == ('contact.pile_up: not used: it belongs to law = "plastic"',)
+    for settings, law in (
+        (("contact.law=hertz", "contact.dynamics=path"), "plastic"),
+        (("contact.blows=3",), "damage"),
+    ):
+        (warning,) = load(tmp_path, *settings).warnings
+        assert f'not used: it belongs to law = "{law}"' in warning
+
+
+def test_a_study_without_scatter_misses_no_accuracy(tmp_path):
+    study = load(tmp_path, "model.horizon='3 ms'", "analysis.quantities=['dent']", "limits.crushing=null")
+    assert not run(study, out=tmp_path / "run").results.accuracy.missed
+
+
+@pytest.mark.parametrize("asked", ["analysis.quantities=['dent']", "limits.crushing.quantity=damage"])
+def test_what_elastic_bars_do_not_have_is_refused_with_the_law_that_has_it(tmp_path, asked):
+    settings = ("contact.law=hertz", "limits.crushing.strength=0.5", "limits.crushing.strength_is=null", asked)
+    text = BASE if "limits" in asked else BASE.replace("[limits.crushing]", "[limits.other]")
+    study = load(tmp_path, *(settings if "limits" in asked else (settings[0], asked)), text=text)
+    with pytest.raises(UsageError, match=r"the rig bars has no (dent|damage) here: .* law = .* is due"):
+        check_quantities(study)
 
 
 @pytest.mark.parametrize(
@@ -98,7 +119,9 @@ def test_it_has_no_default_where_a_face_yields(tmp_path):
 
 
 @pytest.mark.parametrize(("settings", "path", "said"), [
-    (("contact.hardness='1 GPa'",), "contact.hardness", "cannot flow at less than its onset"),
+    (("contact.hardness='1 GPa'",), "contact.hardness", "give a hardness of 1.615 GPa or more"),
+    (("sphere.hardness='1 GPa'",), "sphere.onset_pressure", "missing beside the hardness"),
+    (("limits.crushing.quantity=p_hertz",), "limits.crushing.strength_is", 'strength_is = "hertz"'),
     (("sphere.onset_pressure='3 GPa'", "sphere.hardness='0.5 GPa'"), "sphere.hardness", "cannot flow at less than"),
     (("bars.onset_pressure='3 GPa'", "bars.hardness='1 GPa'"), "bars.hardness", "cannot flow at less than its onset"),
     (("contact.hardness='200 GPa'",), "contact.hardness", 'law = "hertz"'),
@@ -177,6 +200,42 @@ def test_the_paper_is_no_comparison_for_what_yields_or_does_not_move(tmp_path):
     still = load(tmp_path, "model.compare_with_paper=true", "contact.law='hertz'", "striker.speed='1e-12 m/s'")
     with pytest.raises(UsageError, match=r"model.compare_with_paper: leave it out; at the means .* too many steps"):
         compare_with_paper(still)
+
+
+def test_the_rim_has_the_tension_of_the_force_on_its_own_circle_and_a_crushed_pole_at_most_that_of_hertz(tmp_path):
+    """(1 - 2 nu) P/(2 pi a²) holds for every load that is alike around the axis; 16 % less by the true p_max."""
+    names, speed = ("edge_tension", "P_max", "a_max", "p_hertz", "p_max"), {"striker.speed": np.array([0.5])}
+    found = evaluate(load(tmp_path, "model.horizon='3 ms'"), speed, names)
+    rim = 0.5 * found["P_max"] / (2.0 * np.pi * np.square(found["a_max"]))
+    assert found["edge_tension"].to_numpy() == pytest.approx(rim.to_numpy(), rel=1e-12)
+    assert (found["edge_tension"] > 1.1 * 0.5 / 3.0 * found["p_max"]).all()
+    crushed = load(tmp_path, "model.horizon='3 ms'", "sphere.onset_pressure='1 GPa'", "sphere.hardness='2 GPa'")
+    found = evaluate(crushed, speed, names)
+    assert found["edge_tension"].to_numpy() == pytest.approx(0.5 / 3.0 * found["p_hertz"].to_numpy(), rel=1e-12)
+
+
+@pytest.mark.parametrize(("onset", "aim", "strength", "verdict"), [
+    ("1 GPa", "break", "100 MPa", "not established"), ("1 GPa", "break", "2 GPa", "not met"),
+    ("4 GPa", "break", "100 MPa", "met"), ("1 GPa", "survive", "2 GPa", "met"),
+])  # fmt: skip
+def test_a_bound_establishes_no_break(tmp_path, onset, aim, strength, verdict):
+    text = (
+        BASE.partition("[limits.crushing]")[0]
+        + f"""
+[limits.rim]
+criterion = "edge_tension"
+strength = {{ dist = "weibull", mean = "{strength}", modulus = 12 }}
+aim = "{aim}"
+target = 0.01
+[contact]
+law = "plastic"
+"""
+    )
+    study = load(tmp_path, "model.horizon='3 ms'", f"sphere.onset_pressure='{onset}'", "sphere.hardness='5 GPa'",
+                 text=text)  # fmt: skip
+    limit = run(study, out=tmp_path / "run").results.limits["rim"]
+    assert limit.verdict == verdict
+    assert (verdict == "not established") == ("upper bound" in str(limit.reasons))
 
 
 PRESSED = """

@@ -10,6 +10,8 @@ from uqsphere.mechanics.yielding import Face
 from uqsphere.records.loading import Loading, fit_contact, read_loading
 from uqsphere.records.table import RecordError
 
+#: samples that were shuffled
+ORDER = np.random.default_rng(9).permutation(116)
 TRUE = {"onset": 0.85e9, "hardness": 1.7e9, "pile_up": 2.0, "modulus": 45e9}
 
 
@@ -71,6 +73,13 @@ def test_the_command_prints_the_lines_of_a_study(tmp_path, capsys):
     (lambda one: Loading(displacement=one.displacement, force=-np.abs(one.force)), "never positive"),
     (lambda one: Loading(displacement=-one.displacement, force=one.force), "does not grow"),
     (lambda one: Loading(displacement=one.displacement[::4], force=one.force[::4]), "samples above"),
+    (lambda one: Loading(displacement=-one.displacement + 2e-6 * np.sin(np.arange(116.0)), force=one.force),
+     "does not grow"),
+    (lambda one: Loading(displacement=one.displacement[ORDER], force=one.force[ORDER]), "in the order"),
+    (lambda one: Loading(displacement=one.displacement, force=one.force + 0.1 * one.force.max()),
+     "no law of a contact follows"),
+    (lambda one: Loading(displacement=one.displacement, force=np.minimum(one.force, 0.7 * one.force.max())),
+     "most at 100% of the largest"),
 ])  # fmt: skip
 def test_what_is_no_test_is_refused(change, said):
     with pytest.raises(RecordError, match=said):
@@ -94,6 +103,22 @@ def test_units_may_end_the_names_and_platens_are_bars_or_plates(tmp_path, capsys
         found[platens] = json.loads(capsys.readouterr().out)["sphere_modulus"]["value"]
     # the softer the platens, the stiffer the sphere
     assert found["rigid"] < found["tungsten_carbide"] < found["hard_4340"]
+
+
+def test_numbers_of_another_unit_are_doubted(tmp_path, capsys):
+    path = write(tmp_path, made(np.random.default_rng(3)), header="displacement [um],force [N]")
+    assert main(["fit-contact", str(path), "--diameter", "20 mm"]) == 0
+    told = capsys.readouterr().err
+    assert told.count("is unusual") == 2
+    assert "are the units, those of the force and of the displacement, and the diameter right?" in " ".join(
+        told.split()
+    )
+
+
+def test_a_hardness_that_is_not_told_says_so(tmp_path, capsys):
+    path = write(tmp_path, made(np.random.default_rng(4), top=2.2, count=400, noise=1e-7))
+    assert main(["fit-contact", str(path), "--diameter", "20 mm"]) == 0
+    assert "# not told by this test" in capsys.readouterr().out
 
 
 def test_faults_of_a_file_are_located(tmp_path, capsys):

@@ -252,7 +252,7 @@ def test_tests_of_a_somewhat_larger_sphere_are_told(tmp_path: Path) -> None:
 
 def test_a_quantity_that_the_rig_lacks_is_refused_with_the_reason(tmp_path: Path) -> None:
     study = loaded(IMPACT + LIMIT, tmp_path, 'analysis.quantities=["force_imbalance"]')
-    with pytest.raises(UsageError, match="the rig impact has no force_imbalance: with one contact"):
+    with pytest.raises(UsageError, match="the rig impact has no force_imbalance here: with one contact"):
         run(study, out=tmp_path / "r")
 
 

@@ -157,15 +157,17 @@ def check_range(study: Study) -> None:
 
 
 def check_quantities(study: Study) -> None:
-    """Refuse a quantity that the rig of a study does not have, with the reason."""
-    if study.black_box or study.rig in ("bars", "none"):
+    """Refuse a quantity that the scene of a study does not have, with the reason."""
+    if study.black_box or study.rig == "none":
         return
     from uqsphere.mechanics.outputs import absent_in
 
     scene = scene_of(study, {})
-    for name in study.analysis.quantities:
+    asked = dict.fromkeys(study.analysis.quantities, "analysis.quantities")
+    asked |= {limit.quantity: f"limits.{limit.name}.quantity" for limit in study.limits if limit.quantity not in asked}
+    for name, place in asked.items():
         if why := absent_in(scene, name):
-            raise UsageError(f"analysis.quantities: the rig {study.rig} has no {name}: {why}; leave it out")
+            raise UsageError(f"{place}: the rig {study.rig} has no {name} here: {why}; leave it out")
 
 
 def _library_onset(study: Study) -> dict[str, float]:

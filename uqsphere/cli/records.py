@@ -517,6 +517,8 @@ def command_fit_contact(chosen: argparse.Namespace) -> int:
 
 def _answer_fit(chosen: argparse.Namespace, fit: ContactFit, soft: float, notes: list[str]) -> int:
     """The numbers of a fit with their intervals; `soft` [1/Pa] is what the platens add to the compliance."""
+    from uqsphere.quantities import INPUTS, format_value
+
     named = {"onset_pressure": fit.onset, "hardness": fit.hardness, "pile_up": fit.pile_up}
     young = _young(three(fit.modulus), soft, chosen.nu)
     document = {
@@ -524,9 +526,17 @@ def _answer_fit(chosen: argparse.Namespace, fit: ContactFit, soft: float, notes:
         "reduced_modulus": ends(three(fit.modulus)), "sphere_modulus": None if young is None else ends(young),
         "depth": fit.depth, "dent": fit.dent, "misfit": fit.misfit, "samples": fit.samples, "notes": notes,
     }  # fmt: skip
-    if chosen.pile_up is None and fit.hardness.high - fit.hardness.low > fit.hardness.value:
+    if fit.hardness.open:
+        notes.append("the test does not tell the hardness: press harder")
+    elif chosen.pile_up is None and fit.hardness.high - fit.hardness.low > fit.hardness.value:
         notes.append("the test hardly tells hardness from pile-up: --pile-up narrows the hardness (2 where a sphere "
                      "crushes, 2.667 where a metal flows)")  # fmt: skip
+    for name, part, key in (("onset", fit.onset, "contact.onset_pressure"), ("modulus E*", fit.modulus, "sphere.E")):
+        low, high = INPUTS[key].plausible
+        if not low <= part.value <= high:
+            found, *usual = (format_value(number, key) for number in (part.value, low, high))
+            notes.append(f"the {name} of {found} is unusual (usual: {usual[0]} to {usual[1]}): are the units, those of "
+                         "the force and of the displacement, and the diameter right?")  # fmt: skip
     _note(chosen, notes)
     rows = [
         number_row("onset pressure", "GPa", 1e-9, three(fit.onset)),
@@ -537,6 +547,7 @@ def _answer_fit(chosen: argparse.Namespace, fit: ContactFit, soft: float, notes:
         ("pressed to, over first yield", f"{fit.depth:.3g}", ""), ("dent", f"{1e6 * fit.dent:.3g} um", ""),
         ("misfit of the displacement", f"{1e6 * fit.misfit:.2g} um", f"{fit.samples} samples"),
     ]  # fmt: skip
+    end = "  # not told by this test" * fit.hardness.open
     lines = ["", "[contact]", 'law = "plastic"', f'onset_pressure = "{fit.onset.value / 1e9:.4g} GPa"',
-             f'hardness = "{fit.hardness.value / 1e9:.4g} GPa"', f"pile_up = {fit.pile_up.value:.4g}"]  # fmt: skip
+             f'hardness = "{fit.hardness.value / 1e9:.4g} GPa"{end}', f"pile_up = {fit.pile_up.value:.4g}"]  # fmt: skip
     return answer(chosen, document, "\n".join([table(("what", "value", "95 % interval"), rows), *lines]))

@@ -99,9 +99,13 @@ def _write_new(path: Path, source: Path) -> None:
 
 def command_check(chosen: argparse.Namespace) -> int:
     """Validate a study; print the resolved scene and what a run will cost, and the same of its services."""
+    from uqsphere.model import check_quantities, check_range
     from uqsphere.runner.forecast import plan_run
 
     study = study_of(chosen)
+    for part in study.parts.values():
+        check_range(part)
+        check_quantities(part)
     plan = plan_run(study)
     plans = plan.pop("services", {})
     services = {name: {**own.resolved(), "hash": own.hash, "plan": plans[name]} for name, own in study.services.items()}

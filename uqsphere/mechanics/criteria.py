@@ -187,9 +187,9 @@ def _ratio(columns: Columns) -> Array:
     return np.asarray(columns["a_max"] / np.asarray(columns["sphere.radius"], dtype=float))
 
 
-def _pressure(columns: Columns) -> Array:
-    """Pressure that the stress inside follows from [Pa]: of Hertz, for the same force on the same circle."""
-    return np.asarray(columns["p_field" if "p_field" in columns else "p_max"])
+def _pressure(columns: Columns, name: str = "p_field") -> Array:
+    """Pressure that the stress inside, or at the rim, follows from [Pa]: of Hertz, for the same force and circle."""
+    return np.asarray(columns[name if name in columns else "p_max"])
 
 
 def _central_force(columns: Columns) -> Array:
@@ -366,12 +366,13 @@ CRITERIA: Final[dict[str, Criterion]] = {
             name="edge_tension", quantity="edge_tension",
             symbol="sigma_e", display="GPa", measures="largest radial tension at the rim of the contact", place="rim",
             meaning="radial tension at the rim of the contact",
-            formula="(1 - 2 nu)/3 p_max", dimension="pressure", strength="tensile strength of the surface",
+            formula="(1 - 2 nu)/3 p_max, or (1 - 2 nu)/2 p_mean beyond yield", dimension="pressure",
+            strength="tensile strength of the surface",
             source="Johnson, Contact Mechanics, 1985, section 3.4; half space",
             range_text="a/r <= 0.05; far too severe where the stress is steep (see ring_crack)",
             needs=_FIELD, ranges={"a/r": (0.0, 0.05), "sphere.nu": (0.0, 0.5)},
             formula_of=lambda columns, parameters: np.asarray(
-                contact.edge_tension(np.asarray(columns["p_max"]), np.asarray(columns["sphere.nu"])))),
+                contact.edge_tension(_pressure(columns, "p_rim"), np.asarray(columns["sphere.nu"])))),
         Criterion(
             name="ring_crack", quantity="ring_crack_toughness",
             symbol="K_ring", display="MPa.sqrt(m)",

@@ -263,7 +263,7 @@ def at_force(force: Values, known: Mapping[str, Values]) -> Columns:
     state = {name: value for name, value in known.items() if name != "face"} | {"P_max": force}
     if (face := known.get("face")) is not None:
         press = face.pressed(face.depth_at(force))
-        state |= {**_pressures(press), "alpha_max": press.approach}
+        state |= {**_pressures(press, known["modulus"], known["effective_radius"], 1.0), "alpha_max": press.approach}
         stored, lost = 2.0 * press.stored, 2.0 * press.plastic
         chi = known["modulus"] * (1.0 - np.square(known["sphere.nu"])) / known["sphere.E"]
         state["energy_sphere"] = chi * stored + lost
@@ -275,8 +275,16 @@ def at_force(force: Values, known: Mapping[str, Values]) -> Columns:
     return Columns({**columns, "first_peak": columns["p_max"]})
 
 
-def _pressures(press: Press) -> dict[str, Array]:
-    return {"p_max": press.centre, "p_mean": press.mean, "p_field": 1.5 * press.mean, "a_max": press.radius}
+def _pressures(press: Press, modulus: Values, radius: Values, takes: Values) -> dict[str, Array]:
+    """Pressures and circle of a face that has a law.
+
+    `p_field` is the Hertz pressure of the same force on the same circle: the stress inside an elastic sphere follows
+    from that, at the rim whatever the pressure's shape.  `p_rim` is the same, but where the sphere `takes` the plastic
+    work: its rim has at most the tension that Hertz has for the force.
+    """
+    field = 1.5 * press.mean
+    rim = np.where(np.asarray(takes) > 0.0, contact.pressure_at_force(press.force, modulus, radius), field)
+    return {"p_max": press.centre, "p_mean": press.mean, "p_field": field, "p_rim": rim, "a_max": press.radius}
 
 
 def pressed_to(scene: Scene, rows: Places, force: Array) -> dict[str, Array]:
@@ -285,17 +293,15 @@ def pressed_to(scene: Scene, rows: Places, force: Array) -> dict[str, Array]:
         return {}
     face = scene.faces.at(rows)
     state = face.pressed(face.depth_at(force))
-    return {"alpha_max": state.approach, **_pressures(state)}
+    pressures = _pressures(state, face.modulus, face.effective_radius, scene.struck.takes[rows])
+    return {"alpha_max": state.approach, **pressures}
 
 
 # --- faces that are not alike ---------------------------------------------------------------------------
 
 
 def _side(scene: Scene, pole: int, x: Array) -> dict[str, Known]:
-    """What the face at a pole has taken at its largest approach, x alpha_c: force, pressures, circle, dent, work.
-
-    `p_field` is the Hertz pressure of the same force on the same circle: the stress inside follows from that.
-    """
+    """What the face at a pole has taken at its largest approach, x alpha_c: force, pressures, circle, dent, work."""
     partner, scales = scene.partners[pole], scene.scales
     assert partner is not None
     modulus, radius, beta = partner.modulus, partner.effective_radius, partner.hertz_constant
@@ -308,14 +314,14 @@ def _side(scene: Scene, pole: int, x: Array) -> dict[str, Known]:
         return {
             "P_max": force, "alpha_max": approach, "a_max": lambda: contact.contact_radius(approach, radius),
             "p_mean": lambda: 2.0 / 3.0 * elastic["p"],
-            **dict.fromkeys(("p_max", "p_hertz", "p_field"), lambda: elastic["p"]),
+            **dict.fromkeys(("p_max", "p_hertz", "p_field", "p_rim"), lambda: elastic["p"]),
             **dict.fromkeys(("dent_left", "dissipated"), lambda: np.zeros(len(scene))),
             **dict.fromkeys(("stored", "elastic"), lambda: contact.contact_energy(approach, beta)),
         }  # fmt: skip
     path = scene.contact_dynamics == "path" or scene.rig == "platens"
     state = face.pressed(approach / face.onset_approach if path else face.static_depth(approach, force))
     return {
-        **_pressures(state), "P_max": state.force, "alpha_max": state.approach,
+        **_pressures(state, modulus, radius, partner.takes), "P_max": state.force, "alpha_max": state.approach,
         "p_hertz": contact.pressure_at_force(state.force, modulus, radius), "dent_left": state.dent,
         "dissipated": state.plastic,
         "stored": state.stored, "elastic": contact.contact_energy(approach, beta),

@@ -233,7 +233,7 @@ CONTACT_LAWS: Final = ("hertz", "plastic", "damage")
 STATUS: dict[int, str] = {
     0: "ok",
     1: "outside the domain of the model (a size, modulus, ratio or pulse without meaning, a sphere wider than its bar, "
-    "a contact wider than its rod, a plate that is punched)",
+    "a contact wider than its rod, a plate that is punched, a face whose hardness is below its onset)",
     2: "the pulse is longer than the round trip of the incident bar, so the striker is still on it",
     3: "the integrator could not reach the tolerance",
     4: "too many reflections before the end of the record",

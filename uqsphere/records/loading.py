@@ -42,6 +42,10 @@ _RATIO, _PILE_UP = (1.2, 50.0), (1.0, 3.0)
 _SHORT: Final = 8
 #: depth of the largest approach below which nothing can be said of a law that has hardly begun
 _BEGUN: Final = 1.5
+#: upper over lower end of an interval beyond which a number is not told
+_OPEN: Final = 30.0
+#: median step of the displacement, over its range, beyond which samples are out of order
+_JUMP: Final = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +64,11 @@ class Fitted:
     value: float
     low: float
     high: float
+
+    @property
+    def open(self) -> bool:
+        """Whether the test does not tell it."""
+        return self.high > _OPEN * self.low
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,11 +214,18 @@ def fit_contact(
     fitted = {
         name: Fitted(value=v, low=low, high=high) for name, v, (low, high) in zip(names, values, spreads, strict=True)
     }
+    misfit = test.scale * float(np.sqrt(np.mean(np.square(residual / test.weight))))
+    if fitted["onset"].open:
+        worst = test.force[np.argmax(np.abs(residual / test.weight))] / test.force.max()
+        raise RecordError(
+            f"no law of a contact follows this record: it is off by {1e6 * misfit:.2g} um, most at {worst:.0%} of the "
+            "largest force; is the force free of an offset, of steps, and never cut off? Take such parts out"
+        )
     return ContactFit(
         **fitted,
         depth=float(depth[0]),
         dent=float(face.pressed(depth).dent[0]),
-        misfit=test.scale * float(np.sqrt(np.mean(np.square(residual / test.weight)))),
+        misfit=misfit,
         samples=len(residual),
     )
 
@@ -220,7 +236,12 @@ def _prepared(loading: Loading, diameter: float, compliance: float, pile_up: flo
     top = int(np.argmax(force))
     if not force[top] > 0.0:
         raise RecordError("the force is never positive: is compression negative in this file? Turn its sign")
-    if np.ptp(displacement[: top + 1]) == 0.0 or displacement[top] <= displacement[: max(top, 1)].min():
+    if np.median(np.abs(np.diff(displacement))) > _JUMP * np.ptp(displacement):
+        raise RecordError(
+            "the displacement jumps back and forth: put the samples in the order in which they were taken"
+        )
+    pressed = displacement[: top + 1]
+    if not (pressed - pressed.mean()) @ force[: top + 1] > 0.0:
         raise RecordError(
             "the displacement does not grow while the force does: turn its sign, or the stiffness given for the "
             "machine is too low"
@@ -279,7 +300,7 @@ def _intervals(
     logs = of[:3] @ parameters
     spread = reach * np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", of, covariance, of), 0.0))
     values = np.exp(logs).tolist()
-    bands = [(math.exp(a - d), math.exp(a + d)) for a, d in zip(logs, spread[:3], strict=True)]
+    bands = [(math.exp(max(a - d, -700.0)), math.exp(min(a + d, 700.0))) for a, d in zip(logs, spread[:3], strict=True)]
     if test.pile_up is not None:
         return [*values, test.pile_up], [*bands, (test.pile_up, test.pile_up)]
     c, d = float(parameters[4]), reach * math.sqrt(max(float(covariance[4, 4]), 0.0))

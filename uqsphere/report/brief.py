@@ -326,7 +326,7 @@ def _quantity_answers(contents: Contents) -> Iterator[Answer]:
             continue
         ends = [entry.quantiles[p].value for p in ("0.05", "0.95") if p in entry.quantiles]
         told = [value * factor for value in ends if value is not None]
-        note = f"Nine in ten lie between {two(min(told))} and {two(max(told))}." if len(told) == 2 else ""
+        note = f"Nine in ten lie between {two(min(told))} and {two(max(told))}." if len(set(told)) == 2 else ""
         yield Answer(question=question, big=two(median.value * factor), unit=unit_text(unit), note=note)
 
 
@@ -459,6 +459,8 @@ def _solved(answer: Answer) -> Answer | None:
     best = next(((m.name, m.at_target) for m in answer.modes if m.at_target is not None and not m.assumed), None)
     if survive and best is not None and len(answer.modes) > 1:
         note += f"By {best[0].lower()} alone: {two(best[1] * axis.factor)} {axis.unit}."
+    if (left_out := _not_sought(answer)) and beyond_reach(answer) is None:
+        note += f" {capital(left_out)} left out."
     question = f"{'Highest' if survive else 'Least'} {axis.words}{answer.of} ({must}){within}"
     reasons = answer.reasons or _as_planned(answer)
     return replace(answer, question=question, big=told, unit=axis.unit, note=note, reasons=reasons)
@@ -496,7 +498,14 @@ def _second(answer: Answer) -> tuple[str, str, str] | None:
     by = "by way of breaking" if len(known) > 1 else ""
     if _ends_without(answer) and beyond_reach(answer) is None:
         by = f"by {listed(known)} alone"
+    elif left_out := _not_sought(answer):
+        by = f"{left_out} left out"
     return f"{capital(axis.words)} {where}", f"{ranged(answer)}\u00a0{axis.unit}", by
+
+
+def _not_sought(answer: Answer) -> str:
+    """The ways that are judged as planned alone, for which the budget left no rows along the number solved for."""
+    return listed([m.name.lower() for m in answer.modes if m.assumed and m.at_target is None and not m.curve])
 
 
 def _ends_without(answer: Answer) -> list[float | None]:

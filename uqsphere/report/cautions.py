@@ -74,6 +74,11 @@ _LOWER: Final = {
     "sphere_yield_contact": _PRESSURES,
     "bar_yield_pulse": _LOADS,
 }
+#: check -> what it means where it moves the answer the other way
+_MORE: Final = {
+    "broken_by_damage": "more break than stated",
+    "reachable": "more break if it was computed from a force by Hertz (strength_is)",
+}
 #: a share of the rows below this is not told
 _TOLD: Final = 0.01
 #: tests of an input from which on what they leave open of a quantity is told by its interval alone
@@ -263,8 +268,8 @@ def _broken_at(margin: MarginEntry, check: CheckEntry) -> float:
 
 def _effect(contents: Contents, check: str, names: Mapping[str, str]) -> str:
     """What a broken check does to the answers; empty where it moves none of them."""
-    if check == "broken_by_damage":
-        return "more break than stated"
+    if check in _MORE:
+        return _MORE[check]
     quantities = {name: contents.results.limits[name].quantity for name in names}
     lower = [name for name, quantity in quantities.items() if quantity in _LOWER.get(check, frozenset())]
     if lower:

@@ -47,8 +47,9 @@ def value_text(value: float | None, name: str = "", digits: int = 4) -> str:
 
 
 def capital(text: str) -> str:
-    """The text with a capital letter."""
-    return text[:1].upper() + text[1:]
+    """The text with a capital letter, but for the path of a number."""
+    path = "." in text.partition(" ")[0][:-1]
+    return text if path else text[:1].upper() + text[1:]
 
 
 def law_name(kind: str) -> str:

@@ -267,12 +267,18 @@ def _by_tests(case: _Case) -> str:
 
 
 def _by_checks(case: _Case) -> str:
-    """(e): whether a check of the model fails in more than the target's share of the rows that miss the aim."""
+    """(e): whether a check of the model fails in more than the target's share of the rows that miss the aim, or a
+    demand that shall break the sphere is known as an upper bound alone."""
     from uqsphere.mechanics.validity import grades_of
+    from uqsphere.mechanics.yielding import Face
 
     evidence = case.evidence
     if evidence is None:
         return ""
+    crushed = any((one.takes > 0.0).any() for one in evidence.scene.there if isinstance(one.face, Face))
+    bounds = [one.name for one in case.given if "edge_tension" in (one.quantity, one.criterion)]
+    if case.aim == "break" and crushed and bounds and case.verdict(case.miss) is not False:
+        return f"the edge tension of {_listed(bounds)} is an upper bound where the sphere's poles are crushed"
     weights = np.ravel(case.before[:, : max(len(evidence.scene) // len(case.before), 1)])
     if not weights.sum() > 0.0:
         return ""

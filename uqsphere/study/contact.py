@@ -16,8 +16,11 @@ from uqsphere.study.scene import Scene, material_of, take_from_library
 from uqsphere.study.sphere_tests import is_sphere_tests
 from uqsphere.uq import Law
 
-#: numbers of [contact], and the law that each belongs to
-_OF_LAW: Final = dict.fromkeys(LAW, "plastic") | {"gamma": "damage", "fracture_energy": "damage"}
+#: keys of [contact], and the laws that each belongs to
+_OF_LAW: Final = dict.fromkeys(LAW, ("plastic",)) | {
+    **dict.fromkeys(("gamma", "fracture_energy", "blows"), ("damage",)),
+    "dynamics": ("plastic", "damage"),
+}
 _OWN: Final = frozenset(f"contact.{key}" for key in LAW)
 #: softening b between Thornton's 0 and this has a singularity near onset; above the other the face is Hertz's
 _LEAST_SOFTENING, _MOST_SOFTENING = 0.2, 100.0
@@ -29,10 +32,10 @@ def read_contact(document: Document, scene: Scene, findings: Findings) -> None:
     """The law of the contact as options of a scene; numbers of another law are left out, with a warning."""
     table = document.contact or ContactTable()
     law = table.law
-    for key, other in _OF_LAW.items() if findings.clean(("contact", "law")) else ():
-        if other != law and getattr(table, key) is not None:
+    for key, laws in _OF_LAW.items() if findings.clean(("contact", "law")) else ():
+        if law not in laws and getattr(table, key) != getattr(ContactTable(), key):
             scene.readings.pop(f"contact.{key}", None)
-            findings.warn(("contact", key), f'not used: it belongs to law = "{other}"')
+            findings.warn(("contact", key), f'not used: it belongs to law = "{laws[0]}"')
     _read_inserts(None if document.bars is None else document.bars.insert_material, scene, findings)
     if law == "hertz":
         return
@@ -100,6 +103,10 @@ def _check_yield(scene: Scene, findings: Findings) -> None:
     rig, rigid = RIGS[str(scene.options.get("rig.kind", "bars"))], bool(scene.options.get("bars.rigid_contact"))
     own = _OWN & columns.keys()
     onsets = [sphere_body(columns).onset, *(body_of(columns, table).onset for table in rig.tables)]
+    alone = "sphere.hardness" in columns.keys() - scene.sources.keys() and "sphere.onset_pressure" not in columns
+    if alone and findings.clean(("sphere", "hardness")):
+        findings.lack(("sphere", "onset_pressure"), 'onset_pressure is missing beside the hardness: add '
+                      'onset_pressure = "1 GPa" to [sphere], or leave sphere.hardness out')  # fmt: skip
     if f"contact.{LAW[0]}" not in own and np.isinf(onsets).all():
         _nothing_yields(rig, findings)
         return
@@ -149,7 +156,8 @@ def _check_law(place: str, law: Body, findings: Findings) -> None:
     if hardness < onset:
         findings.add(
             (place, "hardness"),
-            f"the hardness {found} is below the onset {begin}: a face cannot flow at less than its onset",
+            f"the hardness {found} is below the onset {begin}: a face cannot flow at less than its onset; give a "
+            f"hardness of {begin} or more",
         )
     elif b > _MOST_SOFTENING:
         most = format_value((1.0 + _MOST_SOFTENING) * onset / pile_up / _ROUNDED, "contact.hardness")
@@ -180,7 +188,9 @@ def compared_pressure(quantity: str, table: LimitTable, name: str, scene: Scene,
     place = ("limits", name, "strength_is")
     meant = table.strength_is
     if quantity not in _BY_HERTZ:
-        if meant is not None and quantity != "p_hertz":
+        if quantity == "p_hertz" and meant == "pressure":
+            findings.add(place, 'p_hertz is what a force is by Hertz: strength_is = "hertz", or a limit on p_max')
+        elif meant is not None and quantity != "p_hertz":
             findings.add(
                 place, f"strength_is belongs to a limit on p_max or first_peak, not on {quantity}: leave it out"
             )

@@ -69,7 +69,8 @@ def shares_with_tails(
     answers, asked = {}, work.study.analysis.accuracy.sobol
     for k, quantity in enumerate(work.quantities):
         indices, sd, tail = found[quantity], sampled.descriptions[quantity].sd, tails[quantity]
-        reason = why_no_shares(sampled.sample.outputs(quantity), sd)
+        # where no input is random nothing is missed either
+        reason = why_no_shares(sampled.sample.outputs(quantity), sd) if work.scene_names else None
         if reason is not None:
             # that the variance is not there weighs more than why an index was absent before
             every = reason.why is Why.NO_VARIANCE
