@@ -607,9 +607,6 @@ def finish(mode, wanted, track, lane, path, branches, scale, start, length, cres
     """
     apart()
     ended = track[tracked.ENDED, lane]
-    if math.isnan(ended):
-        newest = (count - 1) % len(start)
-        ended = start[newest] + length[newest]
     power = 1.0 if mode == 1 or yielding else 2.0 / 3.0
     top = _finish_faces(track, lane, out, yielding, law)
     out[tracked.ANSWER_END] = ended

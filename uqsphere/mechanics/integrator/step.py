@@ -27,6 +27,8 @@ from uqsphere.mechanics.integrator.tracked import (
     BY_ROOT,
     BY_X,
     CONSTANT,
+    FACE_A,
+    FACE_B,
     GAMMA,
     HERTZ,
     INNER,
@@ -308,6 +310,75 @@ def longest(x, u, free, scale, rigged, local, theta):
     _longest(theta, row(x, fourth, 0), row(x, fourth, LANES), row(x, third, 0), row(x, third, LANES),
              row(x, before, 0), row(x, before, LANES), row(x, last, 0), row(x, last, LANES), row(u, before, 0),
              row(u, last, 0), row(scale, 0, 0), row(scale, 1, 0), local)  # fmt: skip
+
+
+# --- What a step may be and whether it holds, for all lanes: nothing here depends on a lane's neighbours.
+
+_tried = elementwise(
+    LANES,
+    4,
+    lambda proposed, stop, time, back, busy, fades, share, face_a, face_b, error, asked, scale, graze: (
+        where(busy > 0.0, smaller(smaller(proposed, stop - time), back), 0.0),
+        where(time >= fades, share * larger(face_a, face_b), -math.inf),
+        larger(larger(100.0 * error, asked) * scale, graze),
+        0.0 * busy,
+    ),
+)
+_cut = elementwise(
+    LANES,
+    1,
+    lambda theta, h, stop, time: where(
+        smaller(theta, 1.0) * h >= (left := stop - time) * (1.0 - 1e-10),
+        1.0,
+        where(2.0 * smaller(theta, 1.0) * h > left, smaller(smaller(theta, 1.0), 0.5 * left / h), smaller(theta, 1.0)),
+    ),
+)
+_doubted = elementwise(
+    LANES,
+    2,
+    lambda h, theta, branch_a, branch_b, error, scale, speed, inertia, touching, on_slow, misfit: (
+        where(
+            (touching + on_slow < 0.5)
+            & (
+                h * theta * larger(branch_a, branch_b)
+                > smaller(100.0 * error * scale, 100.0 * error * inertia * speed)
+            ),
+            1.0,
+            0.0 * h,
+        ),
+        where(misfit * h > error * scale, 1.0, where(theta > 0.0, 0.0 * h, 1.0)),
+    ),
+)
+_same = elementwise(PAIR, 3, lambda x, rate, bow: (x, rate, bow))
+
+
+@compiled(**INNER)
+def try_step(h, low, near, misfit, proposed, stop, time, back, busy, fades, share, track, error, asked, size, grazing):
+    """The steps h that are tried, 0 where a lane has no row; where a record may end, a contact count as lost."""
+    _tried(h, low, near, misfit, proposed, stop, time, back, busy, fades, share, row(track, FACE_A, 0),
+           row(track, FACE_B, 0), error, asked, row(size, 0, 0), grazing)  # fmt: skip
+
+
+@compiled(**INNER)
+def cut_at_stop(theta, h, stop, time):
+    """Cut steps where they have to end: at `stop`, or halfway to it where little would be left."""
+    _cut(theta, theta, h, stop, time)
+
+
+@compiled(**INNER)
+def doubt(crosses, unfit, h, theta, columns, error, size, inertia, touching, on_slow, misfit):
+    """1 where a step may have gone through a loss of contact, and where its waves do not fit or it is none.
+
+    columns: its row 1 is what `root_error` found.
+    """
+    _doubted(crosses, unfit, h, theta, row(columns, 1, 0), row(columns, 1, LANES), error, row(size, 0, 0),
+             row(size, 1, 0), inertia, touching, on_slow, misfit)  # fmt: skip
+
+
+@compiled(**INNER)
+def start_points(at, rate, bow, x):
+    """Values, derivatives and half the second ones at the start of a step."""
+    _same(row(at, 0, 0), row(rate, 0, 0), row(bow, 0, 0), row(x, 0, 0), row(x, 1, 0), row(x, 2, 0))
 
 
 @compiled(**INNER)
