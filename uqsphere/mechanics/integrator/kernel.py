@@ -182,14 +182,15 @@ def march(
     inverse_mu[:] = 1.0
     # uninitialised: only the pages of steps that are taken ever cost memory.  A step's series is in powers of
     # (t - start)/scale and holds over `length`
+    # (a power of two of them would put all lanes into the same few lines of the processor's cache)
+    room_of_lane = capacity + 8
     kept_steps = (
-        np.empty((lanes, capacity)), np.empty((lanes, capacity)), np.empty((lanes, capacity)),
-        np.empty((lanes, capacity)), np.empty((lanes, capacity, 3, TERMS)), np.empty((2 * lanes * capacity, TERMS)),
-        np.empty((lanes, capacity, 2, 2)),
+        np.empty((lanes, room_of_lane, tracked.KEPT)), np.empty((lanes, room_of_lane, 3, TERMS)),
+        np.empty((lanes * room_of_lane * 2, TERMS)), np.empty((lanes, room_of_lane, 2, 2)),
     )  # fmt: skip
-    start, length, scale, crests = bare(kept_steps[0]), bare(kept_steps[1]), bare(kept_steps[2]), bare(kept_steps[3])
+    made = bare(kept_steps[0])
     # series of the approaches; of faces with laws of their own the spring and the dent of a step beside them
-    path, wave, branches = bare(kept_steps[4]), bare(kept_steps[5]), bare(kept_steps[6])
+    path, wave, branches = bare(kept_steps[1]), bare(kept_steps[2]), bare(kept_steps[3])
     store = wanted & (tracked.WANT_RISE | tracked.WANT_WIDTH | tracked.WANT_WHOLE) != 0
     whole = wanted & tracked.WANT_WHOLE != 0
     # whether a lane goes on after its first loss, with which its other answers are known
@@ -264,7 +265,7 @@ def march(
         incoming.incident(time, h, cubic, frequency, offset, push)
         for j in range(lanes):
             if row[j] >= 0 and time[j] >= heard[j]:
-                trial = incoming.echo_steps(j, time[j], h[j], trips, count[j], start, length, first, last, alone[j])
+                trial = incoming.echo_steps(j, time[j], h[j], trips, count[j], made, ring, first, last, alone[j])
                 if trial < h[j]:
                     shrink = trial / h[j]
                     power = shrink
@@ -274,7 +275,7 @@ def march(
                     h[j] = trial
                 for bar in range(2):
                     if trips[bar, j] <= time[j] * (1.0 + 1e-12) and first[bar, j] >= 0:
-                        misfit[j] += incoming.add_echo(start, scale, wave, bar, j, first[bar, j], last[bar, j],
+                        misfit[j] += incoming.add_echo(made, wave, ring, bar, j, first[bar, j], last[bar, j],
                                               time[j] - trips[bar, j], h[j], 2.0 * reflect[bar, j],
                                               0.1 * error[j] * size[0, j] / h[j], push, work)  # fmt: skip
         # ---- the motion over the steps
@@ -429,15 +430,16 @@ def march(
                 events.note_peaks(track, j, force, places)
             if wanted & tracked.WANT_CARRIED:
                 events.note_carried(track, j, force, h[j], ending, carried_room)
-            n = count[j] % ring
+            n = count[j] & (ring - 1)
             if whole:
                 events.note_whole(track, j, x, force, rate, piece, before, h[j], theta[j], ending, path[j, n])
             count[j] += 1
             if own[j] and count[j] > FREE_STEPS:  # errors to one side add up: of so many steps no more than a logarithm
                 error[j] *= 1.0 - 1.0 / count[j]
-            start[j, n], scale[j, n], length[j, n], crests[j, n] = before, h[j], ending * h[j], crest[j]
+            made[j, n, tracked.BEGAN], made[j, n, tracked.HOLDS] = before, ending * h[j]
+            made[j, n, tracked.UNIT_OF], made[j, n, tracked.CREST] = h[j], crest[j]
             if yielding and store:
-                crests[j, n] = most_force(law, j, room[1])
+                made[j, n, tracked.CREST] = most_force(law, j, room[1])
             if store:
                 for face in range(2):
                     m = face * LANES + j
@@ -450,7 +452,7 @@ def march(
                     gives = rig[tracked.RIG_GIVES, bar * LANES + j]
                     for k in range(TERMS):
                         m = bar * LANES + j
-                        wave[(bar * lanes + j) * capacity + n, k] = 0.5 * push[k, m] - gives * force[k, m]
+                        wave[2 * (j * room_of_lane + n) + bar, k] = 0.5 * push[k, m] - gives * force[k, m]
             if keeping and n < kept_start.shape[1]:
                 power, at_row = 1.0, place[j]
                 kept_start[at_row, n], kept_length[at_row, n] = before, ending * h[j]
@@ -477,8 +479,8 @@ def march(
                 and graze[r] == 0.0
                 and track[tracked.LOST, j] == track[tracked.ENDED, j]
             ):
-                events.finish(mode, wanted, track, j, path[j], branches[j], scale[j], start[j], length[j], crests[j],
-                              count[j], error[j], out[r], yielding, law)  # fmt: skip
+                events.finish(mode, wanted, track, j, path[j], branches[j], made[j], count[j], error[j], out[r],
+                              yielding, law)  # fmt: skip
                 out[r, tracked.ANSWER_SPEED] = value_of(u, j, ending)
                 beyond[j], why = True, 2 + int(track[tracked.LOST_FACE, j])
             if ending < theta[j] and (why >= 2 or own[j]):
@@ -565,13 +567,13 @@ def march(
                         mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], error[j]
                     )
             if done and math.isnan(track[tracked.ENDED, j]):
-                track[tracked.ENDED, j] = start[j, n] + length[j, n]
+                track[tracked.ENDED, j] = before + made[j, n, tracked.HOLDS]
             if done and whole:
-                events.finish_whole(track, j, path[j], scale[j], length[j], count[j], out[r])
+                events.finish_whole(track, j, path[j], made[j], count[j], out[r])
             if done:
                 if not beyond[j]:
-                    events.finish(mode, wanted, track, j, path[j], branches[j], scale[j], start[j], length[j],
-                                  crests[j], count[j], error[j], out[r], yielding, law)  # fmt: skip
+                    events.finish(mode, wanted, track, j, path[j], branches[j], made[j], count[j], error[j], out[r],
+                                  yielding, law)  # fmt: skip
                     out[r, tracked.ANSWER_SPEED] = u[0, j]
                 out[r, tracked.ANSWER_SPEEDS], out[r, tracked.ANSWER_SPEEDS + 1] = free[0, j], -free[0, LANES + j]
                 status[r] = tracked.OK
@@ -596,5 +598,5 @@ def march(
 PARTS: tuple[tuple[Any, str], ...] = (
     (events.look, "ii2222111nn212b2"),
     (events.after_step, "ii2i231fffffffffbb2"),
-    (events.finish, "ii2i331111if1b2"),
+    (events.finish, "ii2i332if1b2"),
 )
