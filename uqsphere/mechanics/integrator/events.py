@@ -136,7 +136,6 @@ def _parts(track, lane, piece, face, ends, graze):
 @compiled(**INNER)
 def _touching_just_now(track, lane, piece, face):
     """Whether a face touches at the start of a step, or is pressed and has not touched before: nothing to be met."""
-    apart()
     if piece[face, 0] > 0.0:
         return track[tracked.TOUCHED_A + face, lane] == 0.0
     return piece[face, 0] == 0.0 and piece[face, 1] >= 0.0
@@ -201,7 +200,6 @@ def _largest(mode, flags, track, lane, piece, grid, places, ends, yielding, law)
 @compiled(**INNER)
 def _note_touch(track, lane, grid, least, first):
     """Faces that have been pressed by more than `least`, and the largest approach of the first passage."""
-    apart()
     for face in range(2):
         if grid[face, 0, tracked.POINTS] > least:
             track[tracked.TOUCHED_A + face, lane] = 1.0

@@ -44,12 +44,14 @@ from uqsphere.mechanics.integrator.step import (
     evaluate,
     evaluate_bent,
     expand,
+    expand_plain,
     expand_virgin,
     longest,
     root_error,
     slow_step,
     start_points,
     step_from_touch,
+    step_from_touch_plain,
     try_step,
 )
 from uqsphere.mechanics.integrator.tracked import LANES, PAIR, TERMS
@@ -288,8 +290,11 @@ def march(
         if virgin and not softens:
             expand_virgin(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
                rigged, rig, free, softens, sloped)  # fmt: skip
-        else:
+        elif apart or rigged:
             expand(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
+               rigged, rig, free, softens, sloped)  # fmt: skip
+        else:
+            expand_plain(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
                rigged, rig, free, softens, sloped)  # fmt: skip
         longest(x, u, free, size, rigged, error, theta)
         for j in range(lanes):
@@ -306,7 +311,10 @@ def march(
                         turned[1, m] += 1.0
             if touching[j] > 0.0:
                 theta[j] = 1.0
-                step_from_touch(mode, j, h[j], inverse_mu[j], push, x, u, force, yielding, law, rig, free)
+                if own[j] or rigged:
+                    step_from_touch(mode, j, h[j], inverse_mu[j], push, x, u, force, yielding, law, rig, free)
+                else:
+                    step_from_touch_plain(mode, j, h[j], inverse_mu[j], push, x, u, force, yielding, law, rig, free)
             elif (
                 mode == 0
                 and not rigged
