@@ -30,6 +30,8 @@ from uqsphere.mechanics.integrator.vectors import apart, curves_at, elementwise,
 
 #: change of a place, as a share of the trial step, after which the next one would be rounding
 _SETTLED = 1e-8
+#: Newton's iterations at most; what is not settled then is looked at face by face
+_ITERATIONS = 6
 
 
 def _first(at_l, at_r, rate_l, rate_r, bow_l, bow_r, width, spring, room, begin, kind, start, left, right, left_slope,
@@ -56,27 +58,28 @@ def _first(at_l, at_r, rate_l, rate_r, bow_l, bow_r, width, spring, room, begin,
     )
 
 
-def _guessed(start, left, right, left_slope, right_slope, width):
-    """Where a rising function passes zero, by the cubic of its inverse."""
+def _guessed(start, left, right, left_slope, right_slope, width, kind):
+    """Where a rising function passes zero, by the cubic of its inverse; how far that may be off, 0 if none does."""
     rise = right - left
     y = -left / rise
     z = 1.0 - y
     cubic = y * y * (1.0 + 2.0 * z) + y * z * rise * (z / left_slope - y / right_slope)
     share = where((left_slope > 0.0) & (right_slope > 0.0), cubic, y)
-    return (start + larger(smaller(share, 1.0), 0.0)) * width
+    return (start + larger(smaller(share, 1.0), 0.0)) * width, where((kind > 0.0) & (kind < 2.0), 1.0, 0.0 * kind)
 
 
-def _closer(place, value, slope, bend, spring, room, start, width):
-    """Newton's next place, kept within its part of the step, and how far it went or would have."""
-    elastic = spring > 0.0
+def _closer(place, change, value, slope, bend, spring, room, start, width):
+    """Newton's next place, kept within its part of the step, and how far it went or would have; none once settled."""
+    elastic, settled = spring > 0.0, change < _SETTLED
     following = place - where(elastic, value - room, slope) / where(elastic, slope, 2.0 * bend)
-    return larger(smaller(following, (start + 1.0) * width), start * width), size_of(following - place)
+    kept = larger(smaller(following, (start + 1.0) * width), start * width)
+    return where(settled, place, kept), where(settled, change, size_of(following - place))
 
 
 _begin = elementwise(PAIR, 2, lambda largest, dent: (largest - dent, 0.0 * dent))
 _part = elementwise(LANES, 1, lambda theta: theta * (1.0 / POINTS))
 _look = elementwise(PAIR, 6, _first)
-_guess = elementwise(PAIR, 1, _guessed)
+_guess = elementwise(PAIR, 2, _guessed)
 _refine = elementwise(PAIR, 2, _closer)
 
 
@@ -164,6 +167,15 @@ def _end(face, m, x, at, rate, bow, theta, law, piece, room):
 
 
 @compiled(**INNER)
+def _unsettled(live, room, first):
+    """Whether a place of the lanes of one face is not settled."""
+    for j in range(LANES):
+        if live[j] >= 0 and not room[3, first + j] < _SETTLED:
+            return True
+    return False
+
+
+@compiled(**INNER)
 def _settle(live, x, at, rate, bow, theta, law, room):
     """Rows of `room`: 0 a spring's largest approach above its dent; 1 what `_first` finds, 7 where, 3 how surely."""
     top, kind, start, place = row(room, 0, 0), row(room, 1, 0), row(room, 2, 0), row(room, 7, 0)
@@ -182,11 +194,16 @@ def _settle(live, x, at, rate, bow, theta, law, room):
     if not met:
         return
     value, slope, bend = row(room, 4, 0), row(room, 5, 0), row(room, 6, 0)
-    _guess(place, start, left, right, left_slope, right_slope, width)
-    for _ in range(3):
+    _guess(place, change, start, left, right, left_slope, right_slope, width, kind)
+    for _ in range(_ITERATIONS):
+        going = False
         for c in range(0, PAIR, LANES):
-            curves_at(x, ORDER, PAIR, c, row(room, 7, c), value, slope, bend)
-        _refine(place, change, place, value, slope, bend, spring, top, start, width)
+            if _unsettled(live, room, c):
+                going = True
+                curves_at(x, ORDER, PAIR, c, row(room, 7, c), value, slope, bend)
+        if not going:
+            return
+        _refine(place, change, place, change, value, slope, bend, spring, top, start, width)
 
 
 @compiled(**INNER)

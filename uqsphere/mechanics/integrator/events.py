@@ -136,7 +136,6 @@ def _parts(track, lane, piece, face, ends, graze):
 @compiled(**INNER)
 def _touching_just_now(track, lane, piece, face):
     """Whether a face touches at the start of a step, or is pressed and has not touched before: nothing to be met."""
-    apart()
     if piece[face, 0] > 0.0:
         return track[tracked.TOUCHED_A + face, lane] == 0.0
     return piece[face, 0] == 0.0 and piece[face, 1] >= 0.0
@@ -201,7 +200,6 @@ def _largest(mode, flags, track, lane, piece, grid, places, ends, yielding, law)
 @compiled(**INNER)
 def _note_touch(track, lane, grid, least, first):
     """Faces that have been pressed by more than `least`, and the largest approach of the first passage."""
-    apart()
     for face in range(2):
         if grid[face, 0, tracked.POINTS] > least:
             track[tracked.TOUCHED_A + face, lane] = 1.0
@@ -528,7 +526,7 @@ _ANSWER_OF = (
 
 
 @compiled(**INNER)
-def _outermost(level, backward, ended, path, branches, scale, start, length, crest, count, lane, yielding, law):
+def _outermost(level, backward, ended, path, branches, made, count, lane, yielding, law):
     """Time at which the larger approach first reaches `level`, or last on the way back; arrays of one lane.
 
     Of faces with laws of their own `level` is a force: what approach that is follows from the branch of a step, its
@@ -539,9 +537,10 @@ def _outermost(level, backward, ended, path, branches, scale, start, length, cre
     virgin_b = approach_at(law, LANES + lane, level) if yielding else level
     for i in range(count):
         n = count - 1 - i if backward else i
-        if crest[n] < level:
+        if made[n, tracked.CREST] < level:
             continue
-        end = min(length[n], ended - start[n]) / scale[n]
+        began, unit = made[n, tracked.BEGAN], made[n, tracked.UNIT_OF]
+        end = min(made[n, tracked.HOLDS], ended - began) / unit
         a, b = (end, 0.0) if backward else (0.0, end)
         best = math.nan
         for face in range(2):
@@ -553,7 +552,7 @@ def _outermost(level, backward, ended, path, branches, scale, start, length, cre
             if math.isnan(best) or (found > best if backward else found < best):
                 best = found
         if not math.isnan(best):
-            return start[n] + best * scale[n]
+            return began + best * unit
     return math.nan
 
 
@@ -600,16 +599,13 @@ def _finish_faces(track, lane, out, yielding, law):
 
 
 @compiled(part=True, **INNER)
-def finish(mode, wanted, track, lane, path, branches, scale, start, length, crest, count, unsure, out, yielding, law):
-    """Answers of a row that has ended, in scaled variables; path, branches, scale, start, length, crest of its lane.
+def finish(mode, wanted, track, lane, path, branches, made, count, unsure, out, yielding, law):
+    """Answers of a row that has ended, in scaled variables; path, branches and what was made of its lane's steps.
 
     unsure: share by which a threshold may be off.
     """
     apart()
     ended = track[tracked.ENDED, lane]
-    if math.isnan(ended):
-        newest = (count - 1) % len(start)
-        ended = start[newest] + length[newest]
     power = 1.0 if mode == 1 or yielding else 2.0 / 3.0
     top = _finish_faces(track, lane, out, yielding, law)
     out[tracked.ANSWER_END] = ended
@@ -628,7 +624,7 @@ def finish(mode, wanted, track, lane, path, branches, scale, start, length, cres
     out[tracked.ANSWER_DEPTH], out[tracked.ANSWER_NEAREST] = track[tracked.DEPTH, lane], track[tracked.NEAREST, lane]
     if wanted & (tracked.WANT_WIDTH | tracked.WANT_RISE) == 0:
         return
-    steps = path, branches, scale, start, length, crest, count, lane, yielding, law
+    steps = path, branches, made, count, lane, yielding, law
     for k in range(3):
         # each threshold is also taken a little lower and higher: where it is then passed one oscillation sooner or
         # later, the answer is a jump
@@ -732,18 +728,19 @@ def note_whole(track, lane, x, force, rate, piece, before, length, theta, ends, 
 
 
 @compiled(**INNER)
-def finish_whole(track, lane, path, scale, length, count, out):
-    """Answers of the motion to the horizon; path, scale, length of its lane."""
+def finish_whole(track, lane, path, made, count, out):
+    """Answers of the motion to the horizon; path and what was made of its lane's steps."""
     apart()
     peak, above = track[tracked.MEAN, lane], 0.0
     level = tracked.ABOVE_SHARE * peak
     for n in range(count):
-        at, end = 0.0, length[n] / scale[n]
+        unit = made[n, tracked.UNIT_OF]
+        at, end = 0.0, made[n, tracked.HOLDS] / unit
         inside = path[n, 2, 0] >= level
         for _ in range(8 * tracked.POINTS):
             found = searches.passage(path[n], 2, level, -1.0 if inside else 1.0, at, end)
             stop = end if math.isnan(found) else found
-            above += (stop - at) * scale[n] if inside else 0.0
+            above += (stop - at) * unit if inside else 0.0
             if stop == end:
                 break
             at, inside = min(stop + 1e-12 * end, end), not inside

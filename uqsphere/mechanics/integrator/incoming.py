@@ -13,7 +13,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 
 from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.tracked import INNER, LANES, ORDER, PAIR, TERMS
+from uqsphere.mechanics.integrator.tracked import BEGAN, HOLDS, INNER, LANES, ORDER, PAIR, TERMS, UNIT_OF
 from uqsphere.mechanics.integrator.vectors import apart, elementwise, mix, row, values_at, where
 
 #: points over a step at which a wave that comes back is read
@@ -36,22 +36,22 @@ _behind = elementwise(WAVE, 1, lambda old, new, thetas, begin: where(thetas >= b
 
 
 @compiled(**INNER)
-def add_echo(start, scale, wave, bar, lane, low, high, begin, h, factor, negligible, push, work):
+def add_echo(made, wave, ring, bar, lane, low, high, begin, h, factor, negligible, push, work):
     """Add `factor` times a wave kept on the steps `low` to `high` to a face of `push`; begin is its time.
 
-    start, scale (LANES, room) and wave (2·LANES·room, TERMS) are the rings of all lanes.  Returns the size of the
-    fit's last two terms; terms that together stay below `negligible` are left out.
+    made (LANES, room, KEPT) and wave (LANES·room·2, TERMS) hold the last `ring` steps of all lanes.  Returns the size
+    of the fit's last two terms; terms that together stay below `negligible` are left out.
     """
     apart()
     values, places, found, fit = row(work, 0, 0), row(work, 1, 0), row(work, 2, 0), row(work, 3, 0)
-    room = start.shape[1]
+    room = made.shape[1]
     for step in range(low, high + 1):
-        piece = step % room
-        inverse = 1.0 / scale[lane, piece]
+        piece = step & (ring - 1)
+        began, inverse = made[lane, piece, BEGAN], 1.0 / made[lane, piece, UNIT_OF]
         # all points are read from every step; each step keeps those behind its start
-        _places(places, WAVE_THETAS, (begin - start[lane, piece]) * inverse, h * inverse)
-        values_at(row(wave, (bar * LANES + lane) * room + piece, 0), ORDER, places, found)
-        from_theta = (start[lane, piece] - begin) / h if step > low else -1.0
+        _places(places, WAVE_THETAS, (begin - began) * inverse, h * inverse)
+        values_at(row(wave, 2 * (lane * room + piece) + bar, 0), ORDER, places, found)
+        from_theta = (began - begin) / h if step > low else -1.0
         _behind(values, values, found, WAVE_THETAS, from_theta)
     degrees = places
     mix(values, WAVE_DEGREES, degrees)
@@ -151,29 +151,34 @@ def reflect_break(time, trips, queue, head, tail, lane, horizon):
 
 
 @compiled(**INNER)
-def echo_steps(lane, time, h, trips, count, start, length, first, last, alone):
+def _ended(made, lane, n):
+    return made[lane, n, BEGAN] + made[lane, n, HOLDS]
+
+
+@compiled(**INNER)
+def echo_steps(lane, time, h, trips, count, made, ring, first, last, alone):
     """Find the steps on which the waves left that come back during the present step; its length, if need be cut.
 
     alone: whether no more than one of a bar may.
     """
     apart()
-    near, room = 1e-13 * (1.0 + time), start.shape[1]
+    near = 1e-13 * (1.0 + time)
     for bar in range(2):
         begin = time - trips[bar, lane]
         if begin < -near:
             first[bar, lane] = -1
             continue
         k = max(first[bar, lane], 0)
-        while k < count - 1 and start[lane, k % room] + length[lane, k % room] <= begin + near:
+        while k < count - 1 and _ended(made, lane, k & (ring - 1)) <= begin + near:
             k += 1
         first[bar, lane] = k
         # no more than two steps at once: a wave that took many steps to make is not smooth
         k = k if alone else min(k + 1, count - 1)
-        h = min(h, max(start[lane, k % room] + length[lane, k % room] - begin, 0.1 * h))
+        h = min(h, max(_ended(made, lane, k & (ring - 1)) - begin, 0.1 * h))
     for bar in range(2):
         k = first[bar, lane]
         if k >= 0:
-            while k < count - 1 and start[lane, k % room] + length[lane, k % room] < time - trips[bar, lane] + h - near:
+            while k < count - 1 and _ended(made, lane, k & (ring - 1)) < time - trips[bar, lane] + h - near:
                 k += 1
             last[bar, lane] = k
     return h

@@ -38,15 +38,21 @@ from uqsphere.mechanics.integrator.step import (
     SCALES,
     SLOW_ROOM,
     SMALL_MU,
+    cut_at_stop,
     decay_time,
+    doubt,
     evaluate,
     evaluate_bent,
     expand,
+    expand_plain,
     expand_virgin,
     longest,
     root_error,
     slow_step,
+    start_points,
     step_from_touch,
+    step_from_touch_plain,
+    try_step,
 )
 from uqsphere.mechanics.integrator.tracked import LANES, PAIR, TERMS
 from uqsphere.mechanics.integrator.vectors import bare
@@ -123,7 +129,7 @@ def march(
         np.zeros((4, lanes)), np.zeros((2, lanes, incoming.QUEUE)), np.zeros((2, lanes), dtype=np.int64),
         np.zeros((2, lanes), dtype=np.int64), np.zeros((2, lanes), dtype=np.int64),
         np.zeros((2, lanes), dtype=np.int64), np.zeros((tracked.TRACKS, lanes)), np.ones((SCALES, lanes)),
-        np.zeros((4, 2, tracked.POINTS + 1)), np.zeros((3, PAIR)), np.zeros((19, lanes)),
+        np.zeros((4, 2, tracked.POINTS + 1)), np.zeros((3, PAIR)), np.zeros((29, lanes)),
         np.zeros((4, lanes), dtype=np.int64), np.zeros((tracked.NUMBERS, PAIR)), np.zeros((TERMS, PAIR)),
         np.zeros((1, PAIR)), np.zeros((tracked.RIGS, PAIR)), np.zeros((TERMS, PAIR)), np.full(2, -1.0),
         np.zeros((TERMS, PAIR)), np.zeros((3, TERMS)), np.zeros((tracked.POINTS + 1, PAIR)),
@@ -150,7 +156,7 @@ def march(
     x, u, root, force, push = bare(owned[0]), bare(owned[1]), bare(owned[2]), bare(owned[3]), bare(owned[4])
     at, rate, room, work, piece = bare(owned[5]), bare(owned[6]), bare(owned[7]), bare(owned[8]), bare(owned[9])
     trips, cubic, queue = bare(owned[10]), bare(owned[11]), bare(owned[12])
-    track, size, grid, columns = bare(owned[17]), bare(owned[18]), bare(owned[19]), owned[20]
+    track, size, grid, columns = bare(owned[17]), bare(owned[18]), bare(owned[19]), bare(owned[20])
     half, branch, known = bare(columns[0]), bare(columns[1]), bare(columns[2:3])
     head, tail = bare(owned[13]), bare(owned[14])
     # steps that hold the echo of the present step
@@ -163,9 +169,14 @@ def march(
     stop = bare(numbers[15])  # the next time at which a step has to end
     steady = bare(numbers[16])  # the wave that comes in from now on for ever, or -1
     reflect = bare(numbers[17:19])
+    # 1 where a lane has a row, starts from a touch, follows the slow motion; what a step's end may be doubted for
+    busy, touching, on_slow = bare(numbers[19]), bare(numbers[20]), bare(numbers[21])
+    crosses, unfit = bare(numbers[22]), bare(numbers[23])
+    # of a lane's row: mu, inf where the sphere has no mass; the first echo; when it can be heard, the pulse is over
+    inertia, back, heard = bare(numbers[24]), bare(numbers[25]), bare(numbers[26])
+    fades, grazing = bare(numbers[27]), bare(numbers[28])
     row, count, attempts, flags = bare(counts[0]), bare(counts[1]), bare(counts[2]), bare(counts[3])
-    place, touching, meets = np.zeros(lanes, dtype=np.int64), np.zeros(lanes, dtype=np.int64), np.zeros(lanes, np.int64)
-    on_slow = np.zeros(lanes, dtype=np.bool_)
+    place, meets = np.zeros(lanes, dtype=np.int64), np.zeros(lanes, np.int64)
     # time before which the fast oscillation cannot have died out
     calm, slow_room = np.zeros(lanes), np.zeros((SLOW_ROOM, TERMS))
     error, alone = np.zeros(lanes), np.zeros(lanes, dtype=np.bool_)
@@ -173,23 +184,26 @@ def march(
     inverse_mu[:] = 1.0
     # uninitialised: only the pages of steps that are taken ever cost memory.  A step's series is in powers of
     # (t - start)/scale and holds over `length`
+    # (a power of two of them would put all lanes into the same few lines of the processor's cache)
+    room_of_lane = capacity + 8
     kept_steps = (
-        np.empty((lanes, capacity)), np.empty((lanes, capacity)), np.empty((lanes, capacity)),
-        np.empty((lanes, capacity)), np.empty((lanes, capacity, 3, TERMS)), np.empty((2 * lanes * capacity, TERMS)),
-        np.empty((lanes, capacity, 2, 2)),
+        np.empty((lanes, room_of_lane, tracked.KEPT)), np.empty((lanes, room_of_lane, 3, TERMS)),
+        np.empty((lanes * room_of_lane * 2, TERMS)), np.empty((lanes, room_of_lane, 2, 2)),
     )  # fmt: skip
-    start, length, scale, crests = bare(kept_steps[0]), bare(kept_steps[1]), bare(kept_steps[2]), bare(kept_steps[3])
+    made = bare(kept_steps[0])
     # series of the approaches; of faces with laws of their own the spring and the dent of a step beside them
-    path, wave, branches = bare(kept_steps[4]), bare(kept_steps[5]), bare(kept_steps[6])
+    path, wave, branches = bare(kept_steps[1]), bare(kept_steps[2]), bare(kept_steps[3])
     store = wanted & (tracked.WANT_RISE | tracked.WANT_WIDTH | tracked.WANT_WHOLE) != 0
     whole = wanted & tracked.WANT_WHOLE != 0
     # whether a lane goes on after its first loss, with which its other answers are known
     beyond = np.zeros(lanes, dtype=np.bool_)
     share = tracked.TAIL_SHARE if mode == 1 else tracked.TAIL_SHARE ** (2.0 / 3.0)
     taken, live = 0, 0
+    # how many steps are read again: all that there is room for, or the last one alone
+    ring = capacity if store or keeping or np.isfinite(round_trips).any() else 1
     while True:
         # ---- fill idle lanes
-        for j in range(lanes):
+        for j in range(lanes if live < lanes else 0):
             if row[j] >= 0 or taken >= len(order):
                 continue
             r, place[j] = order[taken], taken
@@ -199,11 +213,14 @@ def march(
             inverse_mu[j] = 1.0 / mass[r]
             end[j] = horizon[r]
             time[j] = 0.0
-            count[j], attempts[j], touching[j] = 0, 0, 1
+            count[j], attempts[j], touching[j], busy[j] = 0, 0, 1.0, 1.0
             x[0, j], x[0, LANES + j], u[0, j] = 0.0, 0.0, 0.0
             for bar in range(2):
                 reflect[bar, j], trips[bar, j] = ends[r, bar], round_trips[r, bar]
                 head[bar, j], tail[bar, j], first[bar, j] = 0, 0, 0
+            back[j] = min(trips[0, j], trips[1, j])
+            heard[j], inertia[j], grazing[j] = back[j] * (1.0 - 1e-12), mass[r] if mode == 0 else math.inf, graze[r]
+            fades[j] = pulse_end[r] * (1.0 - 1e-12) if not rigged and end[j] == math.inf else math.inf
             size[0, j], size[1, j], size[2, j] = level[r], 0.1 * level[r], level[r]
             quickest[j] = inverse_mu[j]
             events.begin(track, j)
@@ -212,7 +229,7 @@ def march(
             stop[j] = incoming.next_break(breaks, r, 0.0, queue, head, tail, j, end[j])
             proposed[j] = 1e30
             error[j], alone[j] = local, False
-            on_slow[j], calm[j], beyond[j] = False, decay_time(mass[r], local), False
+            on_slow[j], calm[j], beyond[j] = 0.0, decay_time(mass[r], local), False
             if yielding:
                 new_faces(law, j, laws[r])
                 turned[0, j], turned[0, LANES + j] = -1.0, -1.0
@@ -230,10 +247,7 @@ def march(
             break
         # ---- the waves over the trial steps
         for j in range(lanes):
-            if row[j] < 0:
-                h[j] = 0.0
-                continue
-            if touching[j] == 1:
+            if touching[j] > 0.0 and row[j] >= 0:
                 # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a touch
                 brief = (1e2 * error[j] * min(1.0, 1.0 / quickest[j]) * size[0, j]) ** 0.4
                 if rigged:
@@ -241,24 +255,19 @@ def march(
                 # the wave that presses has to be followed as well
                 smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * error[j], 1e-2))) * (stop[j] - time[j])
                 proposed[j] = min(proposed[j], min(brief, smooth))
-            left = stop[j] - time[j]
-            trial = min(min(proposed[j], left), min(trips[0, j], trips[1, j]))
-            attempts[j] += 1
-            h[j] = trial
-            misfit[j] = 0.0
-            over = not rigged and end[j] == math.inf and time[j] >= pulse_end[row[j]] * (1.0 - 1e-12)
-            low[j] = share * max(track[tracked.FACE_A, j], track[tracked.FACE_B, j]) if over else -math.inf
-            if over and own[j]:
+        try_step(h, low, near, misfit, proposed, stop, time, back, busy, fades, share, track, error, asked, size,
+                 grazing)  # fmt: skip
+        for j in range(lanes if yielding else 0):
+            if own[j] and time[j] >= fades[j]:
                 low[j] = tail_level(law, j, track[tracked.FACE_A, j], track[tracked.FACE_B, j], tracked.TAIL_SHARE)
-            near[j] = max(max(100.0 * error[j], asked) * size[0, j], graze[row[j]])
             if rigged:  # only the first loss of contact is an answer of its own
-                near[j] = 0.0
-                if math.isnan(track[tracked.LOST, j]):
-                    near[j] = max(max(100.0 * error[j], asked) * min(size[0, j], size[2, j]), graze[row[j]])
+                lost = not math.isnan(track[tracked.LOST, j])
+                closest = max(100.0 * error[j], asked) * min(size[0, j], size[2, j])
+                near[j] = 0.0 if lost else max(closest, grazing[j])
         incoming.incident(time, h, cubic, frequency, offset, push)
         for j in range(lanes):
-            if row[j] >= 0 and time[j] >= min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
-                trial = incoming.echo_steps(j, time[j], h[j], trips, count[j], start, length, first, last, alone[j])
+            if row[j] >= 0 and time[j] >= heard[j]:
+                trial = incoming.echo_steps(j, time[j], h[j], trips, count[j], made, ring, first, last, alone[j])
                 if trial < h[j]:
                     shrink = trial / h[j]
                     power = shrink
@@ -268,7 +277,7 @@ def march(
                     h[j] = trial
                 for bar in range(2):
                     if trips[bar, j] <= time[j] * (1.0 + 1e-12) and first[bar, j] >= 0:
-                        misfit[j] += incoming.add_echo(start, scale, wave, bar, j, first[bar, j], last[bar, j],
+                        misfit[j] += incoming.add_echo(made, wave, ring, bar, j, first[bar, j], last[bar, j],
                                               time[j] - trips[bar, j], h[j], 2.0 * reflect[bar, j],
                                               0.1 * error[j] * size[0, j] / h[j], push, work)  # fmt: skip
         # ---- the motion over the steps
@@ -281,15 +290,17 @@ def march(
         if virgin and not softens:
             expand_virgin(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
                rigged, rig, free, softens, sloped)  # fmt: skip
-        else:
+        elif apart or rigged:
             expand(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
+               rigged, rig, free, softens, sloped)  # fmt: skip
+        else:
+            expand_plain(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
                rigged, rig, free, softens, sloped)  # fmt: skip
         longest(x, u, free, size, rigged, error, theta)
         for j in range(lanes):
-            theta[j] = min(theta[j], 1.0)
             if row[j] < 0:
                 continue
-            if own[j] and touching[j] == 0:
+            if own[j] and touching[j] == 0.0:
                 # what jumped may have turned a face against its branch: the step is made again on the other one
                 for m in range(j, PAIR, LANES):
                     if turned[0, m] != time[j]:
@@ -298,9 +309,12 @@ def march(
                     if doubtful and wrong_branch(law, m, x, h[j], 1e-4 * error[j] * size[0, j], track, j):
                         switched[j], error[j] = True, min(error[j], closer * local)
                         turned[1, m] += 1.0
-            if touching[j] == 1:
+            if touching[j] > 0.0:
                 theta[j] = 1.0
-                step_from_touch(mode, j, h[j], inverse_mu[j], push, x, u, force, yielding, law, rig, free)
+                if own[j] or rigged:
+                    step_from_touch(mode, j, h[j], inverse_mu[j], push, x, u, force, yielding, law, rig, free)
+                else:
+                    step_from_touch_plain(mode, j, h[j], inverse_mu[j], push, x, u, force, yielding, law, rig, free)
             elif (
                 mode == 0
                 and not rigged
@@ -323,12 +337,12 @@ def march(
                         force,
                         size[0, j],
                         error[j],
-                        on_slow[j],
+                        on_slow[j] > 0.0,
                         slow_room,
                         springs,
                     )
-                on_slow[j] = slow > 0.0
-                if on_slow[j]:
+                on_slow[j] = 1.0 if slow > 0.0 else 0.0
+                if slow > 0.0:
                     theta[j] = slow
                 elif swing < math.inf:
                     # the oscillation needs this long to die out
@@ -336,16 +350,8 @@ def march(
                     calm[j] = time[j] + max(4.0 * h[j], 0.9 * math.log(swing / (error[j] * size[0, j])) / rate_of_decay)
                 else:
                     calm[j] = time[j] + 8.0 * h[j]
-            left = stop[j] - time[j]
-            if theta[j] * h[j] >= left * (1.0 - 1e-10):
-                theta[j] = 1.0
-            elif 2.0 * theta[j] * h[j] > left:
-                theta[j] = min(theta[j], 0.5 * left / h[j])
-        for m in range(PAIR):
-            at[0, m] = x[0, m]
-            rate[0, m] = x[1, m]
-            if virgin:
-                bow[0, m] = x[2, m]
+        cut_at_stop(theta, h, stop, time)
+        start_points(at, rate, bow, x)
         for i in range(1, tracked.POINTS + 1):
             if virgin:
                 evaluate_bent(x, theta, i / tracked.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0),
@@ -359,6 +365,7 @@ def march(
         if mode != 1:
             root_error(root, theta, half, at, law, branch, row_of(room, 0, 0), row_of(room, 1, 0))
         events.look(mode, wanted, x, at, rate, track, theta, low, near, row, flags, known, crest, room, yielding, law)
+        doubt(crosses, unfit, h, theta, columns, error, size, inertia, touching, on_slow, misfit)
         for j in range(lanes):
             if row[j] < 0:
                 continue
@@ -367,18 +374,16 @@ def march(
                 if switched[j]:
                     switched[j] = False
                     continue
-                reached = within_spring(law, j, x, room[1]) if touching[j] == 1 else 1.0
+                reached = within_spring(law, j, x, room[1]) if touching[j] > 0.0 else 1.0
                 if reached < 1.0:
                     proposed[j] = reached * h[j]
                     continue
-            impulse = h[j] * theta[j] * max(branch[j], branch[LANES + j])
-            allowed = 100.0 * error[j] * size[0, j]
-            if mode == 0:
-                allowed = min(allowed, 100.0 * error[j] * mass[row[j]] * size[1, j])
+            crossed = crosses[j] > 0.0
             if rigged:
                 impulse, allowed = wrong_root(j, h[j] * theta[j], branch, mass[row[j]], error[j], rig, law, size)
-            crossed = touching[j] == 0 and mode != 1 and not on_slow[j] and impulse > allowed
-            if crossed or misfit[j] * h[j] > error[j] * size[0, j] or not theta[j] > 0.0:
+                crossed = touching[j] == 0.0 and mode != 1 and impulse > allowed
+            if crossed or unfit[j] > 0.0:
+                attempts[j] += 1
                 proposed[j] = h[j] * (0.5 * theta[j] if crossed else 0.5 if theta[j] > 0.0 else 0.05)
                 if not crossed and theta[j] > 0.0 and not alone[j]:
                     # a wave bends where the step that made it ends: what does not fit is tried again up to there
@@ -411,7 +416,7 @@ def march(
                     )
                 ending, why = events.after_step(
                     mode, flags[j], track, j, piece, grid, places, theta[j], before, h[j],
-                    min(trips[0, j], trips[1, j]), quiet, error[j] * size[0, j], near[j], asked * size[0, j], graze[r],
+                    back[j], quiet, error[j] * size[0, j], near[j], asked * size[0, j], graze[r],
                     stop_at_loss and not rigged and not beyond[j], yielding, law,
                 )  # fmt: skip
             if why == 0 and ending == theta[j]:
@@ -420,11 +425,11 @@ def march(
                     track[tracked.ENDED, j] = before + ending * h[j]
             if flags[j] & (1 << tracked.FACE_A) == 0:
                 track[tracked.FACE_A, j] = known[0, j]
-                if before < min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
+                if before < heard[j]:
                     track[tracked.X_FIRST, j] = known[0, j]
                 if yielding:
                     track[tracked.FACE_B, j] = known[0, LANES + j]
-                    if before < min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
+                    if before < heard[j]:
                         track[tracked.X_FIRST + 1, j] = known[0, LANES + j]
             if rigged:
                 for face in range(2):
@@ -433,15 +438,16 @@ def march(
                 events.note_peaks(track, j, force, places)
             if wanted & tracked.WANT_CARRIED:
                 events.note_carried(track, j, force, h[j], ending, carried_room)
-            n = count[j] % capacity
+            n = count[j] & (ring - 1)
             if whole:
                 events.note_whole(track, j, x, force, rate, piece, before, h[j], theta[j], ending, path[j, n])
             count[j] += 1
             if own[j] and count[j] > FREE_STEPS:  # errors to one side add up: of so many steps no more than a logarithm
                 error[j] *= 1.0 - 1.0 / count[j]
-            start[j, n], scale[j, n], length[j, n], crests[j, n] = before, h[j], ending * h[j], crest[j]
+            made[j, n, tracked.BEGAN], made[j, n, tracked.HOLDS] = before, ending * h[j]
+            made[j, n, tracked.UNIT_OF], made[j, n, tracked.CREST] = h[j], crest[j]
             if yielding and store:
-                crests[j, n] = most_force(law, j, room[1])
+                made[j, n, tracked.CREST] = most_force(law, j, room[1])
             if store:
                 for face in range(2):
                     m = face * LANES + j
@@ -454,7 +460,7 @@ def march(
                     gives = rig[tracked.RIG_GIVES, bar * LANES + j]
                     for k in range(TERMS):
                         m = bar * LANES + j
-                        wave[(bar * lanes + j) * capacity + n, k] = 0.5 * push[k, m] - gives * force[k, m]
+                        wave[2 * (j * room_of_lane + n) + bar, k] = 0.5 * push[k, m] - gives * force[k, m]
             if keeping and n < kept_start.shape[1]:
                 power, at_row = 1.0, place[j]
                 kept_start[at_row, n], kept_length[at_row, n] = before, ending * h[j]
@@ -473,7 +479,7 @@ def march(
                         kept[at_row, n, 3 + m // LANES, TERMS - 1] += left_out
                     kept[at_row, n, 0, 0] += law[tracked.DENT, j]
                     kept[at_row, n, 1, 0] += law[tracked.DENT, LANES + j]
-            touching[j], alone[j] = 0, False
+            touching[j], alone[j] = 0.0, False
             if (
                 why == 1
                 and whole
@@ -481,8 +487,8 @@ def march(
                 and graze[r] == 0.0
                 and track[tracked.LOST, j] == track[tracked.ENDED, j]
             ):
-                events.finish(mode, wanted, track, j, path[j], branches[j], scale[j], start[j], length[j], crests[j],
-                              count[j], error[j], out[r], yielding, law)  # fmt: skip
+                events.finish(mode, wanted, track, j, path[j], branches[j], made[j], count[j], error[j], out[r],
+                              yielding, law)  # fmt: skip
                 out[r, tracked.ANSWER_SPEED] = value_of(u, j, ending)
                 beyond[j], why = True, 2 + int(track[tracked.LOST_FACE, j])
             if ending < theta[j] and (why >= 2 or own[j]):
@@ -492,8 +498,8 @@ def march(
                     at[last_point, m] = grid[face, 0, last_point] if why >= 2 else value_of(x, m, ending)
             if why >= 2:  # the motion goes on from where a face left or touched
                 at_stop = False
-                touching[j] = 1 if why < 4 and x[0, (why - 2) * LANES + j] <= 0.0 else 0
-                if why < 4 and touching[j] == 1:
+                touching[j] = 1.0 if why < 4 and x[0, (why - 2) * LANES + j] <= 0.0 else 0.0
+                if why < 4 and touching[j] > 0.0:
                     track[tracked.TOUCHES, j] += 1.0
                 elif why < 4:
                     track[tracked.PARTED, j] = before + ending * h[j]
@@ -515,7 +521,7 @@ def march(
                     size[3 + m // LANES, j] = max(size[3 + m // LANES, j], abs(free[0, m]))
             if own[j]:
                 press_deeper(law, j, x)
-                if before < min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
+                if before < heard[j]:
                     for face in range(2):
                         known_face = track[tracked.FACE_A + face, j]
                         track[tracked.X_FIRST + face, j] = largest_approach(law, face * LANES + j, known_face)
@@ -526,18 +532,18 @@ def march(
             size[1, j] = max(size[1, j], abs(u[0, j]))
             # what an echo cut short at a joint of its steps is tried again beyond it
             kept_up = proposed[j] if ending == 1.0 and not at_stop else 0.0
-            proposed[j] = ending * h[j] * (GROWTH if time[j] < min(trips[0, j], trips[1, j]) else GROWTH_ECHO)
+            proposed[j] = ending * h[j] * (GROWTH if time[j] < back[j] else GROWTH_ECHO)
             proposed[j] = max(proposed[j], kept_up)
             if why >= 4:  # a face on its other branch moves on as smoothly as before
                 proposed[j] = max(proposed[j], h[j])
             done = why == 1
-            if rigged and touching[j] == 0:
+            if rigged and touching[j] == 0.0:
                 ahead = events.next_touch(j, x, u, free, rig)
                 if ahead < math.inf:  # free flight is linear in time: one step to the touch
                     proposed[j] = 1.001 * ahead
                 elif ahead == math.inf:
                     proposed[j] = 1e30
-                    returning = min(trips[0, j], trips[1, j])
+                    returning = back[j]
                     done = returning == math.inf or (at_stop and time[j] >= returning * (1.0 - 1e-12))
             if not done and at_stop:
                 if time[j] >= end[j]:
@@ -548,9 +554,9 @@ def march(
                         live -= 1
                         continue
                 else:
-                    if on_slow[j]:  # what jumps sets off the fast oscillation
+                    if on_slow[j] > 0.0:  # what jumps sets off the fast oscillation
                         proposed[j] = min(proposed[j], math.sqrt(mass[r]))
-                    on_slow[j], calm[j] = False, time[j] + decay_time(mass[r], error[j])
+                    on_slow[j], calm[j] = 0.0, time[j] + decay_time(mass[r], error[j])
                     proposed[j] *= GROWTH
                     incoming.enter_piece(breaks, coefficients, frequencies, r, j, time[j], cubic, frequency, offset)
                     if time[j] >= breaks[r, -1] and trips[0, j] == math.inf and trips[1, j] == math.inf:
@@ -561,19 +567,21 @@ def march(
                         live -= 1
                         continue
                     stop[j] = incoming.next_break(breaks, r, time[j], queue, head, tail, j, end[j])
-            if not done and steady[j] >= 0.0 and touching[j] == 0 and not rigged:
+            if not done and steady[j] >= 0.0 and touching[j] == 0.0 and not rigged:
                 if own[j]:
                     done = events.decided_own(wanted, track, j, x, u[0, j], mass[r], steady[j], error[j], law)
                 else:
                     done = events.decided(
                         mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], error[j]
                     )
+            if done and math.isnan(track[tracked.ENDED, j]):
+                track[tracked.ENDED, j] = before + made[j, n, tracked.HOLDS]
             if done and whole:
-                events.finish_whole(track, j, path[j], scale[j], length[j], count[j], out[r])
+                events.finish_whole(track, j, path[j], made[j], count[j], out[r])
             if done:
                 if not beyond[j]:
-                    events.finish(mode, wanted, track, j, path[j], branches[j], scale[j], start[j], length[j],
-                                  crests[j], count[j], error[j], out[r], yielding, law)  # fmt: skip
+                    events.finish(mode, wanted, track, j, path[j], branches[j], made[j], count[j], error[j], out[r],
+                                  yielding, law)  # fmt: skip
                     out[r, tracked.ANSWER_SPEED] = u[0, j]
                 out[r, tracked.ANSWER_SPEEDS], out[r, tracked.ANSWER_SPEEDS + 1] = free[0, j], -free[0, LANES + j]
                 status[r] = tracked.OK
@@ -598,5 +606,5 @@ def march(
 PARTS: tuple[tuple[Any, str], ...] = (
     (events.look, "ii2222111nn212b2"),
     (events.after_step, "ii2i231fffffffffbb2"),
-    (events.finish, "ii2i331111if1b2"),
+    (events.finish, "ii2i332if1b2"),
 )

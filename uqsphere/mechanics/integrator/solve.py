@@ -37,7 +37,8 @@ _ARGUMENTS: Final = (
 )  # fmt: skip
 #: rows that one call of the kernel takes: enough to fill its lanes, few enough to share between threads
 _BLOCK = 512
-#: steps a row may take, tried in turn, so that memory stays small for the many rows that need few
+#: steps a row may take, tried in turn, so that memory stays small for the many rows that need few;
+#: powers of two
 _CAPACITIES = (1024, 16_384, 262_144)
 #: error allowed in one step over the tolerance: for most quantities; where the difference of the forces is asked
 #: for; where the record ends in the tail of the force; once a face has yielded, for the end of contact.  Measured by

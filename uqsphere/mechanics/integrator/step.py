@@ -27,6 +27,8 @@ from uqsphere.mechanics.integrator.tracked import (
     BY_ROOT,
     BY_X,
     CONSTANT,
+    FACE_A,
+    FACE_B,
     GAMMA,
     HERTZ,
     INNER,
@@ -176,10 +178,11 @@ def _softened(k, x, force_k, law, power, inverse, sloped):
 # inverse (PAIR,): room.  softens: whether faces take damage; log then has the terms of x^(gamma + 3/2); sloped
 # (TERMS, PAIR): room.  rigged, rig (RIGS, PAIR): whether something else than a bar stands at a pole, and what; free
 # (TERMS, PAIR): the series of U_A and -U_B.
-def _expand_of(on_law):
+def _expand_of(plain, on_law):
     """The function that fills the series of x (TERMS, PAIR), u (TERMS, LANES), root = sqrt(x) and force = q(x).
 
-    From their first terms; on_law: in steps in which faces that do not soften are on virgin loading.
+    From their first terms.  plain: in steps in which no face has a law of its own, between bars; on_law: in those in
+    which faces that do not soften are on virgin loading.
     """
 
     @compiled(**INNER)
@@ -188,7 +191,7 @@ def _expand_of(on_law):
         softens, sloped,
     ):  # fmt: skip
         apart()
-        if yielding:
+        if yielding and not plain:
             _shifted_root(row(root, 0, 0), half, inverse, row(x, 0, 0), row(law, SHIFT, 0), row(law, BY_LOG, 0),
                           row(law, BASE, 0))  # fmt: skip
         else:
@@ -209,9 +212,9 @@ def _expand_of(on_law):
                     _branches(k, x, root, force_k, law, log, inverse, sloped)
                 else:
                     products(x, root, k, 0, k + 1, force_k)
-                    if virgin:
+                    if virgin and not plain:
                         _softened(k, x, force_k, law, log, inverse, sloped)
-                    elif yielding:
+                    elif yielding and not plain:
                         _stiffer(force_k, force_k, row(law, SPRING, 0))
             if k == ORDER:
                 break
@@ -220,7 +223,7 @@ def _expand_of(on_law):
             x_a, x_b, u_next = row(x, k + 1, 0), row(x, k + 1, LANES), row(u, k + 1, 0)
             if mode == 2:
                 _next_massless(x_a, x_b, u_next, push_a, push_b, force_k, row(u, k, 0), h, share)
-            elif rigged:
+            elif rigged and not plain:
                 _next_of_rig(x_a, x_b, u_next, row(free, k + 1, 0), row(free, k + 1, LANES), push_a, push_b, force_k,
                              row(force, k, LANES), row(u, k, 0), row(free, k, 0), row(free, k, LANES),
                              row(rig, RIG_GIVES, 0), row(rig, RIG_GIVES, LANES), row(rig, RIG_LIGHTNESS, 0),
@@ -234,7 +237,7 @@ def _expand_of(on_law):
     return expand
 
 
-expand, expand_virgin = _expand_of(False), _expand_of(True)
+expand_plain, expand, expand_virgin = _expand_of(True, False), _expand_of(False, False), _expand_of(False, True)
 
 
 def _root_16(a):
@@ -310,6 +313,74 @@ def longest(x, u, free, scale, rigged, local, theta):
              row(u, last, 0), row(scale, 0, 0), row(scale, 1, 0), local)  # fmt: skip
 
 
+# --- What a step may be and whether it holds, for all lanes: nothing here depends on a lane's neighbours.
+
+_tried = elementwise(
+    LANES,
+    4,
+    lambda proposed, stop, time, back, busy, fades, share, face_a, face_b, error, asked, scale, graze: (
+        where(busy > 0.0, smaller(smaller(proposed, stop - time), back), 0.0),
+        where(time >= fades, share * larger(face_a, face_b), -math.inf),
+        larger(larger(100.0 * error, asked) * scale, graze),
+        0.0 * busy,
+    ),
+)
+_cut = elementwise(
+    LANES,
+    1,
+    lambda theta, h, stop, time: where(
+        smaller(theta, 1.0) * h >= (left := stop - time) * (1.0 - 1e-10),
+        1.0,
+        where(2.0 * smaller(theta, 1.0) * h > left, smaller(smaller(theta, 1.0), 0.5 * left / h), smaller(theta, 1.0)),
+    ),
+)
+_doubted = elementwise(
+    LANES,
+    2,
+    lambda h, theta, branch_a, branch_b, error, scale, speed, inertia, touching, on_slow, misfit: (
+        where(
+            (touching + on_slow < 0.5)
+            & (
+                h * theta * larger(branch_a, branch_b) > smaller(100.0 * error * scale, 100.0 * error * inertia * speed)
+            ),
+            1.0,
+            0.0 * h,
+        ),
+        where(misfit * h > error * scale, 1.0, where(theta > 0.0, 0.0 * h, 1.0)),
+    ),
+)
+_same = elementwise(PAIR, 3, lambda x, rate, bow: (x, rate, bow))
+
+
+@compiled(**INNER)
+def try_step(h, low, near, misfit, proposed, stop, time, back, busy, fades, share, track, error, asked, size, grazing):
+    """The steps h that are tried, 0 where a lane has no row; where a record may end, a contact count as lost."""
+    _tried(h, low, near, misfit, proposed, stop, time, back, busy, fades, share, row(track, FACE_A, 0),
+           row(track, FACE_B, 0), error, asked, row(size, 0, 0), grazing)  # fmt: skip
+
+
+@compiled(**INNER)
+def cut_at_stop(theta, h, stop, time):
+    """Cut steps where they have to end: at `stop`, or halfway to it where little would be left."""
+    _cut(theta, theta, h, stop, time)
+
+
+@compiled(**INNER)
+def doubt(crosses, unfit, h, theta, columns, error, size, inertia, touching, on_slow, misfit):
+    """1 where a step may have gone through a loss of contact, and where its waves do not fit or it is none.
+
+    columns: its row 1 is what `root_error` found.
+    """
+    _doubted(crosses, unfit, h, theta, row(columns, 1, 0), row(columns, 1, LANES), error, row(size, 0, 0),
+             row(size, 1, 0), inertia, touching, on_slow, misfit)  # fmt: skip
+
+
+@compiled(**INNER)
+def start_points(at, rate, bow, x):
+    """Values, derivatives and half the second ones at the start of a step."""
+    _same(row(at, 0, 0), row(rate, 0, 0), row(bow, 0, 0), row(x, 0, 0), row(x, 1, 0), row(x, 2, 0))
+
+
 @compiled(**INNER)
 def evaluate(x, theta, share, place, at, rate):
     """Series x (TERMS, columns) and its derivative by theta at share·theta, every lane at its own theta.
@@ -362,29 +433,6 @@ def _own_forces(law, j, x1, x2):
 
 
 @compiled(**INNER)
-def _slopes(mode, inverse_mu, push_a, push_b, state, yielding, law, rig, j):
-    """Right-hand side of theory (9) and (R3) for one lane: of x_1, x_2, u, U_A, -U_B."""
-    x1, x2, u, w1, w2 = state
-    pressed_a, pressed_b = max(x1, 0.0), max(x2, 0.0)
-    if yielding:
-        force_a, force_b = _own_forces(law, j, x1, x2)
-    elif mode == 1:
-        force_a, force_b = pressed_a, pressed_b
-    else:
-        force_a, force_b = pressed_a * math.sqrt(pressed_a), pressed_b * math.sqrt(pressed_b)
-    if mode == 2:
-        rate = 0.5 * (push_a + push_b) - force_a
-        return rate, rate, 0.0, 0.0, 0.0
-    return (
-        rig[RIG_THERE, j] * (push_a - rig[RIG_GIVES, j] * force_a - u + w1),
-        rig[RIG_THERE, LANES + j] * (push_b - rig[RIG_GIVES, LANES + j] * force_b + u + w2),
-        (force_a - force_b) * inverse_mu,
-        -rig[RIG_LIGHTNESS, j] * force_a,
-        -rig[RIG_LIGHTNESS, LANES + j] * force_b,
-    )
-
-
-@compiled(**INNER)
 def _moved(state, share, slopes):
     """state + share·slopes."""
     x1, x2, u, w1, w2 = state
@@ -420,49 +468,86 @@ def _join(series, m, theta, left, left_slope, right, right_slope):
         series[k, m] = 0.0
 
 
-@compiled(**INNER)
-def step_from_touch(mode, j, h, inverse_mu, push, x, u, force, yielding, law, rig, free):
-    """A first short step of one lane from a touch, where the force x^(3/2) has no power series in time.
+def _touch_of(plain):
+    """The function that takes a first short step of one lane from a touch, where x^(3/2) has no power series in time.
 
-    Runge-Kutta steps of order 4 over h; the series of the lane are replaced by cubics that join both ends.
+    Runge-Kutta steps of order 4 over h; the series of the lane are replaced by cubics that join both ends.  plain: for
+    a lane whose faces have no laws of their own, between bars.
     """
-    apart()
-    k = LANES + j
-    state = x[0, j], x[0, k], u[0, j], free[0, j], free[0, k]
-    old, d = state, h / _TOUCH_STEPS
-    begin = _slopes(mode, inverse_mu, push[0, j], push[0, k], state, yielding, law, rig, j)
-    last = begin
-    for i in range(_TOUCH_STEPS):
-        t = 1.0 * i / _TOUCH_STEPS
-        half, full = t + 0.5 / _TOUCH_STEPS, t + 1.0 / _TOUCH_STEPS
-        first = last
-        mid_a, mid_b = value_of(push, j, half), value_of(push, k, half)
-        second = _slopes(mode, inverse_mu, mid_a, mid_b, _moved(state, 0.5 * d, first), yielding, law, rig, j)
-        third = _slopes(mode, inverse_mu, mid_a, mid_b, _moved(state, 0.5 * d, second), yielding, law, rig, j)
-        end_a, end_b = value_of(push, j, full), value_of(push, k, full)
-        fourth = _slopes(mode, inverse_mu, end_a, end_b, _moved(state, d, third), yielding, law, rig, j)
-        state = _moved(state, d / 6.0, _mean_slopes(first, second, third, fourth))
-        last = _slopes(mode, inverse_mu, end_a, end_b, state, yielding, law, rig, j)
-    _join(x, j, 1.0, old[0], h * begin[0], state[0], h * last[0])
-    _join(x, k, 1.0, old[1], h * begin[1], state[1], h * last[1])
-    _join(u, j, 1.0, old[2], h * begin[2], state[2], h * last[2])
-    _join(free, j, 1.0, old[3], h * begin[3], state[3], h * last[3])
-    _join(free, k, 1.0, old[4], h * begin[4], state[4], h * last[4])
-    for face in range(2):
-        m = face * LANES + j
-        left, right = (old[0], state[0]) if face == 0 else (old[1], state[1])
-        left_slope, right_slope = x[1, m], h * (last[0] if face == 0 else last[1])
-        left, left_slope = (left, left_slope) if left > 0.0 else (0.0, 0.0)
-        right, right_slope = (right, right_slope) if right > 0.0 else (0.0, 0.0)
-        if yielding:
-            left_force, left_rate = face_force(law, m, left)
-            right_force, right_rate = face_force(law, m, right)
-            _join(force, m, 1.0, left_force, left_rate * left_slope, right_force, right_rate * right_slope)
+
+    @compiled(**INNER)
+    def slopes(mode, inverse_mu, push_a, push_b, state, own, law, poles, j):
+        """Right-hand side of theory (9) and (R3) for one lane: of x_1, x_2, u, U_A, -U_B."""
+        x1, x2, u, w1, w2 = state
+        gives_a, gives_b, light_a, light_b, there_a, there_b = poles
+        pressed_a, pressed_b = max(x1, 0.0), max(x2, 0.0)
+        if not plain and own:
+            force_a, force_b = _own_forces(law, j, x1, x2)
         elif mode == 1:
-            _join(force, m, 1.0, left, left_slope, right, right_slope)
+            force_a, force_b = pressed_a, pressed_b
         else:
-            _join(force, m, 1.0, left * math.sqrt(left), 1.5 * math.sqrt(left) * left_slope,
-                  right * math.sqrt(right), 1.5 * math.sqrt(right) * right_slope)  # fmt: skip
+            force_a, force_b = pressed_a * math.sqrt(pressed_a), pressed_b * math.sqrt(pressed_b)
+        if mode == 2:
+            rate = 0.5 * (push_a + push_b) - force_a
+            return rate, rate, 0.0, 0.0, 0.0
+        return (
+            there_a * (push_a - gives_a * force_a - u + w1),
+            there_b * (push_b - gives_b * force_b + u + w2),
+            (force_a - force_b) * inverse_mu,
+            -light_a * force_a,
+            -light_b * force_b,
+        )
+
+    @compiled(**INNER)
+    def step_from_touch(mode, j, h, inverse_mu, push, x, u, force, yielding, law, rig, free):
+        apart()
+        own, k = yielding and not plain, LANES + j
+        state = x[0, j], x[0, k], u[0, j], free[0, j], free[0, k]
+        # zeta, 1/mu_i and 1 or 0 of both poles
+        poles = 1.0, 1.0, 0.0, 0.0, 1.0, 1.0
+        if not plain:
+            poles = (rig[RIG_GIVES, j], rig[RIG_GIVES, k], rig[RIG_LIGHTNESS, j], rig[RIG_LIGHTNESS, k],
+                     rig[RIG_THERE, j], rig[RIG_THERE, k])  # fmt: skip
+        old, d = state, h / _TOUCH_STEPS
+        begin = slopes(mode, inverse_mu, push[0, j], push[0, k], state, own, law, poles, j)
+        last = begin
+        for i in range(_TOUCH_STEPS):
+            t = 1.0 * i / _TOUCH_STEPS
+            half, full = t + 0.5 / _TOUCH_STEPS, t + 1.0 / _TOUCH_STEPS
+            first = last
+            mid_a, mid_b = value_of(push, j, half), value_of(push, k, half)
+            second = slopes(mode, inverse_mu, mid_a, mid_b, _moved(state, 0.5 * d, first), own, law, poles, j)
+            third = slopes(mode, inverse_mu, mid_a, mid_b, _moved(state, 0.5 * d, second), own, law, poles, j)
+            end_a, end_b = value_of(push, j, full), value_of(push, k, full)
+            fourth = slopes(mode, inverse_mu, end_a, end_b, _moved(state, d, third), own, law, poles, j)
+            state = _moved(state, d / 6.0, _mean_slopes(first, second, third, fourth))
+            last = slopes(mode, inverse_mu, end_a, end_b, state, own, law, poles, j)
+        _join(x, j, 1.0, old[0], h * begin[0], state[0], h * last[0])
+        _join(x, k, 1.0, old[1], h * begin[1], state[1], h * last[1])
+        _join(u, j, 1.0, old[2], h * begin[2], state[2], h * last[2])
+        if not plain:
+            _join(free, j, 1.0, old[3], h * begin[3], state[3], h * last[3])
+            _join(free, k, 1.0, old[4], h * begin[4], state[4], h * last[4])
+        for face in range(2):
+            m = face * LANES + j
+            left, right = (old[0], state[0]) if face == 0 else (old[1], state[1])
+            left_slope, right_slope = x[1, m], h * (last[0] if face == 0 else last[1])
+            left, left_slope = (left, left_slope) if left > 0.0 else (0.0, 0.0)
+            right, right_slope = (right, right_slope) if right > 0.0 else (0.0, 0.0)
+            if own:
+                left_force, left_rate = face_force(law, m, left)
+                right_force, right_rate = face_force(law, m, right)
+                _join(force, m, 1.0, left_force, left_rate * left_slope, right_force, right_rate * right_slope)
+            elif mode == 1:
+                _join(force, m, 1.0, left, left_slope, right, right_slope)
+            else:
+                _join(force, m, 1.0, left * math.sqrt(left), 1.5 * math.sqrt(left) * left_slope,
+                      right * math.sqrt(right), 1.5 * math.sqrt(right) * right_slope)  # fmt: skip
+
+    return step_from_touch
+
+
+step_from_touch, step_from_touch_plain = _touch_of(False), _touch_of(True)
 
 
 # --- Steps along the slow motion: once the fast oscillation has died out, nothing of it needs to be resolved.

@@ -93,6 +93,9 @@ LAW_ONSET, LAW_SOFTENING, LAW_PILE_UP, LAW_STIFFNESS, LAW_SHARE, LAWS = range(6)
 # what stands at a row's poles: zeta, 1/mu_i, U_A and -U_B at the start, 1 or 0 where nothing stands
 RIG_GIVES, RIG_LIGHTNESS, RIG_SPEED, RIG_THERE, RIGS = range(5)
 
+#: what is kept of a step: when it began, how much of its series holds, the unit of its powers, what it reached at most
+BEGAN, HOLDS, UNIT_OF, CREST, KEPT = range(5)
+
 #: forces below this share of the largest end the record on infinite bars
 TAIL_SHARE = 0.01
 #: share of its peak that the mean force is above for `time_above`: the level of `rise_time` and of gauge records
