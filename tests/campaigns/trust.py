@@ -939,6 +939,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print a row for each part; exit code 1 if anything failed."""
     chosen = options(__doc__, arguments, words=PARTS, count=int, seed=1, start=0, keep=Path)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
+    sys.dont_write_bytecode = True  # which is no write of a command's
     rows = []
     for part in chosen.words or PARTS:
         count = chosen.count or (PARTS[part][1] if chosen.words else -(-PARTS[part][1] // 10))
