@@ -520,7 +520,7 @@ def damage_folder(folder: Path, other: Path, outside: Path, generator: np.random
         kind = int(generator.integers(6)) if plain else 5
         data = path.read_bytes() if kind <= 2 else b""
         if kind == 0 and path.suffix == ".json":
-            with contextlib.suppress(ValueError):
+            with contextlib.suppress(ValueError, RecursionError):
                 _write(path, json.dumps(damage_json(json.loads(data), generator), default=str).encode())
             done.append(f"entry of {path.name}")
         elif kind <= 1:

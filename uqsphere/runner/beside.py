@@ -42,23 +42,18 @@ def aside(function: Callable[[], T], *, copied: bool) -> Iterator[Callable[[], T
         found = function()
         yield lambda: found
         return
-    read, write = os.pipe()
-
-    def told() -> None:
-        with os.fdopen(write, "wb") as pipe:
-            pipe.write(_tried(function))
+    here, there = Pipe(duplex=False)
 
     def answer() -> T:
-        with os.fdopen(os.dup(read), "rb") as pipe:
-            said = pipe.read()
-        return cast("T", _taken(said) if said else function())
+        said = None
+        with contextlib.suppress(OSError, EOFError):
+            said = here.recv_bytes()
+        return cast("T", _taken(said)) if said is not None else function()
 
-    try:
-        with _copy_doing(told):
-            os.close(write)
+    with here:
+        with there, _copy_doing(lambda: there.send_bytes(_tried(function))):
+            there.close()
             yield answer
-    finally:
-        os.close(read)
 
 
 def shared_out(function: Callable[[int], T], order: Sequence[int], *, copied: bool) -> list[T]:
@@ -207,5 +202,7 @@ def _copy_doing(body: Callable[[], None]) -> Iterator[None]:
     try:
         yield
     finally:
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
+        # whoever ignores SIGCHLD, as what started this process may have had it do, has no children to wait for
+        with contextlib.suppress(ProcessLookupError, ChildProcessError):
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
