@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import signal
@@ -514,6 +515,19 @@ def test_a_second_process_loads_ahead_and_does_what_it_is_asked_in_turn(tmp_path
     assert elsewhere(_process_or_error, 2)() == here
     with second_process([], copied=False):
         assert elsewhere(_process_or_error, 2)() == here
+
+
+@copies
+def test_a_second_process_does_before_it_ends_what_it_has_to_do_alone(tmp_path: Path) -> None:
+    told, here = tmp_path / "told", tmp_path / "here"
+    atexit.register(_noted, here, "a")
+    try:
+        with second_process([], copied=True):
+            elsewhere(atexit.register, _noted, told, "a")
+        assert told.read_text() == "a"
+        assert not here.exists()
+    finally:
+        atexit.unregister(_noted)
 
 
 @copies

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import gc
 import os
@@ -50,10 +51,9 @@ def aside(function: Callable[[], T], *, copied: bool) -> Iterator[Callable[[], T
             said = here.recv_bytes()
         return cast("T", _taken(said)) if said is not None else function()
 
-    with here:
-        with there, _copy_doing(lambda: there.send_bytes(_tried(function))):
-            there.close()
-            yield answer
+    with here, there, _copy_doing(lambda: there.send_bytes(_tried(function))):
+        there.close()
+        yield answer
 
 
 def shared_out(function: Callable[[int], T], order: Sequence[int], *, copied: bool) -> list[T]:
@@ -143,10 +143,17 @@ def second_process(load: Sequence[str], *, copied: bool) -> Iterator[None]:
             try:
                 yield
                 second.settle()
+                second.ask(partial(_leave, second.owner))()
             finally:
                 _SECOND.reset(token)
     finally:
         here.close()
+
+
+def _leave(owner: int) -> None:
+    """What a second process has to do before it ends, such as to take its temporary files away."""
+    if os.getpid() != owner:
+        atexit._run_exitfuncs()
 
 
 def elsewhere(function: Callable[P, T], *given: P.args, **named: P.kwargs) -> Callable[[], T]:
@@ -190,6 +197,7 @@ def _copy_doing(body: Callable[[], None]) -> Iterator[None]:
     if not child:
         try:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
+            atexit._clear()  # what the owner has to do in the end
             ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGKILL)
             null = os.open(os.devnull, os.O_WRONLY)
             os.dup2(null, 1)
