@@ -113,7 +113,7 @@ CASES = [
     # the file as such
     Broken(name="empty", text=b"", says=("the file is empty", "uqsphere new")),
     Broken(name="blanks alone", text=b" \n\n\t\n", says=("the file is empty",)),
-    Broken(name="a comment alone", text=b"# nothing\n", says=("neither a scene", "nor a black box")),
+    Broken(name="a comment alone", text=b"# nothing\n", says=("sphere: missing", "neither a scene", "nor a black box")),
     Broken(name="bytes that are not text", text=b'title = "\xff\xfe"\n', says=("0xff is not UTF-8",)),
     Broken(name="UTF-16", text='title = "x"'.encode("utf-16"), says=("UTF-16", "save it as UTF-8")),
     Broken(name="a NUL", text=b'title = "x"\nseed = \0 1\n', at="seed", says=("NUL byte",)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import signal
@@ -436,6 +437,35 @@ def test_a_copy_of_the_process_answers_and_leaves_this_one_as_it_is() -> None:
 
 
 @copies
+def test_a_copy_that_is_killed_in_the_midst_of_its_answer_is_lost(tmp_path: Path) -> None:
+    here, told = os.getpid(), tmp_path / "told"
+
+    def large() -> bytes:  # more than a pipe holds
+        if os.getpid() != here:
+            _noted(told, str(os.getpid()))
+        return bytes(1 << 20)
+
+    with aside(large, copied=True) as answer:
+        while not told.exists() or not told.read_text():
+            time.sleep(0.01)
+        time.sleep(0.1)
+        os.kill(int(told.read_text()), signal.SIGKILL)
+        assert answer() == bytes(1 << 20)
+
+
+@copies
+def test_a_process_that_has_no_children_to_wait_for_ends_its_copies_too() -> None:
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # as a daemon may hand it down
+    try:
+        with aside(os.getpid, copied=True) as answer:
+            assert answer() != os.getpid()
+        with second_process([], copied=True):
+            assert elsewhere(_process_or_error, 1)() != os.getpid()
+    finally:
+        signal.signal(signal.SIGCHLD, before)
+
+
+@copies
 def test_work_that_two_processes_share_is_done_whatever_becomes_of_the_copy() -> None:
     here = os.getpid()
     order = [4, 0, 1, 2, 3]
@@ -485,6 +515,19 @@ def test_a_second_process_loads_ahead_and_does_what_it_is_asked_in_turn(tmp_path
     assert elsewhere(_process_or_error, 2)() == here
     with second_process([], copied=False):
         assert elsewhere(_process_or_error, 2)() == here
+
+
+@copies
+def test_a_second_process_does_before_it_ends_what_it_has_to_do_alone(tmp_path: Path) -> None:
+    told, here = tmp_path / "told", tmp_path / "here"
+    atexit.register(_noted, here, "a")
+    try:
+        with second_process([], copied=True):
+            elsewhere(atexit.register, _noted, told, "a")
+        assert told.read_text() == "a"
+        assert not here.exists()
+    finally:
+        atexit.unregister(_noted)
 
 
 @copies

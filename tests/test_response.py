@@ -21,6 +21,8 @@ from uqsphere.mechanics.history import FieldView
 from uqsphere.report import build_report
 from uqsphere.report.brief import summary_of
 from uqsphere.report.contents import read_contents
+from uqsphere.runner.evaluate import Ledger, Work, draw
+from uqsphere.runner.questions.fields import find_courses
 from uqsphere.study import Study
 from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.expansion import Chaos, Piece, chaos_indices, fit_chaos, germ_points, held, predict
@@ -383,3 +385,12 @@ def test_progress_tells_the_accuracy_and_the_most_that_is_left(
     assert "sampling: 10,000 of 20,000 evaluations" in line
     assert "at most 30 s in all" in line  # 10,000 in 10 s, 40,000 allowed
     assert "error over what was asked: p_max 2" in line
+
+
+def test_no_band_of_scenes_that_take_too_many_steps_to_be_kept() -> None:
+    """A sphere without weight between endless bars swings tens of thousands of times: 64 of them took gigabytes."""
+    slow = ('model.fidelity="full"', 'striker.speed={ dist = "lognormal", mean = "312 um/s", cov = 10.5 }')
+    study = uqsphere.load_study(Path(__file__).parent.parent / "studies" / "as_printed.toml", slow)
+    work = Work(study=study, store=None, ledger=Ledger(), fidelity="full", threads=1)
+    sample = draw(work.all_inputs, seed=3, task="band", start=0, count=16, replicates=1)
+    assert find_courses(work, sample) is None

@@ -3,23 +3,27 @@
 Moments and indices are closed forms, those of the borehole apart; quantiles are closed where the law of the
 output is one, and otherwise converged references that `reference` recomputes.
 
-    python -m tests.campaigns.coverage [sampling] [expansion] [expensive] [--repetitions N]
+    python -m tests.campaigns.coverage [sampling] [expansion] [expensive] [table] [--repetitions N]
 """
 
 from __future__ import annotations
 
 import math
 import sys
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from tests.campaigns import options, table, tell
+from uqsphere import load_study, run
 from uqsphere.arrays import Array
+from uqsphere.results.entries import Est
 from uqsphere.runner.evaluate import REPLICATES
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.estimate import Estimate, from_replicates
@@ -552,6 +556,50 @@ def expensive_rows(
     return tally.rows()
 
 
+# --- A table of the scaled numbers beside the model, through a run: the contact time of granite, which jumps.
+
+GRANITE: Final = Path(__file__).parents[2] / "studies" / "granite.toml"
+JUMPS: Final = ('contact.law="hertz"', "analysis.quantities=['contact_time']", "margins=null", "limits=null",
+                "dependence=null")  # fmt: skip
+#: seeds begin there; the total index of the radius by a long run, where the others are held against the mean of all
+FIRST_SEED, RADIUS = 3001, 0.0999
+
+
+def _ends(share: Est) -> tuple[float, float]:
+    assert share.low is not None
+    assert share.high is not None
+    return float(share.low), float(share.high)
+
+
+def _width(share: Est) -> float:
+    low, high = _ends(share)
+    return 0.5 * (high - low)
+
+
+def tabled_rows(*, repetitions: int) -> list[CoverageRow]:
+    """Cells of the indices of a run, at the accuracy of its study: whether they hold the mean of all runs."""
+    found = list[tuple[Mapping[str, Est], ...]]()
+    with tempfile.TemporaryDirectory() as place:
+        for seed in range(FIRST_SEED, FIRST_SEED + repetitions):
+            study = load_study(GRANITE, (*JUMPS, f"seed={seed}"))
+            results = run(study, out=Path(place) / str(seed), threads=1).results
+            shares, taken = results.sensitivity["contact_time"], sum(results.model.evaluations.values())
+            found.append((shares.first, shares.total))
+            tell(f"seed {seed}: {taken:,} evaluations, half-width {max(_width(e) for e in shares.total.values()):.4f}")
+    tally = Tally()
+    for order, rows in zip(("first", "total"), zip(*found, strict=True), strict=True):
+        for name in rows[0]:
+            truth = float(np.mean([row[name].number for row in rows]))
+            tell(f"{order} index of {name}: {truth:.4f}")
+            truth = RADIUS if (order, name) == ("total", "sphere.radius") else truth
+            tally.add(
+                Hit(f"{order} index", "table", "granite", name, 64, _ends(row[name])[0] <= truth <= _ends(row[name])[1],
+                    _width(row[name]), row[name].number - truth)
+                for row in rows
+            )  # fmt: skip
+    return tally.rows()
+
+
 # --- the table ------------------------------------------------------------------------------------
 
 
@@ -586,6 +634,7 @@ WAYS: Final[dict[str, tuple[int, Callable[..., list[CoverageRow]]]]] = {
     "sampling": (300, coverage_rows),
     "expansion": (340, surrogate_rows),
     "expensive": (290, expensive_rows),
+    "table": (50, tabled_rows),
 }
 
 

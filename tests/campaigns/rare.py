@@ -465,16 +465,20 @@ def run_problem(entry: Problem, kind: str, seed: int, folder: Path) -> Est:
     return results.limits["failure"].miss
 
 
-def run_text(kind: str, repetitions: int, problems: Sequence[str]) -> str:
-    """Every problem through `uqsphere.run`: error and coverage of what is answered, and how often it is but a bound."""
+def run_text(kind: str, repetitions: int, problems: Sequence[str], first: int = 1) -> str:
+    """Every problem through `uqsphere.run`, with seeds from the `first` on: error and coverage of what is answered, and
+    how often it is but a bound.  Intervals that miss the reference are told as they are found."""
     rows, errors, held = [], [], []
     for name in problems:
         tell(f"through run, {kind}: {name}")
         entry = problem(name)
         with tempfile.TemporaryDirectory() as place:
-            found = [run_problem(entry, kind, 1 + k, Path(place)) for k in range(repetitions)]
+            found = [run_problem(entry, kind, first + k, Path(place)) for k in range(repetitions)]
         known = [one.value / entry.reference - 1.0 for one in found if one.value is not None]
         covered = [(one.low or 0.0) <= entry.reference <= (1.0 if one.high is None else one.high) for one in found]
+        for k, one in enumerate(found):
+            if not covered[k]:
+                tell(f"{name}, seed {first + k}: {one.low} to {one.high} misses {entry.reference}")
         rms = float(np.sqrt(np.mean(np.square(known)))) if known else math.nan
         errors.append(rms)
         held += covered
@@ -549,7 +553,7 @@ def margin_text(repetitions: int, runs: int) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Prints the tables; progress goes to stderr.  Words `NAME=VALUE` are other constants of learning."""
     asked = options("Rare-event methods on public problems", arguments, words=(), repetitions=10, through_run=str,
-                    margin=False, runs=150, few=False, at_once=1, rival=False)  # fmt: skip
+                    first=1, margin=False, runs=150, few=False, at_once=1, rival=False)  # fmt: skip
     for name, value in (word.split("=") for word in asked.words):
         setattr(active, name, literal_eval(value))
     if asked.rival:
@@ -561,7 +565,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     if asked.through_run:
         names = [entry.name for entry in PROBLEMS] if asked.through_run == "cheap" else FEW_PROBLEMS
-        print(run_text(asked.through_run, asked.repetitions, names))
+        print(run_text(asked.through_run, asked.repetitions, names, asked.first))
         return 0
     print(rare_text(asked.repetitions))
     print()

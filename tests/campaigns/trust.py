@@ -520,7 +520,7 @@ def damage_folder(folder: Path, other: Path, outside: Path, generator: np.random
         kind = int(generator.integers(6)) if plain else 5
         data = path.read_bytes() if kind <= 2 else b""
         if kind == 0 and path.suffix == ".json":
-            with contextlib.suppress(ValueError):
+            with contextlib.suppress(ValueError, RecursionError):
                 _write(path, json.dumps(damage_json(json.loads(data), generator), default=str).encode())
             done.append(f"entry of {path.name}")
         elif kind <= 1:
@@ -939,6 +939,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print a row for each part; exit code 1 if anything failed."""
     chosen = options(__doc__, arguments, words=PARTS, count=int, seed=1, start=0, keep=Path)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
+    sys.dont_write_bytecode = True  # which is no write of a command's
     rows = []
     for part in chosen.words or PARTS:
         count = chosen.count or (PARTS[part][1] if chosen.words else -(-PARTS[part][1] // 10))

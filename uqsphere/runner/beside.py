@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import gc
 import os
@@ -42,23 +43,17 @@ def aside(function: Callable[[], T], *, copied: bool) -> Iterator[Callable[[], T
         found = function()
         yield lambda: found
         return
-    read, write = os.pipe()
-
-    def told() -> None:
-        with os.fdopen(write, "wb") as pipe:
-            pipe.write(_tried(function))
+    here, there = Pipe(duplex=False)
 
     def answer() -> T:
-        with os.fdopen(os.dup(read), "rb") as pipe:
-            said = pipe.read()
-        return cast("T", _taken(said) if said else function())
+        said = None
+        with contextlib.suppress(OSError, EOFError):
+            said = here.recv_bytes()
+        return cast("T", _taken(said)) if said is not None else function()
 
-    try:
-        with _copy_doing(told):
-            os.close(write)
-            yield answer
-    finally:
-        os.close(read)
+    with here, there, _copy_doing(lambda: there.send_bytes(_tried(function))):
+        there.close()
+        yield answer
 
 
 def shared_out(function: Callable[[int], T], order: Sequence[int], *, copied: bool) -> list[T]:
@@ -148,10 +143,17 @@ def second_process(load: Sequence[str], *, copied: bool) -> Iterator[None]:
             try:
                 yield
                 second.settle()
+                second.ask(partial(_leave, second.owner))()
             finally:
                 _SECOND.reset(token)
     finally:
         here.close()
+
+
+def _leave(owner: int) -> None:
+    """What a second process has to do before it ends, such as to take its temporary files away."""
+    if os.getpid() != owner:
+        atexit._run_exitfuncs()
 
 
 def elsewhere(function: Callable[P, T], *given: P.args, **named: P.kwargs) -> Callable[[], T]:
@@ -195,6 +197,7 @@ def _copy_doing(body: Callable[[], None]) -> Iterator[None]:
     if not child:
         try:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
+            atexit._clear()  # what the owner has to do in the end
             ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGKILL)
             null = os.open(os.devnull, os.O_WRONLY)
             os.dup2(null, 1)
@@ -207,5 +210,7 @@ def _copy_doing(body: Callable[[], None]) -> Iterator[None]:
     try:
         yield
     finally:
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
+        # whoever ignores SIGCHLD, as what started this process may have had it do, has no children to wait for
+        with contextlib.suppress(ProcessLookupError, ChildProcessError):
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)

@@ -268,7 +268,7 @@ def settle_heavy(
         if d.mean.why is Why.NOT_KNOWN
     ]
     settled = replace(sampled, descriptions=descriptions, missed=missed)
-    return settled, shares_with_tails(work, settled, found, tails, None)
+    return settled, shares_with_tails(work, settled, found, tails, {})
 
 
 def _rejudged(work: Work, sampled: Sampled, rescaled: Mapping[str, Description]) -> list[Missed]:

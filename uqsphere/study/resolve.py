@@ -210,8 +210,8 @@ def _kind(data: Mapping[str, Raw], findings: Findings) -> bool | None:
     black = [name for name in ("inputs", "outputs") if name in data]
     if not black:
         if not any(name in SCENE for name in data) and not without_scene(data):
-            said = "found neither a scene ([sphere], [bars], [striker]) nor a black box ([inputs], [outputs])"
-            findings.add((), said)
+            said = "missing: found neither a scene ([sphere], [bars], [striker]) nor a black box ([inputs], [outputs])"
+            findings.add(("sphere",), said)
             return None
         return False
     model = data.get("model")

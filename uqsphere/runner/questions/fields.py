@@ -5,6 +5,7 @@ the contact forces of some sampled scenes over time, the hardest of all with wha
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -105,6 +106,8 @@ def _of_scene(work: Work, rows: Array) -> dict[str, tuple[Array, Array]] | str:
 SCENES, INSTANTS = 64, 240
 #: instants of the first look, and its length over the median time scale of Hertz contact
 _TRIAL, _LONGEST = 3000, 120.0
+#: mass number below which it is asked first how many steps a motion takes, and the most that are kept of each
+_LIGHT, _STEPS = 1e-3, 10_000
 #: share of the largest force below which the first loading is over
 _OVER = 0.01
 #: places and instants of the stored stress in the bars
@@ -144,8 +147,15 @@ def _motions(work: Work, rows: Array) -> list[Motion] | None:
     scene, fidelity = _scene(work, rows)
     if scene.status.any() or (fidelity == "linear" and scene.faces is not None):
         return None
-    found = motions(scene, np.arange(len(rows)), fidelity=fidelity, tolerance=_tolerance(work), threads=work.threads,
-                    stop_at_loss=False)  # fmt: skip
+    follow = partial(motions, scene, fidelity=fidelity, tolerance=_tolerance(work), threads=work.threads,
+                     stop_at_loss=False)  # fmt: skip
+    lightest = int(np.argmin(scene.scales.mass_number))
+    if scene.scales.mass_number[lightest] < _LIGHT:
+        # it swings fastest; what many such take would not fit into memory
+        one = follow(np.array([lightest]))[0]
+        if not isinstance(one, Motion) or len(one.start) > _STEPS:
+            return None
+    found = follow(np.arange(len(rows)))
     courses = [one for one in found if isinstance(one, Motion)]
     return courses if len(courses) == len(found) else None
 

@@ -46,16 +46,16 @@ from uqsphere.uq.indices import (
 
 
 def share_heavy(
-    work: Work, sampled: Sampled, found: dict[str, Sensitivity], pairs: Pairs | None
+    work: Work, sampled: Sampled, found: dict[str, Sensitivity], carried: Mapping[str, float]
 ) -> dict[str, Sensitivity]:
     """Indices without those of a variance that does not exist, does not converge, or rests on a handful of samples.
 
     Where the variance exists and fourth moments do not, the intervals hold what the variance may be.  Where few points
-    of the design carry it and no expansion helps, they hold what so few may have missed.
+    carry it (`carried`, as `Shared` has them) and no expansion helps, they hold what so few may have missed.
     """
     laws = {name: work.study.random[name] for name in work.scene_names}
     tails = {q: tail_of(laws, sampled.sample, q) for q in work.quantities}
-    return shares_with_tails(work, sampled, found, tails, pairs)
+    return shares_with_tails(work, sampled, found, tails, carried)
 
 
 def shares_with_tails(
@@ -63,11 +63,11 @@ def shares_with_tails(
     sampled: Sampled,
     found: dict[str, Sensitivity],
     tails: Mapping[str, HeavyTail | None],
-    pairs: Pairs | None,
+    carried: Mapping[str, float],
 ) -> dict[str, Sensitivity]:
     """The same with the tail that each quantity inherits."""
     answers, asked = {}, work.study.analysis.accuracy.sobol
-    for k, quantity in enumerate(work.quantities):
+    for quantity in work.quantities:
         indices, sd, tail = found[quantity], sampled.descriptions[quantity].sd, tails[quantity]
         # where no input is random nothing is missed either
         reason = why_no_shares(sampled.sample.outputs(quantity), sd) if work.scene_names else None
@@ -80,10 +80,8 @@ def shares_with_tails(
             indices = replace(indices, text=reason.text, missed=missed, sampled={}, expanded={}, agree=None)
         elif tail is not None and tail.order <= 4.0:
             indices = _each(indices, lambda e, sd=sd: widened_share(e, sd))  # type: ignore[misc]
-        elif pairs is not None and not indices.expanded:
-            count = carriers(pairs.values[:, :, 0, k][~pairs.failed])
-            if count < FEW_CARRIERS:
-                indices = _each(indices, lambda e, count=count: no_narrower(e, count))  # type: ignore[misc]
+        elif (count := carried.get(quantity, FEW_CARRIERS)) < FEW_CARRIERS and not indices.expanded:
+            indices = _each(indices, lambda e, count=count: no_narrower(e, count))  # type: ignore[misc]
         answers[quantity] = _admitted(quantity, indices, found[quantity], asked)
     return answers
 
@@ -306,7 +304,8 @@ class Pairs:
 class Shared:
     """How the variance of every quantity is shared out, why its stages ended, and the runs that it rests on.
 
-    `subsets` is the design of these runs where inputs depend on each other, `tabled` the table beside them.
+    `subsets` is the design of these runs where inputs depend on each other, `tabled` the table beside them.  `carried`:
+    how many base points carry the variance of a quantity, of the table where it was asked, else of the runs.
     """
 
     sensitivity: dict[str, Sensitivity]
@@ -314,6 +313,7 @@ class Shared:
     pairs: Pairs | None = None
     subsets: SubsetDesign | None = None
     tabled: Tabled = field(default_factory=lambda: Tabled())
+    carried: dict[str, float] = field(default_factory=dict)
 
 
 def dependent_names(work: Work) -> list[str]:
@@ -569,12 +569,14 @@ class Indices(PairedRuns):
 
     def answer(self, course: Course) -> Shared:
         """The indices of every quantity, of the model itself where it was sampled, else of its expansion."""
-        answers, whole = {}, None if self.pairs is None else self.pairs.whole()
+        answers, whole, carried = {}, None if self.pairs is None else self.pairs.whole(), {}
         for k, quantity in enumerate(self.work.quantities):
             one, cost = self.expansions[quantity], course.cost(Accuracy(quantity, "indices"))
             concluded = _conclude(quantity, self.work.scene_names, self.found[quantity], one, self.asked, cost)
             if whole is not None and concluded.sampled:
                 concluded = _beside_salib(concluded, whole[:, :, : self.blocks.inputs_count + 2, k])
+                many = self.answers_of_table if quantity in self.tabled.quantities else None
+                carried[quantity] = carriers((whole if many is None else many)[:, :, 0, k].ravel())
             answers[quantity] = _with_sets(self.work, quantity, concluded, self.drawn.get(quantity), self.asked, cost)
         plain = None
         if self.pairs is not None:
@@ -582,7 +584,7 @@ class Indices(PairedRuns):
             plain = Pairs(values=values, failed=self.pairs.failed)
         paired = self.size - self.tabled.taken
         return Shared(sensitivity=answers, stopped=course.stopped, pairs=plain,
-                      tabled=replace(self.tabled, paired=paired))  # fmt: skip
+                      tabled=replace(self.tabled, paired=paired), carried=carried)  # fmt: skip
 
 
 def _why_none(work: Work, sampled: Sampled) -> tuple[str, str]:

@@ -108,8 +108,7 @@ def share_variance(work: Work, sampled: Sampled, first: Analyses | None) -> Shar
     shared = find_sensitivity(work, sampled)
     if dependent_names(work) and shared.stopped != "failures" and work.study.analysis.pursues("indices"):
         shared = _share_dependent(work, shared.sensitivity)
-    own = shared.pairs if shared.subsets is None else None
-    held = share_heavy(work, sampled, shared.sensitivity, own)
+    held = share_heavy(work, sampled, shared.sensitivity, shared.carried)
     return replace(shared, sensitivity=without_noise(held, first))
 
 
