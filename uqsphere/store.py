@@ -16,7 +16,6 @@ import io
 import json
 import os
 import re
-import tempfile
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -61,15 +60,9 @@ _WRITTEN = ".uqsphere-files"
 Extension = Callable[[dict[str, Json], dict[str, Json]], str]
 
 
-def _mode() -> int:
-    """Permissions of a finished file: others may read it where the user's own mask lets them."""
-    mask = os.umask(0o077)
-    os.umask(mask)
-    return 0o644 & ~mask
-
-
-#: looked at once: the mask belongs to the process, and asking for it sets it
-_MODE = _mode()
+def _made(path: str, flags: int) -> int:
+    """A file that is opened as asked; others may read it where the user's own mask lets them."""
+    return os.open(path, flags, 0o644)
 
 
 @contextlib.contextmanager
@@ -91,14 +84,13 @@ def write_atomically(path: Path, content: bytes | str, *, durable: bool = True) 
     data = content.encode() if isinstance(content, str) else content
     with _system_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        temporary = path.with_name(f".{path.name}.{os.urandom(4).hex()}")
         try:
-            with os.fdopen(handle, "wb") as file:
+            with open(temporary, "xb", opener=_made) as file:
                 file.write(data)
                 file.flush()
                 if durable:
                     os.fsync(file.fileno())
-            os.chmod(temporary, _MODE)
             os.replace(temporary, path)
             if durable:
                 _sync_folder(path.parent)
