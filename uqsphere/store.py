@@ -60,9 +60,8 @@ _WRITTEN = ".uqsphere-files"
 Extension = Callable[[dict[str, Json], dict[str, Json]], str]
 
 
-def _made(path: str, flags: int) -> int:
-    """A file that is opened as asked; others may read it where the user's own mask lets them."""
-    return os.open(path, flags, 0o644)
+#: how a file is begun that must not be there yet
+_NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
 
 
 @contextlib.contextmanager
@@ -85,8 +84,10 @@ def write_atomically(path: Path, content: bytes | str, *, durable: bool = True) 
     with _system_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_name(f".{path.name}.{os.urandom(4).hex()}")
+        # others may read it where the user's own mask lets them
+        handle = os.open(temporary, _NEW, 0o644)
         try:
-            with open(temporary, "xb", opener=_made) as file:
+            with os.fdopen(handle, "wb") as file:
                 file.write(data)
                 file.flush()
                 if durable:
