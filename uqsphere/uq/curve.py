@@ -460,7 +460,7 @@ def _crossing(grid: Array, probabilities: Array, target: float, least: float) ->
     left, right = float(curve(low)), float(curve(high))
     if left >= 0.0 or right <= 0.0:
         return backward(low if left >= 0.0 else high)
-    return backward(root(curve, low, high, xtol=1e-14 * max(1.0, abs(high))))
+    return backward(root(lambda u: float(curve(u)), low, high, xtol=1e-14 * max(1.0, abs(high))))
 
 
 def _scale(grid: Array) -> tuple[Callable[[Array], Array], Callable[[float], float]]:

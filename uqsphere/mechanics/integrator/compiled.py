@@ -109,7 +109,7 @@ def _begin_with_numba() -> None:
     """Have `beside` begin with the first function that is compiled: the kernel is read for long before it calls one."""
     from numba.core import event
 
-    class Begin(event.Listener):  # type: ignore[misc]
+    class Begin(event.Listener):
         def on_start(self, event: object) -> None:
             beside.begin()
 
