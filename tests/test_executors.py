@@ -21,11 +21,10 @@ import pytest
 import uqsphere
 from tests.campaigns.trust import answers_of
 from uqsphere.black_box import model_digest
-from uqsphere.cli.run import LATE
+from uqsphere.cli.run import LATE, LATER
 from uqsphere.errors import AccessError, ModelError, StudyError, TooManyFailures, UsageError
 from uqsphere.report.page import GOES_ON, build_report, write_draft
-from uqsphere.results import Results
-from uqsphere.results.entries import Manifest
+from uqsphere.results import Fields
 from uqsphere.runner.beside import aside, elsewhere, named, second_process, shared_out
 from uqsphere.runner.chunks import CHUNK, block_size
 from uqsphere.runner.evaluate import Ledger
@@ -541,7 +540,7 @@ def test_what_a_second_process_that_is_lost_was_asked_is_done_here_once(tmp_path
 
 def test_what_a_command_has_loaded_ahead_is_there_by_its_name() -> None:
     # a second process that fails in it is lost, and its work done here: nobody would see it
-    for name in LATE:
+    for name in (*LATE, LATER):
         named(name)
 
 
@@ -566,7 +565,7 @@ def test_a_ledger_adds_what_was_spent_beside_it() -> None:
 def test_a_run_side_by_side_is_that_of_one_processor_and_its_page_stands_early(tmp_path: Path) -> None:
     early: list[str] = []
 
-    def draft(results: Results, manifest: Manifest) -> None:
+    def draft(results: Fields, manifest: Fields) -> None:
         write_draft(tmp_path / "2", results, manifest)
         early.append((tmp_path / "2" / "report.html").read_text(encoding="utf-8"))
 

@@ -351,7 +351,7 @@ def test_the_parts_compiled_beside_are_those_that_the_kernel_asks_for() -> None:
     compiled.compile_parts(kernel.PARTS)
     for function, _ in kernel.PARTS:
         line = function.py_func.__code__.co_firstlineno
-        kept = list(Path(function.stats.cache_path).glob(f"events.{function.__name__}-{line}.*.nbc"))
+        kept = list(Path(function.stats.cache_path).glob(f"*.{function.__name__}-{line}.*.nbc"))
         assert len(kept) == 1, kept
 
 

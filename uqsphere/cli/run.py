@@ -22,7 +22,7 @@ from uqsphere.errors import FolderError, ModelError, UsageError
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
-    from uqsphere.results import Manifest, Results
+    from uqsphere.results.entries import Fields
     from uqsphere.runner.finished import Run
 
 
@@ -242,8 +242,10 @@ class Silence:
 #: exit code of a finished run that misses a target
 MISSED = 3
 #: what a second process loads while the run goes on, and does for it: by name, so that this one loads nothing of it
-LATE = ("uqsphere.report.page:load_page", "uqsphere.uq.interop:load_salib")
+LATE = ("uqsphere.report.page:load_page",)
 _DRAFT, _PAGE = "uqsphere.report.page:write_draft", "uqsphere.report.page:build_and_sum_up"
+#: what it loads when the page with the verdict stands, which nothing keeps from a processor then
+LATER = "uqsphere.uq.interop:load_salib"
 
 
 def command_run(chosen: argparse.Namespace) -> int:
@@ -281,8 +283,9 @@ def _watched_run(study: Study, chosen: argparse.Namespace, seconds: float | None
     )
     out = chosen.out or Path(f"{study.path.stem}-results")
 
-    def draft(results: Results, manifest: Manifest) -> None:
+    def draft(results: Fields, manifest: Fields) -> None:
         elsewhere(named, _DRAFT, out, results, manifest)
+        elsewhere(named, LATER)
 
     with contextlib.ExitStack() as around:
         executor = None

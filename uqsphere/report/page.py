@@ -391,7 +391,9 @@ def _panel_parts(contents: Contents) -> Fields:
 
 
 def load_page() -> None:
-    """What a page takes long to load: templates, and a first drawing with what drawings need."""
+    """What a page takes long to load: checks, templates, and a first drawing with what drawings need."""
+    for document in (Results, Manifest):
+        document.model_rebuild()
     for name in ("brief.html", "brief_body.html", "parts.html", "template.html", "whatif.html"):
         page_environment().get_template(name)
     figure, axes = new_figure(1.0)
@@ -405,10 +407,11 @@ def build_and_sum_up(folder: Path, threads: int | None, width: int) -> tuple[Pat
     return build_report(folder, threads), summary_of(read_contents(folder), width)
 
 
-def write_draft(folder: Path, results: Results, manifest: Manifest) -> None:
+def write_draft(folder: Path, known: Fields | Results, about: Fields | Manifest) -> None:
     """Write report.html of a run that goes on: the brief of what is known; nothing where a finished run is stored."""
     if (folder / "results.json").exists():
         return
+    results, manifest = Results.model_validate(known), Manifest.model_validate(about)
     contents = Contents(results=results, manifest=manifest, resolved=read_resolved(folder), samples={}, failed=0.0)
     with reading_units(units_of(results)):
         shown = _brief_parts(contents, GOES_ON)

@@ -22,7 +22,7 @@ from uqsphere.black_box import BlackBox, model_digest
 from uqsphere.errors import FolderError, ModelError, StudyError, UsageError
 from uqsphere.files import Json, read_whole
 from uqsphere.model import NO_DAMPER, check_quantities, check_range
-from uqsphere.results import Manifest, Results
+from uqsphere.results import Fields, Results
 from uqsphere.store import Store, open_store
 from uqsphere.study import Study, load_study
 
@@ -45,7 +45,8 @@ class Observers(TypedDict, total=False):
     reached : callable(rows)
         Told the errors of every stage: dicts with `quantity`, `error`, `error_kind`, `evaluations`.
     draft : callable(results, manifest)
-        Given the results as far as they are known when the verdicts are, before curves and indices.
+        Given what results.json and manifest.json hold as far as it is known when the verdicts are, before curves and
+        indices; `Results` and `Manifest` make tables of it.
     """
 
     seconds: float | None
@@ -53,7 +54,7 @@ class Observers(TypedDict, total=False):
     notice: Callable[[str], None] | None
     stop: Callable[[], bool] | None
     reached: Callable[[list[dict[str, Json]]], None] | None
-    draft: Callable[[Results, Manifest], None] | None
+    draft: Callable[[Fields, Fields], None] | None
 
 
 def run(

@@ -171,26 +171,26 @@ class _Sheet:
         self.note = ""
         meaning = meaning_of(task, total)
         self.chunks = []
+        parts = dict[str, list[tuple[str, int, int]]]()
+        for known in () if store is None else store.keys(f"{key}."):
+            if match := PART_END.search(known):
+                parts.setdefault(known[: match.start()], []).append((known, int(match[1]), int(match[2])))
         for number, start in enumerate(range(0, total, CHUNK)):
             stop = min(start + CHUNK, total)
             name = f"{key}.{number}.{fingerprint(meaning, rows[start:stop])}"
             self.chunks.append(_Chunk(name=name, start=start, stop=stop, done=np.zeros(stop - start, dtype=bool)))
             if store is not None:
-                self._load(store, self.chunks[-1])
+                self._load(store, self.chunks[-1], parts.get(name, []))
 
     @property
     def done(self) -> int:
         """Rows that are answered."""
         return sum(int(chunk.done.sum()) for chunk in self.chunks)
 
-    def _load(self, store: Store, chunk: _Chunk) -> None:
-        """Put what is stored of a chunk, or of its parts, in its place."""
+    def _load(self, store: Store, chunk: _Chunk, parts: list[tuple[str, int, int]]) -> None:
+        """Put what is stored of a chunk, or of its parts (key, first row, one after the last), in its place."""
         size = len(chunk.done)
-        parts = [(chunk.name, 0, size)]
-        for key in store.keys(f"{chunk.name}.p"):
-            if match := PART_END.fullmatch(key.removeprefix(chunk.name)):
-                parts.append((key, int(match[1]), int(match[2])))
-        for key, start, stop in parts:
+        for key, start, stop in [(chunk.name, 0, size), *parts]:
             found = unpacked(store.load(key), stop - start, self.values.shape[1]) if start < stop <= size else None
             if found is not None:
                 self._put(chunk, chunk.start + start, chunk.start + stop, found)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from uqsphere.results import PlanEntry, Results
+from uqsphere.results import Manifest, PlanEntry, Results
+from uqsphere.results.entries import PricesEntry
 from uqsphere.runner.campaign import Findings
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.evidence import judged_ways
 from uqsphere.runner.expensive import Expensive, Priced
 from uqsphere.runner.finished import Run, save_points, write_results
 from uqsphere.runner.questions.fields import find_courses, save_courses
-from uqsphere.runner.results import account, bare_results, build_manifest, build_results, further_rows
+from uqsphere.runner.results import account, bare_results, further_rows, manifest_content, results_content
 from uqsphere.runner.sliders import find_sliders
 from uqsphere.store import Store, keep_data, write_json
 
@@ -33,7 +34,7 @@ def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None
         sliders, courses = find_sliders(work, found.margins), find_courses(work, found.sampled.sample)
     write_json(store.folder / "sliders.json", sliders.document())
     save_courses(store, courses)
-    results = build_results(work, found, plan)
+    results = Results.model_validate(results_content(work, found, plan))
     further = further_rows(results)
     results = results.model_copy(update={"speed_error": (*results.speed_error, *(row for _, row in further))})
     ends = [ledger.seconds.get(part, ledger.elapsed) for part, _ in further]
@@ -48,6 +49,7 @@ def finish_bare(work: Work, store: Store) -> Run:
 
 def _written(work: Work, store: Store, results: Results, seconds: list[float], priced: Priced | None = None) -> Run:
     keep_data(work.study, store.folder)
-    manifest = build_manifest(work, seconds, priced.entry() if priced is not None else None)
+    prices = PricesEntry() if priced is None else priced.entry()
+    manifest = Manifest.model_validate(manifest_content(work, seconds, prices))
     write_results(store, results, manifest)
     return Run(folder=store.folder, results=results, manifest=manifest)

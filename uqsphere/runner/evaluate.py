@@ -15,7 +15,7 @@ from uqsphere.black_box import BlackBox
 from uqsphere.errors import FolderError, ModelError, TooManyFailures
 from uqsphere.mechanics.fidelity import Fallback
 from uqsphere.model import ROUTE_ASKED, ROUTE_FULL, STATUS_UNDECIDED, EvaluatedRows, is_answered, status_text, where_of
-from uqsphere.results import Fields, Manifest, Results, SpeedRow
+from uqsphere.results import Fields, Results, SpeedRow
 from uqsphere.runner.chunks import Gathered, chosen_columns, collect
 from uqsphere.runner.remote import Task, evaluate_rows
 from uqsphere.runner.schedule import REPLICATES
@@ -127,7 +127,7 @@ class Work:
     #: told the errors of a stage, the rows of the speed-error table
     reached: Callable[[list[Fields]], None] | None = None
     #: given what is known once the verdicts are
-    draft: Callable[[Results, Manifest], None] | None = None
+    draft: Callable[[Fields, Fields], None] | None = None
     #: the rows only help to answer for others: one without an answer is no failure of the study
     spare: bool = False
     #: what is asked in place of the study's quantities

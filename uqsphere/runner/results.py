@@ -26,7 +26,7 @@ from uqsphere.results import (
     Results,
     SpeedRow,
 )
-from uqsphere.results.entries import CheckEntry, Curve, Est, Fields, Manifest, PricesEntry
+from uqsphere.results.entries import CheckEntry, Curve, Est, Fields, PricesEntry
 from uqsphere.runner.campaign import Cost, Findings, Missed
 from uqsphere.runner.deterministic import compare_with_paper
 from uqsphere.runner.evaluate import Work
@@ -85,11 +85,11 @@ def _heading(study: Study) -> Fields:
     }
 
 
-def build_results(work: Work, found: Findings, plan: PlanEntry) -> Results:
-    """The content of results.json."""
+def results_content(work: Work, found: Findings, plan: PlanEntry) -> Fields:
+    """What results.json holds, before `Results` has looked at it."""
     study, fracture = work.study, found.fracture
     judged = judge(work, found)
-    content = {
+    return {
         **_heading(study),
         "inputs": _inputs(work),
         "quantities": {
@@ -114,7 +114,6 @@ def build_results(work: Work, found: Findings, plan: PlanEntry) -> Results:
         **({} if study.rig == "bars" else {"rig": study.rig}),
         **_nested(work.services),
     }
-    return Results.model_validate(content)
 
 
 def _accuracy(work: Work, found: Findings) -> Fields:
@@ -162,10 +161,10 @@ def bare_results(study: Study, services: Mapping[str, Results]) -> Results:
     })  # fmt: skip
 
 
-def build_manifest(work: Work, seconds: list[float], prices: PricesEntry | None = None) -> Manifest:
-    """Versions, platform, counts and times: what may differ between two runs of the same study."""
+def manifest_content(work: Work, seconds: list[float], prices: PricesEntry) -> Fields:
+    """What manifest.json holds: versions, platform, counts and times, which may differ between two runs of a study."""
     ledger = work.ledger
-    content = {
+    return {
         "versions": versions(),
         "platform": {"system": platform.system(), "machine": platform.machine(), "release": platform.release()},
         "seed": work.study.seed,
@@ -179,9 +178,8 @@ def build_manifest(work: Work, seconds: list[float], prices: PricesEntry | None 
         "executor": work.engine.record(),
         "finished": f"{datetime.now(UTC):%Y-%m-%d}",
         "damaged_chunks": list(work.store.damaged) if work.store is not None else [],
-        "plan": prices or PricesEntry(),
+        "plan": prices,
     }
-    return Manifest.model_validate(content)
 
 
 def told_early(work: Work, found: Findings) -> Findings:
@@ -191,7 +189,7 @@ def told_early(work: Work, found: Findings) -> Findings:
     if work.draft is None:
         return found
     found = replace(found, unsure=find_unsure(work, found.sampled))
-    work.draft(build_results(work, found, PlanEntry()), build_manifest(work, []))
+    work.draft(results_content(work, found, PlanEntry()), manifest_content(work, [], PricesEntry()))
     return found
 
 

@@ -17,6 +17,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from uqsphere.arrays import Array, Places, special
+from uqsphere.uq.roots import root
 
 #: scores are kept within these bounds: the tail beyond is less than 1e-315
 FARTHEST = 38.0
@@ -219,10 +220,8 @@ def _frank_derivative(theta: float, count: int, state: State) -> Array:
 
 
 def _frank_strength(tau: float) -> float:
-    from scipy.optimize import brentq
-
     # exp of it is far from the largest number
-    return float(brentq(lambda theta: _frank_tau(theta) - tau, 1e-6, 500.0, xtol=1e-13, rtol=1e-14))
+    return root(lambda theta: _frank_tau(theta) - tau, 1e-6, 500.0, xtol=1e-13, rtol=1e-14)
 
 
 def _frank_tau(theta: float) -> float:

@@ -25,6 +25,7 @@ from uqsphere.arrays import Array
 from uqsphere.uq.estimate import CELL, SURE, Estimate, absent, between, half_of_mean, probability_ends, spread, student
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, tails
+from uqsphere.uq.roots import root
 from uqsphere.uq.sample import Sample
 
 Degrees: TypeAlias = npt.NDArray[np.int64]
@@ -438,7 +439,6 @@ def _turning(grid: Array, probabilities: Array) -> float | None:
 def _crossing(grid: Array, probabilities: Array, target: float, least: float) -> float | None:
     """Value at which one curve (K,) takes the target, by monotone cubic interpolation; None if nowhere."""
     from scipy.interpolate import PchipInterpolator
-    from scipy.optimize import brentq
     from scipy.special import ndtri
 
     positive = probabilities[probabilities > 0.0]
@@ -460,7 +460,7 @@ def _crossing(grid: Array, probabilities: Array, target: float, least: float) ->
     left, right = float(curve(low)), float(curve(high))
     if left >= 0.0 or right <= 0.0:
         return backward(low if left >= 0.0 else high)
-    return backward(float(brentq(lambda u: float(curve(u)), low, high, xtol=1e-14 * max(1.0, abs(high)))))
+    return backward(root(lambda u: float(curve(u)), low, high, xtol=1e-14 * max(1.0, abs(high))))
 
 
 def _scale(grid: Array) -> tuple[Callable[[Array], Array], Callable[[float], float]]:

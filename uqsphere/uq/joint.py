@@ -25,6 +25,7 @@ from uqsphere.arrays import Array, special
 from uqsphere.uq.copulas import ARCHIMEDEAN, Archimedean, Elliptical
 from uqsphere.uq.families import LawError
 from uqsphere.uq.law import Law
+from uqsphere.uq.roots import root
 
 Copula: TypeAlias = Elliptical | Archimedean
 
@@ -122,8 +123,6 @@ def _solved(kind: str, spearman: float, dof: float) -> float:
     rho = 12 E[U V] - 3 by the trapezoidal rule over independent normal scores, which converges geometrically for
     smooth integrands; the search runs over Kendall's tau, in which all families are alike.
     """
-    from scipy.optimize import brentq
-
     grid = np.linspace(-7.5, 7.5, 61)
     weight = np.exp(-0.5 * grid**2)
     weight /= weight.sum()
@@ -143,7 +142,7 @@ def _solved(kind: str, spearman: float, dof: float) -> float:
     if spearman == 0.0:
         return 0.0
     # tau lies below rho, and not below a third of it (Daniels 1950 bounds their distance)
-    return _strength(kind, "kendall", float(brentq(gap, spearman / 3.0, 0.5 * (1.0 + spearman), xtol=1e-10)))
+    return _strength(kind, "kendall", root(gap, spearman / 3.0, 0.5 * (1.0 + spearman), xtol=1e-10))
 
 
 def conditional_score(copula: Copula, target: int, given: Sequence[int], known: Array, score: Array) -> Array:

@@ -18,6 +18,7 @@ from uqsphere.arrays import Array, special
 from uqsphere.uq.families import FAMILIES, Family, LawError, family_named, family_stored
 from uqsphere.uq.families.family import Shapes
 from uqsphere.uq.families.observed import steps_ppf, steps_share_below
+from uqsphere.uq.roots import root
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -448,9 +449,8 @@ def checked(law: Law) -> Law:
 
 def weibull_modulus(cov: float) -> float:
     """Modulus of the Weibull law with a coefficient of variation below 1."""
-    from scipy.optimize import brentq
 
     def gap(m: float) -> float:
         return math.lgamma(1.0 + 2.0 / m) - 2.0 * math.lgamma(1.0 + 1.0 / m) - math.log1p(cov**2)
 
-    return float(brentq(gap, 0.9, 2.0 / cov + 2.0))
+    return root(gap, 0.9, 2.0 / cov + 2.0)

@@ -20,6 +20,7 @@ from uqsphere.uq.describe import quantile_estimates
 from uqsphere.uq.estimate import Estimate, absent, between, probability_ends, spread, student
 from uqsphere.uq.joint import Tie, conditional_score, conditional_scores
 from uqsphere.uq.law import Law
+from uqsphere.uq.roots import root
 
 #: normal scores beyond which a tail is taken for certain: the largest whose tail is a normal number
 CERTAIN: Final = 37.0
@@ -349,8 +350,6 @@ def _ends(
 
 def _root(probability_at: Callable[[float], float], probability: float, near: float) -> float | None:
     """Margin at which an increasing probability takes a value: bracketed in ln m, then by Brent's method."""
-    from scipy.optimize import brentq
-
     target = float(special.ndtri(probability))
     known: dict[float, float] = {}
 
@@ -371,4 +370,4 @@ def _root(probability_at: Callable[[float], float], probability: float, near: fl
         low, high, step = high, high + step, 2.0 * step
         if high > _FAR:
             return None
-    return math.exp(low if low == high else float(brentq(gap, low, high, xtol=1e-9, rtol=1e-12)))
+    return math.exp(low if low == high else root(gap, low, high, xtol=1e-9, rtol=1e-12))

@@ -104,6 +104,21 @@ class Beside:
 beside = Beside()
 
 
+@lru_cache(maxsize=1)
+def _begin_with_numba() -> None:
+    """Have `beside` begin with the first function that is compiled: the kernel is read for long before it calls one."""
+    from numba.core import event
+
+    class Begin(event.Listener):
+        def on_start(self, event: object) -> None:
+            beside.begin()
+
+        def on_end(self, event: object) -> None:
+            pass
+
+    event.register("numba:compile", Begin())
+
+
 def compile_parts(parts: Iterable[tuple[Any, str]]) -> None:
     """Compile parts of the kernel into the cache (`kernel.PARTS`), and say each that is done."""
     from numba import types
@@ -126,6 +141,7 @@ def compiled(part: bool = False, **options: Any) -> Callable[[Function], Functio
     folder = cache_folder()
     if folder is not None:
         setattr(numba.config, "CACHE_DIR", str(folder))  # noqa: B010 - numba makes its settings at run time
+    _begin_with_numba()
     decorate = numba.njit(cache=folder is not None, nogil=True, error_model="numpy", **options)
 
     def once(function: Function) -> Function:
@@ -134,7 +150,6 @@ def compiled(part: bool = False, **options: Any) -> Callable[[Function], Functio
         ask = found.get_call_template
 
         def answer(given: Iterable[Any], named: Any) -> Any:
-            beside.begin()
             if part:
                 beside.wait(function.__name__)
             return ask([numba.types.unliteral(kind) for kind in given], named)
