@@ -169,10 +169,10 @@ def _end(face, m, x, at, rate, bow, theta, law, piece, room):
 @compiled(**INNER)
 def _unsettled(live, room, first):
     """Whether a place of the lanes of one face is not settled."""
+    found = False
     for j in range(LANES):
-        if live[j] >= 0 and not room[3, first + j] < _SETTLED:
-            return True
-    return False
+        found |= live[j] >= 0 and not room[3, first + j] < _SETTLED
+    return found
 
 
 @compiled(**INNER)
@@ -206,7 +206,7 @@ def _settle(live, x, at, rate, bow, theta, law, room):
         _refine(place, change, place, change, value, slope, bend, spring, top, start, width)
 
 
-@compiled(**INNER)
+@compiled(part=True, **INNER)
 def branch_ends(live, touching, x, at, rate, bow, theta, law, softens, piece, room, meets):
     """End every lane's step where a face first changes its branch; whether any step is cut.
 

@@ -604,7 +604,7 @@ def march(
 #: parts that `compiled.Beside` compiles, as `march` comes upon them, with their arguments: i, f, b numbers, n an array
 #: of integers, 1 to 3 arrays of so many dimensions
 PARTS: tuple[tuple[Any, str], ...] = (
-    (branch_ends, "nn222212b22n"),
+    (branch_ends, "n1222212b22n"),
     (events.look, "ii2222111nn212b2"),
     (events.after_step, "ii2i231fffffffffbb2"),
     (events.finish, "ii2i332if1b2"),
