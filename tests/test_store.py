@@ -37,7 +37,7 @@ def opened(folder: Path, **options: Any) -> Any:
 # --- whole files or none --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("call", ["replace", "fsync", "fdopen"])
+@pytest.mark.parametrize("call", ["replace", "fsync", "chmod"])
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
 ) -> None:

@@ -16,6 +16,7 @@ import io
 import json
 import os
 import re
+import tempfile
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -60,8 +61,15 @@ _WRITTEN = ".uqsphere-files"
 Extension = Callable[[dict[str, Json], dict[str, Json]], str]
 
 
-#: how a file is begun that must not be there yet
-_NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+def _mode() -> int:
+    """Permissions of a finished file: others may read it where the user's own mask lets them."""
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return 0o644 & ~mask
+
+
+#: looked at once: the mask belongs to the process, and asking for it sets it
+_MODE = _mode()
 
 
 @contextlib.contextmanager
@@ -83,15 +91,14 @@ def write_atomically(path: Path, content: bytes | str, *, durable: bool = True) 
     data = content.encode() if isinstance(content, str) else content
     with _system_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.urandom(4).hex()}")
-        # others may read it where the user's own mask lets them
-        handle = os.open(temporary, _NEW, 0o644)
+        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(data)
                 file.flush()
                 if durable:
                     os.fsync(file.fileno())
+            os.chmod(temporary, _MODE)
             os.replace(temporary, path)
             if durable:
                 _sync_folder(path.parent)
