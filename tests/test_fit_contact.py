@@ -91,6 +91,17 @@ def test_an_elastic_test_has_no_onset():
         fit_contact(made(np.random.default_rng(2), top=0.8, noise=1e-8), diameter=0.02)
 
 
+def test_a_drift_is_told(tmp_path, capsys):
+    one = made(np.random.default_rng(3))
+    asked = ["fit-contact", str(write(tmp_path, one)), "--diameter", "20 mm"]
+    assert main(asked) == 0
+    assert "alike" not in capsys.readouterr().err
+    drift = np.concatenate([np.zeros(60), np.linspace(1e-6, 2e-6, 60)])
+    write(tmp_path, Loading(displacement=one.displacement + drift, force=one.force))
+    assert main(asked) == 0
+    assert "neighbouring residuals are alike" in capsys.readouterr().err
+
+
 def test_units_may_end_the_names_and_platens_are_bars_or_plates(tmp_path, capsys):
     one = made(np.random.default_rng(3))
     text = "displacement_um,force_kN\n"

@@ -531,6 +531,10 @@ def _answer_fit(chosen: argparse.Namespace, fit: ContactFit, soft: float, notes:
     elif chosen.pile_up is None and fit.hardness.high - fit.hardness.low > fit.hardness.value:
         notes.append("the test hardly tells hardness from pile-up: --pile-up narrows the hardness (2 where a sphere "
                      "crushes, 2.667 where a metal flows)")  # fmt: skip
+    if fit.alike:
+        notes.append(f"neighbouring residuals are alike (correlation {fit.alike:.2g}): the record has what no law of a "
+                     "contact has, as a drift or a hold at the largest force, and the intervals do not hold that: "
+                     "take it out")  # fmt: skip
     for name, part, key in (("onset", fit.onset, "contact.onset_pressure"), ("modulus E*", fit.modulus, "sphere.E")):
         low, high = INPUTS[key].plausible
         if not low <= part.value <= high:

@@ -76,7 +76,8 @@ class ContactFit:
     """The law of the faces that a slow test has.
 
     `onset`, `hardness` [Pa], `pile_up`, `modulus` E* [Pa]; `depth` z and `dent` [m] of a face at the largest force,
-    `misfit` root mean square of the displacement's residuals [m], `samples` used.
+    `misfit` root mean square of the displacement's residuals [m], `alike` correlation of those of neighbouring samples
+    (0 where it is no more than chance), `samples` used.
     """
 
     onset: Fitted
@@ -86,6 +87,7 @@ class ContactFit:
     depth: float
     dent: float
     misfit: float
+    alike: float
     samples: int
 
 
@@ -226,6 +228,7 @@ def fit_contact(
         depth=float(depth[0]),
         dent=float(face.pressed(depth).dent[0]),
         misfit=misfit,
+        alike=_alike(residual),
         samples=len(residual),
     )
 
@@ -285,14 +288,20 @@ def _fit(test: _Test, start: Array, most: int = 200) -> tuple[Array, Array, Arra
     return found.x, found.fun, np.asarray(found.jac)
 
 
+def _alike(residual: Array) -> float:
+    """Correlation of neighbouring residuals; 0 within two standard errors of none."""
+    found = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
+    return found if found > 2.0 / math.sqrt(len(residual)) else 0.0
+
+
 def _intervals(
     test: _Test, parameters: Array, residual: Array, jacobian: Array
 ) -> tuple[list[float], list[tuple[float, float]]]:
     """E*, p_y, H and C with their 95 % intervals; a number at its bound is taken as known."""
     free = len(residual) - len(parameters)
-    alike = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
+    alike = _alike(residual)
     # residuals that follow each other count for fewer
-    wider = (1.0 + alike) / max(1.0 - alike, 0.02) if alike > 2.0 / math.sqrt(len(residual)) else 1.0
+    wider = (1.0 + alike) / max(1.0 - alike, 0.02)
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(residual @ residual) / free * wider
     reach = float(stdtrit(free, 0.975))
     of = np.zeros((4, len(parameters)))
