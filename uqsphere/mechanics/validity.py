@@ -400,8 +400,7 @@ RULES: Final[tuple[Rule, ...]] = (
     Rule(name="pressure_shape", meaning="approach over that at which a face first yields (shape of the pressure)",
          measure=_depth, information=2.0, warning=6.0, laws=("plastic",),
          words="a face is pressed to {worst} times its first yield; the pressure is flatter than Hertz's ({limit}), "
-               "stresses inside and at the rim are those of Hertz on the same circle, and the rim's at most those of "
-               "its force where the sphere is crushed"),
+               "stresses inside and at the rim are those of Hertz on the same circle"),
     Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), under load",
          measure=lambda s, a: _transits(s, a, "loaded_time"), warning=6.0, failure=4.0, rising=False, rigs=_ONE,
          words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while it is pressed (at least {limit}); "
