@@ -183,8 +183,8 @@ def march(
     row[:] = -1
     inverse_mu[:] = 1.0
     # uninitialised: only the pages of steps that are taken ever cost memory.  A step's series is in powers of
-    # (t - start)/scale and holds over `length`
-    # (a power of two of them would put all lanes into the same few lines of the processor's cache)
+    # (t - BEGAN)/UNIT_OF and holds over HOLDS.  With room for a power of two of steps all lanes would share a few lines
+    # of the processor's cache, 8 numbers each
     room_of_lane = capacity + 8
     kept_steps = (
         np.empty((lanes, room_of_lane, tracked.KEPT)), np.empty((lanes, room_of_lane, 3, TERMS)),
@@ -213,7 +213,7 @@ def march(
             inverse_mu[j] = 1.0 / mass[r]
             end[j] = horizon[r]
             time[j] = 0.0
-            count[j], attempts[j], touching[j], busy[j] = 0, 0, 1.0, 1.0
+            count[j], attempts[j], touching[j] = 0, 0, 1.0
             x[0, j], x[0, LANES + j], u[0, j] = 0.0, 0.0, 0.0
             for bar in range(2):
                 reflect[bar, j], trips[bar, j] = ends[r, bar], round_trips[r, bar]
@@ -247,6 +247,7 @@ def march(
             break
         # ---- the waves over the trial steps
         for j in range(lanes):
+            busy[j] = 1.0 if row[j] >= 0 else 0.0
             if touching[j] > 0.0 and row[j] >= 0:
                 # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a touch
                 brief = (1e2 * error[j] * min(1.0, 1.0 / quickest[j]) * size[0, j]) ** 0.4
@@ -543,8 +544,7 @@ def march(
                     proposed[j] = 1.001 * ahead
                 elif ahead == math.inf:
                     proposed[j] = 1e30
-                    returning = back[j]
-                    done = returning == math.inf or (at_stop and time[j] >= returning * (1.0 - 1e-12))
+                    done = back[j] == math.inf or (at_stop and time[j] >= heard[j])
             if not done and at_stop:
                 if time[j] >= end[j]:
                     done = True
