@@ -1,0 +1,106 @@
+"""How often the intervals of a run hold the truth: seeds of one study against one run of far more points.
+
+    python -m tests.campaigns.run_coverage [--seeds 200] [CASE...]
+
+Cases: granite, limestone, ishigami, rare (a black box with a far event in 0.2 % of its rows) and slow (Ishigami's
+function as a slow model of 128 runs).  Printed by kind of answer: intervals that hold, over all, and their share.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import uqsphere
+from uqsphere import Study
+import uqsphere.run.grow
+from uqsphere.study import load_study
+
+STUDIES = Path(__file__).parents[2] / "studies"
+#: accuracy of the truth over that of the runs
+FINER = 0.05
+
+
+def ishigami(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Ishigami and Homma 1990."""
+    return {"y": np.sin(x["x1"]) + 7.0 * np.sin(x["x2"]) ** 2 + 0.1 * x["x3"] ** 4 * np.sin(x["x1"])}
+
+
+def far_event(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """A smooth quantity, but for 0.2 % of its rows, which carry a quarter of the variance."""
+    y = 1.0 + 0.1 * x["x1"] + 0.05 * x["x2"] ** 2
+    return {"y": np.where(x["x1"] + 0.3 * x["x3"] > 3.0, y + 1.5, y)}
+
+
+UNIFORM = {"dist": "uniform", "lower": -np.pi, "upper": np.pi}
+NORMAL = {"dist": "normal", "mean": 0.0, "sd": 1.0}
+
+
+def case(name: str, seed: int) -> tuple[Study, Callable[..., Any] | None]:
+    """The study of a case with a seed, and its model."""
+    if name in ("granite", "limestone"):
+        study = load_study(STUDIES / {"granite": "granite.toml", "limestone": "limestone_margin.toml"}[name])
+        return replace(study, seed=seed), None
+    law, model = (NORMAL, far_event) if name == "rare" else (UNIFORM, ishigami)
+    tables: dict[str, Any] = {
+        "inputs": {f"x{k}": law for k in (1, 2, 3)}, "outputs": "y", "seed": seed,
+        "limits": {"high": {"quantity": "y", "strength": 1.2 if name == "rare" else 10.0, "aim": "survive"}},
+    }  # fmt: skip
+    if name == "slow":
+        tables["analysis"] = {"cost": "10 s", "budget": {"evaluations": 128, "time": "1 h"}}
+    return Study(**tables), model
+
+
+def truth_of(name: str) -> dict[tuple[str, str, Any], float]:
+    """Answers of a run with sixteen times the points, of another seed."""
+    study, model = case("ishigami" if name == "slow" else name, 987_654)
+    grow = sys.modules["uqsphere.run.grow"]
+    first, grow.FIRST = grow.FIRST, 16 * grow.FIRST
+    try:
+        run = uqsphere.run(study, model)
+    finally:
+        grow.FIRST = first
+    return {(r["subject"], r["answer"], r["at"]): r["value"] for r in run.results["answers"] if r["value"] is not None}
+
+
+def count(name: str, seeds: int) -> Counter[tuple[str, bool]]:
+    """Intervals by kind of answer, and whether they hold."""
+    truth, kinds = truth_of(name), Counter[tuple[str, bool]]()
+    for seed in range(seeds):
+        study, model = case(name, seed + 1)
+        for row in uqsphere.run(study, model).results["answers"]:
+            key = row["subject"], row["answer"], row["at"]
+            if row["method"] == "epistemic" or row["low"] is None or row["high"] is None or key not in truth:
+                continue
+            if row["answer"] in ("driver", "curve", "safety_factor", "reliability_index", "exceedance_probability"):
+                continue
+            slack = 1e-9 * abs(truth[key])
+            kinds[row["answer"], bool(row["low"] - slack <= truth[key] <= row["high"] + slack)] += 1
+    return kinds
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cases", nargs="*", default=["granite", "limestone", "ishigami", "rare", "slow"])
+    parser.add_argument("--seeds", type=int, default=200)
+    given = parser.parse_args()
+    whole = Counter[bool]()
+    for name in given.cases:
+        kinds = count(name, given.seeds)
+        for kind in sorted({kind for kind, _ in kinds}):
+            held, total = kinds[kind, True], kinds[kind, True] + kinds[kind, False]
+            whole[True] += held
+            whole[False] += total - held
+            print(f"{name:10} {kind:22} {held:5} of {total:5}  {100.0 * held / total:5.1f} %", flush=True)
+    print(f"pooled {100.0 * whole[True] / max(whole.total(), 1):.1f} %")
+
+
+if __name__ == "__main__":
+    main()
