@@ -1,0 +1,90 @@
+"""Rows of answers, the states that a row can be in, and the note on the first row that failed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from uqsphere.arrays import Array, Flags, Places
+
+#: status of a row for which a black box gave a number that is not finite, raised an exception, took longer than its
+#: limit of time, or ended the process it ran in; 1 to 5 are those of the impact model
+NOT_FINITE, RAISED, TIME_OVER, DIED = 6, 8, 9, 10
+BLACK_BOX_STATUS: Final = {
+    NOT_FINITE: "the model gave a number that is not finite",
+    RAISED: "the model raised an exception",
+    TIME_OVER: "the model took longer than analysis.time_limit",
+    DIED: "the model ended the process it ran in",
+}
+#: inputs that a note names
+_MOST_NAMED: Final = 6
+
+
+class Interrupted(Exception):
+    """`stop` was true between two calls of the model. What a slow black box has answered is in the cache."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluatedRows:
+    """Answers of n rows.
+
+    values : (n, q), SI, in the order of the columns that were requested; NaN where a row failed.
+    censored : (n, q); the value is a lower bound, since the record ended first.
+    status : (n,); 0 for an answer, else a code of `status_text`.
+    note : what happened at the first row that failed, with its inputs; empty if none failed.
+    """
+
+    values: Array
+    censored: Flags
+    status: Places
+    note: str = ""
+
+    @property
+    def good(self) -> Flags:
+        """Which rows have an answer, (n,)."""
+        return np.asarray(self.status == 0)
+
+
+def failed_rows(count: int, columns: int, status: int, note: str = "") -> EvaluatedRows:
+    """Rows without an answer."""
+    return EvaluatedRows(
+        values=np.full((count, columns), np.nan),
+        censored=np.zeros((count, columns), dtype=bool),
+        status=np.full(count, status, dtype=np.int64),
+        note=note,
+    )
+
+
+def joined(parts: Sequence[EvaluatedRows]) -> EvaluatedRows:
+    """Answers one after the other, with the first note."""
+    return EvaluatedRows(
+        values=np.concatenate([part.values for part in parts]),
+        censored=np.concatenate([part.censored for part in parts]),
+        status=np.concatenate([part.status for part in parts]),
+        note=next((part.note for part in parts if part.note), ""),
+    )
+
+
+def where_of(names: Sequence[str], row: Array) -> str:
+    """The inputs (d,) of a row, in words.
+
+    >>> where_of(("a", "b"), np.array([1.0, 0.25]))
+    'at a = 1, b = 0.25'
+    """
+    shown = [f"{name} = {value:.6g}" for name, value in zip(names, row.tolist(), strict=True)]
+    more = f" and {len(shown) - _MOST_NAMED} more inputs" if len(shown) > _MOST_NAMED else ""
+    return f"at {', '.join(shown[:_MOST_NAMED])}{more}" if shown else "in the only row"
+
+
+def status_text(code: int, *, black_box: bool) -> str:
+    """What the status of a row means.
+
+    >>> status_text(9, black_box=True)
+    'the model took longer than analysis.time_limit'
+    """
+    from uqsphere.mechanics.scene import STATUS
+
+    return (BLACK_BOX_STATUS if black_box else STATUS).get(code, f"status {code}")
