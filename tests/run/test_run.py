@@ -138,7 +138,7 @@ def test_a_stop_ends_with_what_is_there() -> None:
 
     def stop() -> bool:
         asked.append(1)
-        return len(asked) > 8
+        return len(asked) > 150
 
     tight = study(analysis={"accuracy": {"probability": 1e-6}})
     run = uqsphere.run(tight, linear, stop=stop)

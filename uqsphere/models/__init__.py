@@ -19,6 +19,7 @@ from uqsphere.arrays import Array, Places
 from uqsphere.errors import ModelError, UsageError, told
 from uqsphere.models.black_box import BlackBox, load_black_box, model_digest
 from uqsphere.models.cache import Cache, keys_of
+from uqsphere.models.diagnose import absent_quantity, checked_rows, fractures_of, rows_under_plastic_contact
 from uqsphere.models.rows import (
     DIED,
     NOT_FINITE,
@@ -50,12 +51,16 @@ __all__ = [
     "EvaluatedRows",
     "Interrupted",
     "Model",
+    "absent_quantity",
     "check_quantities",
     "check_range",
+    "checked_rows",
     "evaluate",
+    "fractures_of",
     "load_black_box",
     "model_digest",
     "open_model",
+    "rows_under_plastic_contact",
     "scene_of",
     "solve_scene",
     "status_text",

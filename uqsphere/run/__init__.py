@@ -104,7 +104,7 @@ def _run(
         answers += assumed.answers
         for runs, error in tables.reached:
             answers.row("run", "error", float(runs), error, unit="1", method="half-width over what is required")
-        checked = checks(design, tables)
+        checked = checks(design, tables, opened.notes)
         judged = verdicts(design, tables, answers, assumed, checked)
         took = time.monotonic() - started
         results = results_of(design, tables, answers, judged, checked, opened, took)

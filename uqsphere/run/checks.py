@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -41,9 +41,9 @@ class Check:
         return {"name": self.name, "text": self.text, "share": self.share, "grade": self.grade, "effect": self.effect}
 
 
-def checks(design: Design, tables: Tables) -> list[Check]:
-    """Checks of the model on the first rows of every replicate, those of the tables, and the study's warnings."""
-    found = []
+def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Check]:
+    """Checks of the model on the first rows of every replicate, those of the tables, and what the model noted."""
+    found = [Check(name="model", text=note, share=1.0, grade="warning", effect="bias not quantified") for note in notes]
     sample = tables.sample
     each = max(ROWS // len(sample.scores), 1)
     head = sample.head(min(each, sample.count))

@@ -74,7 +74,10 @@ def is_slow(design: Design, model: Model, seconds: float) -> bool:
         return bool(analysis.cost * first > seconds or analysis.budget.evaluations < first)
     if analysis.budget.evaluations < first:
         return True
-    model.evaluate(design.inputs, _rows_of(design, _design_points(design, PROBE)), design.columns)
+    try:
+        model.evaluate(design.inputs, _rows_of(design, _design_points(design, PROBE)), design.columns)
+    except Interrupted:
+        raise KeyboardInterrupt from None
     return (model.seconds_per_row or 0.0) * first > seconds
 
 
