@@ -71,7 +71,7 @@ def assumptions(design: Design, tables: Tables) -> Assumptions:
             answers.row(subject, "failure_probability", f"assumed: {name}", p, unit="1", runs=head.size,
                         method="epistemic", note=mode.source)  # fmt: skip
     for limit in design.limits:
-        for name, law in _other_laws(limit):
+        for name, law in other_distributions(limit):
             p = float(chances(state_of(design, limit, head, law), limit.aim).mean())
             answers.row(design.subject(limit), "failure_probability", f"assumed: {name}", p, unit="1", runs=head.size,
                         method="epistemic", note="same mean and standard deviation")  # fmt: skip
@@ -81,6 +81,8 @@ def assumptions(design: Design, tables: Tables) -> Assumptions:
             p = float(chances(state_of(design, limit, plastic), limit.aim).mean())
             answers.row(design.subject(limit), "failure_probability", "assumed: contacts yield", p, unit="1",
                         runs=plastic.size, method="epistemic", note='[contact] law = "plastic"')  # fmt: skip
+            if limit.target is not None and (p < limit.target) is not (_own(design, head, limit) < limit.target):
+                _margin_under_plastic_contact(design, tables, limit, answers)
     return Assumptions(answers=answers, tests=ranges, plastic=plastic)
 
 
@@ -125,7 +127,7 @@ def _margin_by_tests(design: Design, tables: Tables, limit: Limit, answers: Answ
                 unit=lookup(margins.axis.path).unit, method="epistemic", note=note)  # fmt: skip
 
 
-def _other_laws(limit: Limit) -> list[tuple[str, Law]]:
+def other_distributions(limit: Limit) -> list[tuple[str, Law]]:
     """The strength by the other usual distribution, with the same mean and standard deviation."""
     from uqsphere.uq import make_law
 
@@ -157,6 +159,34 @@ def _under_plastic_contact(design: Design, head: Sample) -> Sample | None:
     cells = np.broadcast_to(values, (shape[0] * shape[1], values.shape[1])) if not design.inputs else values
     flags = np.broadcast_to(~found.good, (shape[0] * shape[1],)) if not design.inputs else ~found.good
     return head.with_answers(design.columns, cells.reshape(*shape, -1), failed=flags.reshape(shape))
+
+
+def _own(design: Design, head: Sample, limit: Limit) -> float:
+    return float(chances(state_of(design, limit, head), limit.aim).mean())
+
+
+def _margin_under_plastic_contact(design: Design, tables: Tables, limit: Limit, answers: Answers) -> None:
+    """The free number at the target where contacts yield, which turns the verdict."""
+    margins = design.study.margins
+    if margins is None or not tables.line:
+        return
+    axis, line = margins.axis, {}
+    place = "striker.speed" if axis.kind == "energy" else axis.path
+    for value, sample in tables.line.items():
+        if axis.kind == "energy":
+            return
+        names = (*design.inputs, *(() if place in design.inputs else (place,)))
+        columns = [
+            sample.input(name).ravel() if name in design.inputs else np.full(sample.size, value) for name in names
+        ]
+        found = rows_under_plastic_contact(design.study, names, np.stack(columns, axis=1), design.columns)
+        if found is None or not found.good.all():
+            return
+        line[value] = sample.with_answers(design.columns, found.values.reshape(*sample.scores.shape[:2], -1))
+    wanted = allowable_probability(design, limit)
+    margin = curve_of(design, replace(tables, line=line), limit, None, (wanted,)).values[wanted]
+    answers.add(design.subject(limit), "margin", "assumed: contacts yield", margin,
+                unit=lookup(axis.path).unit, runs=sum(sample.size for sample in line.values()))  # fmt: skip
 
 
 # --- several limits together ----------------------------------------------------------------------------------------

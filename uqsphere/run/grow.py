@@ -180,7 +180,8 @@ def _grown(design: Design, model: Model, before: Tables | None, count: int) -> T
     line = along(design, model, max(count // LINE_SHARE, 2), {} if before is None else before.line)
     tables = Tables(sample=sample, line=line, reached=[] if before is None else before.reached)
     names = design.study.analysis.quantities if design.inputs else ()
-    tables.expansions = expansions(design, sample, names, {} if before is None else before.expansions)
+    needed = tuple(dict.fromkeys([*names, *(limit.quantity for limit in design.limits)])) if design.inputs else ()
+    tables.expansions = expansions(design, sample, needed, {} if before is None else before.expansions)
     open_ = [name for name in names if not by_chaos_accurate(design, tables, name)]
     tables.pairs = paired(design, model, max(count // PAIRS_SHARE, 2), open_, {} if before is None else before.pairs)
     return tables
@@ -284,12 +285,7 @@ def _search_rare(design: Design, model: Model, tables: Tables, end: float) -> Ta
     for limit in design.limits:
         p = failure(design, tables, limit)
         small = p.value is None or p.value < SMALL
-        if (
-            not small
-            or p.high is None
-            or p.high < 0.01 * (limit.target or 1e-6)
-            or not can_search(design, limit)
-        ):
+        if not small or p.high is None or p.high < 0.01 * (limit.target or 1e-6) or not can_search(design, limit):
             continue
         if p.value and p.half_width <= accuracy * p.value:
             continue

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from uqsphere.quantities import lookup
 from uqsphere.results import Answers
 from uqsphere.run import rare, surrogate
 from uqsphere.run.design import Design
@@ -33,9 +34,11 @@ def limits(design: Design, tables: Tables) -> Answers:
             answers.row(subject, "reliability_index", "", index, low, high, unit="1", method=failed.method, runs=runs)
         ratio = margin_quantiles(state_of(design, limit, tables.sample), (0.5,))["median"]
         answers.add(subject, "safety_factor", "strength over demand", ratio, unit="1", runs=runs)
-        found = tables.rare.get(limit.name)
-        for name, value in (found.design_point if found else {}).items():
-            answers.row(subject, "design_point", name, value, None, None, unit="", method="FORM", runs=runs)
+    for limit in design.limits:
+        for name, value in rare.design_point(design, tables, limit).items():
+            unit = lookup(limit.quantity if name.endswith(".strength") else name).unit
+            answers.row(design.subject(limit), "design_point", name, value, unit=unit, method="FORM",
+                        runs=tables.sample.size)  # fmt: skip
     return answers
 
 
@@ -105,4 +108,4 @@ def state_of(design: Design, limit: Limit, sample: Sample, strength: Law | float
 
 def can_search(design: Design, limit: Limit) -> bool:
     """Whether the methods for rare events can take a limit: something is drawn, and the study leaves them."""
-    return bool(design.drawn.names) and rare.possible(design, limit)
+    return bool(design.drawn.names) and rare.possible(design)

@@ -15,7 +15,7 @@ import numpy as np
 
 from uqsphere.quantities import format_value
 from uqsphere.results import Answers
-from uqsphere.run.assumptions import Assumptions, along_line, together
+from uqsphere.run.assumptions import Assumptions, along_line, other_distributions, together
 from uqsphere.run.checks import Check
 from uqsphere.run.design import Design
 from uqsphere.run.fragility import band_of, planned_value, target_of
@@ -145,6 +145,15 @@ def _reasons(
                     text=f"the {n} tests of {one.name} leave {_percent(values[0])} to {_percent(values[1])} open",
                     remedy=_more_tests(n, values, target),
                 ))  # fmt: skip
+    for one in judged:
+        own = failure(design, tables, one).value or 0.0
+        for name, law in other_distributions(one):
+            other = float(chances(state_of(design, one, sample.head(min(sample.count, 512)), law), one.aim).mean())
+            value = min(max((p.value or 0.0) - own + other, 0.0), 1.0)
+            if turned(value):
+                found.append(Reason(code="distribution", decides=f"the distribution of the strength of {one.name}",
+                                    text=f"with a {name} of the same mean and scatter, {_percent(value)} fail",
+                                    remedy=f"test the strength of {one.name} in its lower tail"))  # fmt: skip
     missed = float(_missed(design, sample, limit, judged).mean())
     for check in checks:
         share = check.share_of_failures(limit.name)
@@ -227,6 +236,9 @@ def _number_to_use(
     survive = limit.aim == "survive"
     axis, planned = margins.axis, planned_value(design)
     candidates: list[tuple[float, Limit]] = []
+    yielding = answers.get(design.subject(limit), "margin", "assumed: contacts yield")
+    if yielding is not None and yielding["value"] is not None:
+        candidates.append((yielding["value"], limit))
     for one in modes:
         row = answers.get(design.subject(one), "margin", target if survive else 1.0 - target)
         if row is None or row["value"] is None:
@@ -270,7 +282,7 @@ def _next(design: Design, limit: Limit, p: Estimate, reasons: Sequence[Reason], 
         if limit.target is not None and target_met(p, limit.target) is None:
             return "run again with a tighter analysis.accuracy.probability: the target lies inside the interval"
         return ""
-    order = ("contact law", "model", "assumed strength", "tests", "synthetic")
+    order = ("contact law", "model", "assumed strength", "tests", "distribution", "synthetic")
     first = min(reasons, key=lambda reason: order.index(reason.code))
     remedy = first.remedy
     return remedy[:1].upper() + remedy[1:] + "." if remedy else ""
