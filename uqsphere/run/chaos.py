@@ -30,6 +30,8 @@ MOST_ROWS: Final = 512
 MOST_TERMS: Final = 2048
 #: share of the variance that an expansion may leave and still serve as a control
 MOST_LEFT: Final = 0.05
+#: share below which more rows are not worth a second fit
+GOOD: Final = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,7 +68,7 @@ def expansions(
 ) -> dict[str, Expansion]:
     """Expansions of the columns whose rows all have a plain value, in the independent germs of the inputs.
 
-    One that was fitted to as many rows before is not fitted again.
+    One that was fitted to as many rows before, or leaves next to nothing, is not fitted again.
     """
     size, count = len(design.inputs), sample.count
     germs = germs_of(design.joint.only(design.inputs).laws)
@@ -81,8 +83,10 @@ def expansions(
             points = germ_points(flat, germs).reshape(*outputs.shape, size)
         rows = min(count, MOST_ROWS)
         known = before.get(name)
-        fit = known.fit if known and known.rows == rows else fit_chaos(points[0, :rows], outputs[0, :rows], germs,
-                                                                       plain=True)  # fmt: skip
+        if known is not None and (known.rows == rows or known.left < GOOD):
+            fit, rows = known.fit, known.rows
+        else:
+            fit = fit_chaos(points[0, :rows], outputs[0, :rows], germs, plain=True)
         values = predict(fit, points[1:].reshape(-1, size)).reshape(outputs[1:].shape)
         few = min(count, MOST_TERMS)
         terms = rows_of(fit.germs, points[1:, :few].reshape(-1, size), fit.multi_indices)

@@ -173,11 +173,13 @@ def _rows(design: Design, tables: Tables, count: int) -> int:
 
 
 def _grown(design: Design, model: Model, before: Tables | None, count: int) -> Tables:
-    """Tables of `count` points that continue those before."""
+    """Tables of `count` points that continue those before; a line that is accurate enough stays as it is."""
     known = 0 if before is None else before.sample.count
     more = evaluate(design, model, design.points(count - known, known))
     sample = more if before is None else before.sample.join(more)
-    line = along(design, model, max(count // LINE_SHARE, 2), {} if before is None else before.line)
+    line = before.line if before is not None else {}
+    if before is None or any(miss.answer == "margin" for miss in before.missed):
+        line = along(design, model, max(count // LINE_SHARE, 2), line)
     tables = Tables(sample=sample, line=line, reached=[] if before is None else before.reached)
     names = design.study.analysis.quantities if design.inputs else ()
     needed = tuple(dict.fromkeys([*names, *(limit.quantity for limit in design.limits)])) if design.inputs else ()
