@@ -16,7 +16,7 @@ from uqsphere.results.folder import read_results
 if TYPE_CHECKING:
     import pandas as pd
 
-    from uqsphere.report.plots import Plots
+    from uqsphere.report.figures import Plots
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,7 +114,7 @@ class Run:
     @property
     def plot(self) -> Plots:
         """Plots on matplotlib axes: `density`, `sobol`, `fragility`, `convergence`."""
-        from uqsphere.report.plots import Plots
+        from uqsphere.report.figures import Plots
 
         return Plots(self.results)
 

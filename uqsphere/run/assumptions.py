@@ -15,6 +15,7 @@ from uqsphere.arrays import Array
 from uqsphere.models import rows_under_plastic_contact
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers
+from uqsphere.run.demands import strength_of, with_test_forces
 from uqsphere.run.design import Design
 from uqsphere.run.fragility import allowable_probability, curve_of, target_of
 from uqsphere.run.limits import chances, state_of
@@ -52,12 +53,12 @@ def assumptions(design: Design, tables: Tables) -> Assumptions:
     head = tables.sample.head(min(tables.sample.count, MOST))
     for limit in design.study.limits:
         subject = design.subject(limit)
-        if isinstance(limit.strength, Law) and is_fitted(limit.strength):
+        if is_fitted(strength_of(limit)):
             found = _by_tests(design, tables, limit, head)
             if found is not None:
                 value, low, high = found
                 ranges[limit.name] = low, high
-                note = f"95 % range over the strengths that {count_tests(limit.strength)} tests allow"
+                note = f"95 % range over the strengths that {count_tests(strength_of(limit))} tests allow"
                 answers.row(subject, "failure_probability", "tests", value, low, high, unit="1", runs=head.size,
                             method="epistemic", note=note)  # fmt: skip
                 _margin_by_tests(design, tables, limit, answers)
@@ -88,10 +89,11 @@ def assumptions(design: Design, tables: Tables) -> Assumptions:
 
 def possible_strengths(design: Design, limit: Limit, count: int) -> list[Law] | None:
     """Strengths that the tests behind a limit allow, each as likely as the other; None where the tests do not tell."""
-    assert isinstance(limit.strength, Law)
+    law = strength_of(limit)
+    assert isinstance(law, Law)
     generator = random_generator(seed=design.study.seed, task=f"tests of {strength_name(limit.name)}")
     try:
-        return possible_laws(limit.strength, count, generator)
+        return possible_laws(law, count, generator)
     except LawError:
         return None
 
@@ -131,7 +133,7 @@ def other_distributions(limit: Limit) -> list[tuple[str, Law]]:
     """The strength by the other usual distribution, with the same mean and standard deviation."""
     from uqsphere.uq import make_law
 
-    law = limit.strength
+    law = strength_of(limit)
     if not isinstance(law, Law) or law.family.name not in ("weibull", "lognormal", "normal"):
         return []
     mean, sd = law.mean(), law.sd()
@@ -158,7 +160,8 @@ def _under_plastic_contact(design: Design, head: Sample) -> Sample | None:
     values = np.where(found.good[:, None], found.values, np.nan)
     cells = np.broadcast_to(values, (shape[0] * shape[1], values.shape[1])) if not design.inputs else values
     flags = np.broadcast_to(~found.good, (shape[0] * shape[1],)) if not design.inputs else ~found.good
-    return head.with_answers(design.columns, cells.reshape(*shape, -1), failed=flags.reshape(shape))
+    answered = head.with_answers(design.columns, cells.reshape(*shape, -1), failed=flags.reshape(shape))
+    return with_test_forces(design, answered, {})
 
 
 def _own(design: Design, head: Sample, limit: Limit) -> float:
@@ -182,7 +185,8 @@ def _margin_under_plastic_contact(design: Design, tables: Tables, limit: Limit, 
         found = rows_under_plastic_contact(design.study, names, np.stack(columns, axis=1), design.columns)
         if found is None or not found.good.all():
             return
-        line[value] = sample.with_answers(design.columns, found.values.reshape(*sample.scores.shape[:2], -1))
+        answered = sample.with_answers(design.columns, found.values.reshape(*sample.scores.shape[:2], -1))
+        line[value] = with_test_forces(design, answered, {place: np.full(sample.scores.shape[:2], value)})
     wanted = allowable_probability(design, limit)
     margin = curve_of(design, replace(tables, line=line), limit, None, (wanted,)).values[wanted]
     answers.add(design.subject(limit), "margin", "assumed: contacts yield", margin,

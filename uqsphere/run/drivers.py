@@ -44,8 +44,9 @@ def drivers(design: Design, tables: Tables) -> Answers:
         for name, estimate in zip(names, found, strict=True):
             if limit_of(name) in (None, limit.name):
                 answers.add(subject, "driver", name, estimate, unit="1", runs=sample.size)
-        if isinstance(limit.strength, Law) and not limit.strength.is_steps:
-            below, above = limit.strength.cdf(state.demands), limit.strength.sf(state.demands)
+        law = state.strength
+        if isinstance(law, Law) and not law.is_steps:
+            below, above = law.cdf(state.demands), law.sf(state.demands)
             rows = []
             for step in (-STEP, STEP):
                 score = state.score_given_inputs(score_of(below, above) + step)

@@ -21,13 +21,15 @@ from uqsphere.arrays import Array
 from uqsphere.errors import ModelError, TooManyFailures
 from uqsphere.models import Interrupted, Model
 from uqsphere.run.chaos import Expansion, expansions
-from uqsphere.run.design import REPLICATES, VALUES, Design, normal_scores
+from uqsphere.run.demands import with_test_forces
+from uqsphere.run.design import REPLICATES, VALUES, Design, is_strength, normal_scores
 from uqsphere.run.distributions import described
 from uqsphere.run.fragility import margin_and_scale
 from uqsphere.run.indices import by_chaos_accurate, of_quantity
 from uqsphere.run.limits import can_search, failure
 from uqsphere.run.rare import RareAnswer, search
 from uqsphere.run.surrogate import Slow
+from uqsphere.study import Study
 from uqsphere.uq import Sample
 from uqsphere.uq.indices import Blocks, uniform_halves
 
@@ -97,13 +99,14 @@ def evaluate(design: Design, model: Model, points: Sample, further: Mapping[str,
             np.broadcast_to(cells, (*shape, *cells.shape[1:])) if not names else cells.reshape(*shape, *cells.shape[1:])
         )
 
-    return points.with_answers(
+    answered = points.with_answers(
         design.columns,
         np.asarray(table(np.where(answers.good[:, None], answers.values, np.nan)), dtype=float),
         censored=np.asarray(table(answers.censored), dtype=bool),
         status=np.asarray(table(answers.status), dtype=np.int64),
         failed=np.asarray(table(~answers.good), dtype=bool),
     )
+    return with_test_forces(design, answered, further or {})
 
 
 def _check_failures(design: Design, status: npt.NDArray[np.int64], good: npt.NDArray[np.bool_], note: str) -> None:
@@ -128,7 +131,7 @@ def grow(design: Design, model: Model, *, seconds: float, progress: Progress | N
     Raises KeyboardInterrupt where the user stops before there is anything, TooManyFailures, ModelError.
     """
     end, budget = time.monotonic() + seconds, design.study.analysis.budget.evaluations
-    tables, count = None, _first(design)
+    tables, count = None, first_count(design.study)
     while True:
         started = time.monotonic()
         try:
@@ -156,15 +159,20 @@ def grow(design: Design, model: Model, *, seconds: float, progress: Progress | N
         count *= 2
 
 
-def _first(design: Design) -> int:
+def first_count(study: Study) -> int:
     """Points of a replicate at first: fewer where the budget has no room for more, two of one row without scatter."""
-    if not design.drawn.names:
+    if not any(not is_strength(name) for name in study.laws()):
         return 2
-    each = REPLICATES * (1.0 + (VALUES / LINE_SHARE if design.study.margins is not None else 0.0))
     count = FIRST
-    while count > 8 and count * each > design.study.analysis.budget.evaluations:
+    while count > 8 and first_rows(study, count) > study.analysis.budget.evaluations:
         count //= 2
     return count
+
+
+def first_rows(study: Study, count: int = FIRST) -> int:
+    """Model runs of the first size of the loop, with `count` points in each replicate."""
+    moving = study.margins is not None and study.margins.axis.moves_rows
+    return REPLICATES * (count + (VALUES * max(count // LINE_SHARE, 2) if moving else 0))
 
 
 def _rows(design: Design, tables: Tables, count: int) -> int:

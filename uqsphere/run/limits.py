@@ -10,6 +10,7 @@ import numpy as np
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers
 from uqsphere.run import rare, surrogate
+from uqsphere.run.demands import column_of, demands_of, strength_of
 from uqsphere.run.design import Design
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample, absent, complement, exact, miss
@@ -85,14 +86,11 @@ def chances(state: LimitState, aim: str) -> np.ndarray:
 
 def state_of(design: Design, limit: Limit, sample: Sample, strength: Law | float | None = None) -> LimitState:
     """Demands of a limit at points, against its strength or another one, with the dependence between the two."""
-    factor = f"limits.{limit.name}.model_factor"
-    demands = sample.answer(limit.quantity) * (
-        sample.input(factor) if factor in sample.names else float(limit.model_factor)  # type: ignore[arg-type]
-    )
+    column = column_of(limit)
     policy = design.study.analysis.on_failure
     state = LimitState(
-        demands=demands, strength=limit.strength if strength is None else strength,
-        censored=sample.late(limit.quantity), failed=sample.lost(limit.quantity),
+        demands=demands_of(limit, sample), strength=strength_of(limit) if strength is None else strength,
+        censored=sample.late(column), failed=sample.lost(column),
         on_failure="drop" if policy == "abort" else policy,
     )  # fmt: skip
     own = strength_name(limit.name)

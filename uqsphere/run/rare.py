@@ -14,6 +14,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.models import Model
 from uqsphere.run.chaos import MOST_LEFT, values_at
+from uqsphere.run.demands import strength_of, with_test_forces
 from uqsphere.run.design import Design, at_normals
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample
@@ -69,7 +70,8 @@ def design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, f
     predicted = values_at(design, expansion)
 
     def state(points: Sample) -> LimitState:
-        return state_of(design, limit, points.with_answers((limit.quantity,), predicted(points.scores)[:, :, None]))
+        answered = points.with_answers((limit.quantity,), predicted(points.scores)[:, :, None])
+        return state_of(design, limit, with_test_forces(design, answered, {}, [limit]))
 
     evaluator = Evaluator(limit=_problem(design, limit, state), budget=MOST_VALUES)
     found = find_design_points(evaluator, seed=design.study.seed, rounds=1)
@@ -78,7 +80,7 @@ def design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, f
 
 def _problem(design: Design, limit: Limit, state: State) -> LimitFunction:
     """A limit in standard normal variables: what is left to failure, the score of a random strength integrated."""
-    random = isinstance(limit.strength, Law)
+    random = isinstance(strength_of(limit), Law)
     sign = -1.0 if limit.aim == "break" else 1.0
 
     def distance(normals: Array) -> Array:
@@ -87,7 +89,7 @@ def _problem(design: Design, limit: Limit, state: State) -> LimitFunction:
         if random:
             left = -sign * np.clip(score_of(*tails(known)), -CERTAIN, CERTAIN)
         else:
-            strength = float(limit.strength)  # type: ignore[arg-type]
+            strength = float(strength_of(limit))  # type: ignore[arg-type]
             left = sign * (strength - known.demands) / abs(strength or 1.0)
         return np.asarray(np.where(known.broken, np.nan, left)[: len(normals), 0])
 
@@ -101,9 +103,10 @@ def _physical(design: Design, limit: Limit, state: State, point: Array | None) -
     size = len(design.drawn.names)
     points = at_normals(design.drawn, np.repeat(point[None, None, :size], 2, axis=0))
     found = dict(zip(design.drawn.names, points.inputs[0, 0].tolist(), strict=True))
-    if isinstance(limit.strength, Law) and len(point) > size:
+    law = strength_of(limit)
+    if isinstance(law, Law) and len(point) > size:
         # failure is z below the score of the demand: the strength there
         sign = -1.0 if limit.aim == "break" else 1.0
         score = state(points).score_drawn(np.full((2, 1), sign * point[size]))
-        found[strength_name(limit.name)] = float(limit.strength.from_normal(score)[0, 0])
+        found[strength_name(limit.name)] = float(law.from_normal(score)[0, 0])
     return found

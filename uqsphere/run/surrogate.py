@@ -64,12 +64,12 @@ class Slow:
 
 def is_slow(design: Design, model: Model, seconds: float) -> bool:
     """Whether the first size of the loop is more than the budget allows."""
-    from uqsphere.run.grow import FIRST
+    from uqsphere.run.grow import first_rows
 
     analysis = design.study.analysis
     if not design.study.black_box or not design.inputs:
         return False
-    first = REPLICATES * FIRST * (2.5 if design.study.margins is not None else 1.0)
+    first = first_rows(design.study)
     if analysis.cost is not None:
         return bool(analysis.cost * first > seconds or analysis.budget.evaluations < first)
     if analysis.budget.evaluations < first:

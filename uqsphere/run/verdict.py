@@ -17,11 +17,12 @@ from uqsphere.quantities import format_value
 from uqsphere.results import Answers
 from uqsphere.run.assumptions import Assumptions, along_line, other_distributions, together
 from uqsphere.run.checks import Check
+from uqsphere.run.demands import strength_of
 from uqsphere.run.design import Design
 from uqsphere.run.fragility import band_of, planned_value, target_of
 from uqsphere.run.limits import chances, failure, state_of
 from uqsphere.study import Limit, means_fracture, strength_name
-from uqsphere.uq import Estimate, Law, target_met
+from uqsphere.uq import Estimate, target_met
 from uqsphere.uq.fitting import count_tests, is_fitted
 
 if TYPE_CHECKING:
@@ -138,8 +139,7 @@ def _reasons(
             own = failure(design, tables, one).value or 0.0
             values = [min(max((p.value or 0.0) - own + end, 0.0), 1.0) for end in ends]
             if len({value < target for value in values}) == 2 or turned(values[0]):
-                assert isinstance(one.strength, Law)
-                n = count_tests(one.strength)
+                n = count_tests(strength_of(one))  # type: ignore[arg-type]
                 found.append(Reason(
                     code="tests", decides=f"the {n} tests of {one.name}",
                     text=f"the {n} tests of {one.name} leave {_percent(values[0])} to {_percent(values[1])} open",

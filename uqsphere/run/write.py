@@ -199,10 +199,10 @@ def samples_of(design: Design, tables: Tables) -> str:
     table: dict[str, Any] = {name: head.input(name).ravel() for name in head.names}
     generator = random_generator(seed=design.study.seed, task="strengths of samples")
     for limit in design.limits:
-        if isinstance(limit.strength, Law):
-            state = state_of(design, limit, head)
+        state = state_of(design, limit, head)
+        if isinstance(state.strength, Law):
             drawn = state.score_drawn(generator.standard_normal(state.demands.shape))
-            table[f"limits.{limit.name}.strength"] = limit.strength.from_normal(drawn).ravel()
+            table[f"limits.{limit.name}.strength"] = state.strength.from_normal(drawn).ravel()
     table |= {name: np.where(head.lost(name), np.nan, head.answer(name)).ravel() for name in head.quantities}
     if head.censored.any():
         table["censored"] = head.censored.any(axis=2).ravel()

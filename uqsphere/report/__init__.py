@@ -1,0 +1,8 @@
+"""What a person reads of a run: one page, its figures, the terminal's summary, and runs side by side."""
+
+from __future__ import annotations
+
+from uqsphere.report.page import page, write_page
+from uqsphere.report.terminal import summary
+
+__all__ = ["page", "summary", "write_page"]
