@@ -119,9 +119,12 @@ class Model:
         from uqsphere.mechanics.integrator.solve import thread_count
 
         self.digest = f"uqsphere {__version__}" if self.model is None else model_digest(self.model)
+        means = self.study.at_means()
+        #: what scatters comes first, as notes name but some inputs
+        self._numbers = {name: means[name] for name in (*self.study.random, *self.study.fixed)}
         self.cache: Cache | None = None
         if self.cache_file is not None and self.model is not None:
-            self.cache = Cache(self.cache_file, self.digest, tuple(self.study.at_means()), self.study.outputs)
+            self.cache = Cache(self.cache_file, self.digest, tuple(self._numbers), self.study.outputs)
         self._workers: Workers | None = None if self.executor is None else Given(self.executor)
         self._processes = self.threads or thread_count()
         self._box_task: BoxTask | None = None
@@ -180,7 +183,7 @@ class Model:
 
     def _evaluate_box(self, names: list[str], rows: Array, columns: Sequence[str]) -> EvaluatedRows:
         """All outputs of all rows that are not in the cache are evaluated, and the columns taken from them."""
-        numbers, outputs, n = self.study.at_means(), self.study.outputs, len(rows)
+        numbers, outputs, n = self._numbers, self.study.outputs, len(rows)
         for kind, given, allowed in (("input", names, tuple(numbers)), ("output", columns, outputs)):
             if unknown := [name for name in given if name not in allowed]:
                 raise UsageError(f"unknown {kind} {told(unknown[0], 60)!r} (allowed: {', '.join(allowed)})")
@@ -368,7 +371,7 @@ class Model:
         if not differs.any():
             return
         k = int(np.argmax(differs))
-        where = where_of(tuple(self.study.at_means()), row)
+        where = where_of(tuple(self._numbers), row)
         text = f"{before[k]:.6g} and {now[k]:.6g} as {self.study.outputs[k]!r} {where}"
         cause = "or it answers a row by the rows next to it; no interval covers that"
         if piece.stored:

@@ -61,7 +61,8 @@ class Cache:
             if database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
                 if any(database.execute(f"PRAGMA {name}").fetchone()[0] != mark for name, mark in _MARKS.items()):
                     raise ValueError("it is no cache of this version")
-                database.execute("SELECT key, record FROM answers LIMIT 1").fetchone()
+                if (found := database.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+                    raise ValueError(f"it is damaged: {found}")
             else:
                 database.execute("BEGIN IMMEDIATE")
                 database.execute("CREATE TABLE IF NOT EXISTS answers (key BLOB PRIMARY KEY, record BLOB) WITHOUT ROWID")

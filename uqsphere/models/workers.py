@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pickle
+import select
 import signal
 import sys
 import threading
@@ -21,9 +22,13 @@ from importlib import metadata
 from typing import Any, Final, TypeAlias
 
 import numpy as np
+from loky.backend.context import LokyContext  # type: ignore[import-untyped]
+from loky.backend.process import LokyProcess  # type: ignore[import-untyped]
+from pebble import ProcessPool
 
 from uqsphere.arrays import Array
 from uqsphere.errors import AccessError, ModelError, ModelRaised, UqsphereError, UsageError, told
+from uqsphere.models import black_box
 from uqsphere.models.black_box import BlackBox, call_black_box, load_black_box, model_digest
 from uqsphere.models.rows import Code, EvaluatedRows, failed_rows, joined
 from uqsphere.models.scene import evaluate_scene
@@ -31,6 +36,8 @@ from uqsphere.study import Study
 
 #: seconds in which a model's file must have been loaded
 LOADING: Final = 60.0
+#: exit code of a process that ended at work without one
+_ENDED: Final = 256
 #: how pebble, concurrent.futures, loky and Dask name the end of a process at work
 _DEATHS: Final = ("ProcessExpired", "BrokenProcessPool", "TerminatedWorkerError", "KilledWorker")
 
@@ -116,15 +123,16 @@ def _loaded(task: BoxTask) -> BlackBox:
     return load_black_box(task.reference)
 
 
-def evaluate_remote(packed: bytes, rows: Array | None) -> tuple[EvaluatedRows, float] | None:
-    """Answers of rows in a worker, with one thread, and the seconds that they took; no rows: the model is loaded."""
+def evaluate_remote(packed: bytes, rows: Array | None) -> tuple[EvaluatedRows | None, float]:
+    """Answers of rows in a worker, with one thread, and the seconds they took; no rows: those to load the model."""
     versions, task = pickle.loads(packed)
     if versions != _versions():
         raise AccessError(f"a worker has other versions, and answers could differ: {versions}, not {_versions()}")
+    began = time.perf_counter()
     if isinstance(task, BoxTask):
         _loaded(task)
     if rows is None:
-        return None
+        return None, time.perf_counter() - began
     began = time.perf_counter()
     return task.answer(rows, 1), time.perf_counter() - began
 
@@ -175,17 +183,33 @@ def _prepare(parent: int) -> None:
         return
     with contextlib.suppress(OSError):
         os.setsid()  # Ctrl-C is for the run
+        black_box.FAULTS = (Exception, SystemExit, KeyboardInterrupt)
 
     def end(*_: object) -> None:
         os.killpg(0, signal.SIGKILL)
 
     def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
+        while os.getppid() == parent and not select.select([signals], [], [], 1.0)[0]:
+            pass
         end()
 
+    signals, wake = os.pipe()
+    os.set_blocking(wake, False)
     signal.signal(signal.SIGTERM, end)
+    signal.set_wakeup_fd(wake)  # a signal is heard while the model waits for what it has started
     threading.Thread(target=watch, daemon=True).start()
+
+
+class _Process(LokyProcess):  # type: ignore[misc]
+    """One that has ended at work, even with exit code 0, which pebble would wait for."""
+
+    @property
+    def exitcode(self) -> int | None:
+        return super().exitcode or (None if self.is_alive() else _ENDED)
+
+
+class _Context(LokyContext):  # type: ignore[misc]
+    Process = _Process
 
 
 class Processes:
@@ -195,23 +219,19 @@ class Processes:
     """
 
     def __init__(self, count: int) -> None:
-        from loky.backend import get_context  # type: ignore[import-untyped]
-        from pebble import ProcessPool
-
         self.count, self.window, self.broken = count, 2 * count + 2, False
         #: seconds that a process may need until the model is there
         self._start = LOADING
         self._pool = ProcessPool(max_workers=count, initializer=_prepare, initargs=(os.getpid(),),
-                                 context=get_context("loky"))  # fmt: skip
+                                 context=_Context())  # fmt: skip
 
     def load(self, task: Task) -> None:
         """Load a model before its calls are timed.
 
         Raises ModelError where its file raises, ends the process, or has not come to an end after `LOADING` seconds.
         """
-        began = time.perf_counter()
         try:
-            self._pool.schedule(evaluate_remote, (_packed(task), None), timeout=LOADING).result()
+            _, seconds = self._pool.schedule(evaluate_remote, (_packed(task), None), timeout=LOADING).result()
         except TimeoutError as error:
             raise ModelError(f"the model was not loaded after {LOADING:g} s: its file hangs") from error
         except UqsphereError:
@@ -219,7 +239,7 @@ class Processes:
         except Exception as error:
             text = f"{type(error).__name__}: {told(error, 120)}"
             raise ModelError(f"the model could not be loaded in a process of its own ({text})") from error
-        self._start = 1.0 + 4.0 * (time.perf_counter() - began)
+        self._start = 0.2 + 3.0 * seconds
 
     def submit(self, task: Task, rows: Array, limit: float | None) -> Any:
         """As `Here.submit`; limit: seconds after which the call is ended."""
@@ -288,7 +308,8 @@ def outcome(workers: Workers, future: Any) -> tuple[EvaluatedRows, float]:
         if own and isinstance(error, TimeoutError):
             raise
         if name in _DEATHS and (own or name == "KilledWorker"):
-            raise Died(f"exit code {getattr(error, 'exitcode', 'unknown')}") from error
+            code = getattr(error, "exitcode", "unknown")
+            raise Died(f"exit code {0 if code == _ENDED else code}") from error
         if isinstance(workers, Given):
             raise workers.lost(f"{name}: {told(error)}") from error
         raise AccessError(f"a process could not evaluate: {name}: {told(error)}") from error
