@@ -181,9 +181,11 @@ def test_an_output_that_is_not_requested_may_fail(place: Path) -> None:
 
 def test_abort_ends_with_what_the_model_raised(place: Path) -> None:
     aborting = load_study(text=STUDY.replace('"bound"', '"abort"'))
-    with open_model(aborting, box(place, "raise ValueError('too large')"), threads=1) as model:
-        with pytest.raises(ModelError, match="too large"):
-            evaluated(model)
+    with (
+        open_model(aborting, box(place, "raise ValueError('too large')"), threads=1) as model,
+        pytest.raises(ModelError, match="too large"),
+    ):
+        evaluated(model)
 
 
 @pytest.mark.parametrize(
@@ -209,9 +211,11 @@ def test_a_model_that_never_answers_is_given_up(place: Path, monkeypatch: pytest
 
     monkeypatch.setattr(uqsphere.models, "_HUNG", 3)
     limited = study("time_limit = '0.1 s'")
-    with open_model(limited, box(place, "time.sleep(99)", where="True"), threads=1) as model:
-        with pytest.raises(ModelError, match="3 rows in a row have no answer"):
-            evaluated(model)
+    with (
+        open_model(limited, box(place, "time.sleep(99)", where="True"), threads=1) as model,
+        pytest.raises(ModelError, match="3 rows in a row have no answer"),
+    ):
+        evaluated(model)
 
 
 def test_what_a_model_has_started_ends_with_it(place: Path) -> None:
@@ -360,9 +364,11 @@ class Lost(Executor):
 
 def test_an_executor_that_is_lost_leaves_what_is_done(place: Path) -> None:
     reference, cache = box(place, "time.sleep(0.001)", where="True"), place / "cache"
-    with open_model(study(), reference, executor=Lost(5), cache=cache) as model:
-        with pytest.raises(AccessError, match="the executor Lost was lost"):
-            evaluated(model)
+    with (
+        open_model(study(), reference, executor=Lost(5), cache=cache) as model,
+        pytest.raises(AccessError, match="the executor Lost was lost"),
+    ):
+        evaluated(model)
     with open_model(study(), reference, threads=1, cache=cache) as model:
         assert is_right(evaluated(model))
         assert model.reused == 5
@@ -378,9 +384,11 @@ def test_a_dask_cluster_answers_and_may_be_lost(place: Path) -> None:
         with open_model(study(), reference, executor=client) as model:
             assert is_right(evaluated(model))
         client.close()
-        with open_model(study(), reference, executor=client) as model:
-            with pytest.raises(AccessError, match="the Dask cluster was lost"):
-                evaluated(model)
+        with (
+            open_model(study(), reference, executor=client) as model,
+            pytest.raises(AccessError, match="the Dask cluster was lost"),
+        ):
+            evaluated(model)
 
 
 @pytest.mark.parametrize(
@@ -547,9 +555,11 @@ with open_model(load_study(text={STUDY!r}), {reference!r}, threads=1, cache=Path
 
 def test_a_stop_loses_nothing(place: Path) -> None:
     reference, cache = slow(place), place / "cache"
-    with open_model(study(), reference, threads=1, cache=cache, stop=lambda: calls(place) >= 5) as model:
-        with pytest.raises(Interrupted):
-            evaluated(model)
+    with (
+        open_model(study(), reference, threads=1, cache=cache, stop=lambda: calls(place) >= 5) as model,
+        pytest.raises(Interrupted),
+    ):
+        evaluated(model)
     assert model.evaluations < len(A)
     assert again(place).reused == model.evaluations > 0
 
