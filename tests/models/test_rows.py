@@ -98,7 +98,7 @@ def table(count: int, seed: int = 1) -> pd.DataFrame:
     )
 
 
-# --- the impact model --------------------------------------------------------------------------------------------------
+# --- the impact model -----------------------------------------------------------------------------------------------
 
 
 def test_a_step_on_a_massless_sphere_is_its_closed_form(bars: Study) -> None:
@@ -127,7 +127,7 @@ def test_a_blow_on_a_thick_block_is_that_of_hertz(blow: Study) -> None:
 
 def test_rows_that_have_a_closed_form_are_no_others(blow: Study) -> None:
     """On a bar the echo decides row by row which sphere is answered in closed form: each as by itself."""
-    text = BLOW.replace('kind = "thick"', 'kind = "bar"\ndiameter = "40 mm"\nlength = "0.12 m"\ndensity = "7850 kg/m3"')
+    text = BLOW.replace('kind = "thick"', 'kind = "bar"\ndiameter = "40 mm"\nlength = "0.05 m"\ndensity = "7850 kg/m3"')
     study = load_study(text=text)
     radius = np.linspace(1e-3, 9e-3, 12)
     together = evaluate(study, {"sphere.radius": radius}, "p_max", 1e-8)["p_max"]
@@ -169,9 +169,10 @@ def test_a_row_without_meaning_has_a_status_a_reason_and_no_number(bars: Study, 
     assert answers.status.tolist() == [0, 1, 0]
     assert np.isnan(answers.values[:, 0]).tolist() == [False, True, False]
     assert f"at {column} = {bad:.6g}" in answers.note
-    with pytest.warns(UserWarning, match="1 of 3 rows have no answer"), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "(?s).*is unusual")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
         frame = evaluate(bars, {column: [good, bad, good]}, "p_max")
+    assert "1 of 3 rows have no answer" in str(caught[-1].message)
     assert frame["p_max"].isna().tolist() == [False, True, False]
 
 
@@ -184,11 +185,11 @@ def test_what_the_rig_has_not_is_refused_by_its_place(blow: Study, bars: Study) 
     with pytest.raises(UsageError, match=r"margins\.between: 0 m/s|margins\.between"):
         check_range(load_study(text=BARS.replace('solve = "striker.speed"', 'solve = "sphere.radius"').replace(
             '["0.1 m/s", "5 m/s"]', '["1 mm", "40 mm"]')))  # fmt: skip
-    with pytest.raises(UsageError, match="sphere.colour"):
+    with pytest.raises(UsageError, match=r"sphere\.colour"):
         scene_of(bars, {"sphere.colour": np.array([1.0])})
 
 
-# --- names and indices -------------------------------------------------------------------------------------------------
+# --- names and indices ----------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=25, deadline=None)
@@ -250,13 +251,14 @@ def test_wrong_rows_are_refused(bars: Study, rows: Any, options: dict[str, Any],
 @pytest.mark.parametrize("values", [{"sphere.E": 52.0}, {"sphere.radius": 5.0}, {"sphere.density": 2.65}])
 def test_a_number_far_from_the_usual_is_warned_of(bars: Study, values: dict[str, float]) -> None:
     name = next(iter(values))
-    with pytest.warns(UserWarning) as caught:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
         evaluate(bars, values)
     assert f"{name} = {values[name]:g}" in str(caught[0].message)
     assert "is the unit right?" in str(caught[0].message)
 
 
-# --- what a black box gets and returns ---------------------------------------------------------------------------------
+# --- what a black box gets and returns ------------------------------------------------------------------------------
 
 BOX = """
 seed = 1
@@ -346,7 +348,7 @@ def test_unknown_inputs_and_outputs_are_refused() -> None:
             model.evaluate(("a",), A, ("y",))
 
 
-# --- loading -----------------------------------------------------------------------------------------------------------
+# --- loading --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("reference", ["model.py", "model.txt:f", "model.py:", "model.py:not a name", ":f", ""])

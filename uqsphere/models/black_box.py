@@ -159,7 +159,7 @@ def _column(value: Any, name: str, count: int) -> Array:
     if kind not in "fiubO":
         raise ModelError(f"the model's {name!r} is not an array of numbers (its type is {np.asarray(value).dtype})")
     try:
-        column = np.ma.filled(np.ma.array(value, dtype=float), np.nan)
+        column = np.ma.MaskedArray(value, dtype=float).filled(np.nan)
     except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"the model's {name!r} is not an array of numbers: {told(error)}") from error
     if count == 1 and column.ndim == 0:
