@@ -71,8 +71,11 @@ def _guarded(command: Callable[[], int]) -> int:
     except Exception as error:
         if os.environ.get("UQSPHERE_DEBUG"):
             raise
-        print(f"internal error: {type(error).__name__}: {error}\nPlease report it with the study; UQSPHERE_DEBUG=1 shows "
-              "where it happened.", file=sys.stderr)  # fmt: skip
+        print(
+            f"internal error: {type(error).__name__}: {error}\nPlease report it with the study; UQSPHERE_DEBUG=1 shows "
+            "where it happened.",
+            file=sys.stderr,
+        )
         return 1
 
 
@@ -138,8 +141,14 @@ class _Version(argparse.Action):
 
 def _with_study(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE")
-    parser.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", dest="overrides",
-                        help="a value in place of the study's, such as sphere.radius='12 mm'; may be given again")  # fmt: skip
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="PATH=VALUE",
+        dest="overrides",
+        help="a value in place of the study's, such as sphere.radius='12 mm'; may be given again",
+    )
 
 
 def _count(text: str) -> int:

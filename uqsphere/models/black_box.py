@@ -24,6 +24,8 @@ from uqsphere.errors import AccessError, ModelError, ModelRaised, UsageError, to
 #: DataFrame, an array (n, outputs) in the order of the study's outputs, or (n,) where there is one output
 BlackBox = Callable[[dict[str, Array]], Any]
 
+#: what is the model's own fault; Ctrl-C too in a process that nobody interrupts (`workers`)
+FAULTS: tuple[type[BaseException], ...] = (Exception, SystemExit)
 #: folders of packages, wherever an installation has them
 _INSTALLED: Final = frozenset(("site-packages", "dist-packages"))
 
@@ -59,7 +61,7 @@ def load_black_box(reference: str) -> BlackBox:
         with contextlib.redirect_stdout(sys.stderr):
             # compiled from the file as it is: bytecode on disk may be that of the same second
             exec(compile(source, str(path), "exec"), module.__dict__)
-    except (Exception, SystemExit) as error:
+    except FAULTS as error:
         text = f"{type(error).__name__}: {told(error)}{_place_of(error)}"
         raise ModelError(f"{path} raised {text} while it was loaded") from error
     function = getattr(module, name, None)
@@ -94,7 +96,7 @@ def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Se
     try:
         with contextlib.redirect_stdout(sys.stderr):
             returned = box(columns)
-    except (Exception, SystemExit) as error:
+    except FAULTS as error:
         raise ModelRaised(f"the model raised {type(error).__name__}: {told(error)}{_place_of(error)}") from error
     try:
         return _table(returned, outputs, len(rows))
@@ -157,8 +159,8 @@ def _column(value: Any, name: str, count: int) -> Array:
     if kind not in "fiubO":
         raise ModelError(f"the model's {name!r} is not an array of numbers (its type is {np.asarray(value).dtype})")
     try:
-        column = np.ma.filled(np.ma.asarray(value, dtype=float), np.nan)
-    except (TypeError, ValueError) as error:
+        column = np.ma.MaskedArray(value, dtype=float).filled(np.nan)
+    except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"the model's {name!r} is not an array of numbers: {told(error)}") from error
     if count == 1 and column.ndim == 0:
         column = column[None]

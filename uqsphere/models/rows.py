@@ -4,20 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places
 
-#: status of a row for which a black box gave a number that is not finite, raised an exception, took longer than its
-#: limit of time, or ended the process it ran in; 1 to 5 are those of the impact model
-NOT_FINITE, RAISED, TIME_OVER, DIED = 6, 8, 9, 10
-BLACK_BOX_STATUS: Final = {
-    NOT_FINITE: "the model gave a number that is not finite",
-    RAISED: "the model raised an exception",
-    TIME_OVER: "the model took longer than analysis.time_limit",
-    DIED: "the model ended the process it ran in",
+
+class Code(IntEnum):
+    """Status of a row that a black box has no answer to; 1 to 5 are those of the impact model."""
+
+    NOT_FINITE = 6
+    RAISED = 8
+    TIME_OVER = 9
+    DIED = 10
+
+
+_TEXTS: Final[dict[int, str]] = {
+    Code.NOT_FINITE: "the model gave a number that is not finite",
+    Code.RAISED: "the model raised an exception",
+    Code.TIME_OVER: "the model took longer than analysis.time_limit",
+    Code.DIED: "the model ended the process it ran in",
 }
 #: inputs that a note names
 _MOST_NAMED: Final = 6
@@ -87,4 +95,4 @@ def status_text(code: int, *, black_box: bool) -> str:
     """
     from uqsphere.mechanics.scene import STATUS
 
-    return (BLACK_BOX_STATUS if black_box else STATUS).get(code, f"status {code}")
+    return (_TEXTS if black_box else STATUS).get(code, f"status {code}")

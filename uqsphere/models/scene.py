@@ -262,7 +262,8 @@ def evaluate(
         count = int((~answers.good).sum())
         warnings.warn(f"{count} of {len(rows)} rows have no answer; the first: {answers.note}", stacklevel=2)
     table = pd.DataFrame(answers.values, columns=list(names), index=index)
-    return table.assign(censored=answers.censored.any(axis=1))
+    table["censored"] = np.asarray(answers.censored.any(axis=1))
+    return table
 
 
 def _columns_of(study: Study, frame: Any) -> tuple[dict[str, Array], Any]:

@@ -74,8 +74,10 @@ def _change(row: Any, k: int, target: float | None) -> tuple[float, bool]:
 def comparison_text(runs: Sequence[Run], names: Sequence[str], most: int = 20) -> str:
     """What was set otherwise, and the answers that moved most, as text."""
     table = compare(runs, names)
-    lines = [f"{name}: {run.results['study']['title']}" + "".join(f"\n  set: {s}" for s in run.results["study"]["overrides"])
-             for name, run in zip(names, runs, strict=True)]  # fmt: skip
+    lines = [
+        f"{name}: {run.results['study']['title']}" + "".join(f"\n  set: {s}" for s in run.results["study"]["overrides"])
+        for name, run in zip(names, runs, strict=True)
+    ]
     lines += [f"  {text}" for text in _inputs_changed(runs, names)]
     moved = table[table["change"].abs() > 1e-3]
     lines.append("")

@@ -156,8 +156,15 @@ def _draw_xt(axes: Axes, found: History) -> None:
 
     view = view_field(found, places=150, times=150)
     largest = float(np.abs(view.stress).max()) or 1.0
-    picture = axes.imshow(1e-6 * view.stress, origin="lower", aspect="auto", cmap="RdBu_r", vmin=-1e-6 * largest,
-                          vmax=1e-6 * largest, extent=(-view.reach[0], view.reach[1], 1e6 * view.begin, 1e6 * view.last))  # fmt: skip
+    picture = axes.imshow(
+        1e-6 * view.stress,
+        origin="lower",
+        aspect="auto",
+        cmap="RdBu_r",
+        vmin=-1e-6 * largest,
+        vmax=1e-6 * largest,
+        extent=(-view.reach[0], view.reach[1], 1e6 * view.begin, 1e6 * view.last),
+    )
     axes.figure.colorbar(picture, ax=axes, label="stress [MPa], tension positive")
     for one in view.tensions:
         axes.plot(-one.position if one.bar == "incident" else one.position, 1e6 * one.time, "k^", ms=5)

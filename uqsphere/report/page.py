@@ -187,8 +187,18 @@ def _margins(results: Results) -> list[dict[str, Any]]:
     for name in results["study"]["limits"]:
         rows = [row for row in of(results["answers"], f"limits.{name}", "margin") if isinstance(row["at"], float)]
         if rows:
-            tables.append({"name": name, "rows": [(probability({"value": r["at"], "low": None, "high": None, "note": ""}),
-                                                   estimate(r, free["path"])) for r in rows]})  # fmt: skip
+            tables.append(
+                {
+                    "name": name,
+                    "rows": [
+                        (
+                            probability({"value": r["at"], "low": None, "high": None, "note": ""}),
+                            estimate(r, free["path"]),
+                        )
+                        for r in rows
+                    ],
+                }
+            )
     return tables
 
 

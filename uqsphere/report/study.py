@@ -51,8 +51,10 @@ def _strengths(study: Study) -> str:
             ends = f"{format_value(min(law.data), name)} to {format_value(max(law.data), name)}"
         if limit.tested is not None and limit.tested.forces:
             tested = limit.tested
-            ends = (f"{format_value(min(tested.forces), 'P_max')} to {format_value(max(tested.forces), 'P_max')} on "
-                    f"{2e3 * 0.5 * min(tested.diameters):.3g} to {2e3 * 0.5 * max(tested.diameters):.3g} mm")  # fmt: skip
+            ends = (
+                f"{format_value(min(tested.forces), 'P_max')} to {format_value(max(tested.forces), 'P_max')} on "
+                f"{2e3 * 0.5 * min(tested.diameters):.3g} to {2e3 * 0.5 * max(tested.diameters):.3g} mm"
+            )
             tests = str(len(tested.forces))
         mean = law.mean()
         text = law.family.name.replace("_", " ")
@@ -129,8 +131,16 @@ def _meaning(criterion: object) -> str:
 
 
 def _value(value: float, path: str, key: str) -> str:
-    units = {"fracture_toughness": (1e-6, "MPa.sqrt(m)"), "tensile_strength": (1e-6, "MPa"),
-             "contact_strength": (1e-9, "GPa"), "fracture_energy": (1.0, "J/kg"), "yield_strength": (1e-6, "MPa"),
-             "E": (1e-9, "GPa"), "density": (1.0, "kg/m3"), "onset_pressure": (1e-9, "GPa"), "hardness": (1e-9, "GPa")}  # fmt: skip
+    units = {
+        "fracture_toughness": (1e-6, "MPa.sqrt(m)"),
+        "tensile_strength": (1e-6, "MPa"),
+        "contact_strength": (1e-9, "GPa"),
+        "fracture_energy": (1.0, "J/kg"),
+        "yield_strength": (1e-6, "MPa"),
+        "E": (1e-9, "GPa"),
+        "density": (1.0, "kg/m3"),
+        "onset_pressure": (1e-9, "GPa"),
+        "hardness": (1e-9, "GPa"),
+    }
     factor, unit = units.get(key, (1.0, ""))
     return f"{value * factor:.4g} {unit}".rstrip()
