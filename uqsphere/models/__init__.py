@@ -18,6 +18,7 @@ from uqsphere.arrays import Array, Places
 from uqsphere.errors import ModelError, UsageError, told
 from uqsphere.models.black_box import BlackBox, load_black_box, model_digest
 from uqsphere.models.cache import Cache
+from uqsphere.models.diagnose import absent_quantity, checked_rows, fractures_of, rows_under_plastic_contact
 from uqsphere.models.rows import Code, EvaluatedRows, Interrupted, failed_rows, status_text, where_of
 from uqsphere.models.scene import check_quantities, check_range, evaluate, scene_of, solve_scene
 from uqsphere.models.workers import BoxTask, Died, Given, Here, Processes, SceneTask, Workers, outcome, pickled
