@@ -17,7 +17,7 @@ from typing import Final
 from uqsphere.mechanics.criteria import DEMANDS
 from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.scene import INPUTS
-from uqsphere.units import UNITS, Quantity
+from uqsphere.units import UNITS, Quantity, format_distinct, format_probability
 
 __all__ = [
     "DEMANDS",
@@ -25,7 +25,9 @@ __all__ = [
     "INPUTS",
     "OUTPUTS",
     "display_unit",
+    "format_distinct",
     "format_estimate",
+    "format_probability",
     "format_value",
     "lookup",
     "reading_units",
