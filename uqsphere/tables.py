@@ -34,8 +34,8 @@ _PERHAPS: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
 _SUMMARY: Final = re.compile(
     r"(mean|average|avg|median|sd|std\.?( ?dev\.?)?|standard deviation|cov|cv|min|max|minimum|maximum|sum|total|"
     r"mittelwert|mittel|mw|standardabweichung|stabw|summe|varianz|variance|anzahl)\b.*", re.IGNORECASE)  # fmt: skip
-_FLAGS: Final = {"0": False, "1": True, "no": False, "yes": True, "false": False, "true": True, "": False, "nein": False,
-                 "ja": True, "x": True}  # fmt: skip
+_FLAGS: Final = {"0": False, "1": True, "no": False, "yes": True, "false": False, "true": True, "": False, "ja": True,
+                 "nein": False, "x": True}  # fmt: skip
 
 
 class TableError(ValueError):
@@ -78,6 +78,8 @@ class Table:
     def place(self, column: str, dimension: str = "number", key: str = "") -> int:
         """Where a column stands, by its heading with or without its unit; TableError where it is not there once."""
         bare = [unit_in_heading(heading, dimension)[0] for heading in self.headings]
+        bare = [next((n for d in UNITS if (n := unit_in_heading(h, d)[0]) != h), h) if b == h else b
+                for h, b in zip(self.headings, bare, strict=True)]  # fmt: skip
         at = [k for k, heading in enumerate(self.headings) if heading == column]
         at = at or [k for k, heading in enumerate(bare) if heading == column]
         if len(at) == 1:
@@ -87,6 +89,10 @@ class Table:
         known = ", ".join(repr(h[:24]) for h in self.headings[:12])
         raise TableError(f"the column {column!r} is {'twice or more' if at else 'not'} in {self.name!r}, which has "
                          f"{known}{hint}", key)  # fmt: skip
+
+    def unit_of(self, column: str, dimension: str) -> str | None:
+        """The unit of a dimension in the heading of a column."""
+        return unit_in_heading(self.headings[self.place(column, dimension)], dimension)[1]
 
     def texts(self, column: str, key: str = "", dimension: str = "number") -> list[str]:
         """Cells of a column."""
