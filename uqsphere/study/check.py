@@ -44,8 +44,9 @@ from uqsphere.study.document import (
     suggestion,
     unknown,
     value_of,
+    warn_unusual,
 )
-from uqsphere.study.strength import Demand, is_tests, platens_of, tested_strength, warn_of_strength
+from uqsphere.study.strength import USUAL, Demand, is_tests, platens_of, tested_strength
 from uqsphere.study.study import Axis, Limit, Margins, Source, Study, strength_name, tie_of
 from uqsphere.units import Quantity
 from uqsphere.uq import Law, LawError, make_law
@@ -113,7 +114,7 @@ class Draft:
     def note(self, faults: Faults) -> None:
         """Keep what a check finds, but for what is said already of the same place or of what holds it."""
         for place, message in faults:
-            if not any(place[:n] in self.spoiled for n in range(1, len(place) + 1)):
+            if self.clean(*place):
                 self.faults.append((place, message))
                 self.spoiled.add(place)
 
@@ -722,6 +723,8 @@ def _strength(draft: Draft, table: LimitTable, demand: Demand, place: Place, sce
     if not scene:
         return _read(draft, table.strength, replace(plain_quantity(demand.quantity), plausible=(-math.inf, math.inf)), place)
     entry = lookup(demand.quantity)
+    usual = USUAL.get(entry.dimension, (0.0, math.inf))
+    entry = replace(entry, meaning=f"the strength against {demand.quantity}", plausible=usual, closed=False)
     if is_tests(table.strength):
         sphere = {key: draft.mean(f"sphere.{key}") for key in ("E", "nu", "density", "radius", "onset_pressure", "hardness")}
         if any(sphere[key] is None for key in ("E", "nu", "density", "radius")):
@@ -734,11 +737,9 @@ def _strength(draft: Draft, table: LimitTable, demand: Demand, place: Place, sce
                                     place, quick=draft.rig != "platens")  # fmt: skip
         except Fault as error:
             raise Fault(str(error), "strength", *error.at) from None
-    else:
-        entry = replace(entry, meaning=f"the strength against {demand.quantity}", plausible=(0.0, math.inf), closed=False)
-        found = _read(draft, table.strength, entry, place)
-    warn_of_strength(found, entry, draft.reader, place)
-    return found
+        warn_unusual(found.mean, entry, draft.reader, place)
+        return found
+    return _read(draft, table.strength, entry, place)
 
 
 # --- what is asked ----------------------------------------------------------------------------------------------------------

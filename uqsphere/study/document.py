@@ -165,7 +165,8 @@ def bounds_in_words(quantity: Quantity) -> str:
     """Where the values of a quantity must lie."""
     low, high = (format_value(end, quantity.name) for end in (quantity.lower, quantity.upper))
     if math.isfinite(quantity.upper):
-        return f"{quantity.meaning} must lie between {low} and {high}{'' if quantity.closed else ', both excluded'}"
+        way = f"from {low} to {high}" if quantity.closed else f"between {low} and {high}, both excluded"
+        return f"{quantity.meaning} must lie {way}"
     return f"{quantity.meaning} must be {'at least' if quantity.closed else 'above'} {low}"
 
 
@@ -210,13 +211,17 @@ def number_of(raw: object, quantity: Quantity, reader: Reader, place: Place) -> 
         found = observed_law(raw, quantity, reader, place)
     else:
         found = _law_of(raw, quantity)
-    low, high = quantity.plausible
-    if not low <= found.mean <= high:
-        mean, *usual = (format_value(value, quantity.name) for value in (found.mean, low, high))
-        reader.warn(place, f"{mean} is unusual (usual: {usual[0]} to {usual[1]}); is the unit right?")
+    warn_unusual(found.mean, quantity, reader, place)
     if isinstance(found.value, Law):
         _check_law(found, raw, quantity, reader, place)
     return found
+
+
+def warn_unusual(value: float, quantity: Quantity, reader: Reader, place: Place) -> None:
+    """Warn of a value (SI) outside the usual range of its quantity."""
+    if not quantity.plausible[0] <= value <= quantity.plausible[1]:
+        said, *usual = (format_value(v, quantity.name) for v in (value, *quantity.plausible))
+        reader.warn(place, f"{said} is unusual (usual: {usual[0]} to {usual[1]}); is the unit right?")
 
 
 def _law_of(raw: Mapping[str, Any], quantity: Quantity) -> Number:
@@ -328,7 +333,7 @@ def _fixed(quantity: Quantity) -> Any:
     def read(raw: Any, info: ValidationInfo) -> Any:
         return raw if info.context is None or raw is None else value_of(raw, quantity)
 
-    return BeforeValidator(read), WithJsonSchema({"$ref": f"#/$defs/{quantity.dimension}"})
+    return BeforeValidator(read), WithJsonSchema({"dimension": quantity.dimension})
 
 
 def _real(low: float, high: float = math.inf, *, closed: bool = False, whole: bool = False) -> Any:
@@ -359,8 +364,8 @@ def _real(low: float, high: float = math.inf, *, closed: bool = False, whole: bo
 def _several(least: int, what: str, most: int = 200) -> BeforeValidator:
     """The mark of a list with so many entries, each once."""
 
-    def read(raw: Any) -> Any:
-        if isinstance(raw, list | tuple):
+    def read(raw: Any, info: ValidationInfo) -> Any:
+        if isinstance(raw, list | tuple) and info.context is not None:
             for index, value in enumerate(raw):
                 if value in raw[:index]:
                     raise Fault(f"{shown(value)} is named twice", index)

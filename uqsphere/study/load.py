@@ -193,8 +193,9 @@ def _read(data: dict[str, Any], reader: Reader, faults: list[tuple[Place, str]],
                 place = tuple(part for part in fault["loc"] if part != "[key]")
                 at = getattr(fault.get("ctx", {}).get("error"), "at", ())
                 message, meant = _message(fault, place)
-                if not any((*place, *at)[:n] in spoiled for n in range(1, len(place) + len(at) + 1)):
-                    faults.append(((*place, *at), message))
+                whole = (*place, *at)
+                if not any(whole[: len(p)] == p or p[: len(whole)] == whole for p in spoiled):
+                    faults.append((whole, message))
                 spoiled |= {(*place, *at), place, *([(*place[:-1], meant)] if meant else [])}
                 _take_out(left, place)
     return Document()

@@ -33,7 +33,6 @@ from uqsphere.study.document import (
     Place,
     Reader,
     one_of,
-    path_of,
     shown,
     suggestion,
     value_of,
@@ -49,7 +48,7 @@ _FEW: Final = 10
 #: ratio of diameters of tests and sphere that is told, and beyond which nothing but a size law carries a strength
 SIZES_TOLD, SIZES_REFUSED = 1.1, 1.5
 #: usual strengths by dimension, and usual 0.9 P/D² of brittle spheres
-_USUAL: Final = {"pressure": (1e5, 1e11), "specific_energy": (1.0, 2e4), "toughness": (1e4, 2e7)}
+USUAL: Final = {"pressure": (1e5, 1e11), "specific_energy": (1.0, 2e4), "toughness": (1e4, 2e7)}
 _TENSION: Final = (2e5, 5e8)
 #: a row as many robust deviations from the rest of the logarithms is told, and a fit less likely than this
 _APART, _UNLIKELY = 5.0, 0.01
@@ -478,12 +477,3 @@ def _warn_of_tests(table: Observations, force: Array, diameter: Array, radius: f
     if 0 < len(wrong) < len(off):
         reader.warn((*place, "diameter"), f"{table.file}: {len(wrong)} of {len(off)} diameters are more than three times "
                     f"off the sphere's, the first {1e3 * diameter[wrong[0]]:.4g} mm")  # fmt: skip
-
-
-def warn_of_strength(number: Number, quantity: Quantity, reader: Reader, place: Place) -> None:
-    """Warn of a strength that is unusual in its dimension."""
-    low, high = _USUAL.get(quantity.dimension, (0.0, math.inf))
-    if not low <= number.mean <= high:
-        mean, *usual = (format_value(v, quantity.name, 3) for v in (number.mean, low, high))
-        reader.warn(place, f"a strength of {mean} is unusual (usual: {usual[0]} to {usual[1]}); is the unit right?")
-
