@@ -267,9 +267,10 @@ def _interruptible() -> Iterator[Callable[[], bool]]:
 def _progress(study: Any) -> Iterator[Callable[[int, float, str], None]]:
     """A bar on a terminal, else a line every few seconds; both with the accuracy so far."""
     if not study.black_box:
-        from uqsphere.mechanics.integrator.compiled import is_compiled
+        from uqsphere.mechanics.integrator.compiled import cache_folder
 
-        if not is_compiled():
+        kept = cache_folder()
+        if kept is None or not any(kept.rglob("*.nbc")):
             print("compiling the integrator, once: about half a minute", file=sys.stderr)
     if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
         from tqdm import tqdm

@@ -193,7 +193,7 @@ class Model:
             whole[:, k] = rows[:, names.index(name)] if name in names else number
         task = self._box_task = self._box_task or self._first_task(tuple(numbers))
         limited = self.study.analysis.time_limit is not None
-        size = self.study.analysis.rows_per_call or max(1, min(_MOST_ROWS, n // _BLOCKS))
+        size = max(1, min(_MOST_ROWS, n // _BLOCKS))
         parts = _blocks(n, size, first=1 if limited else size)
         stored, pieces = np.zeros(n, dtype=bool), list[_Piece]()
         if self.cache is not None:

@@ -27,17 +27,13 @@ def absent_quantity(study: Study, quantity: str) -> str:
     return "" if study.black_box else absent_in(scene_of(study, {}, 1), quantity)
 
 
-def checked_rows(
-    study: Study, names: Sequence[str], rows: Array, columns: Sequence[str]
-) -> tuple[list[Check], dict[str, Places]]:
+def checked_rows(study: Study, names: Sequence[str], rows: Array) -> tuple[list[Check], dict[str, Places]]:
     """The validity checks of rows (n, d), and the grade of every row, (n,), by the name of its check."""
-    from uqsphere.mechanics.outputs import all_with
     from uqsphere.mechanics.validity import check_validity, grades, rules_of
 
     scene = _scene(study, names, rows)
     fidelity = study.model.fidelity if study.model.fidelity in ("massless", "linear") else "full"
-    answers = solve_scene(scene, fidelity, tolerance=study.model.tolerance, threads=None,
-                          quantities=all_with(scene, columns))  # fmt: skip
+    answers = solve_scene(scene, fidelity, tolerance=study.model.tolerance, threads=None, quantities=None)
     measured = {rule: rule.measure(scene, answers) for rule in rules_of(scene)}
     graded = {rule.name: grades(rule, row) for rule, row in measured.items() if isinstance(row, np.ndarray)}
     return check_validity(scene, answers), graded
