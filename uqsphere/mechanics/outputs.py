@@ -58,14 +58,14 @@ def _of_criterion(entry: Criterion) -> Quantity:
 #: Every quantity of interest that the impact model answers.
 OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
     Quantity(name="p_max", symbol="p_max", dimension="pressure", display="GPa", follows="force", fracture=True,
-             meaning="largest contact pressure at either face", place="contact",
+             meaning="peak contact pressure: the larger of both faces", place="contact",
              needs=("P_max", "modulus", "effective_radius"),
              formula=lambda c: contact.pressure_at_force(c["P_max"], c["modulus"], c["effective_radius"])),
     Quantity(name="P_max", symbol="P_max", dimension="force", display="kN", follows="force", fracture=True,
              meaning="largest contact force at either face", needs=("force", "x_max"),
              formula=lambda c: c["force"] * c["x_max"] ** c["power"]),
     Quantity(name="p_hertz", symbol="p_H", dimension="pressure", display="GPa", follows="force", fracture=True,
-             meaning="pressure that the largest force is by Hertz, yield or not", place="contact",
+             meaning="elastic (Hertz) pressure at peak force", place="contact",
              needs=("P_max", "modulus", "effective_radius"),
              formula=lambda c: contact.pressure_at_force(c["P_max"], c["modulus"], c["effective_radius"])),
     Quantity(name="alpha_max", symbol="alpha_max", dimension="length", display="um", follows="force",

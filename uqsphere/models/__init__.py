@@ -25,8 +25,9 @@ from uqsphere.models.workers import BoxTask, Died, Given, Here, Processes, Scene
 from uqsphere.study import Study
 
 __all__ = [
-    "EvaluatedRows", "Interrupted", "Model", "check_quantities", "check_range", "evaluate", "load_black_box",
-    "model_digest", "open_model", "scene_of", "solve_scene", "status_text",
+    "EvaluatedRows", "Interrupted", "Model", "absent_quantity", "check_quantities", "check_range", "checked_rows",
+    "evaluate", "fractures_of", "load_black_box", "model_digest", "open_model", "rows_under_plastic_contact",
+    "scene_of", "solve_scene", "status_text",
 ]  # fmt: skip
 
 #: rows of one block of the impact model in this process, and for an executor; no answer depends on it

@@ -14,7 +14,7 @@ import numpy as np
 
 from uqsphere.errors import UsageError
 from uqsphere.quantities import format_probability, format_value
-from uqsphere.report.format import find, label, meaning, of, unit_of
+from uqsphere.report.format import find, label, meaning, of, short, unit_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,7 +47,7 @@ def svg(draw: Callable[[Axes], None], width: float = 6.6, height: float = 3.1) -
     body = re.sub(r"^.*?(?=<svg)", "", text.getvalue(), flags=re.S)
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.S)
     # coordinates to a tenth of a point: a third of the bytes
-    return re.sub(r"(\d+\.\d)\d+", r"\1", body)
+    return re.sub(r'\bd="[^"]*"', lambda found: re.sub(r"(\d+\.\d)\d+", r"\1", found[0]), body)
 
 
 def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> None:
@@ -70,7 +70,8 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
         colour = COLOURS[k % len(COLOURS)]
         axes.plot(x, middle, "--" if assumed else "-", color=colour, lw=1.2 if assumed else 2.0, label=label(subject))
         if not assumed:
-            axes.fill_between(x, low, high, color=colour, alpha=0.25, lw=0)
+            inside = (p[:, 0] > least) & (p[:, 0] < 1.0 - least)
+            axes.fill_between(x, low, high, where=inside, color=colour, alpha=0.25, lw=0)
         entry = results["study"]["limits"].get(subject.removeprefix("limits."))
         if entry and entry.get("test_points"):
             places, shares = np.asarray(entry["test_points"], dtype=float)
@@ -113,7 +114,7 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     unit, factor = unit_of(quantity)
     shown = []
     if entry["density"]:
-        shown.append((entry["meaning"], entry["density"], COLOURS[0], "-"))
+        shown.append((short(entry["meaning"]), entry["density"], COLOURS[0], "-"))
     for k, (name, limit) in enumerate(results["study"]["limits"].items()):
         if limit["quantity"] == quantity and limit["strength"].get("density"):
             shown.append((f"strength, {name}", limit["strength"]["density"], COLOURS[1 + k % 5], "--"))
@@ -127,12 +128,14 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
             axes.axvline(strength["median"] * factor, color=COLOURS[1 + k % 5], ls="--", label=f"strength, {name}")
     middle = entry["range"][1]
     if not shown and middle is not None:
-        axes.axvline(middle * factor, color=COLOURS[0], label=f"{entry['meaning']} (no scatter)")
-    axes.set(xlabel=f"{entry['meaning']} [{unit}]" if unit else entry["meaning"], ylabel="probability density")
+        axes.axvline(middle * factor, color=COLOURS[0], label=f"{short(entry['meaning'])} (no scatter)")
+    text = short(entry["meaning"])
+    axes.set(xlabel=f"{text} [{unit}]" if unit else text, ylabel="probability density")
     axes.set_ylim(bottom=0.0)
     axes.set_yticks([])
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize=8)
+    if len(axes.get_legend_handles_labels()[0]) > 1:
+        axes.legend(fontsize=8, loc="upper right")
+        axes.set_ylim(top=1.25 * axes.get_ylim()[1])
 
 
 def draw_sobol(axes: Axes, results: Results, quantity: str, most: int = 12) -> None:
@@ -150,7 +153,7 @@ def draw_sobol(axes: Axes, results: Results, quantity: str, most: int = 12) -> N
         axes.barh(np.arange(len(names)) + shift, v, 0.36, xerr=np.maximum(np.nan_to_num(ends), 0.0), color=colour,
                   error_kw={"lw": 0.9, "capsize": 2}, label="first-order" if order == "first" else "total")  # fmt: skip
     axes.set_yticks(range(len(names)), [meaning(str(name), results["inputs"]) for name in names])
-    axes.set(xlabel=f"Sobol’ index of {results['study']['quantities'][quantity]['meaning']}", xlim=(0.0, 1.05))
+    axes.set(xlabel=f"Sobol’ index, {short(results['study']['quantities'][quantity]['meaning'])}", xlim=(0.0, 1.05))
     axes.legend(fontsize=8, loc="lower right")
 
 

@@ -42,7 +42,11 @@ def estimate(row: Row | None, name: str = "", most: int = 4) -> str:
         return f"– ({row['note']})" if row["note"] else "–"
     if row["low"] is None or row["high"] is None or row["low"] == row["high"]:
         return value(row["value"], name, most)
-    return format_estimate(row["value"], row["low"], row["high"], name, most)
+    text = format_estimate(row["value"], row["low"], row["high"], name, most)
+    middle, _, rest = text.partition(" (")
+    ends, _, unit = rest.partition(")")
+    # an interval that rounds to the value says nothing more
+    return f"{middle}{unit}" if ends == f"{middle} to {middle}" else text
 
 
 def probability(row: Row | None) -> str:
@@ -62,13 +66,14 @@ def probability(row: Row | None) -> str:
         return format_probability(row["value"])
     texts = [format_probability(p) for p in (row["value"], low, high)]
     if low >= 1e-4 and high <= 0.99:
-        # as many digits as tell the ends apart
-        gap = high - low
-        digits = max(0, min(6, 1 - math.floor(math.log10(100.0 * gap)))) if gap > 0.0 else 2
+        # as many digits as tell the ends apart, three of the value at most
+        least = 2 - math.floor(math.log10(100.0 * min(row["value"], 1.0 - row["value"])))
+        digits = max(min(least, 1 - math.floor(math.log10(100.0 * (high - low)))), 0)
         texts = [f"{100.0 * p:.{digits}f} %" for p in (row["value"], low, high)]
-    ends = f"{texts[1].removesuffix(' %')} to {texts[2]}" if texts[1].endswith("%") and texts[2].endswith("%") else (
-        f"{texts[1]} to {texts[2]}")  # fmt: skip
-    return f"{texts[0]} ({ends})"
+    if texts[0] == texts[1] == texts[2]:
+        return texts[0]
+    first = texts[1].removesuffix(" %") if texts[2].endswith("%") else texts[1]
+    return f"{texts[0]} ({first} to {texts[2]})"
 
 
 def meaning(name: str, inputs: Mapping[str, Any] | None = None) -> str:
@@ -81,8 +86,17 @@ def meaning(name: str, inputs: Mapping[str, Any] | None = None) -> str:
         limit, _, part = name.removeprefix("limits.").rpartition(".")
         return f"{part.replace('_', ' ')} ({limit.removesuffix(' (assumed)')})"
     if inputs and name in inputs:
-        return str(inputs[name]["meaning"])
-    return lookup(name).meaning
+        return short(str(inputs[name]["meaning"]))
+    return short(lookup(name).meaning)
+
+
+def short(text: str) -> str:
+    """What a quantity is called, without what it is made of.
+
+    >>> short("equivalent contact duration: impulse over peak")
+    'equivalent contact duration'
+    """
+    return text.partition(":")[0]
 
 
 def unit_of(name: str) -> tuple[str, float]:
@@ -94,7 +108,7 @@ def label(subject: str) -> str:
     """A limit or failure mode by its own name.
 
     >>> label("limits.crushing"), label("modes.ring crack")
-    ('crushing', 'ring crack (assumed strength)')
+    ('crushing', 'ring crack (assumed)')
     """
     kind, _, name = subject.partition(".")
-    return f"{name} (assumed strength)" if kind == "modes" else name or subject
+    return f"{name} (assumed)" if kind == "modes" else name or subject

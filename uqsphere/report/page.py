@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from uqsphere.report import figures
-from uqsphere.report.format import estimate, find, label, meaning, of, probability, value
+from uqsphere.report.format import estimate, find, label, meaning, of, probability, short, value
 from uqsphere.results.folder import read_results, write_files
 
 Results = Mapping[str, Any]
@@ -89,12 +89,11 @@ def _verdicts(results: Results) -> list[dict[str, Any]]:
     """Verdicts by what they say: limits judged together share one."""
     found: dict[tuple[Any, ...], dict[str, Any]] = {}
     for name, verdict in results["verdicts"].items():
-        key = verdict["headline"], verdict["aim"]
+        key = verdict["headline"], verdict["detail"], verdict["aim"]
         if key in found:
             found[key]["limits"].append(name)
         else:
-            sentences = verdict["headline"]
-            found[key] = {**verdict, "limits": [name], "headline": sentences}
+            found[key] = {**verdict, "limits": [name]}
     return list(found.values())
 
 
@@ -129,7 +128,7 @@ def _modes(results: Results) -> list[dict[str, str]]:
             "margin": "–" if margin is None else estimate(margin, free["path"], 3),
             "strength": entry["strength"]["text"],
             "source": (f"{entry['tests']} tests" if entry["tests"] else "study") if not entry["assumed"] else
-                      f"assumed: {entry['source']}",
+                      "library, not this rock",
         })  # fmt: skip
     return rows
 
@@ -146,8 +145,8 @@ def _quantities(results: Results) -> list[dict[str, Any]]:
         unknown = [row["note"] for row in quantiles.values() if row["value"] is None and row["note"]]
         low, _, high = entry["range"]
         rows.append({
-            "name": name, "meaning": entry["meaning"], "number": number + 1,
-            "mean": estimate(find(answers, name, "mean"), name),
+            "name": name, "meaning": short(entry["meaning"]), "definition": entry["meaning"].partition(": ")[2],
+            "number": number + 1, "mean": estimate(find(answers, name, "mean"), name),
             "sd": estimate(find(answers, name, "sd"), name, 3),
             "range": "–" if low is None else f"{value(low, name)} to {value(high, name)}",
             "median": estimate(quantiles.get(0.5), name),
@@ -169,7 +168,7 @@ def _indices(results: Results) -> list[dict[str, Any]]:
         note = next((row["note"] for row in total if row["value"] is None), "")
         method = {"chaos": "from polynomial chaos, corrected by model runs", "pairs": "from pairs of model runs"}
         tables.append({
-            "name": name, "number": number + 1, "meaning": entry["meaning"], "note": note,
+            "name": name, "number": number + 1, "meaning": short(entry["meaning"]), "note": note,
             "method": method.get(entry["method_of_indices"], ""), "more": max(len(ranked) - MOST_ROWS, 0),
             "rows": [(meaning(row["at"], results["inputs"]),
                       estimate(find(results["answers"], name, "sobol_first", row["at"]), "", 3), estimate(row, "", 3))

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Mapping
 from typing import Any
 
-from uqsphere.report.format import estimate, find, label, meaning, of, probability, value
+from uqsphere.report.format import estimate, find, label, meaning, of, probability, short, value
 
 #: lines at most, and rows of each table
 LINES, ROWS = 40, 8
@@ -17,10 +17,11 @@ def summary(results: Mapping[str, Any], width: int = 79) -> str:
     lines = textwrap.wrap(results["study"]["title"], width)
     told = set()
     for name, verdict in results["verdicts"].items():
-        if verdict["headline"] in told:
+        said = f"{verdict['headline']} {verdict['detail']}".strip()
+        if said in told:
             continue
-        told.add(verdict["headline"])
-        lines += ["", *textwrap.wrap(f"{name}: {verdict['headline']}", width)]
+        told.add(said)
+        lines += ["", *textwrap.wrap(f"{name}: {said}", width)]
         if verdict["next"]:
             lines += textwrap.wrap(f"Next: {verdict['next']}", width)
     if modes := _modes(results):
@@ -67,7 +68,7 @@ def _quantities(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
     for name, entry in results["study"]["quantities"].items():
         low, _, high = entry["range"]
         ends = "–" if low is None else f"{value(low, name)} to {value(high, name)}"
-        rows.append((entry["meaning"], estimate(find(results["answers"], name, "mean"), name), ends))
+        rows.append((short(entry["meaning"]), estimate(find(results["answers"], name, "mean"), name), ends))
     return rows
 
 

@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.quantities import format_value
+from uqsphere.quantities import display_unit, format_probability, format_value
 from uqsphere.results import Answers
 from uqsphere.run.assumptions import Assumptions, along_line, other_distributions, together
 from uqsphere.run.checks import Check
 from uqsphere.run.demands import strength_of
 from uqsphere.run.design import Design
-from uqsphere.run.fragility import band_of, planned_value, target_of
+from uqsphere.run.fragility import allowable_probability, band_of, planned_value, target_of
 from uqsphere.run.limits import chances, failure, state_of
 from uqsphere.study import Limit, means_fracture, strength_name
 from uqsphere.uq import Estimate, target_met
-from uqsphere.uq.fitting import count_tests, is_fitted
+from uqsphere.uq.fitting import count_tests
 
 if TYPE_CHECKING:
     from uqsphere.arrays import Array
@@ -73,7 +73,8 @@ def _verdict(
         "safety_factor": None if number is None else number["factor"],
         "next": _next(design, limit, p, reasons, assumed),
     }  # fmt: skip
-    return {**verdict, "headline": _headline(design, limit, p, word, reasons, number)}
+    headline, detail = _headline(design, answers, limit, p, word, reasons, number)
+    return {**verdict, "headline": headline, "detail": detail}
 
 
 def _judged_together(design: Design, limit: Limit) -> list[Limit]:
@@ -129,7 +130,7 @@ def _reasons(
         value = min(max((p.value or 0.0) + float(other.mean()), 0.0), 1.0)
         if turned(value):
             found.append(Reason(code="contact law", decides="the contact law",
-                                text=f"where contacts yield, the failure probability is {_percent(value)}",
+                                text=f"where contacts yield, the failure probability is {format_probability(value)}",
                                 remedy='set [contact] law = "plastic"'))  # fmt: skip
     if fracture and limit.aim == "survive":
         found += _assumed_modes(design, tables, limit, judged, p, turned)
@@ -140,27 +141,40 @@ def _reasons(
             values = [min(max((p.value or 0.0) - own + end, 0.0), 1.0) for end in ends]
             if len({value < target for value in values}) == 2 or turned(values[0]):
                 n = count_tests(strength_of(one))  # type: ignore[arg-type]
-                found.append(Reason(
-                    code="tests", decides=f"the {n} tests of {one.name}",
-                    text=f"the {n} tests of {one.name} leave {_percent(values[0])} to {_percent(values[1])} open",
-                    remedy=_more_tests(n, values, target),
-                ))  # fmt: skip
+                found.append(
+                    Reason(
+                        code="tests",
+                        decides=f"the {n} tests of {one.name}",
+                        text=f"the {n} tests of {one.name} leave {format_probability(values[0])} to {format_probability(values[1])} open",
+                        remedy=_more_tests(n, values, target),
+                    )
+                )
     for one in judged:
         own = failure(design, tables, one).value or 0.0
         for name, law in other_distributions(one):
             other = float(chances(state_of(design, one, sample.head(min(sample.count, 512)), law), one.aim).mean())
             value = min(max((p.value or 0.0) - own + other, 0.0), 1.0)
             if turned(value):
-                found.append(Reason(code="distribution", decides=f"the distribution of the strength of {one.name}",
-                                    text=f"with a {name} of the same mean and scatter, {_percent(value)} fail",
-                                    remedy=f"test the strength of {one.name} in its lower tail"))  # fmt: skip
+                found.append(
+                    Reason(
+                        code="distribution",
+                        decides=f"the distribution of the strength of {one.name}",
+                        text=f"with a {name} of the same mean and scatter, {format_probability(value)} fail",
+                        remedy=f"test the strength of {one.name} in its lower tail",
+                    )
+                )
     missed = float(_missed(design, sample, limit, judged).mean())
     for check in checks:
         share = check.share_of_failures(limit.name)
         if missed > 0.0 and share is not None and share > target and check.grade == "failure":
-            found.append(Reason(code="model", decides=check.text,
-                                text=f"the model does not hold in {_percent(share)} of the failures: {check.text}",
-                                remedy=check.remedy))  # fmt: skip
+            found.append(
+                Reason(
+                    code="model",
+                    decides=check.text,
+                    text=f"the model does not hold in {format_probability(share)} of the failures: {check.text}",
+                    remedy=check.remedy,
+                )
+            )
     synthetic = {strength_name(one.name) for one in judged} | set(design.inputs)
     if synthetic & set(design.study.made_up):
         found.append(Reason(code="synthetic", decides="synthetic data", text="the tests are synthetic data",
@@ -206,8 +220,14 @@ def _assumed_modes(
     value = min((p.value or 0.0) + float((worst - base).mean()), 1.0)
     if design.modes and turned(value):
         names = _listed([mode.called for mode in design.modes])
-        return [Reason(code="assumed strength", decides=names, remedy=f"measure the strengths for {names} on this rock",
-                       text=f"the assumed strengths for {names} together allow up to {_percent(value)}")]  # fmt: skip
+        return [
+            Reason(
+                code="assumed strength",
+                decides=names,
+                remedy=f"measure the strengths for {names} on this rock",
+                text=f"the assumed strengths for {names} together allow up to {format_probability(value)}",
+            )
+        ]
     return []
 
 
@@ -289,41 +309,42 @@ def _next(design: Design, limit: Limit, p: Estimate, reasons: Sequence[Reason], 
 
 
 def _headline(
-    design: Design, limit: Limit, p: Estimate, word: str, reasons: Sequence[Reason], number: dict[str, Any] | None
-) -> str:
-    """The sentence to act on."""
+    design: Design, answers: Answers, limit: Limit, p: Estimate, word: str, reasons: Sequence[Reason],
+    number: dict[str, Any] | None,
+) -> tuple[str, str]:  # fmt: skip
+    """The sentence to act on, and what stands behind it."""
     name = "Fracture probability" if means_fracture(limit) else "Failure probability"
-    broken = p
-    parts = []
+    what = f"{name} {_percent_of(p)}" if limit.aim == "survive" else f"P(not broken) {_percent_of(p)}"
+    if limit.target is not None:
+        what += f", target at most {format_probability(limit.target)}"
+    first, rest = [], []
     if number is not None:
-        planned = planned_value(design)
-        path = number["path"]
+        path, planned = number["path"], planned_value(design)
         assumed = next((m.called for m in design.modes if m.limit.name == number["governing"].name), None)
         by = f" ({assumed}, by an assumed strength)" if assumed else ""
         verb = "Use at most" if number["safe_end"] == "largest" else "Use at least"
-        digits = 2
-        parts.append(f"{verb} {_rounded(number['value'], path, number['safe_end'], digits)}{by}.")
+        first.append(f"{verb} {_rounded(number['value'], path, number['safe_end'])}{by}.")
         if planned is not None:
             factor = number["factor"]
             margin = "no margin" if factor is None or factor < 1.0 else f"safety factor {factor:.3g}"
-            parts.append(f"Planned {format_value(planned, path, 3)}: {margin}.")
-    what = f"{name} {_percent_of(broken)}" if limit.aim == "survive" else f"P(not broken) {_percent_of(broken)}"
-    if limit.target is not None:
-        what += f", target at most {_percent(limit.target)}"
-    parts.append(what + ".")
+            first.append(f"Planned {format_value(planned, path, 3)}: {margin}.")
+        own = answers.get(design.subject(limit), "margin", allowable_probability(design, limit))
+        if assumed and own is not None and own["value"] is not None:
+            rest.append(f"By the limit of the study alone: {format_value(own['value'], path, 2)}.")
+        rest.insert(0, what + ".")
+    else:
+        first.append(what + ".")
     if word == "not established":
-        parts.append("Not established: " + "; ".join(reason.text for reason in reasons) + ".")
+        rest.append("Not established: " + "; ".join(reason.text for reason in reasons) + ".")
     elif word == "undecided":
-        parts.append("Undecided: the target lies inside the interval.")
+        rest.append("Undecided: the target lies inside the interval.")
     elif word != "no target":
-        parts.append(f"Target {word}.")
-    return " ".join(parts)
+        rest.append(f"Target {word}.")
+    return " ".join(first), " ".join(rest)
 
 
-def _rounded(value: float, path: str, end: str, digits: int) -> str:
+def _rounded(value: float, path: str, end: str, digits: int = 2) -> str:
     """A conservative value, rounded towards its safe side."""
-    from uqsphere.quantities import display_unit
-
     unit, factor = display_unit(path)
     scaled = value * factor
     if scaled == 0.0:
@@ -335,27 +356,11 @@ def _rounded(value: float, path: str, end: str, digits: int) -> str:
     return f"{float(f'{rounded:.{digits}g}'):g} {unit}".rstrip()
 
 
-def _percent(p: float) -> str:
-    """A probability in per cent, two digits."""
-    if p <= 0.0:
-        return "0 %"
-    if p < 1e-6:
-        return f"{p:.1e}"
-    if p > 0.999:
-        return "over 99.9 %" if p < 1.0 else "100 %"
-    return f"{100.0 * p:.2g} %"
-
-
 def _percent_of(p: Estimate) -> str:
     if p.value is None:
-        return f"below {_percent(p.high)}" if p.high is not None else "not known"
-    return _percent(p.value)
+        return f"below {format_probability(p.high)}" if p.high is not None else "not known"
+    return format_probability(p.value)
 
 
 def _listed(words: Sequence[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
-
-
-def is_tested(law: object) -> bool:
-    """Whether a strength rests on tests."""
-    return is_fitted(law)
