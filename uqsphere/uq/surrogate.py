@@ -1,0 +1,210 @@
+"""An expansion as an object: values with intervals at rows of inputs, terms, moments, indices, and chaospy's objects.
+
+The value is that of the expansion of all n rows.  With r_i what row i differs from the expansion that has not seen it,
+and s(x) the standard error of a new answer by least squares, in units of the noise,
+
+    |y - value| <= q s(x),      s(x)² = slope(x)² (1 + p(x)' (P'P)⁻¹ p(x))
+
+with q the ceil(level (n + 1))-th of the |r_i|/s_i (J. Lei et al., J. Am. Stat. Assoc. 113, 2018, 1094).  The slope is 1,
+or |value| where ln y was expanded: half-widths scale with the output.  It holds for points drawn as the rows were.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from uqsphere.arrays import Array, Flags, special
+from uqsphere.errors import UsageError
+from uqsphere.uq.chaos import Chaos, ChaospyObjects, Germ, fit_chaos, germ_points, germs_of, integrals, predict, rows_of
+from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.joint import Joint
+from uqsphere.uq.points import random_generator
+from uqsphere.uq.response import Response, cross_fit, index_shares
+from uqsphere.uq.shapley import dependent_shares
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+#: normal score beyond which a law's values are those at it, on either side: 1e-15 lies beyond
+FARTHEST: Final = 8.0
+
+
+class Prediction(NamedTuple):
+    """What an expansion says of n points, (n,) each: the value, and between which the model's answer lies."""
+
+    value: Array
+    low: Array
+    high: Array
+
+
+def columns_of(rows: Any, names: Sequence[str]) -> Array:
+    """Points (n, d) of an array in the order of the names, or of a table or mapping whose columns go by them.
+
+    Raises UsageError for missing, unknown and repeated columns, and for what is no finite number.
+    """
+    if hasattr(rows, "columns") or isinstance(rows, Mapping):
+        given = [str(name) for name in (rows.columns if hasattr(rows, "columns") else rows)]
+        for what, wrong in (("is missing", [n for n in names if n not in given]),
+                            ("is no input", [n for n in given if n not in names]),
+                            ("is there twice", [n for n in given if given.count(n) > 1])):  # fmt: skip
+            if wrong:
+                raise UsageError(f"column {wrong[0]!r} {what}; the inputs are {', '.join(names)}")
+        rows = np.stack(np.broadcast_arrays(*(np.atleast_1d(np.asarray(rows[n])) for n in names)), axis=-1)
+    try:
+        x = np.asarray(rows, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"the rows are no columns of numbers: {error}") from error
+    if x.ndim != 2 or x.shape[1] != len(names):
+        raise UsageError(f"rows of shape (n, {len(names)}) are required, found {x.shape}")
+    if not np.isfinite(x).all():
+        raise UsageError("the rows hold what is no finite number")
+    return x
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Expansion:
+    """The polynomial chaos of one output.
+
+    Attributes
+    ----------
+    joint : names and laws of the d inputs, and what ties them
+    fit : the expansion of all rows, in the germs of the laws: `fit.coefficients`, `fit.multi_indices`, `fit.log`
+    response : expansions without a fold of the rows, for errors and intervals; None where there are none
+    """
+
+    joint: Joint
+    fit: Chaos
+    response: Response | None = None
+
+    def __repr__(self) -> str:
+        error = "" if self.response is None else f", leaves {self.response.error:.2g} of the variance"
+        return f"<Expansion in {', '.join(self.joint.names)}: {len(self.fit.coefficients)} terms{error}>"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.joint.names
+
+    def inside(self, rows: Any) -> Flags:
+        """Which rows (n,) lie where the laws of the inputs do."""
+        x = columns_of(rows, self.names)
+        return np.asarray(np.all([(law.cdf(c) > 0.0) & (law.sf(c) > 0.0)
+                                  for law, c in zip(self.joint.laws, x.T, strict=True)], axis=0))  # fmt: skip
+
+    def _points(self, x: Array) -> Array:
+        scores = []
+        for law, column in zip(self.joint.laws, x.T, strict=True):
+            below, above = law.cdf(column), law.sf(column)
+            with np.errstate(divide="ignore"):
+                scores.append(np.where(below < 0.5, special.ndtri(below), -special.ndtri(above)))
+        return germ_points(np.clip(np.array(scores).T, -FARTHEST, FARTHEST), self.fit.germs)
+
+    def germs_at(self, rows: Any) -> Array:
+        """Values (n, d) of the germs at rows, at which the polynomial of `chaospy` gives the output (or ln of it)."""
+        points = self._points(columns_of(rows, self.names))
+        return np.column_stack([germ.values(p) if isinstance(germ, Germ) else p
+                                for germ, p in zip(self.fit.germs, points.T, strict=True)])  # fmt: skip
+
+    def predict(self, rows: Any, level: float = 0.95, *, outside: str = "raise") -> Prediction:
+        """What the model would answer to rows, with the interval that holds the answer at this level.
+
+        Parameters
+        ----------
+        rows : table or mapping by the inputs' names, or array (n, d), in the inputs' own units
+        level : share of points, drawn as the rows were, whose answer lies in its interval
+        outside : for rows beyond the laws' support "nan", or "raise" a UsageError
+
+        Ends are infinite where there are too few rows for the level, or no response.
+        """
+        if not 0.0 < level < 1.0 or outside not in ("raise", "nan"):
+            raise UsageError(f"level must lie in (0, 1) and outside be raise or nan; found {level}, {outside!r}")
+        x = columns_of(rows, self.names)
+        inside = self.inside(x)
+        if outside == "raise" and not inside.all():
+            raise UsageError(f"{int((~inside).sum())} of {len(x)} rows lie beyond the laws of the inputs: outside='nan' "
+                             "gives no value there")  # fmt: skip
+        points = self._points(x)
+        value = predict(self.fit, points)
+        half = np.full(len(x), math.inf)
+        if self.response is not None:
+            scores = np.sort(self._scores)
+            rank = math.ceil(level * (scores.size + 1))
+            if rank <= scores.size:
+                half = scores[rank - 1] * self._std_error(points, value)
+        value = np.where(inside, value, np.nan)
+        return Prediction(value, value - half, value + half)
+
+    @cached_property
+    def _inverse(self) -> Array:
+        assert self.response is not None
+        rows = rows_of(self.fit.germs, self.response.points, self.fit.multi_indices)
+        return np.linalg.pinv(rows @ rows.T)
+
+    def _leverage(self, points: Array) -> Array:
+        rows = rows_of(self.fit.germs, points, self.fit.multi_indices)
+        return np.einsum("pn,pq,qn->n", rows, self._inverse, rows)
+
+    def _std_error(self, points: Array, value: Array) -> Array:
+        slope = np.abs(value) if self.fit.log else 1.0
+        return np.asarray(slope * np.sqrt(1.0 + self._leverage(points)))
+
+    @cached_property
+    def _scores(self) -> Array:
+        """What each row is off by, over its standard error without itself."""
+        assert self.response is not None
+        own = np.minimum(self._leverage(self.response.points), 1.0 - 1e-9)
+        slope = np.abs(self.response.levels) if self.fit.log else 1.0
+        return np.asarray(np.abs(self.response.residuals) / np.maximum(slope * np.sqrt(1.0 / (1.0 - own)), 1e-300))
+
+    # --- what it says of the output -----------------------------------------------------------------------
+
+    def moments(self) -> tuple[float, float]:
+        """Mean and standard deviation of the expansion, for independent inputs."""
+        found = integrals(self.fit)
+        return found.mean, found.sd
+
+    def sample(self, count: int, *, seed: int = 0) -> DataFrame:
+        """Rows of the inputs by their laws, with the value of the expansion in the column `value`."""
+        from pandas import DataFrame
+
+        normals = random_generator(seed=seed, task="expansion").standard_normal((count, len(self.names)))
+        scores = self.joint.scores(normals)
+        frame = DataFrame(self.joint.marginal(scores), columns=list(self.names))
+        frame["value"] = predict(self.fit, germ_points(scores, self.fit.germs))
+        return frame
+
+    def quantiles(self, probabilities: Sequence[float], *, count: int = 65_536, seed: int = 0) -> Array:
+        """Quantiles of the expansion, of so many rows of a sample."""
+        return np.quantile(self.sample(count, seed=seed)["value"].to_numpy(), probabilities)
+
+    def indices(self) -> dict[str, dict[str, Estimate]]:
+        """{"first", "total"} by input, with intervals; Kucherenko's, and {"shapley"}, where inputs are tied."""
+        if self.response is None:
+            raise UsageError("this expansion has no rows of its own: its indices are in the answers of the run")
+        tied = self.joint.dependent
+        found = dependent_shares(self.response, self.joint) if tied else index_shares(self.response)
+        return {order: dict(zip(self.names, row, strict=True)) for order, row in found.items()}
+
+    def to_frame(self) -> DataFrame:
+        """The terms: one row each with the degree in every input and the coefficient."""
+        return self.fit.to_frame(self.names)
+
+    def chaospy(self) -> ChaospyObjects:
+        """The expansion as chaospy's polynomial, basis, coefficients and germs; of ln y where the log was taken."""
+        return self.fit.chaospy()
+
+
+def fit_expansion(x: Array, y: Array, joint: Joint, *, plain: bool = False, seed: int = 0) -> Expansion:
+    """The expansion of y (n,) at rows x (n, d) drawn by the joint law; `seed` of the order in which rows are dealt."""
+    order = random_generator(seed=seed, task="chaos rows").permutation(len(y))
+    x, y, germs = x[order], y[order], germs_of(joint.laws)
+    bare = Expansion(joint=joint, fit=Chaos(coefficients=np.zeros(1), multi_indices=np.zeros((1, len(germs)), dtype=int),
+                                            germs=germs, cross_validation_error=1.0, samples=0))  # fmt: skip
+    points = bare._points(x)
+    return Expansion(joint=joint, fit=fit_chaos(points, y, germs, plain=plain),
+                     response=cross_fit(points, y, germs, plain=plain)[0])  # fmt: skip
