@@ -89,11 +89,12 @@ def _state(force: Array, sphere: Mapping[str, Values], radius: Array, platens: t
         "hertz_constant": contact.hertz_constant(modulus, radius),
         "loading_rate": np.zeros(radius.shape) if rate is None else rate, "face": pole_of(full, modulus, radius),
     })  # fmt: skip
-    # of the energy in both contacts, and of what slow platens offer, the sphere has this share
+    # the sphere has this share of what both contacts store; in the study's own rig it may be another
     share = modulus * (1.0 - nu * nu) / E
     own = share * state["energy"] + state["dissipated"]
+    both = (own - state["dissipated"]) / full.get("sphere.share", share)
     given = {"energy_sphere": own, "specific_energy_sphere": own / mass, "impact_energy": state["energy"],
-             "specific_impact_energy": state["energy"] / mass}  # fmt: skip
+             "specific_impact_energy": state["energy"] / mass, "energy": both, "specific_energy": both / mass}  # fmt: skip
     return type(state)({**state, **given})
 
 
@@ -116,7 +117,8 @@ def equivalent_force(
     ----------
     limit : its quantity, or criterion with parameters.
     value : (n,) of that criterion in the row, SI.
-    sphere : E [Pa], nu, density [kg/m³], (n,) each or numbers; onset_pressure and hardness [Pa] where its poles yield.
+    sphere : E [Pa], nu, density [kg/m³], (n,) each or numbers; onset_pressure and hardness [Pa] where its poles yield;
+        share, the sphere's of the energy in both contacts of the row's own rig, where that is what is limited.
     radius : of the row's sphere [m], (n,).
     platens : E [Pa], infinite if rigid, and nu of the platens of the tests.
 
@@ -157,7 +159,7 @@ def test_force(limit: Limit, value: Values, sphere: Mapping[str, Values], radius
     """
     tested = limit.tested
     assert tested is not None
-    own = {**{k: v for k, v in tested.sphere.items() if k in ("onset_pressure", "hardness")}, **sphere}
+    own = {**{k: v for k, v in tested.sphere.items() if k in ("onset_pressure", "hardness", "share")}, **sphere}
     force = equivalent_force(limit, value, own, radius, tested.platens)
     return np.asarray(force * (tested.diameter / (2.0 * np.asarray(radius, dtype=float))) ** tested.exponent)
 
@@ -329,7 +331,8 @@ def tested_strength(
 ) -> Number:  # fmt: skip
     """The law of the strength against a demand from forces at failure, and the tests themselves; raises Fault.
 
-    sphere: E, nu, density, and onset_pressure and hardness where its poles yield, at their means; radius: its mean [m];
+    sphere: E, nu, density, share, and onset_pressure and hardness where its poles yield, at their means (see
+    `equivalent_force`); radius: its mean [m];
     bars: E and nu of the study's bars; quick: whether the study's rig is a blow.
     """
     table = _declared(raw)
