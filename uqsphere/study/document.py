@@ -277,6 +277,7 @@ def _check_law(number: Number, raw: object, quantity: Quantity, reader: Reader, 
         cov = law.family.variation(law.parameters)
     except (OverflowError, ZeroDivisionError, ValueError):
         cov = math.inf
+    cov = max(cov, number.given.get("cov", 0.0))
     truncated = math.isfinite(law.lower) or math.isfinite(law.upper)
     if cov > _TOO_WIDE and not truncated:
         key = next((key for key in ("cov", "sd", "log_sd", "shape", "modulus") if key in raw), "")

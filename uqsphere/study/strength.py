@@ -25,7 +25,7 @@ from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA, pole_of
 from uqsphere.mechanics.criteria import demand as demand_of
 from uqsphere.mechanics.outputs import OUTPUTS, at_force, follows_force
-from uqsphere.quantities import INPUTS, format_value
+from uqsphere.quantities import INPUTS, format_value, reading_units, unit_that_reads
 from uqsphere.study.document import (
     Fault,
     Number,
@@ -473,7 +473,9 @@ def _warn_of_tests(table: Observations, force: Array, diameter: Array, radius: f
         likely = [u for u in ("N", "kN", "MN") if u != table.force_unit
                   and _TENSION[0] <= typical * UNITS["force"][u] / given <= _TENSION[1]]  # fmt: skip
         hint = f": is the unit {one_of(likely)}?" if likely and table.force_unit else ": are the units right?"
-        reader.warn((*place, "force"), f"0.9 P/D² of {table.file} is {format_value(typical, 'core_tension', 3)}, usual are "
+        with reading_units({"core_tension": unit_that_reads("core_tension", [typical])}):
+            value = format_value(typical, "core_tension", 3)
+        reader.warn((*place, "force"), f"0.9 P/D² of {table.file} is {value}, usual are "
                     f"{_TENSION[0] / 1e6:g} to {_TENSION[1] / 1e6:g} MPa{hint}")  # fmt: skip
     off = diameter / (2.0 * radius)
     wrong = np.flatnonzero((off > 3.0) | (off < 1.0 / 3.0))
