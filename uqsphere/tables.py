@@ -281,11 +281,7 @@ def read_table(path: Path, *, decimal: str = "", largest: int = LARGEST) -> Tabl
     if not rows:
         raise TableError(f"{name!r} is empty")
     headings = rows[0][1]
-    while (
-        headings
-        and not headings[-1]
-        and not any(row[len(headings) - 1 :] and any(row[len(headings) - 1 :]) for _, row in rows)
-    ):
+    while headings and not headings[-1]:
         headings = headings[:-1]
     wide = [line for line, row in rows[1:] if any(row[len(headings) :])]
     if wide:
@@ -307,8 +303,9 @@ def _shortest(cell: str) -> str:
 def _decoded(data: bytes, name: str, notes: list[str]) -> str:
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return data.decode("utf-16", "replace")
-    if data[1:2] == b"\0" or data[:1] == b"\0":
-        return data.decode("utf-16-le" if data[1:2] == b"\0" else "utf-16-be", "replace")
+    for first, codec in ((0, "utf-16-le"), (1, "utf-16-be")):
+        if len(data) > 3 and not any(data[1 - first : 200 : 2]) and all(data[first:200:2]):
+            return data.decode(codec, "replace")
     if b"\0" in data[:4096]:
         raise TableError(f"{name!r} is no text: save it as CSV or .xlsx")
     try:

@@ -6,65 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from study_base import BASE, BLACK_BOX
 
 from uqsphere.errors import StudyError
 from uqsphere.study import load_study
-
-BASE = """\
-title = "granite"
-seed = 7
-
-[sphere]
-material = "granite"
-E = { dist = "lognormal", mean = "52 GPa", cov = 0.12 }
-nu = 0.25
-radius = { dist = "normal", mean = "10 mm", sd = "0.15 mm", lower = "9 mm" }
-
-[bars]
-material = "maraging_steel"
-diameter = "40 mm"
-incident_length = "1.5 m"
-receiving_length = "1.5 m"
-incident_end = "free"
-
-[striker]
-speed = { dist = "normal", mean = "0.5 m/s", cov = 0.02 }
-length = "0.8 m"
-
-[pulse]
-shape = "trapezoid"
-rise = "25 us"
-fall = "25 us"
-
-[model]
-tolerance = 1e-6
-
-[limits.crushing]
-quantity = "p_max"
-strength = { dist = "weibull", mean = "4 GPa", modulus = 12 }
-target = 0.01
-
-[[dependence]]
-of = ["sphere.E", "limits.crushing.strength"]
-spearman = 0.6
-
-[analysis]
-quantities = ["p_max"]
-quantiles = [0.05, 0.5]
-
-[margins]
-solve = "striker.speed"
-between = ["0.05 m/s", "20 m/s"]
-"""
-
-BLACK_BOX = """\
-[inputs]
-x1 = { dist = "uniform", lower = -1, upper = 1 }
-x2 = 2.0
-
-[outputs]
-names = ["y"]
-"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -280,3 +225,93 @@ def test_broken_study(case: Broken, tmp_path: Path) -> None:
     assert len(error.problems) == case.count, str(error)
     for jargon in ("pydantic", "https://", "Traceback", "Input should", "validation error", "type=", "None"):
         assert jargon not in str(error), str(error)
+
+
+#: a key or value of an earlier study put into the base (place, what is replaced), and what the way out names
+REMOVED = [
+    ('seed = 7', 'seed = 7\n[service.chute]\nspeed = "3 m/s"', "service", "a study of its own"),
+    ('seed = 7', 'seed = 7\nrig = { kind = "none" }', "rig.kind", "write the machine as [rig]"),
+    ('seed = 7', 'seed = 7\n[feed]\nblows = 2', "feed", "uqsphere comminution"),
+    ('seed = 7', 'seed = 7\n[product]\nA = "55 %"', "product", "comminution feed"),
+    ('seed = 7', 'seed = 7\n[tests]\nfile = "t.csv"', "tests", "comminution fit"),
+    ("tolerance = 1e-6", 'fidelity = "auto"', "model.fidelity", '"massless" or "linear"'),
+    ("tolerance = 1e-6", "stochastic = true", "model.stochastic", "same row alike"),
+    ('incident_end = "free"', 'receiving_damper = "d.csv"', "bars.receiving_damper", "receiving_end"),
+    ('incident_end = "free"', 'insert_E = "190 GPa"', "bars.insert_E", "[insert]"),
+    ("[model]", '[contact]\nlaw = "damage"\n[model]', "contact.law", '"plastic"'),
+    ("[model]", '[contact]\ndynamics = "path"\n[model]', "contact.dynamics", "equations of motion"),
+    ("[model]", "[contact]\ngamma = 5\n[model]", "contact.gamma", "leave it out"),
+    ('rise = "25 us"', 'rise = "25 us"\nnoise = true', "pulse.noise", "shpb records"),
+    ("target = 0.01", 'in = "chute"', "limits.crushing.in", "a study of its own"),
+    ("modulus = 12 }", 'modulus = 12, made_up = true }', "limits.crushing.strength", "synthetic = true"),
+    ('{ dist = "weibull", mean = "4 GPa", modulus = 12 }', '{ fit = "vsifit" }', "limits.crushing.strength",
+     'draws = "draws.csv"'),
+    ('{ dist = "weibull", mean = "4 GPa", modulus = 12 }', '{ same_as = "limits.b.strength" }',
+     "limits.crushing.strength", "write the strength again"),
+    ("spearman = 0.6", 'spearman = 0.6\ncopula = "clayton"', "dependence[0].copula", "student_t"),
+    ('quantities = ["p_max"]', 'quantities = ["p_max", "contact_time"]', "analysis.quantities[1]",
+     "write contact_duration, or time_to_first_loss"),
+    ('quantity = "p_max"', 'quantity = "impulse_time"', "limits.crushing.quantity", "write contact_duration"),
+    ('quantities = ["p_max"]', 'ways = "given"', "analysis.ways", "failure_modes"),
+    ('quantities = ["p_max"]', "fields = { force_a = 9 }", "analysis.fields", "uqsphere history"),
+    ('quantities = ["p_max"]', "rows_per_call = 4", "analysis.rows_per_call", "leave it out"),
+    ('quantities = ["p_max"]', "accuracy = { curve = 0.1 }", "analysis.accuracy.curve", "probability"),
+    ('solve = "striker.speed"', 'solve = "striker.specific_energy"', "margins.solve", "striker.speed"),
+    ('solve = "striker.speed"', 'solve = "striker.speed"\nfor_survival = [0.9]', "margins.for_survival", "1 - p"),
+    ('solve = "striker.speed"', 'solve = "striker.speed"\nbars_elastic = true', "margins.bars_elastic", "fracture = false"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("old", "new", "path", "way"), REMOVED, ids=[case[2] for case in REMOVED])
+def test_a_removed_key_is_refused_once_with_the_way_out(
+    old: str, new: str, path: str, way: str, tmp_path: Path
+) -> None:
+    assert BASE.count(old) == 1
+    error = faults(BASE.replace(old, new).encode(), tmp_path)
+    (problem,) = error.problems
+    assert problem.path == path
+    assert "no longer" in problem.message
+    assert way in problem.message
+
+
+def test_the_base_is_in_order(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    for text in (BASE, BLACK_BOX):
+        path.write_text(text)
+        assert load_study(path).warnings == ()
+
+
+def test_many_faults_are_counted_not_listed(tmp_path: Path) -> None:
+    keys = "\n".join(f"key{number} = 1" for number in range(500))
+    error = faults(f"{keys}\n{BASE}".encode(), tmp_path)
+    assert len(error.problems) == 101
+    assert "400 more faults" in error.problems[-1].message
+
+
+CELL = """\
+sphere = { material = "quartz", radius = "5 mm" }
+rig = { kind = "load_cell" }
+hammer = { shape = "ball", diameter = "25.4 mm", material = "bearing_steel", drop_height = "0.2 m" }
+rod = { material = "hard_4340", diameter = "20 mm", length = "1.5 m", gauge = "0.2 m" }
+limits = { one = { criterion = "specific_energy", energy_is = "contact", strength = "60 J/kg" } }
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("", 'gauges = [{ bar = "rod", position = {} }]', "6: gauges[0].position: found a table"),
+        ('gauge = "0.2 m"', 'gauge = "2 m"', "4: rod.gauge: found 2 m, beyond the far end"),
+        ('energy_is = "contact", ', "", "5: limits.one.energy_is: energy_is is missing"),
+        ('drop_height = "0.2 m"', 'drop_height = "0.2 m", speed = "1 m/s"', "3: hammer.drop_height: speed is given too"),
+        ('shape = "ball"', 'shape = "ball", mass = "1 kg"', "3: hammer.mass: mass of a ball follows"),
+        ('radius = "5 mm" }', 'radius = "5 mm" }\nanvil = { material = "steel" }', '2: anvil: [anvil] belongs to the rig'),
+        ('length = "1.5 m", ', "", "4: rod.length: length is missing"),
+        ('diameter = "20 mm", length', 'thickness = "2 mm", diameter = "20 mm", length', "4: rod.thickness: thickness does not"),
+        ('"60 J/kg"', '"60 J"', "5: limits.one.strength: unknown unit"),
+        ("", 'contact = { law = "plastic", hardness = "1 GPa", onset_pressure = "2 GPa" }', "6: contact.hardness: the hardness"),
+    ],
+)  # fmt: skip
+def test_faults_of_a_rig(old: str, new: str, said: str, tmp_path: Path) -> None:
+    text = CELL.replace(old, new, 1) if old else CELL + new
+    assert f"study.toml:{said}" in str(faults(text.encode(), tmp_path))

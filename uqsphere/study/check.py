@@ -17,6 +17,7 @@ import numpy as np
 
 from uqsphere.materials import MATERIAL_KINDS, library
 from uqsphere.mechanics.bars import END_COEFFICIENTS
+from uqsphere.mechanics.contact import reduced_modulus
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.outputs import PATHS
 from uqsphere.mechanics.pulses import DEFAULT_VALLEY, PRESETS, STRIKER_SHAPES, MeasuredPulse, striker_steps
@@ -89,7 +90,7 @@ _MOST: Final = {"inputs": 1000, "limits": 50, "dependence": 100, "gauges": 20}
 #: what a shape needs, and can have
 _PULSE: Final = {**{shape: (keys, ("duration",)) for shape, keys in SHAPE_KEYS.items()}, "step": ((), ()),
                  "two_peak": (SHAPE_KEYS["two_peak"], ("duration", "valley")),
-                 "measured": (("file",), ("columns", "time_unit", "unit", "factor", "gain"))}  # fmt: skip
+                 "measured": (("file",), ("columns", "units", "factor", "gain"))}  # fmt: skip
 
 
 @dataclass(kw_only=True)
@@ -654,6 +655,17 @@ def _bars(draft: Draft) -> tuple[float, float] | None:
     return None if E is None or nu is None else (E, nu)
 
 
+def _share_of_sphere(draft: Draft, E: float, nu: float) -> float:
+    """The sphere's share of the elastic energy in the contacts of the study's rig."""
+    tables = [t for t in RIG_TABLES[draft.rig] if t not in ("striker", "pulse", "insert")]
+    pairs = [(draft.mean(number_path("insert", k)) or draft.mean(f"bars.{k}") if t == "bars" else draft.mean(f"{t}.{k}"))
+             for t in tables for k in ("E", "nu")]  # fmt: skip
+    rigid = bool(draft.options.get("bars.rigid_contact"))
+    moduli = [float(reduced_modulus(E, nu, own, ratio, rigid_bars=rigid)) for own, ratio in zip(pairs[::2], pairs[1::2], strict=True)
+              if own is not None and ratio is not None]  # fmt: skip
+    return (1.0 - nu * nu) / E * sum(moduli) / len(moduli) if moduli else 1.0
+
+
 def _read(draft: Draft, raw: Any, quantity: Quantity, place: Place) -> Number:
     try:
         return number_of(raw, quantity, draft.reader, place)
@@ -732,6 +744,7 @@ def _strength(draft: Draft, table: LimitTable, demand: Demand, place: Place, sce
             raise Fault("the tests need E, nu, density and radius of the sphere", "strength")
         own = {key: float(value) for key, value in sphere.items() if value is not None and key != "radius"
                and (draft.plastic or key in ("E", "nu", "density"))}  # fmt: skip
+        own["share"] = _share_of_sphere(draft, own["E"], own["nu"])
         try:
             found = tested_strength(table.strength, demand, own, float(sphere["radius"] or 0.0), _bars(draft), draft.reader,
                                     place, quick=draft.rig != "platens")  # fmt: skip

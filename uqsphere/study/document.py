@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass as plain
 from dataclasses import field, replace
 from difflib import get_close_matches
@@ -277,6 +277,7 @@ def _check_law(number: Number, raw: object, quantity: Quantity, reader: Reader, 
         cov = law.family.variation(law.parameters)
     except (OverflowError, ZeroDivisionError, ValueError):
         cov = math.inf
+    cov = max(cov, number.given.get("cov", 0.0))
     truncated = math.isfinite(law.lower) or math.isfinite(law.upper)
     if cov > _TOO_WIDE and not truncated:
         key = next((key for key in ("cov", "sd", "log_sd", "shape", "modulus") if key in raw), "")
@@ -421,8 +422,8 @@ class Sphere:
     nu: Num = None
     density: Num = None
     radius: Num = key("radius, not diameter; the sphere must fit its bars", usual="required")
-    onset_pressure: Num = key("contact pressure at which the sphere yields or crushes, in a `plastic` contact")
-    hardness: Num = key("mean pressure at which it flows or crushes fully")
+    onset_pressure: Num = key("", usual="from the material, else elastic")
+    hardness: Num = key("", usual="from the material")
 
 
 @dataclass(frozen=True, kw_only=True, config=table("partner"))
@@ -434,8 +435,8 @@ class Face:
     nu: Num = None
     density: Num = None
     yield_strength: Num = key("for the validity checks, and the law of a `plastic` contact")
-    onset_pressure: Num = key("centre pressure at which the face yields", usual="from `yield_strength`")
-    hardness: Num = key("mean pressure of the face that flows fully", usual="from `yield_strength`")
+    onset_pressure: Num = key("", usual="from `yield_strength`")
+    hardness: Num = key("", usual="from `yield_strength`")
     pile_up: Num = key("`a²` over `r` times the approach far beyond yield, 1 to 3", usual="8/3")
 
 
@@ -482,9 +483,8 @@ class Pulse:
     valley: Num = key("`two_peak`: level half-way between", usual="0.75 of the lower peak")
     file: str | None = key("`measured`: CSV beside the study, time and strain (compression positive)")
     columns: tuple[str, ...] = key("`measured`: names of both columns", (), usual="the first two")
-    time_unit: str | None = key("`measured`: unit of the time", usual="that of the heading")
-    unit: str | None = key("`measured`: unit of the signal: strain, microstrain, or V, mV with `factor`",
-                           usual="that of the heading")  # fmt: skip
+    units: tuple[str, ...] = key("`measured`: units of both: of time, and of strain, or V, mV with `factor`", (),
+                                 usual="those of the headings")  # fmt: skip
     factor: float | None = key("`measured`: strain of one volt")
     gain: Num = key("`measured`: true strain over that of the record")
 
@@ -754,6 +754,3 @@ class Document:
     gauges: tuple[Gauge, ...] = ()
     analysis: Analysis = Field(default_factory=Analysis)
     margins: MarginsTable | None = None
-
-
-Kind = Callable[..., Any]

@@ -31,16 +31,19 @@ def measured_pulse(table: Pulse, reader: Reader) -> MeasuredPulse:
     columns = table.columns or tuple(found.headings[:2])
     if len(columns) != 2:
         raise Fault(f"found {len(columns)} columns: time, then strain or volts are required", "columns")
+    if len(table.units) not in (0, 2):
+        raise Fault(f"found {len(table.units)} units: those of time and signal are required", "units")
+    time_unit, unit = table.units or (None, None)
     try:
         dimension, factor = "strain", table.factor or 1.0
-        if table.unit in UNITS["voltage"] or (table.unit is None and found.unit_of(columns[1], "voltage")):
+        if unit in UNITS["voltage"] or (unit is None and found.unit_of(columns[1], "voltage")):
             dimension = "voltage"
-        time = found.numbers(columns[0], "time", table.time_unit, key="time")
-        strain = factor * found.numbers(columns[1], dimension, table.unit)
+        time = found.numbers(columns[0], "time", time_unit, key="time")
+        strain = factor * found.numbers(columns[1], dimension, unit)
         found.refuse("", "the time must rise from row to row", np.diff(time, prepend=-np.inf) <= 0.0)
         found.finish()
     except TableError as error:
-        raise Fault(str(error), error.key if error.key in ("time_unit", "unit") else "file") from None
+        raise Fault(str(error), "units" if error.key.endswith("unit") else "file") from None
     if dimension == "voltage" and table.factor is None:
         raise Fault("factor is missing: the strain of one volt, such as factor = 1e-3", "factor")
     notes = list(found.notes)

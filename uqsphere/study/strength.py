@@ -25,7 +25,7 @@ from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA, pole_of
 from uqsphere.mechanics.criteria import demand as demand_of
 from uqsphere.mechanics.outputs import OUTPUTS, at_force, follows_force
-from uqsphere.quantities import INPUTS, format_value
+from uqsphere.quantities import INPUTS, format_value, reading_units, unit_that_reads
 from uqsphere.study.document import (
     Fault,
     Number,
@@ -89,11 +89,12 @@ def _state(force: Array, sphere: Mapping[str, Values], radius: Array, platens: t
         "hertz_constant": contact.hertz_constant(modulus, radius),
         "loading_rate": np.zeros(radius.shape) if rate is None else rate, "face": pole_of(full, modulus, radius),
     })  # fmt: skip
-    # of the energy in both contacts, and of what slow platens offer, the sphere has this share
+    # the sphere has this share of what both contacts store; in the study's own rig it may be another
     share = modulus * (1.0 - nu * nu) / E
     own = share * state["energy"] + state["dissipated"]
+    both = (own - state["dissipated"]) / full.get("sphere.share", share)
     given = {"energy_sphere": own, "specific_energy_sphere": own / mass, "impact_energy": state["energy"],
-             "specific_impact_energy": state["energy"] / mass}  # fmt: skip
+             "specific_impact_energy": state["energy"] / mass, "energy": both, "specific_energy": both / mass}  # fmt: skip
     return type(state)({**state, **given})
 
 
@@ -116,7 +117,8 @@ def equivalent_force(
     ----------
     limit : its quantity, or criterion with parameters.
     value : (n,) of that criterion in the row, SI.
-    sphere : E [Pa], nu, density [kg/m³], (n,) each or numbers; onset_pressure and hardness [Pa] where its poles yield.
+    sphere : E [Pa], nu, density [kg/m³], (n,) each or numbers; onset_pressure and hardness [Pa] where its poles yield;
+        share, the sphere's of the energy in both contacts of the row's own rig, where that is what is limited.
     radius : of the row's sphere [m], (n,).
     platens : E [Pa], infinite if rigid, and nu of the platens of the tests.
 
@@ -157,7 +159,7 @@ def test_force(limit: Limit, value: Values, sphere: Mapping[str, Values], radius
     """
     tested = limit.tested
     assert tested is not None
-    own = {**{k: v for k, v in tested.sphere.items() if k in ("onset_pressure", "hardness")}, **sphere}
+    own = {**{k: v for k, v in tested.sphere.items() if k in ("onset_pressure", "hardness", "share")}, **sphere}
     force = equivalent_force(limit, value, own, radius, tested.platens)
     return np.asarray(force * (tested.diameter / (2.0 * np.asarray(radius, dtype=float))) ** tested.exponent)
 
@@ -329,7 +331,8 @@ def tested_strength(
 ) -> Number:  # fmt: skip
     """The law of the strength against a demand from forces at failure, and the tests themselves; raises Fault.
 
-    sphere: E, nu, density, and onset_pressure and hardness where its poles yield, at their means; radius: its mean [m];
+    sphere: E, nu, density, share, and onset_pressure and hardness where its poles yield, at their means (see
+    `equivalent_force`); radius: its mean [m];
     bars: E and nu of the study's bars; quick: whether the study's rig is a blow.
     """
     table = _declared(raw)
@@ -470,7 +473,9 @@ def _warn_of_tests(table: Observations, force: Array, diameter: Array, radius: f
         likely = [u for u in ("N", "kN", "MN") if u != table.force_unit
                   and _TENSION[0] <= typical * UNITS["force"][u] / given <= _TENSION[1]]  # fmt: skip
         hint = f": is the unit {one_of(likely)}?" if likely and table.force_unit else ": are the units right?"
-        reader.warn((*place, "force"), f"0.9 P/D² of {table.file} is {format_value(typical, 'core_tension', 3)}, usual are "
+        with reading_units({"core_tension": unit_that_reads("core_tension", [typical])}):
+            value = format_value(typical, "core_tension", 3)
+        reader.warn((*place, "force"), f"0.9 P/D² of {table.file} is {value}, usual are "
                     f"{_TENSION[0] / 1e6:g} to {_TENSION[1] / 1e6:g} MPa{hint}")  # fmt: skip
     off = diameter / (2.0 * radius)
     wrong = np.flatnonzero((off > 3.0) | (off < 1.0 / 3.0))

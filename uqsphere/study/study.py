@@ -39,7 +39,7 @@ class Tested:
 
     diameter: the mean one [m], to which `law` belongs; growth: of the force over the force [1/s], if it was measured.
     forces [N], diameters [m], suspended: of every test.  platens: E [Pa], infinite if rigid, and nu.  sphere: E, nu,
-    density, and onset_pressure and hardness where poles yield.  law: of the force at failure of a sphere of `diameter`.
+    density, the share of `uqsphere.study.strength`, and onset_pressure and hardness where poles yield.  law: of the force at failure of a sphere of `diameter`.
     exponent: that force goes with the diameter to this power; size: the law that says so, "weakest link" or "none".
     """
 
