@@ -18,7 +18,7 @@ from uqsphere.arrays import Array, Places
 from uqsphere.errors import ModelError, UsageError, told
 from uqsphere.models.black_box import BlackBox, load_black_box, model_digest
 from uqsphere.models.cache import Cache
-from uqsphere.models.rows import Code, EvaluatedRows, Interrupted, failed_rows, status_text, where_of
+from uqsphere.models.rows import Code, EvaluatedRows, Interrupted, status_text, where_of
 from uqsphere.models.scene import check_quantities, check_range, evaluate, scene_of, solve_scene
 from uqsphere.models.workers import BoxTask, Died, Given, Here, Processes, SceneTask, Workers, outcome, pickled
 from uqsphere.study import Study
@@ -192,7 +192,7 @@ class Model:
             whole[:, k] = rows[:, names.index(name)] if name in names else number
         task = self._box_task = self._box_task or self._first_task(tuple(numbers))
         limited = self.study.analysis.time_limit is not None
-        size = self.study.analysis.rows_per_call or max(1, min(_MOST_ROWS, n // _BLOCKS))
+        size = max(1, min(_MOST_ROWS, n // _BLOCKS))
         parts = _blocks(n, size, first=1 if limited else size)
         stored, pieces = np.zeros(n, dtype=bool), list[_Piece]()
         if self.cache is not None:
@@ -215,8 +215,7 @@ class Model:
             text = notes.get(at) or status_text(int(status[at]), black_box=True)
             text = f"{columns[k]} = {answers[at, k]:g}" if status[at] == Code.NOT_FINITE else text
             note = f"{text} {where_of(task.names, whole[at])}"
-        answers = np.where((status == 0)[:, None], answers, np.nan)
-        return EvaluatedRows(values=answers, censored=np.zeros(answers.shape, dtype=bool), status=status, note=note)
+        return EvaluatedRows.plain(np.where((status == 0)[:, None], answers, np.nan), status, note)
 
     # --- who evaluates -----------------------------------------------------------------------------------------------
 
@@ -272,7 +271,7 @@ class Model:
     ) -> tuple[EvaluatedRows, dict[int, str]]:
         """Answers of pieces of rows (n, d), at their places, and what happened at rows that failed."""
         width = len(task.columns if isinstance(task, SceneTask) else task.outputs)
-        found, notes, due = failed_rows(len(rows), width, 0), dict[int, str](), deque(pieces)
+        found, notes, due = EvaluatedRows.plain(np.full((len(rows), width), np.nan)), dict[int, str](), deque(pieces)
         running: dict[int, tuple[_Piece, Any, Workers]] = {}
         ready, numbers = queue.SimpleQueue[int](), itertools.count()
         total = left = sum(len(piece.places) for piece in pieces if piece.before is None)
@@ -308,7 +307,7 @@ class Model:
                 if self._hung == _HUNG:
                     where = where_of(task.names, rows[piece.places[0]])
                     raise ModelError(f"{_HUNG} rows in a row have no answer, the last: {text} {where}") from error
-                settle(piece, failed_rows(1, width, code, text))
+                settle(piece, EvaluatedRows.plain(np.full((1, width), np.nan), code, text))
 
         def take(piece: _Piece, future: Any, workers: Workers) -> None:
             try:

@@ -57,7 +57,6 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
         horizon=study.model.horizon,
         demands=study.demands,
         contact_law=str(options.get("contact.law", "hertz")),
-        contact_dynamics="elastic" if options.get("contact.dynamics") == "elastic" else "path",
         hardness_at_onset=options.get("contact.hardness") == "onset",
         record=study.record,
     )
@@ -169,8 +168,7 @@ def evaluate_scene(
     from uqsphere.mechanics.scene import STATUS, answered
 
     if len(rows) == 0:
-        empty = np.zeros((0, len(columns)))
-        return EvaluatedRows(values=empty, censored=empty.astype(bool), status=np.zeros(0, dtype=np.int64))
+        return EvaluatedRows.plain(np.zeros((0, len(columns))))
     fidelity = study.model.fidelity if study.model.fidelity in ("massless", "linear") else "full"
     tolerance = study.model.tolerance if tolerance is None else tolerance
     try:
