@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import uqsphere.models
 from uqsphere.errors import AccessError, ModelError, UsageError
 from uqsphere.models import Interrupted, Model, open_model, workers
 from uqsphere.models.cache import Cache
@@ -112,7 +113,8 @@ HARMLESS = {
 
 
 @pytest.fixture
-def place(tmp_path: Path) -> Path:
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(uqsphere.models, "_BLOCKS", 3)  # two rows of eight in a call
     (tmp_path / "calls").touch()
     return tmp_path
 
@@ -147,7 +149,7 @@ def test_a_fault_at_some_rows_leaves_the_others(place: Path, name: str) -> None:
     body, result, text = FAULTS[name]
     lines = ["time_limit = '0.2 s'"] if result is Code.TIME_OVER else []
     reference = box(place, body)
-    with open_model(study("rows_per_call = 3", *lines), reference, threads=1) as model:
+    with open_model(study(*lines), reference, threads=1) as model:
         if not isinstance(result, Code):
             with pytest.raises(result) as caught:
                 evaluated(model)
@@ -207,8 +209,6 @@ def test_a_file_that_cannot_be_loaded(place: Path, body: str, text: str, monkeyp
 
 
 def test_a_model_that_never_answers_is_given_up(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import uqsphere.models
-
     monkeypatch.setattr(uqsphere.models, "_HUNG", 3)
     limited = study("time_limit = '0.1 s'")
     with (
@@ -314,8 +314,6 @@ class Backwards(Executor):
 
 
 def test_a_slow_function_gets_processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    import uqsphere.models
-
     monkeypatch.setattr(uqsphere.models, "_WORTH", 1e-9)
 
     def where(x: dict[str, Any]) -> dict[str, Any]:
@@ -328,8 +326,6 @@ def test_a_slow_function_gets_processes(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_a_function_that_cannot_travel_stays(monkeypatch: pytest.MonkeyPatch) -> None:
-    import uqsphere.models
-
     monkeypatch.setattr(uqsphere.models, "_WORTH", 1e-9)
     lock = threading.Lock()
 
@@ -365,13 +361,13 @@ class Lost(Executor):
 def test_an_executor_that_is_lost_leaves_what_is_done(place: Path) -> None:
     reference, cache = box(place, "time.sleep(0.001)", where="True"), place / "cache"
     with (
-        open_model(study(), reference, executor=Lost(5), cache=cache) as model,
+        open_model(study(), reference, executor=Lost(2), cache=cache) as model,
         pytest.raises(AccessError, match="the executor Lost was lost"),
     ):
         evaluated(model)
     with open_model(study(), reference, threads=1, cache=cache) as model:
         assert is_right(evaluated(model))
-        assert model.reused == 5
+        assert model.reused == 4
 
 
 def test_a_dask_cluster_answers_and_may_be_lost(place: Path) -> None:
@@ -420,12 +416,12 @@ def test_a_model_that_gives_two_answers_is_noted(place: Path) -> None:
         return {"y": x["a"] - np.mean(x["a"]), "z": x["a"]}
 
     for unsteady, text in ((random, "two answers to the same row"), (neighbours, "the rows next to it")):
-        with open_model(study("rows_per_call = 4"), unsteady) as model:
+        with open_model(study(), unsteady) as model:
             evaluated(model)
             assert len(model.notes) == 1
             assert text in model.notes[0]
             assert model.evaluations == len(A)
-    with open_model(study("rows_per_call = 4"), lambda x: {"y": x["a"], "z": x["b"]}) as model:
+    with open_model(study(), lambda x: {"y": x["a"], "z": x["b"]}) as model:
         evaluated(model)
         assert model.notes == []
 

@@ -19,15 +19,15 @@ from uqsphere.errors import ModelError, UsageError, told
 from uqsphere.models.black_box import BlackBox, load_black_box, model_digest
 from uqsphere.models.cache import Cache
 from uqsphere.models.diagnose import absent_quantity, checked_rows, fractures_of, rows_under_plastic_contact
-from uqsphere.models.rows import Code, EvaluatedRows, Interrupted, failed_rows, status_text, where_of
+from uqsphere.models.rows import Code, EvaluatedRows, Interrupted, status_text, where_of
 from uqsphere.models.scene import check_quantities, check_range, evaluate, scene_of, solve_scene
 from uqsphere.models.workers import BoxTask, Died, Given, Here, Processes, SceneTask, Workers, outcome, pickled
 from uqsphere.study import Study
 
 __all__ = [
-    "EvaluatedRows", "Interrupted", "Model", "absent_quantity", "check_quantities", "check_range", "checked_rows",
-    "evaluate", "fractures_of", "load_black_box", "model_digest", "open_model", "rows_under_plastic_contact",
-    "scene_of", "solve_scene", "status_text",
+    "EvaluatedRows", "Interrupted", "Model", "absent_quantity", "check_quantities", "check_range",
+    "checked_rows", "evaluate", "fractures_of", "load_black_box", "model_digest", "open_model",
+    "rows_under_plastic_contact", "scene_of", "solve_scene", "status_text",
 ]  # fmt: skip
 
 #: rows of one block of the impact model in this process, and for an executor; no answer depends on it
@@ -217,8 +217,7 @@ class Model:
             text = notes.get(at) or status_text(int(status[at]), black_box=True)
             text = f"{columns[k]} = {answers[at, k]:g}" if status[at] == Code.NOT_FINITE else text
             note = f"{text} {where_of(task.names, whole[at])}"
-        answers = np.where((status == 0)[:, None], answers, np.nan)
-        return EvaluatedRows(values=answers, censored=np.zeros(answers.shape, dtype=bool), status=status, note=note)
+        return EvaluatedRows.plain(np.where((status == 0)[:, None], answers, np.nan), status, note)
 
     # --- who evaluates -----------------------------------------------------------------------------------------------
 
@@ -274,7 +273,7 @@ class Model:
     ) -> tuple[EvaluatedRows, dict[int, str]]:
         """Answers of pieces of rows (n, d), at their places, and what happened at rows that failed."""
         width = len(task.columns if isinstance(task, SceneTask) else task.outputs)
-        found, notes, due = failed_rows(len(rows), width, 0), dict[int, str](), deque(pieces)
+        found, notes, due = EvaluatedRows.plain(np.full((len(rows), width), np.nan)), dict[int, str](), deque(pieces)
         running: dict[int, tuple[_Piece, Any, Workers]] = {}
         ready, numbers = queue.SimpleQueue[int](), itertools.count()
         total = left = sum(len(piece.places) for piece in pieces if piece.before is None)
@@ -310,7 +309,7 @@ class Model:
                 if self._hung == _HUNG:
                     where = where_of(task.names, rows[piece.places[0]])
                     raise ModelError(f"{_HUNG} rows in a row have no answer, the last: {text} {where}") from error
-                settle(piece, failed_rows(1, width, code, text))
+                settle(piece, EvaluatedRows.plain(np.full((1, width), np.nan), code, text))
 
         def take(piece: _Piece, future: Any, workers: Workers) -> None:
             try:

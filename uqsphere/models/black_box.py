@@ -10,7 +10,7 @@ import re
 import sys
 import sysconfig
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
@@ -31,10 +31,7 @@ _INSTALLED: Final = frozenset(("site-packages", "dist-packages"))
 
 
 def parse_reference(reference: str) -> tuple[Path, str]:
-    """File and function of "FILE.py:FUNCTION".
-
-    Raises UsageError when the reference is malformed; AccessError when there is no such file.
-    """
+    """File and function of "FILE.py:FUNCTION". Raises UsageError for another form, AccessError for a missing file."""
     file, _, name = reference.rpartition(":")
     if not file.endswith(".py") or not name.isidentifier():
         raise UsageError(f"a model is given as FILE.py:FUNCTION, not {told(reference, 120)!r}")
@@ -44,26 +41,21 @@ def parse_reference(reference: str) -> tuple[Path, str]:
 
 
 def load_black_box(reference: str) -> BlackBox:
-    """The function that "FILE.py:FUNCTION" names. This runs the file, as nothing else here does.
+    """The function that "FILE.py:FUNCTION" names. This runs the file.
 
-    Raises UsageError when the reference is malformed or the file has no such function; AccessError when the file cannot
-    be read; ModelError when it raises.
+    Raises UsageError for another form and a missing function; AccessError where the file cannot be read; ModelError
+    where it raises.
     """
     path, name = parse_reference(reference)
     module = ModuleType(f"uqsphere_black_box_{path.stem}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module  # dataclasses and pickle look a module up by its name
     try:
-        source = path.read_bytes()
-    except OSError as error:
-        raise AccessError(f"the model file {path} cannot be read: {error.strerror}") from error
-    try:
         with contextlib.redirect_stdout(sys.stderr):
             # compiled from the file as it is: bytecode on disk may be that of the same second
-            exec(compile(source, str(path), "exec"), module.__dict__)
-    except FAULTS as error:
-        text = f"{type(error).__name__}: {told(error)}{_place_of(error)}"
-        raise ModelError(f"{path} raised {text} while it was loaded") from error
+            exec(compile(path.read_bytes(), str(path), "exec"), module.__dict__)
+    except (Exception, SystemExit) as error:
+        raise ModelError(f"{path} raised {_described(error)} while it was loaded") from error
     function = getattr(module, name, None)
     if not callable(function):
         functions = [key for key, value in vars(module).items() if inspect.isfunction(value) and key[0] != "_"]
@@ -71,17 +63,17 @@ def load_black_box(reference: str) -> BlackBox:
     return function  # type: ignore[no-any-return]
 
 
-def _place_of(error: BaseException) -> str:
-    """Where in the user's code an exception began: " (bad.py, line 3)"; empty where that is not known."""
+def _described(error: BaseException) -> str:
+    """An exception, and where in the user's code it began: "ValueError: too large (bad.py, line 3)"."""
     ours = {Path(__file__).parent, *(Path(sysconfig.get_path(key)) for key in ("stdlib", "purelib", "platlib"))}
-    frames = [
-        frame
+    places = [
+        f" ({Path(frame.filename).name}, line {frame.lineno})"
         for frame in traceback.extract_tb(error.__traceback__)
         if not frame.filename.startswith("<")
         and ours.isdisjoint(Path(frame.filename).parents)
         and _INSTALLED.isdisjoint(Path(frame.filename).parts)
     ]
-    return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {told(error)}{places[-1] if places else ''}"
 
 
 def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Sequence[str]) -> Array:
@@ -97,120 +89,99 @@ def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Se
         with contextlib.redirect_stdout(sys.stderr):
             returned = box(columns)
     except FAULTS as error:
-        raise ModelRaised(f"the model raised {type(error).__name__}: {told(error)}{_place_of(error)}") from error
+        raise ModelRaised(f"the model raised {_described(error)}") from error
     try:
         return _table(returned, outputs, len(rows))
     except ModelError:
         raise
     except Exception as error:  # what was returned computes its content as it likes
-        text = f"{type(error).__name__}: {told(error)}"
-        raise ModelError(f"what the model returned cannot be read: {text}") from error
+        raise ModelError(f"what the model returned cannot be read: {_described(error)}") from error
 
 
 def _table(returned: Any, outputs: Sequence[str], count: int) -> Array:
     """What a model returned, as numbers (n, q)."""
-    if hasattr(returned, "columns") and hasattr(returned, "iloc"):  # a DataFrame, without importing pandas
-        returned = _by_index(returned, count)
+    returned = _by_index(returned, count)
+    if hasattr(returned, "iloc") and hasattr(returned, "columns"):  # a DataFrame, without importing pandas
         names = list(returned.columns)
-        if repeated := sorted({str(name) for name in names if names.count(name) > 1}):
+        if repeated := [name for name in names if names.count(name) > 1]:
             raise ModelError(f"the model returned the column {told(repeated[0], 60)!r} more than once")
         returned = {name: returned[name].to_numpy() for name in names}
     if isinstance(returned, Mapping):
-        missing = [name for name in outputs if name not in returned]
-        if missing:
+        if missing := [name for name in outputs if name not in returned]:
             keys = ", ".join(repr(told(key, 60)) for key in list(returned)[:6]) or "nothing"
             raise ModelError(f"the model returned no {missing[0]!r} (it returned {keys})")
         return np.stack([_column(_by_index(returned[name], count), name, count) for name in outputs], axis=1)
     if returned is None:
         raise ModelError("the model returned nothing: it must return a dict of output name -> array")
-    if hasattr(returned, "index") and hasattr(returned, "iloc"):
-        returned = _by_index(returned, count)
     shape = np.shape(returned)
-    if shape == (count, len(outputs)) and len(shape) == 2:
+    if shape == (count, len(outputs)):
         table = np.asanyarray(returned)
         return np.stack([_column(table[:, k], name, count) for k, name in enumerate(outputs)], axis=1)
     if len(outputs) == 1:
         return _column(returned, outputs[0], count)[:, None]
-    listed = ", ".join(map(repr, outputs))
     raise ModelError(
-        f"the model must return a dict with {listed}, or an array of shape ({count}, {len(outputs)}); "
-        f"it returned {type(returned).__name__}{f' of shape {shape}' if shape else ''}"
+        f"the model must return a dict with {', '.join(map(repr, outputs))}, or an array of shape "
+        f"({count}, {len(outputs)}); it returned {type(returned).__name__}{f' of shape {shape}' if shape else ''}"
     )
 
 
 def _by_index(value: Any, count: int) -> Any:
     """A Series or DataFrame in the order of the rows, if its index numbers them; anything else as it is."""
-    index = getattr(value, "index", None)
-    if not hasattr(value, "iloc") or index is None or len(index) != count:
-        return value
-    labels = np.asarray(index)
-    if labels.dtype.kind in "iu" and not np.array_equal(labels, np.arange(count)):
-        places = np.argsort(labels, kind="stable")
-        if np.array_equal(labels[places], np.arange(count)):
-            return value.iloc[places]
+    if hasattr(value, "iloc") and len(value) == count:
+        labels = np.asarray(value.index)
+        if labels.dtype.kind in "iu" and np.array_equal(np.sort(labels), np.arange(count)):
+            return value.iloc[np.argsort(labels)]
     return value
 
 
 def _column(value: Any, name: str, count: int) -> Array:
     """One output as numbers (n,); what a mask hides, and None, is NaN."""
-    kind = np.asarray(value).dtype.kind
-    if kind == "c":
+    given = np.asarray(value)
+    if given.dtype.kind == "c":
         raise ModelError(f"the model's {name!r} has complex numbers: return the real part, or the absolute value")
-    if kind not in "fiubO":
-        raise ModelError(f"the model's {name!r} is not an array of numbers (its type is {np.asarray(value).dtype})")
+    if given.dtype.kind not in "fiubO":
+        raise ModelError(f"the model's {name!r} is not an array of numbers (its type is {given.dtype})")
     try:
-        column = np.ma.MaskedArray(value, dtype=float).filled(np.nan)
+        column = given.astype(float)
     except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"the model's {name!r} is not an array of numbers: {told(error)}") from error
+    if isinstance(value, np.ma.MaskedArray):
+        column = np.where(value.mask, np.nan, column)
     if count == 1 and column.ndim == 0:
-        column = column[None]
+        return column[None]
     if column.shape != (count,):
         hint = "; a function of one row can be wrapped by numpy.vectorize" if column.ndim == 0 else ""
         raise ModelError(
             f"the model's {name!r} must have shape ({count},), one number for each row of its inputs; "
             f"its shape is {column.shape}{hint}"
         )
-    return np.asarray(column, dtype=float)
+    return column
 
 
 def model_digest(model: str | BlackBox) -> str:
     """What distinguishes one black box from another, 32 hexadecimal digits.
 
-    Of a reference its file and function; of a function its source, defaults and the numbers and texts that it takes
-    from outside, without those that it assigns. What it reads or imports besides is not seen.
+    Of a reference its file and function; of a function its source, its defaults, and the numbers and texts that it
+    takes from outside, but for those that it assigns. What it reads or imports besides is not seen.
     """
     if isinstance(model, str):
         path, name = parse_reference(model)
-        parts = [path.read_bytes(), name.encode()]
-    else:
-        parts = list(_parts_of(model))
-    digest = hashlib.sha256()
-    for part in parts:
-        digest.update(len(part).to_bytes(8, "big") + part)
-    return digest.hexdigest()[:32]
-
-
-def _parts_of(model: Any) -> Iterator[bytes]:
+        return hashlib.sha256(path.read_bytes() + b"\0" + name.encode()).hexdigest()[:32]
     if isinstance(model, functools.partial):
-        yield from _parts_of(model.func)
-        yield repr((model.args, sorted(model.keywords.items()))).encode()
-        return
+        content = f"{model_digest(model.func)}{model.args}{sorted(model.keywords.items())}"
+        return hashlib.sha256(content.encode()).hexdigest()[:32]
     function = inspect.unwrap(model)
-    if not inspect.isroutine(function):
-        function = type(model).__call__
-    function = getattr(function, "__func__", function)
-    yield f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', '')}".encode()
+    function = getattr(function if inspect.isroutine(function) else type(model).__call__, "__func__", function)
     try:
         source = inspect.getsource(function)
     except (OSError, TypeError):
-        source = repr(getattr(getattr(function, "__code__", None), "co_code", function))
-    yield source.encode()
-    if not inspect.isfunction(function):
-        return
-    assigned = set(re.findall(r"\w+", " ".join(re.findall(r"\b(?:global|nonlocal) ([\w, ]+)", source))))
-    outside = inspect.getclosurevars(function)
-    for name, value in sorted({**outside.globals, **outside.nonlocals}.items()):
-        if name not in assigned and isinstance(value, (bool, int, float, complex, str, bytes, tuple, np.ndarray)):
-            content = value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
-            yield name.encode() + b"=" + content
-    yield repr((function.__defaults__, function.__kwdefaults__)).encode()
+        source = str(getattr(getattr(function, "__code__", None), "co_code", function))
+    parts = [source, getattr(function, "__qualname__", "")]
+    if inspect.isfunction(function):
+        parts += [repr(function.__defaults__), repr(function.__kwdefaults__)]
+        assigned = re.findall(r"\w+", " ".join(re.findall(r"\b(?:global|nonlocal) ([\w, ]+)", source)))
+        outside = inspect.getclosurevars(function)
+        for name, value in sorted({**outside.globals, **outside.nonlocals}.items()):
+            if name not in assigned and isinstance(value, (bool, int, float, complex, str, bytes, tuple, np.ndarray)):
+                parts.append(f"{name} = {value.tolist() if isinstance(value, np.ndarray) else value!r}")
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]

@@ -1,4 +1,4 @@
-"""Rows of answers, the states that a row can be in, and the note on the first row that failed."""
+"""Rows of answers, the states that a row can be in, and the note on a row that failed."""
 
 from __future__ import annotations
 
@@ -55,25 +55,11 @@ class EvaluatedRows:
         """Which rows have an answer, (n,)."""
         return np.asarray(self.status == 0)
 
-
-def failed_rows(count: int, columns: int, status: int, note: str = "") -> EvaluatedRows:
-    """Rows without an answer."""
-    return EvaluatedRows(
-        values=np.full((count, columns), np.nan),
-        censored=np.zeros((count, columns), dtype=bool),
-        status=np.full(count, status, dtype=np.int64),
-        note=note,
-    )
-
-
-def joined(parts: Sequence[EvaluatedRows]) -> EvaluatedRows:
-    """Answers one after the other, with the first note."""
-    return EvaluatedRows(
-        values=np.concatenate([part.values for part in parts]),
-        censored=np.concatenate([part.censored for part in parts]),
-        status=np.concatenate([part.status for part in parts]),
-        note=next((part.note for part in parts if part.note), ""),
-    )
+    @classmethod
+    def plain(cls, values: Array, status: Places | int = 0, note: str = "") -> EvaluatedRows:
+        """Answers (n, q) of which none is censored; one status (n,) for all rows, or each its own."""
+        codes = np.broadcast_to(np.asarray(status, dtype=np.int64), len(values)).copy()
+        return cls(values=values, censored=np.zeros(values.shape, dtype=bool), status=codes, note=note)
 
 
 def where_of(names: Sequence[str], row: Array) -> str:

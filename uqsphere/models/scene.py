@@ -57,7 +57,6 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
         horizon=study.model.horizon,
         demands=study.demands,
         contact_law=str(options.get("contact.law", "hertz")),
-        contact_dynamics="elastic" if options.get("contact.dynamics") == "elastic" else "path",
         hardness_at_onset=options.get("contact.hardness") == "onset",
         record=study.record,
     )
@@ -169,8 +168,7 @@ def evaluate_scene(
     from uqsphere.mechanics.scene import STATUS, answered
 
     if len(rows) == 0:
-        empty = np.zeros((0, len(columns)))
-        return EvaluatedRows(values=empty, censored=empty.astype(bool), status=np.zeros(0, dtype=np.int64))
+        return EvaluatedRows.plain(np.zeros((0, len(columns))))
     fidelity = study.model.fidelity if study.model.fidelity in ("massless", "linear") else "full"
     tolerance = study.model.tolerance if tolerance is None else tolerance
     try:
@@ -270,54 +268,46 @@ def _columns_of(study: Study, frame: Any) -> tuple[dict[str, Array], Any]:
     """Columns (n,) by name in the order of `frame`, and its index."""
     import pandas as pd
 
-    whole = isinstance(frame, (pd.DataFrame, pd.Series))
     if isinstance(frame, pd.Series):
         frame = pd.DataFrame([frame.to_numpy()], columns=frame.index)
-    if not isinstance(frame, (pd.DataFrame, Mapping)):
+    if isinstance(frame, pd.DataFrame):
+        names, values, index = list(frame.columns), [frame.iloc[:, k] for k in range(frame.shape[1])], frame.index
+        if missing := [name for name in study.random if name not in names]:
+            raise UsageError(
+                f"the column {missing[0]!r} is missing: a table has every random input of the study "
+                f"({', '.join(study.random)}); a dict leaves the others at the study's means"
+            )
+    elif isinstance(frame, Mapping):
+        names, values = list(frame), list(frame.values())
+        index = next((value.index for value in values if isinstance(value, pd.Series)), None)
+    else:
         raise UsageError(f"rows are a DataFrame or a dict of arrays by name, not {type(frame).__name__}")
-    names = [str(name) for name in (frame.columns if isinstance(frame, pd.DataFrame) else frame)]
-    allowed = list(study.at_means()) if study.black_box else list(INPUTS)
-    for name in names:
+    means = study.at_means()
+    tables = {"pulse", "contact", *(name.partition(".")[0] for name in means)}
+    allowed = means if study.black_box else [name for name in INPUTS if name.partition(".")[0] in tables]
+    columns: dict[str, Array] = {}
+    for name, value in zip(names, values, strict=True):
         if name not in allowed:
             raise UsageError(f"unknown input {told(name, 60)!r} (allowed: {', '.join(allowed)})")
-        if names.count(name) > 1:
+        if name in columns:
             raise UsageError(f"the column {name!r} is there {names.count(name)} times")
-    if whole and (missing := [name for name in study.random if name not in names]):
-        raise UsageError(
-            f"the column {missing[0]!r} is missing: a table has every random input of the study "
-            f"({', '.join(study.random)}); a dict leaves the others at the study's means"
-        )
-    if isinstance(frame, pd.DataFrame):
-        return {name: _numbers(frame[name], name) for name in names}, frame.index
-    index = next((value.index for value in frame.values() if isinstance(value, pd.Series)), None)
-    columns: dict[str, Array] = {}
-    for name, value in frame.items():
-        if isinstance(value, pd.Series) and index is not None and not value.index.equals(index):
+        if isinstance(value, pd.Series) and not value.index.equals(index):
             if not (value.index.is_unique and index.is_unique and set(value.index) == set(index)):
                 raise UsageError(f"the Series {name!r} has another index than the Series before it")
             value = value.reindex(index)
-        columns[name] = _numbers(value, name)
-    lengths = {len(column) for column in columns.values() if column.ndim}
-    n = len(index) if index is not None else next(iter(lengths), 1)
-    for name, column in columns.items():
-        if column.ndim and len(column) != n:
-            raise UsageError(f"columns differ in length: {name!r} has {len(column)} rows, others {n}")
+        if np.asarray(value).dtype.kind not in "fiubO":
+            raise UsageError(f"{name}: numbers in SI are needed, not {np.asarray(value).dtype}")
+        try:
+            columns[name] = np.asarray(value, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise UsageError(f"{name}: numbers in SI are needed: {told(error, 120)}") from error
+    shapes = {column.shape for column in columns.values()} - {()}
+    n = len(index) if index is not None else next((shape[0] for shape in shapes), 1)
+    if shapes - {(n,)}:
+        raise UsageError(f"all columns must have the same shape (n,), not {' and '.join(map(str, sorted(shapes)))}")
     return {name: np.broadcast_to(column, (n,)) for name, column in columns.items()}, (
         pd.RangeIndex(n) if index is None else index
     )
-
-
-def _numbers(value: Any, name: str) -> Array:
-    """A column as numbers, () or (n,)."""
-    try:
-        if np.asarray(value).dtype.kind not in "fiubO":
-            raise TypeError(f"its type is {np.asarray(value).dtype}")
-        column = np.asarray(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise UsageError(f"{name}: a column of numbers in SI is needed: {told(error, 120)}") from error
-    if column.ndim > 1:
-        raise UsageError(f"{name}: a column has shape (n,), not {column.shape}")
-    return column
 
 
 def _warn_of_unusual(columns: Mapping[str, Array]) -> None:

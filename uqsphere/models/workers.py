@@ -30,7 +30,7 @@ from uqsphere.arrays import Array
 from uqsphere.errors import AccessError, ModelError, ModelRaised, UqsphereError, UsageError, told
 from uqsphere.models import black_box
 from uqsphere.models.black_box import BlackBox, call_black_box, load_black_box, model_digest
-from uqsphere.models.rows import Code, EvaluatedRows, failed_rows, joined
+from uqsphere.models.rows import Code, EvaluatedRows
 from uqsphere.models.scene import evaluate_scene
 from uqsphere.study import Study
 
@@ -86,13 +86,16 @@ class BoxTask:
             if not self.row_by_row:
                 raise
             if len(rows) == 1:
-                return failed_rows(1, len(self.outputs), Code.RAISED, str(error))
-            return joined([self.answer_by(box, rows[k : k + 1]) for k in range(len(rows))])
+                return EvaluatedRows.plain(np.full((1, len(self.outputs)), np.nan), Code.RAISED, str(error))
+            parts = [self.answer_by(box, rows[k : k + 1]) for k in range(len(rows))]
+            note = next((part.note for part in parts if part.note), "")
+            return EvaluatedRows.plain(
+                np.concatenate([part.values for part in parts]), np.concatenate([part.status for part in parts]), note
+            )
         finally:
             if os.getpid() != process:
                 os._exit(1)  # the model forked, and its child came back from the call
-        none = np.zeros(values.shape, dtype=bool)
-        return EvaluatedRows(values=values, censored=none, status=np.zeros(len(rows), dtype=np.int64))
+        return EvaluatedRows.plain(values)
 
 
 Task: TypeAlias = SceneTask | BoxTask
