@@ -55,12 +55,13 @@ _LARGEST: Final = 1 << 30
 class Table:
     """A table of numbers.
 
-    names, units : of the columns; a unit is empty where the heading has none.
+    headings, names, units : of the columns, as written and in parts; a unit is empty where the heading has none.
     values : DataFrame (n, k) of float, or of str in columns that are no numbers; `line` of a row in the file: its index.
     interval : time between samples [s] that the metadata give, 0 without.
     """
 
     path: Path
+    headings: tuple[str, ...]
     names: tuple[str, ...]
     units: tuple[str, ...]
     values: pd.DataFrame
@@ -70,14 +71,13 @@ class Table:
     def place(self, column: str | int) -> int:
         """Place of a column by its heading, its name without the unit, or its number from 1 on; UsageError else."""
         text = str(column).strip()
-        headings = [f"{n} [{u}]" if u else n for n, u in zip(self.names, self.units, strict=True)]
-        for row in (self.names, headings, [str(h) for h in self.values.columns]):
-            if row.count(text) == 1 if isinstance(row, list) else row.count(text) == 1:
-                return list(row).index(text)
+        for row in (self.headings, self.names):
+            if row.count(text) == 1:
+                return row.index(text)
         if text.isdigit() and 1 <= int(text) <= len(self.names):
             return int(text) - 1
         raise UsageError(
-            f"{self.path.name}: no single column {text!r}; the file has {', '.join(self.names)} "
+            f"{self.path.name}: no single column {text!r}; the file has {', '.join(self.headings)} "
             f"(a number from 1 to {len(self.names)} names one too)"
         )
 
@@ -246,7 +246,7 @@ def _table(path: Path, sheet: list[list[str]] | None, lines: list[str], notes: l
             f"{path.name}: {len(ragged)} lines do not have {width} columns, first line {ragged[0] + 1} with "
             f"{len(body[ragged[0]])}{hint}"
         )
-    names, units = _names([cells[k] for k in live if k < first] or _comments(lines, separator, first), width, notes)
+    headings, names, units = _names([cells[k] for k in live if k < first] or _comments(lines, separator, first), width, notes)
     frame = pd.DataFrame([*body.values()], index=[k + 1 for k in body], columns=range(width), dtype=object)
     used = [k for k in range(width) if k in places or names[k] != f"column {k + 1}"]
     for k in used:
@@ -259,8 +259,8 @@ def _table(path: Path, sheet: list[list[str]] | None, lines: list[str], notes: l
     frame = frame[used]
     frame.columns = pd.Index([names[k] for k in used])
     head = "\n".join(lines[: max(first, 40)])
-    return Table(path=path, names=tuple(names[k] for k in used), units=tuple(units[k] for k in used), values=frame,
-                 interval=_interval(head), notes=tuple(notes))  # fmt: skip
+    return Table(path=path, headings=tuple(headings[k] for k in used), names=tuple(names[k] for k in used), units=tuple(units[k] for k in used),
+                 values=frame, interval=_interval(head), notes=tuple(notes))  # fmt: skip
 
 
 def _is_data(row: Sequence[str], places: Sequence[int], decimal: str) -> bool:
@@ -275,8 +275,8 @@ def _comments(lines: Sequence[str], separator: str, first: int) -> list[list[str
     return [_cells(line.lstrip("# "), separator) for line in lines[:first] if line.lstrip().startswith("#")]
 
 
-def _names(above: Sequence[Sequence[str]], width: int, notes: list[str]) -> tuple[list[str], list[str]]:
-    """Names and units of the columns, from the last row of words above the numbers and a row of units below it."""
+def _names(above: Sequence[Sequence[str]], width: int, notes: list[str]) -> tuple[list[str], list[str], list[str]]:
+    """Headings, names and units of the columns, from the last row of words above the numbers and a row of units below it."""
     rows = [list(row) for row in above if len(row) in (width, width + 1)]
     rows = [row[:width] for row in rows if any(row)]
     spelled = [[_SPELLED.get(c.strip("[]() "), c.strip("[]() ")) for c in row] for row in rows]
@@ -285,7 +285,8 @@ def _names(above: Sequence[Sequence[str]], width: int, notes: list[str]) -> tupl
         units, rows = spelled[-1], rows[:-1]
     if not rows:
         notes.append("the file names no columns")
-        return [f"column {k + 1}" for k in range(width)], units
+        numbered = [f"column {k + 1}" for k in range(width)]
+        return numbered, numbered, units
     names = []
     for k, text in enumerate(rows[-1]):
         name, unit = split_heading(text)
@@ -293,7 +294,7 @@ def _names(above: Sequence[Sequence[str]], width: int, notes: list[str]) -> tupl
         units[k] = unit or units[k]
     for name in {n for n in names if names.count(n) > 1}:
         names = [f"{n} ({k + 1})" if n == name else n for k, n in enumerate(names)]
-    return names, units
+    return [text or names[k] for k, text in enumerate(rows[-1])], names, units
 
 
 def _interval(text: str) -> float:

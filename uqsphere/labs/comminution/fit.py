@@ -324,7 +324,7 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
         rng = np.random.default_rng([asked.seed, 731, k])
         done = sample(model, tests, gamma, rng)
         chain = done["chain"].reshape(-1, len(model.names))
-        rows = chain[np.linspace(0, len(chain) - 1, asked.draws).astype(int)]
+        rows = chain[rng.permutation(len(chain))[: asked.draws]]  # even strides would meet the same walkers again
         each = done["each"](rows)
         # leave-one-out by importance: 1/mean(1/p) of every specimen
         loo = float(-np.log(np.mean(np.exp(np.minimum(-each / tests.weight, 600.0)), axis=0)) @ tests.weight)
@@ -374,8 +374,7 @@ def _described(
         mean, sd = priors.get(name, PRIORS.get(name, _FLAT))
         own = float(np.nanstd(np.log(values)))
         parameters[name] = {**quantiles(values), "prior_sd": None if math.isinf(sd) else sd, "sd": own}
-        fixed = name == "gamma" and isinstance(asked.tests.gamma, float)
-        if not math.isinf(sd) and own > 0.7 * sd and not fixed and name not in ("e_inf", "d0"):
+        if name in priors and not math.isinf(sd) and own > 0.7 * sd:
             warnings.append(f"these tests do not determine {name}: it keeps its prior")
     sizes = []
     for size in tests.sizes[:200]:

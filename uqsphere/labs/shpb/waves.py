@@ -40,6 +40,9 @@ _EARLY, _LATE = 0.02, 0.10
 _BENT: Final = 0.04
 #: difference of two gauges of a bar over the wave, and of both faces over the larger force, that is a gross fault
 _GROSS: Final = 0.25
+#: width of an interval over its value beyond which a number is hardly known; difference of the faces that is a doubt
+#: even where their intervals meet
+_WIDE, _APART = 0.3, 0.2
 #: difference of the forces over their mean that counts as equilibrium
 _BALANCE: Final = 0.05
 
@@ -437,8 +440,9 @@ def _held_together(
         if peak.low > 2.0 * pressed:
             doubt = f"an incident wave of {pressed * 1e-3:.4g} kN presses with at most twice as much"
             found[face] = _doubted(found[face], doubt, 2.0 * pressed)
-        if peak.high - peak.low > _GROSS * peak.value:
-            found[face] = _doubted(found[face], "its interval is wide: it is hardly known")
+        if _WIDE * peak.value < peak.high - peak.low < math.inf:
+            half = 0.5 * (peak.high - peak.low) / peak.value
+            found[face] = _doubted(found[face], f"hardly known: 95 % interval of +- {half:.0%}")
         strongest = document.specimen.strongest
         if strongest is not None and peak.low > strongest:
             doubt = f"the specimen bears at most {strongest * 1e-3:.4g} kN"
@@ -453,7 +457,7 @@ def _held_together(
     if "A" in peaks:
         a, b = peaks["A"], peaks["B"]
         apart = abs(a.value - b.value) / max(a.value, b.value)
-        if a.low > b.high or b.low > a.high or apart > 0.5 * _GROSS:
+        if a.low > b.high or b.low > a.high or apart > _APART:
             what = "one face is wrong (gauge, gain or a wave)" if apart > _GROSS else "no common force"
             for face, other in (("A", b), ("B", a), ("mean", None)):
                 text = f"the faces differ by {apart:.0%} (A {a.value * 1e-3:.4g}, B {b.value * 1e-3:.4g} kN): {what}"
