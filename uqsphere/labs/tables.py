@@ -30,7 +30,8 @@ STRAIN_UNITS: Final = {"strain": 1.0, "m/m": 1.0, "microstrain": 1e-6, "um/m": 1
 VOLT_UNITS: Final = {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "kV": 1e3}
 _SPELLED: Final = {
     "µε": "microstrain", "με": "microstrain", "ue": "microstrain", "uε": "microstrain", "ustrain": "microstrain",
-    "µstrain": "microstrain", "µm/m": "um/m", "J_kg": "J/kg", "kWh_t": "kWh/t", "m_s": "m/s", "microstrains": "microstrain", "ε": "strain", "mε": "millistrain",
+    "µstrain": "microstrain", "µm/m": "um/m", "microstrains": "microstrain", "ε": "strain",
+    "mε": "millistrain", "J_kg": "J/kg", "kWh_t": "kWh/t", "m_s": "m/s",
     "volt": "V", "volts": "V", "voltage": "V", "v": "V", "µV": "uV",
     "sec": "s", "seconds": "s", "msec": "ms", "usec": "us", "microseconds": "us",
 }  # fmt: skip
@@ -46,7 +47,9 @@ _HEADINGS: Final = tuple(
 _WRITTEN: Final = ((";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (" ", "."), (" ", ","))
 _NOTHING: Final = {"", "-", "nan", "n/a", "na", "none", "null", "#n/a"}
 _RATE = re.compile(r"sampl\w*[ _]*(?:rate|frequency)\W*(?P<rate>[\d.]+(?:e[+-]?\d+)?)\s*(?P<prefix>[kM]?)", re.I)
-_INTERVAL = re.compile(r"sampl\w*[ _]*(?:interval|time|period)\W*(?P<step>[\d.]+(?:e[+-]?\d+)?)\W*(?P<unit>[a-zµ]*)", re.I)
+_INTERVAL = re.compile(
+    r"sampl\w*[ _]*(?:interval|time|period)\W*(?P<step>[\d.]+(?:e[+-]?\d+)?)\W*(?P<unit>[a-zµ]*)", re.I
+)
 #: bytes of a table, at the most
 _LARGEST: Final = 1 << 30
 
@@ -56,7 +59,7 @@ class Table:
     """A table of numbers.
 
     headings, names, units : of the columns, as written and in parts; a unit is empty where the heading has none.
-    values : DataFrame (n, k) of float, or of str in columns that are no numbers; `line` of a row in the file: its index.
+    values : DataFrame (n, k) of float, of str in columns that are no numbers; its index: lines of the file.
     interval : time between samples [s] that the metadata give, 0 without.
     """
 
@@ -94,7 +97,7 @@ class Table:
         return found.to_numpy(dtype=float)
 
     def in_si(self, column: str | int, dimension: str, unit: str = "") -> Array:
-        """A column in SI; its unit is `unit`, else that of the heading; UsageError where neither is of the dimension."""
+        """A column in SI; its unit is `unit`, else that of the heading; UsageError where there is none."""
         found = unit or self.units[self.place(column)]
         if found not in UNITS[dimension]:
             has = f"has the unit {found!r}" if found else "has no unit"
@@ -246,7 +249,9 @@ def _table(path: Path, sheet: list[list[str]] | None, lines: list[str], notes: l
             f"{path.name}: {len(ragged)} lines do not have {width} columns, first line {ragged[0] + 1} with "
             f"{len(body[ragged[0]])}{hint}"
         )
-    headings, names, units = _names([cells[k] for k in live if k < first] or _comments(lines, separator, first), width, notes)
+    headings, names, units = _names(
+        [cells[k] for k in live if k < first] or _comments(lines, separator, first), width, notes
+    )
     frame = pd.DataFrame([*body.values()], index=[k + 1 for k in body], columns=range(width), dtype=object)
     used = [k for k in range(width) if k in places or names[k] != f"column {k + 1}"]
     for k in used:
@@ -257,10 +262,11 @@ def _table(path: Path, sheet: list[list[str]] | None, lines: list[str], notes: l
         words = as_numbers.isna() & ~cleaned.str.lower().isin(_NOTHING)
         frame[k] = cleaned if words.any() else as_numbers
     frame = frame[used]
-    frame.columns = pd.Index([names[k] for k in used])
+    frame.columns = pd.Index([headings[k] for k in used])
     head = "\n".join(lines[: max(first, 40)])
-    return Table(path=path, headings=tuple(headings[k] for k in used), names=tuple(names[k] for k in used), units=tuple(units[k] for k in used),
-                 values=frame, interval=_interval(head), notes=tuple(notes))  # fmt: skip
+    headings, names, units = ([row[k] for k in used] for row in (headings, names, units))
+    return Table(path=path, headings=tuple(headings), names=tuple(names), units=tuple(units), values=frame,
+                 interval=_interval(head), notes=tuple(notes))  # fmt: skip
 
 
 def _is_data(row: Sequence[str], places: Sequence[int], decimal: str) -> bool:
@@ -276,7 +282,7 @@ def _comments(lines: Sequence[str], separator: str, first: int) -> list[list[str
 
 
 def _names(above: Sequence[Sequence[str]], width: int, notes: list[str]) -> tuple[list[str], list[str], list[str]]:
-    """Headings, names and units of the columns, from the last row of words above the numbers and a row of units below it."""
+    """Headings, names and units of the columns: the last row of words above the numbers, and units below it."""
     rows = [list(row) for row in above if len(row) in (width, width + 1)]
     rows = [row[:width] for row in rows if any(row)]
     spelled = [[_SPELLED.get(c.strip("[]() "), c.strip("[]() ")) for c in row] for row in rows]

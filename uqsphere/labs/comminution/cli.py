@@ -85,7 +85,8 @@ def _fit_text(content: dict[str, Any]) -> str:
     rows = [("size", "tests", "E50 of the law", "95 %", "breaks half", "95 %", "breaks 1 %", "95 %")]
     for one in content["sizes"]:
         rows.append((f"{one['diameter'] * 1e3:.4g} mm", str(one["tests"]), *_interval(one["E50"], 1.0, "J/kg"),
-                     *_interval(one["breaks_half"], 1.0, "J/kg"), *_interval(one["breaks_1_percent"], 1.0, "J/kg")))  # fmt: skip
+                     *_interval(one["breaks_half"], 1.0, "J/kg"),
+                     *_interval(one["breaks_1_percent"], 1.0, "J/kg")))  # fmt: skip
     laws = [("law", "weight", "log likelihood", "log score (leave one out)")]
     laws += [(law, f"{one['weight']:.0%}", f"{one['log_likelihood']:.2f}", f"{one['loo']:.2f}")
              for law, one in content["laws"].items()]  # fmt: skip
@@ -114,7 +115,9 @@ def _feed_text(content: dict[str, Any]) -> str:
     classes = [("size", "mass", "broken", "95 %", "")]
     for one in content["classes"]:
         mark = "extrapolated" if one["extrapolated"] else ""
-        classes.append((f"{one['size'] * 1e3:.4g} mm", f"{one['mass']:.1%}", *_interval(one["broken"], 100.0, "%"), mark))
+        classes.append(
+            (f"{one['size'] * 1e3:.4g} mm", f"{one['mass']:.1%}", *_interval(one["broken"], 100.0, "%"), mark)
+        )
     blocks = [content["title"] or "feed", table(rows), table(classes)]
     if "goal" in content:
         goal = content["goal"]

@@ -12,7 +12,9 @@ from uqsphere.materials import library
 SpecificEnergy = Annotated[float, _in("specific_energy"), Field(gt=0.0)]
 Energy = Annotated[float, _in("energy"), Field(gt=0.0)]
 Mass = Annotated[float, _in("mass"), Field(gt=0.0)]
-Share = Annotated[float, BeforeValidator(lambda v: v if isinstance(v, (int, float)) else _share(v)), Field(gt=0.0, le=1.0)]
+Share = Annotated[
+    float, BeforeValidator(lambda v: v if isinstance(v, (int, float)) else _share(v)), Field(gt=0.0, le=1.0)
+]
 
 
 def _share(text: Any) -> float:
@@ -43,7 +45,9 @@ class Elastic(Section):
             raise ValueError(f"material {name!r} is not known: {', '.join(known)}")
         own = known[name].properties
         units = {"E": " Pa", "nu": "", "density": " kg/m3"}
-        taken = {key: f"{own[key].value!r}{unit}" if unit else own[key].value for key, unit in units.items() if key in own}
+        taken = {
+            key: f"{own[key].value!r}{unit}" if unit else own[key].value for key, unit in units.items() if key in own
+        }
         return {**taken, **data}
 
 
@@ -69,7 +73,7 @@ class TestsTable(Section):
     file: str
     rig: Literal["platens", "load_cell", "bars", "drop_weight", "impact", "drop"] = "load_cell"
     rig_column: str | None = None
-    where: dict[str, str | int | float] = {}
+    where: dict[str, str | int | float] = Field(default_factory=dict)
     diameter: str | None = None
     mesh_lower: str | None = None
     mesh_upper: str | None = None
@@ -95,7 +99,7 @@ class TestsTable(Section):
     ratio: float = Field(default=4.0, gt=1.0)
     size: Literal["tavares", "king", "power", "class"] = "tavares"
     gamma: float | Literal["fit"] = "fit"
-    prior: dict[str, Lognormal] = {}
+    prior: dict[str, Lognormal] = Field(default_factory=dict)
     synthetic: bool = False
 
     @model_validator(mode="after")

@@ -20,6 +20,7 @@ from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.document import ComminutionDocument, FeedTable, Lognormal, ProductTable, SizesTable
 from uqsphere.labs.comminution.fit import Posterior, quantiles
+from uqsphere.labs.comminution.tests import stiffness
 from uqsphere.labs.tables import read_table
 
 #: draws that a feed is computed for, and series of blows where their energy scatters
@@ -75,7 +76,7 @@ def load_classes(asked: SizesTable, folder: Path) -> Classes:
         cut = 1.0 - float(passing(top))
         if cut > 1e-6:
             notes.append(f"{cut:.2g} of the mass is coarser than top = {top * 1e3:.4g} mm, is cut, and the rest scaled")
-    edges = top * asked.ratio ** -np.arange(asked.classes + 1.0)
+    edges = np.asarray(top * asked.ratio ** -np.arange(asked.classes + 1.0), dtype=float)
     share = np.clip(passing(edges), 0.0, None)
     mass = np.append(share[:-1] - share[1:], share[-1]) / share[0]
     return Classes(edges=edges, mass=mass, notes=tuple(notes))
@@ -103,7 +104,12 @@ def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Any, flo
         percent = True
         notes.append(f"{table.path.name}: passing reaches {largest:.4g}, percent are taken")
     share = given * (0.01 if percent else 1.0)
-    if (sieve <= 0.0).any() or (np.diff(sieve) == 0.0).any() or (np.diff(share) < 0.0).any() or not 0 < share[-1] <= 1.0001:
+    if (
+        (sieve <= 0.0).any()
+        or (np.diff(sieve) == 0.0).any()
+        or (np.diff(share) < 0.0).any()
+        or not 0 < share[-1] <= 1.0001
+    ):
         raise UsageError(f"{table.path.name}: sieves must differ, and what passes must rise with them up to 100 %")
     left = 1.0 - float(share[-1])
     top = asked.top if asked.top is not None else float(sieve[-1])
@@ -113,8 +119,8 @@ def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Any, flo
             notes.append(f"{left:.3g} of the mass lies between the coarsest sieve and top, where all passes: by a line")
     elif left > _CUT:
         raise UsageError(
-            f"{table.path.name}: the coarsest sieve passes {share[-1]:.1%}: {left:.1%} of the feed has no size; add top, "
-            "the size that all passes"
+            f"{table.path.name}: the coarsest sieve passes {share[-1]:.1%}: {left:.1%} of the feed has no size; add "
+            "top, the size that all passes"
         )
     elif left > 1e-4:
         notes.append(f"{left:.2g} of the mass is coarser than the coarsest sieve, is cut, and the rest scaled")
@@ -154,7 +160,9 @@ class Answer:
         """The product curve."""
         rows = ["sieve [mm],feed [1],passing [1],low [1],high [1]"]
         for one in self.content["product"]:
-            rows.append(",".join(f"{v:.6g}" for v in (one["sieve"] * 1e3, one["feed"], one["value"], one["low"], one["high"])))
+            rows.append(
+                ",".join(f"{v:.6g}" for v in (one["sieve"] * 1e3, one["feed"], one["value"], one["low"], one["high"]))
+            )
         return "\n".join(rows) + "\n"
 
 
@@ -210,10 +218,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     given = offered(feed, sizes, own.density)
     share, warnings = 1.0, list(classes.notes)
     if feed.impact_surface is not None:
-        surface = feed.impact_surface
-        if None in (own.E, own.nu, surface.E, surface.nu):
-            raise UsageError("material and feed.impact_surface need E and nu")
-        share = laws.particle_share(own.E, own.nu, surface.E, surface.nu)  # type: ignore[arg-type]
+        share = laws.particle_share(stiffness(own), stiffness(feed.impact_surface))
     u = factors(feed, posterior.gamma, rng)
     cumulative = broken_by_blow(posterior, given * share, sizes, u)
     if feed.undersize == "stays":
@@ -302,12 +307,12 @@ def _product(
     else:
         for k in range(len(alpha)):
             passing[k] += laws.t_n(ratio, fine, "trr", alpha[k]) @ fragments[k]
-    return np.minimum(np.maximum.accumulate(passing, axis=1), 1.0)
+    return np.asarray(np.minimum(np.maximum.accumulate(passing, axis=1), 1.0))
 
 
 def _size_at(share: float, sieves: Array, passing: Array) -> Array:
     """The size [m] that a share passes, in every row."""
-    return np.exp(np.array([np.interp(share, row, np.log(sieves)) for row in passing]))
+    return np.asarray(np.exp([np.interp(share, row, np.log(sieves)) for row in passing]))
 
 
 def _lots(broken: Array, mass: Array, count: Array, rng: np.random.Generator) -> Array:
@@ -323,10 +328,22 @@ def _goal(feed: FeedTable, total: Array, synthetic: bool) -> dict[str, Any]:
     assert feed.goal is not None
     probability = float((total >= feed.goal).mean())
     error = 3.0 * math.sqrt(max(probability * (1.0 - probability), 1.0 / len(total)) / len(total))
-    verdict = "met" if probability - error >= feed.at_least else "not met" if probability + error < feed.at_least else "undecided"
+    verdict = (
+        "met"
+        if probability - error >= feed.at_least
+        else "not met"
+        if probability + error < feed.at_least
+        else "undecided"
+    )
     if synthetic:
         verdict = "not established"
-    return {"broken": feed.goal, "at_least": feed.at_least, "probability": probability, "error": error, "verdict": verdict}
+    return {
+        "broken": feed.goal,
+        "at_least": feed.at_least,
+        "probability": probability,
+        "error": error,
+        "verdict": verdict,
+    }
 
 
 def figures(answer: Answer, fitted: Mapping[str, Any]) -> str:
@@ -339,7 +356,9 @@ def figures(answer: Answer, fitted: Mapping[str, Any]) -> str:
     for axes, at, values, name in (
         (left, x, answer.broken, "share broken"), (right, answer.sieves * 1e3, answer.passing, "product, passing"),
     ):  # fmt: skip
-        low, middle, high = np.nanquantile(values, [0.025, 0.5, 0.975], axis=0) if np.isfinite(values).any() else [None] * 3
+        low, middle, high = (
+            np.nanquantile(values, [0.025, 0.5, 0.975], axis=0) if np.isfinite(values).any() else [None] * 3
+        )
         if low is None:
             continue
         axes.fill_between(at, low, high, color="#0072b2", alpha=0.25, linewidth=0)

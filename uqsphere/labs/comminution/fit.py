@@ -190,7 +190,7 @@ def log_likelihoods(model: Model, tests: Specimens, gamma: float | None) -> Call
                 first, last = laws.hazard(lo, median, p["modulus"]), laws.hazard(hi, median, p["modulus"])
                 density = np.log(s * last / hi) - last
                 inside = np.where(np.isposinf(first), -np.inf, -first + log_rest(np.maximum(last - first, 0.0)))
-        return tests.weight * np.where(exact, density, inside)
+        return np.asarray(tests.weight * np.where(exact, density, inside))
 
     return value
 
@@ -211,7 +211,9 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> Model:
     if want.gamma == "fit" and tests.repeated.any():
         found["gamma"] = PRIORS["gamma"]
     own = {name: (one.log_mean, one.log_sd) for name, one in want.prior.items() if name in found}
-    return Model(law=law, size=size, ratio=want.ratio, priors={**found, **own}, classes=sizes if size == "class" else ())
+    return Model(
+        law=law, size=size, ratio=want.ratio, priors={**found, **own}, classes=sizes if size == "class" else ()
+    )
 
 
 # --- sampling -----------------------------------------------------------------------------------------------------
@@ -247,7 +249,7 @@ def sample(model: Model, tests: Specimens, gamma: float | None, rng: np.random.G
 
 
 def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> Array:
-    from scipy.optimize import minimize
+    from scipy.optimize import fmin
 
     x = np.array([mean for mean, _ in model.priors.values()])
     lead = [k for k, name in enumerate(model.names) if name in ("e_inf", "C") or name.startswith("e50_")]
@@ -263,9 +265,7 @@ def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> Ar
     tried = x + np.linspace(-3.0, 4.0, 57)[:, None] * np.isin(np.arange(len(x)), lead)
     x = tried[int(np.argmax(value(tried)))]
     for _ in range(3):
-        found = minimize(lambda y: min(-float(value(y)), 1e15), x, method="Nelder-Mead",
-                         options={"maxiter": 4000, "xatol": 1e-9, "fatol": 1e-10})  # fmt: skip
-        x = found.x
+        x = fmin(lambda y: min(-float(value(y)), 1e15), x, xtol=1e-9, ftol=1e-10, maxiter=4000, disp=False)
     return np.asarray(x)
 
 
@@ -371,7 +371,7 @@ def _described(
     warnings = list(tests.notes)
     parameters, priors = {}, {name: prior for model in models for name, prior in model.priors.items()}
     for name, values in posterior.parameters.items():
-        mean, sd = priors.get(name, PRIORS.get(name, _FLAT))
+        sd = priors.get(name, PRIORS.get(name, _FLAT))[1]
         own = float(np.nanstd(np.log(values)))
         parameters[name] = {**quantiles(values), "prior_sd": None if math.isinf(sd) else sd, "sd": own}
         if name in priors and not math.isinf(sd) and own > 0.7 * sd:
@@ -380,10 +380,12 @@ def _described(
     for size in tests.sizes[:200]:
         near = np.abs(np.log(tests.diameter / size)) < 0.006
         half, hundredth = posterior.energy_at(0.5, size)[:, 0], posterior.energy_at(0.01, size)[:, 0]
-        step = np.log(posterior.median(size * 1.01)[:, 0] / posterior.median(size / 1.01)[:, 0]) / (2.0 * math.log(1.01))
+        step = np.log(posterior.median(size * 1.01)[:, 0] / posterior.median(size / 1.01)[:, 0]) / (
+            2.0 * math.log(1.01)
+        )
         sizes.append({"diameter": size, "tests": int(tests.weight[near].sum()),
-                      "broke": int(tests.weight[near & tests.broke].sum()), "E50": quantiles(posterior.median(size)[:, 0]),
-                      "breaks_half": quantiles(half), "breaks_1_percent": quantiles(hundredth),
+                      "broke": int(tests.weight[near & tests.broke].sum()), "breaks_half": quantiles(half),
+                      "E50": quantiles(posterior.median(size)[:, 0]), "breaks_1_percent": quantiles(hundredth),
                       "slope": quantiles(-step)})  # fmt: skip
     if len(about) > 1:
         gap = about["lognormal"]["loo"] - about["weibull"]["loo"]
@@ -391,16 +393,22 @@ def _described(
             better = "lognormal" if gap > 0.0 else "weibull"
             warnings.append(f"the {better} law predicts these tests better (log score by {abs(gap):.1f})")
         elif tests.weight.sum() < FEW:
-            warnings.append("too few tests to choose between lognormal and Weibull: both are averaged; small shares differ")
+            warnings.append(
+                "too few tests to choose between lognormal and Weibull: both are averaged; small shares differ"
+            )
     for law, one in about.items():
         if not one["settled"]:
-            warnings.append(f"{law}: the draws did not settle (R-hat {one['r_hat']:.3f}, {one['effective']:.0f} effective)")
+            warnings.append(
+                f"{law}: the draws did not settle (R-hat {one['r_hat']:.3f}, {one['effective']:.0f} effective)"
+            )
     if asked.tests.synthetic:
         warnings.append("the tests are synthetic data: no number here is of a rock")
     content = {
-        "title": asked.title, "seed": asked.seed, "law": asked.tests.law, "size": models[0].size, "ratio": asked.tests.ratio,
+        "title": asked.title, "seed": asked.seed, "law": asked.tests.law, "size": models[0].size,
+        "ratio": asked.tests.ratio if math.isfinite(asked.tests.ratio) else None,
         "tests": {"specimens": len(tests.weight), "particles": int(tests.weight.sum()),
-                  "broke": int(tests.weight[tests.broke].sum()), "exact": int(tests.weight[tests.exact & tests.broke].sum()),
+                  "broke": int(tests.weight[tests.broke].sum()),
+                  "exact": int(tests.weight[tests.exact & tests.broke].sum()),
                   "repeated": int(tests.repeated.sum()), "diameters": list(posterior.tested)},
         "laws": {law: {**one, "weight": weights[law]} for law, one in about.items()},
         "parameters": parameters, "sizes": sizes, "warnings": warnings,

@@ -171,14 +171,13 @@ def energy_of_force(force: Values, diameter: Values, modulus: Values, mass: Valu
     return np.asarray(0.8 * np.asarray(force) ** (5.0 / 3.0) / np.asarray(beta) ** (2.0 / 3.0) / mass)
 
 
-def particle_share(E: float, nu: float, partner_E: float, partner_nu: float) -> float:
-    """k_s/(k_p + k_s), k = E/(1 - nu²): the particle's share of the energy of a contact.
+def particle_share(own: float, partner: float) -> float:
+    """k_s/(k_p + k_s), k = E/(1 - nu²) [Pa] of particle and partner: the particle's share of the energy of a contact.
 
-    >>> round(particle_share(52e9, 0.25, 210e9, 0.3), 6)
+    >>> round(particle_share(52e9 / (1.0 - 0.25**2), 210e9 / (1.0 - 0.3**2)), 6)
     0.80622
     """
-    own, other = E / (1.0 - nu * nu), partner_E / (1.0 - partner_nu * partner_nu)
-    return other / (own + other)
+    return partner / (own + partner)
 
 
 def mass_of(diameter: Values, density: Values) -> Array:

@@ -11,9 +11,8 @@ import numpy as np
 from uqsphere.arrays import Array, Flags
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
-from uqsphere.labs.comminution.document import ComminutionDocument
+from uqsphere.labs.comminution.document import ComminutionDocument, Elastic
 from uqsphere.labs.tables import Table, decode_cell, read_table
-from uqsphere.mechanics.contact import reduced_modulus
 
 #: rigs whose energy is that at failure; in the others it is what was offered
 AT_FAILURE: Final = ("platens", "load_cell", "bars")
@@ -117,6 +116,13 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
     return _specimens(table, rows, names, diameter, energy, rig, particles, broken, count.astype(int), notes)
 
 
+def stiffness(body: Elastic) -> float:
+    """k = E/(1 - nu²) [Pa] of a body; UsageError where it has none."""
+    if body.E is None or body.nu is None:
+        raise UsageError("material, tests.partner and feed.impact_surface need E and nu, or a material of the library")
+    return body.E / (1.0 - body.nu**2)
+
+
 def _refuse(table: Table, rows: Flags, wrong: Flags, text: str) -> None:
     if wrong.any():
         lines = table.values.index[rows][wrong]
@@ -138,9 +144,7 @@ def _energies(
     share = 1.0
     partner = want.partner
     if partner is not None:
-        if None in (own.E, own.nu, partner.E, partner.nu):
-            raise UsageError("material and tests.partner need E and nu")
-        share = laws.particle_share(own.E, own.nu, partner.E, partner.nu)  # type: ignore[arg-type]
+        share = laws.particle_share(stiffness(own), stiffness(partner))
     meaning = want.energy_is
     if want.specific_energy is not None:
         found = table.in_si(want.specific_energy, "specific_energy", want.unit)[rows]
@@ -154,11 +158,8 @@ def _energies(
         if want.stiffness is not None:
             modulus = table.in_si(want.stiffness, "pressure", want.stiffness_unit)[rows]
         else:
-            if own.E is None or own.nu is None:
-                raise UsageError("assume_intact needs E and nu of the material")
-            rigid = partner is None or partner.E is None
-            modulus = np.full(len(force), reduced_modulus(own.E, own.nu, 1.0 if rigid else partner.E,  # type: ignore
-                                                          0.0 if rigid else partner.nu, rigid_bars=rigid))  # type: ignore
+            compliance = 1.0 / stiffness(own) + (1.0 / stiffness(partner) if partner is not None else 0.0)
+            modulus = np.full(len(force), 1.0 / compliance)
             notes.append("the stiffness of intact rock is assumed: energies of broken rock are 2 to 3 times larger")
         found = laws.energy_of_force(force, diameter, modulus, mass)
     if meaning == "sphere":
@@ -196,7 +197,9 @@ def _specimens(
         if len(group) > 1:
             early = [k for k in group[:-1] if broken[k] > 0]
             if early:
-                raise UsageError(f"{table.path.name}: line {lines[early[0]]}: this specimen is hit again after it broke")
+                raise UsageError(
+                    f"{table.path.name}: line {lines[early[0]]}: this specimen is hit again after it broke"
+                )
             if (particles[group] > 1).any():
                 raise UsageError(f"{table.path.name}: line {lines[group[0]]}: a specimen hit again is one particle")
         series = [float(energy[k]) for k in group for _ in range(int(count[k]))]
@@ -214,7 +217,11 @@ def _specimens(
         exact=np.array([one[3] for one in found]), weight=np.array([one[4] for one in found]), notes=tuple(notes),
     )  # fmt: skip
     if not made.broke.any():
-        raise UsageError("every particle survived: nothing bounds the fracture energy from above; test at higher energies")
+        raise UsageError(
+            "every particle survived: nothing bounds the fracture energy from above; test at higher energies"
+        )
     if made.broke.all() and not made.exact.any() and not made.repeated.any():
-        raise UsageError("every particle broke at what it was offered: nothing bounds it from below; test at lower ones")
+        raise UsageError(
+            "every particle broke at what it was offered: nothing bounds it from below; test at lower ones"
+        )
     return made

@@ -119,7 +119,9 @@ class ContactFit:
         ):  # fmt: skip
             if v is not None:
                 low, high = v.low * scale, v.high * scale
-                found.append((name, f"{v.value * scale:.4g} {unit}".rstrip(), f"{low:.4g} to {high:.4g} {unit}".rstrip()))
+                found.append(
+                    (name, f"{v.value * scale:.4g} {unit}".rstrip(), f"{low:.4g} to {high:.4g} {unit}".rstrip())
+                )
         found.append(("misfit of the displacement", f"{self.misfit * 1e6:.2g} um", f"{self.samples} samples"))
         return found
 
@@ -204,7 +206,9 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
         raise UsageError('the force is never positive: is compression negative in the file (compression = "negative")?')
     pressed = displacement[: top + 1]
     if len(pressed) < 3 or not (pressed - pressed.mean()) @ force[: top + 1] > 0.0:
-        raise UsageError("the displacement does not grow with the force: turn its sign, or machine_stiffness is too low")
+        raise UsageError(
+            "the displacement does not grow with the force: turn its sign, or machine_stiffness is too low"
+        )
     if np.median(np.abs(np.diff(displacement))) > 0.2 * np.ptp(displacement):
         raise UsageError("the displacement jumps back and forth: put the samples in the order in which they were taken")
     if asked.pile_up is None and force[top:].min() > _UNLOADED * force[top]:
@@ -252,7 +256,8 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
     alike = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
     alike = alike if alike > 2.0 / math.sqrt(len(left)) else 0.0
     free = len(left) - len(x)
-    covariance = np.linalg.pinv(best.jac.T @ best.jac) * float(left @ left) / free
+    jacobian = np.asarray(best.jac)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(left @ left) / free
     covariance *= (1.0 + alike) / max(1.0 - alike, 0.02)
     reach = float(stdtrit(free, 0.975))
 
@@ -270,7 +275,9 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
     if (onset_range := interval(onset, [0.0, 1.0])).high > _OPEN * onset_range.low:
         raise UsageError("no law of a contact follows this record: is the force free of offset, steps, clipping?")
     if alike > 0.0:
-        notes.append(f"neighbouring residuals are correlated ({alike:.2g}): drift or a hold in the record; intervals widened")
+        notes.append(
+            f"neighbouring residuals are correlated ({alike:.2g}): drift or a hold in the record; intervals widened"
+        )
     return ContactFit(
         onset_pressure=onset_range, hardness=hard, modulus=fitted,
         pile_up=Fitted(value=pile_up, low=max(pile_up - half, 1.0), high=min(pile_up + half, 3.0)),

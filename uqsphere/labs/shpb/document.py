@@ -88,7 +88,8 @@ class BarTable(Section):
 
 
 _DEFAULTS: dict[str, Any] = {
-    "nu": 0.3, "end": "free", "gauge_factor": 2.0, "amplification": 1.0, "active_arms": 1.0, "gain_sd": 0.01, "unit": "",
+    "nu": 0.3, "end": "free", "gauge_factor": 2.0, "amplification": 1.0, "active_arms": 1.0, "gain_sd": 0.01,
+    "unit": "",
 }  # fmt: skip
 
 

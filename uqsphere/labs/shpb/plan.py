@@ -79,7 +79,9 @@ class Plan:
         for k in range(0, len(self.values), max(1, len(self.values) // 13)):
             low, middle, high = (v * 1e-3 for v in self.force[k])
             cells = [_percent(*share[k]) for share in self.shares.values()]
-            rows.append((format_value(float(self.values[k]), self.free), f"{middle:.4g} kN ({low:.4g} to {high:.4g})", *cells))
+            rows.append(
+                (format_value(float(self.values[k]), self.free), f"{middle:.4g} kN ({low:.4g} to {high:.4g})", *cells)
+            )
         wanted = [("share broken", *self.shares)]
         for j, (share, _) in enumerate(next(iter(self.reached.values()))):
             cells = [_value(self.reached[name][j][1], self.free) for name in self.shares]
@@ -141,7 +143,9 @@ def plan_test(asked: PlanDocument, folder: Path) -> Plan:
     study = uqsphere.load_study(folder / asked.study)
     if study.black_box:
         raise UsageError("a plan needs a sphere in a rig; this study is a black box")
-    limits = [one for one in study.limits if one.fracture is not False and (not asked.limits or one.name in asked.limits)]
+    limits = [
+        one for one in study.limits if one.fracture is not False and (not asked.limits or one.name in asked.limits)
+    ]
     if not limits:
         raise UsageError("no limit of the study means fracture: a plan needs a strength, [limits.NAME]")
     free, low, high = _range(asked, study)
@@ -163,7 +167,7 @@ def plan_test(asked: PlanDocument, folder: Path) -> Plan:
     for one in limits:
         demand = answers[one.quantity].to_numpy(dtype=float).reshape(asked.points, rows)
         name = f"limits.{one.name}.model_factor"
-        factor = samples[:, columns.index(name)] if name in columns else float(one.model_factor)
+        factor = samples[:, columns.index(name)] if name in columns else one.model_factor
         demand = demand * factor
         good &= np.isfinite(demand)
         broken = one.strength.cdf(demand) if isinstance(one.strength, Law) else (demand > one.strength).astype(float)
@@ -178,7 +182,9 @@ def plan_test(asked: PlanDocument, folder: Path) -> Plan:
         reached[one.name] = [(share, _reach(values, each, share)) for share in asked.shares]
         tied = any(f"limits.{one.name}.strength" in getattr(group, "of", ()) for group in study.dependence)
         if tied:
-            notes.append(f"note: the strength of {one.name} is tied to inputs in the study; here it is independent of them")
+            notes.append(
+                f"note: the strength of {one.name} is tied to inputs in the study; here it is independent of them"
+            )
         if isinstance(one.strength, Law) and one.aim == "break":
             notes.append(f"note: {one.name} is to break: 1 minus its share is the probability of not breaking")
     if len(limits) > 1:

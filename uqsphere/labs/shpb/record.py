@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import binary_closing, maximum_filter, median_filter
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, Places
 from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.document import BarTable, RecordDocument
 from uqsphere.labs.tables import STRAIN_UNITS, VOLT_UNITS, Table, read_table
@@ -122,7 +122,7 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
         way = bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed + behind.echo
         limits["receiving"] = rough + way / step
     sign = {"auto": 0.0, "tension": 1.0, "compression": -1.0}[document.record.polarity]
-    joined = {}
+    joined: dict[str, tuple[Signal, float]] = {}
     for role, own in names.items():
         gauges = []
         for name in own:
@@ -150,9 +150,8 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
             raise UsageError("record.window lies outside the record, or is empty")
         joined["incident"] = (_windowed(signal, begin, end), joined["incident"][1])
     reflected = joined["reflected"][0] if "reflected" in joined else None
-    record = Record(start=start, step=step, incident=joined["incident"][0], reflected=reflected,
+    return Record(start=start, step=step, incident=joined["incident"][0], reflected=reflected,
                     receiving=joined["receiving"][0], changes=changes)  # fmt: skip
-    return record
 
 
 # --- columns, units, clock --------------------------------------------------------------------------------------
@@ -168,7 +167,7 @@ def _columns(
     )
     if untimed and asked.time is None:
         interval = asked.sample_interval or main.interval
-        time = interval * np.arange(len(main.values))
+        time = np.asarray(interval * np.arange(len(main.values)), dtype=float)
         text = f"no column of time: a sample every {interval * 1e6:.6g} us"
         changes.append(Change(step="read", signal="time", text=text))
         clock = -1
@@ -195,7 +194,9 @@ def _columns(
         if np.nanmax(np.abs(own[:both] - time[:both])) > 0.5 * float(np.median(np.abs(np.diff(time)))):
             raise UsageError(f"{other.path.name}: its clock is not that of {main.path.name}; bring them to one first")
         if len(own) != len(time):
-            changes.append(Change(step="read", signal=other.path.name, text="files of unlike length: the longer is cut"))
+            changes.append(
+                Change(step="read", signal=other.path.name, text="files of unlike length: the longer is cut")
+            )
         count = both
         pool += [(other, k) for k in range(len(other.names)) if k != clock]
     roles = {"incident": asked.incident, "reflected": asked.reflected, "receiving": asked.receiving}
@@ -263,7 +264,7 @@ def _strain(table: Table, k: int, name: str, bar: BarTable, changes: list[Change
         raise UsageError(f"{name}: every sample is the same; there is no wave in it")
     if (size := float(np.quantile(away, 0.98))) > _MOST_STRAIN:
         raise UsageError(
-            f'{name} reaches a strain of {size:.3g}, which no elastic bar bears; is it in microstrain or volts '
+            f"{name} reaches a strain of {size:.3g}, which no elastic bar bears; is it in microstrain or volts "
             '(unit = "microstrain")?'
         )
     changes.append(Change(step="read", signal=name, text=said))
@@ -295,7 +296,9 @@ def _check_clock(time: Array, table: Table, guessed: bool, untimed: bool) -> Non
     if (np.diff(good) < 0.0).any():
         at = int(np.argmax(np.diff(good) < 0.0)) + 2
         if not guessed or (np.diff(good) < 0.0).mean() < 0.01:
-            raise UsageError(f"{table.path.name}: the time falls at sample {at}; are there several records in the file?")
+            raise UsageError(
+                f"{table.path.name}: the time falls at sample {at}; are there several records in the file?"
+            )
         raise UsageError(_no_time(table, table.place(1)))
     if good[-1] - good[0] > _LONGEST:
         raise UsageError(
@@ -369,7 +372,7 @@ def _even(
 # --- spikes, clipping ---------------------------------------------------------------------------------------------
 
 
-def _runs(same: Flags) -> tuple[Array, Array]:
+def _runs(same: Flags) -> tuple[Places, Places]:
     """First places and lengths of the runs of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
     return edges[::2], edges[1::2] - edges[::2]
@@ -428,7 +431,9 @@ def _mark_clipped(name: str, values: Array, known: Flags, changes: list[Change])
         lengths = _runs(same)[1]
         if lengths.max() >= 8 and lengths.max() > 2 * (quiet + 1):
             known[same] = False
-            text = f"{name}: clipped at {extreme * 1e6:.5g} microstrain, {int(same.sum())} samples; its peak is not known"
+            text = (
+                f"{name}: clipped at {extreme * 1e6:.5g} microstrain, {int(same.sum())} samples; its peak is not known"
+            )
             changes.append(Change(step="clipped", signal=name, size=float(extreme), text=text))
 
 
@@ -554,7 +559,9 @@ def _rested(name: str, values: Array, known: Flags, step: float, rest_end: int |
     unsure = noise * math.sqrt(min(1.0, memory / len(quiet)))
     line, reach = np.full(len(values), mean), wave.end - float(place.mean())
     if abs(mean) > 0.005 * wave.peak:
-        text = f"{name}: a baseline of {mean * 1e6:.4g} microstrain is taken off ({abs(mean) / wave.peak:.1%} of the wave)"
+        text = (
+            f"{name}: a baseline of {mean * 1e6:.4g} microstrain is taken off ({abs(mean) / wave.peak:.1%} of the wave)"
+        )
         changes.append(Change(step="baseline", signal=name, size=mean, text=text))
     if abs(slope) > 5.0 * slope_sd and abs(slope * reach) > 0.01 * wave.peak:
         line += slope * (np.arange(len(values)) - float(place.mean()))
@@ -610,7 +617,7 @@ def _joined(gauges: Sequence[Signal], step: float, limit: float, changes: list[C
     first = min(g.wave.foot for g in alive)
     known = np.stack([g.known for g in alive], axis=1)
     strains = np.stack([g.strain for g in alive], axis=1)
-    both = known.all(axis=1)
+    both = np.asarray(known.all(axis=1))
     if not both.all():
         # where one is not known the other stands for the mean, with the difference that they had before
         place = np.arange(len(both))
@@ -632,5 +639,5 @@ def _joined(gauges: Sequence[Signal], step: float, limit: float, changes: list[C
     text = f"{name} are averaged; they differ by up to {2.0 * bent:.1%} of the wave"
     changes.append(Change(step="gauges", signal=name, size=bent * wave.peak, text=text))
     offset = math.hypot(*(g.offset for g in alive)) / len(alive)
-    return Signal(name=name, strain=mean, known=known.any(axis=1), noise=noise, memory=memory, offset=offset,
+    return Signal(name=name, strain=mean, known=np.asarray(known.any(axis=1)), noise=noise, memory=memory, offset=offset,
                   spread=spread, single=len(alive) < len(gauges), wave=wave)  # fmt: skip

@@ -30,7 +30,9 @@ def rows(test: Test) -> list[tuple[str, str, str]]:
     found = []
     for face, peak in test.peaks.items():
         mark = "DOUBTED " if peak.doubts else ""
-        found.append((f"{FACES[face]}, at {peak.time * 1e6:.4g} us", f"{mark}{peak.value * 1e-3:.4g} kN", interval(peak)))
+        found.append(
+            (f"{FACES[face]}, at {peak.time * 1e6:.4g} us", f"{mark}{peak.value * 1e-3:.4g} kN", interval(peak))
+        )
         found += [("", "doubt", doubt) for doubt in peak.doubts]
     found += [("not given", "", reason) for reason in test.withheld]
     if test.energies is not None:

@@ -30,7 +30,7 @@ NORMAL: Final = 1.959964
 _FEWEST: Final = 50
 #: passes of the incident bar that no pulse lasts
 _PASSES: Final = 6.0
-#: shares of the peak at which an arrival is read, on means over so long [s]: to doubt distances, and to shift a steep wave
+#: shares of the peak at which an arrival is read, on means over so long [s]: to doubt distances; to shift a steep wave
 _SURE, _FINE = (0.15, 8e-6), (0.05, 2e-6)
 #: share of its peak that the tail of the incident wave may have where the reflected one comes
 _TAIL: Final = 0.10
@@ -127,7 +127,8 @@ def read_test(record: Record, document: RecordDocument) -> Test:
         )
     if wave.sign > 0.0:
         raise UsageError("the first wave of the incident bar does not press (record.polarity)")
-    changes, withheld = list(record.changes), []
+    changes = list(record.changes)
+    withheld: list[str] = []
     arrivals = _arrivals(record, document, changes)
     lead = max(2, round(0.2 * wave.rising))
     start = max(wave.foot - lead, 0)
@@ -200,7 +201,7 @@ def read_test(record: Record, document: RecordDocument) -> Test:
     else:
         turned = (1.0, "")
 
-    time = step * np.arange(count)
+    time = np.asarray(step * np.arange(count), dtype=float)
     peaks = {"B": _peak(time, force_b, sd_b, behind.stiffness * rec.noise, rec.memory)}
     if not peaks["B"].low > 0.0 or peaks["B"].value < 3.0 * behind.stiffness * rec.noise / math.sqrt(
         max(1.0, (rec.wave.falling - rec.wave.half) / rec.memory)
@@ -394,7 +395,9 @@ def _peak(time: Array, force: Array, sd: Array, noise: float, memory: float) -> 
     calm = median_filter(force, 5, mode="nearest")
     at = int(np.argmax(calm))
     low = np.flatnonzero(calm < 0.8 * calm[at])
-    top = (int(low[low > at][0]) if (low > at).any() else len(calm)) - (int(low[low < at][-1]) if (low < at).any() else 0)
+    top = (int(low[low > at][0]) if (low > at).any() else len(calm)) - (
+        int(low[low < at][-1]) if (low < at).any() else 0
+    )
     width = min(max(5, 2 * (top // 6) + 1), len(calm) - 1 + len(calm) % 2)
     curve = savgol_filter(savgol_filter(calm, width, 2), width, 2)
     at = int(np.argmax(curve))
