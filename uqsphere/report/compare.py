@@ -32,7 +32,7 @@ def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
     if len(runs) < 2:
         raise UsageError("compare takes two runs at least")
     keys = ["subject", "answer", "at"]
-    tables = []
+    tables: list[Any] = []
     for number, run in enumerate(runs):
         table = run.answers[run.answers["answer"].isin(COMPARED)].copy()
         table["at"] = table["at"].map(str)

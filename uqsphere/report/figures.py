@@ -24,7 +24,7 @@ Results = Mapping[str, Any]
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 #: probabilities that the axis of a fragility curve is marked at
 TICKS: Final = (1e-4, 1e-3, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999)
-STYLE: Final = {
+STYLE: Final[dict[str, Any]] = {
     "svg.fonttype": "none", "svg.hashsalt": "uqsphere", "font.size": 9.0, "font.family": "sans-serif",
     "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.color": "#e4e4e4",
     "grid.linewidth": 0.6, "axes.axisbelow": True, "legend.frameon": False, "path.simplify": True,
@@ -39,7 +39,7 @@ def svg(draw: Callable[[Axes], None], width: float = 6.6, height: float = 3.1) -
     matplotlib.use("Agg")
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context(STYLE):
+    with matplotlib.rc_context(STYLE):  # type: ignore[arg-type]
         figure = Figure(figsize=(width, height), layout="constrained")
         draw(figure.add_subplot())
         text = io.StringIO()

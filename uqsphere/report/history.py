@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -118,7 +119,7 @@ def write_history(study: Study, found: History, folder: Path) -> list[str]:
     draw = {"forces": _draw_forces, "pressures": _draw_pressures} | ({"gauges": _draw_gauges} if found.gauges else {})
     draw |= {"xt": _draw_xt} if study.rig == "bars" else {}
     for name, one in draw.items():
-        files[f"figures/{name}.svg"] = svg(lambda axes, one=one: one(axes, found))
+        files[f"figures/{name}.svg"] = svg(partial(one, found=found))
     write_files(folder, files)
     return list(files)
 

@@ -44,7 +44,7 @@ def results_names(results: Mapping[str, Any]) -> list[str]:
 
 
 def _modes(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     free = results["study"]["free"]
     for kind, entries in (("limits", results["study"]["limits"]), ("modes", results["study"]["modes"])):
         for name, entry in entries.items():
@@ -64,7 +64,7 @@ def _modes(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def _quantities(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for name, entry in results["study"]["quantities"].items():
         low, _, high = entry["range"]
         ends = "–" if low is None else f"{value(low, name)} to {value(high, name)}"
@@ -78,7 +78,7 @@ def _indices(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
         return []
     first = of(results["answers"], names[0], "sobol_total")
     ranked = sorted(first, key=lambda row: -(row["value"] or 0.0))
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for row in ranked:
         cells = [find(results["answers"], name, "sobol_total", row["at"]) for name in names]
         if any(cell is not None and cell["value"] is not None for cell in cells):

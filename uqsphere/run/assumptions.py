@@ -53,27 +53,28 @@ def assumptions(design: Design, tables: Tables) -> Assumptions:
     head = tables.sample.head(min(tables.sample.count, MOST))
     for limit in design.study.limits:
         subject = design.subject(limit)
-        if is_fitted(strength_of(limit)):
+        law = strength_of(limit)
+        if isinstance(law, Law) and is_fitted(law):
             found = _by_tests(design, tables, limit, head)
             if found is not None:
                 value, low, high = found
                 ranges[limit.name] = low, high
-                note = f"95 % range over the strengths that {count_tests(strength_of(limit))} tests allow"
+                note = f"95 % range over the strengths that {count_tests(law)} tests allow"
                 answers.row(subject, "failure_probability", "tests", value, low, high, unit="1", runs=head.size,
                             method="epistemic", note=note)  # fmt: skip
                 _margin_by_tests(design, tables, limit, answers)
     for mode in design.modes:
         subject = design.subject(mode.limit)
-        for name, law in (
+        for name, end in (
             ("weak end of the library's range", mode.weak),
             ("strong end of the library's range", mode.strong),
         ):
-            p = float(chances(state_of(design, mode.limit, head, law), mode.limit.aim).mean())
+            p = float(chances(state_of(design, mode.limit, head, end), mode.limit.aim).mean())
             answers.row(subject, "failure_probability", f"assumed: {name}", p, unit="1", runs=head.size,
                         method="epistemic", note=mode.source)  # fmt: skip
     for limit in design.limits:
-        for name, law in other_distributions(limit):
-            p = float(chances(state_of(design, limit, head, law), limit.aim).mean())
+        for name, other in other_distributions(limit):
+            p = float(chances(state_of(design, limit, head, other), limit.aim).mean())
             answers.row(design.subject(limit), "failure_probability", f"assumed: {name}", p, unit="1", runs=head.size,
                         method="epistemic", note="same mean and standard deviation")  # fmt: skip
     plastic = _under_plastic_contact(design, head)
@@ -174,10 +175,8 @@ def _margin_under_plastic_contact(design: Design, tables: Tables, limit: Limit, 
     if margins is None or not tables.line:
         return
     axis, line = margins.axis, {}
-    place = "striker.speed" if axis.kind == "energy" else axis.path
+    place = axis.path
     for value, sample in tables.line.items():
-        if axis.kind == "energy":
-            return
         names = (*design.inputs, *(() if place in design.inputs else (place,)))
         columns = [
             sample.input(name).ravel() if name in design.inputs else np.full(sample.size, value) for name in names

@@ -21,8 +21,7 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.run.design import Design
 from uqsphere.uq import Sample
-from uqsphere.uq.expansion import Chaos, fit_chaos, predict
-from uqsphere.uq.expansion.germs import germ_points, germs_of, rows_of
+from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, germs_of, predict, rows_of
 
 #: rows that an expansion is fitted to at most: more buy nothing on outputs with kinks, and smooth ones need fewer
 MOST_ROWS: Final = 512

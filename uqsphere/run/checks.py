@@ -78,7 +78,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
 
 def _heavy_tails(design: Design, tables: Tables) -> list[Check]:
     """One warning by Hill's rule: an output whose variance may not exist."""
-    from uqsphere.uq.heavy_tails import hill
+    from uqsphere.uq.describe import hill
 
     found = []
     for name in design.study.analysis.quantities:

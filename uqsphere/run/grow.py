@@ -207,7 +207,7 @@ def along(design: Design, model: Model, count: int, before: Mapping[float, Sampl
     known = next((sample.count for sample in before.values()), 0)
     if known >= count:
         return dict(before)
-    place = "striker.speed" if axis.kind == "energy" else axis.path
+    place = axis.path
     parts, moving = [], []
     for value in values:
         moved = axis.move(design.study, value)
@@ -274,7 +274,8 @@ def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
             hold(name, f"sobol {input_name}", widest, accuracy.sobol)
     for limit in design.limits:
         probability = failure(design, tables, limit)
-        if probability.value is None or probability.high is None:
+        p = probability.value
+        if p is None or probability.high is None:
             continue
         smallest = 0.01 * (limit.target or 1e-6)
         if probability.high > smallest and probability.value < SMALL and can_search(design, limit):

@@ -19,7 +19,7 @@ from uqsphere.run.design import Design, at_normals
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample
 from uqsphere.uq.limit_state import CERTAIN, score_of, tails
-from uqsphere.uq.rare.auto import find_probability
+from uqsphere.uq.rare import find_probability
 from uqsphere.uq.rare.form import find_design_points
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction
 
@@ -74,7 +74,7 @@ def design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, f
         return state_of(design, limit, with_test_forces(design, answered, {}, [limit]))
 
     evaluator = Evaluator(limit=_problem(design, limit, state), budget=MOST_VALUES)
-    found = find_design_points(evaluator, seed=design.study.seed, rounds=1)
+    found = find_design_points(evaluator, seed=design.study.seed)
     return _physical(design, limit, state, found.points[0].point if found.converged else None)
 
 

@@ -17,7 +17,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -25,11 +25,11 @@ from uqsphere.arrays import Array, special
 from uqsphere.errors import UsageError
 from uqsphere.models import Interrupted, Model
 from uqsphere.run.design import REPLICATES, VALUES, Design, at_normals, normal_scores
+from uqsphere.study import Axis
 from uqsphere.uq import Estimate, Sample, absent, sobol_points
+from uqsphere.uq.chaos import germ_points, germs_of, predict
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.estimate import around, between
-from uqsphere.uq.expansion import germ_points, predict
-from uqsphere.uq.expansion.germs import germs_of
 from uqsphere.uq.response import Response, cross_fit, half_width, index_shares
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:
     if len(responses) < len(rows.quantities) or not good.all():
         # one table for all columns: where one is rough, the rows answer for all
         replicates = max(k for k in (8, 4, 2) if rows.count >= 2 * k)
-        kept = rows.head(rows.count // replicates * replicates).blocks(replicates)
+        kept = _blocks(rows, replicates)
         return Slow(rows=rows, left_out=rows, responses={}), kept
     table = design.points(POINTS)
     flat = germ_points(table.scores[:, :, order].reshape(-1, size), germs).reshape(REPLICATES, POINTS, size)
@@ -169,6 +169,17 @@ def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:
         rows.quantities, np.stack([responses[name].levels for name in rows.quantities], axis=1)[None]
     )
     return Slow(rows=rows, left_out=left_out, responses=responses), table.with_answers(rows.quantities, values)
+
+
+def _blocks(rows: Sample, count: int) -> Sample:
+    """Rows (1, N) cut into blocks of consecutive ones, which stand for replicates."""
+    each = rows.count // count
+    parts = ("scores", "inputs", "answers", "censored", "status", "failed")
+    cut: dict[str, Any] = {}
+    for name in parts:
+        own = getattr(rows, name)[0, : each * count]
+        cut[name] = own.reshape(count, each, *own.shape[1:])
+    return replace(rows, **cut)
 
 
 def _by_folds(response: Response, points: Array) -> Array:
@@ -207,10 +218,19 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
     )
     found = {}
     for value in axis.grid(VALUES):
-        held = [response.held(axis.germ(value)) for response in responses]
-        answers = np.stack([_by_folds(one, flat) for one in held], axis=2)
+        place = np.full((*flat.shape[:2], 1), _germ_of(axis, value))
+        at = np.concatenate([flat, place], axis=2)
+        answers = np.stack([_by_folds(response, at) for response in responses], axis=2)
         found[value] = table.with_answers(rows.quantities, answers)
     return found
+
+
+def _germ_of(axis: Axis, value: float) -> float:
+    """The place of a value of the free number in [-1, 1], in ratios where it is positive."""
+    low, high = axis.low, axis.high
+    if axis.logarithmic:
+        low, high, value = math.log(low), math.log(high), math.log(value)
+    return 2.0 * (value - low) / (high - low) - 1.0
 
 
 # --- answers corrected by the rows ------------------------------------------------------------------------------------
@@ -291,5 +311,5 @@ def shares(design: Design, slow: Slow, name: str) -> dict[str, tuple[Estimate, .
     if response is None:
         nothing = absent(f"{slow.count} runs of a rough model show no indices", ROUGH, slow.count)
         return dict.fromkeys(design.inputs, (nothing, nothing))
-    found = index_shares(response, design.study.seed)
+    found = index_shares(response)
     return dict(zip(design.inputs, zip(found["first"], found["total"], strict=True), strict=True))

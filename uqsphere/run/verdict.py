@@ -22,7 +22,7 @@ from uqsphere.run.design import Design
 from uqsphere.run.fragility import allowable_probability, band_of, planned_value, target_of
 from uqsphere.run.limits import chances, failure, state_of
 from uqsphere.study import Limit, means_fracture, strength_name
-from uqsphere.uq import Estimate, target_met
+from uqsphere.uq import Estimate, Law, target_met
 from uqsphere.uq.fitting import count_tests
 
 if TYPE_CHECKING:
@@ -140,20 +140,23 @@ def _reasons(
             own = failure(design, tables, one).value or 0.0
             values = [min(max((p.value or 0.0) - own + end, 0.0), 1.0) for end in ends]
             if len({value < target for value in values}) == 2 or turned(values[0]):
-                n = count_tests(strength_of(one))  # type: ignore[arg-type]
+                law = strength_of(one)
+                n = count_tests(law) if isinstance(law, Law) else 0
+                span = f"{format_probability(values[0])} to {format_probability(values[1])}"
                 found.append(
                     Reason(
                         code="tests",
                         decides=f"the {n} tests of {one.name}",
-                        text=f"the {n} tests of {one.name} leave {format_probability(values[0])} to {format_probability(values[1])} open",
+                        text=f"the {n} tests of {one.name} leave {span} open",
                         remedy=_more_tests(n, values, target),
                     )
                 )
     for one in judged:
         own = failure(design, tables, one).value or 0.0
-        for name, law in other_distributions(one):
-            other = float(chances(state_of(design, one, sample.head(min(sample.count, 512)), law), one.aim).mean())
-            value = min(max((p.value or 0.0) - own + other, 0.0), 1.0)
+        head = sample.head(min(sample.count, 512))
+        for name, otherwise in other_distributions(one):
+            changed = float(chances(state_of(design, one, head, otherwise), one.aim).mean())
+            value = min(max((p.value or 0.0) - own + changed, 0.0), 1.0)
             if turned(value):
                 found.append(
                     Reason(

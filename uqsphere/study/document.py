@@ -274,7 +274,8 @@ def _check_law(number: Number, raw: object, quantity: Quantity, reader: Reader, 
         if not quantity.lower <= end <= quantity.upper:
             raise Fault(f"{format_value(end, name)}: {bounds_in_words(quantity)}", key)
     try:
-        cov = law.family.variation(law.parameters)
+        middle, scatter = law.mean(), law.sd()
+    cov = scatter / abs(middle) if middle and scatter is not None else None
     except (OverflowError, ZeroDivisionError, ValueError):
         cov = math.inf
     cov = max(cov, number.given.get("cov", 0.0))
