@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 from scipy.special import ndtri
 
-from uqsphere.uq.describe import describe, hazen, lacking, moments
+from uqsphere.uq.describe import describe, hazen, hill
 from uqsphere.uq.estimate import Estimate, absent, from_replicates, share
 from uqsphere.uq.points import sobol_points
 
@@ -67,8 +67,6 @@ def test_description_does_not_depend_on_unit_or_offset() -> None:
     assert other.sd.value == pytest.approx(1e9 * one.sd.value, rel=1e-9)
     for p, estimate in one.quantiles.items():
         assert other.quantiles[p].low == pytest.approx(1e9 * estimate.low + 5e9, rel=1e-12)
-    # the skewness of the squared deviations widens the interval of the standard deviation
-    assert moments(x).skewness == pytest.approx(stats.skew((x - x.mean()) ** 2, axis=None), rel=1e-9)
 
 
 def test_censored_quantiles_are_absent_beyond_the_share_and_unmoved_below() -> None:
@@ -82,7 +80,6 @@ def test_censored_quantiles_are_absent_beyond_the_share_and_unmoved_below() -> N
     assert found.exempt == (0.95,)
     assert found.censored_share.value == pytest.approx(censored.mean())
     assert "restricted to the record" in found.mean.method
-    assert not any(p == 0.95 for p, _ in lacking(found, mean=1.0, quantile=1.0))
 
 
 def test_a_record_that_ends_at_random_widens_the_quantile_to_what_is_known() -> None:
@@ -130,14 +127,12 @@ def test_heavy_tails_are_said_and_not_printed() -> None:
     assert 1.0 < found.scale < 4.0
 
 
-def test_what_is_lacking_compares_half_widths_with_the_standard_deviation() -> None:
-    found = describe(5.0 * np.random.default_rng(2).standard_normal((16, 1024)), quantiles=(0.5,))
-    need = found.mean.half_width / found.sd.value
-    assert lacking(found, mean=1.001 * need, quantile=1.0) == []
-    missed = lacking(found, mean=0.999 * need, quantile=1e-9)
-    assert [(p, text.split(":")[0]) for p, text in missed] == [(None, "mean"), (0.5, "quantile 0.5")]
-    constant = describe(np.full((4, 1024), 0.1))
-    assert lacking(constant, mean=1e-9, quantile=1e-9) == []
+def test_hill_reads_the_order_off_a_tail() -> None:
+    rng = np.random.default_rng(5)
+    assert hill(rng.standard_cauchy(20_000)) == pytest.approx(1.0, rel=0.2)
+    assert hill(rng.standard_t(3.0, 20_000)) == pytest.approx(3.0, rel=0.3)
+    assert hill(rng.standard_normal(20_000)) > 4.0
+    assert hill(np.zeros(100)) == math.inf
 
 
 def test_estimates_are_ready_for_json_and_refuse_what_is_not() -> None:
