@@ -77,7 +77,14 @@ _NEEDS: Final = {
     "thick": ("E", "nu"), "plate": ("E", "nu", "density", "thickness"), "bar": ("E", "nu", "density", "diameter"),
     "mass": ("E", "nu", "mass"), "hammer": ("E", "nu"), "platens": ("E", "nu"),
 }  # fmt: skip
-_OF_KIND: Final = {"thickness": "plate", "width": "plate", "mass": "mass", "diameter": "bar", "length": "bar", "end": "bar"}
+_OF_KIND: Final = {
+    "thickness": "plate",
+    "width": "plate",
+    "mass": "mass",
+    "diameter": "bar",
+    "length": "bar",
+    "end": "bar",
+}
 #: table whose speed or drop height starts a rig
 _STARTS: Final = {"impact": "rig", "sphere_on_sphere": "rig", "drop_weight": "hammer", "load_cell": "hammer"}
 _NO_SPHERE: Final = (
@@ -207,7 +214,10 @@ def _black_box(draft: Draft) -> Faults:
         if not _NAME.fullmatch(name) or name in ("status", "censored"):
             yield place, f"{shown(name)} cannot be the name of an output: {_NAMED}"
         elif name in names[:index] or name in inputs:
-            yield place, f"{shown(name)} is {'named twice' if name in names[:index] else 'the name of an input already'}"
+            yield (
+                place,
+                f"{shown(name)} is {'named twice' if name in names[:index] else 'the name of an input already'}",
+            )
 
 
 # --- the scene ----------------------------------------------------------------------------------------------------------
@@ -282,7 +292,10 @@ def _one_of_two(draft: Draft, table: str, keys: Sequence[str]) -> Faults:
     if len(given) == 2:
         yield (table, keys[1]), f"{keys[0]} is given too: leave one of {one_of(keys)} out"
     elif not given and all(draft.clean(table, key) for key in keys):
-        yield (table, keys[0]), f"{one_of(keys)} is missing: add {' or '.join(f'{key} = {_EXAMPLES[key]}' for key in keys)}"
+        yield (
+            (table, keys[0]),
+            f"{one_of(keys)} is missing: add {' or '.join(f'{key} = {_EXAMPLES[key]}' for key in keys)}",
+        )
 
 
 def _needs(draft: Draft) -> Faults:
@@ -297,7 +310,10 @@ def _needs(draft: Draft) -> Faults:
             draft.options[f"{table}.kind"] = kind
             for key, home in _OF_KIND.items():
                 if f"{table}.{key}" in numbers and home != kind:
-                    yield (table, key), f'{key} belongs to kind = "{home}", and this is {shown(kind)}: leave one of them out'
+                    yield (
+                        (table, key),
+                        f'{key} belongs to kind = "{home}", and this is {shown(kind)}: leave one of them out',
+                    )
         elif getattr(found, "kind", None) is not None and hasattr(found, "kind"):
             yield (table, "kind"), "kind belongs to [target] and [anvil]: leave it out"
         if table != "rod" and getattr(found, "gauge", None) is not None:
@@ -323,7 +339,9 @@ def _needs(draft: Draft) -> Faults:
     if draft.rig == "bars" and bars is not None:
         draft.options |= {"bars.infinite": bars.infinite, "bars.rigid_contact": bars.rigid_contact}
         if not bars.infinite and draft.clean("bars", "infinite"):
-            yield from _missing(draft, "bars", ("incident_length", "receiving_length"), ", finite unless infinite = true")
+            yield from _missing(
+                draft, "bars", ("incident_length", "receiving_length"), ", finite unless infinite = true"
+            )
         for key, end in (("incident_end", 1.0), ("receiving_end", 0.0)):
             if draft.clean("bars", key):
                 numbers.setdefault(f"bars.{key}", Number(value=end))
@@ -428,7 +446,10 @@ def _model(draft: Draft) -> Faults:
             yield ("model", "fidelity"), f"the rig {shown(draft.rig)} is solved in full: leave fidelity out"
     elif draft.plastic and (model.fidelity == "linear" or model.compare_with_paper):
         key = "fidelity" if model.fidelity == "linear" else "compare_with_paper"
-        yield ("model", key), 'the linear model and the paper know Hertz only, and contact.law is "plastic": leave one out'
+        yield (
+            ("model", key),
+            'the linear model and the paper know Hertz only, and contact.law is "plastic": leave one out',
+        )
 
 
 def _contact(draft: Draft) -> Faults:
@@ -457,7 +478,9 @@ def _contact(draft: Draft) -> Faults:
     if "contact.onset_pressure" not in own and np.isinf(onsets).all():
         names = one_of([*(f"{table}.yield_strength" for table in rig.tables), "sphere.onset_pressure"])
         if rig.name != "bars":
-            draft.reader.warn(("contact", "law"), f"nothing yields, every face is elastic: give {names} for one that does")
+            draft.reader.warn(
+                ("contact", "law"), f"nothing yields, every face is elastic: give {names} for one that does"
+            )
         elif all(draft.clean(table) for table in ("bars", "contact", "sphere")):
             yield ("contact", "law"), f"nothing says what yields: give {names} or contact.onset_pressure"
         return
@@ -488,7 +511,10 @@ def _law_of_face(draft: Draft, place: str, law: Any) -> Faults:
                                     f"onset; give a hardness of {begin} or more")  # fmt: skip
     elif b > most:
         limit = format_value((1.0 + most) * onset / pile_up / 1.001, "contact.hardness")
-        yield (place, "hardness"), f'a hardness of {found} for an onset of {begin} is Hertz: give at most {limit}, or law = "hertz"'
+        yield (
+            (place, "hardness"),
+            f'a hardness of {found} for an onset of {begin} is Hertz: give at most {limit}, or law = "hertz"',
+        )
     elif 1e-12 < b < least:
         yield (place, "hardness" if place == "sphere" else "pile_up"), (
             f"pile_up = {pile_up:.4g} with hardness {found} and onset {begin} makes b = C H/p_y - 1 = {b:.2g}, which must be "
@@ -527,11 +553,17 @@ def _together(draft: Draft) -> Faults:
         if t1 >= t2:
             yield ("pulse", "t2"), f"found t1 = {one} and t2 = {two}: the first peak must come before the second"
         elif width is not None and t2 >= width:
-            yield ("pulse", "t2"), f"the second peak, at {two}, must come before the end of the pulse: give a longer duration"
+            yield (
+                ("pulse", "t2"),
+                f"the second peak, at {two}, must come before the end of the pulse: give a longer duration",
+            )
     if shape == "step":
         model = draft.document.model
         if (model is None or model.horizon is None) and draft.clean("model", "horizon"):
-            yield ("model", "horizon"), 'a step pulse never ends, so that the record needs an end: add horizon = "3 ms" to [model]'
+            yield (
+                ("model", "horizon"),
+                'a step pulse never ends, so that the record needs an end: add horizon = "3 ms" to [model]',
+            )
         if not silent and "bars.incident_length" in numbers:
             yield ("pulse", "shape"), ("a step pulse is longer than any round trip of the incident bar: set "
                                        'bars.infinite = true or incident_end = "absorbing"')  # fmt: skip
@@ -612,7 +644,10 @@ def _limit(draft: Draft, name: str, table: LimitTable, outputs: Sequence[str] | 
     if outputs is None:
         demand = replace(demand, quantity=_pressure_meant(draft, table, demand.quantity))
         if table.criterion is None and given:
-            raise Fault(f"{next(iter(given))} belongs to a criterion: add criterion = … (uqsphere list criteria)", next(iter(given)))
+            raise Fault(
+                f"{next(iter(given))} belongs to a criterion: add criterion = … (uqsphere list criteria)",
+                next(iter(given)),
+            )
     if table.fracture and table.criterion is None and demand.quantity not in PATHS:
         raise Fault(f"exceeding {demand.quantity} breaks no sphere: fracture = true is for a criterion or one of "
                     f"{one_of(sorted(PATHS))}", "fracture")  # fmt: skip
@@ -712,7 +747,9 @@ def _pressure_meant(draft: Draft, table: LimitTable, quantity: str) -> str:
     meant = table.strength_is
     if quantity not in ("p_max", "first_peak"):
         if meant == "pressure" if quantity == "p_hertz" else meant is not None:
-            raise Fault(f"strength_is belongs to a limit on p_max or first_peak, not on {quantity}: leave it out", "strength_is")
+            raise Fault(
+                f"strength_is belongs to a limit on p_max or first_peak, not on {quantity}: leave it out", "strength_is"
+            )
         return quantity
     if not draft.plastic:
         return quantity
@@ -733,12 +770,16 @@ def _pressure_meant(draft: Draft, table: LimitTable, quantity: str) -> str:
 def _strength(draft: Draft, table: LimitTable, demand: Demand, place: Place, scene: bool) -> Number:
     """A strength: a number or law in the unit of the demand, or what tests tell of it; raises Fault."""
     if not scene:
-        return _read(draft, table.strength, replace(plain_quantity(demand.quantity), plausible=(-math.inf, math.inf)), place)
+        return _read(
+            draft, table.strength, replace(plain_quantity(demand.quantity), plausible=(-math.inf, math.inf)), place
+        )
     entry = lookup(demand.quantity)
     usual = USUAL.get(entry.dimension, (0.0, math.inf))
     entry = replace(entry, meaning=f"the strength against {demand.quantity}", plausible=usual, closed=False)
     if is_tests(table.strength):
-        sphere = {key: draft.mean(f"sphere.{key}") for key in ("E", "nu", "density", "radius", "onset_pressure", "hardness")}
+        sphere = {
+            key: draft.mean(f"sphere.{key}") for key in ("E", "nu", "density", "radius", "onset_pressure", "hardness")
+        }
         if any(sphere[key] is None for key in ("E", "nu", "density", "radius")):
             draft.spoiled.add(place)
             raise Fault("the tests need E, nu, density and radius of the sphere", "strength")
@@ -800,14 +841,20 @@ def _dependence(draft: Draft, *, black_box: bool) -> Faults:
                 continue
             usable = False
             if name in draft.numbers or name in draft.given:
-                yield (*place, "of", at), f"{shown(name)} is a fixed number here: give it a distribution, or leave it out"
+                yield (
+                    (*place, "of", at),
+                    f"{shown(name)} is a fixed number here: give it a distribution, or leave it out",
+                )
             elif not _faulty(draft, name, black_box):
                 yield (*place, "of", at), (f"unknown random input {shown(name)}, random here: "
                                            f"{one_of(list(random)[:20]) if random else 'none'}{suggestion(name, random)}")  # fmt: skip
         if tie.spearman is not None and tie.kendall is not None:
             yield (*place, "kendall"), "spearman is given too: one of them says how strong the dependence is"
         elif tie.spearman is None and tie.kendall is None and draft.clean(*place, "kendall"):
-            yield (*place, "spearman"), "spearman is missing: add a rank correlation between -1 and 1, or kendall in its place"
+            yield (
+                (*place, "spearman"),
+                "spearman is missing: add a rank correlation between -1 and 1, or kendall in its place",
+            )
         if tie.copula == "student_t" and tie.dof is None:
             yield (*place, "dof"), "dof is missing: a Student t copula needs its degrees of freedom, 4 say"
         elif tie.copula != "student_t" and tie.dof is not None and draft.clean(*place, "copula"):
@@ -844,7 +891,10 @@ def _margins(draft: Draft, *, black_box: bool) -> Faults:
             names = [*draft.numbers, *strengths]
             kind = "input of this study" if black_box else "number of this scene"
             known = one_of(names[:30]) if names else "none"
-            yield ("margins", "solve"), f"{shown(table.solve)} is no {kind}, which has {known}{suggestion(solve, names)}"
+            yield (
+                ("margins", "solve"),
+                f"{shown(table.solve)} is no {kind}, which has {known}{suggestion(solve, names)}",
+            )
         return
     if len(table.between) < 2:
         yield ("margins", "between"), "between is missing: add the lowest and the highest value to look at"
@@ -880,5 +930,3 @@ def _moved_mean(study: Study) -> Faults:
             study.random[name].with_mean(value, study.given[name])
         except LawError as error:
             yield ("margins", "between", index), f"with this mean {name} has no law: {error.message} (SI)"
-
-
