@@ -324,7 +324,7 @@ def _number(raw: Any, info: ValidationInfo) -> Any:
 
 def _partner(raw: Any, info: ValidationInfo) -> Any:
     """The table of a partner, which is told its name."""
-    return {**raw, "table": info.field_name} if isinstance(raw, dict) and "table" not in raw else raw
+    return {**raw, "\0table": info.field_name} if isinstance(raw, dict) else raw
 
 
 def _fixed(quantity: Quantity) -> Any:
@@ -429,7 +429,7 @@ class Sphere:
 class Face:
     """What every body has that the sphere touches."""
 
-    table: str = Field("")
+    table: str = Field("", alias="\0table")  # told by what holds it, and no key of a file
     material: str | None = key("fills `E`, `nu`, `density`, `yield_strength` that are not given")
     E: Num = None
     nu: Num = None
