@@ -1,7 +1,7 @@
 """From the tables of a file to a `Study`: library values, defaults, and what the tables say of each other.
 
 Every check is a generator of (place, message); `Draft` holds what is understood so far.  A check looks at the numbers
-that it names alone, so that one fault does not hide others, and is silent where a number is faulty itself.
+that it names, so that one fault does not hide others, and is silent where a number is faulty itself.
 """
 
 from __future__ import annotations
@@ -25,34 +25,15 @@ from uqsphere.mechanics.pulses import PARAMETERS as SHAPE_KEYS
 from uqsphere.mechanics.rigs import LAW, RIGS, body_of, law_of, sphere_body
 from uqsphere.quantities import INPUTS, OUTPUTS, format_value, lookup
 from uqsphere.study.document import (
-    ENERGY_OF,
-    RIG_TABLES,
-    SCENE,
-    Analysis,
-    Document,
-    Fault,
-    LimitTable,
-    ModelChoice,
-    Number,
-    Place,
-    Reader,
-    number_of,
-    number_path,
-    number_place,
-    one_of,
-    plain_quantity,
-    shown,
-    suggestion,
-    unknown,
-    value_of,
-    warn_unusual,
-)
+    ENERGY_OF, RIG_TABLES, SCENE, Analysis, Document, Fault, Gauge, LimitTable, ModelChoice, Number, Place, Reader,
+    number_of, number_path, number_place, one_of, plain_quantity, shown, suggestion, unknown, value_of, warn_unusual,
+)  # fmt: skip
 from uqsphere.study.strength import USUAL, Demand, is_tests, platens_of, tested_strength
 from uqsphere.study.study import Axis, Limit, Margins, Source, Study, strength_name, tie_of
 from uqsphere.units import Quantity
 from uqsphere.uq import Law, LawError, make_law
 
-Faults = Iterator[tuple[Place, str]]
+Faults = Iterator[tuple[Place | str, str]]
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
 _NAMED: Final = "a name takes up to 64 letters, digits, _ and -, and begins with a letter"
 _ROUNDING: Final = 1.0 + 1e-9
@@ -63,21 +44,29 @@ _GIVES: Final = {
     "striker": (("bars",), ("E", "density")),
     "insert": (("plates", "bars"), ("E", "nu", "yield_strength")),
 }
-_PARTNER: Final = (MATERIAL_KINDS, ("E", "nu", "density", "yield_strength"))
 _EXAMPLES: Final = {
     "E": '"210 GPa"', "nu": "0.3", "density": '"7850 kg/m3"', "radius": '"10 mm", half the diameter', "diameter": '"40 mm"',
     "speed": '"3 m/s"', "drop_height": '"1 m"', "length": '"0.8 m"', "thickness": '"12 mm"', "mass": '"40 kg"',
     "force": '"5 kN"', "displacement": '"0.1 mm"', "incident_length": '"1.5 m"', "receiving_length": '"1.5 m"',
     "level1": "1", "level2": "0.8",
 }  # fmt: skip
-#: numbers that a table needs; by the kind of a target or an anvil
+#: numbers that a table needs, a target or an anvil by its kind; and those that belong to one kind
 _NEEDS: Final = {
     "sphere": ("E", "nu", "density", "radius"), "bars": ("E", "nu", "density", "diameter"), "striker": ("speed",),
     "other": ("E", "nu", "density", "radius"), "rod": ("E", "nu", "density", "diameter", "length"), "insert": ("E",),
     "thick": ("E", "nu"), "plate": ("E", "nu", "density", "thickness"), "bar": ("E", "nu", "density", "diameter"),
     "mass": ("E", "nu", "mass"), "hammer": ("E", "nu"), "platens": ("E", "nu"),
 }  # fmt: skip
-_OF_KIND: Final = {"thickness": "plate", "width": "plate", "mass": "mass", "diameter": "bar", "length": "bar", "end": "bar"}
+_OF_KIND: Final = {
+    "thickness": "plate",
+    "width": "plate",
+    "mass": "mass",
+    "diameter": "bar",
+    "length": "bar",
+    "end": "bar",
+}
+#: words that belong to some partners
+_OF_PARTNER: Final = {"kind": ("target", "anvil"), "gauge": ("rod",), "shape": ("hammer",)}
 #: table whose speed or drop height starts a rig
 _STARTS: Final = {"impact": "rig", "sphere_on_sphere": "rig", "drop_weight": "hammer", "load_cell": "hammer"}
 _NO_SPHERE: Final = (
@@ -88,9 +77,11 @@ _NO_SPHERE: Final = (
 _SOFTENING: Final = (0.2, 100.0)
 _MOST: Final = {"inputs": 1000, "limits": 50, "dependence": 100, "gauges": 20}
 #: what a shape needs, and can have
-_PULSE: Final = {**{shape: (keys, ("duration",)) for shape, keys in SHAPE_KEYS.items()}, "step": ((), ()),
-                 "two_peak": (SHAPE_KEYS["two_peak"], ("duration", "valley")),
-                 "measured": (("file",), ("columns", "units", "factor", "gain"))}  # fmt: skip
+_PULSE: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
+    **{shape: (keys, ("duration",)) for shape, keys in SHAPE_KEYS.items()}, "step": ((), ()),
+    "two_peak": (SHAPE_KEYS["two_peak"], ("duration", "valley")),
+    "measured": (("file",), ("columns", "units", "factor", "gain")),
+}  # fmt: skip
 
 
 @dataclass(kw_only=True)
@@ -101,20 +92,22 @@ class Draft:
     data: Mapping[str, Any]
     reader: Reader
     spoiled: set[Place]
+    box: bool = False
     numbers: dict[str, Number] = field(default_factory=dict)
     options: dict[str, str | bool | int] = field(default_factory=dict)
     materials: dict[str, str] = field(default_factory=dict)
     sources: dict[str, Source] = field(default_factory=dict)
     record: MeasuredPulse | None = None
     limits: dict[str, Limit] = field(default_factory=dict)
-    given: dict[str, Number] = field(default_factory=dict)
+    strengths: dict[str, Number] = field(default_factory=dict)
     analysis: Analysis = field(default_factory=Analysis)
     margins: Margins | None = None
     faults: list[tuple[Place, str]] = field(default_factory=list)
 
     def note(self, faults: Faults) -> None:
-        """Keep what a check finds, but for what is said already of the same place or of what holds it."""
-        for place, message in faults:
+        """Keep what a check finds, but for what is known of the same place, or above or below it."""
+        for at, message in faults:
+            place: Place = tuple(at.split(".")) if isinstance(at, str) else at
             if self.clean(*place):
                 self.faults.append((place, message))
                 self.spoiled.add(place)
@@ -136,35 +129,34 @@ class Draft:
     def plastic(self) -> bool:
         return self.options.get("contact.law") == "plastic"
 
+    @property
+    def random(self) -> dict[str, Number]:
+        """The numbers that scatter: inputs in the order of the file, then strengths and model factors."""
+        return {k: n for k, n in {**self.numbers, **self.strengths}.items() if isinstance(n.value, Law)}
+
 
 def resolve(draft: Draft, path: Path, text: str) -> Study | None:
     """The study; None, with every fault noted in the draft, where there is none."""
     document, data = draft.document, draft.data
     box = [name for name in ("inputs", "outputs") if name in data]
     scene = [name for name in (*SCENE, "model", "gauges") if name in data]
+    draft.box = bool(box)
     if box and scene:
-        draft.note(((name,), f"[{name}] belongs to a scene, and [{box[0]}] to a black box: leave one of them out")
-                   for name in scene)  # fmt: skip
+        said = f"belongs to a scene, and [{box[0]}] to a black box: leave one of them out"
+        draft.note((name, f"[{name}] {said}") for name in scene)
     elif not box and not any(name in SCENE for name in data):
-        draft.note(iter([(("sphere",), "missing: neither a scene ([sphere], [bars], [striker]) nor a black box "
-                         "([inputs], [outputs])")]))  # fmt: skip
-    elif box:
-        draft.note(_black_box(draft))
+        draft.note(iter([("sphere", "missing: neither a scene ([sphere], [bars], [striker]) nor a black box "
+                          "([inputs], [outputs])")]))  # fmt: skip
     else:
-        for check in (_tables, _library, _needs, _pulse, _rig, _contact, _together, _gauges, _model):
+        scene_checks = (_tables, _library, _needs, _pulse, _rig, _contact, _together, _gauges)
+        for check in (*((_black_box,) if box else scene_checks), _limits, _analysis, _dependence, _margins):
             draft.note(check(draft))
-    if len(box) * len(scene) == 0:
-        for check in (_limits, _analysis, _dependence, _margins):
-            draft.note(check(draft, black_box=bool(box)))
     if draft.faults or draft.spoiled:
         return None
-    numbers = {**draft.numbers, **draft.given}
-    random = {name: number for name, number in numbers.items() if isinstance(number.value, Law)}
-    rod = [] if document.rod is None or document.rod.gauge is None else [document.rod.gauge]
-    from uqsphere.study.document import Gauge
-
+    random, rod = draft.random, document.rod
+    gauges = () if rod is None or rod.gauge is None else (Gauge(bar="rod", position=rod.gauge),)
     study = Study(
-        title=document.title or path.stem, seed=document.seed, path=path, text=text, black_box=bool(box),
+        title=document.title or path.stem, seed=document.seed, path=path, text=text, black_box=draft.box,
         fixed={name: n.value for name, n in draft.numbers.items() if not isinstance(n.value, Law)},
         random={name: n.value for name, n in draft.numbers.items() if isinstance(n.value, Law)},
         given={name: number.given for name, number in random.items()},
@@ -172,25 +164,19 @@ def resolve(draft: Draft, path: Path, text: str) -> Study | None:
         options=draft.options, materials=draft.materials, sources=draft.sources,
         model=document.model or ModelChoice(), limits=tuple(draft.limits.values()), dependence=document.dependence,
         analysis=draft.analysis, margins=draft.margins, record=draft.record,
-        outputs=document.outputs.names if document.outputs else (),
-        gauges=(*(Gauge(bar="rod", position=place) for place in rod), *document.gauges),
+        outputs=document.outputs.names if document.outputs else (), gauges=(*gauges, *document.gauges),
         warnings=tuple(draft.reader.warnings),
     )  # fmt: skip
     draft.note(_moved_mean(study))
     return None if draft.faults else study
 
 
-# --- black boxes ------------------------------------------------------------------------------------------------------
-
-
 def _black_box(draft: Draft) -> Faults:
-    inputs, outputs = draft.document.inputs, draft.document.outputs
+    inputs, outputs = draft.document.inputs or {}, draft.document.outputs
     if not inputs:
-        yield ("inputs",), "[inputs] is missing or empty: add an input such as x1 = 1.0, or a distribution"
-        return
+        yield "inputs", "[inputs] is missing or empty: add an input such as x1 = 1.0, or a distribution"
     if len(inputs) > _MOST["inputs"]:
-        yield ("inputs",), f"found {len(inputs)} inputs, at most {_MOST['inputs']} are allowed"
-        return
+        yield "inputs", f"found {len(inputs)} inputs, at most {_MOST['inputs']} are allowed"
     for name, raw in inputs.items():
         if not _NAME.fullmatch(name) or name in ("status", "censored"):
             yield ("inputs", name), f"{shown(name)} cannot be the name of an input: {_NAMED}"
@@ -200,14 +186,17 @@ def _black_box(draft: Draft) -> Faults:
         except Fault as error:
             yield ("inputs", name, *error.at), str(error)
     names = outputs.names if outputs else ()
-    if not names:
-        yield ("outputs", "names"), 'the outputs are missing: add [outputs] with names = ["y"]'
+    if not names and inputs:
+        yield "outputs.names", 'the outputs are missing: add [outputs] with names = ["y"]'
     for index, name in enumerate(names):
-        place = ("outputs", "names", index)
+        place: Place = ("outputs", "names", index)
         if not _NAME.fullmatch(name) or name in ("status", "censored"):
             yield place, f"{shown(name)} cannot be the name of an output: {_NAMED}"
         elif name in names[:index] or name in inputs:
-            yield place, f"{shown(name)} is {'named twice' if name in names[:index] else 'the name of an input already'}"
+            yield (
+                place,
+                f"{shown(name)} is {'named twice' if name in names[:index] else 'the name of an input already'}",
+            )
 
 
 # --- the scene ----------------------------------------------------------------------------------------------------------
@@ -215,43 +204,40 @@ def _black_box(draft: Draft) -> Faults:
 
 def _tables(draft: Draft) -> Faults:
     """The numbers as the file has them, in its order; tables that are missing, or belong to another rig."""
-    document, rig = draft.document, draft.rig
-    draft.options["rig.kind"] = rig
-    if rig == "bars":
-        del draft.options["rig.kind"]
-    homes = {table: [r for r, tables in RIG_TABLES.items() if table in tables] for table in SCENE}
-    for table in draft.data:
-        found = getattr(document, table, None) if table in SCENE else None
-        if table in homes and homes[table] and rig not in homes[table]:
-            yield (table,), (f"[{table}] belongs to the rig {one_of(map(shown, homes[table]))}, and this is {shown(rig)}: "
-                             "leave it out")  # fmt: skip
-        for key in draft.data[table] if found is not None and isinstance(draft.data[table], Mapping) else ():
-            number = getattr(found, key, None)
-            if isinstance(number, Number):
+    document, rig, data = draft.document, draft.rig, draft.data
+    if rig != "bars":
+        draft.options["rig.kind"] = rig
+    for table in (table for table in data if table in SCENE):
+        homes = [name for name, tables in RIG_TABLES.items() if table in tables]
+        if homes and rig not in homes:
+            yield (
+                table,
+                f"[{table}] belongs to the rig {one_of(map(shown, homes))}, and this is {shown(rig)}: leave it out",
+            )
+        found = getattr(document, table)
+        for key in data[table] if found is not None and isinstance(data[table], Mapping) else ():
+            if isinstance(number := getattr(found, key, None), Number):
                 draft.numbers[number_path(table, key)] = number
     measured = document.pulse is not None and document.pulse.shape == "measured"
-    required = {"sphere", *RIG_TABLES[rig]} - {"pulse", "insert", *(["striker"] if measured else [])}
-    for table in ("sphere", *RIG_TABLES[rig]):
-        if table in required and getattr(document, table) is None and draft.clean("rig") and draft.clean("service"):
-            yield (table,), f"the table [{table}] is missing: the rig {shown(rig)} needs it"
+    for table in {"sphere", *RIG_TABLES[rig]} - {"pulse", "insert", *(["striker"] if measured else [])}:
+        if getattr(document, table) is None and draft.clean("rig") and draft.clean("service"):
+            yield table, f"the table [{table}] is missing: the rig {shown(rig)} needs it"
 
 
 def _library(draft: Draft) -> Faults:
     """Numbers that a material gives and the file does not."""
     contact = draft.document.contact
     for table in SCENE:
-        found = getattr(draft.document, table)
-        name = getattr(found, "material", None)
-        if name is None:
+        if (name := getattr(getattr(draft.document, table), "material", None)) is None:
             continue
-        kinds, keys = _GIVES.get(table, _PARTNER)
+        kinds, keys = _GIVES.get(table, (MATERIAL_KINDS, ("E", "nu", "density", "yield_strength")))
         if table == "sphere" and contact is not None and contact.law == "plastic":
             keys = (*keys, "onset_pressure", "hardness")
         known = {one: material for kind in kinds for one, material in library()[kind].items()}
         if name not in known:
-            elsewhere = next((kind for kind in MATERIAL_KINDS if name in library()[kind]), None)
-            near = f" ({shown(name)} is for {elsewhere})" if elsewhere else suggestion(name, known)
-            yield (table, "material"), f"unknown material {shown(name)}, known for {kinds[-1]}: {one_of(known)}{near}"
+            home = next((kind for kind in MATERIAL_KINDS if name in library()[kind]), None)
+            near = f" ({shown(name)} is for {home})" if home else suggestion(name, known)
+            yield f"{table}.material", f"unknown material {shown(name)}, known for {kinds[-1]}: {one_of(known)}{near}"
             continue
         if table != "insert":
             draft.materials[table] = name
@@ -261,106 +247,107 @@ def _library(draft: Draft) -> Faults:
                 draft.numbers[path] = Number(value=entry.value)
                 draft.sources[path] = Source(text=entry.source, seen=entry.seen)
                 if key in ("onset_pressure", "hardness") and not entry.seen:
-                    draft.reader.warn((table, key), f"{format_value(entry.value, path)} from the library, source not "
-                                      "checked (see its note): measure it")  # fmt: skip
+                    said = "from the library, source not checked (see its note): measure it"
+                    draft.reader.warn((table, key), f"{format_value(entry.value, path)} {said}")
         if (E := known[name].properties.get("E")) is not None and E.value < 1e8:
             draft.reader.warn((table, "material"), f"{name} is no elastic solid: {E.note}")
 
 
 def _missing(draft: Draft, table: str, keys: Sequence[str], why: str = "") -> Faults:
     for key in keys:
-        path = number_path(table, key)
-        if path in INPUTS and path not in draft.numbers and draft.clean(table, key):
-            material = ', or a material = "…" to take it from' if key in ("E", "nu", "density") else ""
-            if not material or draft.clean(table, "material"):
-                example = _EXAMPLES.get(key, '"25 us"')
-                yield (table, key), f"{key} is missing ({INPUTS[path].meaning}{why}): add {key} = {example}{material}"
+        path, elastic = number_path(table, key), key in ("E", "nu", "density")
+        if path in INPUTS and path not in draft.numbers and (draft.clean(table, "material") or not elastic):
+            example = _EXAMPLES.get(key, '"25 us"') + (', or a material = "…" to take it from' if elastic else "")
+            yield (table, key), f"{key} is missing ({INPUTS[path].meaning}{why}): add {key} = {example}"
 
 
-def _one_of_two(draft: Draft, table: str, keys: Sequence[str]) -> Faults:
+def _one_of_two(draft: Draft, table: str, *keys: str) -> Faults:
     given = [key for key in keys if f"{table}.{key}" in draft.numbers]
     if len(given) == 2:
         yield (table, keys[1]), f"{keys[0]} is given too: leave one of {one_of(keys)} out"
     elif not given and all(draft.clean(table, key) for key in keys):
-        yield (table, keys[0]), f"{one_of(keys)} is missing: add {' or '.join(f'{key} = {_EXAMPLES[key]}' for key in keys)}"
+        ways = " or ".join(f"{key} = {_EXAMPLES[key]}" for key in keys)
+        yield (table, keys[0]), f"{one_of(keys)} is missing: add {ways}"
 
 
 def _needs(draft: Draft) -> Faults:
-    """Numbers that each body needs, and defaults."""
+    """Numbers that each body needs, words and numbers that belong to others, and defaults."""
     document, numbers = draft.document, draft.numbers
     for table in ("sphere", *RIG_TABLES[draft.rig]):
         found = getattr(document, table)
         if found is None or table == "pulse":
             continue
-        kind = getattr(found, "kind", None) or "thick"
-        if table in ("target", "anvil"):
+        struck, ball = table in ("target", "anvil"), table == "hammer" and found.shape == "ball"
+        for key, homes in _OF_PARTNER.items():
+            if getattr(found, key, None) is not None and table not in homes:
+                yield (table, key), f"{key} belongs to {one_of(f'[{home}]' for home in homes)}: leave it out"
+        keys = _NEEDS[kind if struck and (kind := found.kind or "thick") else table]
+        if struck:
             draft.options[f"{table}.kind"] = kind
             for key, home in _OF_KIND.items():
                 if f"{table}.{key}" in numbers and home != kind:
-                    yield (table, key), f'{key} belongs to kind = "{home}", and this is {shown(kind)}: leave one of them out'
-        elif getattr(found, "kind", None) is not None and hasattr(found, "kind"):
-            yield (table, "kind"), "kind belongs to [target] and [anvil]: leave it out"
-        if table != "rod" and getattr(found, "gauge", None) is not None:
-            yield (table, "gauge"), "gauge belongs to [rod]; gauges on bars stand in [[gauges]]"
-        if table != "hammer" and getattr(found, "shape", None) is not None:
-            yield (table, "shape"), "shape belongs to [hammer]: leave it out"
-        keys = _NEEDS[kind if table in ("target", "anvil") else table]
-        if table == "hammer":
-            ball = found.shape == "ball"
+                    yield (
+                        (table, key),
+                        f'{key} belongs to kind = "{home}", and this is {shown(kind)}: leave one of them out',
+                    )
+        elif table == "hammer":
             keys = (*keys, *(("density", "diameter") if ball else ("mass",)))
             if ball:
                 draft.options["hammer.shape"] = "ball"
-            for key in ("mass", "face_radius") if ball else ("diameter",):
+            elif "hammer.diameter" in numbers:
+                yield "hammer.diameter", 'diameter belongs to shape = "ball": add it, or leave diameter out'
+            for key in ("mass", "face_radius") if ball else ():
                 if f"hammer.{key}" in numbers:
-                    yield ("hammer", key), (f"{key} of a ball follows from its diameter: leave it out" if ball else
-                                            'diameter belongs to shape = "ball": add it, or leave diameter out')  # fmt: skip
-        if table == "striker" and document.pulse is not None and document.pulse.shape == "measured":
-            continue
-        yield from _missing(draft, table, keys)
-        if f"{table}.length" in numbers and table in ("target", "anvil", "rod") and draft.clean(table, "end"):
+                    yield (table, key), f"{key} of a ball follows from its diameter: leave it out"
+        if table != "striker" or document.pulse is None or document.pulse.shape != "measured":
+            yield from _missing(draft, table, keys)
+        if f"{table}.length" in numbers and (struck or table == "rod") and draft.clean(table, "end"):
             numbers.setdefault(f"{table}.end", Number(value=END_COEFFICIENTS["free"]))
     bars = document.bars
-    if draft.rig == "bars" and bars is not None:
-        draft.options |= {"bars.infinite": bars.infinite, "bars.rigid_contact": bars.rigid_contact}
-        if not bars.infinite and draft.clean("bars", "infinite"):
-            yield from _missing(draft, "bars", ("incident_length", "receiving_length"), ", finite unless infinite = true")
-        for key, end in (("incident_end", 1.0), ("receiving_end", 0.0)):
-            if draft.clean("bars", key):
-                numbers.setdefault(f"bars.{key}", Number(value=end))
-        if document.insert is not None:
-            if bars.rigid_contact:
-                yield ("insert", "E"), "rigid_contact = true leaves inserts out as well: leave one of them out"
-            draft.reader.warn(("insert",), "inserts enter the contact only: the impedance stays that of the bars")
+    if draft.rig != "bars" or bars is None:
+        return
+    draft.options |= {"bars.infinite": bars.infinite, "bars.rigid_contact": bars.rigid_contact}
+    if not bars.infinite and draft.clean("bars", "infinite"):
+        yield from _missing(draft, "bars", ("incident_length", "receiving_length"), ", finite unless infinite = true")
+    for key, end in (("incident_end", 1.0), ("receiving_end", 0.0)):
+        if draft.clean("bars", key):
+            numbers.setdefault(f"bars.{key}", Number(value=end))
+    if document.insert is not None:
+        if bars.rigid_contact:
+            yield "insert.E", "rigid_contact = true leaves inserts out as well: leave one of them out"
+        draft.reader.warn(("insert",), "inserts enter the contact only: the impedance stays that of the bars")
 
 
 def _pulse(draft: Draft) -> Faults:
     """Shape, keys and numbers of the pulse, or its record."""
-    if draft.rig != "bars":
+    pulse, numbers, given = draft.document.pulse, draft.numbers, draft.data.get("pulse", {})
+    if draft.rig != "bars" or not draft.clean("pulse", "shape") or not draft.clean("pulse", "preset"):
         return
-    pulse, numbers = draft.document.pulse, draft.numbers
-    given = draft.data.get("pulse", {})
-    shape = pulse.shape if pulse is not None else "rectangular"
-    if not draft.clean("pulse", "shape") or not draft.clean("pulse", "preset"):
-        return
+    shape: str = pulse.shape if pulse is not None else "rectangular"
     if pulse is not None and pulse.preset is not None:
         preset, values = PRESETS[pulse.preset]
         if "shape" in given and shape != preset:
-            yield ("pulse", "shape"), f'the preset "{pulse.preset}" is a {preset} pulse: leave shape or preset out'
+            yield "pulse.shape", f'the preset "{pulse.preset}" is a {preset} pulse: leave shape or preset out'
         shape = preset
         for key, value in values.items():
             numbers.setdefault(f"pulse.{key}", Number(value=value))
     draft.options["pulse.shape"] = shape
     needed, optional = _PULSE[shape]
-    takes = one_of([*needed, *optional]) if needed or optional else "no further key"
     for key in given if isinstance(given, Mapping) else ():
-        if key not in ("shape", "preset", *needed, *optional) and pulse is not None and hasattr(pulse, key):
+        if key not in ("shape", "preset", *needed, *optional) and hasattr(pulse, key):
             numbers.pop(f"pulse.{key}", None)
+            takes = one_of([*needed, *optional]) if needed or optional else "no further key"
             yield ("pulse", key), f"{shown(key)} does not belong to a {shape} pulse, which takes {takes}"
-    if shape == "measured":
+    if pulse is not None and shape == "measured":
+        from uqsphere.study.record import measured_pulse
+
         for key in ("speed", "length"):
             if numbers.pop(f"striker.{key}", None) is not None:
                 yield ("striker", key), "the record says what the striker did: leave it out, or use pulse.gain"
-        yield from _record(draft)
+        try:
+            draft.record = measured_pulse(pulse, draft.reader)
+        except Fault as error:
+            yield ("pulse", *error.at), str(error)
         return
     yield from _missing(draft, "pulse", needed)
     if shape == "two_peak" and "pulse.valley" not in numbers:
@@ -372,63 +359,47 @@ def _pulse(draft: Draft) -> Faults:
             yield from _missing(draft, "striker", ("length",), ": it sets the duration of the pulse")
     own = next((key for key in ("E", "density", "diameter") if f"striker.{key}" in numbers), None)
     if own is not None and shape not in STRIKER_SHAPES:
-        yield ("striker", own), (f"a {shape} pulse does not follow from the striker's material or diameter: leave them out, "
-                                 f"or write shape = {one_of(STRIKER_SHAPES)}")  # fmt: skip
-
-
-def _record(draft: Draft) -> Faults:
-    from uqsphere.study.record import measured_pulse
-
-    pulse = draft.document.pulse
-    assert pulse is not None
-    if pulse.file is None:
-        yield ("pulse", "file"), 'file is missing (the record): add file = "pulse.csv"'
-        return
-    try:
-        draft.record = measured_pulse(pulse, draft.reader)
-    except Fault as error:
-        yield ("pulse", *(error.at or ("file",))), str(error)
-        return
-    for note in draft.record.notes:
-        draft.reader.warn(("pulse", "file"), f"{shown(pulse.file)}: {note}")
+        why = f"a {shape} pulse does not follow from the striker's material or diameter"
+        yield ("striker", own), f"{why}: leave them out, or write shape = {one_of(STRIKER_SHAPES)}"
 
 
 def _rig(draft: Draft) -> Faults:
-    """What starts a rig but bars."""
-    rig, start, numbers = draft.rig, _STARTS.get(draft.rig), draft.numbers
+    """What starts a rig, and which models go with it."""
+    rig, start, model = draft.rig, _STARTS.get(draft.rig), draft.document.model or ModelChoice()
     for key in ("speed", "drop_height", "angle") if start != "rig" else ():
-        if f"rig.{key}" in numbers:
+        if f"rig.{key}" in draft.numbers:
             where = f"[{start}]" if start and key != "angle" else "impact and sphere_on_sphere"
             yield ("rig", key), f"{key} does not belong to the rig {shown(rig)}: it stands in {where}"
+    plastic = draft.document.contact is not None and draft.document.contact.law == "plastic"
     if rig == "bars":
+        for key in ("fidelity", "compare_with_paper") if plastic else ():
+            if getattr(model, key) in ("linear", True):
+                yield (
+                    ("model", key),
+                    'the linear model and the paper know Hertz only, contact.law is "plastic": leave one out',
+                )
         return
+    for key in ("first_loading_only", "compare_with_paper"):
+        if getattr(model, key):
+            yield ("model", key), f'{key} belongs to the rig "bars": leave it out'
+    anvil = draft.document.anvil
+    light = rig == "drop_weight" and (anvil is None or anvil.kind != "bar") and not plastic
+    if model.fidelity != "full" and not (light and model.fidelity == "massless"):
+        yield "model.fidelity", f"the rig {shown(rig)} is solved in full: leave fidelity out"
     if rig != "platens":
         draft.reader.warn((), _NO_SPHERE)
     if start is not None and (start == "rig" or draft.document.hammer is not None):
-        yield from _one_of_two(draft, start, ("speed", "drop_height"))
+        yield from _one_of_two(draft, start, "speed", "drop_height")
     if start == "rig":
-        numbers.setdefault("rig.angle", Number(value=0.5 * math.pi))
+        draft.numbers.setdefault("rig.angle", Number(value=0.5 * math.pi))
     if rig == "platens" and draft.document.platens is not None:
-        yield from _one_of_two(draft, "platens", ("force", "displacement"))
+        yield from _one_of_two(draft, "platens", "force", "displacement")
         pressed, radius = draft.mean("platens.displacement"), draft.mean("sphere.radius")
         if pressed is not None and radius is not None and pressed >= radius:
-            yield ("platens", "displacement"), (f"found {1e3 * pressed:.4g} mm, and the sphere has a radius of "
-                                                f'{1e3 * radius:.4g} mm: give far less, such as "0.1 mm"')  # fmt: skip
-
-
-def _model(draft: Draft) -> Faults:
-    model = draft.document.model or ModelChoice()
-    if draft.rig != "bars":
-        for key in ("first_loading_only", "compare_with_paper"):
-            if getattr(model, key):
-                yield ("model", key), f'{key} belongs to the rig "bars": leave it out'
-        anvil = draft.document.anvil
-        light = draft.rig == "drop_weight" and (anvil is None or anvil.kind != "bar") and not draft.plastic
-        if model.fidelity != "full" and not (light and model.fidelity == "massless"):
-            yield ("model", "fidelity"), f"the rig {shown(draft.rig)} is solved in full: leave fidelity out"
-    elif draft.plastic and (model.fidelity == "linear" or model.compare_with_paper):
-        key = "fidelity" if model.fidelity == "linear" else "compare_with_paper"
-        yield ("model", key), 'the linear model and the paper know Hertz only, and contact.law is "plastic": leave one out'
+            yield (
+                "platens.displacement",
+                f'more than the radius of the sphere, {1e3 * radius:.4g} mm: write "0.1 mm", say',
+            )
 
 
 def _contact(draft: Draft) -> Faults:
@@ -443,57 +414,55 @@ def _contact(draft: Draft) -> Faults:
     pile_up = numbers.get("contact.pile_up")
     if contact.hardness == "onset" or (contact.hardness is None and pile_up is not None and pile_up.value == 1.0):
         draft.options["contact.hardness"] = "onset"
-    if not numbers:
-        return
     columns = {name: np.array([number.mean]) for name, number in numbers.items()}
     rig, rigid = RIGS[draft.rig], bool(draft.options.get("bars.rigid_contact"))
     own = {f"contact.{key}" for key in LAW} & columns.keys()
     if "sphere.hardness" in columns.keys() - draft.sources.keys() and "sphere.onset_pressure" not in columns:
-        yield ("sphere", "onset_pressure"), ('onset_pressure is missing, and a hardness is given: add onset_pressure = '
-                                             '"1 GPa" to [sphere], or leave sphere.hardness out')  # fmt: skip
+        yield "sphere.onset_pressure", 'onset_pressure is missing: add "1 GPa", say, or leave sphere.hardness out'
     if not all(f"{table}.nu" in columns for table in ("sphere", *rig.tables)):
         return
     onsets = [sphere_body(columns).onset, *(body_of(columns, table).onset for table in rig.tables)]
     if "contact.onset_pressure" not in own and np.isinf(onsets).all():
         names = one_of([*(f"{table}.yield_strength" for table in rig.tables), "sphere.onset_pressure"])
         if rig.name != "bars":
-            draft.reader.warn(("contact", "law"), f"nothing yields, every face is elastic: give {names} for one that does")
+            draft.reader.warn(
+                ("contact", "law"), f"nothing yields, every face is elastic: give {names} for one that does"
+            )
         elif all(draft.clean(table) for table in ("bars", "contact", "sphere")):
-            yield ("contact", "law"), f"nothing says what yields: give {names} or contact.onset_pressure"
+            yield "contact.law", f"nothing says what yields: give {names} or contact.onset_pressure"
         return
     if rigid and "bars.yield_strength" in columns and "contact.onset_pressure" not in own:
-        yield ("bars", "rigid_contact"), "rigid bars do not yield: leave rigid_contact or bars.yield_strength out"
+        yield "bars.rigid_contact", "rigid bars do not yield: leave rigid_contact or bars.yield_strength out"
     bodies = {table: body_of(columns, table, rigid) for table in rig.tables} | {"sphere": sphere_body(columns)}
     at_onset = draft.options.get("contact.hardness") == "onset"
     for table, body in bodies.items():
         if not (at_onset or own) or bool(body.hardness[0] < body.onset[0] < math.inf):
-            yield from _law_of_face(draft, table, body)
+            yield from _law_of_face(table, body)
     for table in rig.tables if at_onset or own else ():
-        yield from _law_of_face(draft, "contact", law_of(columns, table, rigid=rigid, at_onset=at_onset))
+        yield from _law_of_face("contact", law_of(columns, table, rigid=rigid, at_onset=at_onset))
 
 
-def _law_of_face(draft: Draft, place: str, law: Any) -> Faults:
-    """What is missing where there is an onset, a hardness below it, and a softening b = C H/p_y - 1 that is none."""
+def _law_of_face(place: str, law: Any) -> Faults:
+    """A missing part, a hardness below the onset, and a softening b = C H/p_y - 1 that makes no law."""
     onset, hardness, pile_up = (float(numbers[0]) for numbers in law)
-    if math.isinf(onset):
-        return
     for key, value, example in (("hardness", hardness, '"2 GPa"'), ("pile_up", pile_up, "2")):
-        if not math.isfinite(value):
+        if not math.isfinite(value) and math.isfinite(onset):
             yield (place, key), f"{key} is missing, and an onset is given: add {key} = {example} to [{place}]"
             return
+    if math.isinf(onset):
+        return
     found, begin = (format_value(value, "contact.hardness") for value in (hardness, onset))
     b, (least, most) = pile_up * hardness / onset - 1.0, _SOFTENING
     if hardness < onset:
-        yield (place, "hardness"), (f"the hardness {found} is below the onset {begin}: a face cannot flow at less than its "
-                                    f"onset; give a hardness of {begin} or more")  # fmt: skip
+        yield (place, "hardness"), f"the hardness {found} is below the onset {begin}: give {begin} or more"
     elif b > most:
         limit = format_value((1.0 + most) * onset / pile_up / 1.001, "contact.hardness")
-        yield (place, "hardness"), f'a hardness of {found} for an onset of {begin} is Hertz: give at most {limit}, or law = "hertz"'
+        yield (place, "hardness"), f'{found} for an onset of {begin} is Hertz: give at most {limit}, or law = "hertz"'
     elif 1e-12 < b < least:
+        enough = 1.001 * (1.0 + least) * onset / hardness
         yield (place, "hardness" if place == "sphere" else "pile_up"), (
-            f"pile_up = {pile_up:.4g} with hardness {found} and onset {begin} makes b = C H/p_y - 1 = {b:.2g}, which must be "
-            f"0 or from {least:g} to {most:g}: give pile_up = {1.001 * (1.0 + least) * onset / hardness:.4g} or more, or "
-            'pile_up = 1 with hardness = "onset"')  # fmt: skip
+            f"pile_up = {pile_up:.4g}, hardness {found} and onset {begin} make b = C H/p_y - 1 = {b:.2g}, which must be 0 or "
+            f'from {least:g} to {most:g}: give pile_up = {enough:.4g} or more, or pile_up = 1 with hardness = "onset"')  # fmt: skip
 
 
 def _together(draft: Draft) -> Faults:
@@ -503,8 +472,8 @@ def _together(draft: Draft) -> Faults:
     numbers, mean, shape = draft.numbers, draft.mean, draft.options.get("pulse.shape")
     radius, diameter = mean("sphere.radius"), mean("bars.diameter")
     if radius is not None and diameter is not None and 2.0 * radius > diameter * _ROUNDING:
-        yield ("sphere", "radius"), (f"the sphere, 2 x {format_value(radius, 'sphere.radius')} across, is larger than its "
-                                     f"bars of {format_value(diameter, 'bars.diameter')}: take a smaller sphere or thicker bars")  # fmt: skip
+        across, wide = format_value(2.0 * radius, "sphere.radius"), format_value(diameter, "bars.diameter")
+        yield "sphere.radius", f"the sphere, {across} across, is larger than its bars of {wide}: take thicker bars"
 
     def of_striker(key: str) -> float | None:
         return mean(f"striker.{key}") if f"striker.{key}" in numbers else mean(f"bars.{key}")
@@ -518,44 +487,50 @@ def _together(draft: Draft) -> Faults:
     end = numbers.get("bars.incident_end")
     silent = bool(draft.options.get("bars.infinite")) or end is None or end.value == 0.0
     flanks = 0.5 * ((mean("pulse.rise") or 0.0) + (mean("pulse.fall") or 0.0))
+    lasts = "" if width is None else format_value(width, "pulse.duration")
     if shape in ("trapezoid", "ramp") and width is not None and flanks > width * _ROUNDING:
-        yield ("pulse", "rise"), (f"half of rise and fall, {format_value(flanks, 'pulse.rise')}, exceeds the width of the "
-                                  f"pulse, {format_value(width, 'pulse.duration')}: shorten them, or lengthen the striker")  # fmt: skip
+        said = f"half of rise and fall, {format_value(flanks, 'pulse.rise')}, exceeds the width of the pulse, {lasts}"
+        yield "pulse.rise", f"{said}: shorten them, or lengthen the striker"
         return
     if shape == "two_peak" and (t1 := mean("pulse.t1")) is not None and (t2 := mean("pulse.t2")) is not None:
-        one, two = format_value(t1, "pulse.t1"), format_value(t2, "pulse.t2")
         if t1 >= t2:
-            yield ("pulse", "t2"), f"found t1 = {one} and t2 = {two}: the first peak must come before the second"
+            one, two = format_value(t1, "pulse.t1"), format_value(t2, "pulse.t2")
+            yield "pulse.t2", f"found t1 = {one} and t2 = {two}: the first peak must come before the second"
         elif width is not None and t2 >= width:
-            yield ("pulse", "t2"), f"the second peak, at {two}, must come before the end of the pulse: give a longer duration"
+            yield "pulse.t2", f"the second peak must come before the end of the pulse, {lasts}: give a longer duration"
     if shape == "step":
-        model = draft.document.model
-        if (model is None or model.horizon is None) and draft.clean("model", "horizon"):
-            yield ("model", "horizon"), 'a step pulse never ends, so that the record needs an end: add horizon = "3 ms" to [model]'
+        if draft.document.model is None or draft.document.model.horizon is None:
+            yield (
+                "model.horizon",
+                'a step pulse never ends, so that the record needs an end: add horizon = "3 ms" to [model]',
+            )
         if not silent and "bars.incident_length" in numbers:
-            yield ("pulse", "shape"), ("a step pulse is longer than any round trip of the incident bar: set "
-                                       'bars.infinite = true or incident_end = "absorbing"')  # fmt: skip
+            said = "a step pulse is longer than any round trip of the incident bar"
+            yield "pulse.shape", f'{said}: set bars.infinite = true or incident_end = "absorbing"'
         return
     speed, bar = wave_speed(mean("bars.E"), mean("bars.density")), mean("bars.incident_length")
     if width is None or bar is None or speed is None or silent or not draft.clean("pulse"):
         return
     if any(f"striker.{key}" in numbers for key in ("E", "density", "diameter")):
-        parts = [(of_striker(key), mean(f"bars.{key}"), power) for key, power in
-                 (("E", 0.5), ("density", 0.5), ("diameter", 2.0))]  # fmt: skip
-        if any(a is None or b is None for a, b, _ in parts):
+        parts = [
+            (of_striker(key), mean(f"bars.{key}"))
+            for key in ("E", "density", "diameter", "diameter", "diameter", "diameter")
+        ]
+        if any(a is None or b is None for a, b in parts):
             return
-        ratio = math.prod((a / b) ** power for a, b, power in parts)  # type: ignore[operator]
+        ratio = math.sqrt(math.prod(a / b for a, b in parts if a is not None and b is not None))
         levels, complete = striker_steps(ratio)
         if not complete[0]:
-            yield ("striker",), (f"the striker's impedance is {ratio:.3g} times that of the bars, at most 9 is allowed: take "
-                                 "a thinner or lighter striker")  # fmt: skip
+            yield (
+                "striker",
+                f"its impedance is {ratio:.3g} times that of the bars, at most 9 is allowed: take a thinner one",
+            )
             return
         width *= levels.shape[1]
     width += flanks if shape in ("trapezoid", "ramp") else 0.0
-    trip = 2.0 * bar / speed
-    if width > trip * _ROUNDING:
+    if width > (trip := 2.0 * bar / speed) * _ROUNDING:
         place = ("pulse", "duration") if "pulse.duration" in numbers else ("striker", "length")
-        yield place if draft.record is None else ("pulse", "file"), (
+        yield place if draft.record is None else "pulse.file", (
             f"the whole pulse lasts {format_value(width, 'pulse.duration')}, longer than the round trip of "
             f"{format_value(trip, 'pulse.duration')} in the incident bar, whose far end cannot reflect before the striker "
             'has left it: shorten the pulse, lengthen the bar, or set incident_end = "absorbing"')  # fmt: skip
@@ -564,33 +539,36 @@ def _together(draft: Draft) -> Faults:
 def _gauges(draft: Draft) -> Faults:
     gauges, rod = draft.document.gauges, draft.document.rod
     if len(gauges) > _MOST["gauges"]:
-        yield ("gauges",), f"found {len(gauges)} gauges, at most {_MOST['gauges']} are allowed"
-    given = [(("gauges", k), gauge.bar, gauge.position) for k, gauge in enumerate(gauges)]
+        yield "gauges", f"found {len(gauges)} gauges, at most {_MOST['gauges']} are allowed"
+    given: list[tuple[Place, str, float]] = [(("gauges", k), g.bar, g.position) for k, g in enumerate(gauges)]
     if rod is not None and rod.gauge is not None:
         given.insert(0, (("rod", "gauge"), "rod", rod.gauge))
-    for place, bar, position in given:
-        path = "rod.length" if bar == "rod" else f"bars.{bar}_length"
-        length, what = draft.mean(path), "rod" if bar == "rod" else f"{bar} bar"
+    for k, (place, bar, position) in enumerate(given):
+        path, what = ("rod.length", "rod") if bar == "rod" else (f"bars.{bar}_length", f"{bar} bar")
+        length = draft.mean(path)
         if place[0] == "gauges" and position == 0.0:
             yield (*place, "position"), 'position is missing: add the distance from the sphere, position = "0.75 m"'
         elif (bar == "rod") != (draft.rig == "load_cell"):
             yield (*place, "bar"), f"the rig has no {what}: gauges stand on the bars, or on the rod of a load_cell"
         elif length is not None and position > length:
-            yield place, (f"found {format_value(position, 'bars.incident_length')}, beyond the far end of the {what} of "
-                          f"{format_value(length, path)}: the distance counts from the sphere")  # fmt: skip
-        elif sum((bar, position) == other[1:] for other in given) > 1 and place == given[-1][0]:
+            found, end = format_value(position, path), format_value(length, path)
+            yield (
+                place,
+                f"found {found}, beyond the far end of the {what} of {end}: the distance counts from the sphere",
+            )
+        elif (bar, position) in [other[1:] for other in given[:k]]:
             yield place, f"a gauge on the {bar} bar at this place is named twice"
 
 
 # --- limits ---------------------------------------------------------------------------------------------------------------
 
 
-def _limits(draft: Draft, *, black_box: bool) -> Faults:
+def _limits(draft: Draft) -> Faults:
     tables = draft.document.limits
     if len(tables) > _MOST["limits"]:
         yield ("limits",), f"found {len(tables)} limits, at most {_MOST['limits']} are allowed"
         return
-    outputs = (draft.document.outputs.names if draft.document.outputs else ()) if black_box else None
+    outputs = (draft.document.outputs.names if draft.document.outputs else ()) if draft.box else None
     for name, table in tables.items():
         if not _NAME.fullmatch(name):
             yield ("limits", name), _NAMED
@@ -612,7 +590,10 @@ def _limit(draft: Draft, name: str, table: LimitTable, outputs: Sequence[str] | 
     if outputs is None:
         demand = replace(demand, quantity=_pressure_meant(draft, table, demand.quantity))
         if table.criterion is None and given:
-            raise Fault(f"{next(iter(given))} belongs to a criterion: add criterion = … (uqsphere list criteria)", next(iter(given)))
+            raise Fault(
+                f"{next(iter(given))} belongs to a criterion: add criterion = … (uqsphere list criteria)",
+                next(iter(given)),
+            )
     if table.fracture and table.criterion is None and demand.quantity not in PATHS:
         raise Fault(f"exceeding {demand.quantity} breaks no sphere: fracture = true is for a criterion or one of "
                     f"{one_of(sorted(PATHS))}", "fracture")  # fmt: skip
@@ -642,7 +623,7 @@ def _limit(draft: Draft, name: str, table: LimitTable, outputs: Sequence[str] | 
         platens = platens_of(table.platens, _bars(draft), "platens")
     if draft.rig == "bars":
         platens = None
-    draft.given |= {f"limits.{name}.strength": strength, f"limits.{name}.model_factor": factor}
+    draft.strengths |= {f"limits.{name}.strength": strength, f"limits.{name}.model_factor": factor}
     draft.limits[name] = Limit(
         name=name, quantity=f"{demand.quantity}.{name}" if demand.criterion else demand.quantity,
         criterion=demand.criterion, parameters=dict(demand.parameters), strength=strength.value, aim=table.aim,
@@ -712,7 +693,9 @@ def _pressure_meant(draft: Draft, table: LimitTable, quantity: str) -> str:
     meant = table.strength_is
     if quantity not in ("p_max", "first_peak"):
         if meant == "pressure" if quantity == "p_hertz" else meant is not None:
-            raise Fault(f"strength_is belongs to a limit on p_max or first_peak, not on {quantity}: leave it out", "strength_is")
+            raise Fault(
+                f"strength_is belongs to a limit on p_max or first_peak, not on {quantity}: leave it out", "strength_is"
+            )
         return quantity
     if not draft.plastic:
         return quantity
@@ -733,12 +716,16 @@ def _pressure_meant(draft: Draft, table: LimitTable, quantity: str) -> str:
 def _strength(draft: Draft, table: LimitTable, demand: Demand, place: Place, scene: bool) -> Number:
     """A strength: a number or law in the unit of the demand, or what tests tell of it; raises Fault."""
     if not scene:
-        return _read(draft, table.strength, replace(plain_quantity(demand.quantity), plausible=(-math.inf, math.inf)), place)
+        return _read(
+            draft, table.strength, replace(plain_quantity(demand.quantity), plausible=(-math.inf, math.inf)), place
+        )
     entry = lookup(demand.quantity)
     usual = USUAL.get(entry.dimension, (0.0, math.inf))
     entry = replace(entry, meaning=f"the strength against {demand.quantity}", plausible=usual, closed=False)
     if is_tests(table.strength):
-        sphere = {key: draft.mean(f"sphere.{key}") for key in ("E", "nu", "density", "radius", "onset_pressure", "hardness")}
+        sphere = {
+            key: draft.mean(f"sphere.{key}") for key in ("E", "nu", "density", "radius", "onset_pressure", "hardness")
+        }
         if any(sphere[key] is None for key in ("E", "nu", "density", "radius")):
             draft.spoiled.add(place)
             raise Fault("the tests need E, nu, density and radius of the sphere", "strength")
@@ -758,35 +745,30 @@ def _strength(draft: Draft, table: LimitTable, demand: Demand, place: Place, sce
 # --- what is asked ----------------------------------------------------------------------------------------------------------
 
 
-def _analysis(draft: Draft, *, black_box: bool) -> Faults:
+def _analysis(draft: Draft) -> Faults:
     analysis, outputs = draft.document.analysis, draft.document.outputs
-    known = list(OUTPUTS) if not black_box else list(outputs.names if outputs else ())
+    known = list(OUTPUTS) if not draft.box else list(outputs.names if outputs else ())
     for index, name in enumerate(analysis.quantities):
         if known and name not in known:
             yield ("analysis", "quantities", index), unknown("quantity", name, known)
-    for key in ("cost", "time_limit") if not black_box else ():
+    for key in ("cost", "time_limit") if not draft.box else ():
         if getattr(analysis, key) is not None:
             yield ("analysis", key), f"{key} is for a black box ([inputs], [outputs]): leave it out"
     needed = [limit.quantity for limit in draft.limits.values()]
-    usual = known if black_box else ["p_max", *(["contact_duration"] if draft.rig != "platens" else [])]
+    usual = known if draft.box else ["p_max", *(["contact_duration"] if draft.rig != "platens" else [])]
     asked = dict.fromkeys([*(analysis.quantities or usual), *needed])
     draft.analysis = replace(analysis, quantities=tuple(asked))
 
 
-def _random(draft: Draft) -> dict[str, Number]:
-    every = {**draft.numbers, **draft.given}
-    return {name: number for name, number in every.items() if isinstance(number.value, Law)}
-
-
-def _faulty(draft: Draft, name: str, black_box: bool) -> bool:
+def _faulty(draft: Draft, name: str) -> bool:
     """Whether a name is that of a number which is there, and faulty."""
-    place: Place = ("inputs", name) if black_box and not name.startswith("limits.") else number_place(name)
+    place: Place = ("inputs", name) if draft.box and not name.startswith("limits.") else number_place(name)
     return not draft.clean(*place) or (name.startswith("limits.") and not draft.clean("limits", *place[1:2]))
 
 
-def _dependence(draft: Draft, *, black_box: bool) -> Faults:
+def _dependence(draft: Draft) -> Faults:
     """Names, strengths and degrees of freedom of each dependence, then all together."""
-    ties, random = draft.document.dependence, _random(draft)
+    ties, random = draft.document.dependence, draft.random
     if len(ties) > _MOST["dependence"]:
         yield ("dependence",), f"found {len(ties)} dependences, at most {_MOST['dependence']} are allowed"
         return
@@ -799,15 +781,21 @@ def _dependence(draft: Draft, *, black_box: bool) -> Faults:
             if name in random:
                 continue
             usable = False
-            if name in draft.numbers or name in draft.given:
-                yield (*place, "of", at), f"{shown(name)} is a fixed number here: give it a distribution, or leave it out"
-            elif not _faulty(draft, name, black_box):
+            if name in draft.numbers or name in draft.strengths:
+                yield (
+                    (*place, "of", at),
+                    f"{shown(name)} is a fixed number here: give it a distribution, or leave it out",
+                )
+            elif not _faulty(draft, name):
                 yield (*place, "of", at), (f"unknown random input {shown(name)}, random here: "
                                            f"{one_of(list(random)[:20]) if random else 'none'}{suggestion(name, random)}")  # fmt: skip
         if tie.spearman is not None and tie.kendall is not None:
             yield (*place, "kendall"), "spearman is given too: one of them says how strong the dependence is"
         elif tie.spearman is None and tie.kendall is None and draft.clean(*place, "kendall"):
-            yield (*place, "spearman"), "spearman is missing: add a rank correlation between -1 and 1, or kendall in its place"
+            yield (
+                (*place, "spearman"),
+                "spearman is missing: add a rank correlation between -1 and 1, or kendall in its place",
+            )
         if tie.copula == "student_t" and tie.dof is None:
             yield (*place, "dof"), "dof is missing: a Student t copula needs its degrees of freedom, 4 say"
         elif tie.copula != "student_t" and tie.dof is not None and draft.clean(*place, "copula"):
@@ -828,7 +816,7 @@ def _dependence(draft: Draft, *, black_box: bool) -> Faults:
             return
 
 
-def _margins(draft: Draft, *, black_box: bool) -> Faults:
+def _margins(draft: Draft) -> Faults:
     table = draft.document.margins
     if table is None:
         return
@@ -840,17 +828,20 @@ def _margins(draft: Draft, *, black_box: bool) -> Faults:
     solve = "bars.insert_" + table.solve.removeprefix("insert.") if table.solve.startswith("insert.") else table.solve
     strengths = {strength_name(limit.name): limit.quantity for limit in draft.limits.values()}
     if solve not in draft.numbers and solve not in strengths:
-        if not _faulty(draft, solve, black_box):
+        if not _faulty(draft, solve):
             names = [*draft.numbers, *strengths]
-            kind = "input of this study" if black_box else "number of this scene"
+            kind = "input of this study" if draft.box else "number of this scene"
             known = one_of(names[:30]) if names else "none"
-            yield ("margins", "solve"), f"{shown(table.solve)} is no {kind}, which has {known}{suggestion(solve, names)}"
+            yield (
+                ("margins", "solve"),
+                f"{shown(table.solve)} is no {kind}, which has {known}{suggestion(solve, names)}",
+            )
         return
     if len(table.between) < 2:
         yield ("margins", "between"), "between is missing: add the lowest and the highest value to look at"
         return
     own = strengths.get(solve, solve)
-    entry = plain_quantity(own) if black_box else lookup(own)
+    entry = plain_quantity(own) if draft.box else lookup(own)
     if solve in strengths:
         entry = replace(entry, lower=0.0, meaning="the mean strength")
     ends = []
@@ -880,5 +871,3 @@ def _moved_mean(study: Study) -> Faults:
             study.random[name].with_mean(value, study.given[name])
         except LawError as error:
             yield ("margins", "between", index), f"with this mean {name} has no law: {error.message} (SI)"
-
-

@@ -13,13 +13,12 @@ from dataclasses import dataclass as plain
 from dataclasses import field, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 
 from pydantic import BeforeValidator, ConfigDict, Field, Strict, ValidationInfo, WithJsonSchema
 from pydantic.dataclasses import dataclass
 
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
-from uqsphere.mechanics.pulses import PRESETS, SHAPES
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.units import UNITS, Quantity, UnitError, bare_number, parse_value
 from uqsphere.uq import Law, LawError, make_law
@@ -40,7 +39,6 @@ RIG_TABLES: Final[dict[str, tuple[str, ...]]] = {
 }
 #: tables whose numbers are entries of `uqsphere.quantities.INPUTS`
 SCENE: Final = ("sphere", "contact", "rig", *dict.fromkeys(t for tables in RIG_TABLES.values() for t in tables))
-METHODS: Final = ("auto", "qmc", "pce", "sobol", "form", "importance", "subset", "morris", "delta", "pawn", "hdmr")
 BAR_ENDS: Final = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
 #: which energy a strength in J/kg means, and the quantity that is held against it
 ENERGY_OF: Final = {
@@ -312,21 +310,22 @@ def _check_law(number: Number, raw: object, quantity: Quantity, reader: Reader, 
 
 
 def _number(raw: Any, info: ValidationInfo) -> Any:
-    """A number of the scene, by the table that the model stands for and its own key; None for a flat face."""
+    """A number of the scene, by its table (a partner knows its own) and key; None for a flat face."""
     if info.context is None or raw is None:
         return raw
-    table, key = str((info.config or {})["title"]), str(info.field_name)
-    path = number_path(table, key)
+    name, key = info.data.get("table") or str((info.config or {})["title"]), str(info.field_name)
+    path, start = number_path(name, key), number_path(name, "")
     if path not in INPUTS:
-        keys = [p.removeprefix(number_path(table, "")) for p in INPUTS if p.startswith(number_path(table, ""))]
-        raise Fault(f"{key} does not belong to [{table}], which takes {one_of(['material', *keys])}")
+        keys = [known.removeprefix(start) for known in INPUTS if known.startswith(start)]
+        raise Fault(f"{key} does not belong to [{name}], which takes {one_of(['material', *keys])}")
     if (key == "face_radius" and raw == "flat") or (path == "contact.hardness" and raw == "onset"):
         return None if raw == "flat" else raw
-    return number_of(raw, INPUTS[path], info.context, (table, key))
+    return number_of(raw, INPUTS[path], info.context, (name, key))
 
 
-def _quantity(dimension: str, meaning: str, lower: float = 0.0) -> Quantity:
-    return Quantity(name=dimension, symbol="", dimension=dimension, lower=lower, meaning=meaning)
+def _partner(raw: Any, info: ValidationInfo) -> Any:
+    """The table of a partner, which is told its name."""
+    return {**raw, "\0table": info.field_name} if isinstance(raw, dict) else raw
 
 
 def _fixed(quantity: Quantity) -> Any:
@@ -349,9 +348,8 @@ def _real(low: float, high: float = math.inf, *, closed: bool = False, whole: bo
         )
 
     def read(raw: Any) -> Any:
-        value = raw
-        if isinstance(raw, str) and raw.rstrip().endswith("%") and not whole:
-            value = value_of(raw, plain_quantity("share"))
+        percent = isinstance(raw, str) and raw.rstrip().endswith("%") and not whole
+        value = value_of(raw, plain_quantity("share")) if percent else raw
         if isinstance(value, bool) or not isinstance(value, int if whole else int | float):
             raise Fault(f"found {shown(raw)}, where {what} is required")
         if not (low <= value <= high if closed else low < value < high):
@@ -367,24 +365,19 @@ def _several(least: int, what: str, most: int = 200) -> BeforeValidator:
     """The mark of a list with so many entries, each once."""
 
     def read(raw: Any, info: ValidationInfo) -> Any:
-        if isinstance(raw, list | tuple) and info.context is not None:
-            for index, value in enumerate(raw):
-                if value in raw[:index]:
-                    raise Fault(f"{shown(value)} is named twice", index)
-            if not least <= len(raw) <= most:
-                required = f"{least} or more are required" if len(raw) < least else f"at most {most:,} are allowed"
-                raise Fault(f"found {len(raw)} {what}, {required}")
+        for index, value in enumerate(raw) if isinstance(raw, list | tuple) and info.context is not None else ():
+            if value in raw[:index]:
+                raise Fault(f"{shown(value)} is named twice", index)
+        if isinstance(raw, list | tuple) and info.context is not None and not least <= len(raw) <= most:
+            required = f"{least} or more are required" if len(raw) < least else f"at most {most:,} are allowed"
+            raise Fault(f"found {len(raw)} {what}, {required}")
         return raw
 
     return BeforeValidator(read)
 
 
-def _methods(raw: Any) -> Any:
-    return (raw,) if isinstance(raw, str) and raw in METHODS else raw
-
-
-def key(meaning: str, default: Any = None, *, usual: str = "") -> Any:
-    """A key: its meaning in one clause, its default, and that in words where the value does not say it."""
+def key(meaning: str | None, default: Any = None, *, usual: str = "") -> Any:
+    """A key: its meaning in one clause (None: that of its quantity), its default, and that in words if need be."""
     held = {"default_factory": default} if isinstance(default, type) else {"default": default}
     return Field(**held, description=meaning, json_schema_extra={"usual": usual})
 
@@ -394,6 +387,16 @@ def table(title: str = "") -> ConfigDict:
     return ConfigDict(extra="forbid", title=title, defer_build=True)
 
 
+def _parameter(name: str) -> Any:
+    part = PARAMETERS[name]
+    return _fixed(Quantity(name=name, symbol=name, dimension=part.dimension, lower=part.lower, upper=part.upper,
+                           meaning=f"the {part.meaning}"))  # fmt: skip
+
+
+def _of(dimension: str) -> Any:
+    return _fixed(Quantity(name=dimension, symbol="", dimension=dimension, meaning=f"the {dimension}"))
+
+
 Flag = Annotated[bool, Strict()]
 Num = Annotated[Any, BeforeValidator(_number)]
 Share = Annotated[float, *_real(0.0, 1.0)]
@@ -401,14 +404,10 @@ Shares = Annotated[tuple[Share, ...], _several(1, "numbers")]
 Positive = Annotated[float, *_real(0.0)]
 Correlation = Annotated[float, *_real(-1.0, 1.0)]
 Names = Annotated[tuple[str, ...], _several(1, "names")]
-Seconds = Annotated[float, *_fixed(_quantity("time", "the time"))]
-Length = Annotated[float, *_fixed(_quantity("length", "the length"))]
-
-
-def _parameter(name: str) -> Any:
-    part = PARAMETERS[name]
-    return _fixed(Quantity(name=name, symbol=name, dimension=part.dimension, lower=part.lower, upper=part.upper,
-                           meaning=f"the {part.meaning}"))  # fmt: skip
+Seconds, Length = Annotated[float, *_of("time")], Annotated[float, *_of("length")]
+_Method = Literal["auto", "qmc", "pce", "sobol", "form", "importance", "subset", "morris", "delta", "pawn", "hdmr"]
+Methods = Annotated[tuple[_Method, ...], _several(1, "methods"),
+                    BeforeValidator(lambda raw: (raw,) if isinstance(raw, str) else raw)]  # fmt: skip
 
 
 # --- the scene ------------------------------------------------------------------------------------------------------
@@ -423,21 +422,22 @@ class Sphere:
     nu: Num = None
     density: Num = None
     radius: Num = key("radius, not diameter; the sphere must fit its bars", usual="required")
-    onset_pressure: Num = key("", usual="from the material, else elastic")
-    hardness: Num = key("", usual="from the material")
+    onset_pressure: Num = key(None, usual="from the material, else elastic")
+    hardness: Num = key(None, usual="from the material")
 
 
 @dataclass(frozen=True, kw_only=True, config=table("partner"))
 class Face:
     """What every body has that the sphere touches."""
 
+    table: str = Field("", alias="\0table")  # told by what holds it, and no key of a file
     material: str | None = key("fills `E`, `nu`, `density`, `yield_strength` that are not given")
     E: Num = None
     nu: Num = None
     density: Num = None
     yield_strength: Num = key("for the validity checks, and the law of a `plastic` contact")
-    onset_pressure: Num = key("", usual="from `yield_strength`")
-    hardness: Num = key("", usual="from `yield_strength`")
+    onset_pressure: Num = key(None, usual="from `yield_strength`")
+    hardness: Num = key(None, usual="from `yield_strength`")
     pile_up: Num = key("`a²` over `r` times the approach far beyond yield, 1 to 3", usual="8/3")
 
 
@@ -448,8 +448,7 @@ class Bars(Face):
     diameter: Num = key("diameter of the bars", usual="required")
     incident_length: Num = key("length of the incident bar", usual="required unless `infinite`")
     receiving_length: Num = key("length of the receiving bar", usual="required unless `infinite`")
-    incident_end: Num = key('far end: `"free"`, `"absorbing"`, `"fixed"`, or a reflection coefficient from -1 to 1',
-                            usual='`"free"`')  # fmt: skip
+    incident_end: Num = key('`"free"`, `"absorbing"`, `"fixed"`, or a reflection coefficient', usual='`"free"`')
     receiving_end: Num = key("the same of the receiving bar", usual='`"absorbing"`')
     end_radius: Num = key("radius of rounded ends at the sphere", usual="flat")
     infinite: Flag = key("no reflections", False)
@@ -472,8 +471,9 @@ class Striker:
 class Pulse:
     """The incident pulse; each shape has keys of its own."""
 
-    preset: Literal[*PRESETS] | None = key("a pulse of the paper's Fig. 2, in place of `shape`")  # type: ignore[valid-type]
-    shape: Literal[*SHAPES, "measured"] = key("shape of the pulse", "rectangular")  # type: ignore[valid-type]
+    preset: Literal["very_short", "short", "long"] | None = key("a pulse of the paper's Fig. 2, in place of `shape`")
+    shape: Literal["rectangular", "trapezoid", "ramp", "half_sine", "two_peak", "step", "measured"] = key(
+        "shape of the pulse", "rectangular")  # fmt: skip
     duration: Num = key("duration", usual="from the striker")
     rise: Num = key("`trapezoid`, `ramp`: rise")
     fall: Num = key("`trapezoid`: fall")
@@ -482,22 +482,20 @@ class Pulse:
     t2: Num = key("`two_peak`: time of the second peak")
     level2: Num = key("`two_peak`: its level over `v_0/2`")
     valley: Num = key("`two_peak`: level half-way between", usual="0.75 of the lower peak")
-    file: str | None = key("`measured`: CSV beside the study, time and strain (compression positive)")
+    file: str | None = key("`measured`: table of time and strain (compression positive), a file beside the study")
     columns: tuple[str, ...] = key("`measured`: names of both columns", (), usual="the first two")
-    units: tuple[str, ...] = key("`measured`: units of both: of time, and of strain, or V, mV with `factor`", (),
-                                 usual="those of the headings")  # fmt: skip
+    units: tuple[str, ...] = key("`measured`: units of time, and of strain or volts", (), usual="of the headings")
     factor: float | None = key("`measured`: strain of one volt")
     gain: Num = key("`measured`: true strain over that of the record")
 
 
 @dataclass(frozen=True, kw_only=True, config=table("contact"))
 class Contact:
-    """The law of the contacts: Hertz, or the softer of two bodies yields or crushes."""
+    """The law of the contacts."""
 
     law: Literal["hertz", "plastic"] = key('`"hertz"`, or `"plastic"`: the softer body yields or crushes', "hertz")
-    onset_pressure: Num = key("centre pressure at which a face begins to yield", usual="that of the softer body")
-    hardness: Num = key('mean pressure of a face that flows fully; `"onset"`: the onset itself',
-                        usual="that of the softer body")  # fmt: skip
+    onset_pressure: Num = key("centre pressure at which a face begins to yield", usual="of the softer body")
+    hardness: Num = key('mean pressure of a face that flows fully, or `"onset"`', usual="of the softer body")
     pile_up: Num = key("pile-up far beyond yield, 1 to 3", usual="8/3 where a metal yields, else 2")
 
 
@@ -505,7 +503,8 @@ class Contact:
 class Rig:
     """What loads the sphere; `speed` or `drop_height` where the sphere itself moves."""
 
-    kind: Literal[*RIG_TABLES] = key("what loads the sphere; each kind has tables of its own", "bars")  # type: ignore[valid-type]
+    kind: Literal["bars", "impact", "sphere_on_sphere", "drop_weight", "load_cell", "platens"] = key(
+        "what loads the sphere", "bars")  # fmt: skip
     speed: Num = key('closing speed of `impact` and `sphere_on_sphere`; a rotor\'s tip: `"1450 rpm at 0.9 m"`')
     drop_height: Num = key("in its place: height that the sphere falls from through air")
     angle: Num = key("between path and surface, above 5 deg", usual='`"90 deg"`, square on')
@@ -516,15 +515,14 @@ class Partner(Face):
     """A body that touches the sphere: [target] or [anvil], [other], [hammer], [rod], [platens] or [insert]."""
 
     kind: Literal["thick", "plate", "bar", "mass"] | None = key(
-        'target, anvil: a `"thick"` body, a `"plate"` that bends, the end of a `"bar"`, or a free `"mass"`',
-        usual='`"thick"`')  # fmt: skip
+        'target, anvil: `"thick"`, a `"plate"` that bends, the end of a `"bar"`, a free `"mass"`', usual='`"thick"`')  # fmt: skip
     thickness: Num = key("plate, insert: thickness", usual="required for a plate")
     width: Num = key("plate: width, for the check of its edges")
     mass: Num = key("mass, hammer: its mass", usual="required, or a ball")
     diameter: Num = key("bar, rod, ball: diameter", usual="required")
     length: Num = key("bar, rod: length; a bar without it returns nothing", usual="required for a rod")
     end: Num = key("bar, rod: far end, as the ends of bars", usual='`"free"`')
-    face_radius: Num = key('target, anvil, hammer: radius of a rounded face; `"flat"` is flat', usual="flat")
+    face_radius: Num = key("target, anvil, hammer: radius of a rounded face", usual='`"flat"`')
     radius: Num = key("other: radius of the other sphere", usual="required")
     shape: Literal["ball"] | None = key('hammer: `"ball"`: mass and `face_radius` follow from the `diameter`')
     speed: Num = key("hammer: speed at the sphere; platens: speed of the crosshead")
@@ -536,47 +534,14 @@ class Partner(Face):
     machine_stiffness: Num = key("platens: stiffness of the machine in series", usual="rigid")
 
 
-@dataclass(frozen=True, kw_only=True, config=table("target"))
-class Target(Partner):
-    """What the sphere is thrown at."""
-
-
-@dataclass(frozen=True, kw_only=True, config=table("anvil"))
-class Anvil(Partner):
-    """What the sphere lies on."""
-
-
-@dataclass(frozen=True, kw_only=True, config=table("other"))
-class Other(Partner):
-    """The other sphere, which is not judged."""
-
-
-@dataclass(frozen=True, kw_only=True, config=table("hammer"))
-class Hammer(Partner):
-    """The weight that falls on the sphere."""
-
-
-@dataclass(frozen=True, kw_only=True, config=table("rod"))
-class Rod(Partner):
-    """The rod of a load cell."""
-
-
-@dataclass(frozen=True, kw_only=True, config=table("platens"))
-class Platens(Partner):
-    """Two platens that press slowly."""
-
-
-@dataclass(frozen=True, kw_only=True, config=table("insert"))
-class Insert(Partner):
-    """Inserts between bars and sphere; their waves are left out."""
+OnePartner = Annotated[Partner | None, BeforeValidator(_partner)]
 
 
 @dataclass(frozen=True, kw_only=True, config=table())
 class Gauge:
     """A strain gauge: its bar, and its distance from the sphere [m]."""
 
-    bar: Literal["incident", "receiving", "rod"] = key('`"incident"`, `"receiving"`, or `"rod"` in a load cell',
-                                                       "incident", usual="required")  # fmt: skip
+    bar: Literal["incident", "receiving", "rod"] = key('`"rod"` in a load cell', "incident", usual="required")
     position: Length = key("distance from the sphere", 0.0, usual="required")
 
 
@@ -584,8 +549,7 @@ class Gauge:
 class ModelChoice:
     """Which mechanics, and how precisely; `horizon` [s]."""
 
-    fidelity: Literal["full", "massless", "linear"] = key(
-        '`"full"`, or of the paper: `"massless"`, `"linear"`', "full")  # fmt: skip
+    fidelity: Literal["full", "massless", "linear"] = key('`"full"`; of the paper: `"massless"`, `"linear"`', "full")
     tolerance: Annotated[float, *_real(1e-12, 1e-2, closed=True)] = key("relative error of the integration", 1e-6)
     first_loading_only: Flag = key("end the record when the first reflected wave is back", False)
     horizon: Seconds | None = key("latest end of the record", usual="eight round trips of the longer bar")
@@ -601,39 +565,33 @@ class LimitTable:
 
     quantity: str | None = key("a quantity of `uqsphere list quantities`", usual="required, or `criterion`")
     criterion: Literal[*CRITERIA] | None = key("in place of `quantity`: one of `uqsphere list criteria`")  # type: ignore[valid-type]
-    strength: Any = key("value or distribution in the unit of the quantity; tests or draws of a file, see below",
-                        usual="required")  # fmt: skip
+    strength: Any = key("value, distribution, or a file with tests or draws, see below", usual="required")
     strength_is: Literal["hertz", "pressure"] | None = key(
-        'which pressure a strength is: `"hertz"`, computed from a force by Hertz, or the true `"pressure"`',
-        usual="required in a `plastic` contact")  # fmt: skip
-    aim: Literal["survive", "break"] = key('`"survive"`: the quantity must stay below the strength; `"break"`: exceed it',
-                                           "survive")  # fmt: skip
+        '`"hertz"`: computed from a force by Hertz; `"pressure"`: the true one', usual="required if `plastic`")  # fmt: skip
+    aim: Literal["survive", "break"] = key("the quantity must stay below the strength, or exceed it", "survive")
     target: Share | None = key('largest accepted failure probability, `0.01` or `"1 %"`')
-    model_factor: Any = key("factor on the quantity for what the model leaves out; value or distribution", usual="`1`")
-    fracture: Flag | None = key("whether exceeding it breaks the sphere; `false` for bars that must stay elastic, say",
-                                usual="by the quantity")  # fmt: skip
-    energy_is: Literal[*ENERGY_OF] | None = key(  # type: ignore[valid-type]
-        'of `specific_energy`: stored in both bodies (`"contact"`), in the `"sphere"`, or offered (`"input"`)',
-        usual="required but for bars")  # fmt: skip
-    modulus: Annotated[float, *_parameter("modulus")] | None = key("Weibull modulus of a weakest link",
-                                                                   usual="that of the strength")  # fmt: skip
-    reference_volume: Annotated[float, *_parameter("reference_volume")] | None = key(
-        "`weakest_link_volume`: volume that the strength belongs to")  # fmt: skip
-    reference_area: Annotated[float, *_parameter("reference_area")] | None = key("other weakest links: the same area")
+    model_factor: Any = key("factor on the quantity for what the model leaves out; may scatter", usual="`1`")
+    fracture: Flag | None = key("whether exceeding it breaks the sphere", usual="by the quantity")
+    energy_is: Literal["contact", "sphere", "input"] | None = key(
+        "of `specific_energy`: stored in both bodies, in the sphere, or offered", usual="required but for bars")  # fmt: skip
+    modulus: Annotated[float, *_parameter("modulus")] | None = key(
+        "Weibull modulus of a weakest link", usual="that of the strength")  # fmt: skip
+    reference_volume: Annotated[float, *_parameter("reference_volume")] | None = key("volume of a volume strength")
+    reference_area: Annotated[float, *_parameter("reference_area")] | None = key("area of a surface strength")
     largest_energy: Annotated[float, *_parameter("largest_energy")] | None = key("upper bound of a fracture energy")
     rate_0: Annotated[float, *_parameter("rate_0")] | None = key("strain rate at which a slow strength is doubled")
-    platens: Any = key('what a strength that is a law was measured between: `"bars"`, `"rigid"`, a material, or a '
-                       "table of `E` and `nu`", usual="the bars, else rigid")  # fmt: skip
+    platens: Any = key('what it was measured between: `"bars"`, `"rigid"`, a material, or `E` and `nu`', usual="rigid")
 
 
 @dataclass(frozen=True, kw_only=True, config=table())
 class Observations:
     """A distribution from a file beside the study: a column, crushing tests of spheres, or the draws of a fit."""
 
-    dist: Literal["empirical"] | None = key("`empirical`; may be left out where a file is named")
+    dist: Literal["empirical"] | None = key("may be left out where a file is named")
     file: str | None = key("CSV or .xlsx beside the study")
-    draws: str | None = key("in its place: draws of a fitted distribution, with columns `distribution` (lognormal or "
-                            "weibull), `scale`, `shape`, and if need be `least`, `bound`, `tests`, `diameter`")  # fmt: skip
+    draws: str | None = key(
+        "in its place: draws of a fit, with columns `distribution` (lognormal or weibull), `scale`, `shape`, and if "
+        "need be `least`, `bound`, `tests`")  # fmt: skip
     decimal: Literal[".", ","] | None = key("decimal mark, where a column can be read both ways")
     column: str | None = key("column of observations, in the quantity itself")
     unit: str | None = key("its unit", usual="that of the heading")
@@ -644,20 +602,21 @@ class Observations:
     rate: str | None = key("column of loading rates")
     rate_unit: str | None = key("unit of the rates", usual="that of the heading")
     platens: Any = key("what the spheres were tested between, as in [limits.NAME]", "bars")
-    censored: str | None = key("column of flags: 1 for a test that was stopped before a failure (right-censored)")
-    fit: str | None = key("`kde`, `steps`, or the distribution that is fitted", usual="`weibull` of forces, else `kde`")
+    censored: str | None = key("column of flags: 1 for a test stopped before a failure (right-censored)")
+    fit: str | None = key("`kde`, `steps`, or a distribution", usual="`weibull` of forces, else `kde`")
     unbiased: Flag = key("takes the bias of few tests out of the modulus or the scatter", False)
     synthetic: Flag = key("the observations are synthetic, so that no verdict is established by them", False)
-    lower: Any = key("truncation of the distribution")
-    upper: Any = key("the same")
+    lower: Any = None
+    upper: Any = None
 
 
 @dataclass(frozen=True, kw_only=True, config=table())
 class Dependence:
     """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a Student t copula."""
 
-    of: Annotated[tuple[str, ...], _several(2, "names", 1_000)] = key("names of two or more random numbers", (),
-                                                                      usual="required")  # fmt: skip
+    of: Annotated[tuple[str, ...], _several(2, "names", 1_000)] = key(
+        "random numbers, two or more", (), usual="required"
+    )
     spearman: Correlation | None = key("Spearman's rank correlation; or `kendall`", usual="required")
     kendall: Correlation | None = key("Kendall's rank correlation, in its place")
     copula: Literal["gaussian", "student_t"] = key('`"gaussian"`, or `"student_t"` with `dof`', "gaussian")
@@ -686,22 +645,21 @@ class Budget:
 class Analysis:
     """What is asked, how precisely, and at what cost; `cost` and `time_limit` [s] of one black-box evaluation."""
 
-    quantities: Names = key("what is answered; quantities of limits are added", (),
-                            usual='`["p_max", "contact_duration"]`; outputs of a black box')  # fmt: skip
-    accuracy: Accuracy = key("half-widths of 95 % intervals: mean and quantile over the standard deviation, sobol "
-                             "absolute, probability relative", Accuracy)  # fmt: skip
-    budget: Budget = key("where the run stops at the latest", Budget,
-                         usual='`{ evaluations = 2_000_000, time = "10 min" }`')  # fmt: skip
+    quantities: Names = key(
+        "what is answered; quantities of limits are added", (),
+        usual='`["p_max", "contact_duration"]`; outputs of a black box')  # fmt: skip
+    accuracy: Accuracy = key(
+        "half-widths of 95 % intervals: mean and quantile over the standard deviation, sobol absolute, probability "
+        "relative", Accuracy)  # fmt: skip
+    budget: Budget = key("the latest end of the run", Budget, usual='`{ evaluations = 2_000_000, time = "10 min" }`')
     quantiles: Shares = key("probabilities of the quantiles", (0.01, 0.05, 0.5, 0.95, 0.99))
-    methods: Annotated[tuple[Literal[*METHODS], ...], _several(1, "methods"), BeforeValidator(_methods)] = key(  # type: ignore[valid-type]
-        f"`auto`, or some of {one_of([f'`{name}`' for name in METHODS[1:]])}", ("auto",))  # fmt: skip
+    methods: Methods = key(f"`auto`, or some of {one_of([f'`{m}`' for m in get_args(_Method)[1:]])}", ("auto",))
     second_order: Flag = key("Sobol' indices of all pairs of inputs as well", False)
     failure_modes: Literal["all", "given"] = key(
-        '`"all"`: a rock is judged by every failure mode, with library strengths where no limit is given; `"given"`: '
-        "by its limits", "all")  # fmt: skip
+        '`"all"`: a rock is also judged by failure modes that have no limit, with library strengths', "all")  # fmt: skip
     on_failure: Literal["abort", "bound", "drop"] = key(
-        'failed evaluations: `"abort"` at the first; `"bound"` counts each once as exceeding and once as not; '
-        '`"drop"` leaves them out, up to 1 %', "abort")  # fmt: skip
+        'failed evaluations: `"bound"` counts each once as exceeding and once as not; `"drop"` leaves out up to 1 %',
+        "abort")  # fmt: skip
     cost: Seconds | None = key("time of one evaluation of a black box", usual="measured")
     time_limit: Seconds | None = key("longest time of one evaluation of a black box; a longer one has failed")
 
@@ -715,9 +673,10 @@ class Analysis:
 class MarginsTable:
     """The inverse question: at which value of one number is a failure probability reached?"""
 
-    solve: str | None = key('the free number, such as `"striker.speed"` or `"limits.NAME.strength"`', usual="required")
-    between: Annotated[tuple[Any, ...], _several(2, "values", 2)] = key("its lowest and its highest value", (),
-                                                                        usual="required")  # fmt: skip
+    solve: str | None = key('the free number: `"striker.speed"`, `"limits.NAME.strength"`', usual="required")
+    between: Annotated[tuple[Any, ...], _several(2, "values", 2)] = key(
+        "lowest and highest value", (), usual="required"
+    )
     for_probability: Shares = key("probabilities that the quantity exceeds the strength", (0.01, 0.1, 0.5, 0.9, 0.99))
 
 
@@ -740,13 +699,13 @@ class Document:
     pulse: Pulse | None = None
     contact: Contact | None = None
     rig: Rig | None = None
-    target: Target | None = None
-    anvil: Anvil | None = None
-    other: Other | None = None
-    hammer: Hammer | None = None
-    rod: Rod | None = None
-    platens: Platens | None = None
-    insert: Insert | None = None
+    target: OnePartner = None
+    anvil: OnePartner = None
+    other: OnePartner = None
+    hammer: OnePartner = None
+    rod: OnePartner = None
+    platens: OnePartner = None
+    insert: OnePartner = None
     model: ModelChoice | None = None
     inputs: dict[str, Any] | None = None
     outputs: Outputs | None = None

@@ -232,7 +232,10 @@ def _message(fault: Any, place: Place) -> tuple[str, str]:
     if kind == "literal_error":
         words = re.findall(r"'([^']*)'", fault["ctx"]["expected"])
         return f"found {found}, allowed: {one_of(words)}{suggestion(fault['input'], words)}", ""
-    return f"found {found}, {'where ' + _REQUIRED[kind] + ' is required' if kind in _REQUIRED else 'which cannot stand here'}", ""
+    return (
+        f"found {found}, {'where ' + _REQUIRED[kind] + ' is required' if kind in _REQUIRED else 'which cannot stand here'}",
+        "",
+    )
 
 
 # --- text, lines, syntax --------------------------------------------------------------------------------------------------
@@ -243,7 +246,10 @@ _TOKEN: Final = re.compile(
     r"|'[^'\n]*+'?|#[^\n]*+|[\[\]{}.,=\n]", re.DOTALL)  # fmt: skip
 _WHERE: Final = re.compile(r"\s*\(at (?:line (\d+), column \d+|end of document)\)\s*$")
 _REWORDED: Final = (
-    (re.compile(r"^Cannot (?:declare|mutate) .*(?:twice|immutable namespace).*", re.DOTALL), "this table is written twice"),
+    (
+        re.compile(r"^Cannot (?:declare|mutate) .*(?:twice|immutable namespace).*", re.DOTALL),
+        "this table is written twice",
+    ),
     (re.compile(r"^Cannot overwrite a value"), "this key is written twice"),
     (re.compile(r"^Illegal character '\\n'"), "a text in quotes does not end on its line"),
     (re.compile(r"^Unterminated string"), "a text in quotes does not end"),
@@ -262,7 +268,9 @@ def read_text(path: Path) -> str:
     try:
         data = read_given(path, LARGEST)
     except TooLarge:
-        raise _fault(path, "the file is larger than 1 MiB, which no study needs; tables of test results go into a CSV") from None
+        raise _fault(
+            path, "the file is larger than 1 MiB, which no study needs; tables of test results go into a CSV"
+        ) from None
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raise _fault(path, "the file is encoded as UTF-16 or UTF-32: save it as UTF-8")
     data = data.removeprefix(codecs.BOM_UTF8)
@@ -288,7 +296,9 @@ def parse_text(text: str, path: Path) -> dict[str, Any]:
         depth = depth + 1 if token in "[{" else max(0, depth - 1) if token in "]}" else depth
         dots = dots + 1 if token == "." else 0 if token in "[]{},=\n" else dots
         if depth > MOST_NESTING or dots > MOST_DOTS:
-            what, most = ("brackets are nested", MOST_NESTING) if depth > MOST_NESTING else ("a dotted key goes", MOST_DOTS)
+            what, most = (
+                ("brackets are nested", MOST_NESTING) if depth > MOST_NESTING else ("a dotted key goes", MOST_DOTS)
+            )
             said = f"{what} more than {most} levels deep, which no study needs"
             raise _fault(path, said, text[: match.start()].count("\n") + 1)
     try:
@@ -418,7 +428,9 @@ def _toml_of(text: str) -> Any:
     return text
 
 
-def _set_of_no_limit(data: Mapping[str, Any], declared: Sequence[str], overridden: Sequence[Place]) -> Iterator[tuple[Place, str]]:
+def _set_of_no_limit(
+    data: Mapping[str, Any], declared: Sequence[str], overridden: Sequence[Place]
+) -> Iterator[tuple[Place, str]]:
     """What was set of a limit that the file does not have, unless it makes a limit of its own."""
     limits = data.get("limits", {})
     for name in dict.fromkeys(place[1] for place in overridden if place[0] == "limits" and len(place) > 2):
@@ -476,4 +488,6 @@ def _value(value: Any, place: str) -> str:
     try:
         return _value(law_table(value), place)
     except LawError as error:
-        raise UsageError(f"{place}: {error}; a study has texts, numbers, true or false, lists, tables and laws") from None
+        raise UsageError(
+            f"{place}: {error}; a study has texts, numbers, true or false, lists, tables and laws"
+        ) from None

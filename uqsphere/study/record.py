@@ -61,7 +61,9 @@ def measured_pulse(table: Pulse, reader: Reader) -> MeasuredPulse:
                         f"{_ROUGH}", "file")  # fmt: skip
     breaks, cubics, misfit = _cubics(time[first : last + 1] - time[first], strain[first : last + 1] / peak)
     if misfit > 0.02:
-        notes.append(f"its cubics leave {misfit:.2g} of the peak: sharp edges are rounded, or the record is noisy; {_ROUGH}")
+        notes.append(
+            f"its cubics leave {misfit:.2g} of the peak: sharp edges are rounded, or the record is noisy; {_ROUGH}"
+        )
     fine = np.linspace(0.0, breaks[-1], 2000)
     level = _at(breaks, cubics, fine)
     top = float(level.max())

@@ -30,7 +30,6 @@ _TABLES: Final[dict[str, Any]] = {
     "[model]": tables.ModelChoice, "[limits.NAME]": tables.LimitTable, "Strengths and distributions from a file": tables.Observations,
     "[[dependence]]": tables.Dependence, "[analysis]": tables.Analysis, "[margins]": tables.MarginsTable,
 }  # fmt: skip
-_PARTNERS: Final = ("target", "anvil", "other", "hammer", "rod", "platens", "insert")
 
 
 def count_keys() -> int:
@@ -66,11 +65,16 @@ def build_schema() -> dict[str, Any]:
     made["properties"]["limits"] = {"type": "object", "patternProperties": {_NAME: {"$ref": "#/$defs/LimitTable"}},
                                     "additionalProperties": False}  # fmt: skip
     law: dict[str, Any] = {key: {"type": ["number", "string"]} for family in FAMILIES.values() for key in family.keys}
-    law |= parts.pop("Observations", {}).get("properties", {}) | {key: {"type": ["number", "string"]} for key in ("lower", "upper")}
+    law |= parts.pop("Observations", {}).get("properties", {}) | {
+        key: {"type": ["number", "string"]} for key in ("lower", "upper")
+    }
     law["dist"] = {"anyOf": [{"enum": list(FAMILIES)}, {"type": "string", "pattern": r"^scipy\.\w+$"}]}
     observed = TypeAdapter(tables.Observations).json_schema()["properties"]
     law |= {key: _plain(node) for key, node in observed.items() if key not in ("dist", "lower", "upper")}
-    box = {"required": ["inputs", "outputs"], "not": {"anyOf": [{"required": [n]} for n in (*scene, "model", "gauges")]}}
+    box = {
+        "required": ["inputs", "outputs"],
+        "not": {"anyOf": [{"required": [n]} for n in (*scene, "model", "gauges")]},
+    }
     no_box = {"not": {"anyOf": [{"required": ["inputs"]}, {"required": ["outputs"]}]}}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema", "title": "uqsphere study", **made,
@@ -92,8 +96,12 @@ def _plain(node: Any) -> Any:
     if "dimension" in node:
         ref = {"$ref": f"#/$defs/{node['dimension']}", "description": node.get("description")}
         return {key: value for key, value in ref.items() if value}
-    named = {key: {name: _plain(part) for name, part in node[key].items()} for key in ("properties", "$defs") if key in node}
-    plain = {k: _plain(v) for k, v in node.items() if k not in ("title", "usual", "properties", "$defs") and v is not None}
+    named = {
+        key: {name: _plain(part) for name, part in node[key].items()} for key in ("properties", "$defs") if key in node
+    }
+    plain = {
+        k: _plain(v) for k, v in node.items() if k not in ("title", "usual", "properties", "$defs") and v is not None
+    }
     choices = [choice for choice in plain.pop("anyOf", []) if choice != {"type": "null"}]
     if plain.get("default") in ([], {}, "", ()):
         del plain["default"]
@@ -115,7 +123,11 @@ def _properties(kind: Any, properties: dict[str, Any]) -> dict[str, Any]:
         if path in INPUTS:
             entry = INPUTS[path]
             words: list[dict[str, Any]] = [{"enum": list(tables.BAR_ENDS)}] if key.endswith("end") else []
-            words += [{"const": {"face_radius": "flat", "hardness": "onset"}[key]}] if key == "face_radius" or path == "contact.hardness" else []
+            words += (
+                [{"const": {"face_radius": "flat", "hardness": "onset"}[key]}]
+                if key == "face_radius" or path == "contact.hardness"
+                else []
+            )
             choices = [*words, {"$ref": f"#/$defs/{entry.dimension}"}, {"$ref": "#/$defs/distribution"}]
             unit = f" [{entry.unit}]" if entry.unit else ""
             found[key] = {"anyOf": choices, "description": f"{entry.meaning}, {entry.symbol}{unit}"}
@@ -129,7 +141,10 @@ def _dimension(name: str) -> dict[str, Any]:
     if name == "number":
         return {"type": ["number", "string"]}
     units = "|".join(re.sub(r"([\^/.()])", r"\\\1", unit) for unit in UNITS[name])
-    return {"type": "string", "pattern": f"{_NUMBER}({units})\\s*$" if name != "speed" else f"{_NUMBER}({units}|rpm.+)\\s*$"}
+    return {
+        "type": "string",
+        "pattern": f"{_NUMBER}({units})\\s*$" if name != "speed" else f"{_NUMBER}({units}|rpm.+)\\s*$",
+    }
 
 
 # --- the page -----------------------------------------------------------------------------------------------------------
@@ -144,8 +159,10 @@ def build_page() -> str:
         f"| `{family.name}` | {' or '.join(' '.join(f'`{key}`' for key in keys) for keys in family.alternatives) or '–'}"
         f"{', `lower` `upper`' if family.bounded else ''} |"
         for family in FAMILIES.values() if not family.observed)  # fmt: skip
-    rigs = "\n".join(f"| `{rig}` | {', '.join(f'`[{table}]`' for table in names)} |" for rig, names in tables.RIG_TABLES.items())
-    shapes = one_of([f"`{shape}`" for shape in tables.SHAPES])
+    rigs = "\n".join(
+        f"| `{rig}` | {', '.join(f'`[{table}]`' for table in names)} |" for rig, names in tables.RIG_TABLES.items()
+    )
+    shapes = one_of([f"`{shape}`" for shape in get_args(tables.Pulse.__annotations__["shape"])] or ["those below"])
     parts = [_INTRODUCTION.format(units=units, laws=laws)]
     for heading, kind in _TABLES.items():
         parts.append(f"## {heading}\n")

@@ -210,7 +210,9 @@ def platens_of(raw: Any, bars: tuple[float, float] | None, *at: str) -> tuple[fl
         return value_of(raw["E"], INPUTS["bars.E"]), value_of(raw["nu"], INPUTS["bars.nu"])
     if raw == "bars":
         if bars is None:
-            raise Fault('there are no bars here: write what it was measured between, platens = "rigid" or a material', *at)
+            raise Fault(
+                'there are no bars here: write what it was measured between, platens = "rigid" or a material', *at
+            )
         return bars
     if raw == "rigid":
         return math.inf, 0.3
@@ -231,7 +233,9 @@ def _declared(raw: Mapping[str, Any]) -> Observations:
         at = str(fault["loc"][0])
         if fault["type"] == "unexpected_keyword_argument":
             keys = [*Observations.__pydantic_fields__]
-            raise Fault(f"unknown key {shown(at)}{suggestion(at, keys) or f'; known here: {one_of(keys)}'}", at) from None
+            raise Fault(
+                f"unknown key {shown(at)}{suggestion(at, keys) or f'; known here: {one_of(keys)}'}", at
+            ) from None
         raise Fault(f"found {shown(fault['input'])}, which cannot stand here", at) from None
 
 
@@ -423,7 +427,9 @@ def _warn(found: Table, file: str, data: Array, stopped: Flags, law: Law | None,
     for note in found.notes:
         reader.warn((*place, "file"), note)
     if len(data) < _FEW:
-        reader.warn((*place, "file"), f"{len(data)} observations: what so few leave open is large; {_FEW} or more are a start")
+        reader.warn(
+            (*place, "file"), f"{len(data)} observations: what so few leave open is large; {_FEW} or more are a start"
+        )
     for said in unusual_rows(data, stopped, found.lines):
         reader.warn((*place, "file"), f"{file}: {said}")
 
@@ -447,7 +453,11 @@ def unusual_rows(data: Array, stopped: Flags, lines: list[int]) -> Iterator[str]
     rng = np.random.default_rng(20_240_607)
     shares = []
     for name in ("weibull", "lognormal"):
-        z = rng.standard_normal((2000, len(x))) if name == "lognormal" else np.log(rng.standard_exponential((2000, len(x))))
+        z = (
+            rng.standard_normal((2000, len(x)))
+            if name == "lognormal"
+            else np.log(rng.standard_exponential((2000, len(x))))
+        )
         from uqsphere.arrays import special
 
         scores = special.ndtri(p) if name == "lognormal" else np.log(-np.log1p(-p))
@@ -464,7 +474,9 @@ def unusual_rows(data: Array, stopped: Flags, lines: list[int]) -> Iterator[str]
         yield f"neither a Weibull nor a lognormal distribution fits (p = {max(shares):.2g}): mixed or faulty rows?"
 
 
-def _warn_of_tests(table: Observations, force: Array, diameter: Array, radius: float, reader: Reader, place: Place) -> None:
+def _warn_of_tests(
+    table: Observations, force: Array, diameter: Array, radius: float, reader: Reader, place: Place
+) -> None:
     """Warn of forces and diameters that no sphere has, with the unit that would make them usual."""
     tension = 0.9 * force / np.square(diameter)
     typical = float(np.median(tension))
