@@ -52,7 +52,8 @@ def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
     for number, name in enumerate(names):
         merged[name] = merged[f"value_{number}"]
     order = merged["change"].abs().sort_values(ascending=False, kind="stable").index
-    return merged.loc[order, [*keys, *names, "change", "significant"]].reset_index(drop=True)
+    found: pd.DataFrame = merged.loc[order, [*keys, *names, "change", "significant"]].reset_index(drop=True)
+    return found
 
 
 def _change(row: Any, k: int, target: float | None) -> tuple[float, bool]:

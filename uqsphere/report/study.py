@@ -23,7 +23,8 @@ def described(study: Study) -> str:
 
 def _inputs(study: Study) -> str:
     rows = [("input", "mean", "sd", "5-95 % range", "distribution", "source")]
-    for name, value in {**study.fixed, **study.random}.items():
+    numbers: dict[str, float | Law] = {**study.fixed, **study.random}
+    for name, value in numbers.items():
         source = study.sources.get(name)
         text = "study" if source is None else source.text if source.seen else f"{source.text} (source not checked)"
         if isinstance(value, Law):

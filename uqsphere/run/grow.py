@@ -273,16 +273,12 @@ def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
             widest = max((e.half_width for e in row if e.value is not None), default=0.0)
             hold(name, f"sobol {input_name}", widest, accuracy.sobol)
     for limit in design.limits:
-        probability = failure(design, tables, limit)
-        p = probability.value
-        if p is None or probability.high is None:
+        estimate = failure(design, tables, limit)
+        if not estimate.value or estimate.high is None or estimate.high <= 0.01 * (limit.target or 1e-6):
             continue
-        smallest = 0.01 * (limit.target or 1e-6)
-        if probability.high > smallest and probability.value < SMALL and can_search(design, limit):
+        if estimate.value < SMALL and limit.name not in tables.rare and can_search(design, limit):
             continue  # left to the search for rare events
-        if probability.high > smallest and probability.value > 0.0:
-            hold(f"limits.{limit.name}", "failure_probability", probability.half_width / probability.value,
-                 accuracy.probability)  # fmt: skip
+        hold(f"limits.{limit.name}", "failure_probability", estimate.half_width / estimate.value, accuracy.probability)
     for limit in design.limits if tables.line else ():
         margin, scale = margin_and_scale(design, tables, limit)
         if margin.value is not None and scale is not None:

@@ -74,7 +74,7 @@ def design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, f
         return state_of(design, limit, with_test_forces(design, answered, {}, [limit]))
 
     evaluator = Evaluator(limit=_problem(design, limit, state), budget=MOST_VALUES)
-    found = find_design_points(evaluator, seed=design.study.seed)
+    found = find_design_points(evaluator, seed=design.study.seed, most=MOST_VALUES)
     return _physical(design, limit, state, found.points[0].point if found.converged else None)
 
 
