@@ -1,4 +1,4 @@
-"""What a reader sees of shipped studies, value and interval: made by one command, and compared before and after a change.
+"""What a reader sees of shipped studies, value and interval: made by one command, compared before and after a change.
 
     python .ci/golden.py make OUT.json [STUDY...]      run the studies (all of STUDIES if none is named)
     python .ci/golden.py compare BEFORE.json AFTER.json

@@ -46,7 +46,7 @@ def main(names: list[str]) -> None:
     for name in names or REPORTS:
         print(f"{name} …", file=sys.stderr)
         rows[name] = publish(name)
-    text = "# Published pages\n\nOpen `report.html` of a folder in a browser. Made again by `python -m reports.publish`.\n\n"
+    text = "# Published pages\n\nOpen `report.html` in a browser. Made again by `python -m reports.publish`.\n\n"
     text += "| page | question | model runs | verdict |\n|---|---|---|---|\n"
     index.write_text(text + "\n".join(rows[name] for name in REPORTS if name in rows) + "\n", "utf-8")
 

@@ -7,7 +7,7 @@ import uqsphere
 
 LAYERS = (
     "arrays errors", "units files tables materials", "mechanics uq", "quantities", "study", "models", "results", "run",
-    "report", "bench analysis labs", "__init__ __main__ cli",
+    "report", "bench analysis labs", "cli", "__init__ __main__",
 )  # fmt: skip
 #: a run draws its own page, and an opened run its plots
 LATE = {("results", "report"), ("run", "report")}
@@ -23,11 +23,8 @@ def test_rooms_import_only_what_stands_before_them() -> None:
                 continue
             names = [alias.name for alias in node.names]
             for other in [node.module.split(".")[1]] if "." in (node.module or "") else names:
-                own = (
-                    other == room or other not in rank or (room, other) in LATE or (room, other) == ("__main__", "cli")
-                )
-                lower = rank.get(other, -1) < rank[room] or (rank[other] == rank[room] and rank[room] in (0, 1))
-                assert own or lower, f"{path}:{node.lineno}: {room} imports {other}"
-                assert room != "labs" or not any(name.startswith("_") for name in names), (
-                    f"{path}:{node.lineno}: {names}"
-                )
+                known = other == room or other not in rank or (room, other) in LATE
+                before = known or rank[other] < rank[room] or rank[other] == rank[room] <= 1
+                assert before, f"{path}:{node.lineno}: {room} imports {other}"
+            private = room == "labs" and ".labs" not in (node.module or "") and any(n.startswith("_") for n in names)
+            assert not private, f"{path}:{node.lineno}: a lab imports {names}"
