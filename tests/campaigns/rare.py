@@ -20,13 +20,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-
 from tests.campaigns import options, table, tell
-
 from uqsphere.uq.law import Law, make_law
-
-from uqsphere.uq.rare import find_probability
-from uqsphere.uq.rare import LimitFunction
+from uqsphere.uq.rare import LimitFunction, find_probability
 
 Array = npt.NDArray[np.float64]
 

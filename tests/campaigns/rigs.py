@@ -13,9 +13,9 @@ from collections import Counter, defaultdict
 from typing import Any
 
 import numpy as np
+from tests.test_rigs_kernel import RIGID, Row, arguments, rig, second
 
 from tests.campaigns import options
-from tests.test_rigs_kernel import RIGID, Row, arguments, rig, second
 from uqsphere.mechanics.integrator import solve, tracked
 
 #: what stands ahead of the sphere, and whether something falls on it from behind

@@ -261,7 +261,7 @@ class Comparison:
 #: quantities that follow from others row by row: their errors are those of the pressure, or of the energy; the mean of
 #: both forces is none that the reference follows (that of `tests.independent.rigs` does)
 _DERIVED: Final = frozenset(name for name, entry in OUTPUTS.items() if entry.place) - {"p_max", "first_peak"} | {
-    "energy_sphere", "specific_energy_sphere", "mean_force_max",
+    "energy_sphere", "specific_energy_sphere", "mean_force_max", "contact_duration",
 }  # fmt: skip
 
 
@@ -270,7 +270,7 @@ def _names(answers: Answers) -> tuple[str, ...]:
 
 
 #: times of events, of which an undecided row has an earlier and a later one
-_TIMES: Final = frozenset({"contact_time", "pulse_width", "rise_time"})
+_TIMES: Final = frozenset({"time_to_first_loss", "pulse_width", "rise_time"})
 #: one set of answers: values by name, and which times were cut off by the record's end (None: not known)
 _Answer = tuple[Mapping[str, Any], Mapping[str, Any] | None]
 

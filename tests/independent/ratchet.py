@@ -456,7 +456,7 @@ def refer(scene: Scene, row: int, *, budget: int = 20_000, rtol: float = 1e-11) 
         "alpha_max": unit * max(reach),
         "dent": unit * max(part["dent"] for part in parts),
         "plastic_work": force * unit * sum(part["plastic"] for part in parts),
-        "contact_time": time * end,
+        "time_to_first_loss": time * end,
         "pulse_width": time * (last - first),
         "rise_time": time * rise,
         "first_peak": max(_told(x / onset, b, float(given.pile_up[0]), p_y, hardness, onset)["centre"] for x in early),
@@ -467,7 +467,7 @@ def refer(scene: Scene, row: int, *, budget: int = 20_000, rtol: float = 1e-11) 
         "specific_energy": force * unit * energy / float(scales.mass[row]),
     }
     return Reference(
-        values=values, censored={"contact_time": lost < 0, "pulse_width": bool(last >= end)}, record=time * end,
+        values=values, censored={"time_to_first_loss": lost < 0, "pulse_width": bool(last >= end)}, record=time * end,
         dips=(), steps=count, tail=rtol,
     )  # fmt: skip
 

@@ -187,7 +187,7 @@ def test_tests_refused(load: Load, change: tuple[str, str], csv: str, says: str)
     assert "limits.a.strength" in str(caught.value)
 
 
-ROWS = "11.9,2830 11.9,2260 11.6,2200 12.5,3050 12.5,2890 12.2,2710 11.3,2780 12.2,2980 11.2,1360 11.6,2060 12.1,2530 12.2,2180".split()
+ROWS = ["11.9,2830", "11.9,2260", "11.6,2200", "12.5,3050", "12.5,2890", "12.2,2710", "11.3,2780", "12.2,2980", "11.2,1360", "11.6,2060", "12.1,2530", "12.2,2180"]
 PELLET = SCENE.replace('"60 GPa"', '"20 GPa"').replace('"10 mm"', '"6 mm"')
 FORCES = 'strength = { file = "t.csv", force = "F", force_unit = "N", diameter = "D", diameter_unit = "mm", platens = "steel" }'
 

@@ -15,7 +15,7 @@ PLAIN = "D,F\n14.9,7.42\n15.1,9.85\n15,8.31\n"
 ALIKE = {
     "commas": PLAIN.encode(),
     "mark, CRLF, quotes": b'\xef\xbb\xbf"D","F"\r\n"14.9","7.42"\r\n15.1,9.85\r\n15,8.31\r\n',
-    "German Excel": "D;F\n14,9;7,42\n15,1;9,85\n15;8,31\n".encode(),
+    "German Excel": b"D;F\n14,9;7,42\n15,1;9,85\n15;8,31\n",
     "tabs": PLAIN.replace(",", "\t").encode(),
     "UTF-16": PLAIN.replace(",", "\t").encode("utf-16"),
     "comments, blanks": ("# made by hand\n\n" + PLAIN + "\n,\n").encode(),

@@ -181,7 +181,7 @@ def solve_closed(scene: Scene, fidelity: str = "massless", quantities: Collectio
     """Quantities of interest of n scenes between bars in closed form, with the same names as `integrator.solve`.
 
     Both forces are equal and rise until the pulse ends, theory (11), then die out, theory (12): the largest force is
-    that at the end of the pulse or of the record.  Contact is never lost, so that contact_time is always censored at
+    that at the end of the pulse or of the record.  Contact is never lost, so that time_to_first_loss is always censored at
     the end of the record: the horizon, or where the force is down to 1 % of the largest.  ValueError where
     `closed_form_applies` is false.
     """

@@ -235,7 +235,7 @@ def wishes(quantities: Collection[str] | None, demands: Demands = MappingProxyTy
 def follows_force(quantity: str) -> bool:
     """Whether a slow test tells the quantity from the force at failure alone.
 
-    >>> follows_force("core_tension"), follows_force("contact_time")
+    >>> follows_force("core_tension"), follows_force("time_to_first_loss")
     (True, False)
     """
     return quantity in OUTPUTS and OUTPUTS[quantity].follows != "" and "product.A" not in _roots(quantity, {})
@@ -496,7 +496,7 @@ def absent_in(scene: Scene, quantity: str) -> str:
 class Answers:
     """Quantities of interest of n rows, (n,) arrays.
 
-    values: the quantities asked for, SI; NaN where `status` is not 0 or 7.  censored: of contact_time and pulse_width,
+    values: the quantities asked for, SI; NaN where `status` is not 0 or 7.  censored: of time_to_first_loss and pulse_width,
     whether the record ended first and the value is a lower bound.  status: 0, or a code of `scene.STATUS`.  record: its
     end [s], or the time after which nothing that was asked for could change.  steps: of the integrator.  others: where
     the status is 7, the quantities if contact is decided the other way, else NaN; empty if no row is undecided.
@@ -687,7 +687,7 @@ PATHS: Final[dict[str, Path]] = {
 def path_of(quantity: str, demands: Demands = MappingProxyType({})) -> Path | None:
     """How a quantity or the demand of a criterion follows the loading; None where its exceedance is no fracture.
 
-    >>> path_of("p_max").over, path_of("specific_energy").over, path_of("contact_time")
+    >>> path_of("p_max").over, path_of("specific_energy").over, path_of("time_to_first_loss")
     ('force', 'energy', None)
     """
     if quantity not in demands:

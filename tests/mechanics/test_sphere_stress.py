@@ -22,7 +22,7 @@ from tests.campaigns.stress_tables import (
 )
 from tests.independent import elements
 from tests.independent.elements import compare, make_mesh, solve_elements
-from uqsphere import history, load_study
+from uqsphere import load_study
 from uqsphere.mechanics import stress
 from uqsphere.mechanics.contact import centre_tension
 from uqsphere.mechanics.stress import (
@@ -35,6 +35,7 @@ from uqsphere.mechanics.stress import (
 )
 from uqsphere.report.figures.history import write_history
 from uqsphere.report.figures.scene import stress_picture
+from uqsphere.report.history import history
 from uqsphere.study import shipped_studies
 
 Array = npt.NDArray[np.float64]

@@ -50,15 +50,15 @@ def test_the_sweep_finds_a_wrong_row(monkeypatch: pytest.MonkeyPatch) -> None:
     def spoiled(scene: Scene, **request: object) -> Answers:
         found = solve(scene, **request)  # type: ignore[arg-type]
         if request["tolerance"] == 1e-6:
-            found.values["contact_time"][-1] *= 1.0 + 1e-5  # type: ignore[index]
+            found.values["time_to_first_loss"][-1] *= 1.0 + 1e-5  # type: ignore[index]
         return found
 
     monkeypatch.setattr(sweep, "solve", spoiled)
     found = against_itself(design(4, 1, strata=STRATA[5:6], narrower={**SHORT, "theta": (1.0, 2.0, True)}))
     assert len(found.silent) == 1
     row = found.silent[0]
-    assert set(row.quantities) == {"contact_time"}
-    assert row.quantities["contact_time"][2] == pytest.approx(10.0, abs=ALLOWED)
+    assert set(row.quantities) == {"time_to_first_loss"}
+    assert row.quantities["time_to_first_loss"][2] == pytest.approx(10.0, abs=ALLOWED)
     again = Scene(**{**row.inputs, "columns": {n: np.array([v]) for n, v in row.inputs["columns"].items()}})
     assert again.scales.mass_number[0] == pytest.approx(row.mu, rel=1e-12)
     assert "wrong and silent: 1 rows" in table(found)

@@ -13,7 +13,7 @@ from uqsphere import load_study
 from uqsphere.mechanics import contact, criteria
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, demand, in_range
 from uqsphere.mechanics.outputs import path_of
-from uqsphere.model import evaluate
+from uqsphere.models import evaluate
 from uqsphere.quantities import OUTPUTS
 from uqsphere.study import shipped_studies
 from uqsphere.units import UNITS

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from uqsphere.model import evaluate
+from uqsphere.models import evaluate
 from uqsphere.study import Study
 
 INFINITE = ("bars.infinite=true",)
@@ -55,22 +55,3 @@ OTHER_UNITS = (
     ("2650 kg/m3", "2.65 g/cm3"), ("200 GPa", "2e11 Pa"), ("1500 MPa", "1.5 GPa"), ("12 mm", "1.2 cm"),
     ("0.4 m", "400 mm"), ("5 m/s", "18 km/h"), ("0.1 m", "10 cm"), ("6 GPa", "0.006 TPa"), ("10 min", "600 s"),
 )  # fmt: skip
-
-
-def test_a_change_of_units_changes_nothing(study_from: Build, small_text: str) -> None:
-    changed = small_text
-    for one, other in OTHER_UNITS:
-        changed = changed.replace(f'"{one}"', f'"{other}"')
-    assert changed.count("GPa") == 1  # the yield strength
-    first, second = study_from(), study_from(text=changed)
-    assert first.at_means().keys() == second.at_means().keys()
-    for name, value in first.at_means().items():
-        assert second.at_means()[name] == pytest.approx(value, rel=1e-12), name
-    names = ("p_max", "contact_time", "energy", "loading_rate")
-    one, two = (evaluate(study, {}, names, tolerance=1e-9) for study in (first, second))
-    for name in names:
-        assert two[name][0] == pytest.approx(one[name][0], rel=1e-9), name
-    strengths = [study.limits[0].strength for study in (first, second)]
-    assert [law.parameters.keys() for law in strengths].count(strengths[0].parameters.keys()) == 2
-    for key, value in strengths[0].parameters.items():
-        assert strengths[1].parameters[key] == pytest.approx(value, rel=1e-12)
