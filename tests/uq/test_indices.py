@@ -135,7 +135,9 @@ def test_shapley_effects_of_a_linear_model_with_tied_inputs() -> None:
     joint = make_joint(tuple("abc"), (NORMAL,) * 3, [Dependence(of=("a", "b"), kendall=0.4)])
     rho = math.sin(0.2 * math.pi)
     z = joint.scores(ndtri(np.random.default_rng(1).random((200, 3))))
-    response = cross_fit(germ_points(z, germs_of(joint.laws)), z[:, 0] + 2.0 * z[:, 1] + z[:, 2], germs_of(joint.laws))[0]
+    response = cross_fit(germ_points(z, germs_of(joint.laws)), z[:, 0] + 2.0 * z[:, 1] + z[:, 2], germs_of(joint.laws))[
+        0
+    ]
     found = dependent_shares(response, joint)
     v = 1.0 + 4.0 + 4.0 * rho + 1.0
     first = [(1.0 + 2.0 * rho) ** 2 / v, (2.0 + rho) ** 2 / v, 1.0 / v]
