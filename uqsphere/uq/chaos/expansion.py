@@ -63,7 +63,7 @@ class Chaos:
     multi_indices : (P, d) degrees of each product; row 0 is the constant
     germs : what it is in
     log, sign, bounds : whether it is that of ln(sign · y), which is held between the bounds
-    cross_validation_error : K-fold mean square error and a standard error of it, over the variance of the output, in the
+    cross_validation_error : K-fold mean square error and its standard error, over the variance of the output, in the
         units of the output; at most 1, and 1 for a constant
     samples : how many it was fitted to
     """
@@ -153,7 +153,8 @@ def _germ_of_chaospy(chaospy: Any, germ: GermLike) -> Any:
     if law.family.name == "beta":
         return chaospy.Beta(law.parameters["alpha"], law.parameters["beta"], -1.0, 1.0)
     return chaospy.UserDistribution(
-        cdf=lambda x: law.cdf(centre + half * np.asarray(x)), pdf=lambda x: law.pdf(centre + half * np.asarray(x)) * half,
+        cdf=lambda x: law.cdf(centre + half * np.asarray(x)),
+        pdf=lambda x: law.pdf(centre + half * np.asarray(x)) * half,
         lower=lambda: -1.0, upper=lambda: 1.0,
         ppf=lambda p: np.clip((law.ppf(np.asarray(p)) - centre) / half, -1.0, 1.0),
     )  # fmt: skip
@@ -272,13 +273,15 @@ def integrals(fit: Chaos, tolerance: float = 0.002) -> Integrals:
         unit = float(np.abs(varying).max())  # squares of large ones stay finite
         squares = (varying / unit) ** 2
         shares = squares / squares.sum()
-        return Integrals(mean=float(fit.coefficients[0]), sd=unit * math.sqrt(float(squares.sum())),
-                         first=shares @ (active & (active.sum(axis=1) == 1)[:, None]), total=shares @ active)  # fmt: skip
+        first = shares @ (active & (active.sum(axis=1) == 1)[:, None])
+        sd = unit * math.sqrt(float(squares.sum()))
+        return Integrals(mean=float(fit.coefficients[0]), sd=sd, first=first, total=shares @ active)
     known = fit._cache.get("integrals")
     if known is None or known[0] > tolerance:
         known = tolerance, _integrated(fit, tolerance)
         fit._cache["integrals"] = known
-    return known[1]  # type: ignore[no-any-return]
+    found: Integrals = known[1]
+    return found
 
 
 def _integrated(fit: Chaos, tolerance: float) -> Integrals:
@@ -387,7 +390,8 @@ def _plain_of(fit: Chaos) -> Chaos:
         points = law_points(fit.germs, 4096, 0)[0]
         rows, values = rows_of(fit.germs, points, terms), predict(fit, points)
         unit = float(np.abs(values).max())
-        coefficients = np.linalg.lstsq(rows.T, values / unit, rcond=None)[0] * unit
+        coefficients = np.asarray(np.linalg.lstsq(rows.T, values / unit, rcond=None)[0] * unit, dtype=np.float64)
         fit._cache["plain"] = Chaos(coefficients=coefficients, multi_indices=terms, germs=fit.germs,
                                     cross_validation_error=0.0, samples=4096)  # fmt: skip
-    return fit._cache["plain"]  # type: ignore[no-any-return]
+    plain: Chaos = fit._cache["plain"]
+    return plain
