@@ -16,7 +16,6 @@ from uqsphere.uq.fitting import (
     fit_strength,
     fitted_law,
     fitted_parameters,
-    kaplan_meier,
     law_of_draws,
     make_tests,
     possible_laws,
@@ -64,24 +63,10 @@ def test_stopped_tests_against_scipy(kind: str) -> None:
     assert found.scale > fit_strength(make_tests(values[~stopped]), STRENGTHS[kind]).scale
 
 
-def test_units_cancel() -> None:
-    values, stopped = stopped_at(COMPLETE, STOP)
-    one, other = (fit_strength(make_tests(values * unit, stopped), draws=500) for unit in (1.0, 1e9))
-    assert other.shape == pytest.approx(one.shape, rel=1e-9)
-    assert other.scale_interval == pytest.approx([1e9 * end for end in one.scale_interval], rel=1e-6)
-
-
 @pytest.mark.parametrize(("n", "factor"), [(10, 0.859), (20, 0.931), (30, 0.955)])
 def test_bias_against_the_published_table(n: int, factor: float) -> None:
     """Thoman, Bain and Antle, Technometrics 11 (1969) 445, as ASTM C1239 gives it."""
     assert unbiasing(STRENGTHS["weibull"], np.ones(n, dtype=bool)) == pytest.approx(factor, abs=0.006)
-
-
-def test_stops_add_to_the_bias_and_leave_it_out_they_do_not() -> None:
-    values, stopped = stopped_at(COMPLETE, STOP)
-    complete = fit_strength(make_tests(COMPLETE))
-    part = fit_strength(make_tests(values, stopped))
-    assert part.unbiased / part.shape < complete.unbiased / complete.shape < 1.0
 
 
 @pytest.mark.parametrize(("kind", "stop"), [("weibull", 9.0), ("weibull", 2.1), ("lognormal", 2.2)])
@@ -108,10 +93,6 @@ def test_unbiased_modulus_is_right_on_average() -> None:
     error = np.std(fits, ddof=1) / 20.0
     assert np.mean(fits) - 6.0 > 4.0 * error
     assert factor * np.mean(fits) == pytest.approx(6.0, abs=4.0 * error)
-
-
-def test_kaplan_meier_is_the_step_function_without_stops() -> None:
-    assert kaplan_meier(np.ones(5, dtype=bool)) == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
 
 
 def test_a_wrong_law_is_seen() -> None:
@@ -153,17 +134,6 @@ def test_laws_with_stopped_tests() -> None:
     moduli = np.array([one.parameters["modulus"] for one in possible_laws(law, 4000, np.random.default_rng(1))])
     # the allowed laws spread as the interval says, whether or not the law's own bias was taken out
     assert np.quantile(moduli, [0.025, 0.975]) == pytest.approx(found.shape_interval, rel=0.03)
-
-
-def test_few_tests_leave_more_open() -> None:
-    few, many = (fitted_law(2.0 * RNG.weibull(6.0, n), "weibull", unbiased=True) for n in (6, 60))
-    spreads = [
-        np.std([np.log(one.parameters["scale"]) for one in possible_laws(law, 500, np.random.default_rng(1))])
-        for law in (few, many)
-    ]
-    assert spreads[0] > 2.0 * spreads[1]
-    with pytest.raises(LawError, match=f"at least {LEAST_TESTS}"):
-        possible_laws(fitted_law([1.0, 2.0], "weibull"), 5, np.random.default_rng(1))
 
 
 @pytest.mark.parametrize("fit", ["kde", "steps", "normal", None])

@@ -216,18 +216,6 @@ def kaplan_meier(failed: Flags) -> Array:
     return np.asarray(1.0 - np.cumprod(1.0 - 1.0 / at_risk))
 
 
-def plotting_positions(failed: Flags) -> Array:
-    """Share (failures,) at which a failure is drawn: half-way up its step of the Kaplan-Meier estimate.
-
-    Without stopped tests (i - 1/2)/n.
-
-    >>> plotting_positions(np.ones(4, dtype=bool)).round(3).tolist()
-    [0.125, 0.375, 0.625, 0.875]
-    """
-    after = kaplan_meier(failed)
-    return np.asarray(0.5 * (after + np.concatenate([[0.0], after[:-1]])))
-
-
 def _distance(below: Array, after: Array | None = None) -> Array:
     """Largest difference (rows,) of a law's probabilities (rows, n) from steps that have risen to `after` (n,).
 
