@@ -200,9 +200,9 @@ class Table:
         first: dict[tuple[str, ...], int] = {}
         again = [k for k, row in enumerate(self.rows) if first.setdefault(tuple(row), k) != k]
         if again and (len(again) > 1 or len(set(self.rows[again[0]])) > 2):
-            lines = ", ".join(str(self.lines[k]) for k in again[:_MOST_LINES])
+            at = ", ".join(str(self.lines[k]) for k in again[:_MOST_LINES])
             more = f" and {len(again) - _MOST_LINES} more" if len(again) > _MOST_LINES else ""
-            self.notes.append(f"{self.name}: line{'s' * (len(again) > 1)} {lines}{more} repeat"
+            self.notes.append(f"{self.name}: line{'s' * (len(again) > 1)} {at}{more} repeat"
                               f"{'s' * (len(again) == 1)} earlier rows: pasted twice?")  # fmt: skip
         self._note_sums()
 

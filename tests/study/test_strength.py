@@ -29,7 +29,10 @@ receiving_length = "2 m"
 speed = { dist = "normal", mean = "0.5 m/s", cov = 0.03 }
 length = "0.5 m"
 """
-TESTS = 'strength = { file = "t.csv", force = "F", force_unit = "kN", diameter = "D", diameter_unit = "mm", censored = "stop" }'
+TESTS = (
+    'strength = { file = "t.csv", force = "F", force_unit = "kN", diameter = "D", diameter_unit = "mm", '
+    'censored = "stop" }'
+)
 CSV = "F,D,stop\n6,20,0\n7,20.2,0\n5,19.8,0\n8,20,1\n6.5,20,0\n7.5,20,no\n8,20.0,yes\n"
 Load = Callable[..., Study]
 STEEL = (205e9, 0.29)
@@ -187,9 +190,25 @@ def test_tests_refused(load: Load, change: tuple[str, str], csv: str, says: str)
     assert "limits.a.strength" in str(caught.value)
 
 
-ROWS = "11.9,2830 11.9,2260 11.6,2200 12.5,3050 12.5,2890 12.2,2710 11.3,2780 12.2,2980 11.2,1360 11.6,2060 12.1,2530 12.2,2180".split()
+ROWS = [
+    "11.9,2830",
+    "11.9,2260",
+    "11.6,2200",
+    "12.5,3050",
+    "12.5,2890",
+    "12.2,2710",
+    "11.3,2780",
+    "12.2,2980",
+    "11.2,1360",
+    "11.6,2060",
+    "12.1,2530",
+    "12.2,2180",
+]
 PELLET = SCENE.replace('"60 GPa"', '"20 GPa"').replace('"10 mm"', '"6 mm"')
-FORCES = 'strength = { file = "t.csv", force = "F", force_unit = "N", diameter = "D", diameter_unit = "mm", platens = "steel" }'
+FORCES = (
+    'strength = { file = "t.csv", force = "F", force_unit = "N", diameter = "D", diameter_unit = "mm", '
+    'platens = "steel" }'
+)
 
 #: how tests go wrong, and what is warned of: unit key, rows, phrase (empty: nothing but what is usual)
 IMPLAUSIBLE = {
@@ -227,7 +246,8 @@ def test_a_shape_that_no_law_has_is_warned_of(load: Load) -> None:
         ("cov = 0.03", "cov = 15", "15 times the mean"),
         ('"2700 kg/m3"', '"3.7 kg/m3"', "sphere.density: 3.7 kg/m3 is unusual"),
         ('strength = "4 GPa"', 'strength = "4 Pa"', "limits.a.strength: 4e-09 GPa is unusual"),
-        ('quantity = "p_max"\nstrength = "4 GPa"', 'quantity = "specific_energy"\nstrength = "200 kJ/kg"', "2e+05 J/kg is unusual"),
+        ('quantity = "p_max"\nstrength = "4 GPa"', 'quantity = "specific_energy"\nstrength = "200 '
+                                                   'kJ/kg"', "2e+05 J/kg is unusual"),
     ],
 )  # fmt: skip
 def test_unusual_numbers_are_warned_of(old: str, new: str, says: str, tmp_path: Path) -> None:

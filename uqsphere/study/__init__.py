@@ -25,6 +25,7 @@ from uqsphere.study.study import (
     ways_of,
     with_number,
 )
+
 from uqsphere.study.load import load_study  # isort: skip
 
 __all__ = [

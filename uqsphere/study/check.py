@@ -25,8 +25,28 @@ from uqsphere.mechanics.pulses import PARAMETERS as SHAPE_KEYS
 from uqsphere.mechanics.rigs import LAW, RIGS, body_of, law_of, sphere_body
 from uqsphere.quantities import INPUTS, OUTPUTS, format_value, lookup
 from uqsphere.study.document import (
-    ENERGY_OF, RIG_TABLES, SCENE, Analysis, Document, Fault, Gauge, LimitTable, ModelChoice, Number, Place, Reader,
-    number_of, number_path, number_place, one_of, plain_quantity, shown, suggestion, unknown, value_of, warn_unusual,
+    ENERGY_OF,
+    RIG_TABLES,
+    SCENE,
+    Analysis,
+    Document,
+    Fault,
+    Gauge,
+    LimitTable,
+    ModelChoice,
+    Number,
+    Place,
+    Reader,
+    number_of,
+    number_path,
+    number_place,
+    one_of,
+    plain_quantity,
+    shown,
+    suggestion,
+    unknown,
+    value_of,
+    warn_unusual,
 )  # fmt: skip
 from uqsphere.study.strength import USUAL, Demand, is_tests, platens_of, tested_strength
 from uqsphere.study.study import Axis, Limit, Margins, Source, Study, strength_name, tie_of
@@ -461,8 +481,10 @@ def _law_of_face(place: str, law: Any) -> Faults:
     elif 1e-12 < b < least:
         enough = 1.001 * (1.0 + least) * onset / hardness
         yield (place, "hardness" if place == "sphere" else "pile_up"), (
-            f"pile_up = {pile_up:.4g}, hardness {found} and onset {begin} make b = C H/p_y - 1 = {b:.2g}, which must be 0 or "
-            f'from {least:g} to {most:g}: give pile_up = {enough:.4g} or more, or pile_up = 1 with hardness = "onset"')  # fmt: skip
+            f"pile_up = {pile_up:.4g}, hardness {found} and onset {begin} make b = C H/p_y - 1 = {b:.2g}, which "
+            "must be 0 or "
+            f'from {least:g} to {most:g}: give pile_up = {enough:.4g} or more, or pile_up = 1 with hardness = '
+            '"onset"')  # fmt: skip
 
 
 def _together(draft: Draft) -> Faults:
@@ -532,7 +554,8 @@ def _together(draft: Draft) -> Faults:
         place = ("pulse", "duration") if "pulse.duration" in numbers else ("striker", "length")
         yield place if draft.record is None else "pulse.file", (
             f"the whole pulse lasts {format_value(width, 'pulse.duration')}, longer than the round trip of "
-            f"{format_value(trip, 'pulse.duration')} in the incident bar, whose far end cannot reflect before the striker "
+            f"{format_value(trip, 'pulse.duration')} in the incident bar, whose far end cannot reflect before "
+            "the striker "
             'has left it: shorten the pulse, lengthen the bar, or set incident_end = "absorbing"')  # fmt: skip
 
 
@@ -615,7 +638,8 @@ def _limit(draft: Draft, name: str, table: LimitTable, outputs: Sequence[str] | 
         if own is None and modulus is None:
             raise Fault("modulus is missing: give it here or by a strength that is a Weibull distribution", "modulus")
         if own is None:
-            draft.reader.warn(place, "the strength of a weakest link is a Weibull distribution of its modulus; with another "
+            draft.reader.warn(place, "the strength of a weakest link is a Weibull distribution of its modulus; "
+                                     "with another "
                               "the probability is not that of the flaws")  # fmt: skip
         demand = replace(demand, parameters={"modulus": float(modulus if own is None else own), **demand.parameters})  # type: ignore[arg-type]
     platens = strength.tested.platens if strength.tested is not None else None
@@ -700,7 +724,8 @@ def _pressure_meant(draft: Draft, table: LimitTable, quantity: str) -> str:
     if not draft.plastic:
         return quantity
     if meant is None:
-        raise Fault('strength_is is missing: "hertz" if the strength was computed from a failure force by Hertz, as nearly '
+        raise Fault('strength_is is missing: "hertz" if the strength was computed from a failure force by Hertz, '
+                    'as nearly '
                     'all tabulated contact strengths are; "pressure" if it is a true pressure, which never exceeds the '
                     "hardness: the probabilities can differ by decades", "strength_is")  # fmt: skip
     if meant == "pressure":
@@ -708,7 +733,8 @@ def _pressure_meant(draft: Draft, table: LimitTable, quantity: str) -> str:
             raise Fault('forces at failure become pressures by Hertz: write strength_is = "hertz"', "strength_is")
         return quantity
     if quantity == "first_peak":
-        raise Fault('first_peak is a true pressure where faces yield: write strength_is = "pressure", or quantity = "p_max"',
+        raise Fault('first_peak is a true pressure where faces yield: write strength_is = "pressure", or '
+                    'quantity = "p_max"',
                     "strength_is")  # fmt: skip
     return "p_hertz"
 
@@ -863,7 +889,8 @@ def _moved_mean(study: Study) -> Faults:
     if study.margins is None or (name := study.margins.axis.path) not in study.random:
         return
     if "mean" not in study.given[name]:
-        yield ("margins", "solve"), (f"{shown(name)} scatters by a law that is not given by its mean, so there is no mean to "
+        yield ("margins", "solve"), (f"{shown(name)} scatters by a law that is not given by its mean, so there "
+                                     "is no mean to "
                                      "move: give it by mean and sd or cov, or as a fixed number")  # fmt: skip
         return
     for index, value in enumerate((study.margins.axis.low, study.margins.axis.high)):

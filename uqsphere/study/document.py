@@ -289,7 +289,8 @@ def _check_law(number: Number, raw: object, quantity: Quantity, reader: Reader, 
     if mean is not None and not law.lower <= mean <= law.upper:
         key = "lower" if mean < law.lower else "upper"
         reader.warn((*place, key), f"the mean {format_value(mean, name)} lies {'below' if key == 'lower' else 'above'} "
-                    f"the bound {format_value(getattr(law, key), name)}: only a tail of the distribution is sampled")  # fmt: skip
+                    f"the bound {format_value(getattr(law, key), name)}: only a tail of the distribution is "
+                    "sampled")  # fmt: skip
     if ends or not law.mass:
         return
     import numpy as np
@@ -403,7 +404,8 @@ Shares = Annotated[tuple[Share, ...], _several(1, "numbers")]
 Positive = Annotated[float, *_real(0.0)]
 Correlation = Annotated[float, *_real(-1.0, 1.0)]
 Names = Annotated[tuple[str, ...], _several(1, "names")]
-Seconds, Length = Annotated[float, *_of("time")], Annotated[float, *_of("length")]
+Seconds = Annotated[float, *_of("time")]
+Length = Annotated[float, *_of("length")]
 _Method = Literal["auto", "qmc", "pce", "sobol", "form", "importance", "subset", "morris", "delta", "pawn", "hdmr"]
 Methods = Annotated[tuple[_Method, ...], _several(1, "methods"),
                     BeforeValidator(lambda raw: (raw,) if isinstance(raw, str) else raw)]  # fmt: skip
@@ -566,13 +568,15 @@ class LimitTable:
     criterion: Literal[*CRITERIA] | None = key("in place of `quantity`: one of `uqsphere list criteria`")  # type: ignore[valid-type]
     strength: Any = key("value, distribution, or a file with tests or draws, see below", usual="required")
     strength_is: Literal["hertz", "pressure"] | None = key(
-        '`"hertz"`: computed from a force by Hertz; `"pressure"`: the true one', usual="required if `plastic`")  # fmt: skip
+        '`"hertz"`: computed from a force by Hertz; `"pressure"`: the true one', usual="required if "
+                                                                                       "`plastic`")  # fmt: skip
     aim: Literal["survive", "break"] = key("the quantity must stay below the strength, or exceed it", "survive")
     target: Share | None = key('largest accepted failure probability, `0.01` or `"1 %"`')
     model_factor: Any = key("factor on the quantity for what the model leaves out; may scatter", usual="`1`")
     fracture: Flag | None = key("whether exceeding it breaks the sphere", usual="by the quantity")
     energy_is: Literal["contact", "sphere", "input"] | None = key(
-        "of `specific_energy`: stored in both bodies, in the sphere, or offered", usual="required but for bars")  # fmt: skip
+        "of `specific_energy`: stored in both bodies, in the sphere, or offered", usual="required but for "
+                                                                                        "bars")  # fmt: skip
     modulus: Annotated[float, *_parameter("modulus")] | None = key(
         "Weibull modulus of a weakest link", usual="that of the strength")  # fmt: skip
     reference_volume: Annotated[float, *_parameter("reference_volume")] | None = key("volume of a volume strength")

@@ -57,7 +57,8 @@ def measured_pulse(table: Pulse, reader: Reader) -> MeasuredPulse:
     first, last = max(int(inside[0]) - 1, 0), min(int(inside[-1]) + 1, len(strain) - 1)
     for k, end in ((first, "begins"), (last, "ends")):
         if abs(strain[k]) > _ENDS * peak:
-            raise Fault(f"{shown(table.file)}: the pulse {end} at {strain[k] / peak:.0%} of its peak: cut it out at rest; "
+            raise Fault(f"{shown(table.file)}: the pulse {end} at {strain[k] / peak:.0%} of its peak: cut it out "
+                        "at rest; "
                         f"{_ROUGH}", "file")  # fmt: skip
     breaks, cubics, misfit = _cubics(time[first : last + 1] - time[first], strain[first : last + 1] / peak)
     if misfit > 0.02:

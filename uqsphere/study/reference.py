@@ -16,8 +16,8 @@ from pydantic import TypeAdapter
 
 from uqsphere.quantities import INPUTS
 from uqsphere.study import document as tables
-from uqsphere.study.document import Document, number_path, one_of
-from uqsphere.units import UNITS
+from uqsphere.study.document import Document, number_path
+from uqsphere.units import UNITS, typed_units
 from uqsphere.uq.families import FAMILIES
 
 _NUMBER: Final = r"^\s*[+-]?(\d(_?\d)*\.?(\d(_?\d)*)?|\.\d(_?\d)*)([eE][+-]?\d+)?\s*"
@@ -27,7 +27,8 @@ _TABLES: Final[dict[str, Any]] = {
     "Top level": Document, "[sphere]": tables.Sphere, "[bars]": tables.Bars, "[striker]": tables.Striker,
     "[pulse]": tables.Pulse, "[contact]": tables.Contact, "[rig]": tables.Rig,
     "[target], [anvil], [other], [hammer], [rod], [platens], [insert]": tables.Partner, "[[gauges]]": tables.Gauge,
-    "[model]": tables.ModelChoice, "[limits.NAME]": tables.LimitTable, "Strengths and distributions from a file": tables.Observations,
+    "[model]": tables.ModelChoice, "[limits.NAME]": tables.LimitTable, "Strengths and distributions from a "
+                                                                       "file": tables.Observations,
     "[[dependence]]": tables.Dependence, "[analysis]": tables.Analysis, "[margins]": tables.MarginsTable,
 }  # fmt: skip
 
@@ -151,25 +152,21 @@ def _dimension(name: str) -> dict[str, Any]:
 
 
 def build_page() -> str:
-    """The page docs/study-file.md."""
-    units = "\n".join(
-        f"| {name.replace('_', ' ')} | {', '.join(f'`{u}`' for u in table if u.isascii() and '^' not in u)} |"
-        for name, table in UNITS.items() if name not in ("number", "mass_per_energy"))  # fmt: skip
-    laws = "\n".join(
-        f"| `{family.name}` | {' or '.join(' '.join(f'`{key}`' for key in keys) for keys in family.alternatives) or '–'}"
-        f"{', `lower` `upper`' if family.bounded else ''} |"
-        for family in FAMILIES.values() if not family.observed)  # fmt: skip
-    rigs = "\n".join(
-        f"| `{rig}` | {', '.join(f'`[{table}]`' for table in names)} |" for rig, names in tables.RIG_TABLES.items()
-    )
-    shapes = one_of([f"`{shape}`" for shape in get_args(tables.Pulse.__annotations__["shape"])] or ["those below"])
-    parts = [_INTRODUCTION.format(units=units, laws=laws)]
+    """The page docs/study-file.md: page.md with its tables of units, distributions, rigs and keys in place."""
+    rows = {
+        "units": [(name.replace("_", " "), ", ".join(f"`{unit}`" for unit in typed_units(name).split(", ")))
+                  for name in UNITS if name not in ("number", "mass_per_energy")],
+        "laws": [(f"`{family.name}`", " or ".join(" ".join(f"`{key}`" for key in keys) for keys in family.alternatives if keys)
+                  + " `lower` `upper`" * family.bounded) for family in FAMILIES.values() if not family.observed],
+        "rigs": [(f"`{rig}`", ", ".join(f"`[{name}]`" for name in names)) for rig, names in tables.RIG_TABLES.items()],
+    }  # fmt: skip
+    page = Path(__file__).with_name("page.md").read_text(encoding="utf-8")
+    for name, pairs in rows.items():
+        page = page.replace(f"<!-- {name} -->", "\n".join(f"| {one} | {other} |" for one, other in pairs))
     for heading, kind in _TABLES.items():
-        parts.append(f"## {heading}\n")
-        note = _NOTES.get(heading, "").format(rigs=rigs, shapes=shapes)
-        parts += [f"{note}\n"] if note else []
-        parts += [_key_table(kind), ""]
-    return "\n".join(parts)
+        start = page.index(f"\n## {heading}\n")
+        page = page[:start] + page[start:].replace("<!-- keys -->", _key_table(kind), 1)
+    return page
 
 
 def _key_table(kind: Any) -> str:
@@ -202,90 +199,6 @@ def _toml(value: Any) -> str:
         return re.sub(r"e-0*", "e-", str(value))
     inside = ", ".join(f"{entry.name} = {_toml(getattr(value, entry.name))}" for entry in dataclasses.fields(value))
     return f"{{ {inside} }}"
-
-
-_INTRODUCTION: Final = """# The study file
-
-Made from `uqsphere/study/document.py` by `python -m uqsphere.study.reference docs/study-file.md`; do not edit it here.
-
-A study is one TOML file. It describes a sphere, what loads it, what scatters, what it must withstand, and what is asked.
-It names no code and no file outside its own folder. `uqsphere new -o study.toml` writes a commented one, `uqsphere check
-study.toml` reads it and says what it understood, `uqsphere schema` prints its shape for editors. All faults are told at
-once, as `file:line: path: what is wrong, what is allowed, what to write`. `--set PATH=VALUE` sets a value from outside,
-`--set PATH=null` takes one out.
-
-```toml
-title = "Granite, 20 mm, between 40 mm steel bars"
-seed  = 1
-
-[sphere]
-material = "granite"
-radius   = {{ dist = "normal", mean = "10 mm", sd = "0.15 mm", lower = "9 mm" }}
-
-[bars]
-material = "maraging_steel"
-diameter = "40 mm"
-incident_length  = "1.5 m"
-receiving_length = "1.5 m"
-
-[striker]
-speed  = {{ dist = "normal", mean = "0.5 m/s", cov = "2 %" }}
-length = "0.8 m"
-
-[limits.crushing]
-quantity = "p_max"
-strength = {{ dist = "weibull", mean = "4 GPa", modulus = 12 }}
-target   = "1 %"
-```
-
-## Numbers
-
-A number of the scene is a fixed value or a distribution, written where the value stands. A value with a dimension is a
-text with its unit, `"25 mm"`; a plain number has none, `0.25`, and a share may be `"15 %"`. The speed of a rotor's tip is
-`"1450 rpm at 0.9 m"`. No arithmetic is done. A number outside its usual range is a warning, in `check`, `run` and the page.
-
-| dimension | units |
-|---|---|
-{units}
-
-## Distributions
-
-`{{ dist = "normal", mean = "10 mm", sd = "0.15 mm", lower = "9 mm" }}`: a name, its parameters, and if need be `lower` and
-`upper`, which truncate. `mean` and `sd` or `cov` are those before truncation. Every law of `scipy.stats` goes by
-`dist = "scipy.NAME"` with its shapes, `loc` and `scale`.
-
-| dist | parameters |
-|---|---|
-{laws}
-
-In Python, `Study(...)` takes the tables as mappings, with frozen laws of `scipy.stats` or chaospy for numbers.
-
-## Two kinds of study
-
-A scene has `[sphere]` and the tables of its rig. A black box has `[inputs]`, plain numbers or distributions by names of
-yours, and `[outputs]` with `names`; its model is named by `--model FILE.py:FUNCTION` or given in Python.
-"""
-_NOTES: Final = {
-    "[pulse]": "Without the table the pulse is rectangular and follows from the striker. Shapes: {shapes}, or `measured`: a "
-    "clean file of time and strain that `uqsphere shpb records` writes.",
-    "[contact]": "Where `[contact] law = \"plastic\"`, a limit on a pressure says by `strength_is` which pressure its strength is.",
-    "[rig]": "| kind | tables |\n|---|---|\n{rigs}",
-    "[target], [anvil], [other], [hammer], [rod], [platens], [insert]": "One declaration; each table takes the keys that name "
-    "it or its kind. Inserts stand between bars and sphere.",
-    "[limits.NAME]": "A limit holds a quantity, or the value of a criterion of fracture, against a strength. Any number of them, "
-    "by names of yours. A rock is judged by further failure modes with strengths of the library unless "
-    "`analysis.failure_modes = \"given\"`.",
-    "Strengths and distributions from a file": "A strength may be the forces at which spheres broke: `strength = {{ file = "
-    "\"tests.csv\", force = \"F\", diameter = \"D\" }}`. The force is turned into the value of the limit's criterion; its Weibull "
-    "law is carried to other sizes by the weakest link. A distribution of any number may be a `column` of observations, or "
-    "`{{ draws = \"draws.csv\" }}`, what a fit left open. Tables are read as they come: comma, semicolon or tab; decimal point or "
-    "comma; UTF-8, UTF-16 or Windows text; `.xlsx`. A unit may stand in the heading: `force [kN]`, `force_kN`, `force in kN`. "
-    "Empty cells, marks of thousands, summary rows and text among numbers are refused with their lines; repeated rows, rows "
-    "far from the rest and unusual strengths are warnings.",
-    "[margins]": "At which value of one number is a probability reached? Its distribution is moved with its mean.",
-    "[analysis]": "Quantities are listed by `uqsphere list quantities`; `contact_duration` is the equivalent one, the impulse over "
-    "the peak force.",
-}  # fmt: skip
 
 
 def main(name: str) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
@@ -26,17 +26,7 @@ from uqsphere.mechanics.criteria import CRITERIA, pole_of
 from uqsphere.mechanics.criteria import demand as demand_of
 from uqsphere.mechanics.outputs import OUTPUTS, at_force, follows_force
 from uqsphere.quantities import INPUTS, format_value, reading_units, unit_that_reads
-from uqsphere.study.document import (
-    Fault,
-    Number,
-    Observations,
-    Place,
-    Reader,
-    one_of,
-    shown,
-    suggestion,
-    value_of,
-)
+from uqsphere.study.document import Fault, Number, Observations, Place, Reader, one_of, shown, suggestion, value_of
 from uqsphere.study.study import Limit, Tested
 from uqsphere.tables import Table, TableError, read_table
 from uqsphere.units import UNITS, Quantity
@@ -232,7 +222,7 @@ def _declared(raw: Mapping[str, Any]) -> Observations:
         fault = error.errors(include_url=False)[0]
         at = str(fault["loc"][0])
         if fault["type"] == "unexpected_keyword_argument":
-            keys = [*Observations.__pydantic_fields__]
+            keys = [entry.name for entry in fields(Observations)]
             raise Fault(
                 f"unknown key {shown(at)}{suggestion(at, keys) or f'; known here: {one_of(keys)}'}", at
             ) from None
@@ -379,11 +369,13 @@ def tested_strength(
     size = "weakest link" if fit == "weibull" and g else "none"
     ratio = max(mean / (2.0 * radius), 2.0 * radius / mean)
     if ratio > SIZES_REFUSED and size == "none" and not knows:
-        raise Fault(f"the tests have a mean diameter of {1e3 * mean:.4g} mm, the sphere of {2e3 * radius:.4g} mm, and no "
+        raise Fault(f"the tests have a mean diameter of {1e3 * mean:.4g} mm, the sphere of {2e3 * radius:.4g} "
+                    "mm, and no "
                     'size law: test spheres of this size, or take fit = "weibull"', "diameter")  # fmt: skip
     if ratio > SIZES_TOLD:
         reader.warn((*place, "diameter"), f"the tests have a mean diameter of {1e3 * mean:.4g} mm, the sphere of "
-                    f"{2e3 * radius:.4g} mm: {'the weakest link' if size != 'none' else 'nothing'} carries the strength")  # fmt: skip
+                    f"{2e3 * radius:.4g} mm: {'the weakest link' if size != 'none' else 'nothing'} carries the "
+                    "strength")  # fmt: skip
     state = _state(force, sphere, 0.5 * diameter, platens, rate)
     growth = 0.0 if rate is None else float(np.median(rate / force))
     if quick and "rate_0" not in demand.parameters:
@@ -492,5 +484,6 @@ def _warn_of_tests(
     off = diameter / (2.0 * radius)
     wrong = np.flatnonzero((off > 3.0) | (off < 1.0 / 3.0))
     if 0 < len(wrong) < len(off):
-        reader.warn((*place, "diameter"), f"{table.file}: {len(wrong)} of {len(off)} diameters are more than three times "
+        reader.warn((*place, "diameter"), f"{table.file}: {len(wrong)} of {len(off)} diameters are more than "
+                                          "three times "
                     f"off the sphere's, the first {1e3 * diameter[wrong[0]]:.4g} mm")  # fmt: skip
