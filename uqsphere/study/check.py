@@ -366,6 +366,8 @@ def _pulse(draft: Draft) -> Faults:
                 yield ("striker", key), "the record says what the striker did: leave it out, or use pulse.gain"
         try:
             draft.record = measured_pulse(pulse, draft.reader)
+            for note in draft.record.notes:
+                draft.reader.warn(("pulse", "file"), f"{shown(pulse.file)}: {note}")
         except Fault as error:
             yield ("pulse", *error.at), str(error)
         return

@@ -20,7 +20,7 @@ from uqsphere.units import UNITS
 #: largest misfit over the peak that a cubic may leave, pieces at most, samples that a piece needs
 _FINE, _PIECES, _SAMPLES = 2e-3, 64, 4
 #: share of the peak that both ends may have, and from which on the pulse counts
-_ENDS, _COUNTS = 0.1, 0.01
+_ENDS, _COUNTS = 0.1, 0.003
 _ROUGH: Final = "uqsphere shpb records cuts, mends and writes such a file"
 
 

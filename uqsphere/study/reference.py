@@ -41,7 +41,7 @@ def count_keys() -> int:
     """
     seen = {(name, entry.description or "") for kind in _TABLES.values() for name, entry in kind.__pydantic_fields__.items()
             if (entry.description or kind is not Document)
-            and not (kind is tables.Observations and name in ("dist", "lower", "upper"))}  # fmt: skip
+            and not (kind is tables.Observations and name in ("dist", "lower", "upper")) and name != "table"}  # fmt: skip
     return len(seen)
 
 
@@ -60,6 +60,8 @@ def build_schema() -> dict[str, Any]:
     number = {"anyOf": [{"type": "number"}, {"$ref": "#/$defs/distribution"}]}
     anything = {"anyOf": [{"type": ["number", "string"]}, {"$ref": "#/$defs/distribution"}]}
     parts["LimitTable"]["properties"] |= {"strength": anything, "model_factor": number}
+    methods = parts["Analysis"]["properties"]["methods"]
+    parts["Analysis"]["properties"]["methods"] = {"anyOf": [{"const": "auto"}, methods]}
     parts["LimitTable"]["oneOf"] = [{"required": ["quantity"]}, {"required": ["criterion"]}]
     made["properties"]["inputs"] = {"type": "object", "patternProperties": {_NAME: number}, "additionalProperties": False,
                                     "minProperties": 1}  # fmt: skip
@@ -120,7 +122,9 @@ def _properties(kind: Any, properties: dict[str, Any]) -> dict[str, Any]:
     table = str(kind.__pydantic_config__.get("title", ""))
     found = {}
     for key, node in properties.items():
-        path = number_path(table, key)
+        if key == "\0table":
+            continue
+        path = _path(table, key)
         if path in INPUTS:
             entry = INPUTS[path]
             words: list[dict[str, Any]] = [{"enum": list(tables.BAR_ENDS)}] if key.endswith("end") else []
@@ -135,6 +139,12 @@ def _properties(kind: Any, properties: dict[str, Any]) -> dict[str, Any]:
         elif table not in tables.SCENE or kind.__pydantic_fields__[key].annotation is not Any:
             found[key] = node
     return found
+
+
+def _path(table: str, key: str) -> str:
+    """The name of a number of a table; of a key of partners that of the first partner that has it."""
+    homes = ("target", "other", "hammer", "rod", "platens", "insert") if table == "partner" else (table,)
+    return next((path for home in homes if (path := number_path(home, key)) in INPUTS), "")
 
 
 def _dimension(name: str) -> dict[str, Any]:
@@ -174,7 +184,7 @@ def _key_table(kind: Any) -> str:
     rows = ["| key | default | meaning |", "|---|---|---|"]
     title = str(kind.__pydantic_config__.get("title", ""))
     for name, entry in kind.__pydantic_fields__.items():
-        path = number_path("target" if title == "partner" else title, name)
+        path = _path(title, name)
         meaning = entry.description or (INPUTS[path].meaning if path in INPUTS else "")
         meaning = re.sub(r" of the (target|striker)", "", meaning)
         if not meaning:
