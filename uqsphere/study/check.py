@@ -686,7 +686,7 @@ def _demand(draft: Draft, table: LimitTable, outputs: Sequence[str] | None) -> D
         if table.quantity is None:
             raise Fault(f'quantity is missing: add quantity = "{(outputs or ["p_max"])[0]}"', "quantity")
         known = list(OUTPUTS) if outputs is None else list(outputs)
-        if table.quantity not in known:
+        if table.quantity not in known and known:
             raise Fault(unknown("quantity", table.quantity, known), "quantity")
         return Demand(quantity=table.quantity, parameters={})
     if outputs is not None:

@@ -106,7 +106,7 @@ def one_of(words: Iterable[str]) -> str:
     >>> one_of(["a", "b", "c"])
     'a, b or c'
     """
-    *first, last = words
+    *first, last = list(words) or ["none"]
     return f"{', '.join(first)} or {last}" if first else last
 
 

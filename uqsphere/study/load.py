@@ -195,7 +195,8 @@ def _message(fault: Any, place: Place) -> tuple[str, str]:
         words = re.findall(r"'([^']*)'", fault["ctx"]["expected"])
         return f"found {found}, allowed: {one_of(words)}{suggestion(fault['input'], words)}", ""
     return (
-        f"found {found}, {'where ' + _REQUIRED[kind] + ' is required' if kind in _REQUIRED else 'which cannot stand here'}",
+        f"found {found}, "
+        f"{'where ' + _REQUIRED[kind] + ' is required' if kind in _REQUIRED else 'which cannot stand here'}",
         "",
     )
 
