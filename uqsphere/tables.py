@@ -268,7 +268,7 @@ def read_table(path: Path, *, decimal: str = "", largest: int = LARGEST) -> Tabl
         width = max(line.count(divider) for _, line in kept) + 1
         try:
             frame = pd.read_csv(io.StringIO("\n".join(line for _, line in kept)), sep=divider, header=None, dtype=str,
-                                keep_default_na=False, skip_blank_lines=False, names=range(width), engine="c")  # fmt: skip
+                                keep_default_na=False, skip_blank_lines=False, names=range(width))  # fmt: skip
         except (ValueError, pd.errors.ParserError) as error:
             raise TableError(f"{name!r} is no table: {' '.join(str(error).split())}") from None
         cells = [

@@ -63,7 +63,8 @@ def test_forces_become_pressures_by_hertz(load: Load) -> None:
 
 def test_the_tests_themselves_are_kept(load: Load) -> None:
     tested = load().limits[0].tested
-    assert tested is not None and tested.law is not None
+    assert tested is not None
+    assert tested.law is not None
     assert sorted(tested.forces) == pytest.approx([5e3, 6e3, 6.5e3, 7e3, 7.5e3, 8e3, 8e3])
     assert tested.suspended == (False, False, False, True, False, False, True)
     assert tested.diameter == pytest.approx(20e-3, rel=1e-3)
@@ -84,7 +85,8 @@ def test_every_kind_of_demand(load: Load) -> None:
     assert flaws.parameters["modulus"] == flaws.strength.parameters["modulus"]
     lognormal = load(TESTS.replace(" }", ', fit = "lognormal", unbiased = true }')).limits[0]
     assert lognormal.strength.family.name == "lognormal"
-    assert lognormal.tested is not None and lognormal.tested.size == "none"
+    assert lognormal.tested is not None
+    assert lognormal.tested.size == "none"
 
 
 FORCE, RADIUS = np.array([800.0, 5e3, 40e3]), np.array([4e-3, 10e-3, 20e-3])
@@ -143,7 +145,8 @@ def test_with_test_and_use_alike_the_share_broken_is_that_of_the_tests(load: Loa
     """Whatever E and nu of the rows: only the force and the size count."""
     limit = load(quantity='criterion = "core_tension"').limits[0]
     tested = limit.tested
-    assert tested is not None and tested.law is not None
+    assert tested is not None
+    assert tested.law is not None
     from uqsphere.study.strength import _reached, _state
 
     rng = np.random.default_rng(3)
@@ -266,7 +269,8 @@ def test_draws_are_a_strength(load: Load, tmp_path: Path) -> None:
         'strength = { draws = "draws.csv" }', quantity='criterion = "specific_energy"\nenergy_is = "sphere"'
     ).limits[0]
     law = limit.strength
-    assert isinstance(law, Law) and len(law.draws) == 3
+    assert isinstance(law, Law)
+    assert len(law.draws) == 3
     x = np.array([60.0, 100.0, 200.0])
     from scipy import stats
 

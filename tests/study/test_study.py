@@ -143,7 +143,7 @@ def test_pulses_and_inserts(load: Load) -> None:
     step = load(BASE, ('incident_end = "free"', "infinite = true"), (TRAPEZOID, 'shape = "step"'),
                 ("tolerance = 1e-6", 'horizon = "3 ms"'), ('length = "0.8 m"', ""))  # fmt: skip
     assert step.model.horizon == pytest.approx(3e-3, rel=1e-12)
-    insert = load(BASE, ("[pulse]", '[insert]\nE = { dist = "normal", mean = "600 GPa", cov = 0.02 }\nnu = 0.2\n\n[pulse]'),
+    insert = load(BASE, ("[pulse]", '[insert]\nE = { dist = "normal", mean = "600 GPa", cov = 0.02 }\nnu = 0.2\n[pulse]'),
                   ('["0.05 m/s", "20 m/s"]', '["500 GPa", "700 GPa"]'), ('"striker.speed"', '"insert.E"'))  # fmt: skip
     assert insert.fixed["bars.insert_nu"] == 0.2
     assert insert.margins is not None and insert.margins.axis.path == "bars.insert_E"  # noqa: PT018
@@ -168,8 +168,8 @@ def test_a_measured_pulse(load: Load, tmp_path: Path) -> None:
     assert any("compression is taken as positive" in warning for warning in study.warnings)
     assert list(study.random)[-1] == "pulse.gain"
     volts = (edits[1][0], edits[1][1].replace('"p.csv"', '"p.csv"\nunits = ["us", "mV"]'))
+    (tmp_path / "p.csv").write_text(f"time;gauge\n{rows}\n")
     with pytest.raises(StudyError, match="factor is missing"):
-        (tmp_path / "p.csv").write_text(f"time;gauge\n{rows}\n")
         load(text, edits[0], volts)
 
 
@@ -194,8 +194,8 @@ def test_moving_the_mean_keeps_what_was_given(load: Load) -> None:
 
 
 def test_overrides(load: Load) -> None:
-    sets = ("striker.speed.mean=0.6 m/s", "bars.infinite=true", "dependence[0].spearman=0.1", "bars.receiving_end=fixed",
-            "analysis.quantiles=[0.5]", 'limits."crushing".target = 0.2', "seed=9", "margins=null")  # fmt: skip
+    sets = ("striker.speed.mean=0.6 m/s", "bars.infinite=true", "dependence[0].spearman=0.1", 
+            "bars.receiving_end=fixed", "analysis.quantiles=[0.5]", 'limits."crushing".target = 0.2', "seed=9", "margins=null")  # fmt: skip
     study = load(BASE, overrides=sets)
     assert study.random["striker.speed"].nominal_mean() == 0.6
     assert (study.dependence[0].spearman, study.analysis.quantiles, study.seed) == (0.1, (0.5,), 9)
@@ -233,7 +233,7 @@ def test_python_dict_and_text_are_one_study(tmp_path: Path) -> None:
     assert python.outputs == ("y",)
     with pytest.raises(StudyError, match=r"study.toml:2: inputs.x: .* did you mean 'dist'"):
         Study(inputs={"x": {"dits": "normal"}}, outputs="y")
-    with pytest.raises(UsageError, match="inputs.x: found object"):
+    with pytest.raises(UsageError, match=r"inputs\.x: found object"):
         Study(inputs={"x": object()}, outputs="y")
 
 
@@ -242,7 +242,8 @@ def test_schema_and_page() -> None:
     jsonschema.Draft202012Validator.check_schema(schema)
     assert len(json.dumps(schema)) < 60_000
     names = {"a unit of something else", "an unknown key", "an unknown shape", "a word for a flag", "a target of one",
-             "an unknown fidelity", "another copula", "a method of later", "a negative seed", "a length without its unit"}  # fmt: skip
+             "an unknown fidelity", "another copula", "a method of later", "a negative seed", "a length without its "
+             "unit"}  # fmt: skip
     for case in (case for case in CASES if case.name in names):
         assert not jsonschema.Draft202012Validator(schema).is_valid(tomllib.loads(case.content().decode())), case.name
     page = Path(__file__).parents[2] / "docs" / "study-file.md"
@@ -285,6 +286,6 @@ def test_broken_bytes_are_refused_or_read(tmp_path: Path) -> None:
 
 def test_reading_a_study_imports_nothing_heavy() -> None:
     code = f"import sys, uqsphere.study as s; s.load_study({str(shipped_studies()['granite'])!r}); " \
-           "print([m for m in ('pandas', 'scipy.stats', 'chaospy', 'SALib', 'matplotlib', 'numba') if m in sys.modules])"  # fmt: skip
+           "print({'pandas', 'scipy.stats', 'chaospy', 'SALib', 'matplotlib', 'numba'} & set(sys.modules))"  # fmt: skip
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert done.stdout.strip() == "set()"

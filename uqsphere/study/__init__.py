@@ -29,8 +29,8 @@ from uqsphere.study.study import (
 from uqsphere.study.load import load_study  # isort: skip
 
 __all__ = [
-    "Accuracy", "Analysis", "Axis", "Budget", "Dependence", "Gauge", "Limit", "Margins", "ModelChoice", "Source", "Study",
-    "Tested", "Way", "Ways", "breaks_by", "json_schema", "law_json", "limit_of", "load_study", "means_fracture",
+    "Accuracy", "Analysis", "Axis", "Budget", "Dependence", "Gauge", "Limit", "Margins", "ModelChoice", "Source",
+    "Study", "Tested", "Way", "Ways", "breaks_by", "json_schema", "law_json", "limit_of", "load_study", "means_fracture",
     "quantity_of", "reference", "shipped_studies", "spaced", "strength_name", "ways_of", "with_number",
 ]  # fmt: skip
 

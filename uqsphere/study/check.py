@@ -65,7 +65,8 @@ _GIVES: Final = {
     "insert": (("plates", "bars"), ("E", "nu", "yield_strength")),
 }
 _EXAMPLES: Final = {
-    "E": '"210 GPa"', "nu": "0.3", "density": '"7850 kg/m3"', "radius": '"10 mm", half the diameter', "diameter": '"40 mm"',
+    "E": '"210 GPa"', "nu": "0.3", "density": '"7850 kg/m3"', "radius": '"10 mm", half the diameter',
+    "diameter": '"40 mm"',
     "speed": '"3 m/s"', "drop_height": '"1 m"', "length": '"0.8 m"', "thickness": '"12 mm"', "mass": '"40 kg"',
     "force": '"5 kN"', "displacement": '"0.1 mm"', "incident_length": '"1.5 m"', "receiving_length": '"1.5 m"',
     "level1": "1", "level2": "0.8",
@@ -219,7 +220,7 @@ def _black_box(draft: Draft) -> Faults:
             )
 
 
-# --- the scene ----------------------------------------------------------------------------------------------------------
+# --- the scene -----------------------------------------------------------------------------------------------------
 
 
 def _tables(draft: Draft) -> Faults:
@@ -585,7 +586,7 @@ def _gauges(draft: Draft) -> Faults:
             yield place, f"a gauge on the {bar} bar at this place is named twice"
 
 
-# --- limits ---------------------------------------------------------------------------------------------------------------
+# --- limits --------------------------------------------------------------------------------------------------------
 
 
 def _limits(draft: Draft) -> Faults:
@@ -653,7 +654,8 @@ def _limit(draft: Draft, name: str, table: LimitTable, outputs: Sequence[str] | 
     draft.limits[name] = Limit(
         name=name, quantity=f"{demand.quantity}.{name}" if demand.criterion else demand.quantity,
         criterion=demand.criterion, parameters=dict(demand.parameters), strength=strength.value, aim=table.aim,
-        model_factor=factor.value, target=table.target, fracture=table.fracture, platens=platens, tested=strength.tested,
+        model_factor=factor.value, target=table.target, fracture=table.fracture, platens=platens,
+        tested=strength.tested,
     )  # fmt: skip
 
 
@@ -665,11 +667,12 @@ def _bars(draft: Draft) -> tuple[float, float] | None:
 def _share_of_sphere(draft: Draft, E: float, nu: float) -> float:
     """The sphere's share of the elastic energy in the contacts of the study's rig."""
     tables = [t for t in RIG_TABLES[draft.rig] if t not in ("striker", "pulse", "insert")]
-    pairs = [(draft.mean(number_path("insert", k)) or draft.mean(f"bars.{k}") if t == "bars" else draft.mean(f"{t}.{k}"))
-             for t in tables for k in ("E", "nu")]  # fmt: skip
-    rigid = bool(draft.options.get("bars.rigid_contact"))
-    moduli = [float(reduced_modulus(E, nu, own, ratio, rigid_bars=rigid)) for own, ratio in zip(pairs[::2], pairs[1::2], strict=True)
-              if own is not None and ratio is not None]  # fmt: skip
+    rigid, moduli = bool(draft.options.get("bars.rigid_contact")), list[float]()
+    for table in tables:
+        insert = [draft.mean(f"bars.insert_{key}") if table == "bars" else None for key in ("E", "nu")]
+        own, ratio = (given or draft.mean(f"{table}.{key}") for given, key in zip(insert, ("E", "nu"), strict=True))
+        if own is not None and ratio is not None:
+            moduli.append(float(reduced_modulus(E, nu, own, ratio, rigid_bars=rigid)))
     return (1.0 - nu * nu) / E * sum(moduli) / len(moduli) if moduli else 1.0
 
 
@@ -761,7 +764,8 @@ def _strength(draft: Draft, table: LimitTable, demand: Demand, place: Place, sce
                and (draft.plastic or key in ("E", "nu", "density"))}  # fmt: skip
         own["share"] = _share_of_sphere(draft, own["E"], own["nu"])
         try:
-            found = tested_strength(table.strength, demand, own, float(sphere["radius"] or 0.0), _bars(draft), draft.reader,
+            radius = float(sphere["radius"] or 0.0)
+            found = tested_strength(table.strength, demand, own, radius, _bars(draft), draft.reader,
                                     place, quick=draft.rig != "platens")  # fmt: skip
         except Fault as error:
             raise Fault(str(error), "strength", *error.at) from None
@@ -770,7 +774,7 @@ def _strength(draft: Draft, table: LimitTable, demand: Demand, place: Place, sce
     return _read(draft, table.strength, entry, place)
 
 
-# --- what is asked ----------------------------------------------------------------------------------------------------------
+# --- what is asked -------------------------------------------------------------------------------------------------
 
 
 def _analysis(draft: Draft) -> Faults:

@@ -50,7 +50,7 @@ _WIDE, _TOO_WIDE = 1.0, 1000.0
 NOTABLE: Final = 1e-6
 
 
-# --- faults and words ---------------------------------------------------------------------------------------------
+# --- faults and words ----------------------------------------------------------------------------------------------
 
 
 class Fault(ValueError):
@@ -122,7 +122,7 @@ def unknown(what: str, word: object, known: Iterable[str], most: int = 40) -> st
     return f"unknown {what} {shown(word)}, known: {one_of(names[:most])}{suggestion(word, names)}"
 
 
-# --- numbers ------------------------------------------------------------------------------------------------------
+# --- numbers -------------------------------------------------------------------------------------------------------
 
 
 @plain(frozen=True, kw_only=True)
@@ -263,7 +263,8 @@ def _law_of(raw: Mapping[str, Any], quantity: Quantity) -> Number:
 def _check_law(number: Number, raw: object, quantity: Quantity, reader: Reader, place: Place) -> None:
     """Refuse a law outside what has a meaning, or too wide to compute with; warn of tails, wide and cut-off laws."""
     law = number.value
-    assert isinstance(law, Law) and isinstance(raw, Mapping)
+    assert isinstance(law, Law)
+    assert isinstance(raw, Mapping)
     centre, name = law.nominal_mean(), quantity.name
     if not quantity.allows(centre):
         raise Fault(f"the distribution has its mean at {format_value(centre, name)}: {bounds_in_words(quantity)}")
@@ -306,7 +307,7 @@ def _check_law(number: Number, raw: object, quantity: Quantity, reader: Reader, 
                     f"({bounds_in_words(quantity)}); {effect}truncate it with lower or upper")  # fmt: skip
 
 
-# --- what a key can hold --------------------------------------------------------------------------------------------
+# --- what a key can hold -------------------------------------------------------------------------------------------
 
 
 def _number(raw: Any, info: ValidationInfo) -> Any:
@@ -411,7 +412,7 @@ Methods = Annotated[tuple[_Method, ...], _several(1, "methods"),
                     BeforeValidator(lambda raw: (raw,) if isinstance(raw, str) else raw)]  # fmt: skip
 
 
-# --- the scene ------------------------------------------------------------------------------------------------------
+# --- the scene -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, config=table("sphere"))
@@ -516,7 +517,7 @@ class Partner(Face):
     """A body that touches the sphere: [target] or [anvil], [other], [hammer], [rod], [platens] or [insert]."""
 
     kind: Literal["thick", "plate", "bar", "mass"] | None = key(
-        'target, anvil: `"thick"`, a `"plate"` that bends, the end of a `"bar"`, a free `"mass"`', usual='`"thick"`')  # fmt: skip
+        'target, anvil: `"thick"`, a `"plate"` that bends, the end of a `"bar"`, a `"mass"`', usual='`"thick"`')  # fmt: skip
     thickness: Num = key("plate, insert: thickness", usual="required for a plate")
     width: Num = key("plate: width, for the check of its edges")
     mass: Num = key("mass, hammer: its mass", usual="required, or a ball")
@@ -557,7 +558,7 @@ class ModelChoice:
     compare_with_paper: Flag = key("adds the paper's printed massless formulas and the corrected ones", False)
 
 
-# --- limits and what is asked -----------------------------------------------------------------------------------------
+# --- limits and what is asked --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, config=table())
@@ -659,7 +660,7 @@ class Analysis:
     methods: Methods = key(f"`auto`, or some of {one_of([f'`{m}`' for m in get_args(_Method)[1:]])}", ("auto",))
     second_order: Flag = key("Sobol' indices of all pairs of inputs as well", False)
     failure_modes: Literal["all", "given"] = key(
-        '`"all"`: a rock is also judged by failure modes that have no limit, with library strengths', "all")  # fmt: skip
+        '`"all"`: a rock is judged by failure modes without a limit too, by library strengths', "all")  # fmt: skip
     on_failure: Literal["abort", "bound", "drop"] = key(
         'failed evaluations: `"bound"` counts each once as exceeding and once as not; `"drop"` leaves out up to 1 %',
         "abort")  # fmt: skip

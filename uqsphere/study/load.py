@@ -131,10 +131,11 @@ def _take_out(data: Any, place: Place) -> None:
             _take_out(data, place[:-1])
 
 
-# --- reading the tables -------------------------------------------------------------------------------------------------
+# --- reading the tables --------------------------------------------------------------------------------------------
 
 _REQUIRED: Final = {
-    "string_type": "a text in quotes", "bool_type": "true or false", "int_type": "a whole number", "float_type": "a number",
+    "string_type": "a text in quotes", "bool_type": "true or false", "int_type": "a whole number",
+    "float_type": "a number",
     "float_parsing": "a number", "tuple_type": "an array", "dict_type": "a table", "mapping_type": "a table",
     "dataclass_type": "a table", "dataclass_exact_type": "a table",
 }  # fmt: skip
@@ -201,7 +202,7 @@ def _message(fault: Any, place: Place) -> tuple[str, str]:
     )
 
 
-# --- text, lines, syntax --------------------------------------------------------------------------------------------------
+# --- text, lines, syntax -------------------------------------------------------------------------------------------
 
 #: strings and comments are skipped whole; possessive, so that no input makes the scan go back
 _TOKEN: Final = re.compile(
@@ -341,7 +342,7 @@ def _problems(faults: Sequence[tuple[Place, str]], text: str, overridden: Sequen
     return made
 
 
-# --- values set from outside the file: --set striker.speed.mean="0.6 m/s", --set margins=null ------------------------------------
+# --- values set from outside the file: --set striker.speed.mean="0.6 m/s", --set margins=null ----------------------
 
 _PART: Final = re.compile(r"""(?:([A-Za-z0-9_-]+)|"([^"\\]*)"|'([^']*)')((?:\[\d{1,6}\])*)(\.|$)""")
 
@@ -403,7 +404,7 @@ def _set_of_no_limit(
             yield ("limits", name), f"no limit {shown(name)} in the file, {there}; one more needs a quantity"
 
 
-# --- tables as a text ---------------------------------------------------------------------------------------------------------
+# --- tables as a text ----------------------------------------------------------------------------------------------
 
 
 def toml_text(tables: Mapping[str, object]) -> str:

@@ -77,7 +77,7 @@ def measured_pulse(table: Pulse, reader: Reader) -> MeasuredPulse:
 
 
 def _cubics(time: Array, level: Array) -> tuple[Array, Array, float]:
-    """Joints (m + 1,), ascending cubics (m, 4) and largest misfit: the piece with the worst misfit is halved in turn."""
+    """Joints (m + 1,), ascending cubics (m, 4) and largest misfit: the worst piece is halved in turn."""
     from scipy.interpolate import PPoly, make_lsq_spline
 
     level = level.copy()

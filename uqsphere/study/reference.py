@@ -39,13 +39,14 @@ def count_keys() -> int:
     >>> count_keys() <= 120
     True
     """
-    seen = {(name, entry.description or "") for kind in _TABLES.values() for name, entry in kind.__pydantic_fields__.items()
+    pairs = [(kind, name, entry) for kind in _TABLES.values() for name, entry in kind.__pydantic_fields__.items()]
+    seen = {(name, entry.description or "") for kind, name, entry in pairs
             if (entry.description or kind is not Document)
-            and not (kind is tables.Observations and name in ("dist", "lower", "upper")) and name != "table"}  # fmt: skip
+            and name not in ({"dist", "lower", "upper", "table"} if kind is tables.Observations else {"table"})}  # fmt: skip
     return len(seen)
 
 
-# --- the schema -------------------------------------------------------------------------------------------------------
+# --- the schema ----------------------------------------------------------------------------------------------------
 
 
 def build_schema() -> dict[str, Any]:
@@ -63,7 +64,8 @@ def build_schema() -> dict[str, Any]:
     methods = parts["Analysis"]["properties"]["methods"]
     parts["Analysis"]["properties"]["methods"] = {"anyOf": [{"const": "auto"}, methods]}
     parts["LimitTable"]["oneOf"] = [{"required": ["quantity"]}, {"required": ["criterion"]}]
-    made["properties"]["inputs"] = {"type": "object", "patternProperties": {_NAME: number}, "additionalProperties": False,
+    made["properties"]["inputs"] = {"type": "object", "patternProperties": {_NAME: number},
+                                    "additionalProperties": False,
                                     "minProperties": 1}  # fmt: skip
     made["properties"]["limits"] = {"type": "object", "patternProperties": {_NAME: {"$ref": "#/$defs/LimitTable"}},
                                     "additionalProperties": False}  # fmt: skip
@@ -78,6 +80,7 @@ def build_schema() -> dict[str, Any]:
         "required": ["inputs", "outputs"],
         "not": {"anyOf": [{"required": [n]} for n in (*scene, "model", "gauges")]},
     }
+    sources = [{"required": [key]} for key in ("dist", "file", "draws")]
     no_box = {"not": {"anyOf": [{"required": ["inputs"]}, {"required": ["outputs"]}]}}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema", "title": "uqsphere study", **made,
@@ -85,7 +88,7 @@ def build_schema() -> dict[str, Any]:
         "$defs": {
             **parts,
             **{name: _dimension(name) for name in UNITS},
-            "distribution": {"type": "object", "properties": law, "anyOf": [{"required": [k]} for k in ("dist", "file", "draws")]},
+            "distribution": {"type": "object", "properties": law, "anyOf": sources},
         },
     }  # fmt: skip
 
@@ -158,7 +161,7 @@ def _dimension(name: str) -> dict[str, Any]:
     }
 
 
-# --- the page -----------------------------------------------------------------------------------------------------------
+# --- the page ------------------------------------------------------------------------------------------------------
 
 
 def build_page() -> str:
@@ -166,8 +169,8 @@ def build_page() -> str:
     rows = {
         "units": [(name.replace("_", " "), ", ".join(f"`{unit}`" for unit in typed_units(name).split(", ")))
                   for name in UNITS if name not in ("number", "mass_per_energy")],
-        "laws": [(f"`{family.name}`", " or ".join(" ".join(f"`{key}`" for key in keys) for keys in family.alternatives if keys)
-                  + " `lower` `upper`" * family.bounded) for family in FAMILIES.values() if not family.observed],
+        "laws": [(f"`{family.name}`", " or ".join(" ".join(f"`{key}`" for key in keys) for keys in family.alternatives
+                  if keys) + " `lower` `upper`" * family.bounded) for family in FAMILIES.values() if not family.observed],
         "rigs": [(f"`{rig}`", ", ".join(f"`[{name}]`" for name in names)) for rig, names in tables.RIG_TABLES.items()],
     }  # fmt: skip
     page = Path(__file__).with_name("page.md").read_text(encoding="utf-8")

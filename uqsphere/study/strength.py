@@ -64,7 +64,7 @@ class Demand:
         return "" if entry is None else entry.place
 
 
-# --- the force in the test that is worth a row's value ---------------------------------------------------------------
+# --- the force in the test that is worth a row's value -------------------------------------------------------------
 
 
 def _state(force: Array, sphere: Mapping[str, Values], radius: Array, platens: tuple[float, float],
@@ -84,7 +84,8 @@ def _state(force: Array, sphere: Mapping[str, Values], radius: Array, platens: t
     own = share * state["energy"] + state["dissipated"]
     both = (own - state["dissipated"]) / full.get("sphere.share", share)
     given = {"energy_sphere": own, "specific_energy_sphere": own / mass, "impact_energy": state["energy"],
-             "specific_impact_energy": state["energy"] / mass, "energy": both, "specific_energy": both / mass}  # fmt: skip
+             "specific_impact_energy": state["energy"] / mass, "energy": both,
+             "specific_energy": both / mass}  # fmt: skip
     return type(state)({**state, **given})
 
 
@@ -157,7 +158,7 @@ def test_force(limit: Limit, value: Values, sphere: Mapping[str, Values], radius
 test_force.__test__ = False  # type: ignore[attr-defined]
 
 
-# --- files ----------------------------------------------------------------------------------------------------------
+# --- files ---------------------------------------------------------------------------------------------------------
 
 
 def inside_folder(name: str, reader: Reader, key: str) -> Path:
@@ -211,7 +212,7 @@ def platens_of(raw: Any, bars: tuple[float, float] | None, *at: str) -> tuple[fl
     return known[raw].properties["E"].value, known[raw].properties["nu"].value
 
 
-# --- distributions from a file ----------------------------------------------------------------------------------------
+# --- distributions from a file -------------------------------------------------------------------------------------
 
 
 def _declared(raw: Mapping[str, Any]) -> Observations:
@@ -316,12 +317,12 @@ def _fitted(data: Array, stopped: Flags, table: Observations, fit: str | None, l
         raise Fault(error.message, error.key if error.key in ("fit", "lower", "upper") else "file") from None
 
 
-# --- strengths from crushing tests --------------------------------------------------------------------------------------
+# --- strengths from crushing tests ---------------------------------------------------------------------------------
 
 
 def tested_strength(
-    raw: Mapping[str, Any], demand: Demand, sphere: Mapping[str, float], radius: float, bars: tuple[float, float] | None,
-    reader: Reader, place: Place, *, quick: bool,
+    raw: Mapping[str, Any], demand: Demand, sphere: Mapping[str, float], radius: float,
+    bars: tuple[float, float] | None, reader: Reader, place: Place, *, quick: bool,
 ) -> Number:  # fmt: skip
     """The law of the strength against a demand from forces at failure, and the tests themselves; raises Fault.
 
@@ -333,7 +334,9 @@ def tested_strength(
     for key, example in (("file", "tests.csv"), ("force", "F"), ("diameter", "D")):
         if getattr(table, key) is None:
             raise Fault(f'{key} is missing: add {key} = "{example}"')
-    assert table.file is not None and table.force is not None and table.diameter is not None
+    assert table.file is not None
+    assert table.force is not None
+    assert table.diameter is not None
     if demand.criterion is None and not follows_force(demand.quantity):
         raise Fault(f"a force at failure is no measure of {demand.quantity}: name a criterion", "force")
     platens = platens_of(table.platens, bars, "platens")
@@ -411,7 +414,7 @@ def _of_demand(
     raise Fault("no modulus agrees with itself: give it by the key modulus of the limit")
 
 
-# --- whether the numbers of a file are plausible -------------------------------------------------------------------------
+# --- whether the numbers of a file are plausible -------------------------------------------------------------------
 
 
 def _warn(found: Table, file: str, data: Array, stopped: Flags, law: Law | None, reader: Reader, place: Place) -> None:
