@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Values
-from uqsphere.mechanics.integrator.tracked import ABOVE_SHARE, TAIL_SHARE
+from uqsphere.mechanics.integrator.tracked import TAIL_SHARE
 from uqsphere.mechanics.outputs import Answers, answers_from, merged_answers
 from uqsphere.mechanics.rigs import MOST_YIELDING, RIGS, Partner
 from uqsphere.mechanics.roots import newton
@@ -207,18 +207,16 @@ def scaled_answers(scene: Scene) -> dict[str, Array]:
     ended = np.where(np.isfinite(horizon), horizon, tail)
     half = 0.5 ** (2.0 / 3.0)
     half_again = theta + relaxing_time(peak, peak * half)
-    tenth = peak * ABOVE_SHARE ** (2.0 / 3.0)
     # x' = f - q: the impulse is that of the pulse less what is left of the approach
     left = np.where(ended > theta, relaxing_approach(peak, np.maximum(ended - theta, 0.0)), peak)
     return {
         **dict.fromkeys(("x_max", "x_first", "x_a", "x_b", "x_first_a", "x_first_b"), peak),
         **dict.fromkeys(("contact", "ended", "parting"), ended),
-        **dict.fromkeys(("difference", "gap"), np.zeros_like(peak)), "contact_censored": np.ones_like(peak),
+        "difference": np.zeros_like(peak), "contact_censored": np.ones_like(peak),
         "stored": 2.0 * 0.4 * peak**2.5, "mean_force": peak**1.5, "impulse": (loaded - left) / peak**1.5,
         "width": np.minimum(half_again, ended) - loading_time(peak * half),
         "width_censored": 1.0 * (half_again >= ended),
         "rise": loading_time(peak * 0.9 ** (2.0 / 3.0)) - loading_time(peak * 0.1 ** (2.0 / 3.0)),
-        "above": np.minimum(theta + relaxing_time(peak, tenth), ended) - loading_time(tenth),
     }  # fmt: skip
 
 
@@ -407,7 +405,6 @@ def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answ
 #: times of a blow -> which of `_COLUMNS` they are
 _DURATIONS: Final = {
     "contact": "duration", "parting": "duration", "ended": "duration", "width": "width", "rise": "rise",
-    "above": "above",
 }  # fmt: skip
 
 
@@ -424,7 +421,7 @@ def _blown(scene: Scene, ahead: Partner) -> dict[str, Array]:
     x = np.cbrt(np.square(at["force"]))
     found = {
         "x_max": x, "x_b": x, "stored": 0.4 * at["force"] * x, "contact": at["duration"], "parting": at["duration"],
-        "width": at["width"], "rise": at["rise"], "ended": at["duration"], "above": at["above"],
+        "width": at["width"], "rise": at["rise"], "ended": at["duration"],
         # momentum: the sphere, or of two bodies each in their common frame, leaves with e times its speed
         "impulse": (1.0 + at["restitution"]) / at["force"], **_speeds(scene, ahead, at["restitution"]), **_CENSORED,
     }  # fmt: skip
@@ -462,7 +459,7 @@ def _yielded(scene: Scene, face: Face | Softening, ahead: Partner) -> dict[str, 
     return {
         "x_max": x, "x_b": x, "stored": state.stored / (scales.force * scales.approach), "contact": whole,
         "parting": whole, "width": down[1] * to_scaled + up * _UNLOADING[1], "ended": whole,
-        "above": down[0] * to_scaled + up * _UNLOADING[2], "impulse": (1.0 + restitution) * scales.force / state.force,
+        "impulse": (1.0 + restitution) * scales.force / state.force,
         "rise": (down[0] - down[2]) * to_scaled, **_speeds(scene, ahead, restitution), **_CENSORED,
     }  # fmt: skip
 

@@ -58,14 +58,14 @@ def _of_criterion(entry: Criterion) -> Quantity:
 #: Every quantity of interest that the impact model answers.
 OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
     Quantity(name="p_max", symbol="p_max", dimension="pressure", display="GPa", follows="force", fracture=True,
-             meaning="largest contact pressure at either face", place="contact",
+             meaning="peak contact pressure: the larger of both faces", place="contact",
              needs=("P_max", "modulus", "effective_radius"),
              formula=lambda c: contact.pressure_at_force(c["P_max"], c["modulus"], c["effective_radius"])),
     Quantity(name="P_max", symbol="P_max", dimension="force", display="kN", follows="force", fracture=True,
              meaning="largest contact force at either face", needs=("force", "x_max"),
              formula=lambda c: c["force"] * c["x_max"] ** c["power"]),
     Quantity(name="p_hertz", symbol="p_H", dimension="pressure", display="GPa", follows="force", fracture=True,
-             meaning="pressure that the largest force is by Hertz, yield or not", place="contact",
+             meaning="elastic (Hertz) pressure at peak force", place="contact",
              needs=("P_max", "modulus", "effective_radius"),
              formula=lambda c: contact.pressure_at_force(c["P_max"], c["modulus"], c["effective_radius"])),
     Quantity(name="alpha_max", symbol="alpha_max", dimension="length", display="um", follows="force",
@@ -86,7 +86,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              needs=("force", "mean_force"), formula=lambda c: c["force"] * c["mean_force"]),
     Quantity(name="contact_duration", symbol="t_eq", dimension="time", display="us",
              meaning="equivalent contact duration: impulse of the mean force of both faces over its peak",
-             needs=("time", "duration"), formula=lambda c: c["time"] * c["duration"]),
+             needs=("time", "impulse"), formula=lambda c: c["time"] * c["impulse"]),
     Quantity(name="time_to_first_loss", symbol="t_loss", dimension="time", display="us", rough=24_000,
              meaning="time from first touch to the first loss of contact at either face", needs=("time", "contact"),
              censored="contact_censored",
@@ -153,8 +153,6 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              needs=("specific_energy", "product.A", "product.b"),
              formula=lambda c: product_fineness(offered_energy(c), c["product.A"], c["product.b"])),
 )}  # fmt: skip
-#: quantities for which the motion is followed beyond the record, to the horizon: answered where they are named
-BEYOND: Final = frozenset({"impulse_time", "time_above", "first_gap"})
 OUTPUTS.update(
     (entry.quantity, _of_criterion(entry))
     for entry in CRITERIA.values()
@@ -219,21 +217,16 @@ def roots_of(quantities: Iterable[str], demands: Demands) -> set[str]:
     return set().union(*(_roots(name, demands) for name in quantities))
 
 
-def all_of(scene: Scene, named: Collection[str] = ()) -> tuple[str, ...]:
-    """All quantities that a scene has the numbers for and its demands; those of `BEYOND` where they are named."""
-    every = (name for name in OUTPUTS if (name not in BEYOND or name in named) and not absent_in(scene, name))
+def all_of(scene: Scene) -> tuple[str, ...]:
+    """All quantities that a scene has the numbers for, and its demands."""
+    every = (name for name in OUTPUTS if not absent_in(scene, name))
     return (*every, *scene.demands)
 
 
-def all_with(scene: Scene, named: Collection[str]) -> tuple[str, ...] | None:
-    """What to ask a solver for all quantities and what is named: None, but for those of `BEYOND`."""
-    return all_of(scene, named) if BEYOND & set(named) else None
-
-
 def wishes(quantities: Collection[str] | None, demands: Demands = MappingProxyType({})) -> int:
-    """What an integrator has to follow for these quantities and demands, or for all but `BEYOND`: tracked.WANT_*."""
+    """What an integrator has to follow for these quantities and demands, or for all: tracked.WANT_*."""
     wanted = 0
-    asked = OUTPUTS.keys() - BEYOND if quantities is None else quantities
+    asked = OUTPUTS.keys() if quantities is None else quantities
     for name in roots_of(asked, demands) & SCALED.keys():
         wanted |= SCALED[name][1]
     return wanted
@@ -468,7 +461,7 @@ _LACKING: Final[tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...]
      "no body meets the sphere with a speed: a wave, or a slow press, loads it"),
     (("carried_off",), lambda s: RIGS[s.rig].blow and loss_to_waves(s) is None and not _carrying(s.there),
      "what stands at the poles carries nothing off here (a thick target: give its density)"),
-    (("parting", "touches", "contact", "width", "carried_off", "impulse", "above"), lambda s: s.rig == "platens",
+    (("parting", "touches", "contact", "width", "carried_off", "impulse"), lambda s: s.rig == "platens",
      "platens press slowly and stay"),
     (("rise",), lambda s: s.rig == "platens" and s.columns.keys().isdisjoint(("platens.speed", "platens.loading_rate")),
      'how fast the platens press is not given: add speed = "1 mm/min" or loading_rate'),
@@ -566,7 +559,7 @@ def answers_from(
 ) -> Answers:
     """Answers in SI from the columns of `tracked.SCALED` by name, (n,) each: a closed form gives those that it has.
 
-    linear: force is proportional to the approach, pressure follows by Hertz.  quantities: all but `BEYOND` if None.  A
+    linear: force is proportional to the approach, pressure follows by Hertz.  quantities: all if None.  A
     row one of whose quantities is not finite has failed.  ValueError for one that needs numbers which are not there.
     """
     with np.errstate(all="ignore"):

@@ -272,10 +272,8 @@ def _check_law(number: Number, raw: object, quantity: Quantity, reader: Reader, 
     for key, end in ends:
         if not quantity.lower <= end <= quantity.upper:
             raise Fault(f"{format_value(end, name)}: {bounds_in_words(quantity)}", key)
-    try:
-        cov = law.family.variation(law.parameters)
-    except (OverflowError, ZeroDivisionError, ValueError):
-        cov = math.inf
+    middle, scatter = law.mean(), law.sd()
+    cov = scatter / abs(middle) if middle and scatter is not None else 0.0
     cov = max(cov, number.given.get("cov", 0.0))
     truncated = math.isfinite(law.lower) or math.isfinite(law.upper)
     if cov > _TOO_WIDE and not truncated:

@@ -45,7 +45,6 @@ def begin(track, lane):
     track[tracked.LOST, lane] = math.nan
     track[tracked.ENDED, lane] = math.nan
     track[tracked.PARTED, lane] = math.nan
-    track[tracked.LOST_FACE, lane] = -1.0
     track[tracked.DEPTH, lane] = math.inf
     track[tracked.NEAREST, lane] = math.inf
 
@@ -116,7 +115,7 @@ def _note_loss(track, lane, piece, lost, ends, before, h):
     """The first loss of contact of a row."""
     apart()
     if math.isnan(track[tracked.LOST, lane]):
-        track[tracked.LOST, lane], track[tracked.LOST_FACE, lane] = before + ends * h, lost
+        track[tracked.LOST, lane] = before + ends * h
         _, rate = searches.both(piece, lost, ends)
         track[tracked.LOSS_RATE, lane] = abs(rate) / h
 
@@ -309,7 +308,7 @@ _sign = elementwise(LANES, 2, _signs)
 #: functions of both faces whose largest values are searched for
 _SEARCHED = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SHARE | tracked.WANT_MEAN
 #: what the end of the record decides
-_TO_THE_END = tracked.WANT_CONTACT | tracked.WANT_WHOLE
+_TO_THE_END = tracked.WANT_CONTACT | tracked.WANT_IMPULSE
 
 
 @compiled(**INNER)
@@ -618,6 +617,8 @@ def finish(mode, wanted, track, lane, path, branches, made, count, unsure, out, 
     for kind in range(tracked.DIFFERENCE, tracked.KINDS):
         if wanted & (1 << (kind - 1)):
             out[_ANSWER_OF[kind]] = track[kind, lane]
+    if wanted & tracked.WANT_IMPULSE and wanted & tracked.WANT_MEAN:
+        out[tracked.ANSWER_IMPULSE] = track[tracked.IMPULSE, lane] / track[tracked.MEAN, lane]
     if wanted & tracked.WANT_CARRIED:
         for face in range(2):
             out[tracked.ANSWER_CARRIED + face] = track[tracked.CARRIED + face, lane]
@@ -689,60 +690,12 @@ def next_touch(lane, x, u, free, rig):
     return closing
 
 
-# --- The motion to the horizon, gaps included.
-
-
 @compiled(**INNER)
-def note_whole(track, lane, x, force, rate, piece, before, length, theta, ends, path):
-    """Impulse of the mean force in a step, and the depth of the first gap.
-
-    rate (POINTS + 1, PAIR): slopes of the approaches over [0, theta]; the step ends at `ends`.  path (3, TERMS)
-    receives the mean force.
-    """
+def note_impulse(track, lane, force, length, ends):
+    """Add the integral of the mean force over a step up to `ends`, term by term of its series."""
     apart()
     total, power = 0.0, ends * length
     for k in range(tracked.TERMS):
-        path[2, k] = 0.5 * (force[k, lane] + force[k, LANES + lane])
-        total += path[2, k] * power / (k + 1.0)
+        total += 0.5 * (force[k, lane] + force[k, LANES + lane]) * power / (k + 1.0)
         power *= ends
     track[tracked.IMPULSE, lane] += total
-    lost, width = track[tracked.LOST, lane], theta / tracked.POINTS
-    if math.isnan(lost) or lost > before:
-        return
-    for face in range(2):
-        m = face * LANES + lane
-        if track[tracked.LOST_FACE, lane] != face:
-            continue
-        last = searches.value_of(x, m, ends)
-        deepest = -last
-        for i in range(tracked.POINTS):
-            left, right = rate[i, m], rate[i + 1, m]
-            if left < 0.0 < right and (i + left / (left - right)) * width <= ends:
-                for k in range(tracked.TERMS):
-                    piece[face, k] = x[k, m]
-                found = searches.bend(piece, face, i * width, (i + 1) * width, left, right, searches.BROAD)
-                deepest = max(deepest, -searches.value(piece, face, found))
-        track[tracked.GAP, lane] = max(track[tracked.GAP, lane], deepest)
-        if last >= -1e-14 * track[tracked.GAP, lane]:  # found again
-            track[tracked.LOST_FACE, lane] = -1.0
-
-
-@compiled(**INNER)
-def finish_whole(track, lane, path, made, count, out):
-    """Answers of the motion to the horizon; path and what was made of its lane's steps."""
-    apart()
-    peak, above = track[tracked.MEAN, lane], 0.0
-    level = tracked.ABOVE_SHARE * peak
-    for n in range(count):
-        unit = made[n, tracked.UNIT_OF]
-        at, end = 0.0, made[n, tracked.HOLDS] / unit
-        inside = path[n, 2, 0] >= level
-        for _ in range(8 * tracked.POINTS):
-            found = searches.passage(path[n], 2, level, -1.0 if inside else 1.0, at, end)
-            stop = end if math.isnan(found) else found
-            above += (stop - at) * unit if inside else 0.0
-            if stop == end:
-                break
-            at, inside = min(stop + 1e-12 * end, end), not inside
-    out[tracked.ANSWER_IMPULSE], out[tracked.ANSWER_ABOVE] = track[tracked.IMPULSE, lane] / peak, above
-    out[tracked.ANSWER_GAP] = track[tracked.GAP, lane]

@@ -193,10 +193,7 @@ def march(
     made = bare(kept_steps[0])
     # series of the approaches; of faces with laws of their own the spring and the dent of a step beside them
     path, wave, branches = bare(kept_steps[1]), bare(kept_steps[2]), bare(kept_steps[3])
-    store = wanted & (tracked.WANT_RISE | tracked.WANT_WIDTH | tracked.WANT_WHOLE) != 0
-    whole = wanted & tracked.WANT_WHOLE != 0
-    # whether a lane goes on after its first loss, with which its other answers are known
-    beyond = np.zeros(lanes, dtype=np.bool_)
+    store = wanted & (tracked.WANT_RISE | tracked.WANT_WIDTH) != 0
     share = tracked.TAIL_SHARE if mode == 1 else tracked.TAIL_SHARE ** (2.0 / 3.0)
     taken, live = 0, 0
     # how many steps are read again: all that there is room for, or the last one alone
@@ -229,7 +226,7 @@ def march(
             stop[j] = incoming.next_break(breaks, r, 0.0, queue, head, tail, j, end[j])
             proposed[j] = 1e30
             error[j], alone[j] = local, False
-            on_slow[j], calm[j], beyond[j] = 0.0, decay_time(mass[r], local), False
+            on_slow[j], calm[j] = 0.0, decay_time(mass[r], local)
             if yielding:
                 new_faces(law, j, laws[r])
                 turned[0, j], turned[0, LANES + j] = -1.0, -1.0
@@ -418,7 +415,7 @@ def march(
                 ending, why = events.after_step(
                     mode, flags[j], track, j, piece, grid, places, theta[j], before, h[j],
                     back[j], quiet, error[j] * size[0, j], near[j], asked * size[0, j], graze[r],
-                    stop_at_loss and not rigged and not beyond[j], yielding, law,
+                    stop_at_loss and not rigged, yielding, law,
                 )  # fmt: skip
             if why == 0 and ending == theta[j]:
                 why = meets[j]
@@ -440,8 +437,8 @@ def march(
             if wanted & tracked.WANT_CARRIED:
                 events.note_carried(track, j, force, h[j], ending, carried_room)
             n = count[j] & (ring - 1)
-            if whole:
-                events.note_whole(track, j, x, force, rate, piece, before, h[j], theta[j], ending, path[j, n])
+            if wanted & tracked.WANT_IMPULSE:
+                events.note_impulse(track, j, force, h[j], ending)
             count[j] += 1
             if own[j] and count[j] > FREE_STEPS:  # errors to one side add up: of so many steps no more than a logarithm
                 error[j] *= 1.0 - 1.0 / count[j]
@@ -481,17 +478,6 @@ def march(
                     kept[at_row, n, 0, 0] += law[tracked.DENT, j]
                     kept[at_row, n, 1, 0] += law[tracked.DENT, LANES + j]
             touching[j], alone[j] = 0.0, False
-            if (
-                why == 1
-                and whole
-                and not rigged
-                and graze[r] == 0.0
-                and track[tracked.LOST, j] == track[tracked.ENDED, j]
-            ):
-                events.finish(mode, wanted, track, j, path[j], branches[j], made[j], count[j], error[j], out[r],
-                              yielding, law)  # fmt: skip
-                out[r, tracked.ANSWER_SPEED] = value_of(u, j, ending)
-                beyond[j], why = True, 2 + int(track[tracked.LOST_FACE, j])
             if ending < theta[j] and (why >= 2 or own[j]):
                 at_u[j] = value_of(u, j, ending)
                 for face in range(2):  # where a face leaves, the search has come by
@@ -576,13 +562,10 @@ def march(
                     )
             if done and math.isnan(track[tracked.ENDED, j]):
                 track[tracked.ENDED, j] = before + made[j, n, tracked.HOLDS]
-            if done and whole:
-                events.finish_whole(track, j, path[j], made[j], count[j], out[r])
             if done:
-                if not beyond[j]:
-                    events.finish(mode, wanted, track, j, path[j], branches[j], made[j], count[j], error[j], out[r],
-                                  yielding, law)  # fmt: skip
-                    out[r, tracked.ANSWER_SPEED] = u[0, j]
+                events.finish(mode, wanted, track, j, path[j], branches[j], made[j], count[j], error[j], out[r],
+                              yielding, law)  # fmt: skip
+                out[r, tracked.ANSWER_SPEED] = u[0, j]
                 out[r, tracked.ANSWER_SPEEDS], out[r, tracked.ANSWER_SPEEDS + 1] = free[0, j], -free[0, LANES + j]
                 status[r] = tracked.OK
                 steps[r] = count[j]

@@ -585,10 +585,6 @@ def _answer_otherwise(march: March, found: Scaled, rows: Places, closer: float, 
     if len(rows) == 0:
         return
     other = march(rows, closer, graze[chosen])
-    # what the motion to the horizon tells is the same
-    other.answers[:, tracked.ANSWER_IMPULSE : tracked.ANSWER_GAP + 1] = found.answers[
-        rows, tracked.ANSWER_IMPULSE : tracked.ANSWER_GAP + 1
-    ]
     kept = (status[rows] == 0) | _farther(found.answers[rows], found.others[rows], other.answers)
     found.others[rows[kept]] = other.answers[kept]
     status[rows] = np.where(other.status == 0, UNDECIDED, other.status)
