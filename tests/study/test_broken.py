@@ -314,7 +314,7 @@ limits = { one = { criterion = "specific_energy", energy_is = "contact", strengt
         ('diameter = "20 mm", length', 'thickness = "2 mm", diameter = "20 mm", length', "4: rod.thickness: "
                                                                                          "thickness does not"),
         ('"60 J/kg"', '"60 J"', "5: limits.one.strength: unknown unit"),
-        ("", 'contact = { law = "plastic", hardness = "1 GPa", onset_pressure = "2 GPa" }', "contact.hardness: the hardness"),
+        ("", 'contact = { law = "plastic", hardness = "1 GPa", onset_pressure = "2 GPa" }', "6: contact.hardness: "),
     ],
 )  # fmt: skip
 def test_faults_of_a_rig(old: str, new: str, said: str, tmp_path: Path) -> None:

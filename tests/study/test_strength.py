@@ -263,7 +263,8 @@ def test_unusual_numbers_are_warned_of(old: str, new: str, says: str, tmp_path: 
 
 def test_draws_are_a_strength(load: Load, tmp_path: Path) -> None:
     (tmp_path / "draws.csv").write_text(
-        "distribution,scale_J/kg,shape,bound,tests\nlognormal,100,0.5,0,30\nlognormal,120,0.6,0.2,30\nweibull,110,2,0,30\n"
+        "distribution,scale_J/kg,shape,bound,tests,diameter [mm]\nlognormal,100,0.5,0,30,20\n"
+        "lognormal,120,0.6,0.2,30,20\nweibull,110,2,0,30,20\n"
     )
     limit = load(
         'strength = { draws = "draws.csv" }', quantity='criterion = "specific_energy"\nenergy_is = "sphere"'

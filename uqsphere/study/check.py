@@ -48,7 +48,7 @@ from uqsphere.study.document import (
     value_of,
     warn_unusual,
 )  # fmt: skip
-from uqsphere.study.strength import USUAL, Demand, is_tests, platens_of, tested_strength
+from uqsphere.study.strength import USUAL, Demand, compare_sizes, is_tests, platens_of, tested_strength
 from uqsphere.study.study import Axis, Limit, Margins, Source, Study, strength_name, tie_of
 from uqsphere.units import Quantity
 from uqsphere.uq import Law, LawError, make_law
@@ -377,9 +377,9 @@ def _pulse(draft: Draft) -> Faults:
         levels = [numbers[p].value for p in ("pulse.level1", "pulse.level2") if p in numbers]
         if len(fixed := [level for level in levels if not isinstance(level, Law)]) == 2:
             numbers["pulse.valley"] = Number(value=DEFAULT_VALLEY * min(fixed))
-    if draft.document.striker is not None and shape != "step" and "pulse.duration" not in numbers:
-        if draft.clean("pulse", "duration"):
-            yield from _missing(draft, "striker", ("length",), ": it sets the duration of the pulse")
+    driven = draft.document.striker is not None and shape != "step"
+    if driven and "pulse.duration" not in numbers and draft.clean("pulse", "duration"):
+        yield from _missing(draft, "striker", ("length",), ": it sets the duration of the pulse")
     own = next((key for key in ("E", "density", "diameter") if f"striker.{key}" in numbers), None)
     if own is not None and shape not in STRIKER_SHAPES:
         why = f"a {shape} pulse does not follow from the striker's material or diameter"
@@ -771,7 +771,14 @@ def _strength(draft: Draft, table: LimitTable, demand: Demand, place: Place, sce
             raise Fault(str(error), "strength", *error.at) from None
         warn_unusual(found.mean, entry, draft.reader, place)
         return found
-    return _read(draft, table.strength, entry, place)
+    found = _read(draft, table.strength, entry, place)
+    own_radius = draft.mean("sphere.radius")
+    if found.tested is not None and own_radius is not None:
+        try:
+            compare_sizes(found.tested.diameter, own_radius, False, False, draft.reader, (*place, "draws"))
+        except Fault as error:
+            raise Fault(str(error), "strength", *error.at) from None
+    return replace(found, tested=None)
 
 
 # --- what is asked -------------------------------------------------------------------------------------------------
@@ -820,7 +827,7 @@ def _dependence(draft: Draft) -> Faults:
                 )
             elif not _faulty(draft, name):
                 yield (*place, "of", at), (f"unknown random input {shown(name)}, random here: "
-                                           f"{one_of(list(random)[:20]) if random else 'none'}{suggestion(name, random)}")  # fmt: skip
+                                           f"{one_of(list(random)[:20])}{suggestion(name, random)}")  # fmt: skip
         if tie.spearman is not None and tie.kendall is not None:
             yield (*place, "kendall"), "spearman is given too: one of them says how strong the dependence is"
         elif tie.spearman is None and tie.kendall is None and draft.clean(*place, "kendall"):

@@ -515,7 +515,7 @@ class Partner(Face):
     """A body that touches the sphere: [target] or [anvil], [other], [hammer], [rod], [platens] or [insert]."""
 
     kind: Literal["thick", "plate", "bar", "mass"] | None = key(
-        'target, anvil: `"thick"`, a `"plate"` that bends, the end of a `"bar"`, a `"mass"`', usual='`"thick"`')  # fmt: skip
+        'target, anvil: `"thick"`, a `"plate"` that bends, end of a `"bar"`, `"mass"`', usual='`"thick"`')  # fmt: skip
     thickness: Num = key("plate, insert: thickness", usual="required for a plate")
     width: Num = key("plate: width, for the check of its edges")
     mass: Num = key("mass, hammer: its mass", usual="required, or a ball")

@@ -42,7 +42,7 @@ def count_keys() -> int:
     pairs = [(kind, name, entry) for kind in _TABLES.values() for name, entry in kind.__pydantic_fields__.items()]
     seen = {(name, entry.description or "") for kind, name, entry in pairs
             if (entry.description or kind is not Document)
-            and name not in ({"dist", "lower", "upper", "table"} if kind is tables.Observations else {"table"})}  # fmt: skip
+            and name != "table" and (kind is not tables.Observations or name not in ("dist", "lower", "upper"))}  # fmt: skip
     return len(seen)
 
 
@@ -170,7 +170,8 @@ def build_page() -> str:
         "units": [(name.replace("_", " "), ", ".join(f"`{unit}`" for unit in typed_units(name).split(", ")))
                   for name in UNITS if name not in ("number", "mass_per_energy")],
         "laws": [(f"`{family.name}`", " or ".join(" ".join(f"`{key}`" for key in keys) for keys in family.alternatives
-                  if keys) + " `lower` `upper`" * family.bounded) for family in FAMILIES.values() if not family.observed],
+                  if keys) + " `lower` `upper`" * family.bounded)
+                 for family in FAMILIES.values() if not family.observed],
         "rigs": [(f"`{rig}`", ", ".join(f"`[{name}]`" for name in names)) for rig, names in tables.RIG_TABLES.items()],
     }  # fmt: skip
     page = Path(__file__).with_name("page.md").read_text(encoding="utf-8")

@@ -271,12 +271,14 @@ def _drawn(table: Observations, quantity: Quantity, reader: Reader) -> Number:
         least = found.numbers("least", quantity.dimension, table.unit, key="draws") if "least" in heads else 0.0 * scale
         bound = found.numbers("bound", key="draws") if "bound" in heads else 0.0 * scale
         tests = found.numbers("tests", key="draws") if "tests" in heads else np.zeros(1)
+        size = found.numbers("diameter", "length", key="draws") if "diameter" in heads else np.zeros(1)
         wrong = ~((scale > 0.0) & (shape > 0.0) & (least >= 0.0) & (bound >= 0.0) & (bound < 1.0))
         found.refuse("draws", "scale and shape above 0, least from 0, bound from 0 to below 1 are required", wrong)
     kind = np.array([kinds[word] for word in words])
     rows = np.column_stack([kind, least, scale, shape, bound])
     law = Law(family=DRAWN, parameters={"tests": float(tests[0])}, draws=tuple(map(tuple, rows.tolist())))
-    return Number(value=law, synthetic=table.synthetic)
+    tested = Tested(diameter=float(size[0])) if size[0] > 0.0 else None
+    return Number(value=law, synthetic=table.synthetic, tested=tested)
 
 
 class _faults:
@@ -370,15 +372,7 @@ def tested_strength(
             break
         exponent = after
     size = "weakest link" if fit == "weibull" and g else "none"
-    ratio = max(mean / (2.0 * radius), 2.0 * radius / mean)
-    if ratio > SIZES_REFUSED and size == "none" and not knows:
-        raise Fault(f"the tests have a mean diameter of {1e3 * mean:.4g} mm, the sphere of {2e3 * radius:.4g} "
-                    "mm, and no "
-                    'size law: test spheres of this size, or take fit = "weibull"', "diameter")  # fmt: skip
-    if ratio > SIZES_TOLD:
-        reader.warn((*place, "diameter"), f"the tests have a mean diameter of {1e3 * mean:.4g} mm, the sphere of "
-                    f"{2e3 * radius:.4g} mm: {'the weakest link' if size != 'none' else 'nothing'} carries the "
-                    "strength")  # fmt: skip
+    compare_sizes(mean, radius, size != "none", knows, reader, (*place, "diameter"))
     state = _state(force, sphere, 0.5 * diameter, platens, rate)
     growth = 0.0 if rate is None else float(np.median(rate / force))
     if quick and "rate_0" not in demand.parameters:
@@ -391,6 +385,16 @@ def tested_strength(
         size=size,
     )  # fmt: skip
     return Number(value=law, synthetic=table.synthetic, tested=tested)
+
+
+def compare_sizes(tested: float, radius: float, carries: bool, knows: bool, reader: Reader, place: Place) -> None:
+    """Warn of tests of another diameter [m] than the sphere's; raises Fault where no size law carries them so far."""
+    ratio = max(tested / (2.0 * radius), 2.0 * radius / tested)
+    sizes = f"the tests have a mean diameter of {1e3 * tested:.4g} mm, the sphere of {2e3 * radius:.4g} mm"
+    if ratio > SIZES_REFUSED and not carries and not knows:
+        raise Fault(f'{sizes}, and no size law: test spheres of this size, or take fit = "weibull"', str(place[-1]))
+    if ratio > SIZES_TOLD:
+        reader.warn(place, f"{sizes}: {'the weakest link' if carries else 'nothing'} carries the strength")
 
 
 def _of_demand(

@@ -337,7 +337,7 @@ def means_fracture(limit: Limit) -> bool:
 
 
 def ways_of(study: Study) -> Ways:
-    """The failure modes that have no limit, with assumed strengths; none for what is no rock, or where not asked for."""
+    """The failure modes that have no limit, with assumed strengths; none for what is no rock, or is not to be."""
     rock = library()["sphere"].get(study.materials.get("sphere", ""))
     given = {breaks_by(limit) for limit in study.limits if means_fracture(limit)}
     if study.black_box or study.analysis.failure_modes == "given" or rock is None or not rock.rock or not given:
