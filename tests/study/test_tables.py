@@ -71,7 +71,8 @@ FAULTY = {
     "a text": ("D,F\n14.9,7.42\n15.1,broken\n", "line 3: F: found 'broken', where a number is required"),
     "a unit in a cell": ("D,F\n14.9,7.42 kN\n", "line 2: F: found '7.42 kN'"),
     "a mark of thousands": ("D;F\n14,9;1.234,5\n15;7,4\n", "line 2: F: a mark of thousands"),
-    "a thousands dot among whole numbers": ("D,F\n14,2.830\n15,2260\n", "line 2: F: '2.830' beside '2260': a mark of thousands?"),
+    "a thousands dot among whole numbers": ("D,F\n14,2.830\n15,2260\n", "line 2: F: '2.830' beside '2260': a "
+                                                                        "mark of thousands?"),
     "comma or thousands": ("D;F\n14;2,830\n15;2,260\n", 'add decimal = ","'),
     "two decimal marks": ("D;F\n14;2,83\n15;2.26\n", "decimal point and comma in one column"),
     "summary rows": ("n;F\n1;7.42\n2;9.85\nMittelwert;8.6\nsd;1.7\n", "lines 4, 5: a summary row"),
