@@ -159,13 +159,31 @@ def log_likelihoods(model: Model, tests: Specimens, gamma: float | None) -> Call
         at = np.clip((x - _GAMMAS[0]) / step, 0.0, len(_GAMMAS) - 1.001)
         k = at.astype(int)
         part = (at - k)[..., None]
-        first, second = y[k], y[k + 1]
         with np.errstate(invalid="ignore"):
-            return np.where(np.isfinite(first), np.exp(first + part * (second - first)), np.exp(first))
+            return np.where(np.isfinite(y[k]), np.exp(y[k] + part * (y[k + 1] - y[k])), np.exp(y[k]))
 
     def log_rest(h: Array) -> Array:
-        with np.errstate(divide="ignore"):
-            return np.where(h < 1.0, np.log(-np.expm1(-h)), np.log1p(-np.exp(-np.maximum(h, 1.0))))
+        return np.where(h < 1.0, np.log(-np.expm1(-h)), np.log1p(-np.exp(-np.maximum(h, 1.0))))
+
+    def known(e: Array, median: Array, p: Mapping[str, Array]) -> Array:
+        """ln f(e)."""
+        if model.law == "weibull":
+            last = laws.hazard(e, median, p["modulus"])
+            return np.asarray(np.log(0.6 * p["modulus"] * last / e) - last)
+        z, top = laws.standard(e, median, p["sigma"], model.ratio), model.ratio * median
+        found = -0.5 * z * z - np.log(p["sigma"] * math.sqrt(2.0 * math.pi) * e) - np.log1p(-e / top)
+        return np.where(e < top, found, -np.inf)
+
+    def inside(lo: Array, hi: Array, median: Array, p: Mapping[str, Array]) -> Array:
+        """ln(P(hi) - P(lo))."""
+        if model.law == "weibull":
+            first, last = (laws.hazard(e, median, p["modulus"]) for e in (lo, hi))
+            return np.where(np.isposinf(first), -np.inf, -first + log_rest(np.maximum(last - first, 0.0)))
+        a, z = (laws.standard(e, median, p["sigma"], model.ratio) for e in (lo, hi))
+        # the normal law is even: both ends in the lower tail
+        upper = a + z > 0.0
+        larger, smaller = log_ndtr(np.where(upper, -a, z)), log_ndtr(np.where(upper, -z, a))
+        return np.where(np.isneginf(larger), -np.inf, larger + log_rest(np.maximum(larger - smaller, 0.0)))
 
     def value(x: Array) -> Array:
         p = {name: np.exp(x[..., k, None]) for k, name in enumerate(model.names)}
@@ -174,23 +192,13 @@ def log_likelihoods(model: Model, tests: Specimens, gamma: float | None) -> Call
         if low.ndim > 1:
             g = x[..., model.names.index("gamma")]
             lo, hi = between(g, log_low), between(g, log_high)
+        found = np.empty(median.shape)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            if model.law == "lognormal":
-                sigma, top = p["sigma"], model.ratio * median
-                z = laws.standard(hi, median, sigma, model.ratio)
-                density = -0.5 * z * z - np.log(sigma * math.sqrt(2.0 * math.pi)) - np.log(hi) - np.log1p(-hi / top)
-                density = np.where(hi < top, density, -np.inf)
-                a = laws.standard(lo, median, sigma, model.ratio)
-                # the normal law is even: both ends in the lower tail
-                upper = a + z > 0.0
-                larger, smaller = log_ndtr(np.where(upper, -a, z)), log_ndtr(np.where(upper, -z, a))
-                inside = np.where(np.isneginf(larger), -np.inf, larger + log_rest(np.maximum(larger - smaller, 0.0)))
-            else:
-                s = 0.6 * p["modulus"]
-                first, last = laws.hazard(lo, median, p["modulus"]), laws.hazard(hi, median, p["modulus"])
-                density = np.log(s * last / hi) - last
-                inside = np.where(np.isposinf(first), -np.inf, -first + log_rest(np.maximum(last - first, 0.0)))
-        return np.asarray(tests.weight * np.where(exact, density, inside))
+            if exact.any():
+                found[..., exact] = known(hi[..., exact], median[..., exact], p)
+            if not exact.all():
+                found[..., ~exact] = inside(lo[..., ~exact], hi[..., ~exact], median[..., ~exact], p)
+        return np.asarray(tests.weight * found)
 
     return value
 
@@ -219,7 +227,9 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> Model:
 # --- sampling -----------------------------------------------------------------------------------------------------
 
 
-def sample(model: Model, tests: Specimens, gamma: float | None, rng: np.random.Generator) -> dict[str, Any]:
+def sample(
+    model: Model, tests: Specimens, gamma: float | None, rng: np.random.Generator, enough: float = 4000.0
+) -> dict[str, Any]:
     """Chains (steps, R, W, d) of the posterior until they settle, its mode, and how they settled."""
     each = log_likelihoods(model, tests, gamma)
     centre = np.array([mean for mean, _ in model.priors.values()])
@@ -242,7 +252,7 @@ def sample(model: Model, tests: Specimens, gamma: float | None, rng: np.random.G
         last = kept[-1] if len(kept) else chain[-1]
         kept = np.concatenate([kept, _stretch(value, last, _BLOCK, rng)])
         r_hat, effective = _settled(kept)
-        if r_hat.max() < R_HAT and effective.min() > 4.0 * EFFECTIVE:
+        if r_hat.max() < R_HAT and effective.min() > max(enough, EFFECTIVE):
             break
     return {"chain": kept, "mode": mode, "log_likelihood": float(each(mode).sum()), "each": each, "value": value,
             "r_hat": float(r_hat.max()), "effective": float(effective.min())}  # fmt: skip
@@ -322,7 +332,7 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
     for k, law in enumerate(names):
         model = model_of(law, asked, tests)
         rng = np.random.default_rng([asked.seed, 731, k])
-        done = sample(model, tests, gamma, rng)
+        done = sample(model, tests, gamma, rng, float(asked.draws))
         chain = done["chain"].reshape(-1, len(model.names))
         rows = chain[rng.permutation(len(chain))[: asked.draws]]  # even strides would meet the same walkers again
         each = done["each"](rows)

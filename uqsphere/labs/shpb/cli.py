@@ -76,8 +76,7 @@ def _records(chosen: argparse.Namespace) -> int:
     for path in chosen.file:
         asked = load_document(path, RecordDocument)
         try:
-            record = load_record(asked, path.parent)
-            test = read_test(record, asked)
+            test = read_test(load_record(asked, path.parent), asked)
         except UsageError as error:
             if len(chosen.file) == 1:
                 raise
@@ -97,8 +96,7 @@ def _records(chosen: argparse.Namespace) -> int:
         lines.append([path.stem, "" if diameter is None else f"{diameter * 1e3:.6g}", f"{best.value * 1e-3:.5g}",
                       f"{best.low * 1e-3:.5g}", f"{best.high * 1e-3:.5g}", "; ".join(best.doubts)])  # fmt: skip
         if chosen.out is not None:
-            end = record.incident.wave.end - record.incident.wave.foot
-            files = {"forces.csv": sheet.forces_csv(test), "pulse.csv": sheet.pulse_csv(test, end),
+            files = {"forces.csv": sheet.forces_csv(test), "pulse.csv": sheet.pulse_csv(test),
                      "sheet.html": sheet.page(test, asked, asked.record.file)}  # fmt: skip
             written += write_files(chosen.out / path.stem if len(chosen.file) > 1 else chosen.out, files)
     if len(chosen.file) > 1 and chosen.out is not None:

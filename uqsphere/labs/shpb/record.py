@@ -33,6 +33,8 @@ _SHORTEST: Final = 1e-6
 _ODD, _ROBUST, _SPIKE_SHARE = 8.0, 1.4826, 0.02
 #: part of the longest excursion that a first wave lasts: bursts of a trigger do not
 _LASTS: Final = 0.25
+#: passes of the incident bar that no pulse lasts
+_PASSES: Final = 12.0
 #: a gauge that shows less of what its partner shows is dead
 _DEAD: Final = 0.2
 
@@ -112,8 +114,13 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
         _mark_clipped(name, values, known, changes)
     by_name = {name: (values, known) for name, values, known in columns}
     names = {role: [name for name, _ in signals] for role, signals in groups.items()}
-    first, rough = _incident_foot([by_name[n][0] for n in names["incident"]], step)
+    first, rough, lasts = _incident_foot([by_name[n][0] for n in names["incident"]], step)
     bar, behind = document.incident_bar, document.receiving_bar
+    if bar.length is not None and lasts * step * bar.wave_speed > _PASSES * bar.length:
+        raise UsageError(
+            f"the pulse lasts {lasts * step * 1e6:.4g} us, {lasts * step * bar.wave_speed / bar.length:.0f} passes of "
+            "the incident bar: is the time in another unit (record.time_unit)?"
+        )
     # the first wave of a signal stands before the first echo of a far end
     limits = {"incident": math.inf, "reflected": math.inf, "receiving": math.inf}
     if not document.record.aligned and bar.length is not None:
@@ -174,6 +181,8 @@ def _columns(
     else:
         clock = main.place(asked.time if asked.time is not None else 1)
         unit = asked.time_unit or main.units[clock]
+        if unit in {*STRAIN_UNITS, *VOLT_UNITS} and asked.time is None:
+            raise UsageError(_no_time(main, clock))
         if not unit:
             text = f"{main.names[clock]}: no unit in the heading, seconds are taken"
             changes.append(Change(step="read", signal="time", text=text))
@@ -473,21 +482,23 @@ def first_wave(values: Array, step: float, noise: float, name: str) -> Wave:
                 peak=top, sign=sign, ended=len(behind) > 0)  # fmt: skip
 
 
-def _incident_foot(gauges: Sequence[Array], step: float) -> tuple[int, int]:
+def _incident_foot(gauges: Sequence[Array], step: float) -> tuple[int, int, int]:
     """The earliest foot of the incident gauges, before which every gauge of the rig is at rest, and about when the
-    wave is there: the first stay above a fifth of the largest, however large echoes grow later."""
-    feet, places = [], []
+    wave is there and how long: the first stay above a fifth of the largest, however large echoes grow later."""
+    feet, places, lasts = [], [], []
     for values in gauges:
         about = np.abs(values - float(np.median(values[: max(2 * _BASELINE, len(values) // 50)])))
         calm = smooth(median_filter(about, 2 * min(3 * round(_SHORTEST / step), 40) + 1, mode="nearest"),
                       max(1, round(2.0 * _SHORTEST / step)))  # fmt: skip
         begins, lengths = _runs(calm > 0.2 * float(calm.max()))
-        half = int(begins[int(np.argmax(lengths >= max(3.0, _LASTS * lengths.max())))])
+        k = int(np.argmax(lengths >= max(3.0, _LASTS * lengths.max(initial=0))))
+        half = int(begins[k])
         low = np.flatnonzero(calm[:half] < 0.05 * float(calm.max()))
         rising = half - (int(low[-1]) if len(low) else 0)
         feet.append(half - 2 * rising)
         places.append(half)
-    return max(min(feet), 0), min(places)
+        lasts.append(int(lengths[k]))
+    return max(min(feet), 0), min(places), min(lasts)
 
 
 def _line(quiet: Array, place: Array) -> tuple[float, float, float, float, float]:
@@ -576,11 +587,13 @@ def _rested(name: str, values: Array, known: Flags, step: float, rest_end: int |
 
 
 def _cut_out(name: str, values: Array, known: Flags, step: float, changes: list[Change]) -> Signal:
-    """A wave that was cut out at its foot: it has no rest of its own, and zero is that of the file."""
+    """A wave that was cut out at its foot: it has no rest of its own, its first samples are its zero."""
+    start = float(np.median(values[:3]))
+    values = values - start
     noise = _ROBUST * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2.0)
     wave = first_wave(values, step, noise, name)
-    text = f"{name}: cut out at its foot, no rest: the zero of the file is taken"
-    changes.append(Change(step="baseline", signal=name, text=text))
+    text = f"{name}: cut out at its foot: its first samples, {start * 1e6:.4g} microstrain, are its zero"
+    changes.append(Change(step="baseline", signal=name, size=start, text=text))
     return Signal(name=name, strain=values, known=known, noise=noise, memory=1.0, offset=0.01 * wave.peak,
                   spread=np.zeros(len(values)), single=False, wave=wave)  # fmt: skip
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uqsphere.labs.shpb.document import RecordDocument
-from uqsphere.labs.shpb.waves import NORMAL, Peak, Test
+from uqsphere.labs.shpb.waves import NORMAL, Peak, Reading
 
 if TYPE_CHECKING:
     from uqsphere.arrays import Array
@@ -25,7 +25,7 @@ def interval(peak: Peak) -> str:
     return f"{peak.low * 1e-3:.4g} to {high} kN"
 
 
-def rows(test: Test) -> list[tuple[str, str, str]]:
+def rows(test: Reading) -> list[tuple[str, str, str]]:
     """What a test shows: name, value, interval or remark; a doubt stands at its number."""
     found = []
     for face, peak in test.peaks.items():
@@ -46,7 +46,7 @@ def rows(test: Test) -> list[tuple[str, str, str]]:
     return found
 
 
-def document(test: Test) -> dict[str, Any]:
+def document(test: Reading) -> dict[str, Any]:
     """A test as plain JSON, SI."""
     return {
         "forces": {
@@ -74,7 +74,7 @@ def write_csv(header: Sequence[str], columns: Sequence[Array]) -> str:
     return text.getvalue()
 
 
-def forces_csv(test: Test) -> str:
+def forces_csv(test: Reading) -> str:
     """Time and forces with the ends of their 95 % intervals."""
     header, columns = ["time [us]"], [test.time * 1e6]
     for name, force, sd in (("A", test.force_a, test.sd_a), ("B", test.force_b, test.sd_b)):
@@ -84,14 +84,13 @@ def forces_csv(test: Test) -> str:
     return write_csv(header, columns)
 
 
-def pulse_csv(test: Test, end: int) -> str:
-    """The incident pulse as a study takes it: compression positive, from its foot to its end."""
-    strain = -test.incident[: max(end, 2)]
-    strain[[0, -1]] = np.maximum(strain[[0, -1]], 0.0)
-    return write_csv(["time [us]", "strain [microstrain]"], [test.time[: len(strain)] * 1e6, strain * 1e6])
+def pulse_csv(test: Reading) -> str:
+    """The incident pulse as a study takes it: compression positive, from rest to rest."""
+    time = test.step * np.arange(len(test.pulse))
+    return write_csv(["time [us]", "strain [microstrain]"], [time * 1e6, test.pulse * 1e6])
 
 
-def figure(test: Test) -> str:
+def figure(test: Reading) -> str:
     """Forces over time as SVG text."""
     from matplotlib.figure import Figure
 
@@ -117,7 +116,7 @@ def figure(test: Test) -> str:
     return text.getvalue()[text.getvalue().index("<svg") :]
 
 
-def page(test: Test, asked: RecordDocument, source: str) -> str:
+def page(test: Reading, asked: RecordDocument, source: str) -> str:
     """The sheet as one self-contained page."""
     from jinja2 import Environment
 

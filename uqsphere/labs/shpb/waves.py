@@ -28,8 +28,6 @@ from uqsphere.labs.shpb.record import Change, Record, Signal, smooth
 NORMAL: Final = 1.959964
 #: samples at the faces, at the least
 _FEWEST: Final = 50
-#: passes of the incident bar that no pulse lasts
-_PASSES: Final = 6.0
 #: shares of the peak at which an arrival is read, on means over so long [s]: to doubt distances; to shift a steep wave
 _SURE, _FINE = (0.15, 8e-6), (0.05, 2e-6)
 #: share of its peak that the tail of the incident wave may have where the reflected one comes
@@ -73,10 +71,11 @@ class Energies:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Test:
+class Reading:
     """One test.
 
     time, force_a, force_b (n,) [s], [N] with their standard deviations; `force_a` is None where it is not known.
+    pulse : the incident wave at its gauge, compression positive, from rest to rest.
     peaks : by face, "A", "B" and "mean"; only faces that are known.
     withheld : why a number is not given; changes : what mending changed, the shift of time included.
     balanced : share of the rise from half the largest force in which both forces agree within 5 %.
@@ -89,7 +88,7 @@ class Test:
     force_b: Array
     sd_a: Array
     sd_b: Array
-    incident: Array
+    pulse: Array
     peaks: Mapping[str, Peak]
     energies: Energies | None
     balanced: float | None
@@ -108,7 +107,7 @@ class _Arrivals:
     doubt_b: str = ""
 
 
-def read_test(record: Record, document: RecordDocument) -> Test:
+def read_test(record: Record, document: RecordDocument) -> Reading:
     """Forces, energies and equilibrium of a test.
 
     Raises UsageError where the pulse cannot be one of these bars, where no force rises above the noise, or where
@@ -119,12 +118,6 @@ def read_test(record: Record, document: RecordDocument) -> Test:
     wave = inc.wave
     shared = record.reflected is None
     delay = 2.0 * bar.gauge / bar.wave_speed / step if shared else math.inf
-    lasts = (wave.falling - wave.half) * step
-    if bar.length is not None and lasts > _PASSES * 2.0 * bar.length / bar.wave_speed:
-        raise UsageError(
-            f"the pulse lasts {lasts * 1e6:.4g} us, {lasts * bar.wave_speed / bar.length:.0f} passes of the incident "
-            "bar: is the time in another unit (record.time_unit)?"
-        )
     if wave.sign > 0.0:
         raise UsageError("the first wave of the incident bar does not press (record.polarity)")
     changes = list(record.changes)
@@ -237,9 +230,10 @@ def read_test(record: Record, document: RecordDocument) -> Test:
         peaks["B"] = _doubted(peaks["B"], "the force at A is not known: gauge and gain of B are not checked by it")
     balanced, rate = _balance(time, force_a, force_b, peaks["B"])
     order = ("A", "B", "mean")
-    return Test(
+    return Reading(
         step=step, touch=record.start + step * start + (0.0 if aligned else bar.gauge / bar.wave_speed), time=time,
-        force_a=force_a, force_b=force_b, sd_a=sd_a, sd_b=sd_b, incident=incident,
+        force_a=force_a, force_b=force_b, sd_a=sd_a, sd_b=sd_b,
+        pulse=-inc.strain[start : wave.end + lead],
         peaks={face: peaks[face] for face in order if face in peaks}, energies=energies, balanced=balanced,
         loading_rate=rate, withheld=tuple(withheld), changes=tuple(changes),
     )  # fmt: skip
