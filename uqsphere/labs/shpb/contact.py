@@ -249,9 +249,6 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
     pile_up = float(x[4]) if known is None else known
     deepest = face_approach(force.max()[None], force.max()[None], radius, modulus, onset, onset * ratio, pile_up)
     depth = float(deepest[0]) / alpha_y
-    if depth < 1.5:
-        reached = float(pressure_at_force(force.max(), modulus, radius))
-        raise UsageError(f"hardly beyond Hertz, whose pressure reaches {reached / 1e9:.3g} GPa: press harder")
     # residuals that follow each other count for fewer
     alike = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
     alike = alike if alike > 2.0 / math.sqrt(len(left)) else 0.0
@@ -272,8 +269,14 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
     hard = interval(onset * ratio, [0.0, 1.0, 1.0])
     if hard.high > _OPEN * hard.low:
         notes.append("the record does not determine the hardness: press harder")
-    if (onset_range := interval(onset, [0.0, 1.0])).high > _OPEN * onset_range.low:
+    onset_range = interval(onset, [0.0, 1.0])
+    undetermined = onset_range.high > _OPEN * onset_range.low
+    rough = float(np.sqrt(np.mean(np.square(left)))) > 0.01
+    if undetermined and rough:
         raise UsageError("no law of a contact follows this record: is the force free of offset, steps, clipping?")
+    if undetermined or depth < 1.5:
+        reached = float(pressure_at_force(force.max(), modulus, radius))
+        raise UsageError(f"hardly beyond Hertz, whose pressure reaches {reached / 1e9:.3g} GPa: press harder")
     if alike > 0.0:
         notes.append(
             f"neighbouring residuals are correlated ({alike:.2g}): drift or a hold in the record; intervals widened"

@@ -26,6 +26,7 @@ from uqsphere.units import UnitError, parse_value
 if TYPE_CHECKING:
     from uqsphere.arrays import Array
     from uqsphere.study import Study
+    from uqsphere.uq import Law
 
 #: randomisations of the Sobol' points, and Student's 97.5 % point of one less
 _SPLITS, _REACH = 8, 2.364624
@@ -170,7 +171,10 @@ def plan_test(asked: PlanDocument, folder: Path) -> Plan:
         factor = samples[:, columns.index(name)] if name in columns else one.model_factor
         demand = demand * factor
         good &= np.isfinite(demand)
-        broken = one.strength.cdf(demand) if isinstance(one.strength, Law) else (demand > one.strength).astype(float)
+        if isinstance(one.strength, Law):
+            broken = _below(one.strength, demand, study, f"limits.{one.name}.strength", columns, samples)
+        else:
+            broken = (demand > one.strength).astype(float)
         # a row without an answer may break or not
         lost = np.isnan(demand)
         each = np.where(lost, 0.5, broken).reshape(asked.points, _SPLITS, -1).mean(axis=2)
@@ -180,17 +184,27 @@ def plan_test(asked: PlanDocument, folder: Path) -> Plan:
         lower, upper = np.maximum(mean / spread - 0.5 * gone, 0.0), np.minimum(mean + half + 0.5 * gone, 1.0)
         shares[one.name] = np.stack([mean, lower, upper], axis=1)
         reached[one.name] = [(share, _reach(values, each, share)) for share in asked.shares]
-        tied = any(f"limits.{one.name}.strength" in getattr(group, "of", ()) for group in study.dependence)
-        if tied:
-            notes.append(
-                f"note: the strength of {one.name} is tied to inputs in the study; here it is independent of them"
-            )
         if isinstance(one.strength, Law) and one.aim == "break":
             notes.append(f"note: {one.name} is to break: 1 minus its share is the probability of not breaking")
     if len(limits) > 1:
         notes.append("note: each failure mode by itself; at least one breaks at least as many")
     return Plan(title=study.title, free=free, values=values, force=np.nanquantile(force, [0.05, 0.5, 0.95], axis=1).T,
                 shares=shares, failed=1.0 - good.mean(axis=1), reached=reached, notes=tuple(notes))  # fmt: skip
+
+
+def _below(law: Law, demand: Array, study: Study, name: str, columns: Sequence[str], samples: Array) -> Array:
+    """P(strength < demand) (m, n), given the inputs (n, d) that the strength is correlated with."""
+    share = law.cdf(demand)
+    correlation = study.inputs().only((*columns, name)).correlation
+    if correlation is None:
+        return np.asarray(share)
+    from scipy.special import ndtr, ndtri
+
+    laws = study.laws()
+    scores = np.stack([ndtri(laws[one].cdf(samples[:, k])) for k, one in enumerate(columns)], axis=1)
+    weight = np.linalg.solve(correlation[:-1, :-1], correlation[:-1, -1])
+    rest = math.sqrt(max(1.0 - float(weight @ correlation[:-1, -1]), 1e-12))
+    return np.asarray(ndtr((ndtri(share) - scores @ weight) / rest))
 
 
 def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:

@@ -23,15 +23,13 @@ from scipy.special import ndtri
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.document import BarTable, RecordDocument
-from uqsphere.labs.shpb.record import Change, Record, Signal, smooth
+from uqsphere.labs.shpb.record import Change, Record, Signal, Wave, smooth
 
 NORMAL: Final = 1.959964
 #: samples at the faces, at the least
 _FEWEST: Final = 50
 #: shares of the peak at which an arrival is read, on means over so long [s]: to doubt distances; to shift a steep wave
 _SURE, _FINE = (0.15, 8e-6), (0.05, 2e-6)
-#: share of its peak that the tail of the incident wave may have where the reflected one comes
-_TAIL: Final = 0.10
 #: shares of the predicted delay by which a wave may come early, and late, before distances are doubted
 _EARLY, _LATE = 0.02, 0.10
 #: bending over the wave (sd) that a single gauge of a pair may hide: pairs of real tests show 0.02 to 0.05
@@ -115,112 +113,101 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     """
     inc, rec, step = record.incident, record.receiving, record.step
     bar, behind = document.incident_bar, document.receiving_bar
-    wave = inc.wave
+    wave, aligned = inc.wave, document.record.aligned
     shared = record.reflected is None
+    signal = record.reflected if record.reflected is not None else inc
     delay = 2.0 * bar.gauge / bar.wave_speed / step if shared else math.inf
     if wave.sign > 0.0:
         raise UsageError("the first wave of the incident bar does not press (record.polarity)")
     changes = list(record.changes)
     withheld: list[str] = []
     arrivals = _arrivals(record, document, changes)
-    lead = max(2, round(0.2 * wave.rising))
-    start = max(wave.foot - lead, 0)
-    aligned = document.record.aligned
+    start, lead = max(wave.foot - _lead(wave), 0), _lead(wave)
 
-    # places of first touch in the three signals
-    to_b = start + arrivals.transmitted
-    foot_b = rec.wave.foot - max(2, round(0.2 * rec.wave.rising))
-    if arrivals.doubt_b:  # the distances are wrong: the transmitted wave begins at its own foot
-        to_b = float(foot_b)
-    count = len(rec.strain) - 3 - int(to_b)
-    if math.isfinite(behind.echo):
-        count = min(count, int(behind.echo / step))
-    if aligned:
-        count = len(rec.strain) - int(to_b) - 3
-    count = _until_unknown(rec, int(to_b), count)
+    # first touch in the receiving and the reflected signal; where distances are wrong a wave begins at its own foot
+    to_b = float(rec.wave.foot - _lead(rec.wave)) if arrivals.doubt_b else start + arrivals.transmitted
     to_a = start + arrivals.reflected
-    a_signal = record.reflected if record.reflected is not None else inc
-    count_a = len(a_signal.strain) - 3 - int(to_a)
-    if math.isfinite(bar.echo) and not aligned:
-        count_a = min(count_a, int(bar.echo / step))
-    count_a = _until_unknown(a_signal, int(to_a), count_a)
-    if inc.known[start : wave.end].all():
-        overlap = _overlap(inc, start, delay, withheld)
-    else:
-        overlap = None
-        withheld.append("force at A: samples of the incident wave are not known")
-    if arrivals.doubt_a:
-        withheld.append(f"force at A: {arrivals.doubt_a}")
-        overlap = None
+    count = min(len(rec.strain) - 3 - int(to_b), math.inf if aligned else behind.echo / step)
+    count = _until_unknown(rec, int(to_b), int(count))
     if count < _FEWEST:
         raise UsageError(
             f"{max(count, 0)} samples of the transmitted wave are left, {_FEWEST} are required: the record ends too "
             "early, or an echo or a gap comes before"
         )
-    if overlap is not None and count_a < _FEWEST:
-        withheld.append("force at A: the record ends before the reflected wave")
-        overlap = None
-    if overlap is not None:
+    count_a = min(len(signal.strain) - 3 - int(to_a), math.inf if aligned else bar.echo / step)
+    count_a = _until_unknown(signal, int(to_a), int(count_a))
+    first, last = _clean(wave, start, delay)
+    for wrong, reason in (
+        (not inc.known[start : wave.end].all(), "samples of the incident wave are not known"),
+        (bool(arrivals.doubt_a), arrivals.doubt_a),
+        (count_a < _FEWEST, "the record ends before the reflected wave"),
+        (shared and (not wave.ended or last - first < 0.5 * delay), "incident and reflected wave overlap at the incident "
+         "gauge; shorten the pulse, move the gauge back, or say where it stands (record.window)"),
+    ):  # fmt: skip
+        if wrong:
+            withheld.append(f"force at A: {reason}")
+    if not withheld:
         count = min(count, count_a)
+    last = min(last, count)
 
     transmitted = _at(rec.strain, to_b, count)
-    spread = _at(rec.spread, to_b, count)
     force_b = -behind.stiffness * transmitted
     assert behind.gain_sd is not None
     assert bar.gain_sd is not None
     gain_b = math.hypot(behind.gain_sd, _BENT if rec.single else 0.0)
     sd_b = np.sqrt(behind.stiffness**2 * (rec.noise**2 + rec.offset**2) + (gain_b * force_b) ** 2)
-
-    incident = np.zeros(count)
-    last = int(min(count, delay, len(inc.strain) - start))
-    incident[:last] = inc.strain[start : start + last]
-    force_a, sd_a, reflected = None, np.full(count, np.inf), np.zeros(count)
-    if overlap is not None:
-        reflected = _at(a_signal.strain, to_a, count)
-        turned = _sign_of_reflected(record, document, incident, reflected, force_b, bar, changes)
-        reflected = reflected * turned[0]
-        force_a = -bar.stiffness * (incident + reflected)
-        alive = np.arange(count) < last
-        noise = a_signal.noise**2 + np.where(alive, inc.noise**2, 0.0)
-        rest = np.where(alive, (inc.offset + a_signal.offset) ** 2, a_signal.offset**2)
-        tail = np.zeros(count)
-        if overlap and delay < count:
-            tail[last : last + round(0.25 * delay)] = overlap
-            tail[: round(0.25 * delay)] = np.maximum(tail[: round(0.25 * delay)], overlap)
-        both = incident**2 + reflected**2
-        gained = (bar.gain_sd * force_a) ** 2 if shared else (bar.gain_sd * bar.stiffness) ** 2 * both
-        gained = gained + (_BENT * bar.stiffness) ** 2 * both * (inc.single or a_signal.single)
-        sd_a = np.sqrt(bar.stiffness**2 * (noise + rest + tail**2) + gained)
-    else:
-        turned = (1.0, "")
-
     time = np.asarray(step * np.arange(count), dtype=float)
-    peaks = {"B": _peak(time, force_b, sd_b, behind.stiffness * rec.noise, rec.memory)}
-    if not peaks["B"].low > 0.0 or peaks["B"].value < 3.0 * behind.stiffness * rec.noise / math.sqrt(
-        max(1.0, (rec.wave.falling - rec.wave.half) / rec.memory)
-    ):
+    found = {"B": _peak(time, force_b, sd_b, behind.stiffness * rec.noise, rec.memory)}
+    lasting = max(1.0, (rec.wave.falling - rec.wave.half) / rec.memory)
+    if not found["B"].low > 0.0 or found["B"].value < 3.0 * behind.stiffness * rec.noise / math.sqrt(lasting):
         raise UsageError("no force at the receiving face rises above the noise of the record")
     if arrivals.doubt_b:
-        peaks["B"] = _doubted(peaks["B"], arrivals.doubt_b)
-    energies = None
-    if force_a is not None:
-        peaks["A"] = _peak(time, force_a, sd_a, bar.stiffness * math.hypot(inc.noise, a_signal.noise), inc.memory)
+        found["B"] = _doubted(found["B"], arrivals.doubt_b)
+
+    incident = np.zeros(count)
+    there = int(min(count, delay, len(inc.strain) - start))
+    incident[:there] = inc.strain[start : start + there]
+    force_a, sd_a, energies = None, np.full(count, np.inf), None
+    if not withheld:
+        turned, doubt = _sign_of_reflected(record, document, incident, _at(signal.strain, to_a, count), bar, changes)
+        reflected = turned * _at(signal.strain, to_a, count)
+        force_a = -bar.stiffness * (incident + reflected)
+        alive = np.arange(count) < there
+        noise = signal.noise**2 + np.where(alive, inc.noise**2, 0.0)
+        rest = np.where(alive, (inc.offset + signal.offset) ** 2, signal.offset**2)
+        both = incident**2 + reflected**2
+        gained = (bar.gain_sd * force_a) ** 2 if shared else (bar.gain_sd * bar.stiffness) ** 2 * both
+        gained = gained + (_BENT * bar.stiffness) ** 2 * both * (inc.single or signal.single)
+        sd_a = np.sqrt(bar.stiffness**2 * (noise + rest) + gained)
+        zone = slice(first, last)
+        if (first, last) != (0, count):
+            text = (
+                f"{inc.name}: the pulse is longer than the way to the face and back: A is known from "
+                f"{first * step * 1e6:.4g} to {last * step * 1e6:.4g} us after first touch"
+            )
+            changes.append(Change(step="overlap", signal=inc.name, text=text))
+        noise_a = bar.stiffness * math.hypot(inc.noise, signal.noise)
+        found["A"] = _peak(time[zone], force_a[zone], sd_a[zone], noise_a, inc.memory)
         mean, sd_mean = 0.5 * (force_a + force_b), 0.5 * np.hypot(sd_a, sd_b)
-        peaks["mean"] = _peak(time, mean, sd_mean, 0.5 * bar.stiffness * math.hypot(inc.noise, rec.noise), inc.memory)
-        for doubt in filter(None, (turned[1], arrivals.doubt_b)):
-            peaks["A"] = _doubted(peaks["A"], doubt)
-        energies = Energies(
-            incident=bar.stiffness * bar.wave_speed * step * float(np.square(incident).sum()),
-            reflected=bar.stiffness * bar.wave_speed * step * float(np.square(reflected).sum()),
-            transmitted=behind.stiffness * behind.wave_speed * step * float(np.square(transmitted).sum()),
-        )
-    pressed = math.inf if overlap is None and not wave.ended else bar.stiffness * wave.peak
-    peaks = _held_together(peaks, energies, pressed, document)
+        found["mean"] = _peak(time[zone], mean[zone], sd_mean[zone], 0.5 * noise_a, inc.memory)
+        if first > 0 and found["A"].time < time[min(first + lead, count - 1)]:
+            found["A"] = _doubted(found["A"], "its largest value lies where incident and reflected wave overlap")
+        for text in filter(None, (doubt, arrivals.doubt_b)):
+            found["A"] = _doubted(found["A"], text)
+        if (first, last) == (0, count):
+            energies = Energies(
+                incident=bar.stiffness * bar.wave_speed * step * float(np.square(incident).sum()),
+                reflected=bar.stiffness * bar.wave_speed * step * float(np.square(reflected).sum()),
+                transmitted=behind.stiffness * behind.wave_speed * step * float(np.square(transmitted).sum()),
+            )
+        force_a[:first] = force_a[last:] = np.nan
+    peaks = found
+    peaks = _held_together(peaks, energies, bar.stiffness * wave.peak if wave.ended else math.inf, document)
     at = int(np.searchsorted(time, peaks["B"].time))
-    peaks["B"] = _bent(peaks["B"], behind.stiffness * spread, at, peaks["B"].value, "receiving")
+    peaks["B"] = _bent(peaks["B"], behind.stiffness * _at(rec.spread, to_b, count), at, peaks["B"].value, "receiving")
     if "A" in peaks:
         at = int(np.searchsorted(time, peaks["A"].time))
-        both = np.maximum(_at(inc.spread, float(start), count), _at(a_signal.spread, to_a, count))
+        both = np.maximum(_at(inc.spread, float(start), count), _at(signal.spread, to_a, count))
         peaks["A"] = _bent(peaks["A"], bar.stiffness * both, at, bar.stiffness * wave.peak, "incident")
     peaks = _at_the_striker(peaks, wave.peak, document)
     if "mean" in peaks:
@@ -261,8 +248,8 @@ def _arrivals(record: Record, document: RecordDocument, changes: list[Change]) -
     bar, behind = document.incident_bar, document.receiving_bar
     wave = inc.wave
     if document.record.aligned:
-        own = [s.wave.foot - max(2, round(0.2 * s.wave.rising)) for s in (record.reflected or inc, rec)]
-        start = max(wave.foot - max(2, round(0.2 * wave.rising)), 0)
+        own = [s.wave.foot - _lead(s.wave) for s in (record.reflected or inc, rec)]
+        start = max(wave.foot - _lead(wave), 0)
         return _Arrivals(reflected=max(own[0], 0) - start, transmitted=max(own[1], 0) - start)
     reflected = 2.0 * bar.gauge / bar.wave_speed / step
     transmitted = (bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed) / step
@@ -320,30 +307,20 @@ def _arrivals(record: Record, document: RecordDocument, changes: list[Change]) -
     return _Arrivals(reflected=reflected, transmitted=transmitted, doubt_a=doubt_a, doubt_b=doubt_b)
 
 
-def _overlap(inc: Signal, start: int, delay: float, withheld: list[str]) -> float | None:
-    """Strain of the incident wave's tail where the reflected one comes; None where the two overlap by more."""
-    wave = inc.wave
-    if not math.isfinite(delay):
-        return 0.0
-    split = start + int(delay)
-    if wave.end <= split:
-        return 0.0
-    if split >= len(inc.strain):
-        withheld.append("force at A: the record ends before the reflected wave")
-        return None
-    tail = float(np.abs(inc.strain[max(split - 3, 0) : split + 3]).max())
-    if wave.falling >= split or tail > _TAIL * wave.peak:
-        withheld.append(
-            f"force at A: incident and reflected wave overlap at the incident gauge ({tail / wave.peak:.0%} of the "
-            "peak is left where the reflected wave is due); shorten the pulse or move the gauge back"
-        )
-        return None
-    return tail
+def _lead(wave: Wave) -> int:
+    """Samples before the foot of a wave that belong to it."""
+    return max(2, round(0.2 * wave.rising))
+
+
+def _clean(wave: Wave, start: int, delay: float) -> tuple[int, int]:
+    """Samples after first touch between which the incident gauge shows incident and reflected wave one by one."""
+    if not math.isfinite(delay) or wave.end - start <= delay:
+        return 0, 1 << 60
+    return math.ceil(wave.end - start - delay + 0.05 * delay), int(delay)
 
 
 def _sign_of_reflected(
-    record: Record, document: RecordDocument, incident: Array, reflected: Array, force_b: Array, bar: BarTable,
-    changes: list[Change],
+    record: Record, document: RecordDocument, incident: Array, reflected: Array, bar: BarTable, changes: list[Change]
 ) -> tuple[float, str]:  # fmt: skip
     """+1 or -1 for a reflected wave in a column of its own, with a doubt where its sign had to be taken.
 
