@@ -42,7 +42,9 @@ def specimens(diameter: Any, energy: Any, broke: Any = True, exact: Any = True) 
 def one_draw(**parameters: float) -> Posterior:
     """A posterior of one known truth."""
     size = "tavares" if "e_inf" in parameters else "power"
-    model = Model(law="lognormal", size=size, ratio=parameters.pop("ratio", 4.0), priors=dict.fromkeys(parameters, (0.0, 1.0)))
+    model = Model(
+        law="lognormal", size=size, ratio=parameters.pop("ratio", 4.0), priors=dict.fromkeys(parameters, (0.0, 1.0))
+    )
     values = {name: np.array([value]) for name, value in parameters.items()}
     return Posterior(models=(model,), law=np.zeros(1, dtype=int), parameters={"gamma": np.array([4.0]), **values},
                      tested=(0.001, 0.1), tests=40)  # fmt: skip
@@ -210,7 +212,9 @@ def test_repeated_blows_determine_gamma() -> None:
         count = int(np.searchsorted(u * offered, e[k]))
         broke[k] = count <= blows
         series[k, : min(max(count, 1), blows)] = offered
-    tests = Specimens(diameter=np.full(n, 0.02), blows=series, broke=broke, exact=np.zeros(n, dtype=bool), weight=np.ones(n))
+    tests = Specimens(
+        diameter=np.full(n, 0.02), blows=series, broke=broke, exact=np.zeros(n, dtype=bool), weight=np.ones(n)
+    )
     found = fit(tests, document(tests={"law": "lognormal"})).content["parameters"]
     assert found["gamma"]["low"] < 3.0 < found["gamma"]["high"]
     assert found["gamma"]["sd"] < 0.35
@@ -309,7 +313,9 @@ def test_vogel_and_peukert_in_closed_form() -> None:
 
 
 def test_blows_that_scatter_agree_with_a_simulation() -> None:
-    feed = FeedTable(sizes=SizesTable(law="gaudin_schuhmann", n=1.0, top="50 mm"), blows=4, specific_energy="80 J/kg", cov=0.5)
+    feed = FeedTable(
+        sizes=SizesTable(law="gaudin_schuhmann", n=1.0, top="50 mm"), blows=4, specific_energy="80 J/kg", cov=0.5
+    )
     u = factors(feed, np.array([4.0]), np.random.default_rng(1))
     assert u.shape == (1, 256, 5)
     truth = one_draw(C=100.0 * 0.02**0.5, phi=0.5, sigma=0.5)
@@ -326,7 +332,9 @@ def test_blows_that_scatter_agree_with_a_simulation() -> None:
 
 def feed_document(**feed: Any) -> ComminutionDocument:
     sizes = {"law": "rosin_rammler", "d63": "15 mm", "n": 1.2, "top": "40 mm"}
-    return document(feed={"sizes": sizes, "specific_energy": "100 J/kg", **feed}, product={"A": "55 %", "b": "0.8 t/kWh"})
+    return document(
+        feed={"sizes": sizes, "specific_energy": "100 J/kg", **feed}, product={"A": "55 %", "b": "0.8 t/kWh"}
+    )
 
 
 def test_mass_is_kept_and_the_product_is_finer_after_more_blows(fitted: Fit, tmp_path: Path) -> None:
@@ -339,7 +347,9 @@ def test_mass_is_kept_and_the_product_is_finer_after_more_blows(fitted: Fit, tmp
     finer = answer_feed(fitted.posterior, document(
         feed={"sizes": {"law": "rosin_rammler", "d63": "15 mm", "n": 1.2, "top": "40 mm", "ratio": 2**0.25, "classes": 28},
               "specific_energy": "100 J/kg"}, product={"A": "55 %", "b": "0.8 t/kWh"}), tmp_path)  # fmt: skip
-    assert finer.content["numbers"]["P80 [m]"]["value"] == pytest.approx(one.content["numbers"]["P80 [m]"]["value"], rel=0.01)
+    assert finer.content["numbers"]["P80 [m]"]["value"] == pytest.approx(
+        one.content["numbers"]["P80 [m]"]["value"], rel=0.01
+    )
 
 
 def test_a_lot_scatters_beside_what_the_tests_leave_open(fitted: Fit, tmp_path: Path) -> None:
@@ -353,7 +363,9 @@ def test_a_lot_scatters_beside_what_the_tests_leave_open(fitted: Fit, tmp_path: 
 
 def sieved(folder: Path, text: str, **sizes: Any) -> Any:
     (folder / "psd.csv").write_text(text)
-    return load_classes(SizesTable(law="table", file="psd.csv", sieve="sieve [um]", passing="passing_percent", **sizes), folder)
+    return load_classes(
+        SizesTable(law="table", file="psd.csv", sieve="sieve [um]", passing="passing_percent", **sizes), folder
+    )
 
 
 def test_a_sieve_table_that_ends_early(tmp_path: Path) -> None:

@@ -40,7 +40,8 @@ def loading(noise: float = 2e-8, top: float = 3000.0, unload: bool = True, compl
 def fit(frame: pd.DataFrame, folder: Path, **keys: Any) -> Any:
     frame.to_csv(folder / "slow.csv", index=False)
     asked = ContactDocument(file="slow.csv", diameter="10 mm", **keys)
-    return fit_contact(load_loading(asked, folder), asked)
+    displacement, force, _ = load_loading(asked, folder)
+    return fit_contact(displacement, force, asked)
 
 
 def test_the_law_is_hertz_below_its_onset_smooth_at_it_and_full_flow_far_out() -> None:
@@ -69,7 +70,9 @@ def test_a_slow_test_gives_back_its_law(tmp_path: Path) -> None:
 
 
 def test_machine_and_platens_are_taken_off(tmp_path: Path) -> None:
-    found = fit(loading(compliance=1.0 / 50e6), tmp_path, machine_stiffness="50 N/um", platens="maraging_steel", nu=0.25)
+    found = fit(
+        loading(compliance=1.0 / 50e6), tmp_path, machine_stiffness="50 N/um", platens="maraging_steel", nu=0.25
+    )
     assert found.modulus.value == pytest.approx(40e9, rel=0.02)
     assert found.sphere_modulus.value > 40e9 * (1.0 - 0.25**2)
 
@@ -96,7 +99,9 @@ def test_fit_contact_from_the_command_line(tmp_path: Path, capsys: pytest.Captur
     (tmp_path / "slow.toml").write_text('file = "slow.csv"\ndiameter = "10 mm"\n')
     assert main(["fit-contact", str(tmp_path / "slow.toml"), "--out", str(tmp_path / "out")]) == 0
     assert 'law = "plastic"' in capsys.readouterr().out
-    assert tomllib.loads((tmp_path / "out/contact.toml").read_text())["contact"]["pile_up"] == pytest.approx(2.0, rel=0.03)
+    assert tomllib.loads((tmp_path / "out/contact.toml").read_text())["contact"]["pile_up"] == pytest.approx(
+        2.0, rel=0.03
+    )
     (tmp_path / "slow.toml").write_text('file = "slow.csv"\n')
     assert main(["fit-contact", str(tmp_path / "slow.toml")]) == 2
     assert "diameter" in capsys.readouterr().err
@@ -145,7 +150,9 @@ def test_small_shares_come_from_the_law_of_the_strength(tmp_path: Path, capsys: 
     assert 0.0 < truth[0] < 1e-4
     reached = {one["share"]: one["value"][0] for one in found["reached"]["crushing"]}
     assert reached[1e-4] < reached[0.04] < reached[0.5]
-    assert np.interp(np.log(reached[0.04]), np.log(found["values"]), np.log(truth)) == pytest.approx(np.log(0.04), abs=0.2)
+    assert np.interp(np.log(reached[0.04]), np.log(found["values"]), np.log(truth)) == pytest.approx(
+        np.log(0.04), abs=0.2
+    )
     assert pd.read_csv(tmp_path / "out/plan.csv").shape[0] == 9
 
 

@@ -22,7 +22,13 @@ E, DENSITY, DIAMETER, LENGTH, GAUGE_A, GAUGE_B = 200e9, 7850.0, 0.02, 1.5, 0.75,
 C0, EA = (E / DENSITY) ** 0.5, E * np.pi * DIAMETER**2 / 4.0
 STEP, PEAK = 0.5e-6, 25e3
 BARS: dict[str, Any] = {
-    "incident_bar": {"E": "200 GPa", "density": "7850 kg/m3", "diameter": "20 mm", "length": "1.5 m", "gauge": "0.75 m"},
+    "incident_bar": {
+        "E": "200 GPa",
+        "density": "7850 kg/m3",
+        "diameter": "20 mm",
+        "length": "1.5 m",
+        "gauge": "0.75 m",
+    },
     "receiving_bar": {"gauge": "0.6 m"},
 }
 
@@ -266,7 +272,10 @@ def test_gaps_uneven_steps_and_too_few_digits(tmp_path: Path) -> None:
 def test_files_that_are_no_records(tmp_path: Path) -> None:
     frame = waves()
     with pytest.raises(UsageError, match="sample_interval"):
-        read(tmp_path, frame[["incident [strain]", "receiving [strain]", "incident [strain]"]].sample(frac=1, random_state=1))
+        read(
+            tmp_path,
+            frame[["incident [strain]", "receiving [strain]", "incident [strain]"]].sample(frac=1, random_state=1),
+        )
     with pytest.raises(UsageError, match="the bridge is required"):
         read(tmp_path, frame, incident_bar={"unit": "V"})
     with pytest.raises(UsageError, match="no single column 'x'"):
@@ -307,7 +316,9 @@ def test_the_sheet_the_forces_and_the_pulse(tmp_path: Path, capsys: pytest.Captu
     (tmp_path / "three.toml").write_text(text.replace("[record]", "[record]\nfoo = 1"))
     assert main(["records", str(tmp_path / "three.toml")]) == 2
     assert "record.foo" in capsys.readouterr().err
-    assert main(["records", str(tmp_path / "one.toml"), str(tmp_path / "one.toml"), "--out", str(tmp_path / "many")]) == 0
+    assert (
+        main(["records", str(tmp_path / "one.toml"), str(tmp_path / "one.toml"), "--out", str(tmp_path / "many")]) == 0
+    )
     assert len((tmp_path / "many/tests.csv").read_text().splitlines()) == 3
     assert main(["nothing"]) == 2
 
@@ -338,7 +349,9 @@ def test_public_records(tmp_path: Path) -> None:
     volts = {"gauge_factor": 2.0, "excitation": 10.0, "amplification": 100.0}
     steel = ("200 GPa", "7850 kg/m3")
     for at_a, at_b in (("2.4 m", "2.4 m"), ("1.2 m", "1.2 m")):
-        test = others(tmp_path, PUBLIC / "records-arrival/record.csv", bars(*steel, "19 mm", "3.66 m", at_a, at_b, **volts))
+        test = others(
+            tmp_path, PUBLIC / "records-arrival/record.csv", bars(*steel, "19 mm", "3.66 m", at_a, at_b, **volts)
+        )
         assert "A" not in test.peaks
         assert test.peaks["B"].doubts
         assert "1.84" in test.withheld[0]
@@ -365,7 +378,11 @@ def test_public_records(tmp_path: Path) -> None:
     assert test.force_a[int(np.searchsorted(test.time, 95e-6))] == pytest.approx(12.5e3, rel=0.05)
     assert test.peaks["A"].doubts
     with pytest.raises(UsageError, match="no time: record.sample_interval"):
-        others(tmp_path, PUBLIC / "records-no-time/record.csv", small | {"incident_bar": {**cut["incident_bar"], "unit": "V"}})
+        others(
+            tmp_path,
+            PUBLIC / "records-no-time/record.csv",
+            small | {"incident_bar": {**cut["incident_bar"], "unit": "V"}},
+        )
     files = {"more_files": (str(PUBLIC / "records-with-time-last/trans.csv"),)}
     with pytest.raises(UsageError, match='record.time = "column 2"'):
         others(tmp_path, PUBLIC / "records-with-time-last/incid.csv", right, **files)

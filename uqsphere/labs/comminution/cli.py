@@ -12,8 +12,7 @@ from typing import Any
 
 from uqsphere.errors import UqsphereError
 from uqsphere.labs.comminution.document import ComminutionDocument
-from uqsphere.labs.shpb.cli import show, table, write_files
-from uqsphere.labs.shpb.document import load_document
+from uqsphere.labs.files import load_document, show, table, write_files
 
 
 def main(argv: Sequence[str] | None = None) -> int:

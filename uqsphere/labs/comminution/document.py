@@ -6,12 +6,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from uqsphere.labs.shpb.document import Density, Length, Pressure, Section, Speed, _in
+from uqsphere.labs.files import Density, Length, Pressure, Section, Speed, in_unit
 from uqsphere.materials import library
 
-SpecificEnergy = Annotated[float, _in("specific_energy"), Field(gt=0.0)]
-Energy = Annotated[float, _in("energy"), Field(gt=0.0)]
-Mass = Annotated[float, _in("mass"), Field(gt=0.0)]
+SpecificEnergy = Annotated[float, in_unit("specific_energy"), Field(gt=0.0)]
+Energy = Annotated[float, in_unit("energy"), Field(gt=0.0)]
+Mass = Annotated[float, in_unit("mass"), Field(gt=0.0)]
 Share = Annotated[
     float, BeforeValidator(lambda v: v if isinstance(v, (int, float)) else _share(v)), Field(gt=0.0, le=1.0)
 ]
@@ -185,7 +185,7 @@ class ProductTable(Section):
     """t10 = A (1 - exp(-b E)) and the curve of t_n; alpha a number, or its scatter."""
 
     A: Share
-    b: Annotated[float, _in("mass_per_energy"), Field(gt=0.0)]
+    b: Annotated[float, in_unit("mass_per_energy"), Field(gt=0.0)]
     curve: Literal["trr", "milin"] = "trr"
     alpha: float | Lognormal = Lognormal(log_mean=-0.5108, log_sd=0.25)
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-from uqsphere.errors import AccessError, UqsphereError, UsageError
-from uqsphere.labs.shpb.document import RecordDocument, load_document
+from uqsphere.errors import UqsphereError, UsageError
+from uqsphere.labs.files import load_document, show, table, write_files
+from uqsphere.labs.shpb.document import RecordDocument
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -36,34 +35,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except UqsphereError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
-
-
-def table(rows: Sequence[Sequence[str]]) -> str:
-    """Aligned columns; the last one is not padded."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]) - 1)]
-    lines = ["  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[-1]]).rstrip() for row in rows]
-    return "\n".join("".join(c if c.isprintable() else "?" for c in line) for line in lines)
-
-
-def write_files(folder: Path, texts: Mapping[str, str]) -> list[str]:
-    """Files of a folder, each written whole."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            part = folder / f".{name}.part"
-            part.write_text(text, encoding="utf-8", newline="")
-            part.replace(folder / name)
-    except OSError as error:
-        raise AccessError(f"{folder}: {error.strerror or error}") from None
-    return [str(folder / name) for name in texts]
-
-
-def show(chosen: argparse.Namespace, content: Any, text: str, written: Sequence[str]) -> None:
-    """The answer on stdout."""
-    if chosen.json:
-        print(json.dumps({**content, "written": list(written)}, indent=1, allow_nan=False))
-    else:
-        print("\n".join([text, *(f"wrote {path}" for path in written)]))
 
 
 def _records(chosen: argparse.Namespace) -> int:
@@ -117,9 +88,9 @@ def _fit_contact(chosen: argparse.Namespace) -> int:
     from uqsphere.labs.shpb.contact import ContactDocument, fit_contact, load_loading
 
     asked = load_document(chosen.file, ContactDocument)
-    loading = load_loading(asked, chosen.file.parent)
-    fit = fit_contact(loading, asked)
-    for note in (*loading.notes, *fit.notes):
+    displacement, force, notes = load_loading(asked, chosen.file.parent)
+    fit = fit_contact(displacement, force, asked)
+    for note in (*notes, *fit.notes):
         print(f"note: {note}", file=sys.stderr)
     lines = fit.lines()
     written = write_files(chosen.out, {"contact.toml": lines}) if chosen.out is not None else []
@@ -128,9 +99,9 @@ def _fit_contact(chosen: argparse.Namespace) -> int:
 
 
 def _plan(chosen: argparse.Namespace) -> int:
-    from uqsphere.labs.shpb.plan import PlanDocument, plan_test
+    from uqsphere.labs.shpb.plan import PlanDocument, plan_csv, plan_test, plan_text
 
     plan = plan_test(load_document(chosen.file, PlanDocument), chosen.file.parent)
-    written = write_files(chosen.out, {"plan.csv": plan.csv()}) if chosen.out is not None else []
-    show(chosen, plan.content(), plan.text(), written)
+    written = write_files(chosen.out, {"plan.csv": plan_csv(plan)}) if chosen.out is not None else []
+    show(chosen, plan, plan_text(plan), written)
     return 0

@@ -24,7 +24,7 @@ from scipy.special import stdtrit
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.document import Length, Section, _in
+from uqsphere.labs.files import Length, Section, in_unit
 from uqsphere.labs.tables import read_table
 from uqsphere.materials import library
 from uqsphere.mechanics.contact import hertz_constant, pressure_at_force
@@ -40,7 +40,7 @@ _RATIO, _PILE_UP = (1.2, 50.0), (1.0, 3.0)
 #: upper over lower end of an interval beyond which a number is not determined
 _OPEN: Final = 30.0
 
-Stiffness = Annotated[float, _in("stiffness"), Field(gt=0.0)]
+Stiffness = Annotated[float, in_unit("stiffness"), Field(gt=0.0)]
 
 
 class ContactDocument(Section):
@@ -64,15 +64,6 @@ class ContactDocument(Section):
     nu: float = Field(default=0.25, ge=0.0, lt=0.5)
     pile_up: float | None = Field(default=None, ge=1.0, le=3.0)
     compression: Literal["positive", "negative"] = "positive"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Loading:
-    """A slow test: displacement of the platens [m] and force [N] in the order in which they were taken, (n,)."""
-
-    displacement: Array
-    force: Array
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,16 +117,16 @@ class ContactFit:
         return found
 
 
-def load_loading(asked: ContactDocument, folder: Path) -> Loading:
-    """Displacement and force of a file; UsageError for columns, units or cells that are none."""
+def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, list[str]]:
+    """Displacement [m] and force [N] in the order in which they were taken, (n,), and notes; UsageError for others."""
     table = read_table(folder / asked.file, (asked.displacement, asked.force))
-    displacement = table.in_si(asked.displacement, "length", asked.displacement_unit)
-    force = table.in_si(asked.force, "force", asked.force_unit)
-    if not np.isfinite(displacement).all() or not np.isfinite(force).all():
-        at = int(np.argmin(np.isfinite(displacement) & np.isfinite(force)))
-        raise UsageError(f"{table.path.name}: line {table.values.index[at]} has no number: take it out")
     sign = 1.0 if asked.compression == "positive" else -1.0
-    return Loading(displacement=sign * displacement, force=sign * force, notes=table.notes)
+    displacement = sign * table.in_si(asked.displacement, "length", asked.displacement_unit)
+    force = sign * table.in_si(asked.force, "force", asked.force_unit)
+    whole = np.isfinite(displacement) & np.isfinite(force)
+    if not whole.all():
+        raise UsageError(f"{table.path.name}: line {table.values.index[np.argmin(whole)]} has no number: take it out")
+    return displacement, force, list(table.notes)
 
 
 def _bend(t: Array) -> Array:
@@ -194,13 +185,13 @@ def face_approach(
     return np.asarray(pressed * alpha_y)
 
 
-def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
+def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> ContactFit:
     """Onset, hardness and pile-up of the faces of a sphere.
 
     Raises UsageError for a record that was not pressed, not unloaded, too short, or elastic throughout.
     """
     compliance = 1.0 / asked.machine_stiffness if asked.machine_stiffness else 0.0
-    force, displacement = loading.force, loading.displacement - compliance * loading.force
+    displacement = displacement - compliance * force
     top, radius = int(np.argmax(force)), 0.5 * asked.diameter
     if not force[top] > 0.0:
         raise UsageError('the force is never positive: is compression negative in the file (compression = "negative")?')

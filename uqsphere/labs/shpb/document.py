@@ -3,41 +3,14 @@
 from __future__ import annotations
 
 import math
-import tomllib
-from collections.abc import Callable
-from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from uqsphere.errors import AccessError, UsageError
+from uqsphere.labs.files import Density, Force, Length, Pressure, Section, Speed, Time
 from uqsphere.materials import library
-from uqsphere.units import UnitError, parse_value
 
-
-def _in(dimension: str) -> BeforeValidator:
-    def parse(text: object) -> float:
-        try:
-            return parse_value(text, dimension)
-        except UnitError as error:
-            raise ValueError(str(error)) from None
-
-    return BeforeValidator(parse)
-
-
-Length = Annotated[float, _in("length"), Field(gt=0.0)]
-Pressure = Annotated[float, _in("pressure"), Field(gt=0.0)]
-Density = Annotated[float, _in("density"), Field(gt=0.0)]
-Force = Annotated[float, _in("force"), Field(gt=0.0)]
-Speed = Annotated[float, _in("speed"), Field(gt=0.0)]
-Time = Annotated[float, _in("time")]
 Columns = Annotated[tuple[str | int, ...], BeforeValidator(lambda v: (v,) if isinstance(v, (str, int)) else v)]
-
-
-class Section(BaseModel):
-    """A table of the file: no key that is not known, nothing changes after reading."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class BarTable(Section):
@@ -171,24 +144,3 @@ def _from_library(table: dict[str, Any]) -> dict[str, Any]:
     units = {"E": "Pa", "density": "kg/m3"}
     taken = {key: f"{value!r} {units[key]}" if key in units else value for key, value in numbers.items()}
     return {**table, **{key: value for key, value in taken.items() if key not in table or key == "nu"}}
-
-
-Document = TypeVar("Document", bound=BaseModel)
-
-
-def load_document(path: Path, kind: Callable[..., Document]) -> Document:
-    """An input file as its document; UsageError with every fault, AccessError where it cannot be read."""
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise AccessError(f"{path}: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        raise UsageError(f"{path}: {error}") from None
-    try:
-        return kind(**data)
-    except ValidationError as error:
-        faults = []
-        for one in error.errors():
-            place = ".".join(str(part) for part in one["loc"]) or "file"
-            faults.append(f"{path}: {place}: {one['msg'].removeprefix('Value error, ')}")
-        raise UsageError("\n".join(faults)) from None

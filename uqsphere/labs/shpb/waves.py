@@ -23,7 +23,7 @@ from scipy.special import ndtri
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.document import BarTable, RecordDocument
-from uqsphere.labs.shpb.record import Change, Record, Signal, Wave, smooth
+from uqsphere.labs.shpb.record import Change, Changes, Record, Signal, Wave, smooth
 
 NORMAL: Final = 1.959964
 #: samples at the faces, at the least
@@ -119,7 +119,7 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     delay = 2.0 * bar.gauge / bar.wave_speed / step if shared else math.inf
     if wave.sign > 0.0:
         raise UsageError("the first wave of the incident bar does not press (record.polarity)")
-    changes = list(record.changes)
+    changes = Changes(record.changes)
     withheld: list[str] = []
     arrivals = _arrivals(record, document, changes)
     start, lead = max(wave.foot - _lead(wave), 0), _lead(wave)
@@ -141,8 +141,8 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         (not inc.known[start : wave.end].all(), "samples of the incident wave are not known"),
         (bool(arrivals.doubt_a), arrivals.doubt_a),
         (count_a < _FEWEST, "the record ends before the reflected wave"),
-        (shared and (not wave.ended or last - first < 0.5 * delay), "incident and reflected wave overlap at the incident "
-         "gauge; shorten the pulse, move the gauge back, or say where it stands (record.window)"),
+        (shared and (not wave.ended or last - first < 0.5 * delay), "incident and reflected wave overlap at the "
+         "incident gauge; shorten the pulse, move the gauge back, or say where it stands (record.window)"),
     ):  # fmt: skip
         if wrong:
             withheld.append(f"force at A: {reason}")
@@ -181,11 +181,10 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         sd_a = np.sqrt(bar.stiffness**2 * (noise + rest) + gained)
         zone = slice(first, last)
         if (first, last) != (0, count):
-            text = (
-                f"{inc.name}: the pulse is longer than the way to the face and back: A is known from "
-                f"{first * step * 1e6:.4g} to {last * step * 1e6:.4g} us after first touch"
+            ends = f"{first * step * 1e6:.4g} to {last * step * 1e6:.4g} us after first touch"
+            changes.add(
+                "overlap", inc.name, f"the pulse is longer than the way to the face and back: A is known from {ends}"
             )
-            changes.append(Change(step="overlap", signal=inc.name, text=text))
         noise_a = bar.stiffness * math.hypot(inc.noise, signal.noise)
         found["A"] = _peak(time[zone], force_a[zone], sd_a[zone], noise_a, inc.memory)
         mean, sd_mean = 0.5 * (force_a + force_b), 0.5 * np.hypot(sd_a, sd_b)
@@ -242,7 +241,7 @@ def _crossing(values: Array, level: float, begin: int, end: int) -> float | None
     return k - 1 + float((level - low) / (high - low)) if high > low else float(k)
 
 
-def _arrivals(record: Record, document: RecordDocument, changes: list[Change]) -> _Arrivals:
+def _arrivals(record: Record, document: RecordDocument, changes: Changes) -> _Arrivals:
     """The three arrivals held against distances and wave speeds; a wave that comes a little early is shifted."""
     step, inc, rec = record.step, record.incident, record.receiving
     bar, behind = document.incident_bar, document.receiving_bar
@@ -300,8 +299,8 @@ def _arrivals(record: Record, document: RecordDocument, changes: list[Change]) -
             off = 0.0 if lag is None else lag - predicted
             if -_EARLY * predicted - 3.0 <= off < -max(1.0, 1e-6 / step):
                 signal = rec.name if name == "transmitted" else (record.reflected or inc).name
-                text = f"{name} wave: taken {-off * step * 1e6:.3g} us earlier than the gauges' distances predict"
-                changes.append(Change(step="time shift", signal=signal, size=off * step, text=text))
+                text = f"the {name} wave is taken {-off * step * 1e6:.3g} us earlier than the gauges' distances predict"
+                changes.add("time shift", signal, text, off * step)
                 reflected += off * (name == "reflected")
                 transmitted += off * (name == "transmitted")
     return _Arrivals(reflected=reflected, transmitted=transmitted, doubt_a=doubt_a, doubt_b=doubt_b)
@@ -320,7 +319,7 @@ def _clean(wave: Wave, start: int, delay: float) -> tuple[int, int]:
 
 
 def _sign_of_reflected(
-    record: Record, document: RecordDocument, incident: Array, reflected: Array, bar: BarTable, changes: list[Change]
+    record: Record, document: RecordDocument, incident: Array, reflected: Array, bar: BarTable, changes: Changes
 ) -> tuple[float, str]:  # fmt: skip
     """+1 or -1 for a reflected wave in a column of its own, with a doubt where its sign had to be taken.
 
@@ -332,8 +331,7 @@ def _sign_of_reflected(
     body = np.abs(reflected) > 0.5 * float(np.abs(reflected).max())
     if not document.record.aligned or float(reflected[body].mean()) > 0.0:
         return 1.0, ""
-    changes.append(Change(step="sign", signal=record.reflected.name, text=(
-        f"{record.reflected.name}: has the sign of the incident wave; taken as a size, tension")))  # fmt: skip
+    changes.add("sign", record.reflected.name, "has the sign of the incident wave; taken as a size, tension")
     other = bar.stiffness * float(-(incident + reflected).min())
     return -1.0, f"the reflected wave is taken as tension; as it stands in the file A would be {other * 1e-3:.4g} kN"
 
