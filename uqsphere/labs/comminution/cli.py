@@ -39,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(chosen: argparse.Namespace) -> int:
-    from uqsphere.labs.comminution.feed import answer_feed, figures
+    from uqsphere.labs.comminution.feed import answer_feed
     from uqsphere.labs.comminution.fit import fit
     from uqsphere.labs.comminution.tests import load_tests
 
@@ -55,8 +55,7 @@ def _run(chosen: argparse.Namespace) -> int:
     if chosen.command == "feed":
         answer = answer_feed(fitted.posterior, asked, folder)
         content = {"fit": content, "feed": answer.content}
-        files |= {"feed.json": _json(answer.content), "classes.csv": answer.class_csv(),
-                  "feed.svg": figures(answer, fitted.content)}  # fmt: skip
+        files |= {"feed.json": _json(answer.content), "classes.csv": answer.class_csv()}
         if asked.product is not None:
             files["product.csv"] = answer.product_csv()
         text = _feed_text(answer.content)

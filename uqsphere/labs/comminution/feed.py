@@ -6,9 +6,7 @@ is a sample over series of blows.  What the tests leave open (the draws) and the
 
 from __future__ import annotations
 
-import io
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -51,30 +49,19 @@ class Classes:
 
 def load_classes(asked: SizesTable, folder: Path) -> Classes:
     """The classes of a feed; UsageError for a sieve table that leaves out more than 5 % of the mass."""
+    from scipy.special import ndtr
+
     notes: list[str] = []
     if asked.law == "table":
         passing, top = _sieves(asked, folder, notes)
     else:
-        assert asked.top is not None
-        top = asked.top
-        if asked.law == "rosin_rammler":
-            assert asked.d63 is not None
-            assert asked.n is not None
-            d63, n = asked.d63, asked.n
-            passing = lambda x: -np.expm1(-((x / d63) ** n))  # noqa: E731
-        elif asked.law == "gaudin_schuhmann":
-            assert asked.n is not None
-            n = asked.n
-            passing = lambda x: (x / top) ** n  # noqa: E731
-        else:
-            from scipy.special import ndtr
-
-            assert asked.d50 is not None
-            assert asked.sd is not None
-            d50, sd = asked.d50, asked.sd
-            passing = lambda x: ndtr(np.log(x / d50) / sd)  # noqa: E731
-        cut = 1.0 - float(passing(top))
-        if cut > 1e-6:
+        v, top = asked.model_dump(), asked.top or math.inf
+        passing = {
+            "rosin_rammler": lambda x: -np.expm1(-((x / v["d63"]) ** v["n"])),
+            "gaudin_schuhmann": lambda x: (x / top) ** v["n"],
+            "lognormal": lambda x: ndtr(np.log(x / v["d50"]) / v["sd"]),
+        }[asked.law]
+        if (cut := 1.0 - float(passing(top))) > 1e-6:
             notes.append(f"{cut:.2g} of the mass is coarser than top = {top * 1e3:.4g} mm, is cut, and the rest scaled")
     edges = np.asarray(top * asked.ratio ** -np.arange(asked.classes + 1.0), dtype=float)
     share = np.clip(passing(edges), 0.0, None)
@@ -84,20 +71,17 @@ def load_classes(asked: SizesTable, folder: Path) -> Classes:
 
 def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Any, float]:
     """Passing as a function of the size, log-linear between sieves, and the top size."""
-    assert asked.file is not None
-    assert asked.sieve is not None
-    assert asked.passing is not None
-    table = read_table(folder / asked.file)
-    sieve = table.in_si(asked.sieve, "length", asked.sieve_unit)
-    heading = f"{asked.passing} {table.units[table.place(asked.passing)]}".lower()
+    column, table = str(asked.passing), read_table(folder / str(asked.file))
+    sieve = table.in_si(str(asked.sieve), "length", asked.sieve_unit)
+    heading = f"{column} {table.units[table.place(column)]}".lower()
     percent = "%" in heading or "percent" in heading or "pct" in heading
-    given = table.numbers(asked.passing)
+    given = table.numbers(column)
     order = np.argsort(sieve)
     sieve, given = sieve[order], given[order]
     largest = float(given[-1])
     if percent and largest <= 1.0:
         raise UsageError(
-            f"{table.path.name}: {asked.passing!r} is headed as percent and reaches {largest:.4g}: are these shares? "
+            f"{table.path.name}: {column!r} is headed as percent and reaches {largest:.4g}: are these shares? "
             "Head them so, without percent"
         )
     if not percent and largest > 1.0:
@@ -172,8 +156,7 @@ def offered(asked: FeedTable, sizes: Array, density: float) -> Array:
         return np.full(len(sizes), asked.specific_energy)
     if asked.speed is not None:
         return np.full(len(sizes), 0.5 * asked.speed**2)
-    assert asked.energy is not None
-    return asked.energy / laws.mass_of(sizes, density)
+    return (asked.energy or 0.0) / laws.mass_of(sizes, density)
 
 
 def factors(asked: FeedTable, gamma: Array, rng: np.random.Generator) -> Array:
@@ -344,32 +327,3 @@ def _goal(feed: FeedTable, total: Array, synthetic: bool) -> dict[str, Any]:
         "error": error,
         "verdict": verdict,
     }
-
-
-def figures(answer: Answer, fitted: Mapping[str, Any]) -> str:
-    """Share broken by class, and the product curve, as SVG text."""
-    from matplotlib.figure import Figure
-
-    drawn = Figure(figsize=(8.5, 3.6), layout="constrained")
-    left, right = drawn.subplots(1, 2)
-    x = answer.classes.sizes * 1e3
-    for axes, at, values, name in (
-        (left, x, answer.broken, "share broken"), (right, answer.sieves * 1e3, answer.passing, "product, passing"),
-    ):  # fmt: skip
-        low, middle, high = (
-            np.nanquantile(values, [0.025, 0.5, 0.975], axis=0) if np.isfinite(values).any() else [None] * 3
-        )
-        if low is None:
-            continue
-        axes.fill_between(at, low, high, color="#0072b2", alpha=0.25, linewidth=0)
-        axes.plot(at, middle, color="#0072b2")
-        axes.set_xscale("log")
-        axes.set_xlabel("size [mm]")
-        axes.set_ylabel(name)
-        axes.spines[["top", "right"]].set_visible(False)
-    tested = [1e3 * d for d in fitted["tests"]["diameters"]]
-    left.axvspan(tested[0], tested[1], color="#888888", alpha=0.12, label="tested sizes")
-    left.legend(frameon=False)
-    text = io.StringIO()
-    drawn.savefig(text, format="svg", metadata={"Date": None})
-    return text.getvalue()

@@ -71,14 +71,9 @@ def _records(chosen: argparse.Namespace) -> int:
                      "sheet.html": sheet.page(test, asked, asked.record.file)}  # fmt: skip
             written += write_files(chosen.out / path.stem if len(chosen.file) > 1 else chosen.out, files)
     if len(chosen.file) > 1 and chosen.out is not None:
-        import csv
-        import io
-
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(["test", "diameter [mm]", "force [kN]", "low [kN]", "high [kN]", "doubts"])
-        writer.writerows(lines)
-        written += write_files(chosen.out, {"tests.csv": text.getvalue()})
+        head = ["test", "diameter [mm]", "force [kN]", "low [kN]", "high [kN]", "doubts"]
+        text = "\n".join(",".join('"{}"'.format(cell.replace('"', "'")) for cell in row) for row in (head, *lines))
+        written += write_files(chosen.out, {"tests.csv": text + "\n"})
     content = contents[0] if len(contents) == 1 else {"tests": contents}
     show(chosen, content, "\n\n".join(texts), written)
     return 2 if refused == len(chosen.file) else 0

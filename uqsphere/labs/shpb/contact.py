@@ -197,9 +197,7 @@ def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> Co
         raise UsageError('the force is never positive: is compression negative in the file (compression = "negative")?')
     pressed = displacement[: top + 1]
     if len(pressed) < 3 or not (pressed - pressed.mean()) @ force[: top + 1] > 0.0:
-        raise UsageError(
-            "the displacement does not grow with the force: turn its sign, or machine_stiffness is too low"
-        )
+        raise UsageError("the displacement does not grow with the force: turn it, or machine_stiffness is too low")
     if np.median(np.abs(np.diff(displacement))) > 0.2 * np.ptp(displacement):
         raise UsageError("the displacement jumps back and forth: put the samples in the order in which they were taken")
     if asked.pile_up is None and force[top:].min() > _UNLOADED * force[top]:
@@ -261,22 +259,19 @@ def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> Co
     if hard.high > _OPEN * hard.low:
         notes.append("the record does not determine the hardness: press harder")
     onset_range = interval(onset, [0.0, 1.0])
-    undetermined = onset_range.high > _OPEN * onset_range.low
-    rough = float(np.sqrt(np.mean(np.square(left)))) > 0.01
-    if undetermined and rough:
+    undetermined, misfit = onset_range.high > _OPEN * onset_range.low, float(np.sqrt(np.mean(np.square(left))))
+    if undetermined and misfit > 0.01:
         raise UsageError("no law of a contact follows this record: is the force free of offset, steps, clipping?")
     if undetermined or depth < 1.5:
         reached = float(pressure_at_force(force.max(), modulus, radius))
         raise UsageError(f"hardly beyond Hertz, whose pressure reaches {reached / 1e9:.3g} GPa: press harder")
     if alike > 0.0:
-        notes.append(
-            f"neighbouring residuals are correlated ({alike:.2g}): drift or a hold in the record; intervals widened"
-        )
+        notes.append(f"neighbouring residuals are correlated ({alike:.2g}), as by a drift; intervals are widened")
     return ContactFit(
         onset_pressure=onset_range, hardness=hard, modulus=fitted,
         pile_up=Fitted(value=pile_up, low=max(pile_up - half, 1.0), high=min(pile_up + half, 3.0)),
         sphere_modulus=_sphere_modulus(fitted, asked, notes, onset_range), depth=depth,
-        misfit=scale * float(np.sqrt(np.mean(np.square(left)))), samples=len(left), notes=tuple(notes),
+        misfit=scale * misfit, samples=len(left), notes=tuple(notes),
     )  # fmt: skip
 
 
@@ -289,9 +284,8 @@ def _sphere_modulus(reduced: Fitted, asked: ContactDocument, notes: list[str], o
             raise UsageError(f"platens = {asked.platens!r}: allowed are rigid, {', '.join(known)}")
         plate = {key: entry.value for key, entry in known[asked.platens].properties.items()}
         soft = (1.0 - plate["nu"] ** 2) / plate["E"]
-        limit = 1.61 * plate.get("yield_strength", math.inf)
-        if onset.high > limit / 1.3:
-            notes.append(f"the platens yield from about {limit / 1e9:.3g} GPa on: what was fitted may be theirs")
+        if onset.high > 1.2 * plate.get("yield_strength", math.inf):
+            notes.append("the platens yield near this onset too: what was fitted may be theirs")
     rest = [1.0 / m - soft for m in (reduced.value, reduced.low, reduced.high)]
     if min(rest) <= 0.0:
         return None

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from uqsphere.labs.files import Density, Force, Length, Pressure, Section, Speed, Time
+from uqsphere.labs.files import Density, Force, Length, Pressure, Section, Time
 from uqsphere.materials import library
 
 Columns = Annotated[tuple[str | int, ...], BeforeValidator(lambda v: (v,) if isinstance(v, (str, int)) else v)]
@@ -51,6 +51,13 @@ class BarTable(Section):
         assert self.E is not None
         assert self.diameter is not None
         return self.E * math.pi * self.diameter**2 / 4.0
+
+    @property
+    def strain_per_volt(self) -> float:
+        """eps/U = 4/(k N U_0 A) of the bridge."""
+        return 4.0 / math.prod(
+            v or 1.0 for v in (self.gauge_factor, self.active_arms, self.excitation, self.amplification)
+        )
 
     @property
     def echo(self) -> float:
@@ -106,7 +113,6 @@ class RecordDocument(Section):
     receiving_bar: BarTable
     record: RecordTable
     specimen: SpecimenTable = SpecimenTable()
-    striker_speed: Speed | None = None
 
     @model_validator(mode="before")
     @classmethod

@@ -130,7 +130,8 @@ def plan_text(plan: dict[str, Any]) -> str:
 def plan_csv(plan: dict[str, Any]) -> str:
     """One row a value."""
     rows = [[f"{plan['free']} [{plan['unit']}]", "P_max 5 % [N]", "P_max 50 % [N]", "P_max 95 % [N]",
-             *(f"{name}{end} [1]" for name in plan["shares"] for end in ("", " low", " high")), "failed [1]"]]  # fmt: skip
+             *(f"{name}{end} [1]" for name in plan["shares"] for end in ("", " low", " high")),
+             "failed [1]"]]  # fmt: skip
     for k, value in enumerate(plan["values"]):
         numbers = [value, *plan["force"][k], *(v for share in plan["shares"].values() for v in share[k])]
         rows.append([f"{v:.9g}" for v in (*numbers, plan["failed"][k])])

@@ -154,16 +154,16 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
         turned = [g.name for g, s in zip(gauges, signs, strict=True) if s < 0.0 and not sign]
         if turned:
             changes.add("sign", ", ".join(turned), "compression is positive in the file; the sign is turned")
-        gauges = [_turned(g, s) for g, s in zip(gauges, signs, strict=True)]
+        gauges = [replace(g, strain=g.strain * s, wave=replace(g.wave, sign=g.wave.sign * s))
+                  for g, s in zip(gauges, signs, strict=True)]  # fmt: skip
         joined[role] = (_joined(gauges, step, limits[role], changes), -signs[0])
     if document.record.window is not None:
         signal, turned_by = joined["incident"]
         begin, end = (round((t - start) / step) for t in document.record.window)
         if not 0 <= begin < end < len(signal.strain):
             raise UsageError("record.window lies outside the record, or is empty")
-        inside = np.where(
-            (np.arange(len(signal.strain)) < begin) | (np.arange(len(signal.strain)) > end), 0.0, signal.strain
-        )
+        inside = np.zeros(len(signal.strain))
+        inside[begin : end + 1] = signal.strain[begin : end + 1]
         wave = replace(first_wave(inside, step, signal.noise, signal.name), foot=begin, end=end)
         joined["incident"] = replace(signal, wave=wave), turned_by
     reflected = joined["reflected"][0] if "reflected" in joined else None
@@ -190,9 +190,7 @@ def _columns(
         several = len(main.names) < 3 or len(tables) > 1
         if guessed and (unit in {*STRAIN_UNITS, *VOLT_UNITS} or (several and not _rises(main, clock))):
             raise UsageError(_no_time(main, clock))
-        changes.add(
-            "read", "", f"{main.names[clock]} " + (f"is in {unit}" if unit else "has no unit: seconds are taken")
-        )
+        changes.add("read", main.names[clock], f"is in {unit}" if unit else "has no unit: seconds are taken")
         if (unit or "s") not in UNITS["time"]:
             raise UsageError(f"the time is in {unit!r}: allowed are {', '.join(UNITS['time'])} (record.time_unit)")
         time = main.numbers(clock + 1) * UNITS["time"][unit or "s"]
@@ -232,8 +230,7 @@ def _columns(
         for table, k in places:
             name = table.names[k] if len(tables) == 1 else f"{table.path.stem} {table.names[k]}"
             groups[role].append((name, _strain(table, k, name, bar, changes)[:count]))
-    order = ("incident", "reflected", "receiving")
-    return time[:count], {role: groups[role] for role in order if role in groups}
+    return time[:count], groups
 
 
 def _pick(pool: Sequence[tuple[Table, int]], main: Table, name: str | int) -> tuple[Table, int]:
@@ -255,11 +252,8 @@ def _strain(table: Table, k: int, name: str, bar: BarTable, changes: Changes) ->
     elif unit in VOLT_UNITS:
         if bar.excitation is None:
             raise UsageError(f"{name} is in {unit}: the bridge is required too, such as excitation = 5.0 (volts)")
-        assert bar.gauge_factor is not None
-        assert bar.active_arms is not None
-        assert bar.amplification is not None
-        factor = VOLT_UNITS[unit] * 4.0 / (bar.gauge_factor * bar.active_arms * bar.excitation * bar.amplification)
-        text = f"is in {unit}: {factor / VOLT_UNITS[unit] * 1e6:.5g} microstrain a volt"
+        factor = VOLT_UNITS[unit] * bar.strain_per_volt
+        text = f"is in {unit}: {bar.strain_per_volt * 1e6:.5g} microstrain a volt"
     else:
         raise UsageError(f"{name} is in {unit!r}: allowed are {', '.join([*STRAIN_UNITS, *VOLT_UNITS])}")
     values = table.numbers(k + 1) * factor
@@ -415,7 +409,7 @@ def _despike(name: str, values: Array, step: float, changes: Changes) -> None:
 
 
 def _mark_clipped(name: str, values: Array, known: Flags, changes: Changes) -> None:
-    """Stretches at the end of the recorder's range, which writes one number again and again (marked in place)."""
+    """Stretches at the end of the recorder's range, where it writes one number again and again (marked in place)."""
     head = values[: max(len(values) // 20, _FEWEST)]
     if np.ptp(head) == 0.0:  # without noise a flat top may be one
         return
@@ -524,9 +518,6 @@ def _rested(name: str, values: Array, known: Flags, step: float, rest_end: int |
         drifts = abs(climb) * 2.0 * third > 7.0 * scatter / math.sqrt(third)
         level = float(np.median(left)) + (climb * np.arange(len(values)) if drifts else 0.0)
         wave = first_wave((values - level)[seen], step, scatter, name)
-    elif early >= _BASELINE:
-        scatter = _ROBUST * float(np.median(np.abs(values[:early] - middle)))
-        wave = first_wave((values - middle)[seen], step, scatter, name)
     count = max(wave.foot - max(3, wave.rising // 5), 0)
     if rest_end is not None and rest_end >= _BASELINE:
         count = max(min(count, len(values)), min(rest_end, wave.half))
@@ -576,11 +567,6 @@ def _cut_out(name: str, values: Array, known: Flags, step: float, changes: Chang
                   spread=np.zeros(len(values)), single=False, wave=wave)  # fmt: skip
 
 
-def _turned(signal: Signal, sign: float) -> Signal:
-    wave = replace(signal.wave, sign=signal.wave.sign * sign)
-    return replace(signal, strain=signal.strain * sign, wave=wave)
-
-
 def _joined(gauges: Sequence[Signal], step: float, limit: float, changes: Changes) -> Signal:
     """The gauges of a bar as one signal: dead ones left out, the others averaged, with the bending that they show."""
     peaks = [float(np.abs(g.strain[g.known]).max(initial=0.0)) if not g.known.all() else g.wave.peak for g in gauges]
@@ -594,16 +580,8 @@ def _joined(gauges: Sequence[Signal], step: float, limit: float, changes: Change
     known = np.stack([g.known for g in alive], axis=1)
     strains = np.stack([g.strain for g in alive], axis=1)
     both = np.asarray(known.all(axis=1))
-    if not both.all():
-        # where one is not known the other stands for the mean, with the difference that they had before
-        place = np.arange(len(both))
-        for k in range(len(alive)):
-            others = np.delete(np.arange(len(alive)), k)
-            rest = strains[:, others].mean(axis=1)
-            gap = ~known[:, k] & known[:, others].all(axis=1)
-            if both.any():
-                strains[gap, k] = (rest + np.interp(place, place[both], (strains[:, k] - rest)[both]))[gap]
-    mean = strains.mean(axis=1)
+    # where one is not known the others stand for the mean, and the difference stays what it was at the most
+    mean = (strains * known).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     spread = 0.5 * np.ptp(strains, axis=1)
     spread[~both] = max(float(spread[first:][both[first:]].max(initial=0.0)), 0.0)
     count = max(first - 3, _BASELINE)

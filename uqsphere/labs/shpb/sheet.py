@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
@@ -48,20 +49,13 @@ def rows(test: Reading) -> list[tuple[str, str, str]]:
 
 def document(test: Reading) -> dict[str, Any]:
     """A test as plain JSON, SI."""
+    energy = test.energies
     return {
-        "forces": {
-            face: {"value": p.value, "low": p.low, "high": p.high if math.isfinite(p.high) else None, "time": p.time,
-                   "doubts": list(p.doubts), "sound": not p.doubts}
-            for face, p in test.peaks.items()
-        },
-        "withheld": list(test.withheld),
-        "energy": None if test.energies is None else {
-            "incident": test.energies.incident, "reflected": test.energies.reflected,
-            "transmitted": test.energies.transmitted, "absorbed": test.energies.absorbed,
-        },
-        "balanced_share": test.balanced, "loading_rate": test.loading_rate, "first_touch": test.touch,
-        "step": test.step,
-        "mending": [{"step": c.step, "signal": c.signal, "size": c.size, "text": c.text} for c in test.changes],
+        "forces": {face: {**asdict(peak), "high": peak.high if math.isfinite(peak.high) else None,
+                          "sound": not peak.doubts} for face, peak in test.peaks.items()},
+        "energy": None if energy is None else {**asdict(energy), "absorbed": energy.absorbed},
+        "withheld": list(test.withheld), "balanced_share": test.balanced, "loading_rate": test.loading_rate,
+        "first_touch": test.touch, "step": test.step, "mending": [asdict(change) for change in test.changes],
     }  # fmt: skip
 
 
@@ -123,12 +117,11 @@ def page(test: Reading, asked: RecordDocument, source: str) -> str:
     template = files("uqsphere.labs.shpb").joinpath("sheet.html").read_text(encoding="utf-8")
     drawn = figure(test)
     environment = Environment(autoescape=True)
-    bars = [
-        (name, f"E {b.E * 1e-9:.4g} GPa, {b.density:.5g} kg/m3, diameter {b.diameter * 1e3:.4g} mm, "
-               f"c0 {b.wave_speed:.5g} m/s, gauge at {b.gauge:.4g} m, gain known to {100.0 * (b.gain_sd or 0.0):.2g} %")
-        for name, b in (("incident bar", asked.incident_bar), ("receiving bar", asked.receiving_bar))
-        if b.E is not None and b.density is not None and b.diameter is not None
-    ]  # fmt: skip
+    bars = {
+        name: ", ".join(f"{key} {value:.5g}" if isinstance(value, float) else f"{key} {value}"
+                        for key, value in bar.model_dump(exclude_none=True).items() if value != "")
+        for name, bar in (("incident bar", asked.incident_bar), ("receiving bar", asked.receiving_bar))
+    }  # fmt: skip
     return environment.from_string(template).render(
         title=asked.title or source, source=source, rows=rows(test), figure=drawn, bars=bars, changes=test.changes,
         doubted=any(p.doubts for p in test.peaks.values()), specimen=asked.specimen.name,

@@ -181,9 +181,9 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         sd_a = np.sqrt(bar.stiffness**2 * (noise + rest) + gained)
         zone = slice(first, last)
         if (first, last) != (0, count):
-            ends = f"{first * step * 1e6:.4g} to {last * step * 1e6:.4g} us after first touch"
+            ends = f"from {first * step * 1e6:.4g} to {last * step * 1e6:.4g} us"
             changes.add(
-                "overlap", inc.name, f"the pulse is longer than the way to the face and back: A is known from {ends}"
+                "overlap", inc.name, f"the pulse is longer than the way to the face and back: A is known {ends}"
             )
         noise_a = bar.stiffness * math.hypot(inc.noise, signal.noise)
         found["A"] = _peak(time[zone], force_a[zone], sd_a[zone], noise_a, inc.memory)
@@ -200,15 +200,13 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
                 transmitted=behind.stiffness * behind.wave_speed * step * float(np.square(transmitted).sum()),
             )
         force_a[:first] = force_a[last:] = np.nan
-    peaks = found
-    peaks = _held_together(peaks, energies, bar.stiffness * wave.peak if wave.ended else math.inf, document)
+    peaks = _held_together(found, energies, bar.stiffness * wave.peak if wave.ended else math.inf, document)
     at = int(np.searchsorted(time, peaks["B"].time))
     peaks["B"] = _bent(peaks["B"], behind.stiffness * _at(rec.spread, to_b, count), at, peaks["B"].value, "receiving")
     if "A" in peaks:
         at = int(np.searchsorted(time, peaks["A"].time))
         both = np.maximum(_at(inc.spread, float(start), count), _at(signal.spread, to_a, count))
         peaks["A"] = _bent(peaks["A"], bar.stiffness * both, at, bar.stiffness * wave.peak, "incident")
-    peaks = _at_the_striker(peaks, wave.peak, document)
     if "mean" in peaks:
         every = dict.fromkeys((*peaks["mean"].doubts, *peaks["A"].doubts, *peaks["B"].doubts))
         peaks["mean"] = replace(peaks["mean"], doubts=tuple(every))
@@ -364,9 +362,8 @@ def _peak(time: Array, force: Array, sd: Array, noise: float, memory: float) -> 
     calm = median_filter(force, 5, mode="nearest")
     at = int(np.argmax(calm))
     low = np.flatnonzero(calm < 0.8 * calm[at])
-    top = (int(low[low > at][0]) if (low > at).any() else len(calm)) - (
-        int(low[low < at][-1]) if (low < at).any() else 0
-    )
+    before, behind = low[low < at], low[low > at]
+    top = int(behind[0] if len(behind) else len(calm)) - int(before[-1] if len(before) else 0)
     width = min(max(5, 2 * (top // 6) + 1), len(calm) - 1 + len(calm) % 2)
     curve = savgol_filter(savgol_filter(calm, width, 2), width, 2)
     at = int(np.argmax(curve))
@@ -420,10 +417,8 @@ def _held_together(
             doubt = f"the specimen bears at most {strongest * 1e-3:.4g} kN"
             found[face] = _doubted(found[face], doubt, strongest)
     if energies is not None and energies.absorbed < -0.05 * energies.incident:
-        doubt = (
-            f"reflected and transmitted wave carry {energies.reflected + energies.transmitted:.4g} J, the incident one "
-            f"{energies.incident:.4g} J: a gain is wrong"
-        )
+        away = energies.reflected + energies.transmitted
+        doubt = f"a gain is wrong: {energies.incident:.4g} J come with the incident wave, {away:.4g} J go"
         for face in found:
             found[face] = _doubted(found[face], doubt)
     if "A" in peaks:
@@ -438,25 +433,13 @@ def _held_together(
     return found
 
 
-def _at_the_striker(peaks: dict[str, Peak], strain: float, document: RecordDocument) -> dict[str, Peak]:
-    """The incident wave held against v/(2 c0) of a striker of the bar's own section and material."""
-    speed = document.striker_speed
-    if speed is None:
-        return peaks
-    due = 0.5 * speed / document.incident_bar.wave_speed
-    if abs(strain / due - 1.0) < 0.1:
-        return peaks
-    doubt = f"the incident wave reaches {strain * 1e6:.4g} microstrain, the striker's speed gives {due * 1e6:.4g}"
-    return {face: _doubted(peak, doubt) if face != "B" else peak for face, peak in peaks.items()}
-
-
 def _balance(time: Array, force_a: Array | None, force_b: Array, peak: Peak) -> tuple[float | None, float]:
     """Share of the rise in which both forces agree within 5 % of their mean, and the loading rate [N/s]."""
     top = max(int(np.searchsorted(time, peak.time)), 3)
     calm = smooth(force_b, 5)
     half = min(int(np.argmax(calm > 0.5 * peak.value)), top - 2)
     rate = 0.5 * peak.value / float(time[top] - time[half])
-    if force_a is None:
+    if force_a is None or np.isnan(force_a).any():
         return None, rate
     mean = 0.5 * (smooth(force_a, 5) + calm)
     even = np.abs(smooth(force_a, 5) - calm) <= 2.0 * _BALANCE * np.abs(mean)
