@@ -16,8 +16,8 @@ from scipy.special import ndtr
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.cli import main
-from uqsphere.labs.comminution.document import ComminutionDocument, FeedTable, SizesTable
-from uqsphere.labs.comminution.feed import answer_feed, broken_by_blow, factors, load_classes
+from uqsphere.labs.comminution.document import ComminutionDocument, SizesTable
+from uqsphere.labs.comminution.feed import answer_feed, broken_by_blow, load_classes
 from uqsphere.labs.comminution.fit import Fit, Model, Posterior, fit, log_likelihoods
 from uqsphere.labs.comminution.tests import Specimens, load_tests
 
@@ -289,8 +289,7 @@ def test_a_rosin_rammler_feed_of_a_known_truth(blows: int, key: str, tmp_path: P
     np.testing.assert_allclose(classes.sizes, case["mid"], rtol=1e-9)
     assert "0.059 of the mass" in classes.notes[0]
     truth = one_draw(e_inf=60.0, d0=0.006, phi=1.1, sigma=0.55)
-    u = laws.thresholds(truth.gamma, blows)[:, None, :]
-    broken = broken_by_blow(truth, np.full(15, case["energy"]), classes.sizes, u)[0, :, -1]
+    broken = broken_by_blow(truth, np.full(15, case["energy"]), classes.sizes, blows)[0, :, -1]
     np.testing.assert_allclose(broken, case[key]["truth_class"], rtol=1e-8)
     assert float(broken @ classes.mass) == pytest.approx(case[key]["truth_total"], rel=1e-9)
 
@@ -300,8 +299,7 @@ def test_a_lognormal_feed_of_a_power_law_in_closed_form(blows: int, key: str, tm
     case = CASES["F1"]
     fine = load_classes(SizesTable(law="lognormal", d50="30 mm", sd=0.7, top="3 m", ratio=1.06, classes=190), tmp_path)
     truth = one_draw(C=case["C"], phi=case["phi"], sigma=case["sigma"], ratio=math.inf)
-    u = laws.thresholds(truth.gamma, blows)[:, None, :]
-    broken = broken_by_blow(truth, np.full(len(fine.mass), case["energy"]), fine.sizes, u)[0, :, -1]
+    broken = broken_by_blow(truth, np.full(len(fine.mass), case["energy"]), fine.sizes, blows)[0, :, -1]
     assert float(broken @ fine.mass) == pytest.approx(case[key], abs=2e-4)
 
 
@@ -310,24 +308,6 @@ def test_vogel_and_peukert_in_closed_form() -> None:
     x = np.linspace(1e-12, 40.0, 200_001)
     share = laws.vogel_peukert(np.full((len(x), case["k"]), case["W"]), x * case["d63"], case["f_mat"], 0.0)
     assert float(np.trapezoid(share * np.exp(-x), x)) == pytest.approx(case["closed"], rel=1e-6)
-
-
-def test_blows_that_scatter_agree_with_a_simulation() -> None:
-    feed = FeedTable(
-        sizes=SizesTable(law="gaudin_schuhmann", n=1.0, top="50 mm"), blows=4, specific_energy="80 J/kg", cov=0.5
-    )
-    u = factors(feed, np.array([4.0]), np.random.default_rng(1))
-    assert u.shape == (1, 256, 5)
-    truth = one_draw(C=100.0 * 0.02**0.5, phi=0.5, sigma=0.5)
-    share = broken_by_blow(truth, np.array([80.0]), np.array([0.02]), u)[0, 0, -1]
-    rng, sd = np.random.default_rng(2), math.sqrt(math.log1p(0.25))
-    left = laws.energy_at("lognormal", rng.random(8000), 100.0, 0.5, 4.0)
-    broke = np.zeros(8000, dtype=bool)
-    for _ in range(4):
-        blow = 80.0 * np.exp(sd * rng.standard_normal(8000) - 0.5 * sd**2)
-        broke |= blow >= left
-        left = left * (1.0 - np.where(broke, 0.0, laws.damage(np.minimum(blow / left, 1.0), 4.0)))
-    assert share == pytest.approx(broke.mean(), abs=0.03)
 
 
 def feed_document(**feed: Any) -> ComminutionDocument:

@@ -156,7 +156,7 @@ class FeedTable(Section):
     """A feed under blows.
 
     specific_energy, energy, speed : of one blow, exactly one; the same J/kg for all sizes, J a blow, closing speed.
-    cov : coefficient of variation of the energy from blow to blow.  impact_surface : what the particles hit.
+    impact_surface : what the particles hit.
     undersize : whether what is below the last sieve breaks too.  lot : mass over which numbers scatter.
     goal : broken share that is to be reached with the probability `at_least`.
     """
@@ -166,7 +166,6 @@ class FeedTable(Section):
     specific_energy: SpecificEnergy | None = None
     energy: Energy | None = None
     speed: Speed | None = None
-    cov: float = Field(default=0.0, ge=0.0, le=3.0)
     impact_surface: Elastic | None = None
     undersize: Literal["stays", "breaks"] = "stays"
     lot: Mass | None = None

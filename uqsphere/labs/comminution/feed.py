@@ -1,7 +1,7 @@
 """A feed under blows: shares broken by size and blow, product, energy, each over the draws of a posterior.
 
-Of n equal blows those particles break whose first fracture energy is at most u_n E; with scatter from blow to blow u_n
-is a sample over series of blows.  What the tests leave open (the draws) and the scatter of a lot stand apart.
+Of n equal blows those particles break whose first fracture energy is at most u_n E.  What the tests leave open (the
+draws) and the scatter of a lot stand apart.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from uqsphere.labs.comminution.fit import Posterior, quantiles
 from uqsphere.labs.comminution.tests import stiffness
 from uqsphere.labs.tables import read_table
 
-#: draws that a feed is computed for, and series of blows where their energy scatters
-DRAWS, _SERIES = 1000, 256
+#: draws that a feed is computed for
+DRAWS: Final = 1000
 #: mass of a sieve table that may be cut without a refusal
 _CUT: Final = 0.05
 #: specific energies [J/kg] and sizes [m] of the drop-weight tests behind A and b
@@ -159,30 +159,11 @@ def offered(asked: FeedTable, sizes: Array, density: float) -> Array:
     return (asked.energy or 0.0) / laws.mass_of(sizes, density)
 
 
-def factors(asked: FeedTable, gamma: Array, rng: np.random.Generator) -> Array:
-    """u_0 ... u_n (D, J, n + 1): bounds of the first fracture energy after so many blows, over the mean energy."""
-    if asked.cov == 0.0:
-        return laws.thresholds(gamma, asked.blows)[:, None, :]
-    sd = math.sqrt(math.log1p(asked.cov**2))
-    series = np.exp(sd * rng.standard_normal((_SERIES, asked.blows)) - 0.5 * sd**2)
-    nodes = np.quantile(gamma, np.linspace(0.0, 1.0, 9)) if np.ptp(gamma) > 0.0 else gamma[:1]
-    table = np.zeros((len(nodes), _SERIES, asked.blows + 1))
-    for k in range(1, asked.blows + 1):
-        table[:, :, k] = laws.survivor_bound(np.broadcast_to(series[:, :k], (len(nodes), _SERIES, k)), nodes[:, None])
-    at = np.clip(np.searchsorted(nodes, gamma) - 1, 0, max(len(nodes) - 2, 0))
-    after = np.minimum(at + 1, len(nodes) - 1)
-    gap = np.where(nodes[after] > nodes[at], nodes[after] - nodes[at], 1.0)
-    part = np.clip((gamma - nodes[at]) / gap, 0.0, 1.0)[:, None, None]
-    return np.asarray((1.0 - part) * table[at] + part * table[after])
-
-
-def broken_by_blow(posterior: Posterior, energy: Array, sizes: Array, u: Array) -> Array:
-    """Cumulative share broken (D, K, n + 1) of classes after 0 ... n blows of a mean energy (K,) [J/kg]."""
-    found = np.zeros((len(posterior), len(sizes), u.shape[2]))
-    for k in range(1, u.shape[2]):
-        for j in range(u.shape[1]):
-            found[:, :, k] += posterior.broken(energy * u[:, j, k, None], sizes) / u.shape[1]
-    return found
+def broken_by_blow(posterior: Posterior, energy: Array, sizes: Array, blows: int) -> Array:
+    """Cumulative share broken (D, K, n + 1) of classes after 0 ... n equal blows of an energy (K,) [J/kg]."""
+    u = laws.thresholds(posterior.gamma, blows)
+    each = [posterior.broken(energy * u[:, k, None], sizes) for k in range(1, blows + 1)]
+    return np.stack([np.zeros((len(posterior), len(sizes))), *each], axis=2)
 
 
 def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) -> Answer:
@@ -202,8 +183,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     share, warnings = 1.0, list(classes.notes)
     if feed.impact_surface is not None:
         share = laws.particle_share(stiffness(own), stiffness(feed.impact_surface))
-    u = factors(feed, posterior.gamma, rng)
-    cumulative = broken_by_blow(posterior, given * share, sizes, u)
+    cumulative = broken_by_blow(posterior, given * share, sizes, feed.blows)
     if feed.undersize == "stays":
         cumulative[:, -1] = 0.0
     broken = cumulative[:, :, -1]

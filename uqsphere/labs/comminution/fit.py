@@ -274,9 +274,13 @@ def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> Ar
         x[k] = float(np.median(gap))
     tried = x + np.linspace(-3.0, 4.0, 57)[:, None] * np.isin(np.arange(len(x)), lead)
     x = tried[int(np.argmax(value(tried)))]
+
+    def loss(y: Array) -> float:
+        return min(-float(value(y)), 1e15)
+
     for _ in range(3):
-        x = fmin(lambda y: min(-float(value(y)), 1e15), x, xtol=1e-9, ftol=1e-10, maxiter=4000, disp=False)
-    return np.asarray(x)
+        x = np.asarray(fmin(loss, x, xtol=1e-9, ftol=1e-10, maxiter=4000, disp=False))
+    return x
 
 
 def _stretch(value: Callable[[Array], Array], x: Array, steps: int, rng: np.random.Generator) -> Array:

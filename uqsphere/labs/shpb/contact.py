@@ -125,7 +125,9 @@ def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, li
     force = sign * table.in_si(asked.force, "force", asked.force_unit)
     whole = np.isfinite(displacement) & np.isfinite(force)
     if not whole.all():
-        raise UsageError(f"{table.path.name}: line {table.values.index[np.argmin(whole)]} has no number: take it out")
+        raise UsageError(
+            f"{table.path.name}: line {table.values.index[int(np.argmin(whole))]} has no number: take it out"
+        )
     return displacement, force, list(table.notes)
 
 

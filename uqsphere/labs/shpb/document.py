@@ -25,39 +25,33 @@ class BarTable(Section):
 
     gauge: Length
     material: str | None = None
-    E: Pressure | None = None
-    nu: float | None = Field(default=None, ge=0.0, lt=0.5)
-    density: Density | None = None
-    diameter: Length | None = None
+    E: Pressure
+    density: Density
+    nu: float = Field(default=0.3, ge=0.0, lt=0.5)
+    diameter: Length
     length: Length | None = None
-    end: Literal["free", "absorbing"] | None = None
-    unit: str | None = None
-    gauge_factor: float | None = Field(default=None, gt=0.0)
+    end: Literal["free", "absorbing"] = "free"
+    unit: str = ""
+    gauge_factor: float = Field(default=2.0, gt=0.0)
     excitation: float | None = Field(default=None, gt=0.0)
-    amplification: float | None = Field(default=None, gt=0.0)
-    active_arms: float | None = Field(default=None, gt=0.0)
-    gain_sd: float | None = Field(default=None, ge=0.0, lt=1.0)
+    amplification: float = Field(default=1.0, gt=0.0)
+    active_arms: float = Field(default=1.0, gt=0.0)
+    gain_sd: float = Field(default=0.01, ge=0.0, lt=1.0)
 
     @property
     def wave_speed(self) -> float:
         """c0 = sqrt(E/rho) [m/s]."""
-        assert self.E is not None
-        assert self.density is not None
         return math.sqrt(self.E / self.density)
 
     @property
     def stiffness(self) -> float:
         """E A [N]: force per strain."""
-        assert self.E is not None
-        assert self.diameter is not None
         return self.E * math.pi * self.diameter**2 / 4.0
 
     @property
     def strain_per_volt(self) -> float:
         """eps/U = 4/(k N U_0 A) of the bridge."""
-        return 4.0 / math.prod(
-            v or 1.0 for v in (self.gauge_factor, self.active_arms, self.excitation, self.amplification)
-        )
+        return 4.0 / (self.gauge_factor * self.active_arms * (self.excitation or 1.0) * self.amplification)
 
     @property
     def echo(self) -> float:
@@ -65,12 +59,6 @@ class BarTable(Section):
         if self.end == "absorbing" or self.length is None:
             return math.inf
         return 2.0 * (self.length - self.gauge) / self.wave_speed
-
-
-_DEFAULTS: dict[str, Any] = {
-    "nu": 0.3, "end": "free", "gauge_factor": 2.0, "amplification": 1.0, "active_arms": 1.0, "gain_sd": 0.01,
-    "unit": "",
-}  # fmt: skip
 
 
 class RecordTable(Section):
@@ -120,19 +108,14 @@ class RecordDocument(Section):
         """The receiving bar takes over what it leaves out; materials become numbers."""
         if not isinstance(data, dict) or not isinstance(data.get("incident_bar"), dict):
             return data
-        incident = {**_DEFAULTS, **data["incident_bar"]}
-        given = data.get("receiving_bar", {})
-        given = given if isinstance(given, dict) else {}
+        incident, given = data["incident_bar"], data.get("receiving_bar", {})
         shared = {key: value for key, value in incident.items() if key != "gauge"}
-        receiving = {**_from_library(shared), **_from_library(given)}
+        receiving = {**_from_library(shared), **_from_library(given)} if isinstance(given, dict) else given
         return {**data, "incident_bar": _from_library(incident), "receiving_bar": receiving}
 
     @model_validator(mode="after")
     def _whole(self) -> RecordDocument:
         for name, bar in (("incident_bar", self.incident_bar), ("receiving_bar", self.receiving_bar)):
-            for key in ("E", "density", "diameter"):
-                if getattr(bar, key) is None:
-                    raise ValueError(f"{name}.{key} is required" + ("" if key == "diameter" else ", or a material"))
             if bar.length is not None and bar.gauge > bar.length:
                 raise ValueError(f"{name}: the gauge at {bar.gauge:g} m does not sit on a bar of {bar.length:g} m")
         return self

@@ -80,7 +80,7 @@ def forces_csv(test: Reading) -> str:
 
 def pulse_csv(test: Reading) -> str:
     """The incident pulse as a study takes it: compression positive, from rest to rest."""
-    time = test.step * np.arange(len(test.pulse))
+    time: Array = np.asarray(test.step * np.arange(len(test.pulse)), dtype=float)
     return write_csv(["time [us]", "strain [microstrain]"], [time * 1e6, test.pulse * 1e6])
 
 

@@ -95,16 +95,6 @@ class Reading:
     changes: tuple[Change, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Arrivals:
-    """Delays behind the incident wave in samples: as predicted by the distances, and shifts that the record shows."""
-
-    reflected: float
-    transmitted: float
-    doubt_a: str = ""
-    doubt_b: str = ""
-
-
 def read_test(record: Record, document: RecordDocument) -> Reading:
     """Forces, energies and equilibrium of a test.
 
@@ -121,12 +111,12 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         raise UsageError("the first wave of the incident bar does not press (record.polarity)")
     changes = Changes(record.changes)
     withheld: list[str] = []
-    arrivals = _arrivals(record, document, changes)
+    reflects, transmits, doubt_a, doubt_b = _arrivals(record, document, changes)
     start, lead = max(wave.foot - _lead(wave), 0), _lead(wave)
 
     # first touch in the receiving and the reflected signal; where distances are wrong a wave begins at its own foot
-    to_b = float(rec.wave.foot - _lead(rec.wave)) if arrivals.doubt_b else start + arrivals.transmitted
-    to_a = start + arrivals.reflected
+    to_b = float(rec.wave.foot - _lead(rec.wave)) if doubt_b else start + transmits
+    to_a = start + reflects
     count = min(len(rec.strain) - 3 - int(to_b), math.inf if aligned else behind.echo / step)
     count = _until_unknown(rec, int(to_b), int(count))
     if count < _FEWEST:
@@ -139,7 +129,7 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     first, last = _clean(wave, start, delay)
     for wrong, reason in (
         (not inc.known[start : wave.end].all(), "samples of the incident wave are not known"),
-        (bool(arrivals.doubt_a), arrivals.doubt_a),
+        (bool(doubt_a), doubt_a),
         (count_a < _FEWEST, "the record ends before the reflected wave"),
         (shared and (not wave.ended or last - first < 0.5 * delay), "incident and reflected wave overlap at the "
          "incident gauge; shorten the pulse, move the gauge back, or say where it stands (record.window)"),
@@ -152,8 +142,6 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
 
     transmitted = _at(rec.strain, to_b, count)
     force_b = -behind.stiffness * transmitted
-    assert behind.gain_sd is not None
-    assert bar.gain_sd is not None
     gain_b = math.hypot(behind.gain_sd, _BENT if rec.single else 0.0)
     sd_b = np.sqrt(behind.stiffness**2 * (rec.noise**2 + rec.offset**2) + (gain_b * force_b) ** 2)
     time = np.asarray(step * np.arange(count), dtype=float)
@@ -161,8 +149,8 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     lasting = max(1.0, (rec.wave.falling - rec.wave.half) / rec.memory)
     if not found["B"].low > 0.0 or found["B"].value < 3.0 * behind.stiffness * rec.noise / math.sqrt(lasting):
         raise UsageError("no force at the receiving face rises above the noise of the record")
-    if arrivals.doubt_b:
-        found["B"] = _doubted(found["B"], arrivals.doubt_b)
+    if doubt_b:
+        found["B"] = _doubted(found["B"], doubt_b)
 
     incident = np.zeros(count)
     there = int(min(count, delay, len(inc.strain) - start))
@@ -191,7 +179,7 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         found["mean"] = _peak(time[zone], mean[zone], sd_mean[zone], 0.5 * noise_a, inc.memory)
         if first > 0 and found["A"].time < time[min(first + lead, count - 1)]:
             found["A"] = _doubted(found["A"], "its largest value lies where incident and reflected wave overlap")
-        for text in filter(None, (doubt, arrivals.doubt_b)):
+        for text in filter(None, (doubt, doubt_b)):
             found["A"] = _doubted(found["A"], text)
         if (first, last) == (0, count):
             energies = Energies(
@@ -226,33 +214,28 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
 # --- arrivals ---------------------------------------------------------------------------------------------------
 
 
-def _crossing(values: Array, level: float, begin: int, end: int) -> float | None:
-    """First place in [begin, end) at which values rise through a level and stay there for three samples."""
+def _crossing(values: Array, level: float, begin: int, end: int) -> int | None:
+    """First place in [begin, end) from which three values lie above a level."""
     above = values[begin:end] > level
-    runs = above[:-2] & above[1:-1] & above[2:] if len(above) > 2 else above
-    if not runs.any():
-        return None
-    k = begin + int(np.argmax(runs))
-    if k == 0 or k == begin:
-        return float(k)
-    low, high = values[k - 1], values[k]
-    return k - 1 + float((level - low) / (high - low)) if high > low else float(k)
+    runs = np.flatnonzero(above[:-2] & above[1:-1] & above[2:])
+    return begin + int(runs[0]) if len(runs) else None
 
 
-def _arrivals(record: Record, document: RecordDocument, changes: Changes) -> _Arrivals:
-    """The three arrivals held against distances and wave speeds; a wave that comes a little early is shifted."""
+def _arrivals(record: Record, document: RecordDocument, changes: Changes) -> tuple[float, float, str, str]:
+    """The three arrivals held against distances and wave speeds: delays of the reflected and the transmitted wave in
+    samples, shifted where a wave comes a little early, and why the distances to A and B are doubted."""
     step, inc, rec = record.step, record.incident, record.receiving
     bar, behind = document.incident_bar, document.receiving_bar
     wave = inc.wave
     if document.record.aligned:
         own = [s.wave.foot - _lead(s.wave) for s in (record.reflected or inc, rec)]
         start = max(wave.foot - _lead(wave), 0)
-        return _Arrivals(reflected=max(own[0], 0) - start, transmitted=max(own[1], 0) - start)
+        return max(own[0], 0) - start, max(own[1], 0) - start, "", ""
     reflected = 2.0 * bar.gauge / bar.wave_speed / step
     transmitted = (bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed) / step
     steep, doubt_a, doubt_b = float(wave.rising), "", ""
 
-    def lags(share: float, window: float) -> tuple[float | None, float | None]:
+    def lags(share: float, window: float) -> tuple[int | None, int | None]:
         """Samples by which reflected and transmitted wave come behind the incident one; None where that is not seen."""
         width = max(1, round(window / step))
         calm = smooth(inc.strain, width)
@@ -301,7 +284,7 @@ def _arrivals(record: Record, document: RecordDocument, changes: Changes) -> _Ar
                 changes.add("time shift", signal, text, off * step)
                 reflected += off * (name == "reflected")
                 transmitted += off * (name == "transmitted")
-    return _Arrivals(reflected=reflected, transmitted=transmitted, doubt_a=doubt_a, doubt_b=doubt_b)
+    return reflected, transmitted, doubt_a, doubt_b
 
 
 def _lead(wave: Wave) -> int:
