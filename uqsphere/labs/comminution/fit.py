@@ -332,27 +332,23 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
     want = asked.tests
     names = ("lognormal", "weibull") if want.law == "average" else (want.law,)
     gamma = want.gamma if isinstance(want.gamma, float) else None
-    models, chains, scores, content_laws = [], [], [], {}
-    for k, law in enumerate(names):
-        model = model_of(law, asked, tests)
+    models = [model_of(law, asked, tests) for law in names]
+    chains, scores, about = [], [], {}
+    for k, (law, model) in enumerate(zip(names, models, strict=True)):
         rng = np.random.default_rng([asked.seed, 731, k])
         done = sample(model, tests, gamma, rng, float(asked.draws))
         chain = done["chain"].reshape(-1, len(model.names))
-        rows = chain[rng.permutation(len(chain))[: asked.draws]]  # even strides would meet the same walkers again
-        each = done["each"](rows)
+        chains.append(chain[rng.permutation(len(chain))[: asked.draws]])  # even strides meet the same walkers again
         # leave-one-out by importance: 1/mean(1/p) of every specimen
-        loo = float(-np.log(np.mean(np.exp(np.minimum(-each / tests.weight, 600.0)), axis=0)) @ tests.weight)
-        models.append(model)
-        chains.append(rows)
-        scores.append(loo)
-        content_laws[law] = {"log_likelihood": done["log_likelihood"], "loo": loo, "r_hat": done["r_hat"],
-                             "effective": done["effective"],
-                             "settled": done["r_hat"] < R_HAT and done["effective"] > EFFECTIVE}  # fmt: skip
+        each = np.exp(np.minimum(-done["each"](chains[k]) / tests.weight, 600.0))
+        scores.append(float(-np.log(np.mean(each, axis=0)) @ tests.weight))
+        about[law] = {"log_likelihood": done["log_likelihood"], "loo": scores[k], "r_hat": done["r_hat"],
+                      "effective": done["effective"],
+                      "settled": done["r_hat"] < R_HAT and done["effective"] > EFFECTIVE}  # fmt: skip
     weights = np.exp(np.array(scores) - max(scores))
     weights /= weights.sum()
-    counts = np.round(np.cumsum(weights) * asked.draws).astype(int)
-    counts = np.diff(np.concatenate([[0], counts]))
-    law_of = np.repeat(np.arange(len(names)), counts)
+    ends = np.round(np.cumsum(weights) * asked.draws).astype(int)
+    law_of = np.repeat(np.arange(len(names)), np.diff(ends, prepend=0))
     rng = np.random.default_rng([asked.seed, 733])
     order = rng.permutation(len(law_of))
     every = dict.fromkeys(name for model in models for name in model.names)
@@ -369,7 +365,7 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
         models=tuple(models), law=law_of[order], tested=(float(tests.diameter.min()), float(tests.diameter.max())),
         parameters={name: v[order] for name, v in parameters.items()}, tests=int(tests.weight.sum()),
     )  # fmt: skip
-    return _described(posterior, models, content_laws, dict(zip(names, weights.tolist(), strict=True)), tests, asked)
+    return _described(posterior, about, dict(zip(names, weights.tolist(), strict=True)), tests, asked)
 
 
 def quantiles(values: Array) -> dict[str, float]:
@@ -379,11 +375,10 @@ def quantiles(values: Array) -> dict[str, float]:
 
 
 def _described(
-    posterior: Posterior, models: list[Model], about: dict[str, Any], weights: dict[str, float], tests: Specimens,
-    asked: ComminutionDocument,
-) -> Fit:  # fmt: skip
+    posterior: Posterior, about: dict[str, Any], weights: dict[str, float], tests: Specimens, asked: ComminutionDocument
+) -> Fit:
     warnings = list(tests.notes)
-    parameters, priors = {}, {name: prior for model in models for name, prior in model.priors.items()}
+    parameters, priors = {}, {name: prior for model in posterior.models for name, prior in model.priors.items()}
     for name, values in posterior.parameters.items():
         sd = priors.get(name, PRIORS.get(name, _FLAT))[1]
         own = float(np.nanstd(np.log(values)))
@@ -394,9 +389,7 @@ def _described(
     for size in tests.sizes[:200]:
         near = np.abs(np.log(tests.diameter / size)) < 0.006
         half, hundredth = posterior.energy_at(0.5, size)[:, 0], posterior.energy_at(0.01, size)[:, 0]
-        step = np.log(posterior.median(size * 1.01)[:, 0] / posterior.median(size / 1.01)[:, 0]) / (
-            2.0 * math.log(1.01)
-        )
+        step = np.log(posterior.median(size * 1.01) / posterior.median(size / 1.01))[:, 0] / 0.0199
         sizes.append({"diameter": size, "tests": int(tests.weight[near].sum()),
                       "broke": int(tests.weight[near & tests.broke].sum()), "breaks_half": quantiles(half),
                       "E50": quantiles(posterior.median(size)[:, 0]), "breaks_1_percent": quantiles(hundredth),
@@ -407,18 +400,14 @@ def _described(
             better = "lognormal" if gap > 0.0 else "weibull"
             warnings.append(f"the {better} law predicts these tests better (log score by {abs(gap):.1f})")
         elif tests.weight.sum() < FEW:
-            warnings.append(
-                "too few tests to choose between lognormal and Weibull: both are averaged; small shares differ"
-            )
+            warnings.append("too few tests to choose between lognormal and Weibull: both are averaged")
     for law, one in about.items():
         if not one["settled"]:
-            warnings.append(
-                f"{law}: the draws did not settle (R-hat {one['r_hat']:.3f}, {one['effective']:.0f} effective)"
-            )
+            warnings.append(f"{law}: the draws did not settle (R-hat {one['r_hat']:.3f})")
     if asked.tests.synthetic:
         warnings.append("the tests are synthetic data: no number here is of a rock")
     content = {
-        "title": asked.title, "seed": asked.seed, "law": asked.tests.law, "size": models[0].size,
+        "title": asked.title, "seed": asked.seed, "law": asked.tests.law, "size": posterior.models[0].size,
         "ratio": asked.tests.ratio if math.isfinite(asked.tests.ratio) else None,
         "tests": {"specimens": len(tests.weight), "particles": int(tests.weight.sum()),
                   "broke": int(tests.weight[tests.broke].sum()),

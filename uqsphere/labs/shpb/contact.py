@@ -91,14 +91,12 @@ class ContactFit:
 
     def lines(self) -> str:
         """The lines of a study."""
-        values = (self.onset_pressure, self.hardness)
-        names = ("onset_pressure", "hardness")
         numbers = [
             f'{name} = "{v.value * 1e-9:.4g} GPa"    # {v.low * 1e-9:.4g} to {v.high * 1e-9:.4g} GPa'
-            for name, v in zip(names, values, strict=True)
+            for name, v in (("onset_pressure", self.onset_pressure), ("hardness", self.hardness))
         ]
-        end = f"    # {self.pile_up.low:.3g} to {self.pile_up.high:.3g}"
-        return "\n".join(["[contact]", 'law = "plastic"', *numbers, f"pile_up = {self.pile_up.value:.4g}{end}", ""])
+        pile_up = f"pile_up = {self.pile_up.value:.4g}    # {self.pile_up.low:.3g} to {self.pile_up.high:.3g}"
+        return "\n".join(["[contact]", 'law = "plastic"', *numbers, pile_up, ""])
 
     def rows(self) -> list[tuple[str, str, str]]:
         """Name, value and 95 % interval."""
@@ -125,9 +123,8 @@ def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, li
     force = sign * table.in_si(asked.force, "force", asked.force_unit)
     whole = np.isfinite(displacement) & np.isfinite(force)
     if not whole.all():
-        raise UsageError(
-            f"{table.path.name}: line {table.values.index[int(np.argmin(whole))]} has no number: take it out"
-        )
+        line = table.values.index[int(np.argmin(whole))]
+        raise UsageError(f"{table.path.name}: line {line} has no number: take it out")
     return displacement, force, list(table.notes)
 
 

@@ -124,10 +124,8 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     first, rough, lasts = _incident_foot([by_name[n][0] for n in names["incident"]], step)
     bar, behind = document.incident_bar, document.receiving_bar
     if bar.length is not None and lasts * step * bar.wave_speed > _PASSES * bar.length:
-        raise UsageError(
-            f"the pulse lasts {lasts * step * 1e6:.4g} us, {lasts * step * bar.wave_speed / bar.length:.0f} passes of "
-            "the incident bar: is the time in another unit (record.time_unit)?"
-        )
+        passes = lasts * step * bar.wave_speed / bar.length
+        raise UsageError(f"the pulse lasts {passes:.0f} passes of the incident bar: another unit (record.time_unit)?")
     # the first wave of a signal stands before the first echo of a far end
     limits = {"incident": math.inf, "reflected": math.inf, "receiving": math.inf}
     if not document.record.aligned and bar.length is not None:
@@ -214,10 +212,8 @@ def _columns(
         each = {2: 1, 4: 2}.get(len(free))
         if each is None or asked.reflected:
             names = ", ".join(f"{t.names[k]!r}" for t, k in pool)
-            raise UsageError(
-                f"{main.path.name}: {len(pool)} signals ({names}); name them by record.incident, record.receiving "
-                "and, where the waves stand apart, record.reflected"
-            )
+            ask = "name them by record.incident, record.receiving (and record.reflected)"
+            raise UsageError(f"{main.path.name}: {len(pool)} signals ({names}); {ask}")
         picked = {"incident": free[:each], "receiving": free[each:]}
     else:
         picked = {role: [_pick(pool, main, name) for name in names] for role, names in roles.items() if names}
@@ -264,10 +260,7 @@ def _strain(table: Table, k: int, name: str, bar: BarTable, changes: Changes) ->
     if away.max() == 0.0:
         raise UsageError(f"{name}: every sample is the same; there is no wave in it")
     if (size := float(np.quantile(away, 0.98))) > _MOST_STRAIN:
-        raise UsageError(
-            f"{name} reaches a strain of {size:.3g}, which no elastic bar bears; is it in microstrain or volts "
-            '(unit = "microstrain")?'
-        )
+        raise UsageError(f"{name}: a strain of {size:.3g}, which no elastic bar bears; another unit (BAR.unit)?")
     changes.add("read", name, text)
     return values
 
@@ -298,10 +291,8 @@ def _check_clock(time: Array, table: Table, clock: int, guessed: bool) -> None:
     if falls.any():
         raise UsageError(f"{table.path.name}: the time falls at sample {int(np.argmax(falls)) + 2}; several records?")
     if good[-1] - good[0] > _LONGEST:
-        raise UsageError(
-            f"{table.path.name}: the record lasts {good[-1] - good[0]:.4g} s, longer than any test; is its time in "
-            'another unit (record.time_unit = "us")?'
-        )
+        lasts = float(good[-1] - good[0])
+        raise UsageError(f"{table.path.name}: lasts {lasts:.4g} s: is its time in another unit (record.time_unit)?")
 
 
 def _even(

@@ -120,10 +120,8 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     count = min(len(rec.strain) - 3 - int(to_b), math.inf if aligned else behind.echo / step)
     count = _until_unknown(rec, int(to_b), int(count))
     if count < _FEWEST:
-        raise UsageError(
-            f"{max(count, 0)} samples of the transmitted wave are left, {_FEWEST} are required: the record ends too "
-            "early, or an echo or a gap comes before"
-        )
+        ends = "the record ends too early, or an echo or a gap comes before"
+        raise UsageError(f"{max(count, 0)} samples of the transmitted wave, {_FEWEST} are required: {ends}")
     count_a = min(len(signal.strain) - 3 - int(to_a), math.inf if aligned else bar.echo / step)
     count_a = _until_unknown(signal, int(to_a), int(count_a))
     first, last = _clean(wave, start, delay)
@@ -256,22 +254,18 @@ def _arrivals(record: Record, document: RecordDocument, changes: Changes) -> tup
     if back is not None:
         off = back - reflected
         if not -(_EARLY * reflected + 0.5 * steep + 3.0) <= off <= _LATE * reflected + 2.0 * steep + 5.0:
-            doubt_a = (
-                f"the reflected wave comes {abs(off) * step * 1e6:.4g} us too {'early' if off < 0 else 'late'} for a "
-                f"gauge at {bar.gauge:.4g} m; {0.5 * back * step * bar.wave_speed:.4g} m would fit (or another E or "
-                "density)"
-            )
+            late_by = f"{abs(off) * step * 1e6:.4g} us too {'early' if off < 0 else 'late'}"
+            would = f"{0.5 * back * step * bar.wave_speed:.4g} m would fit (or another E or density)"
+            doubt_a = f"the reflected wave comes {late_by} for a gauge at {bar.gauge:.4g} m; {would}"
     # the transmitted wave may be late, by the transit and the softness of the specimen, but not early
     if there is not None:
         off = there - transmitted
         late = _LATE * transmitted + 2.0 * steep + 0.5 * (wave.falling - wave.half) + 50e-6 / step
         if not -(_EARLY * transmitted + 0.5 * steep + 3.0) <= off <= late:
             fits = there * step * behind.wave_speed - bar.gauge * behind.wave_speed / bar.wave_speed
-            would = f"{fits:.4g} m would fit" if fits > 0.0 else "no distance fits"
-            doubt_b = (
-                f"the transmitted wave comes {abs(off) * step * 1e6:.4g} us too {'early' if off < 0 else 'late'} for a "
-                f"gauge at {behind.gauge:.4g} m; {would} if the incident gauge is right"
-            )
+            would = f"{fits:.4g} m would fit" if fits > 0.0 else "no distance of this gauge fits"
+            late_by = f"{abs(off) * step * 1e6:.4g} us too {'early' if off < 0 else 'late'}"
+            doubt_b = f"the transmitted wave comes {late_by} for a gauge at {behind.gauge:.4g} m; {would}"
             if off < 0.0:  # no force before first touch: the incident wave itself is not where it seems
                 doubt_a = doubt_a or doubt_b
     if steep < 0.05 * reflected and not doubt_a and not doubt_b:
