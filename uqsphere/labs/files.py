@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,20 +12,14 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from uqsphere.errors import AccessError, UsageError
-from uqsphere.units import UnitError, parse_value
+from uqsphere.errors import AccessError, UqsphereError, UsageError
+from uqsphere.materials import library
+from uqsphere.units import parse_value
 
 
 def in_unit(dimension: str) -> BeforeValidator:
     """A key whose text has a unit of a dimension."""
-
-    def parse(text: object) -> float:
-        try:
-            return parse_value(text, dimension)
-        except UnitError as error:
-            raise ValueError(str(error)) from None
-
-    return BeforeValidator(parse)
+    return BeforeValidator(lambda text: parse_value(text, dimension))
 
 
 Length = Annotated[float, in_unit("length"), Field(gt=0.0)]
@@ -39,6 +34,18 @@ class Section(BaseModel):
     """A table of the file: no key that is not known, nothing changes after reading."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def from_library(table: Any, *kinds: str) -> Any:
+    """A table with E, nu and density of its `material` where it does not give its own."""
+    if not isinstance(table, dict) or table.get("material") is None:
+        return table
+    known = {name: one for kind in kinds for name, one in library()[kind].items()}
+    if table["material"] not in known:
+        raise ValueError(f"material {table['material']!r} is not known: {', '.join(known)}")
+    own, units = known[table["material"]].properties, {"E": "Pa", "density": "kg/m3"}
+    taken = {key: f"{own[key].value!r} {unit}" for key, unit in units.items() if key in own}
+    return {**taken, **({"nu": own["nu"].value} if "nu" in own else {}), **table}
 
 
 Document = TypeVar("Document", bound=BaseModel)
@@ -88,3 +95,20 @@ def show(chosen: argparse.Namespace, content: Any, text: str, written: Sequence[
         print(json.dumps({**content, "written": list(written)}, indent=1, allow_nan=False))
     else:
         print("\n".join([text, *(f"wrote {path}" for path in written)]))
+
+
+def run_command(
+    argv: Sequence[str] | None,
+    parser: argparse.ArgumentParser,
+    commands: Mapping[str, Callable[[argparse.Namespace], int]],
+) -> int:
+    """Parse and run; exit codes 0, 2 (usage, or a file that cannot be used so), 6 (files)."""
+    try:
+        chosen = parser.parse_args(argv)
+    except SystemExit as ended:
+        return int(ended.code or 0)
+    try:
+        return commands[chosen.command](chosen)
+    except UqsphereError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code

@@ -6,24 +6,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from uqsphere.labs.files import Density, Length, Pressure, Section, Speed, in_unit
-from uqsphere.materials import library
+from uqsphere.labs.files import Density, Length, Pressure, Section, Speed, from_library, in_unit
+from uqsphere.units import parse_value
 
 SpecificEnergy = Annotated[float, in_unit("specific_energy"), Field(gt=0.0)]
 Energy = Annotated[float, in_unit("energy"), Field(gt=0.0)]
 Mass = Annotated[float, in_unit("mass"), Field(gt=0.0)]
 Share = Annotated[
-    float, BeforeValidator(lambda v: v if isinstance(v, (int, float)) else _share(v)), Field(gt=0.0, le=1.0)
+    float, BeforeValidator(lambda v: parse_value(v, "share") if isinstance(v, str) else v), Field(gt=0.0, le=1.0)
 ]
-
-
-def _share(text: Any) -> float:
-    from uqsphere.units import UnitError, parse_value
-
-    try:
-        return parse_value(text, "share")
-    except UnitError as error:
-        raise ValueError(str(error)) from None
 
 
 class Elastic(Section):
@@ -37,18 +28,7 @@ class Elastic(Section):
     @model_validator(mode="before")
     @classmethod
     def _from_library(cls, data: Any) -> Any:
-        if not isinstance(data, dict) or data.get("material") is None:
-            return data
-        known = {name: m for kind in library().values() for name, m in kind.items()}
-        name = data["material"]
-        if name not in known:
-            raise ValueError(f"material {name!r} is not known: {', '.join(known)}")
-        own = known[name].properties
-        units = {"E": " Pa", "nu": "", "density": " kg/m3"}
-        taken = {
-            key: f"{own[key].value!r}{unit}" if unit else own[key].value for key, unit in units.items() if key in own
-        }
-        return {**taken, **data}
+        return from_library(data, "sphere", "plates", "bars")
 
 
 class Lognormal(Section):

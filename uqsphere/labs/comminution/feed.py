@@ -131,24 +131,6 @@ class Answer:
     content: dict[str, Any]
     warnings: tuple[str, ...]
 
-    def class_csv(self) -> str:
-        """Shares broken by class."""
-        rows = ["upper [mm],size [mm],mass [1],broken [1],low [1],high [1]"]
-        for k, one in enumerate(self.content["classes"]):
-            b = one["broken"]
-            rows.append(f"{self.classes.edges[k] * 1e3:.6g},{self.classes.sizes[k] * 1e3:.6g},{one['mass']:.6g},"
-                        f"{b['value']:.6g},{b['low']:.6g},{b['high']:.6g}")  # fmt: skip
-        return "\n".join(rows) + "\n"
-
-    def product_csv(self) -> str:
-        """The product curve."""
-        rows = ["sieve [mm],feed [1],passing [1],low [1],high [1]"]
-        for one in self.content["product"]:
-            rows.append(
-                ",".join(f"{v:.6g}" for v in (one["sieve"] * 1e3, one["feed"], one["value"], one["low"], one["high"]))
-            )
-        return "\n".join(rows) + "\n"
-
 
 def offered(asked: FeedTable, sizes: Array, density: float) -> Array:
     """Energy offered by one blow per mass of each class (K,) [J/kg]."""

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from uqsphere.errors import UqsphereError, UsageError
-from uqsphere.labs.files import load_document, show, table, write_files
+from uqsphere.errors import UsageError
+from uqsphere.labs.files import load_document, run_command, show, table, write_files
 from uqsphere.labs.shpb.document import RecordDocument
 
 
@@ -26,15 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         one.add_argument("file", type=Path, nargs="+" if name == "records" else None, help="input file (TOML)")
         one.add_argument("--out", type=Path, help="folder for the files that are written")
         one.add_argument("--json", action="store_true", help="one JSON document on stdout")
-    try:
-        chosen = parser.parse_args(argv)
-    except SystemExit as ended:
-        return int(ended.code or 0)
-    try:
-        return {"records": _records, "fit-contact": _fit_contact, "plan": _plan}[chosen.command](chosen)
-    except UqsphereError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    return run_command(argv, parser, {"records": _records, "fit-contact": _fit_contact, "plan": _plan})
 
 
 def _records(chosen: argparse.Namespace) -> int:

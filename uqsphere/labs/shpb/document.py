@@ -7,8 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from uqsphere.labs.files import Density, Force, Length, Pressure, Section, Time
-from uqsphere.materials import library
+from uqsphere.labs.files import Density, Force, Length, Pressure, Section, Time, from_library
 
 Columns = Annotated[tuple[str | int, ...], BeforeValidator(lambda v: (v,) if isinstance(v, (str, int)) else v)]
 
@@ -110,8 +109,10 @@ class RecordDocument(Section):
             return data
         incident, given = data["incident_bar"], data.get("receiving_bar", {})
         shared = {key: value for key, value in incident.items() if key != "gauge"}
-        receiving = {**_from_library(shared), **_from_library(given)} if isinstance(given, dict) else given
-        return {**data, "incident_bar": _from_library(incident), "receiving_bar": receiving}
+        receiving = (
+            {**from_library(shared, "bars"), **from_library(given, "bars")} if isinstance(given, dict) else given
+        )
+        return {**data, "incident_bar": from_library(incident, "bars"), "receiving_bar": receiving}
 
     @model_validator(mode="after")
     def _whole(self) -> RecordDocument:
@@ -119,17 +120,3 @@ class RecordDocument(Section):
             if bar.length is not None and bar.gauge > bar.length:
                 raise ValueError(f"{name}: the gauge at {bar.gauge:g} m does not sit on a bar of {bar.length:g} m")
         return self
-
-
-def _from_library(table: dict[str, Any]) -> dict[str, Any]:
-    """A bar with the numbers of its material where it does not give its own."""
-    name = table.get("material")
-    if name is None:
-        return table
-    known = library()["bars"]
-    if name not in known:
-        raise ValueError(f"material {name!r} is not known for bars: {', '.join(known)}")
-    numbers = {key: known[name].properties[key].value for key in ("E", "nu", "density")}
-    units = {"E": "Pa", "density": "kg/m3"}
-    taken = {key: f"{value!r} {units[key]}" if key in units else value for key, value in numbers.items()}
-    return {**table, **{key: value for key, value in taken.items() if key not in table or key == "nu"}}
