@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -402,8 +401,3 @@ def test_published_rock_tests(tmp_path: Path) -> None:
         assert min(abs(peak.value / published - 1.0) for peak in test.peaks.values()) < 0.03
         for peak in test.peaks.values():
             assert peak.doubts or abs(peak.value / published - 1.0) < 0.06
-
-
-def test_folder_of_the_records_is_not_in_the_repository() -> None:
-    here = Path(__file__).parents[2]
-    assert not [name for name in os.listdir(here / "studies") if name.startswith(("TaQu", "CaMa", "SaLi", "SeeSst"))]

@@ -42,7 +42,7 @@ def _run(chosen: argparse.Namespace) -> int:
     at = asked.strength_at or math.sqrt(low * high)
     content = {**fitted.content, "strength_at": at}
     files = {"draws.csv": fitted.posterior.strength_csv(at), "fit.json": _json(content)}
-    text, warnings = _fit_text(content), fitted.warnings
+    text, warnings = _fit_text(content), fitted.content["warnings"]
     if chosen.command == "feed":
         answer = answer_feed(fitted.posterior, asked, folder)
         classes = [(c["upper"], c["size"], c["mass"], *c["broken"].values()) for c in answer.content["classes"]]
@@ -53,7 +53,7 @@ def _run(chosen: argparse.Namespace) -> int:
         if product := [tuple(one.values()) for one in answer.content["product"]]:
             files["product.csv"] = _csv("sieve [m],feed,passing,low,high", product)
         content, text = {"fit": content, "feed": answer.content}, _feed_text(answer.content)
-        warnings += answer.warnings
+        warnings = [*warnings, *answer.content["warnings"]]
     for warning in dict.fromkeys(warnings):
         print(f"note: {warning}", file=sys.stderr)
     show(chosen, content, text, write_files(out, files))
@@ -109,9 +109,4 @@ def _feed_text(content: dict[str, Any]) -> str:
     for one in content["classes"]:
         size, mark = f"{one['size'] * 1e3:.4g} mm", "extrapolated" if one["extrapolated"] else ""
         classes.append((size, f"{one['mass']:.1%}", *_interval(one["broken"], 100.0, "%"), mark))
-    blocks = [content["title"] or "feed", table(rows), table(classes)]
-    if "goal" in content:
-        goal = content["goal"]
-        blocks.append(f"{goal['broken']:.0%} broken with {goal['at_least']:.0%}: {goal['verdict']} "
-                      f"(probability {goal['probability']:.1%} +- {goal['error']:.1%})")  # fmt: skip
-    return "\n\n".join(blocks)
+    return "\n\n".join([content["title"] or "feed", table(rows), table(classes)])

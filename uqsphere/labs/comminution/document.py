@@ -93,8 +93,7 @@ class TestsTable(Section):
             raise ValueError("outcome is required, or broken with particles")
         if given[0] == "force" and self.stiffness is None and not self.assume_intact:
             raise ValueError(
-                "a force needs the stiffness of each particle (stiffness = COLUMN): broken rock is often several times "
-                "softer than intact rock; assume_intact = true takes E and nu of the material"
+                "a force needs the stiffness of each particle (stiffness = COLUMN), or assume_intact = true"
             )
         if given[0] in ("specific_energy", "energy") and self.energy_is is None:
             raise ValueError('energy_is is required: "sphere", "contact" or "input"')
@@ -138,7 +137,6 @@ class FeedTable(Section):
     specific_energy, energy, speed : of one blow, exactly one; the same J/kg for all sizes, J a blow, closing speed.
     impact_surface : what the particles hit.
     undersize : whether what is below the last sieve breaks too.  lot : mass over which numbers scatter.
-    goal : broken share that is to be reached with the probability `at_least`.
     """
 
     sizes: SizesTable
@@ -150,8 +148,6 @@ class FeedTable(Section):
     undersize: Literal["stays", "breaks"] = "stays"
     lot: Mass | None = None
     fines: Length | None = None
-    goal: Share | None = None
-    at_least: Share = 0.95
 
     @model_validator(mode="after")
     def _one_energy(self) -> FeedTable:

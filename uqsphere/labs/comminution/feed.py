@@ -88,12 +88,8 @@ def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Any, flo
         percent = True
         notes.append(f"{table.path.name}: passing reaches {largest:.4g}, percent are taken")
     share = given * (0.01 if percent else 1.0)
-    if (
-        (sieve <= 0.0).any()
-        or (np.diff(sieve) == 0.0).any()
-        or (np.diff(share) < 0.0).any()
-        or not 0 < share[-1] <= 1.0001
-    ):
+    rising = (np.diff(sieve) > 0.0).all() and (np.diff(share) >= 0.0).all()
+    if not rising or sieve[0] <= 0.0 or not 0 < share[-1] <= 1.0001:
         raise UsageError(f"{table.path.name}: sieves must differ, and what passes must rise with them up to 100 %")
     left = 1.0 - float(share[-1])
     top = asked.top if asked.top is not None else float(sieve[-1])
@@ -129,7 +125,6 @@ class Answer:
     sieves: Array
     passing: Array
     content: dict[str, Any]
-    warnings: tuple[str, ...]
 
 
 def offered(asked: FeedTable, sizes: Array, density: float) -> Array:
@@ -219,7 +214,6 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         ] if product is not None else [],
     }  # fmt: skip
     content["numbers"]["never broken"] = quantiles(1.0 - total)
-    lots = None
     if feed.lot is not None:
         count = np.maximum(np.round(mass * feed.lot / laws.mass_of(sizes, own.density)), 0.0)
         lots = _lots(broken, mass, count, rng)
@@ -227,13 +221,10 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
             "mass": feed.lot, "broken": quantiles(lots), "epistemic_sd": float(total.std()),
             "lot_sd": float(math.sqrt(max(float(lots.var() - total.var()), 0.0))),
         }  # fmt: skip
-    if feed.goal is not None:
-        content["goal"] = _goal(feed, total if lots is None else lots, asked.tests.synthetic)
     if asked.tests.synthetic:
         warnings.insert(0, "the tests are synthetic data: no number here is of a rock")
     content["warnings"] = warnings
-    return Answer(classes=classes, broken=broken, total=total, sieves=sieves, passing=passing, content=content,
-                  warnings=tuple(warnings))  # fmt: skip
+    return Answer(classes=classes, broken=broken, total=total, sieves=sieves, passing=passing, content=content)
 
 
 def _product(
@@ -267,25 +258,3 @@ def _lots(broken: Array, mass: Array, count: Array, rng: np.random.Generator) ->
     many = np.maximum(count, 1.0)
     drawn[:, few] = rng.binomial(many[few].astype(np.int64), np.clip(broken[:, few], 0.0, 1.0)) / many[few]
     return np.asarray(drawn @ mass)
-
-
-def _goal(feed: FeedTable, total: Array, synthetic: bool) -> dict[str, Any]:
-    assert feed.goal is not None
-    probability = float((total >= feed.goal).mean())
-    error = 3.0 * math.sqrt(max(probability * (1.0 - probability), 1.0 / len(total)) / len(total))
-    verdict = (
-        "met"
-        if probability - error >= feed.at_least
-        else "not met"
-        if probability + error < feed.at_least
-        else "undecided"
-    )
-    if synthetic:
-        verdict = "not established"
-    return {
-        "broken": feed.goal,
-        "at_least": feed.at_least,
-        "probability": probability,
-        "error": error,
-        "verdict": verdict,
-    }

@@ -133,7 +133,6 @@ class Fit:
 
     posterior: Posterior
     content: dict[str, Any]
-    warnings: tuple[str, ...]
 
 
 # --- likelihood ---------------------------------------------------------------------------------------------------
@@ -416,4 +415,4 @@ def _described(
         "laws": {law: {**one, "weight": weights[law]} for law, one in about.items()},
         "parameters": parameters, "sizes": sizes, "warnings": warnings,
     }  # fmt: skip
-    return Fit(posterior=posterior, content=content, warnings=tuple(warnings))
+    return Fit(posterior=posterior, content=content)

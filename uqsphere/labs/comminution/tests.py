@@ -187,9 +187,7 @@ def _specimens(
         if len(group) > 1:
             early = [k for k in group[:-1] if broken[k] > 0]
             if early:
-                raise UsageError(
-                    f"{table.path.name}: line {lines[early[0]]}: this specimen is hit again after it broke"
-                )
+                raise UsageError(f"{table.path.name}: line {lines[early[0]]}: a specimen is hit again after it broke")
             if (particles[group] > 1).any():
                 raise UsageError(f"{table.path.name}: line {lines[group[0]]}: a specimen hit again is one particle")
         series = [float(energy[k]) for k in group for _ in range(int(count[k]))]
@@ -207,11 +205,7 @@ def _specimens(
         exact=np.array([one[3] for one in found]), weight=np.array([one[4] for one in found]), notes=tuple(notes),
     )  # fmt: skip
     if not made.broke.any():
-        raise UsageError(
-            "every particle survived: nothing bounds the fracture energy from above; test at higher energies"
-        )
+        raise UsageError("every particle survived: nothing bounds its energy from above; test at higher energies")
     if made.broke.all() and not made.exact.any() and not made.repeated.any():
-        raise UsageError(
-            "every particle broke at what it was offered: nothing bounds it from below; test at lower ones"
-        )
+        raise UsageError("every particle broke at its first blow: nothing bounds it from below; test at lower energies")
     return made
