@@ -89,11 +89,6 @@ def test_what_is_no_such_test_is_refused(frame: pd.DataFrame, keys: Any, match: 
         fit(frame, tmp_path, **keys)
 
 
-def test_a_known_pile_up_needs_no_unloading(tmp_path: Path) -> None:
-    found = fit(loading(unload=False), tmp_path, pile_up=2.0)
-    assert found.hardness.low < 2.5e9 < found.hardness.high
-
-
 def test_fit_contact_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     loading().to_csv(tmp_path / "slow.csv", index=False)
     (tmp_path / "slow.toml").write_text('file = "slow.csv"\ndiameter = "10 mm"\n')
@@ -168,8 +163,10 @@ def test_scatter_widens_the_shares_and_intervals_hold_finer_ones(
 
 def test_what_a_plan_cannot_use_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "ball.toml").write_text(STUDY.format(E='"60 GPa"'))
-    for line, match in (('free = "striker.mass"', "is no number of the study"), ('between = ["1 kg", "2 kg"]', "between"),
-                        ('limits = ["none"]', "no limit of the study means fracture"), ("rows = 3", "rows")):  # fmt: skip
+    for line, match in (('free = "striker.mass"', "is no number of the study"),
+                        ('between = ["1 kg", "2 kg"]', "between"),
+                        ('limits = ["none"]', "no limit of the study means fracture"),
+                        ("rows = 3", "rows")):  # fmt: skip
         (tmp_path / "plan.toml").write_text(f'study = "ball.toml"\n{line}\n')
         assert main(["plan", str(tmp_path / "plan.toml")]) == 2
         assert match in capsys.readouterr().err

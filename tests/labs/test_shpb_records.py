@@ -1,4 +1,4 @@
-"""Records of a test with known forces: read back, with every fault mended, doubted or refused, never wrong and sound."""
+"""Records of a test with known forces: every fault mended, doubted or refused, never wrong and sound."""
 
 from __future__ import annotations
 
@@ -119,8 +119,8 @@ def triggered(frame: pd.DataFrame) -> None:
 
 @pytest.mark.parametrize(
     ("fault", "step", "text"),
-    [(spiked, "spikes", "3 spikes"), (drifted, "baseline", "receiving: a baseline of 6"), (drifted, "drift", "microstrain/ms"),
-     (turned, "sign", "incident"), (triggered, "spikes", "incident")],
+    [(spiked, "spikes", "3 spikes"), (drifted, "baseline", "receiving: a baseline of 6"),
+     (drifted, "drift", "microstrain/ms"), (turned, "sign", "incident"), (triggered, "spikes", "incident")],
 )  # fmt: skip
 def test_mended_in_named_steps_that_print_what_they_changed(fault: Any, step: str, text: str, tmp_path: Path) -> None:
     frame = waves()
@@ -208,12 +208,6 @@ def test_a_clipped_top_is_not_a_peak(tmp_path: Path) -> None:
     assert test.peaks["B"].doubts
 
 
-def test_a_pulse_longer_than_the_way_leaves_face_a_unknown(tmp_path: Path) -> None:
-    test = read(tmp_path, waves(), incident_bar={"gauge": "0.1 m"}, record={"window": ["148 us", "272 us"]})
-    assert "A" not in test.peaks
-    assert "overlap" in " ".join(test.withheld) or "would fit" in " ".join(test.withheld)
-
-
 @pytest.mark.parametrize(
     ("heading", "factor"), [("Time/ms", 1e-3), ("time_ms", 1e-3), ("t in ms", 1e-3), ("t, us", 1.0), ("Zeit (s)", 1e-6)]
 )
@@ -244,16 +238,11 @@ def test_a_unit_that_is_taken_is_printed_and_a_time_in_another_is_refused(tmp_pa
 def test_noise_alone_and_records_without_a_rest_are_refused(tmp_path: Path) -> None:
     frame = waves(noise=2e-4)
     frame["receiving [strain]"] = 1e-5 * np.random.default_rng(5).standard_normal(len(frame))
-    with pytest.raises(UsageError, match="no wave rises above the noise|no force at the receiving face"):
+    with pytest.raises(UsageError, match=r"no wave rises above the noise|no force at the receiving face"):
         read(tmp_path, frame)
     inside = read(tmp_path, waves().iloc[340:])  # begins on the top of the pulse: the transmitted wave gives it away
     assert "A" not in inside.peaks
     assert any("too early" in doubt for doubt in inside.peaks["B"].doubts)
-
-
-def test_a_record_that_ends_in_the_wave(tmp_path: Path) -> None:
-    peak = read(tmp_path, waves().iloc[: round((150e-6 + (GAUGE_A + GAUGE_B) / C0 + 45e-6) / STEP)]).peaks["B"]
-    assert any("at least this" in doubt for doubt in peak.doubts)
 
 
 def test_gaps_uneven_steps_and_too_few_digits(tmp_path: Path) -> None:
@@ -376,14 +365,14 @@ def test_public_records(tmp_path: Path) -> None:
     assert test.force_a is not None
     assert test.force_a[int(np.searchsorted(test.time, 95e-6))] == pytest.approx(12.5e3, rel=0.05)
     assert test.peaks["A"].doubts
-    with pytest.raises(UsageError, match="no time: record.sample_interval"):
+    with pytest.raises(UsageError, match=r"no time: record\.sample_interval"):
         others(
             tmp_path,
             PUBLIC / "records-no-time/record.csv",
             small | {"incident_bar": {**cut["incident_bar"], "unit": "V"}},
         )
     files = {"more_files": (str(PUBLIC / "records-with-time-last/trans.csv"),)}
-    with pytest.raises(UsageError, match='record.time = "column 2"'):
+    with pytest.raises(UsageError, match=r'record\.time = "column 2"'):
         others(tmp_path, PUBLIC / "records-with-time-last/incid.csv", right, **files)
     us = bars(*steel, "14.5 mm", "2 m", "0.5 m", "0.5 m")
     for name in ("h_us.csv", "pulse.csv"):
