@@ -222,7 +222,7 @@ def test_what_a_model_has_started_ends_with_it(place: Path) -> None:
     """Its process by the limit of time, and the child with it; the process when the one that asked is killed."""
     mark = f"{time.time_ns() % 10**6 + 10**6}"
     with open_model(study("time_limit = '0.2 s'"), box(place, f"os.system('sleep {mark}')"), threads=1) as model:
-        assert evaluated(model).status[BAD].tolist() == [Code.TIME_OVER] * 2
+        assert model.evaluate(["a"], ROWS[2:3], ["y"]).status.tolist() == [Code.TIME_OVER]
     assert not _running(f"sleep\0{mark}")
     reference = box(place, f"os.system('sleep {mark}')", where="True")
     program = f"""

@@ -268,6 +268,7 @@ def _columns_of(study: Study, frame: Any) -> tuple[dict[str, Array], Any]:
     """Columns (n,) by name in the order of `frame`, and its index."""
     import pandas as pd
 
+    index: Any = None
     if isinstance(frame, pd.Series):
         frame = pd.DataFrame([frame.to_numpy()], columns=frame.index)
     if isinstance(frame, pd.DataFrame):
