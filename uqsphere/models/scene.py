@@ -240,7 +240,7 @@ def evaluate(
     """
     import pandas as pd
 
-    from uqsphere.models import open_model
+    from uqsphere.models.model import open_model
 
     names = ((quantities,) if isinstance(quantities, str) else quantities) or study.analysis.quantities
     allowed = study.outputs if study.black_box else (*OUTPUTS, *study.demands)
