@@ -172,8 +172,8 @@ class Model:
         if not self._times and len(rows):
             task.answer(rows[:1], 1)  # the kernel is compiled, or loaded, before anything is timed
         parts = _blocks(len(rows), _SCENE_ROWS[isinstance(self._workers, Given)])
-        found, notes = self._gather(task, rows, [_Piece(places=part) for part in parts])
-        return replace(found, note=notes[min(notes)] if notes else "")
+        gathered, notes = self._gather(task, rows, [_Piece(places=part) for part in parts])
+        return replace(gathered, note=notes[min(notes)] if notes else "")
 
     def _evaluate_box(self, names: list[str], rows: Array, columns: Sequence[str]) -> EvaluatedRows:
         """All outputs of all rows that are not in the cache are evaluated, and the columns taken from them."""
@@ -195,13 +195,13 @@ class Model:
                 self._compared = True
                 pieces.append(_Piece(places=good[:1], before=values[good[0]], stored=True))
         pieces += [_Piece(places=part[~stored[part]]) for part in parts if not stored[part].all()]
-        found, notes = self._gather(task, whole, pieces)
+        gathered, notes = self._gather(task, whole, pieces)
         if stored.any():
             self.reused += int(stored.sum())
-            found.values[stored], found.status[stored] = values[stored], codes[stored]
-        answers = found.values[:, [outputs.index(name) for name in columns]]
+            gathered.values[stored], gathered.status[stored] = values[stored], codes[stored]
+        answers = gathered.values[:, [outputs.index(name) for name in columns]]
         finite = np.isfinite(answers)
-        status = np.where((found.status == 0) & ~finite.all(axis=1), Code.NOT_FINITE, found.status)
+        status = np.where((gathered.status == 0) & ~finite.all(axis=1), Code.NOT_FINITE, gathered.status)
         note = ""
         if (status != 0).any():
             at = int(np.argmax(status != 0))
@@ -265,7 +265,7 @@ class Model:
     ) -> tuple[EvaluatedRows, dict[int, str]]:
         """Answers of pieces of rows (n, d), at their places, and what happened at rows that failed."""
         width = len(task.columns if isinstance(task, SceneTask) else task.outputs)
-        found, notes, due = EvaluatedRows.plain(np.full((len(rows), width), np.nan)), dict[int, str](), deque(pieces)
+        gathered, notes, due = EvaluatedRows.plain(np.full((len(rows), width), np.nan)), dict[int, str](), deque(pieces)
         running: dict[int, tuple[_Piece, Any, Workers]] = {}
         ready, numbers = queue.SimpleQueue[int](), itertools.count()
         total = left = sum(len(piece.places) for piece in pieces if piece.before is None)
@@ -273,8 +273,8 @@ class Model:
         def settle(piece: _Piece, answers: EvaluatedRows) -> None:
             nonlocal left
             places = piece.places
-            found.values[places], found.censored[places] = answers.values, answers.censored
-            found.status[places] = answers.status
+            gathered.values[places], gathered.censored[places] = answers.values, answers.censored
+            gathered.status[places] = answers.status
             if answers.note:
                 notes[int(places[np.argmax(answers.status != 0)])] = answers.note
             self.evaluations += len(places)
@@ -354,7 +354,7 @@ class Model:
             if self.cache is not None:
                 self.cache.flush()
                 self._note(*self.cache.notes)
-        return found, notes
+        return gathered, notes
 
     def _compare(self, piece: _Piece, row: Array, now: Array) -> None:
         """Note a model that answers the same row in two ways."""
