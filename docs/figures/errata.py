@@ -15,7 +15,7 @@ from uqsphere.mechanics import as_printed
 from uqsphere.mechanics.closed_form import linear_approaches, massless_approach
 
 if TYPE_CHECKING:
-    from uqsphere.report.figures.canvas import Picture
+    from docs.figures.canvas import Picture
 
 #: pulse length over t_c of the massless example, mass number of the linear one
 THETA: Final = 0.8
@@ -24,7 +24,7 @@ MU: Final = 0.3
 
 def errata_figure() -> Picture:
     """Approach by (3.9) and (3.16), by (4.9), and pressure by (5.8), as printed and corrected."""
-    from uqsphere.report.figures.canvas import BLUE, GREY, ORANGE, Picture, new_figure
+    from docs.figures.canvas import BLUE, GREY, ORANGE, Picture, new_figure
 
     figure, panels = new_figure(8.4, rows=3)
     right: dict[str, Any]
@@ -76,7 +76,7 @@ def errata_figure() -> Picture:
 
 def main() -> None:
     """Write the figure to the file named."""
-    from uqsphere.report.figures.canvas import render, style
+    from docs.figures.canvas import render, style
 
     with style():
         Path(sys.argv[1]).write_text(render(errata_figure()), encoding="utf-8")

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from uqsphere.mechanics.closed_form import linear_approaches
 
 if TYPE_CHECKING:
-    from uqsphere.report.figures.canvas import Picture
+    from docs.figures.canvas import Picture
 
 Array = npt.NDArray[np.float64]
 #: mass number of the example; a rig of 40 mm bars and a 20 mm sphere has about this
@@ -68,7 +68,7 @@ def exact_difference(mu: float, times: Array, *, bars: bool = True) -> Array:
 
 def instability_figure() -> Picture:
     """Difference of the approaches with steps below and above the limit, with the bars and for lambda_1 = 0."""
-    from uqsphere.report.figures.canvas import BLUE, GREY, ORANGE, RED, Picture, new_figure
+    from docs.figures.canvas import BLUE, GREY, ORANGE, RED, Picture, new_figure
 
     figure, panels = new_figure(5.6, rows=2, sharex=True)
     s = np.linspace(0.0, _END, 3000)
@@ -96,7 +96,7 @@ def instability_figure() -> Picture:
 
 def main() -> None:
     """Write the figure to the file named."""
-    from uqsphere.report.figures.canvas import render, style
+    from docs.figures.canvas import render, style
 
     with style():
         Path(sys.argv[1]).write_text(render(instability_figure()), encoding="utf-8")

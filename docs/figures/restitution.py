@@ -20,7 +20,7 @@ from uqsphere.mechanics.rigs import wave_loss
 from uqsphere.mechanics.yielding import FLOW, Face, metal_onset
 
 if TYPE_CHECKING:
-    from uqsphere.report.figures.canvas import Picture
+    from docs.figures.canvas import Picture
 
 Array = npt.NDArray[np.float64]
 
@@ -63,7 +63,7 @@ def computed(speeds: Array, *, flow: float = FLOW, pile_up: float = 8.0 / 3.0, w
 
 def restitution_figure() -> Picture:
     """Measured points and three laws over the speed."""
-    from uqsphere.report.figures.canvas import BLUE, GREY, ORANGE, RED, Picture, new_figure
+    from docs.figures.canvas import BLUE, GREY, ORANGE, RED, Picture, new_figure
 
     figure, (panel,) = new_figure(3.4)
     v = np.geomspace(0.3, 8.0, 200)
@@ -87,7 +87,7 @@ def restitution_figure() -> Picture:
 
 def main() -> None:
     """Print the table and write the figure to the file named."""
-    from uqsphere.report.figures.canvas import render, style
+    from docs.figures.canvas import render, style
 
     columns = (
         SPEEDS,

@@ -12,9 +12,9 @@ from typing import Final
 
 import numpy as np
 
+from docs.figures.canvas import FAINT, GREY, INK, Picture, new_figure, render, style
 from tests.independent.elements import CONTACT_RATIO, MESHES, NU, RIM_ZONE, Comparison, compare
 from uqsphere.arrays import Array
-from uqsphere.report.figures.canvas import FAINT, GREY, INK, Picture, new_figure, render, style
 
 #: contours of the largest principal stress over the core tension, and of the difference
 _LEVELS: Final = (0.0, 0.1, 0.25, 0.5, 0.75, 0.95, 1.5, 3.0)

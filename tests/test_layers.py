@@ -1,0 +1,30 @@
+"""The layers of the house: a room imports only what stands before it; labs stand beside, and nothing needs them."""
+
+import ast
+from pathlib import Path
+
+import uqsphere
+
+LAYERS = (
+    "arrays errors", "units files tables materials", "mechanics uq", "quantities", "study", "models", "results", "run",
+    "report", "bench analysis labs", "cli", "__init__ __main__",
+)  # fmt: skip
+#: a run draws its own page, and an opened run its plots
+LATE = {("results", "report"), ("run", "report")}
+
+
+def test_rooms_import_only_what_stands_before_them() -> None:
+    rank = {room: level for level, rooms in enumerate(LAYERS) for room in rooms.split()}
+    root = Path(uqsphere.__file__).parent
+    for path in root.rglob("*.py"):
+        room = path.relative_to(root).parts[0].removesuffix(".py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not (isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "uqsphere"):
+                continue
+            names = [alias.name for alias in node.names]
+            for other in [node.module.split(".")[1]] if "." in (node.module or "") else names:
+                known = other == room or other not in rank or (room, other) in LATE
+                before = known or rank[other] < rank[room] or rank[other] == rank[room] <= 1
+                assert before, f"{path}:{node.lineno}: {room} imports {other}"
+            private = room == "labs" and ".labs" not in (node.module or "") and any(n.startswith("_") for n in names)
+            assert not private, f"{path}:{node.lineno}: a lab imports {names}"
