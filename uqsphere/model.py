@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -21,17 +20,14 @@ from uqsphere.study import Study
 if TYPE_CHECKING:
     import pandas as pd
 
-    from uqsphere.mechanics.fidelity import Fallback
     from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
 
 
 #: fidelities in the order of their cost
-FIDELITIES = ("massless", "linear", "elastic", "full")
+FIDELITIES = ("massless", "linear", "full")
 #: status of a row whose black box gave a number that is not finite
 STATUS_NOT_FINITE = 6
-#: status of a row whose contact may be lost at either of two times: it carries the likelier one
-STATUS_UNDECIDED = 7
 #: why only one scene over time can have a damper against frequency
 NO_DAMPER = (
     "bars.receiving_damper, an impedance against frequency, is followed by history alone: for a run, give the end as a "
@@ -48,7 +44,7 @@ _BOX_STATUS = {
     STATUS_DIED: "the model ended the process it ran in",
 }
 #: a row with one of these has numbers
-ANSWERED = frozenset({0, STATUS_UNDECIDED})
+ANSWERED = frozenset({0})
 #: how a row was answered: by the fidelity asked for, by `full` in its place, or by `full` after it had failed
 ROUTE_ASKED, ROUTE_FULL, ROUTE_BOTH = 0, 1, 2
 
@@ -56,8 +52,8 @@ ROUTE_ASKED, ROUTE_FULL, ROUTE_BOTH = 0, 1, 2
 def is_answered(status: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     """Whether rows of a status carry numbers.
 
-    >>> is_answered([0, 3, 7]).tolist()
-    [True, False, True]
+    >>> is_answered([0, 3]).tolist()
+    [True, False]
     """
     given = np.asarray(status)
     found = np.zeros(given.shape, dtype=bool)
@@ -71,15 +67,13 @@ class EvaluatedRows:
     """Rows that were evaluated, n of them.
 
     Values and censored flags (n, q) in the order of the quantities asked, status (n,), and by which route each
-    row was answered (n,): all by the fidelity asked for if None.  others (n, q): the other answer of rows whose
-    status is 7; None if there is none.  note: what was said of the first row that failed.
+    row was answered (n,): all by the fidelity asked for if None.  note: what was said of the first row that failed.
     """
 
     values: Array
     censored: npt.NDArray[np.bool_]
     status: npt.NDArray[np.int64]
     route: npt.NDArray[np.int64] | None = None
-    others: Array | None = None
     note: str = ""
 
     @property
@@ -135,7 +129,6 @@ def scene_of(
         contact_law=str(study.options.get("contact.law", "hertz")),
         contact_dynamics="elastic" if study.options.get("contact.dynamics") == "elastic" else "path",
         hardness_at_onset=study.options.get("contact.hardness") == "onset",
-        blows=int(study.options.get("contact.blows", 1)),
         record=study.record,
     )
 
@@ -187,15 +180,7 @@ def cheaper_fidelities(study: Study) -> tuple[str, ...]:
         return ("massless",)
     if law == "hertz":
         return "massless", "linear"
-    path = law == "plastic" and study.options.get("contact.dynamics") == "auto"
-    return ("massless", "elastic") if path else ("massless",)
-
-
-def as_integrated(scene: Scene, fidelity: str) -> tuple[Scene, str]:
-    """The scene and fidelity that the integrator knows: `elastic` is `full` with the law of the faces at the end."""
-    if fidelity != "elastic":
-        return scene, fidelity
-    return replace(scene, contact_dynamics="elastic"), "full"
+    return ("massless",)
 
 
 def solve_scene(
@@ -205,12 +190,6 @@ def solve_scene(
     from uqsphere.mechanics import closed_form
     from uqsphere.mechanics.integrator import solve as dynamics
 
-    scene, fidelity = as_integrated(scene, fidelity)
-    if scene.contact_law == "damage" and scene.stiffness_left is None:
-        from uqsphere.mechanics.outputs import after_blows
-
-        blow = partial(solve_scene, fidelity=fidelity, tolerance=tolerance, threads=threads)
-        return after_blows(scene, lambda one, names: blow(one, quantities=tuple(names)), quantities)
     if scene.rig != "bars":
         return _solve_rig(scene, fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
     if closed_form.closed_form_applies(scene, fidelity):
@@ -252,7 +231,6 @@ def _solve(
         values=np.stack([answers.values[name] for name in quantities], axis=1),
         censored=np.stack([answers.censored.get(name, none) for name in quantities], axis=1),
         status=answers.status,
-        others=np.stack([answers.others[name] for name in quantities], axis=1) if answers.others else None,
     )
 
 
@@ -265,7 +243,6 @@ def answer_scene(
     fidelity: str = "full",
     tolerance: float = 1e-6,
     threads: int | None = None,
-    fallback: Fallback | None = None,
 ) -> EvaluatedRows:
     """Answers of n rows by the impact model.
 
@@ -275,32 +252,12 @@ def answer_scene(
     rows : (n, d) array, SI.
     quantities : q names of `uqsphere.quantities.OUTPUTS`.
     fidelity, tolerance, threads : see `uqsphere.mechanics.integrator.solve`.
-    fallback : which rows a cheaper fidelity leaves to `full`, by its error estimate; so do those where it fails.
     """
     if len(rows) == 0:
         return _no_rows(quantities)
 
-    def scene_at(which: slice | npt.NDArray[np.int64]) -> Scene:
-        some = rows[which]
-        return scene_of(study, {name: some[:, k] for k, name in enumerate(names)}, len(some))
-
-    everything = scene_at(slice(None))
-    if fallback is None or fidelity == "full":
-        return _solve(everything, quantities, fidelity, tolerance, threads)
-    route = np.where(fallback.doubtful(everything), ROUTE_FULL, ROUTE_ASKED)
-    values = np.full((len(rows), len(quantities)), np.nan)
-    censored = np.zeros(values.shape, dtype=bool)
-    status = np.zeros(len(rows), dtype=np.int64)
-
-    def put(which: npt.NDArray[np.int64], by: str) -> None:
-        if len(which):
-            found = _solve(scene_at(which), quantities, by, tolerance, threads)
-            values[which], censored[which], status[which] = found.values, found.censored, found.status
-
-    put(np.flatnonzero(route == ROUTE_ASKED), fidelity)
-    route[~is_answered(status)] = ROUTE_BOTH
-    put(np.flatnonzero(route != ROUTE_ASKED), "full")
-    return EvaluatedRows(values=values, censored=censored, status=status, route=route)
+    scene = scene_of(study, {name: rows[:, k] for k, name in enumerate(names)}, len(rows))
+    return _solve(scene, quantities, fidelity, tolerance, threads)
 
 
 def answer_black_box(
@@ -439,7 +396,7 @@ def evaluate(
     values : mapping of dotted path to (n,) array
         In SI; the rest of the scene stands at its mean.
     quantities : names of `uqsphere.quantities.OUTPUTS`
-    fidelity : full, massless, linear, or elastic: yield from the largest force alone
+    fidelity : full, massless or linear
     tolerance : relative error of every quantity
     threads : all processors if None; the answers do not depend on it
     model : the black box of a black-box study, "FILE.py:FUNCTION" or a function, called here once
@@ -449,7 +406,6 @@ def evaluate(
     pandas.DataFrame
         n rows; a column per quantity in SI (NaN where the row failed), `status` (0 ok, else a code of
         `uqsphere.mechanics.scene.STATUS`) and `censored` (whether any quantity asked for is a lower bound).
-        Only if a row has two answers, status 7: the other one in columns named as the quantities with `_other`.
 
     Raises
     ------
@@ -479,9 +435,6 @@ def evaluate(
     frame = pd.DataFrame({name: found.values[:, k] for k, name in enumerate(quantities)})
     frame["status"] = found.status
     frame["censored"] = np.asarray(found.censored.any(axis=1), dtype=bool)
-    if found.others is not None:
-        for k, name in enumerate(quantities):
-            frame[f"{name}_other"] = found.others[:, k]
     return frame
 
 

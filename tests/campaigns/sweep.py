@@ -446,29 +446,19 @@ def table(found: Comparison) -> str:
 # --- faces with laws of their own -----------------------------------------------------------------------
 
 
-def with_law(plan: Sequence[Scene], law: str, seed: int) -> list[Scene]:
-    """The same scenes with faces that yield or take damage, of every depth that the law is for.
-
-    plastic: first yield at 1e-4 to 1.2 of the approach at P_0, H/p_y = 1 to 4, C = 1 to 2.9 (one in six is Thornton's).
-    damage: critical approaches of 0.5 to 10 times that approach, gamma = 2 to 8.
-    """
+def with_law(plan: Sequence[Scene], seed: int) -> list[Scene]:
+    """The same scenes with faces that yield: first yield at 1e-4 to 1.2 of the approach at P_0, H/p_y = 1 to 4, C = 1
+    to 2.9 (one in six is Thornton's)."""
     rng, made = np.random.default_rng(seed), []
     for scene in plan:
         count, scales = len(scene), scene.scales
-        if law == "plastic":
-            pile_up = rng.choice([1.0, 1.5, 2.0, 8.0 / 3.0, 2.9], count)
-            ratio = rng.uniform(1.25, 4.0, count)
-            ratio = np.where((pile_up == 1.0) & (rng.random(count) < 0.8), 1.0, ratio)
-            hertz = 2.0 / np.pi * scales.modulus * np.sqrt(scales.approach / scales.effective_radius)
-            onset = hertz * 10.0 ** rng.uniform(-2.0, 0.04, count)
-            columns = {"contact.onset_pressure": onset, "contact.hardness": onset * ratio, "contact.pile_up": pile_up}
-        else:
-            gamma = rng.uniform(2.0, 8.0, count)
-            critical = scales.approach * 10.0 ** rng.uniform(-0.3, 1.0, count)
-            work = scales.hertz_constant * critical**2.5 * 1.6 * gamma / (2.0 * gamma + 5.0)
-            share = scales.modulus * (1.0 - np.square(scene.columns["sphere.nu"])) / scene.columns["sphere.E"]
-            columns = {"contact.gamma": gamma, "contact.fracture_energy": share * work / scales.mass}
-        made.append(replace(scene, columns={**scene.columns, **columns}, contact_law=law))
+        pile_up = rng.choice([1.0, 1.5, 2.0, 8.0 / 3.0, 2.9], count)
+        ratio = rng.uniform(1.25, 4.0, count)
+        ratio = np.where((pile_up == 1.0) & (rng.random(count) < 0.8), 1.0, ratio)
+        hertz = 2.0 / np.pi * scales.modulus * np.sqrt(scales.approach / scales.effective_radius)
+        onset = hertz * 10.0 ** rng.uniform(-2.0, 0.04, count)
+        columns = {"contact.onset_pressure": onset, "contact.hardness": onset * ratio, "contact.pile_up": pile_up}
+        made.append(replace(scene, columns={**scene.columns, **columns}, contact_law="plastic"))
     return made
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from uqsphere.arrays import Array, Values
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import fracture_energy
-from uqsphere.mechanics.yielding import damage_of, energy_share
+from uqsphere.mechanics.damage import damage_of, energy_share
 
 #: what a law is asked with, by name: median, sigma, ratio, modulus, f_mat, threshold, diameter
 Parameters = Mapping[str, Values]
