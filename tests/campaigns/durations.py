@@ -1,6 +1,6 @@
 """The equivalent contact duration against quadrature of dense histories, over random scenes of bars and other rigs.
 
-    python -m tests.campaigns.durations --rows 300 --seed 1
+python -m tests.campaigns.durations --rows 300 --seed 1
 """
 
 from __future__ import annotations

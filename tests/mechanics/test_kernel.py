@@ -22,7 +22,7 @@ from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator.solve import motion, solve
 from uqsphere.mechanics.integrator.tracked import LANES
 from uqsphere.mechanics.outputs import Answers
-from uqsphere.mechanics.scene import UNDECIDED, Scene, answered
+from uqsphere.mechanics.scene import Scene, answered
 
 SOLVER = 5.0
 EXACT = 1e-12
@@ -59,7 +59,9 @@ def random_scene(count: int, seed: int, **structure: Any) -> Scene:
 
 def over(answers: Answers, scene: Scene, name: str) -> Any:
     """A quantity over its scale."""
-    scale = {"alpha_max": scene.scales.approach, "contact_time": scene.scales.time, "P_max": scene.scales.force}[name]
+    scale = {"alpha_max": scene.scales.approach, "time_to_first_loss": scene.scales.time, "P_max": scene.scales.force}[
+        name
+    ]
     return answers.values[name] / scale
 
 
@@ -76,12 +78,13 @@ def test_reference_scenes_between_finite_bars() -> None:
     found = solve(Scene(columns=columns), tolerance=1e-8)
     assert (found.status == 0).all()
     # the reference is converged to about 1e-8, its times to 1e-7; its force_imbalance, a small difference, to 1e-6
-    for name, tolerance in (("p_max", 5e-8), ("P_max", 5e-8), ("contact_time", 2e-7), ("pulse_width", 2e-7),
-                            ("force_imbalance", 5e-6)):  # fmt: skip
+    for name, tolerance in (("p_max", 5e-8), ("P_max", 5e-8), ("contact_time", 2e-7), ("force_imbalance", 5e-6)):
         expected = np.array([np.nan if row["answer"][name] is None else row["answer"][name] for row in rows])
         known = np.isfinite(expected)
-        assert relative(found.values[name], expected)[known].max() < tolerance, name
-    assert found.censored["contact_time"].tolist() == [row["answer"]["contact_time"] is None for row in rows]
+        values = found.values["time_to_first_loss" if name == "contact_time" else name]
+        assert relative(values, expected)[known].max() < tolerance, name
+    lost = [row["answer"]["contact_time"] is not None for row in rows]
+    assert found.censored["time_to_first_loss"].tolist() == [not one for one in lost]
 
 
 def test_reference_peaks_on_infinite_bars() -> None:
@@ -95,8 +98,8 @@ def test_first_separation_on_infinite_bars() -> None:
     scene = scaled_scene([1.0, 0.03], [3.0, 3.0], horizon=None)
     long = Scene(columns=scene.columns, infinite=True, horizon=float(40.0 * scene.scales.time[0]))
     found = solve(long, tolerance=1e-9)
-    assert not found.censored["contact_time"].any()
-    assert relative(over(found, scene, "contact_time"), [3.828559013, 28.040523689]).max() < 2e-9
+    assert not found.censored["time_to_first_loss"].any()
+    assert relative(over(found, scene, "time_to_first_loss"), [3.828559013, 28.040523689]).max() < 2e-9
     assert relative(over(found, scene, "alpha_max"), [1.1250021777, 1.0058905197]).max() < 2e-10
 
 
@@ -157,9 +160,9 @@ def test_infinite_bars_against_scipy(mu: float, theta: float) -> None:
             lost = run.t[-1]
             break
     assert relative(over(found, scene, "alpha_max"), best).max() < SOLVER * tolerance
-    assert found.censored["contact_time"][0] == np.isnan(lost)
+    assert found.censored["time_to_first_loss"][0] == np.isnan(lost)
     if not np.isnan(lost):
-        assert relative(over(found, scene, "contact_time"), lost).max() < SOLVER * tolerance
+        assert relative(over(found, scene, "time_to_first_loss"), lost).max() < SOLVER * tolerance
 
 
 # ---- properties
@@ -196,13 +199,12 @@ def test_the_error_falls_with_the_tolerance_and_stays_below_it() -> None:
     for tolerance in (1e-3, 1e-5, 1e-7, 1e-9):
         found = solve(scene, tolerance=tolerance)
         assert answered(found.status).all()
-        assert (found.status == UNDECIDED).mean() < 0.03
-        for name in ("p_max", "first_peak", "pulse_width", "rise_time", "force_imbalance", "energy"):
+        for name in ("p_max", "first_peak", "contact_duration", "rise_time", "force_imbalance", "energy"):
             error = relative(found.values[name], exact.values[name]) / tolerance
             # a threshold may be reached one oscillation sooner or later: a true jump, in few rows
             assert np.quantile(error, 0.98) < SOLVER, (name, tolerance)
             assert np.median(error) < 1.0
-        late = relative(found.values["contact_time"], exact.values["contact_time"])
+        late = relative(found.values["time_to_first_loss"], exact.values["time_to_first_loss"])
         assert np.quantile(late, 0.95) < SOLVER * tolerance
         medians.append(np.median(relative(found.values["p_max"], exact.values["p_max"])))
         assert found.steps.mean() < 600
@@ -212,10 +214,10 @@ def test_the_error_falls_with_the_tolerance_and_stays_below_it() -> None:
 def test_what_is_asked_for_is_what_is_answered() -> None:
     scene = random_scene(60, 12)
     every = solve(scene, tolerance=1e-7)
-    for names in (("p_max", "contact_time"), ("rise_time",), ("force_imbalance", "specific_energy")):
+    for names in (("p_max", "time_to_first_loss"), ("rise_time",), ("force_imbalance", "specific_energy")):
         found = solve(scene, tolerance=1e-7, quantities=names)
         assert set(found.values) == set(names)
-        assert set(found.censored) == {"contact_time", "pulse_width"} & set(names)
+        assert set(found.censored) == {"time_to_first_loss"} & set(names)
         for name in names:
             assert np.quantile(relative(found.values[name], every.values[name]), 0.9) < SOLVER * 1e-7
     with pytest.raises(ValueError, match="unknown quantities p_maximum"):
@@ -264,7 +266,7 @@ def test_record_on_infinite_bars_ends_where_both_forces_are_small() -> None:
     scene = scaled_scene([1e-4, 1e-3, 1e-2], [0.5, 1.0, 3.0])
     exact = solve(scene, tolerance=1e-10)
     found = solve(scene, tolerance=1e-5)
-    ended = exact.censored["contact_time"]
+    ended = exact.censored["time_to_first_loss"]
     assert ended.any()
     assert relative(found.record, exact.record).max() < SOLVER * 1e-5
     for row in np.flatnonzero(ended):
@@ -323,7 +325,7 @@ def test_a_short_separation_inside_a_step_is_not_passed_over() -> None:
     }
     scene = Scene(columns={name: np.array([number]) for name, number in numbers.items()})
     found = [
-        float(solve(scene, tolerance=tolerance, quantities=("contact_time",)).values["contact_time"][0])
+        float(solve(scene, tolerance=tolerance, quantities=("time_to_first_loss",)).values["time_to_first_loss"][0])
         for tolerance in (1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-10)
     ]
     np.testing.assert_allclose(found, 193.18e-6, rtol=1e-4)
@@ -338,10 +340,10 @@ def test_contact_times_do_not_depend_on_the_tolerance() -> None:
     columns["sphere.radius"] = rng.uniform(2e-3, 15e-3, n)
     columns["striker.length"] = np.exp(rng.uniform(np.log(0.02), np.log(1.0), n))
     scene = Scene(columns=columns)
-    loose, tight = (solve(scene, tolerance=tolerance, quantities=("contact_time",)) for tolerance in (1e-6, 1e-9))
+    loose, tight = (solve(scene, tolerance=tolerance, quantities=("time_to_first_loss",)) for tolerance in (1e-6, 1e-9))
     assert (loose.status == 0).all()
-    apart = np.abs(loose.values["contact_time"] / tight.values["contact_time"] - 1.0) > 1e-4
-    # a grazing separation is undecided within the tolerance: at most one in a thousand scenes
+    apart = np.abs(loose.values["time_to_first_loss"] / tight.values["time_to_first_loss"] - 1.0) > 1e-4
+    # a separation that grazes is decided by less than the tolerance: at most two in a thousand scenes
     assert apart.mean() <= 2e-3
 
 

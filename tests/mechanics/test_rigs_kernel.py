@@ -41,7 +41,7 @@ def arguments(rows: list[Row]) -> dict[str, Any]:
         "mass": np.array([row["mu"] for row in rows]), "ends": np.zeros((n, 2)),
         "round_trips": np.full((n, 2), np.inf), "breaks": np.zeros((n, 1)), "coefficients": np.zeros((n, 0, 4)),
         "frequencies": np.zeros(n), "horizon": np.full(n, np.inf), "pulse_end": np.full(n, np.inf),
-        "level": np.full(n, 0.1), "graze": np.zeros(n), "laws": laws, "rigs": rigs,
+        "level": np.full(n, 0.1), "laws": laws, "rigs": rigs,
         "speed": np.array([row["speed"] for row in rows]),
     }  # fmt: skip
 
@@ -90,7 +90,7 @@ def test_a_second_integrator_of_another_method_agrees(row: Row) -> None:
         if pole.law is not None:
             assert answers[tracked.ANSWER_CARRIED + k] * pole.gives == pytest.approx(other.carried[k], rel=1e-7)
     assert answers[tracked.ANSWER_MEAN] == pytest.approx(other.mean, rel=1e-7)
-    assert answers[tracked.ANSWER_IMPULSE] == pytest.approx(other.impulse.mean() / other.mean, rel=1e-7)
+    assert answers[tracked.ANSWER_DURATION] == pytest.approx(other.impulse.mean() / other.mean, rel=1e-7)
     assert answers[tracked.ANSWER_DIFFERENCE] == pytest.approx(other.difference, rel=1e-7)
     assert answers[tracked.ANSWER_CONTACT] == pytest.approx(other.first_loss, rel=1e-7)
     assert answers[tracked.ANSWER_PARTING] == pytest.approx(other.parting, rel=2e-7)
@@ -134,8 +134,8 @@ def test_echoes_of_a_rod_agree_with_a_second_integrator(kind: str, end: float) -
     units = np.array([scales.approach[0], scales.approach[0], scales.speed[0]])
     kept = slice(1 if behind is None else 0, 3)
     assert (at_end / units)[kept] == pytest.approx(state[:3][kept], abs=2e-7)
-    answers = solve(scene, tolerance=1e-9, quantities=("contact_time", "P_max"))
-    assert answers.values["contact_time"][0] == pytest.approx(first * unit, rel=1e-7)
+    answers = solve(scene, tolerance=1e-9, quantities=("time_to_first_loss", "P_max"))
+    assert answers.values["time_to_first_loss"][0] == pytest.approx(first * unit, rel=1e-7)
     assert answers.values["P_max"][0] == pytest.approx(
         max(largest[0 if behind else 1], largest[1]) * scales.force[0], rel=2e-6
     )
@@ -223,8 +223,8 @@ def test_blows_that_yield_agree_with_their_closed_form() -> None:
         "target.yield_strength": 10.0 ** draw.uniform(8.0, 9.7, 300), "rig.speed": 10.0 ** draw.uniform(-2.0, 2.0, 300),
     }  # fmt: skip
     scene = Scene(columns=columns, rig="impact", contact_law="plastic")
-    asked = ("P_max", "p_max", "contact_time", "pulse_width", "rise_time", "energy", "restitution", "a_max",
-             "impulse_time", "time_above")  # fmt: skip
+    asked = ("P_max", "p_max", "time_to_first_loss", "rise_time", "energy", "restitution", "a_max",
+             "contact_duration")  # fmt: skip
     closed, found = solve_blow(scene, asked), solve(scene, tolerance=1e-6, quantities=asked)
     assert (closed.status == 0).all()
     assert (found.status == 0).all()
@@ -233,32 +233,17 @@ def test_blows_that_yield_agree_with_their_closed_form() -> None:
 
 
 @pytest.mark.parametrize("speed", [0.3, 0.8, 2.0])
-def test_width_and_rise_of_faces_that_yield_are_those_of_their_forces(speed: float) -> None:
+def test_rise_of_faces_that_yield_are_those_of_their_forces(speed: float) -> None:
     numbers = EXAMPLE | {
         "bars.E": 205e9, "bars.nu": 0.29, "bars.receiving_end": 0.0, "striker.length": 0.5, "striker.speed": speed,
         "pulse.rise": 25e-6, "pulse.fall": 25e-6,
         "contact.onset_pressure": 0.75e9, "contact.hardness": 1.5e9, "contact.pile_up": 2.0,
     }  # fmt: skip
     scene = example("trapezoid", numbers=numbers, contact_law="plastic", contact_dynamics="path")
-    asked = ("P_max", "pulse_width", "rise_time", "contact_time", "first_gap", "impulse_time", "time_above")
+    asked = ("P_max", "rise_time")
     found = solve(scene, quantities=asked)
     whole = motion(scene, 0, tolerance=1e-9)
     times = np.linspace(0.0, min(whole.horizon, float(found.record[0])), 40_001)
     share = whole.forces_at(times).max(axis=1) / found.values["P_max"][0]
-    above = np.flatnonzero(share >= 0.5)
-    assert found.values["pulse_width"][0] == pytest.approx(times[above[-1]] - times[above[0]], rel=2e-4)
     rise = times[np.argmax(share >= 0.9)] - times[np.argmax(share >= 0.1)]
     assert found.values["rise_time"][0] == pytest.approx(rise, rel=1e-3)
-    # the times that gaps do not cut, and the first gap, over the motion to the horizon
-    times = np.linspace(0.0, whole.horizon, 200_001)
-    mean = whole.forces_at(times).mean(axis=1)
-    peak = mean.max()
-    assert found.values["impulse_time"][0] == pytest.approx(np.trapezoid(mean, times) / peak, rel=1e-5)
-    assert found.values["time_above"][0] == pytest.approx(np.mean(mean > 0.1 * peak) * whole.horizon, rel=1e-4)
-    lost = found.values["contact_time"][0]
-    ways = whole.states_at(np.concatenate([[lost], times[times > lost]]))[:, :2]
-    ways = ways - ways[0]
-    opened = ways[:, np.argmin(ways[1])]
-    found_again = np.flatnonzero(opened[1:] > 0.0)
-    opened = opened[: found_again[0] + 1] if len(found_again) else opened
-    assert found.values["first_gap"][0] == pytest.approx(-opened.min(), rel=1e-4)

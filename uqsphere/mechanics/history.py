@@ -7,14 +7,13 @@ nothing in accuracy.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Values
-from uqsphere.files import Json
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.field import (
     BARS,
@@ -465,15 +464,6 @@ class FieldView:
     returns: tuple[float, float]
     tensions: tuple[Tension, ...]
 
-    def __post_init__(self) -> None:
-        if self.stress.ndim != 2 or not 0 < self.stress.size <= 1_000_000 or not np.isfinite(self.stress).all():
-            raise ValueError("the stress must be a table of finite numbers")
-        numbers = (*self.reach, self.begin, self.last, self.wave_speed, self.record_end)
-        if not all(math.isfinite(value) for value in numbers) or not min(*self.reach, self.wave_speed) > 0.0:
-            raise ValueError("lengths, times and the speed must be finite, lengths and speed positive")
-        if not self.begin < self.last or any(one.bar not in BARS for one in self.tensions):
-            raise ValueError("the times must ascend, and the bars be those of the model")
-
     @property
     def places(self) -> Array:
         """(x,) places [m] along the bars, the sphere at 0: between them, which is itself no bar."""
@@ -486,40 +476,6 @@ class FieldView:
         """(t,) instants [s]."""
         count = self.stress.shape[0]
         return np.asarray(self.begin + (np.arange(count) + 0.5) / count * (self.last - self.begin))
-
-    def as_document(self) -> dict[str, Json]:
-        """As JSON: the stress in whole kilopascals, a text an instant; what is infinite as null."""
-        return {
-            "reach": list(self.reach),
-            "begin": self.begin,
-            "last": self.last,
-            "stress_kpa": [" ".join(f"{value:.0f}" for value in row * 1e-3) for row in self.stress],
-            "wave_speed": self.wave_speed,
-            "pulse_end": self.pulse_end if math.isfinite(self.pulse_end) else None,
-            "record_end": self.record_end,
-            "returns": [value if math.isfinite(value) else None for value in self.returns],
-            "tensions": [{"bar": one.bar, "position": one.position, "time": one.time} for one in self.tensions],
-        }
-
-    @classmethod
-    def from_document(cls, found: Mapping[str, Json]) -> FieldView:
-        """The view of `as_document`; ValueError, KeyError, TypeError or AttributeError for what it did not write."""
-        left, right = (float(value) for value in found["reach"])
-        one, two = (math.inf if value is None else float(value) for value in found["returns"])
-        return cls(
-            reach=(left, right),
-            begin=float(found["begin"]),
-            last=float(found["last"]),
-            stress=np.array([np.array(row.split(), dtype=float) for row in found["stress_kpa"]]) * 1e3,
-            wave_speed=float(found["wave_speed"]),
-            pulse_end=math.inf if found["pulse_end"] is None else float(found["pulse_end"]),
-            record_end=float(found["record_end"]),
-            returns=(one, two),
-            tensions=tuple(
-                Tension(bar=str(entry["bar"]), position=float(entry["position"]), time=float(entry["time"]))
-                for entry in found["tensions"]
-            ),
-        )
 
 
 def shown_time(history: History) -> float:
