@@ -1,4 +1,4 @@
-"""Fracture risk and uncertainty quantification for brittle spheres between split Hopkinson bars.
+"""Fracture risk and uncertainty of brittle spheres under impact: contact pressure, contact duration, strength.
 
 >>> import uqsphere
 >>> study = uqsphere.load_study("studies/granite.toml")
@@ -8,44 +8,40 @@
 
 from __future__ import annotations
 
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from uqsphere import analysis
-    from uqsphere.model import evaluate
-    from uqsphere.runner.api import run
-    from uqsphere.runner.deterministic import history_of as history
-    from uqsphere.runner.finished import Run, open_run
+    from uqsphere.models import evaluate
+    from uqsphere.results import Run, open_run
+    from uqsphere.run import run
     from uqsphere.study import Study, load_study
-    from uqsphere.uq.surrogate import Surrogate, load_surrogate
 
-__all__ = [
-    "Run",
-    "Study",
-    "Surrogate",
-    "analysis",
-    "evaluate",
-    "history",
-    "load_study",
-    "load_surrogate",
-    "open_run",
-    "run",
-]
+__all__ = ["Run", "Study", "analysis", "evaluate", "load_study", "open_run", "run"]
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 #: where each public name lives; loaded when it is first used, since some take a second to import
 _HOMES = {
-    "Run": ("uqsphere.runner.finished", "Run"),
-    "Study": ("uqsphere.study", "Study"),
-    "Surrogate": ("uqsphere.uq.surrogate", "Surrogate"),
-    "evaluate": ("uqsphere.model", "evaluate"),
-    "history": ("uqsphere.runner.deterministic", "history_of"),
-    "load_study": ("uqsphere.study", "load_study"),
-    "load_surrogate": ("uqsphere.uq.surrogate", "load_surrogate"),
-    "open_run": ("uqsphere.runner.finished", "open_run"),
-    "run": ("uqsphere.runner.api", "run"),
+    "Run": "uqsphere.results",
+    "Study": "uqsphere.study",
+    "evaluate": "uqsphere.models",
+    "load_study": "uqsphere.study",
+    "open_run": "uqsphere.results",
+    "run": "uqsphere.run",
 }
+
+
+class _Package(ModuleType):
+    """The package; its `run` is the function, also once the room of that name is imported."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        super().__setattr__(name, value.run if name == "run" and isinstance(value, ModuleType) else value)
+
+
+sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> Any:
@@ -55,8 +51,7 @@ def __getattr__(name: str) -> Any:
         return import_module("uqsphere.analysis")
     if name not in _HOMES:
         raise AttributeError(f"module 'uqsphere' has no attribute {name!r}")
-    module, attribute = _HOMES[name]
-    return getattr(import_module(module), attribute)
+    return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:

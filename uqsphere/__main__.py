@@ -1,4 +1,4 @@
-"""``python -m uqsphere``."""
+"""`python -m uqsphere`."""
 
 from uqsphere.cli import program
 

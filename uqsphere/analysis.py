@@ -1,15 +1,13 @@
-"""Analyses of plain arrays: what the runs of this package do, for rows and models of one's own.
+"""Analyses of plain arrays and tables: what the runs of this package do, for rows and models of one's own.
 
-Three ways of calling, always in this order:
-
-* of rows that are there: `f(x, y, inputs)` with x (n, d), y (n,) and the laws of the inputs;
+* of rows that are there: `f(x, y, inputs)` with x (n, d) or a table by the inputs' names, y (n,), and their laws;
 * of a model that is called: `f(model, inputs)`, the model taking a dict of name -> (n,) and giving (n,);
-* of observations: `f(values)`.
+* of independent observations: `f(values)`.
 
 `inputs` maps names to laws: of this package, their tables as in a study (`{"dist": "normal", "mean": 0, "sd": 1}`),
-or frozen distributions of scipy.stats or chaospy; `joint` ties them.  Every number comes as an `Estimate` with its 95 %
-interval; units are those of what is given.  All raise UsageError for arrays that do not go together, values that are
-not finite, and laws that cannot be made.
+distributions of scipy.stats or chaospy, observations, or a problem dict of SALib; `joint` ties them.  Every number comes
+as an `Estimate` with its 95 % interval; results have `to_frame()`; units are those of what is given.  All raise
+UsageError for arrays that do not go together, values that are not finite, and laws that cannot be made.
 
 >>> import numpy as np
 >>> from scipy import stats
@@ -23,68 +21,34 @@ not finite, and laws that cannot be made.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, special
 from uqsphere.errors import UsageError
-from uqsphere.given.answers import variance_shares
-from uqsphere.uq import (
-    Dependence,
-    Estimate,
-    Joint,
-    LimitState,
-    beyond_variance,
-    curve,
-    random_generator,
-    sobol_points,
-    tails,
-    tolerance,
-)
-from uqsphere.uq.curve import LognormalCurve
-from uqsphere.uq.estimate import REPLICATES
+from uqsphere.uq import Dependence, Estimate, Joint, LimitState, absent, curve, rare, sobol_points, student, tails
+from uqsphere.uq.estimate import REPLICATES, around, between
 from uqsphere.uq.fitting import STRENGTHS, StrengthFit, fit_strength, make_tests
 from uqsphere.uq.foreign import LawLike, as_law, joint_of
-from uqsphere.uq.surrogate import Surrogate, fit_surrogate, load_surrogate
+from uqsphere.uq.surrogate import Expansion, columns_of, fit_expansion
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 __all__ = [
-    "Failure",
-    "Fragility",
-    "chaos",
-    "delta_indices",
-    "failure_probability",
-    "fragility",
-    "joint",
-    "kucherenko_indices",
-    "load_surrogate",
-    "lognormal_fit",
-    "pawn_indices",
-    "rank_indices",
-    "shapley_effects",
-    "sobol_indices",
-    "tolerance_interval",
-    "weibull_fit",
-]
+    "Expansion", "Failure", "Fragility", "Indices", "chaos", "failure_probability", "fragility", "joint",
+    "lognormal_fit", "moments", "quantiles", "shapley_effects", "sobol_indices", "weibull_fit",
+]  # fmt: skip
 
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
-
-
-#: named laws, or what `joint` made of them
+#: named laws, a problem dict of SALib, or what `joint` made of them
 Inputs: TypeAlias = Joint | Mapping[str, LawLike]
 #: dict of name -> (n,) in, (n,) out
-Model: TypeAlias = Callable[[dict[str, Array]], npt.ArrayLike]
-#: indices of every input by their order: {"first": {"a": Estimate, ...}, ...}
-Indices: TypeAlias = dict[str, dict[str, Estimate]]
-
-#: evaluations up to which a model is dear: active learning in place of sampling
-_DEAR: Final = 1000
+Model: TypeAlias = Callable[[dict[str, Array]], Any]
 
 
 @contextlib.contextmanager
@@ -95,179 +59,143 @@ def _refusing() -> Iterator[None]:
     try:
         with threadpool_limits(limits=1, user_api="blas"):
             yield
-    except ValueError as error:
+    except (ValueError, TypeError) as error:
         raise UsageError(str(error)) from error
 
 
-def joint(
-    laws: Mapping[str, LawLike], spearman: Mapping[tuple[str, ...], float] | None = None, *, copula: str = "gaussian"
-) -> Joint:
-    """Named laws that depend on each other.
+def _rows(estimates: Mapping[Any, Estimate], key: str) -> DataFrame:
+    from pandas import DataFrame
 
-    Parameters
-    ----------
-    laws : mapping of name to law
-    spearman : mapping of names to their rank correlation, which holds for every pair of the names
-    copula : "gaussian", "student_t", "clayton", "gumbel", "frank" or "joe", as in a study's `[[dependence]]`
+    columns = ("value", "low", "high", "std_error", "evaluations", "method", "reason")
+    return DataFrame([{key: name, **{c: getattr(e, c) for c in columns}} for name, e in estimates.items()])
+
+
+class Indices(dict[str, dict[str, Estimate]]):
+    """Indices of every input by their order: {"first": {"a": Estimate, ...}, ...}."""
+
+    def to_frame(self) -> DataFrame:
+        """One row for each order and input: value, low, high, std_error, evaluations, method, reason."""
+        from pandas import concat
+
+        return concat([_rows(row, "input").assign(order=order) for order, row in self.items()], ignore_index=True)
+
+
+class Answers(dict[Any, Estimate]):
+    """Estimates by name or probability."""
+
+    def to_frame(self) -> DataFrame:
+        """One row for each answer: value, low, high, std_error, evaluations, method, reason."""
+        return _rows(self, "answer")
+
+
+def joint(
+    laws: Mapping[str, LawLike], spearman: Mapping[tuple[str, ...], float] | None = None, *, copula: str = "gaussian",
+    dof: float | None = None,
+) -> Joint:  # fmt: skip
+    """Named laws that depend on each other: rank correlations, each for every pair of its names.
+
+    `copula` is "gaussian" or "student_t" with `dof` degrees of freedom.
 
     >>> joint({"a": {"dist": "normal", "mean": 0, "sd": 1}, "b": {"dist": "normal", "mean": 0, "sd": 1}},
     ...       {("a", "b"): 0.6}).dependent
     True
     """
     with _refusing():
-        ties = [Dependence(of=tuple(of), spearman=value, copula=copula) for of, value in (spearman or {}).items()]
+        ties = [Dependence(of=tuple(of), spearman=rho, copula=copula, dof=dof) for of, rho in (spearman or {}).items()]
         return joint_of(laws, ties)
 
 
-def _joint(inputs: Inputs) -> Joint:
+def _arrays(x: Any, y: Any, given: Joint) -> tuple[Array, Array]:
+    """x (n, d) in the order of the inputs and y (n,), matched by names and by index."""
+    rows = columns_of(x, given.names)
+    index = getattr(y, "index", None)
+    if index is not None and not callable(index):
+        wanted = getattr(x, "index", None)
+        wanted = list(range(len(rows))) if wanted is None or callable(wanted) else list(wanted)
+        if len(set(wanted)) != len(wanted) or sorted(map(str, wanted)) != sorted(map(str, index)):
+            raise UsageError("the index of y is not that of the rows of x: give y.to_numpy() where the order is right")
+        y = y.loc[wanted]
     with _refusing():
-        return joint_of(inputs)
-
-
-def _arrays(x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[Array, Array]:
-    with _refusing():
-        rows, values = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
-    if rows.ndim != 2 or values.shape != rows.shape[:1]:
-        raise UsageError(f"x (n, d) and y (n,) are due, found {rows.shape} and {values.shape}")
-    if not (np.isfinite(rows).all() and np.isfinite(values).all()):
-        raise UsageError("x and y must be finite: leave rows without an answer out")
+        values = np.asarray(y, dtype=float)
+    if values.shape != rows.shape[:1]:
+        raise UsageError(f"x (n, d) and y (n,) are required, found {rows.shape} and {values.shape}")
+    if not np.isfinite(values).all():
+        raise UsageError("y must be finite: leave rows without an answer out")
     return rows, values
 
 
 # --- rows that are there ----------------------------------------------------------------------------------------
 
 
-def chaos(x: npt.ArrayLike, y: npt.ArrayLike, inputs: Inputs, *, plain: bool = False, seed: int = 0) -> Surrogate:
-    """A sparse polynomial chaos expansion of y (n,) at rows x (n, d), with intervals, indices and its own domain.
+def chaos(x: Any, y: Any, inputs: Inputs, *, plain: bool = False, seed: int = 0) -> Expansion:
+    """A sparse polynomial chaos expansion of y (n,) at rows x (n, d), with intervals, indices and chaospy's objects.
 
-    Bases, solvers and transforms compete by their error on rows left out (G. Blatman, B. Sudret, J. Comput. Phys. 230,
-    2011, 2345; docs/theory.md); eight fits, each without an eighth of the rows, tell what it is off by.
+    Sets of terms and the logarithm of y compete by their error on rows left out; eight fits, each without an eighth of
+    the rows, say what it is off by: `response.error`, `response.reason`.
 
     Parameters
     ----------
-    x, y : (n, d) rows drawn from the laws of the inputs, and (n,) answers, n at least 16 and 4 (d + 1)
-    inputs : mapping of name to law, in the order of the columns of x, or a `Joint`
-    plain : expand y itself, in one piece: what `Surrogate.to_chaospy` takes
+    x, y : rows drawn from the laws of the inputs, by their names or in their order, and answers, n >= 16
+    inputs : mapping of name to law, or a `Joint`
+    plain : expand y itself, never its logarithm
     seed : of the order in which rows are dealt into folds
-
-    Returns
-    -------
-    Surrogate
-        With `predict`, `indices`, `save`, `to_chaospy`; `response.usable` and `response.error` say how good it is.
     """
-    rows, values = _arrays(x, y)
-    order = random_generator(seed=seed, task="chaos rows").permutation(len(values))
     with _refusing():
-        return fit_surrogate(rows[order], values[order], _joint(inputs), plain=plain)
+        given = joint_of(inputs)
+        rows, values = _arrays(x, y, given)
+        return fit_expansion(rows, values, given, plain=plain, seed=seed)
 
 
-def _usable(x: npt.ArrayLike, y: npt.ArrayLike, inputs: Inputs, seed: int) -> Surrogate:
+def sobol_indices(x: Any, y: Any, inputs: Inputs, *, seed: int = 0) -> Indices:
+    """First and total Sobol' indices {"first": {input: Estimate}, "total": ...}; Kucherenko's of inputs that are tied.
+
+    By an expansion whose residuals correct them.  What n rows cannot show, an event rarer than 3/n, is in no interval:
+    the method of every estimate says so.  Raises UsageError where the expansion leaves more than 5 % of the variance.
+    """
     found = chaos(x, y, inputs, seed=seed)
+    assert found.response is not None
     if not found.response.usable:
-        raise UsageError(f"no indices from these rows: {found.response.reason}; give more, or use rank_indices")
-    return found
-
-
-def sobol_indices(x: npt.ArrayLike, y: npt.ArrayLike, inputs: Inputs, *, seed: int = 0) -> Indices:
-    """First and total Sobol' indices of independent inputs, {"first": {input: Estimate}, "total": ...}.
-
-    By an expansion whose residuals correct them (docs/theory.md).  Raises UsageError besides where the expansion
-    leaves more than 5 % of the variance, and for inputs that depend on each other.
-    """
-    found = _usable(x, y, inputs, seed)
+        raise UsageError(f"no indices from these rows: {found.response.reason}; give more rows, or call the model")
     with _refusing():
-        return found.indices()
+        return Indices({order: row for order, row in found.indices().items() if order != "shapley"})
 
 
-def shapley_effects(x: npt.ArrayLike, y: npt.ArrayLike, inputs: Inputs, *, seed: int = 0) -> dict[str, Estimate]:
-    """Shapley effects of inputs that may depend on each other: shares of the variance that sum to 1.
+def shapley_effects(x: Any, y: Any, inputs: Inputs, *, seed: int = 0) -> Answers:
+    """Shapley effects of inputs that may depend on each other: shares of the variance that sum to 1, by input.
 
-    All subsets on the expansion (E. Song, B. L. Nelson, J. Staum, SIAM/ASA J. Uncertainty Quantification 4, 2016,
-    1060), with what the expansion lacks.  Raises UsageError as `sobol_indices`.
+    On the expansion (E. Song, B. L. Nelson, J. Staum, SIAM/ASA J. Uncertainty Quantification 4, 2016, 1060), with what
+    the expansion lacks.  Raises UsageError as `sobol_indices`.
     """
-    return _shares(x, y, inputs, seed)["shapley"]
+    from uqsphere.uq.shapley import dependent_shares
 
-
-def kucherenko_indices(x: npt.ArrayLike, y: npt.ArrayLike, inputs: Inputs, *, seed: int = 0) -> Indices:
-    """First and total indices of inputs that depend on each other; a total may lie below its first.
-
-    S. Kucherenko, S. Tarantola, P. Annoni, Computer Physics Communications 183, 2012, 937; by the expansion, as
-    `shapley_effects`.
-    """
-    found = _shares(x, y, inputs, seed)
-    return {order: found[order] for order in ("first", "total")}
-
-
-def _shares(x: npt.ArrayLike, y: npt.ArrayLike, inputs: Inputs, seed: int) -> Indices:
-    found = _usable(x, y, inputs, seed)
+    found = chaos(x, y, inputs, seed=seed)
+    assert found.response is not None
+    if not found.response.usable:
+        raise UsageError(f"no effects from these rows: {found.response.reason}")
     with _refusing():
-        answers = variance_shares(found.response, _joint(inputs), None, seed, "analysis")
-    return {order: {name: answer.whole for name, answer in row.items()} for order, row in answers.items()}
-
-
-def _dealt(x: npt.ArrayLike, y: npt.ArrayLike, names: Sequence[str] | None) -> tuple[Array, Array, list[str]]:
-    """Rows as (R, n/R, d) and (R, n/R): what is left over is left out."""
-    rows, values = _arrays(x, y)
-    n = len(values) // REPLICATES
-    kept = n * REPLICATES
-    called = [f"x{k + 1}" for k in range(rows.shape[1])] if names is None else list(names)
-    if len(called) != rows.shape[1]:
-        raise UsageError(f"{rows.shape[1]} names are due, found {len(called)}")
-    return rows[:kept].reshape(REPLICATES, n, -1), values[:kept].reshape(REPLICATES, n), called
-
-
-def delta_indices(x: npt.ArrayLike, y: npt.ArrayLike, inputs: Sequence[str] | None = None) -> dict[str, Estimate]:
-    """Borgonovo's delta of every input: how far fixing it shifts the law of y, 0 to 1.
-
-    E. Borgonovo, Reliability Engineering & System Safety 92, 2007, 771.  From 256 independent rows x (n, d), y (n,) on;
-    fewer are absent estimates.  `inputs` are names (or a mapping by them); laws are not needed.
-    """
-    rows, values, names = _dealt(x, y, None if inputs is None else list(inputs))
-    with _refusing():
-        return dict(zip(names, beyond_variance.delta_estimates(rows, values), strict=True))
-
-
-def pawn_indices(
-    x: npt.ArrayLike, y: npt.ArrayLike, inputs: Sequence[str] | None = None, *, seed: int = 0
-) -> tuple[dict[str, Estimate], float]:
-    """PAWN of every input, and the value below which an input without any effect stays in 95 of 100 cases.
-
-    F. Pianosi, T. Wagener, Environmental Modelling & Software 67, 2015, 1.  Rows as of `delta_indices`.
-    """
-    rows, values, names = _dealt(x, y, None if inputs is None else list(inputs))
-    with _refusing():
-        found = beyond_variance.pawn_estimates(rows, values, seed=seed)
-    return dict(zip(names, found.inputs, strict=True)), found.threshold
-
-
-def rank_indices(
-    x: npt.ArrayLike, y: npt.ArrayLike, inputs: Sequence[str] | None = None, *, seed: int = 0
-) -> dict[str, Estimate]:
-    """First-order index of every input by sorting the rows, without an expansion or a law.
-
-    F. Gamboa, P. Gremaud, T. Klein, A. Lagnoux, Bernoulli 28, 2022, 2345.  Independent rows x (n, d), y (n,).
-    """
-    rows, values = _arrays(x, y)
-    names = [f"x{k + 1}" for k in range(rows.shape[1])] if inputs is None else list(inputs)
-    generator = random_generator(seed=seed, task="rank indices")
-    with _refusing():
-        return dict(zip(names, beyond_variance.rank_indices(rows, values, generator), strict=True))
+        return Answers(zip(found.names, dependent_shares(found.response, found.joint)["shapley"], strict=True))
 
 
 # --- a model that is called -------------------------------------------------------------------------------------
 
 
-def _called(model: Model, given: Joint, x: Array) -> Array:
-    """The model's answers (n,) to points (n, d)."""
-    columns = {name: np.ascontiguousarray(x[:, k]) for k, name in enumerate(given.names)}
-    found = model(columns)
+def _called(model: Model, columns: dict[str, Array]) -> Array:
+    """The model's answers (n,); rows at which it raises when it is called with all, and by themselves, are nan."""
+    n = len(next(iter(columns.values())))
+    try:
+        found = model(columns)
+    except Exception:
+        if n == 1:
+            return np.array([np.nan])
+        single = [{name: column[k : k + 1] for name, column in columns.items()} for k in range(n)]
+        return np.concatenate([_called(model, row) for row in single])
     if isinstance(found, Mapping):
         if len(found) != 1:
-            raise UsageError(f"the model answers {', '.join(found)}: one output is due")
+            raise UsageError(f"the model answers {', '.join(found)}: one output is required")
         found = next(iter(found.values()))
     values = np.asarray(found, dtype=float)
-    if values.shape != (len(x),):
-        raise UsageError(f"the model must answer {len(x)} rows with ({len(x)},) values, found {values.shape}")
+    if values.shape != (n,):
+        raise UsageError(f"the model must answer {n} rows with ({n},) values, found {values.shape}")
     return values
 
 
@@ -284,129 +212,133 @@ class Failure:
     warning: str
     design_point: Mapping[str, float]
 
+    def to_frame(self) -> DataFrame:
+        """One row: the probability, whether it is sure, the warning, and the design point by input."""
+        frame = _rows({"failure_probability": self.probability}, "answer")
+        return frame.assign(sure=self.sure, warning=self.warning, **self.design_point)
+
 
 def failure_probability(
-    limit: Model, inputs: Inputs, *, evaluations: int = 30_000, accuracy: float = 0.015, seed: int = 0
-) -> Failure:
+    limit: Model, inputs: Inputs, *, evaluations: int = 30_000, accuracy: float = 0.015, on_failure: str = "bound",
+    seed: int = 0,
+) -> Failure:  # fmt: skip
     """Probability of limit(rows) < 0 for inputs of these laws, dependent or not.
 
-    Design points, subset simulation and importance sampling that certify each other (docs/theory.md); kriging that
-    learns where to look next with up to 1,000 evaluations.
+    Design points, subset simulation and importance sampling that certify each other; with fewer than 5,000 evaluations
+    half of them are a plain sample, whose rule of three bounds what no search has seen, and nothing is sure.  The model
+    is not called beyond 9 standard deviations.
 
     Parameters
     ----------
-    limit : callable, dict of name -> (n,) in, (n,) out; NaN is refused
-    inputs : mapping of name to law, or a `Joint`
+    limit : dict of name -> (n,) in, (n,) out
     evaluations : the most that may be spent
     accuracy : half-width of the 95 % interval over the probability at which it ends
+    on_failure : rows that are nan, or raise, count into the ends of the interval ("bound") or raise UsageError ("refuse")
     """
-    from uqsphere.uq.rare.active import learn_probability
-    from uqsphere.uq.rare.auto import find_probability
-    from uqsphere.uq.rare.problem import FailedEvaluation, LimitFunction, Spent
+    with _refusing():
+        given = joint_of(inputs)
 
-    given = _joint(inputs)
-    function = LimitFunction(function=lambda z: _called(limit, given, given.physical(z)), dimension=len(given.names))
-    try:
-        with _refusing():
-            if evaluations <= _DEAR:
-                learned = learn_probability(function, seed=seed, budget=evaluations, accuracy=accuracy)
-                probability, warning, design = learned.estimate, learned.warning, learned.design
-            else:
-                found = find_probability(function, seed=seed, accuracy=accuracy, budget=evaluations)
-                probability, design = found.estimate, found.design
-                warning = "" if found.agreed else "; ".join(found.checks)
-    except FailedEvaluation as error:
-        raise UsageError(str(error)) from error
-    except Spent as error:
-        raise UsageError(f"{evaluations} evaluations are too few for {len(given.names)} inputs") from error
-    nearest = None if design is None or not design.points else design.points[0].point
-    at = {} if nearest is None else dict(zip(given.names, given.physical(nearest[None, : len(given.names)])[0].tolist(),
-                                             strict=True))  # fmt: skip
-    return Failure(probability=probability, sure=not warning, warning=warning, design_point=at)
+        def function(z: Array) -> Array:
+            return _called(limit, dict(zip(given.names, given.physical(z).T.copy(), strict=True)))
+
+        found = rare.failure_probability(function, len(given.names), on_failure=on_failure, seed=seed, accuracy=accuracy,
+                                         budget=evaluations)  # fmt: skip
+    return Failure(probability=found.estimate, sure=found.sure, warning="" if found.sure else "; ".join(found.checks),
+                   design_point=found.design_point(given.names, given.physical))  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fragility:
-    """A fragility curve: `curve` (K, 4) of level, probability and its ends; `values` are levels by probability.
-
-    `lognormal` is the nearest lognormal curve with its gap, None where there is none.
-    """
+    """A fragility curve: `curve` (K, 4) of level, probability and its ends; `values` are levels by probability."""
 
     curve: Array
     values: Mapping[float, Estimate]
-    lognormal: LognormalCurve | None
+
+    def to_frame(self) -> DataFrame:
+        """The curve: level, value, low, high."""
+        from pandas import DataFrame
+
+        return DataFrame(self.curve, columns=["level", "value", "low", "high"])
 
 
 def fragility(
-    model: Model,
-    inputs: Inputs,
-    *,
-    free: str,
-    levels: npt.ArrayLike,
-    strength: LawLike | float,
-    probabilities: Sequence[float] = (0.05, 0.5, 0.95),
-    evaluations: int = 100_000,
-    seed: int = 0,
-) -> Fragility:
+    model: Model, inputs: Inputs, *, free: str, levels: npt.ArrayLike, strength: LawLike | float,
+    probabilities: Sequence[float] = (0.05, 0.5, 0.95), evaluations: int = 100_000, seed: int = 0,
+) -> Fragility:  # fmt: skip
     """Probability that the model's answer exceeds a strength, over levels of one more input.
 
-    The strength is integrated exactly, and the same points serve every level, so that the curve is smooth.
+    The strength is integrated exactly, and the same points serve every level, so that the curve is smooth.  Rows without
+    an answer count once as exceeding and once as not.
 
     Parameters
     ----------
-    model : callable, dict of name -> (n,), the free one among them, in, (n,) out
-    inputs : mapping of name to law, or a `Joint`: what scatters besides
-    free : name of the input that is set to the levels
-    levels : (K,) increasing values of it
+    free : name of the input that is set to the `levels` (K,), increasing
     strength : law, or the strength itself, in the unit of the answer
     probabilities : at which the level is wanted
     evaluations : spent on all levels together
     """
-    given = _joint(inputs)
-    if free in given.names:
-        raise UsageError(f"{free} is free and cannot scatter besides")
-    grid = np.asarray(levels, dtype=float)
     with _refusing():
-        law = float(strength) if isinstance(strength, (int, float)) else as_law(strength)
+        given, grid = joint_of(inputs), np.asarray(levels, dtype=float)
+        if free in given.names:
+            raise UsageError(f"{free} is free and cannot scatter besides")
+        law = float(strength) if isinstance(strength, int | float) else as_law(strength)
         count = max(evaluations // (REPLICATES * max(grid.size, 1)), 8)
-        points = np.concatenate([_normals(len(given.names), count, replicate, seed) for replicate in range(REPLICATES)])
-        x = given.physical(points)
+        points = np.concatenate([special.ndtri(sobol_points(dimension=len(given.names), count=count, seed=seed,
+                                                            task="fragility", replicate=r)) for r in range(REPLICATES)])  # fmt: skip
+        columns = dict(zip(given.names, given.physical(points).T.copy(), strict=True))
         rows = []
         for level in grid:
-            answers = _called(partial(_at_level, model, free, float(level)), given, x)
+            answers = _called(model, {**columns, free: np.full(len(points), level)})
             if not np.isfinite(answers).all():
                 raise UsageError(f"the model has no finite answer at {free} = {level:g}")
-            state = LimitState(demands=answers.reshape(REPLICATES, count), strength=law)
-            rows.append(tails(state)[0].mean(axis=1))
-        table, spent = np.array(rows), grid.size * len(x)
-        found = curve.fragility(grid, table, probabilities, samples=count, evaluations=spent)
-        near = curve.fit_lognormal_curve(grid, table, evaluations=spent)
-    return Fragility(
-        curve=np.array(found.curve), values=found.values, lognormal=None if isinstance(near, str) else near
-    )
-
-
-def _at_level(model: Model, free: str, level: float, columns: dict[str, Array]) -> npt.ArrayLike:
-    """The model's answers with its free input at a level."""
-    n = len(next(iter(columns.values())))
-    return model({**columns, free: np.full(n, level)})
-
-
-def _normals(dimension: int, count: int, replicate: int, seed: int) -> Array:
-    from scipy.special import ndtri
-
-    points = sobol_points(dimension=dimension, count=count, seed=seed, task="fragility", replicate=replicate)
-    return np.asarray(ndtri(points))
+            rows.append(tails(LimitState(demands=answers.reshape(REPLICATES, count), strength=law))[0].mean(axis=1))
+        found = curve.fragility(grid, np.array(rows), probabilities, samples=count, evaluations=grid.size * len(points))
+    return Fragility(curve=np.array(found.curve), values=found.values)
 
 
 # --- observations -----------------------------------------------------------------------------------------------
 
 
+def _observations(values: npt.ArrayLike) -> Array:
+    with _refusing():
+        found = np.asarray(values, dtype=float)
+    if found.ndim != 1 or found.size < 3 or not np.isfinite(found).all():
+        raise UsageError(f"at least three finite values (n,) are required, found an array of shape {found.shape}")
+    return found
+
+
+def moments(values: npt.ArrayLike) -> Answers:
+    """{"mean", "sd"} of independent values (n,): Student's interval, and that of ln(sd) by the jackknife."""
+    x, method = _observations(values), "independent values"
+    n, s = x.size, float(x.std(ddof=1))
+    mean = around(float(x.mean()), student(n) * s / math.sqrt(n), s / math.sqrt(n), method, n)
+    off = (x - x.mean()) ** 2
+    # sums of squares without one value, in closed form
+    rest = np.log(np.maximum(off.sum() - off * n / (n - 1.0), 1e-16 * off.sum() + 1e-300)) / 2.0
+    error = math.sqrt((n - 1.0) * float(np.mean((rest - rest.mean()) ** 2)))
+    reach = math.exp(min(student(n) * error, 300.0))
+    return Answers(mean=mean, sd=between(s, s / reach, s * reach, n, method, n))
+
+
+def quantiles(values: npt.ArrayLike, probabilities: Sequence[float] = (0.05, 0.5, 0.95)) -> Answers:
+    """Quantiles of independent values (n,) by probability, with exact intervals of order statistics, for any law."""
+    from scipy.stats import binom
+
+    x, found = np.sort(_observations(values)), Answers()
+    for p in probabilities:
+        low, high = int(binom.ppf(0.025, x.size, p)) - 1, int(binom.ppf(0.975, x.size, p))
+        if low < 0 or high >= x.size:
+            found[p] = absent(f"{x.size} values are too few for the {p:g} quantile", "order statistics", x.size)
+        else:
+            found[p] = between(float(np.quantile(x, p)), float(x[low]), float(x[high]), x.size, "order statistics", x.size)
+    return found
+
+
 def weibull_fit(values: npt.ArrayLike, stopped: npt.ArrayLike | None = None) -> StrengthFit:
     """The two-parameter Weibull law of strengths (n,), some of whose tests were stopped before failure (n,).
 
-    Largest likelihood, the factor that takes its bias out, and intervals of 95 % that hold for any n (D. R. Thoman,
-    L. J. Bain, C. E. Antle, Technometrics 11, 1969, 445; ISO 20501): `shape` the modulus, `scale` in the values' unit.
+    Largest likelihood, the factor that takes its bias out, and intervals of 95 % that hold for any n (D. R. Thoman, L. J.
+    Bain, C. E. Antle, Technometrics 11, 1969, 445; ISO 20501): `shape` the modulus, `scale` in the values' unit.
     """
     with _refusing():
         return fit_strength(make_tests(values, stopped), STRENGTHS["weibull"])
@@ -416,18 +348,3 @@ def lognormal_fit(values: npt.ArrayLike, stopped: npt.ArrayLike | None = None) -
     """The lognormal law of strengths (n,), as `weibull_fit`: `shape` is the sd of the logarithm, `scale` the median."""
     with _refusing():
         return fit_strength(make_tests(values, stopped), STRENGTHS["lognormal"])
-
-
-def tolerance_interval(
-    values: npt.ArrayLike, *, coverage: float = 0.95, confidence: float = 0.95
-) -> tolerance.ToleranceLimits:
-    """Limits between which at least the share `coverage` of the law lies, at least with this confidence, for any law.
-
-    Order statistics of independent values (n,) (S. S. Wilks, Ann. Math. Statist. 12, 1941, 91): `upper`, `lower`, and
-    `between`; absent with a reason where n is too small (59, and 93 for both, at 95 % and 95 %).
-    """
-    found = np.asarray(values, dtype=float)
-    if found.ndim != 1 or not np.isfinite(found).all():
-        raise UsageError(f"finite values (n,) are due, found an array of shape {found.shape}")
-    with _refusing():
-        return tolerance.tolerance_limits(found, coverage=coverage, confidence=confidence)

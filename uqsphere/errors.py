@@ -47,16 +47,15 @@ class UsageError(UqsphereError):
 
 @dataclass(frozen=True, kw_only=True, order=True)
 class Problem:
-    """One fault of a study file, with the place where it stands (lines and columns count from 1)."""
+    """One fault of a study file, with the line where it stands, from 1."""
 
     line: int
-    column: int
     path: str
     message: str
 
     def render(self, file: str) -> str:
-        """``file:line:column: path: message``; the path is left out where the file as a whole is meant."""
-        place = f"{file}:{self.line}:{self.column}: "
+        """``file:line: path: message``; the path is left out where the file as a whole is meant."""
+        place = f"{file}:{self.line}: "
         return place + (f"{self.path}: " if self.path else "") + self.message
 
 

@@ -17,15 +17,16 @@ from typing import Final
 from uqsphere.mechanics.criteria import DEMANDS
 from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.scene import INPUTS
-from uqsphere.units import UNITS, Quantity
+from uqsphere.units import UNITS, Quantity, format_distinct, format_probability
 
 __all__ = [
     "DEMANDS",
-    "DRIVES",
     "INPUTS",
     "OUTPUTS",
     "display_unit",
+    "format_distinct",
     "format_estimate",
+    "format_probability",
     "format_value",
     "lookup",
     "reading_units",
@@ -47,16 +48,10 @@ _LADDERS: Final[dict[str, tuple[str, ...]]] = {
 #: the units of the page or the table that is being written, by the name of the quantity
 _CHOSEN: Final[ContextVar[Mapping[str, str]]] = ContextVar("units_of_the_page")
 
-#: Free scalars of margins that are no numbers of the file.
-DRIVES: Final[dict[str, Quantity]] = {"striker.specific_energy":
-    Quantity(name="striker.specific_energy", symbol="E_k/M", dimension="specific_energy", display="J/kg",
-             meaning="kinetic energy of the striker over the mass of the sphere"),
-}  # fmt: skip
-
 
 def lookup(name: str) -> Quantity:
     """The nomenclature entry of an input or an output; a black-box name gets a plain entry without unit."""
-    found = INPUTS.get(name) or OUTPUTS.get(name) or DRIVES.get(name)
+    found = INPUTS.get(name) or OUTPUTS.get(name)
     if found is None and (entry := DEMANDS.get(base := name.partition(".")[0]) or OUTPUTS.get(base)):
         # the demand of a criterion goes by the names of criterion and limit, and what is carried of a quantity too
         return replace(entry, name=name)

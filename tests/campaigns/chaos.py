@@ -29,8 +29,7 @@ import numpy as np
 from tests.campaigns import options, tell
 from tests.campaigns import table as markdown
 from uqsphere.arrays import Array
-from uqsphere.uq.expansion import fit_chaos, germ_points, predict
-from uqsphere.uq.expansion.germs import Germ, GermLike, base_of, germs_of
+from uqsphere.uq.chaos import Germ, GermLike, base_of, fit_chaos, germ_points, germs_of, predict
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.points import random_generator, sobol_points
 

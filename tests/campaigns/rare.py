@@ -20,13 +20,13 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-import uqsphere
+
 from tests.campaigns import options, table, tell
-from uqsphere.results.entries import Est
+
 from uqsphere.uq.law import Law, make_law
-from uqsphere.uq.rare import active
-from uqsphere.uq.rare.auto import find_probability
-from uqsphere.uq.rare.problem import LimitFunction
+
+from uqsphere.uq.rare import find_probability
+from uqsphere.uq.rare import LimitFunction
 
 Array = npt.NDArray[np.float64]
 
@@ -448,7 +448,7 @@ accuracy = {{ probability = {accuracy} }}
 """
 
 
-def run_problem(entry: Problem, kind: str, seed: int, folder: Path) -> Est:
+def run_problem(entry: Problem, kind: str, seed: int, folder: Path) -> object:
     """The probability of failure that a run of a study gives, by the number of evaluations in all."""
     evaluations, cost, accuracy = BUDGETS[kind]
     names = [f"u{k}" for k in range(entry.dimension)]

@@ -1,8 +1,8 @@
-"""The report of a finished run, and the pictures of one scene over time: all from what is stored."""
+"""What a person reads of a run: one page, its figures, the terminal's summary, and runs side by side."""
 
 from __future__ import annotations
 
-from uqsphere.report.figures.history import history_figure, xt_figure
-from uqsphere.report.page import build_report
+from uqsphere.report.page import page, write_page
+from uqsphere.report.terminal import summary
 
-__all__ = ["build_report", "history_figure", "xt_figure"]
+__all__ = ["page", "summary", "write_page"]

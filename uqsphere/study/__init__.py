@@ -1,22 +1,18 @@
-"""Study files: TOML text → validated, frozen `Study` in SI, with every fault of a file located and told at once."""
+"""Study files: TOML text → validated, frozen `Study` in SI, with every fault of a file at its line, all at once."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from uqsphere.study.document import Accuracy, Analysis, Budget, Dependence, Gauge, ModelChoice
-from uqsphere.study.faults import Raw
-from uqsphere.study.resolve import load_study
 from uqsphere.study.study import (
-    ENERGY,
-    SPEED,
     Axis,
-    EndImpedance,
-    Family,
     Limit,
     Margins,
     Source,
     Study,
+    Tested,
     Way,
     Ways,
     breaks_by,
@@ -29,20 +25,27 @@ from uqsphere.study.study import (
     ways_of,
     with_number,
 )
+from uqsphere.study.load import load_study  # isort: skip
 
 __all__ = [
-    "ENERGY", "SPEED", "Accuracy", "Analysis", "Axis", "Budget", "Dependence", "EndImpedance", "Family", "Gauge",
-    "Limit", "Margins", "ModelChoice", "Source", "Study", "Way", "Ways", "breaks_by", "json_schema", "law_json",
-    "limit_of", "load_study", "means_fracture", "quantity_of", "shipped_studies", "spaced", "strength_name",
-    "ways_of", "with_number",
+    "Accuracy", "Analysis", "Axis", "Budget", "Dependence", "Gauge", "Limit", "Margins", "ModelChoice", "Source", "Study",
+    "Tested", "Way", "Ways", "breaks_by", "json_schema", "law_json", "limit_of", "load_study", "means_fracture",
+    "quantity_of", "reference", "shipped_studies", "spaced", "strength_name", "ways_of", "with_number",
 ]  # fmt: skip
 
 
-def json_schema() -> dict[str, Raw]:
+def json_schema() -> dict[str, Any]:
     """JSON schema of a study file (draft 2020-12) for editors: scene and black box, with units and meanings."""
     from uqsphere.study.reference import build_schema
 
     return build_schema()
+
+
+def reference() -> str:
+    """The page docs/study-file.md, made from the declarations."""
+    from uqsphere.study.reference import build_page
+
+    return build_page()
 
 
 def shipped_studies() -> dict[str, Path]:

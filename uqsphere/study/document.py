@@ -1,724 +1,713 @@
-"""The tables of a study file, each declared once.
+"""The tables of a study file as pydantic dataclasses: what can stand there, what it means, and its value in SI.
 
-From a declaration follow how its table is read and what is said of its faults (`uqsphere.study.tables`), the schema for
-editors and the tables of docs/study-file.md (`uqsphere.study.reference`), and, where nothing else enters, the frozen
-noun itself.  Numbers that can scatter are taken as they come: `uqsphere.study.numbers` reads them where their quantity
-is known.  How values go together is asked in `uqsphere.study.resolve`, where a fault in one part does not hide those of
-others.
+A number knows its quantity by its table and key.  What the tables say of each other is looked at in
+`uqsphere.study.check`; the JSON schema and docs/study-file.md are made from these declarations.
 """
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Final
+from dataclasses import dataclass as plain
+from dataclasses import field, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 
-from pydantic import Field
+from pydantic import BeforeValidator, ConfigDict, Field, Strict, ValidationInfo, WithJsonSchema
 from pydantic.dataclasses import dataclass
 
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
-from uqsphere.mechanics.pulses import PRESETS, SHAPES
-from uqsphere.mechanics.rigs import PARTNER_KINDS
-from uqsphere.mechanics.scene import CONTACT_LAWS
-from uqsphere.study.faults import Misplaced, Raw, one_of, shown
-from uqsphere.study.particle_tables import ENERGY_OF, FeedTable, MaterialTable, Platens, ProductTable, TestsTable
-from uqsphere.study.tables import (
-    CLOSED,
-    MOST_LISTED,
-    Check,
-    Fixed,
-    Flag,
-    Length,
-    Node,
-    Number,
-    Positive,
-    Real,
-    Share,
-    Text,
-    Whole,
-    among,
-    fixed,
-    key,
-    several,
-    within,
-)
-from uqsphere.units import UNITS, Quantity
-from uqsphere.uq.joint import COPULAS, LEAST_DOF, MOST_DOF
+from uqsphere.quantities import INPUTS, format_value
+from uqsphere.units import UNITS, Quantity, UnitError, bare_number, parse_value
+from uqsphere.uq import Law, LawError, make_law
+from uqsphere.uq.families import FAMILIES, family_named
 
-#: tables of a scene whose numbers are entries of `uqsphere.quantities.INPUTS`
-SCENE: Final = (
-    "sphere", "bars", "striker", "pulse", "contact", "product",
-    "rig", "target", "anvil", "other", "hammer", "rod", "platens",
-)  # fmt: skip
-#: what a sphere is loaded by, and the tables that belong to each
+if TYPE_CHECKING:
+    from uqsphere.study.study import Tested
+
+Place = tuple[str | int, ...]
+#: what loads the sphere, and the tables that belong to each rig
 RIG_TABLES: Final[dict[str, tuple[str, ...]]] = {
-    "bars": ("bars", "striker", "pulse"),
+    "bars": ("bars", "striker", "pulse", "insert"),
     "impact": ("target",),
     "sphere_on_sphere": ("other",),
     "drop_weight": ("hammer", "anvil"),
     "load_cell": ("hammer", "rod"),
     "platens": ("platens",),
-    "none": (),
 }
-FIDELITIES: Final = ("auto", "massless", "linear", "full")
-#: analyses of their own, `uqsphere.runner.questions.further`
-FURTHER: Final[tuple[str, ...]] = ("morris",)
-METHODS: Final = ("qmc", "pce", "sobol", "form", "importance", "subset", *FURTHER)
-#: gauges of one scene
-MOST_GAUGES: Final = 20
-#: places of one field: a row of answers is stored whole
-MOST_PLACES: Final = 10_000
-#: rows of one stored chunk, `uqsphere.runner.chunks`
-_MOST_ROWS: Final = 16_384
+#: tables whose numbers are entries of `uqsphere.quantities.INPUTS`
+SCENE: Final = ("sphere", "contact", "rig", *dict.fromkeys(t for tables in RIG_TABLES.values() for t in tables))
+BAR_ENDS: Final = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
+#: which energy a strength in J/kg means, and the quantity that is held against it
+ENERGY_OF: Final = {
+    "contact": "specific_energy", "sphere": "specific_energy_sphere", "input": "specific_impact_energy",
+}  # fmt: skip
+#: a standard deviation over the mean that is worth a warning, and that is refused
+_WIDE, _TOO_WIDE = 1.0, 1000.0
+#: a share of a law outside what has a meaning that is worth a warning
+NOTABLE: Final = 1e-6
 
 
-# --- what a key can hold ----------------------------------------------------------------------------
+# --- faults and words ---------------------------------------------------------------------------------------------
 
 
-def _signal_units() -> Iterable[str]:
-    from uqsphere.records.table import SIGNAL_UNITS
+class Fault(ValueError):
+    """A fault of one part of a value: `at` is the way to it."""
 
-    return SIGNAL_UNITS
-
-
-def _in_order(values: tuple[float, ...]) -> tuple[float, ...]:
-    if not 1 <= len(values) <= MOST_LISTED:
-        raise ValueError(f"found {len(values)} numbers, from 1 to {MOST_LISTED} are due")
-    return tuple(sorted(set(values)))
+    def __init__(self, message: str, *at: str | int) -> None:
+        super().__init__(message)
+        self.at: Place = tuple(part for part in at if part != "")
 
 
-def _methods(value: Raw) -> Raw:
-    """The word "auto" as a list."""
-    if value != "auto" and not isinstance(value, (list, tuple)):
-        hint = f'; write methods = ["{value}"]' if value in METHODS else ""
-        raise ValueError(f'found {shown(value)}: "auto" or a list of {one_of(METHODS)} is due{hint}')
-    return ("auto",) if value == "auto" else value
+@plain(kw_only=True)
+class Reader:
+    """The folder of a study, outside of which no file is read, and the warnings met while it is read."""
+
+    folder: Path = Path()
+    warnings: list[str] = field(default_factory=list)
+
+    def warn(self, place: Place, message: str) -> None:
+        """Note what a user should know and what does not stop the study, once."""
+        text = f"{path_of(place)}: {message}" if place else message
+        if text not in self.warnings:
+            self.warnings.append(text)
 
 
-def _methods_schema() -> Node:
-    return {"anyOf": [{"const": "auto"}, {"const": ["auto"]}, {"type": "array", "items": {"enum": list(METHODS)}}]}
+def path_of(place: Place) -> str:
+    """A place as users write it.
+
+    >>> path_of(("dependence", 0, "of"))
+    'dependence[0].of'
+    """
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).removeprefix(".")
 
 
-def _together(values: tuple[str, ...]) -> tuple[str, ...]:
-    if "auto" in values and len(values) > 1:
-        raise Misplaced('"auto" goes with no other method', values.index("auto"))
-    return values
+def shown(value: object, longest: int = 60) -> str:
+    """A value of a file as its message shows it."""
+    if isinstance(value, Mapping):
+        return "a table"
+    if isinstance(value, list | tuple):
+        return "an array"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return bare_number(value)
+    if not isinstance(value, str):
+        return f"a {type(value).__name__}"
+    text = json.dumps("".join(c if c.isprintable() else "?" for c in value[: 2 * longest]), ensure_ascii=False)
+    return text if len(text) <= longest else f"{text[: longest - 1]}…"
 
 
-def _window(values: tuple[float, ...]) -> tuple[float, ...]:
-    if len(values) != 2:
-        raise ValueError(f"found {len(values)} values, two are due: begin and end of the pulse in the record")
-    if not values[0] < values[1]:
-        raise ValueError(f"found {values[0]:g} s and {values[1]:g} s: the begin must come first")
-    return values
+def one_of(words: Iterable[str]) -> str:
+    """Words as a list in a sentence.
+
+    >>> one_of(["a", "b", "c"])
+    'a, b or c'
+    """
+    *first, last = words
+    return f"{', '.join(first)} or {last}" if first else last
 
 
-def _ends(values: tuple[Raw, ...]) -> tuple[Raw, ...]:
-    if len(values) != 2:
-        raise ValueError(f"found {len(values)} values, two are due: the lowest and the highest")
-    return values
+def suggestion(word: object, known: Iterable[str]) -> str:
+    """A hint at the known word that was likely meant."""
+    near = get_close_matches(str(word)[:80], list(known), n=1)
+    return f"; did you mean '{near[0]}'?" if near else ""
 
 
-Correlation = Annotated[Real, within(-1.0, 1.0)]
-Shares = Annotated[tuple[Share, ...], Check(_in_order, lambda: {"minItems": 1})]
-Names = Annotated[tuple[Text, ...], several(1, "names")]
-Seconds = Annotated[float, fixed("time", "t")]
-#: an instant of a record, which may begin before 0
-Instant = Annotated[float, fixed("time", "t", -math.inf)]
-Methods = Annotated[
-    tuple[Annotated[Text, among((*METHODS, "auto"))], ...],
-    several(1, "methods"),
-    Check(_together),
-    Check(_methods, _methods_schema, first=True),
-]
+def unknown(what: str, word: object, known: Iterable[str], most: int = 40) -> str:
+    """The message for a word that is none of those known."""
+    names = list(known)
+    return f"unknown {what} {shown(word)}, known: {one_of(names[:most])}{suggestion(word, names)}"
 
 
-# --- the tables -------------------------------------------------------------------------------------
+# --- numbers ------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class SphereTable:
+@plain(frozen=True, kw_only=True)
+class Number:
+    """A number in SI: value or law, the law's parameters as given, whether its data are synthetic, tests behind it."""
+
+    value: float | Law
+    given: Mapping[str, float] = field(default_factory=dict)
+    synthetic: bool = False
+    tested: Tested | None = None
+
+    @property
+    def mean(self) -> float:
+        """The value, or the law's mean before truncation."""
+        return self.value.nominal_mean() if isinstance(self.value, Law) else self.value
+
+
+def plain_quantity(name: str, meaning: str = "", lower: float = -math.inf) -> Quantity:
+    """The entry of a number without unit: a black-box input, say."""
+    return Quantity(name=name, symbol=name, dimension="number", lower=lower, meaning=meaning or name)
+
+
+def number_path(table: str, key: str) -> str:
+    """The name of a number in the nomenclature: inserts stand there among the numbers of the bars."""
+    return f"bars.insert_{key}" if table == "insert" else f"{table}.{key}"
+
+
+def number_place(path: str) -> Place:
+    """Where a number of the scene stands in a file.
+
+    >>> number_place("bars.insert_E"), number_place("sphere.E")
+    (('insert', 'E'), ('sphere', 'E'))
+    """
+    return ("insert", path.removeprefix("bars.insert_")) if path.startswith("bars.insert_") else tuple(path.split("."))
+
+
+def bounds_in_words(quantity: Quantity) -> str:
+    """Where the values of a quantity must lie."""
+    low, high = (format_value(end, quantity.name) for end in (quantity.lower, quantity.upper))
+    if math.isfinite(quantity.upper):
+        way = f"from {low} to {high}" if quantity.closed else f"between {low} and {high}, both excluded"
+        return f"{quantity.meaning} must lie {way}"
+    return f"{quantity.meaning} must be {'at least' if quantity.closed else 'above'} {low}"
+
+
+def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
+    """SI value of a fixed number; raises Fault where it is none, or outside the bounds of its meaning."""
+    if isinstance(raw, str) and quantity.name.endswith(("_end", ".end")):
+        if raw in BAR_ENDS:
+            return BAR_ENDS[raw]
+        raise Fault(
+            f"found {shown(raw)}, allowed: {one_of(BAR_ENDS)}, or a number in [-1, 1]{suggestion(raw, BAR_ENDS)}"
+        )
+    if isinstance(raw, bool) or not isinstance(raw, int | float | str) or len(str(raw)) > 200:
+        unit = "" if quantity.dimension == "number" else " with its unit in quotes"
+        raise Fault(f"found {shown(raw)}, where a number{unit} is required")
+    try:
+        value = parse_value(raw, quantity.dimension, _likely_unit(raw, quantity))
+    except UnitError as error:
+        raise Fault(str(error)) from None
+    if bounded and not quantity.allows(value):
+        raise Fault(f"found {shown(raw)}: {bounds_in_words(quantity)}")
+    return value
+
+
+def _likely_unit(raw: object, quantity: Quantity) -> str:
+    """The unit to suggest for a number without one: that people read, or the first that makes it usual."""
+    try:
+        bare = float(raw)  # type: ignore[arg-type]
+    except (ValueError, OverflowError):
+        return quantity.display
+    (low, high), factors = quantity.plausible, UNITS[quantity.dimension]
+    usual = (u for u in (quantity.display, *factors) if low <= bare * factors.get(u, 1.0) <= high)
+    return next(usual, quantity.display)
+
+
+def number_of(raw: object, quantity: Quantity, reader: Reader, place: Place) -> Number:
+    """Value or law of what a file has; raises Fault."""
+    if not isinstance(raw, Mapping):
+        found = Number(value=value_of(raw, quantity))
+    elif "file" in raw or "draws" in raw or raw.get("dist") == "empirical":
+        from uqsphere.study.strength import observed_law
+
+        found = observed_law(raw, quantity, reader, place)
+    else:
+        found = _law_of(raw, quantity)
+    warn_unusual(found.mean, quantity, reader, place)
+    if isinstance(found.value, Law):
+        _check_law(found, raw, quantity, reader, place)
+    return found
+
+
+def warn_unusual(value: float, quantity: Quantity, reader: Reader, place: Place) -> None:
+    """Warn of a value (SI) outside the usual range of its quantity."""
+    if not quantity.plausible[0] <= value <= quantity.plausible[1]:
+        said, *usual = (format_value(v, quantity.name) for v in (value, *quantity.plausible))
+        reader.warn(place, f"{said} is unusual (usual: {usual[0]} to {usual[1]}); is the unit right?")
+
+
+def _law_of(raw: Mapping[str, Any], quantity: Quantity) -> Number:
+    kind = raw.get("dist")
+    family = family_named(kind) if isinstance(kind, str) else None
+    if family is None and "dist" in raw:
+        raise Fault(f"found {shown(kind)}, known distributions: {one_of(FAMILIES)}{suggestion(kind, FAMILIES)}", "dist")
+    if family is None:
+        near = suggestion(next(iter(raw), ""), ["dist"])
+        raise Fault(f'a distribution is required, such as {{ dist = "normal", … }}: the table has no dist{near}')
+    keys = (*family.keys, "lower", "upper")
+    for key in raw:
+        if key not in ("dist", *keys):
+            others = {k for other in FAMILIES.values() for k in other.keys}
+            strange = "does not belong to" if key in others else "is unknown to"
+            hint = "" if key in others else suggestion(key, keys)
+            raise Fault(f"{shown(key)} {strange} the distribution {family.name}, which takes {one_of(keys)}{hint}", key)
+    given: dict[str, float] = {}
+    unit = next((v.split()[-1] for k in ("mean", "mode", "lower", "upper")
+                 if isinstance(v := raw.get(k), str) and v.split()[-1:] and v.split()[-1] in UNITS[quantity.dimension]),
+                quantity.display)  # fmt: skip
+    for key in keys:
+        if key in raw:
+            entry = quantity if key in family.dimensional else plain_quantity(quantity.name)
+            if key not in ("mean", "mode", "lower", "upper") and entry.dimension != "number":
+                entry = replace(entry, plausible=(0.0, math.inf), display=unit)
+            try:
+                given[key] = value_of(raw[key], entry, bounded=False)
+            except Fault as error:
+                raise Fault(str(error), key) from None
+    bounds = given.pop("lower", None), given.pop("upper", None)
+    try:
+        law = make_law(family.name, given, *bounds)
+    except LawError as error:
+        spoken = (error.key == "" or error.key in family.dimensional) and any(map(str.isdigit, error.message))
+        unit = f" (numbers in {quantity.unit})" if spoken and quantity.unit else ""
+        raise Fault(f"{error.message}{unit}", error.key if error.key in raw else "") from None
+    return Number(value=law, given=given)
+
+
+def _check_law(number: Number, raw: object, quantity: Quantity, reader: Reader, place: Place) -> None:
+    """Refuse a law outside what has a meaning, or too wide to compute with; warn of tails, wide and cut-off laws."""
+    law = number.value
+    assert isinstance(law, Law) and isinstance(raw, Mapping)
+    centre, name = law.nominal_mean(), quantity.name
+    if not quantity.allows(centre):
+        raise Fault(f"the distribution has its mean at {format_value(centre, name)}: {bounds_in_words(quantity)}")
+    ends = (("lower", law.lower), ("upper", law.upper)) if law.family.bounded else ()
+    for key, end in ends:
+        if not quantity.lower <= end <= quantity.upper:
+            raise Fault(f"{format_value(end, name)}: {bounds_in_words(quantity)}", key)
+    middle, scatter = law.mean(), law.sd()
+    cov = scatter / abs(middle) if middle and scatter is not None else 0.0
+    cov = max(cov, number.given.get("cov", 0.0))
+    truncated = math.isfinite(law.lower) or math.isfinite(law.upper)
+    if cov > _TOO_WIDE and not truncated:
+        key = next((key for key in ("cov", "sd", "log_sd", "shape", "modulus") if key in raw), "")
+        raise Fault(f"the standard deviation is {cov:.3g} times the mean, at most {_TOO_WIDE:g} can be computed with; "
+                    'write a share, such as cov = 0.12 or "12 %"', key)  # fmt: skip
+    if cov > _WIDE:
+        share = next((f'; 15 % is written 0.15 or "15 %", so {bare_number(cov)} % is {cov / 100:g}' for _ in "1"
+                      if "cov" in raw), "")  # fmt: skip
+        reader.warn(place, f"the standard deviation is {cov:.3g} times the mean: is that meant?{share}")
+    mean = number.given.get("mean")
+    if mean is not None and not law.lower <= mean <= law.upper:
+        key = "lower" if mean < law.lower else "upper"
+        reader.warn((*place, key), f"the mean {format_value(mean, name)} lies {'below' if key == 'lower' else 'above'} "
+                    f"the bound {format_value(getattr(law, key), name)}: only a tail of the distribution is sampled")  # fmt: skip
+    if ends or not law.mass:
+        return
+    import numpy as np
+
+    outside = 0.0
+    if max(law.lower, law.family.least(law.parameters, law.lower, law.upper)) < quantity.lower:
+        outside += float(law.cdf(np.array([quantity.lower]))[0])
+    if law.upper > quantity.upper:
+        outside += float(law.sf(np.array([quantity.upper]))[0])
+    if outside > NOTABLE:
+        effect = "these samples count as failed evaluations; " if name in INPUTS else ""
+        reader.warn(place, f"a share of {outside:.2g} of the distribution lies where it has no meaning "
+                    f"({bounds_in_words(quantity)}); {effect}truncate it with lower or upper")  # fmt: skip
+
+
+# --- what a key can hold --------------------------------------------------------------------------------------------
+
+
+def _number(raw: Any, info: ValidationInfo) -> Any:
+    """A number of the scene, by its table (a partner knows its own) and key; None for a flat face."""
+    if info.context is None or raw is None:
+        return raw
+    name, key = info.data.get("table") or str((info.config or {})["title"]), str(info.field_name)
+    path, start = number_path(name, key), number_path(name, "")
+    if path not in INPUTS:
+        keys = [known.removeprefix(start) for known in INPUTS if known.startswith(start)]
+        raise Fault(f"{key} does not belong to [{name}], which takes {one_of(['material', *keys])}")
+    if (key == "face_radius" and raw == "flat") or (path == "contact.hardness" and raw == "onset"):
+        return None if raw == "flat" else raw
+    return number_of(raw, INPUTS[path], info.context, (name, key))
+
+
+def _partner(raw: Any, info: ValidationInfo) -> Any:
+    """The table of a partner, which is told its name."""
+    return {**raw, "\0table": info.field_name} if isinstance(raw, dict) else raw
+
+
+def _fixed(quantity: Quantity) -> Any:
+    """The mark of a fixed number with its unit; what Python gives is in SI already."""
+
+    def read(raw: Any, info: ValidationInfo) -> Any:
+        return raw if info.context is None or raw is None else value_of(raw, quantity)
+
+    return BeforeValidator(read), WithJsonSchema({"dimension": quantity.dimension})
+
+
+def _real(low: float, high: float = math.inf, *, closed: bool = False, whole: bool = False) -> Any:
+    """The mark of a plain number between two bounds, which are excluded unless `closed`; shares also in percent."""
+    what = "a whole number" if whole else "a number"
+    if high == math.inf:
+        allowed = f"{what} from {low:g} upwards" if closed else f"{what} above {low:g}"
+    else:
+        allowed = (
+            f"{what} from {low:g} to {high:g}" if closed else f"{what} between {low:g} and {high:g}, both excluded,"
+        )
+
+    def read(raw: Any) -> Any:
+        percent = isinstance(raw, str) and raw.rstrip().endswith("%") and not whole
+        value = value_of(raw, plain_quantity("share")) if percent else raw
+        if isinstance(value, bool) or not isinstance(value, int if whole else int | float):
+            raise Fault(f"found {shown(raw)}, where {what} is required")
+        if not (low <= value <= high if closed else low < value < high):
+            raise Fault(f"found {shown(raw)}, {allowed} is required")
+        return value
+
+    least, most = ("minimum", "maximum") if closed else ("exclusiveMinimum", "exclusiveMaximum")
+    node: dict[str, Any] = {"type": "integer" if whole else "number", least: low}
+    return BeforeValidator(read), WithJsonSchema(node | ({} if high == math.inf else {most: high}))
+
+
+def _several(least: int, what: str, most: int = 200) -> BeforeValidator:
+    """The mark of a list with so many entries, each once."""
+
+    def read(raw: Any, info: ValidationInfo) -> Any:
+        for index, value in enumerate(raw) if isinstance(raw, list | tuple) and info.context is not None else ():
+            if value in raw[:index]:
+                raise Fault(f"{shown(value)} is named twice", index)
+        if isinstance(raw, list | tuple) and info.context is not None and not least <= len(raw) <= most:
+            required = f"{least} or more are required" if len(raw) < least else f"at most {most:,} are allowed"
+            raise Fault(f"found {len(raw)} {what}, {required}")
+        return raw
+
+    return BeforeValidator(read)
+
+
+def key(meaning: str | None, default: Any = None, *, usual: str = "") -> Any:
+    """A key: its meaning in one clause (None: that of its quantity), its default, and that in words if need be."""
+    held = {"default_factory": default} if isinstance(default, type) else {"default": default}
+    return Field(**held, description=meaning, json_schema_extra={"usual": usual})
+
+
+def table(title: str = "") -> ConfigDict:
+    """The settings of a table of a study: no key beyond those declared."""
+    return ConfigDict(extra="forbid", title=title, defer_build=True)
+
+
+def _parameter(name: str) -> Any:
+    part = PARAMETERS[name]
+    return _fixed(Quantity(name=name, symbol=name, dimension=part.dimension, lower=part.lower, upper=part.upper,
+                           meaning=f"the {part.meaning}"))  # fmt: skip
+
+
+def _of(dimension: str) -> Any:
+    return _fixed(Quantity(name=dimension, symbol="", dimension=dimension, meaning=f"the {dimension}"))
+
+
+Flag = Annotated[bool, Strict()]
+Num = Annotated[Any, BeforeValidator(_number)]
+Share = Annotated[float, *_real(0.0, 1.0)]
+Shares = Annotated[tuple[Share, ...], _several(1, "numbers")]
+Positive = Annotated[float, *_real(0.0)]
+Correlation = Annotated[float, *_real(-1.0, 1.0)]
+Names = Annotated[tuple[str, ...], _several(1, "names")]
+Seconds, Length = Annotated[float, *_of("time")], Annotated[float, *_of("length")]
+_Method = Literal["auto", "qmc", "pce", "sobol", "form", "importance", "subset", "morris", "delta", "pawn", "hdmr"]
+Methods = Annotated[tuple[_Method, ...], _several(1, "methods"),
+                    BeforeValidator(lambda raw: (raw,) if isinstance(raw, str) else raw)]  # fmt: skip
+
+
+# --- the scene ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, config=table("sphere"))
+class Sphere:
     """The sphere."""
 
-    material: Text | None = key("name from `uqsphere list materials`; fills `E`, `nu`, `density` that are not given")
-    E: Number = key("Young's modulus", default_is="from the material")
-    nu: Number = key("Poisson ratio, below 0.5", default_is="from the material")
-    density: Number = key("density", default_is="from the material")
-    onset_pressure: Number = key(
-        "contact pressure at which the sphere yields or crushes", default_is="from the material, else it does not"
-    )
-    hardness: Number = key(
-        "mean pressure at which it flows or crushes fully; needed with `onset_pressure`", default_is="from the material"
-    )
-    radius: Number = key(
-        "radius, not diameter; the sphere must fit its bars", due='add radius = "10 mm", half the diameter'
-    )
+    material: str | None = key("name from `uqsphere list materials`: fills `E`, `nu`, `density` that are not given")
+    E: Num = None
+    nu: Num = None
+    density: Num = None
+    radius: Num = key("radius, not diameter; the sphere must fit its bars", usual="required")
+    onset_pressure: Num = key(None, usual="from the material, else elastic")
+    hardness: Num = key(None, usual="from the material")
 
 
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class BarsTable:
+@dataclass(frozen=True, kw_only=True, config=table("partner"))
+class Face:
+    """What every body has that the sphere touches."""
+
+    table: str = Field("", alias="\0table")  # told by what holds it, and no key of a file
+    material: str | None = key("fills `E`, `nu`, `density`, `yield_strength` that are not given")
+    E: Num = None
+    nu: Num = None
+    density: Num = None
+    yield_strength: Num = key("for the validity checks, and the law of a `plastic` contact")
+    onset_pressure: Num = key(None, usual="from `yield_strength`")
+    hardness: Num = key(None, usual="from `yield_strength`")
+    pile_up: Num = key("`a²` over `r` times the approach far beyond yield, 1 to 3", usual="8/3")
+
+
+@dataclass(frozen=True, kw_only=True, config=table("bars"))
+class Bars(Face):
     """Both bars, alike in material and diameter."""
 
-    material: Text | None = key("fills `E`, `nu`, `density`, `yield_strength` that are not given")
-    E: Number = key("as for the sphere", default_is="from the material")
-    nu: Number = key("as for the sphere", default_is="from the material")
-    density: Number = key("as for the sphere", default_is="from the material")
-    yield_strength: Number = key(
-        "for the validity checks, and for the law of the contact where it is `plastic`", default_is="from the material"
-    )
-    diameter: Number = key("diameter of the bars", due='add diameter = "40 mm"')
-    incident_length: Number = key(
-        "length; with `infinite` it serves a validity check alone", default_is="required unless `infinite`"
-    )
-    receiving_length: Number = key("the same for the receiving bar", default_is="required unless `infinite`")
-    incident_end: Number = key(
-        'far end: `"free"`, `"absorbing"`, `"fixed"`, or a reflection coefficient from -1 (fixed) to 1 (free)',
-        default_is='`"free"`',
-    )
-    receiving_end: Number = key("the same for the receiving bar", default_is='`"absorbing"`')
-    receiving_damper: Text | None = key(
-        "in place of `receiving_end`: a CSV beside the study with the columns `frequency` [Hz], `impedance_real` and "
-        "`impedance_imag` [kg/s] of the far end"
-    )
-    end_radius: Number = key("radius of rounded ends at the sphere", default_is="flat")
-    insert_material: Text | None = key(
-        "a material of bars or plates, such as `tungsten_carbide` or `hard_4340`; fills `insert_E`, `insert_nu`, "
-        "`insert_yield_strength` that are not given"
-    )
-    insert_E: Number = key(
-        "Young's modulus of inserts that stand between bars and sphere; their waves are left out",
-        default_is="from the material, else no insert",
-    )
-    insert_nu: Number = key("Poisson ratio of the inserts", default_is="from the material, else that of the bars")
-    insert_yield_strength: Number = key("yield strength of the inserts", default_is="as `insert_nu`")
-    insert_thickness: Number = key("thickness of the inserts, for a validity check")
-    onset_pressure: Number = key(
-        'centre pressure at which the face yields, with a contact that is "plastic"', default_is="from `yield_strength`"
-    )
-    hardness: Number = key("mean pressure of the face that flows fully", default_is="from `yield_strength`")
-    pile_up: Number = key("pile-up of the face far beyond yield", default_is="8/3")
+    diameter: Num = key("diameter of the bars", usual="required")
+    incident_length: Num = key("length of the incident bar", usual="required unless `infinite`")
+    receiving_length: Num = key("length of the receiving bar", usual="required unless `infinite`")
+    incident_end: Num = key('`"free"`, `"absorbing"`, `"fixed"`, or a reflection coefficient', usual='`"free"`')
+    receiving_end: Num = key("the same of the receiving bar", usual='`"absorbing"`')
+    end_radius: Num = key("radius of rounded ends at the sphere", usual="flat")
     infinite: Flag = key("no reflections", False)
     rigid_contact: Flag = key("leaves the bars out of the contact stiffness, `1/E* = (1 - nu²)/E`", False)
 
 
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class StrikerTable:
-    """The striker."""
+@dataclass(frozen=True, kw_only=True, config=table("striker"))
+class Striker:
+    """The striker; `E`, `density` and `diameter` of one that is no piece of the bars."""
 
-    speed: Number = key("striker speed `v_0`; the pulse has the particle speed `v_0/2`", default_is="required")
-    length: Number = key(
-        "gives the pulse its duration `2 l_0/c_0`; not needed with `pulse.duration` or a step", default_is="required"
-    )
-    material: Text | None = key("a material of the bars, for `E` and `density`", default_is="that of the bars")
-    E: Number = key("of a striker that is no piece of the bars", default_is="that of the bars")
-    density: Number = key("of a striker that is no piece of the bars", default_is="that of the bars")
-    diameter: Number = key("of a striker that is no piece of the bars", default_is="that of the bars")
+    material: str | None = key("a material of bars, for `E` and `density`", usual="that of the bars")
+    speed: Num = key("speed `v_0`; the pulse has the particle speed `v_0/2`", usual="required")
+    length: Num = key("gives the pulse its duration `2 l_0/c_0`", usual="required without `pulse.duration`")
+    E: Num = None
+    density: Num = None
+    diameter: Num = None
 
 
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class PulseTable:
-    """The incident pulse; `uqsphere.study.scene.PULSE_KEYS` says which keys go with which shape."""
+@dataclass(frozen=True, kw_only=True, config=table("pulse"))
+class Pulse:
+    """The incident pulse; each shape has keys of its own."""
 
-    preset: Annotated[Text, among(tuple(PRESETS))] | None = key("a pulse of the paper's Fig. 2, in place of shape")
-    shape: Annotated[Text, among((*SHAPES, "measured"))] = key("shape of the incident pulse", "rectangular")
-    duration: Number = None
-    rise: Number = None
-    fall: Number = None
-    t1: Number = None
-    level1: Number = None
-    t2: Number = None
-    level2: Number = None
-    valley: Number = None
-    file: Text | None = key("record beside the study, with columns of time and strain")
-    columns: tuple[Text, ...] = key("names of the columns: time, then strain", ())
-    time_unit: Annotated[Text, among(tuple(UNITS["time"]))] | None = key("unit of the time")
-    unit: Annotated[Text, among(_signal_units)] | None = key("unit of the signal")
-    gauge_factor: Positive | None = key("of the gauges")
-    excitation: Positive | None = key("supply of the bridge [V]")
-    amplification: Positive | None = key("of the signal")
-    active_arms: Positive | None = key("1 quarter, 2 half bridge, 2 (1 + nu) with gauges across")
-    polarity: Annotated[Text, among(("auto", "tension", "compression"))] | None = key("what is positive in the record")
-    window: Annotated[tuple[Instant, ...], Check(_window)] | None = key("begin and end of the pulse in the record")
-    correct_dispersion: Flag | None = key("carry the wave from the gauge to the sphere")
-    gauge_distance: Length | None = key("distance of the gauge from the sphere")
-    gain: Number = None
-    noise: Flag | None = key("the noise of the record becomes random inputs")
+    preset: Literal["very_short", "short", "long"] | None = key("a pulse of the paper's Fig. 2, in place of `shape`")
+    shape: Literal["rectangular", "trapezoid", "ramp", "half_sine", "two_peak", "step", "measured"] = key(
+        "shape of the pulse", "rectangular")  # fmt: skip
+    duration: Num = key("duration", usual="from the striker")
+    rise: Num = key("`trapezoid`, `ramp`: rise")
+    fall: Num = key("`trapezoid`: fall")
+    t1: Num = key("`two_peak`: time of the first peak")
+    level1: Num = key("`two_peak`: its level over `v_0/2`")
+    t2: Num = key("`two_peak`: time of the second peak")
+    level2: Num = key("`two_peak`: its level over `v_0/2`")
+    valley: Num = key("`two_peak`: level half-way between", usual="0.75 of the lower peak")
+    file: str | None = key("`measured`: table of time and strain (compression positive), a file beside the study")
+    columns: tuple[str, ...] = key("`measured`: names of both columns", (), usual="the first two")
+    units: tuple[str, ...] = key("`measured`: units of time, and of strain or volts", (), usual="of the headings")
+    factor: float | None = key("`measured`: strain of one volt")
+    gain: Num = key("`measured`: true strain over that of the record")
 
 
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class ContactTable:
-    """What a face does beyond Hertz: the softer of two bodies yields or crushes, or the sphere is damaged."""
+@dataclass(frozen=True, kw_only=True, config=table("contact"))
+class Contact:
+    """The law of the contacts."""
 
-    law: Annotated[Text, among(CONTACT_LAWS)] = key(
-        '`"hertz"`; `"plastic"`: the softer body yields or crushes; `"damage"`: the sphere softens (Tavares)', "hertz"
-    )
-    dynamics: Annotated[Text, among(("auto", "elastic", "path"))] = key(
-        '`"path"`: the law inside the equations of motion; `"elastic"`: the force by Hertz, the rest from the largest '
-        'force; `"auto"`: by the rule of `[model] fidelity`',
-        "auto",
-    )
-    onset_pressure: Number = key(
-        "centre pressure at which a face begins to yield or to crush", default_is="that of the softer body"
-    )
-    hardness: Number = key(
-        'mean pressure of a face that flows fully; `"onset"`: the same as the onset',
-        default_is="that of the softer body",
-    )
-    pile_up: Number = key(
-        "`a²` over `r` times the approach, far beyond yield: 1 to 3", default_is="`8/3` where a metal yields, else `2`"
-    )
-    gamma: Number = key("`damage`: exponent of the damage, 2 to 8", default_is="required by `damage`")
-    fracture_energy: Number = key(
-        '`damage`: specific fracture energy of the sphere; `{ same_as = "limits.NAME.strength" }` for a fixed one',
-        default_is="required by `damage`",
-    )
-    blows: Annotated[Whole, within(1, 1000, closed=True)] = key(
-        "`damage`: equal blows, each with the stiffness and fracture energy that the last has left", 1
-    )
+    law: Literal["hertz", "plastic"] = key('`"hertz"`, or `"plastic"`: the softer body yields or crushes', "hertz")
+    onset_pressure: Num = key("centre pressure at which a face begins to yield", usual="of the softer body")
+    hardness: Num = key('mean pressure of a face that flows fully, or `"onset"`', usual="of the softer body")
+    pile_up: Num = key("pile-up far beyond yield, 1 to 3", usual="8/3 where a metal yields, else 2")
 
 
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class RigTable:
-    """What loads the sphere; one of `speed` and `drop_height` where the sphere itself moves."""
+@dataclass(frozen=True, kw_only=True, config=table("rig"))
+class Rig:
+    """What loads the sphere; `speed` or `drop_height` where the sphere itself moves."""
 
-    kind: Annotated[Text, among(tuple(RIG_TABLES))] = key(
-        f"what loads the sphere: {one_of([f'`{shown(name)}`' for name in RIG_TABLES])}; the last where strengths come "
-        "from laws or tests alone and a `[service.NAME]` asks",
-        "bars",
-    )
-    speed: Number = key("closing speed; `impact` and `sphere_on_sphere` take it, or `drop_height`")
-    drop_height: Number = key("height that the sphere falls from through air")
-    angle: Number = key("between path and surface, above 5 deg; 90 deg is square on", default_is='`"90 deg"`')
+    kind: Literal["bars", "impact", "sphere_on_sphere", "drop_weight", "load_cell", "platens"] = key(
+        "what loads the sphere", "bars")  # fmt: skip
+    speed: Num = key('closing speed of `impact` and `sphere_on_sphere`; a rotor\'s tip: `"1450 rpm at 0.9 m"`')
+    drop_height: Num = key("in its place: height that the sphere falls from through air")
+    angle: Num = key("between path and surface, above 5 deg", usual='`"90 deg"`, square on')
 
 
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class PartnerTable:
-    """What every body that touches the sphere has."""
+@dataclass(frozen=True, kw_only=True, config=table("partner"))
+class Partner(Face):
+    """A body that touches the sphere: [target] or [anvil], [other], [hammer], [rod], [platens] or [insert]."""
 
-    material: Text | None = key("fills `E`, `nu`, `density`, `yield_strength` that are not given")
-    E: Number = key("Young's modulus", default_is="from the material")
-    nu: Number = key("Poisson ratio", default_is="from the material")
-    density: Number = key("density", default_is="from the material")
-    yield_strength: Number = key("for the validity checks and a face that yields", default_is="from the material")
-    onset_pressure: Number = key('centre pressure at which the face yields, with a contact that is "plastic"')
-    hardness: Number = key("mean pressure of the face that flows fully")
-    pile_up: Number = key("pile-up of the face far beyond yield")
-
-
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class TargetTable(PartnerTable):
-    """What a sphere is thrown at, or lies on."""
-
-    kind: Annotated[Text, among(PARTNER_KINDS)] = key(
-        'a `"thick"` body, a `"plate"` that bends, the end of a `"bar"`, or a free `"mass"`', "thick"
-    )
-    thickness: Number = key("of a plate", default_is="required for a plate")
-    width: Number = key("of a plate, for the check of its edges")
-    mass: Number = key("of a free mass", default_is="required for a mass")
-    diameter: Number = key("of a bar", default_is="required for a bar")
-    length: Number = key("of a bar; without it nothing returns from its far end")
-    end: Number = key("far end of a bar, as the ends of bars", default_is='`"free"`')
-    face_radius: Number = key('radius of a rounded face; `"flat"` is flat', default_is="flat")
+    kind: Literal["thick", "plate", "bar", "mass"] | None = key(
+        'target, anvil: `"thick"`, a `"plate"` that bends, the end of a `"bar"`, a free `"mass"`', usual='`"thick"`')  # fmt: skip
+    thickness: Num = key("plate, insert: thickness", usual="required for a plate")
+    width: Num = key("plate: width, for the check of its edges")
+    mass: Num = key("mass, hammer: its mass", usual="required, or a ball")
+    diameter: Num = key("bar, rod, ball: diameter", usual="required")
+    length: Num = key("bar, rod: length; a bar without it returns nothing", usual="required for a rod")
+    end: Num = key("bar, rod: far end, as the ends of bars", usual='`"free"`')
+    face_radius: Num = key("target, anvil, hammer: radius of a rounded face", usual='`"flat"`')
+    radius: Num = key("other: radius of the other sphere", usual="required")
+    shape: Literal["ball"] | None = key('hammer: `"ball"`: mass and `face_radius` follow from the `diameter`')
+    speed: Num = key("hammer: speed at the sphere; platens: speed of the crosshead")
+    drop_height: Num = key("hammer: height that it falls from, in place of `speed`")
+    gauge: Length | None = key("rod: distance of the gauge from the sphere, for `history`")
+    force: Num = key("platens: largest force")
+    displacement: Num = key("platens: largest approach of both contacts, in place of `force`")
+    loading_rate: Num = key("platens: loading rate, in place of `speed`")
+    machine_stiffness: Num = key("platens: stiffness of the machine in series", usual="rigid")
 
 
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class OtherTable(PartnerTable):
-    """The other sphere, which is not judged."""
-
-    radius: Number = key("radius of the other sphere", due='add radius = "10 mm"')
+OnePartner = Annotated[Partner | None, BeforeValidator(_partner)]
 
 
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class HammerTable(PartnerTable):
-    """The weight that falls on the sphere, without drag; it is caught after the first blow."""
-
-    mass: Number = key("mass of the weight", default_is="required, or a ball")
-    shape: Annotated[Text, among(("ball",))] | None = key('`"ball"`: mass and `face_radius` follow from the `diameter`')
-    diameter: Number = key("of a ball")
-    face_radius: Number = key('radius of a rounded face; `"flat"` is flat', default_is="flat")
-    speed: Number = key("speed at the sphere", default_is="one of `speed` and `drop_height`")
-    drop_height: Number = key("height that the weight falls from", default_is="one of `speed` and `drop_height`")
-
-
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class RodTable(PartnerTable):
-    """The rod of a load cell."""
-
-    diameter: Number = key("diameter; the rod may be thinner than the sphere", due='add diameter = "20 mm"')
-    length: Number = key("length", due='add length = "1.5 m"')
-    end: Number = key("far end, as the ends of bars", default_is='`"free"`')
-    gauge: Length | None = key("distance of the gauge from the sphere, for `history` alone")
-
-
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class PlatensTable(PartnerTable):
-    """Two platens that press slowly."""
-
-    force: Number = key("largest force", default_is="one of `force` and `displacement`")
-    displacement: Number = key("largest approach of both contacts", default_is="one of `force` and `displacement`")
-    speed: Number = key("speed of the crosshead, for rates")
-    loading_rate: Number = key("loading rate in its place")
-    machine_stiffness: Number = key("stiffness of the machine in series", default_is="rigid")
-
-
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class ServiceTable(RigTable):
-    """A machine that the answer is wanted for: a rig with its tables nested."""
-
-    kind: Annotated[Text, among(tuple(name for name in RIG_TABLES if name not in ("bars", "none")))] = key(
-        "a rig but `bars`", "impact", due='add kind = "impact"'
-    )
-    target: TargetTable | None = key("as [target]")
-    anvil: TargetTable | None = key("as [anvil]")
-    other: OtherTable | None = key("as [other]")
-    hammer: HammerTable | None = key("as [hammer]")
-    rod: RodTable | None = key("as [rod]")
-    platens: PlatensTable | None = key("as [platens]")
-    solve: Text | None = key(
-        'the number of the service that is free, as in [margins]: `"drop_height"`, `"hammer.drop_height"`'
-    )
-    between: Annotated[tuple[Raw, ...], Check(_ends, lambda: {"minItems": 2, "maxItems": 2})] | None = key(
-        "two values with units, in order", default_is="required with `solve`"
-    )
-
-
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
+@dataclass(frozen=True, kw_only=True, config=table())
 class Gauge:
     """A strain gauge: its bar, and its distance from the sphere [m]."""
 
-    bar: Annotated[Text, among(("incident", "receiving", "rod"))] = key(
-        '`"incident"` or `"receiving"`; `"rod"` in a load cell', due='add bar = "incident"'
-    )
-    position: Length = key(
-        "distance from the sphere, a length within the bar", due='add the distance from the sphere, position = "0.75 m"'
-    )
+    bar: Literal["incident", "receiving", "rod"] = key('`"rod"` in a load cell', "incident", usual="required")
+    position: Length = key("distance from the sphere", 0.0, usual="required")
 
 
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
+@dataclass(frozen=True, kw_only=True, config=table())
 class ModelChoice:
     """Which mechanics, and how precisely; `horizon` [s]."""
 
-    fidelity: Annotated[Text, among(FIDELITIES)] = key(
-        '`"massless"`, `"linear"`, `"full"`, or the cheapest that is accurate enough, with `full` in rows where it is '
-        "not; `massless` under a drop weight too, every other rig (a load cell among them) is `full` by `auto`",
-        "auto",
-    )
-    tolerance: Annotated[Real, within(1e-12, 1e-2, closed=True)] = key(
-        "relative error of the integration, in every quantity asked for; 1e-12 to 1e-2", 1e-6
-    )
+    fidelity: Literal["full", "massless", "linear"] = key('`"full"`; of the paper: `"massless"`, `"linear"`', "full")
+    tolerance: Annotated[float, *_real(1e-12, 1e-2, closed=True)] = key("relative error of the integration", 1e-6)
     first_loading_only: Flag = key("end the record when the first reflected wave is back", False)
-    horizon: Seconds | None = key(
-        "end of the record, a time",
-        default_is="eight round trips of the longer bar; infinite bars: the pulse is over and both forces are below "
-        "1 % of the largest",
-    )
-    compare_with_paper: Flag = key(
-        "adds a table: the paper's printed massless formulas beside the corrected ones and the full model", False
-    )
-    stochastic: Flag = key(
-        "a black box that answers the same row otherwise each time, the one key of this table for it: some rows are "
-        "evaluated several times, and its own scatter is told apart from that of the inputs",
-        False,
-    )
+    horizon: Seconds | None = key("latest end of the record", usual="eight round trips of the longer bar")
+    compare_with_paper: Flag = key("adds the paper's printed massless formulas and the corrected ones", False)
 
 
-def _parameter(name: str) -> Fixed:
-    """A parameter of a criterion, as `uqsphere.mechanics.criteria.PARAMETERS` has it."""
-    part = PARAMETERS[name]
-    return Fixed(Quantity(name=name, symbol=name, dimension=part.dimension, lower=part.lower, upper=part.upper,
-                          meaning=f"the {part.meaning}"))  # fmt: skip
+# --- limits and what is asked -----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
+@dataclass(frozen=True, kw_only=True, config=table())
 class LimitTable:
     """A strength, and the quantity or criterion that is held against it."""
 
-    service: Text | None = key("service that it is asked of", default_is="the rig itself", named="in")
-    quantity: Text | None = key("a quantity of `uqsphere list quantities`", default_is="required, or `criterion`")
-    criterion: Annotated[Text, Check(lambda name: name, lambda: {"enum": list(CRITERIA)})] | None = key(
-        "in place of `quantity`: a criterion of `uqsphere list criteria`, for the impact model"
-    )
-    modulus: Annotated[float, _parameter("modulus")] | None = key(
-        "Weibull modulus of a weakest link; a strength that is a Weibull law has it already",
-        default_is="that of the strength",
-    )
-    reference_volume: Annotated[float, _parameter("reference_volume")] | None = key(
-        "volume on which the strength was measured", default_is="required by `weakest_link_volume`"
-    )
-    reference_area: Annotated[float, _parameter("reference_area")] | None = key(
-        "area on which the strength was measured", default_is="required by `weakest_link_surface`, `weakest_link_rim`"
-    )
-    largest_energy: Annotated[float, _parameter("largest_energy")] | None = key(
-        "`specific_energy`: upper bound of the fracture energy, whose law is then an upper-truncated lognormal"
-    )
-    rate_0: Annotated[float, _parameter("rate_0")] | None = key(
-        "strain rate at which the strength has doubled: strengths in tension then grow with the rate of each sample"
-    )
-    energy_is: Annotated[Text, among(tuple(ENERGY_OF))] | None = key(
-        'what a strength in J/kg means: energy stored in both bodies of all contacts, `"contact"`, the sphere\'s share '
-        'of it, `"sphere"`, or what was offered, `"input"`',
-        default_is="required with a rig that is not `bars`",
-    )
-    platens: Platens | None = key(
-        "what a strength that is a law was measured between: `bars`, `rigid`, a material of bars, or a table of `E` "
-        "and `nu`",
-        default_is="the bars of the study, else `rigid`",
-    )
-    strength: Number = key(
-        "what it is held against: value or distribution, in the unit of the quantity; or that of another limit, "
-        '`{ same_as = "limits.NAME.strength" }`',
-        due='add a number such as "4 GPa", or a distribution',
-    )
-    strength_is: Annotated[Text, among(("hertz", "pressure"))] | None = key(
-        'which pressure the strength of a limit on pressure is: `"hertz"` (computed from a force by Hertz) or '
-        '`"pressure"` (true)',
-        default_is='required where the contact is `"plastic"`',
-    )
-    aim: Annotated[Text, among(("survive", "break"))] = key(
-        '`"survive"`: the quantity must stay below the strength; `"break"`: it must exceed it', "survive"
-    )
-    model_factor: Number = key(
-        "factor on the quantity for what the model leaves out; value or distribution", default_is="`1`"
-    )
-    target: Share | None = key("largest accepted probability of missing the aim, between 0 and 1")
-    fracture: Flag | None = key(
-        "whether exceeding it breaks the sphere: `true` for criteria, pressures, tensions, forces and energies; "
-        "`false` for one that is no fracture, say bars that must stay elastic",
-        default_is="by the quantity",
-    )
+    quantity: str | None = key("a quantity of `uqsphere list quantities`", usual="required, or `criterion`")
+    criterion: Literal[*CRITERIA] | None = key("in place of `quantity`: one of `uqsphere list criteria`")  # type: ignore[valid-type]
+    strength: Any = key("value, distribution, or a file with tests or draws, see below", usual="required")
+    strength_is: Literal["hertz", "pressure"] | None = key(
+        '`"hertz"`: computed from a force by Hertz; `"pressure"`: the true one', usual="required if `plastic`")  # fmt: skip
+    aim: Literal["survive", "break"] = key("the quantity must stay below the strength, or exceed it", "survive")
+    target: Share | None = key('largest accepted failure probability, `0.01` or `"1 %"`')
+    model_factor: Any = key("factor on the quantity for what the model leaves out; may scatter", usual="`1`")
+    fracture: Flag | None = key("whether exceeding it breaks the sphere", usual="by the quantity")
+    energy_is: Literal["contact", "sphere", "input"] | None = key(
+        "of `specific_energy`: stored in both bodies, in the sphere, or offered", usual="required but for bars")  # fmt: skip
+    modulus: Annotated[float, *_parameter("modulus")] | None = key(
+        "Weibull modulus of a weakest link", usual="that of the strength")  # fmt: skip
+    reference_volume: Annotated[float, *_parameter("reference_volume")] | None = key("volume of a volume strength")
+    reference_area: Annotated[float, *_parameter("reference_area")] | None = key("area of a surface strength")
+    largest_energy: Annotated[float, *_parameter("largest_energy")] | None = key("upper bound of a fracture energy")
+    rate_0: Annotated[float, *_parameter("rate_0")] | None = key("strain rate at which a slow strength is doubled")
+    platens: Any = key('what it was measured between: `"bars"`, `"rigid"`, a material, or `E` and `nu`', usual="rigid")
 
 
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
+@dataclass(frozen=True, kw_only=True, config=table())
+class Observations:
+    """A distribution from a file beside the study: a column, crushing tests of spheres, or the draws of a fit."""
+
+    dist: Literal["empirical"] | None = key("may be left out where a file is named")
+    file: str | None = key("CSV or .xlsx beside the study")
+    draws: str | None = key(
+        "in its place: draws of a fit, with columns `distribution` (lognormal or weibull), `scale`, `shape`, and if "
+        "need be `least`, `bound`, `tests`")  # fmt: skip
+    decimal: Literal[".", ","] | None = key("decimal mark, where a column can be read both ways")
+    column: str | None = key("column of observations, in the quantity itself")
+    unit: str | None = key("its unit", usual="that of the heading")
+    force: str | None = key("in place of `column`: forces at which spheres broke between platens")
+    force_unit: str | None = key("unit of the forces", usual="that of the heading")
+    diameter: str | None = key("column of their diameters, or one length", usual="required with `force`")
+    diameter_unit: str | None = key("unit of the diameters", usual="that of the heading")
+    rate: str | None = key("column of loading rates")
+    rate_unit: str | None = key("unit of the rates", usual="that of the heading")
+    platens: Any = key("what the spheres were tested between, as in [limits.NAME]", "bars")
+    censored: str | None = key("column of flags: 1 for a test stopped before a failure (right-censored)")
+    fit: str | None = key("`kde`, `steps`, or a distribution", usual="`weibull` of forces, else `kde`")
+    unbiased: Flag = key("takes the bias of few tests out of the modulus or the scatter", False)
+    synthetic: Flag = key("the observations are synthetic, so that no verdict is established by them", False)
+    lower: Any = None
+    upper: Any = None
+
+
+@dataclass(frozen=True, kw_only=True, config=table())
 class Dependence:
     """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a Student t copula."""
 
-    of: Annotated[tuple[Text, ...], several(2, "names", 1_000)] = key(
-        "two or more names of random variables", (), due="add the names of two or more random inputs"
+    of: Annotated[tuple[str, ...], _several(2, "names", 1_000)] = key(
+        "random numbers, two or more", (), usual="required"
     )
-    spearman: Correlation | None = key(
-        "Spearman's rank correlation, between -1 and 1; or `kendall` in its place", default_is="required"
-    )
-    copula: Annotated[Text, among(COPULAS)] = key(
-        f"how they depend: {one_of([f'`{shown(name)}`' for name in COPULAS])}", "gaussian"
-    )
-    kendall: Correlation | None = key("Kendall's rank correlation, between -1 and 1")
-    dof: Annotated[Real, Check(lambda value: value, lambda: {"minimum": LEAST_DOF, "maximum": MOST_DOF})] | None = key(
-        "degrees of freedom of a Student t copula, 1 to 1000; required there, and for no other"
-    )
+    spearman: Correlation | None = key("Spearman's rank correlation; or `kendall`", usual="required")
+    kendall: Correlation | None = key("Kendall's rank correlation, in its place")
+    copula: Literal["gaussian", "student_t"] = key('`"gaussian"`, or `"student_t"` with `dof`', "gaussian")
+    dof: Annotated[float, *_real(1.0, 1000.0, closed=True)] | None = key("degrees of freedom of a `student_t`")
 
 
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
+@dataclass(frozen=True, kw_only=True, config=table())
 class Accuracy:
-    """Half-widths of the 95 % intervals asked for: mean and quantile over sd, sobol absolute, probability relative.
+    """Half-widths of the 95 % intervals: mean and quantile over sd, sobol absolute, probability relative."""
 
-    `curve` is that of the probability at every value of a fragility curve, over the smaller side of that probability.
-    Infinite is what a study that names another of the first four leaves open.
-    """
-
-    mean: Positive = 0.002
-    quantile: Positive = 0.01
-    sobol: Positive = 0.01
+    mean: Positive = 0.005
+    quantile: Positive = 0.02
+    sobol: Positive = 0.02
     probability: Positive = 0.05
-    curve: Positive = 0.02
 
 
-#: which accuracy each kind of answer is held against
-_PURSUED: Final = {"mean": "mean", "quantile": "quantile", "indices": "sobol", "exceedance": "probability",
-                   "miss": "probability"}  # fmt: skip
-
-
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
+@dataclass(frozen=True, kw_only=True, config=table())
 class Budget:
-    """Where a run stops at the latest; `time` [s].
+    """Where a run stops at the latest; `time` [s]."""
 
-    `exhaust` spends all of it on an accuracy that is out of its reach; else such an accuracy is given up.
-    """
-
-    evaluations: Annotated[Whole, within(0.0)] = 2_000_000
+    evaluations: Annotated[int, *_real(0, whole=True)] = 2_000_000
     time: Seconds = 600.0
-    exhaust: Flag = False
 
 
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class ToleranceRequest:
-    """Distribution-free limits from independent runs: the share that they hold, with which confidence.
-
-    `runs` are by default the fewest that give a two-sided interval.
-    """
-
-    coverage: Share = 0.95
-    confidence: Share = 0.95
-    runs: Annotated[Whole, within(0.0)] = 0
-
-
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
+@dataclass(frozen=True, kw_only=True, config=table())
 class Analysis:
-    """What is asked, how precisely, and at what cost.
-
-    `cost` is what one evaluation of a black box takes [s]; None: it is measured.  `rows_per_call` rows go into one
-    call of a black box, by their number if None; `time_limit` [s] ends an evaluation, none if None.
-    """
+    """What is asked, how precisely, and at what cost; `cost` and `time_limit` [s] of one black-box evaluation."""
 
     quantities: Names = key(
-        "what is answered; quantities of limits are added",
-        (),
-        default_is='those of the limits, else `["p_max", "contact_time"]`',
-    )
+        "what is answered; quantities of limits are added", (),
+        usual='`["p_max", "contact_duration"]`; outputs of a black box')  # fmt: skip
     accuracy: Accuracy = key(
-        "half-widths of the 95 % intervals: mean and quantile relative to the standard deviation (half the 16-84 % "
-        "range where it has none), sobol absolute, probability relative, curve relative to the smaller side; where one "
-        "of the first four is given, no evaluations are spent on those that are not",
-        Accuracy,
-    )
-    budget: Budget = key(
-        "where the run stops at the latest; see below for `exhaust`",
-        Budget,
-        default_is='`{ evaluations = 2_000_000, time = "10 min", exhaust = false }`',
-    )
-    quantiles: Shares = key("between 0 and 1", (0.01, 0.05, 0.5, 0.95, 0.99))
-    methods: Methods = key(
-        f"or a list of {one_of([f'`{shown(name)}`' for name in METHODS])}", ("auto",), default_is='`"auto"`'
-    )
-    cost: Seconds | None = key(
-        'what one evaluation of a black box takes, such as `"10 s"`; see below', default_is="measured"
-    )
-    ways: Annotated[Text, among(("all", "given"))] = key(
-        '`"all"`: the sphere of a rock is judged by every way to break, with strengths of the library where the study '
-        'has no limit; `"given"`: by its limits alone',
-        "all",
-    )
-    on_failure: Annotated[Text, among(("abort", "bound", "drop"))] = key(
-        'failed evaluations: `"abort"` at the first; `"bound"` counts each once as exceeding and once as not; '
-        '`"drop"` leaves them out, up to 1 % (below 1,000 evaluations: what chance makes of 1 %)',
-        "abort",
-    )
-    second_order: Flag = key("indices of all pairs of inputs as well", False)
-    groups: Mapping[Text, Names] = key("indices of inputs taken together, each group by a name of yours", {})
-    fields: Mapping[Text, Annotated[Whole, within(2, MOST_PLACES, closed=True)]] = key(
-        "answers that are vectors, each with the number of its places: `force_a` and `force_b` over time, or arrays "
-        "that a black box returns beside its outputs; 2 to 10,000",
-        {},
-    )
-    tolerance_intervals: ToleranceRequest | None = key(
-        "distribution-free limits: `coverage` and `confidence`, both 0.95 unless given, and `runs`, by default the "
-        "fewest that give a two-sided interval"
-    )
-    rows_per_call: Annotated[Whole, within(1, _MOST_ROWS, closed=True)] | None = key(
-        "rows in one call of a black box: [cluster.md](cluster.md)", default_is="by their number"
-    )
-    at_once: Annotated[Whole, within(1, 64, closed=True)] = key(
-        "runs of an expensive black box that are chosen together where it learns, for machines that make as many side "
-        "by side: 8 take about a quarter more of them in all",
-        1,
-    )
-    time_limit: Seconds | None = key("longest time of one evaluation of a black box; one that takes longer has failed")
-
-    def pursues(self, kind: str) -> bool:
-        """Whether evaluations are spent on the accuracy of a kind of answer."""
-        return kind not in _PURSUED or math.isfinite(getattr(self.accuracy, _PURSUED[kind]))
+        "half-widths of 95 % intervals: mean and quantile over the standard deviation, sobol absolute, probability "
+        "relative", Accuracy)  # fmt: skip
+    budget: Budget = key("the latest end of the run", Budget, usual='`{ evaluations = 2_000_000, time = "10 min" }`')
+    quantiles: Shares = key("probabilities of the quantiles", (0.01, 0.05, 0.5, 0.95, 0.99))
+    methods: Methods = key(f"`auto`, or some of {one_of([f'`{m}`' for m in get_args(_Method)[1:]])}", ("auto",))
+    second_order: Flag = key("Sobol' indices of all pairs of inputs as well", False)
+    failure_modes: Literal["all", "given"] = key(
+        '`"all"`: a rock is also judged by failure modes that have no limit, with library strengths', "all")  # fmt: skip
+    on_failure: Literal["abort", "bound", "drop"] = key(
+        'failed evaluations: `"bound"` counts each once as exceeding and once as not; `"drop"` leaves out up to 1 %',
+        "abort")  # fmt: skip
+    cost: Seconds | None = key("time of one evaluation of a black box", usual="measured")
+    time_limit: Seconds | None = key("longest time of one evaluation of a black box; a longer one has failed")
 
     @property
     def affordable(self) -> float:
         """Evaluations that the budget has room for, in its time too where an evaluation's is given."""
         return min(self.budget.evaluations, self.budget.time / self.cost if self.cost else math.inf)
 
-    @property
-    def samples_indices(self) -> bool:
-        """Whether runs are paired for indices."""
-        return bool({"auto", "sobol"} & set(self.methods)) and self.pursues("indices")
 
-
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class FamilyTable:
-    """Another number of the scene, and values of it."""
-
-    path: Text = key("number of the scene", due='add path = "sphere.radius"')
-    values: Annotated[tuple[Raw, ...], several(1, "values", 12)] = key(
-        "its values", (), due='add values = ["5 mm", "10 mm"]'
-    )
-
-
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
+@dataclass(frozen=True, kw_only=True, config=table())
 class MarginsTable:
-    """The inverse question."""
+    """The inverse question: at which value of one number is a failure probability reached?"""
 
-    solve: Text = key(
-        'the number that is free, such as `"striker.speed"`, `"hammer.drop_height"`, `"service.chute.drop_height"`',
-        due='add the number that is free, such as solve = "striker.speed"',
-    )
-    between: Annotated[tuple[Raw, ...], Check(_ends, lambda: {"minItems": 2, "maxItems": 2})] = key(
-        "two values with units, in order", (), due="add the lowest and the highest value to look at"
+    solve: str | None = key('the free number: `"striker.speed"`, `"limits.NAME.strength"`', usual="required")
+    between: Annotated[tuple[Any, ...], _several(2, "values", 2)] = key(
+        "lowest and highest value", (), usual="required"
     )
     for_probability: Shares = key("probabilities that the quantity exceeds the strength", (0.01, 0.1, 0.5, 0.9, 0.99))
-    for_survival: Shares | None = key(
-        "probabilities of survival, added to those: 0.99 asks for a probability of fracture of 0.01"
-    )
-    for_fracture: Shares | None = key("probabilities of fracture, added as they are")
-    family: FamilyTable | None = key("a curve at each of some `values` of another number of the scene, its `path`")
-    bars_elastic: Flag = key(
-        "also the value at which the bars yield, in the pulse and under the sphere in 1 % of the rows; told in any "
-        "case where `p_max` is asked for",
-        False,
-    )
-    against: Text | None = key('`"specific_energy"`: every curve also over the specific energy imposed on the sphere')
 
 
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class EmpiricalTable:
-    """A distribution from a column of observations."""
-
-    dist: Text = "empirical"
-    file: Text = key("CSV beside the study", due='add file = "tests.csv"')
-    column: Text = key("column of the CSV", due='add column = "strength"')
-    unit: Text | None = key("unit of the column")
-    fit: Text | None = key("`kde` (smooth), `steps` (the observations), or a distribution that is fitted to them")
-    lower: Number = None
-    upper: Number = None
-    censored: Text | None = key("column of flags: tests stopped before a failure")
-    unbiased: Flag = key("takes the bias of few tests out of the modulus or the scatter", False)
-    made_up: Flag = key("the observations were made up, so that no verdict is established by them", False)
-
-
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
-class OutputsTable:
+@dataclass(frozen=True, kw_only=True, config=table())
+class Outputs:
     """What a black box answers."""
 
-    names: tuple[Text, ...] = key("names of the outputs", ())
+    names: tuple[str, ...] = key("names of the outputs", (), usual="required")
 
 
-@dataclass(frozen=True, kw_only=True, config=CLOSED)
+@dataclass(frozen=True, kw_only=True, config=table())
 class Document:
     """A study file."""
 
-    title: Text = key("heading of the report; not part of the study's hash", "", default_is="the file's name")
-    seed: Annotated[Whole, within(0.0, closed=True)] = key("whole number; the same seed gives the same answers", 0)
-    sphere: SphereTable | None = None
-    bars: BarsTable | None = None
-    striker: StrikerTable | None = None
-    pulse: PulseTable | None = None
-    contact: ContactTable | None = None
-    product: ProductTable | None = None
-    material: MaterialTable | None = None
-    feed: FeedTable | None = None
-    tests: TestsTable | None = None
-    rig: RigTable | None = None
-    target: TargetTable | None = None
-    anvil: TargetTable | None = None
-    other: OtherTable | None = None
-    hammer: HammerTable | None = None
-    rod: RodTable | None = None
-    platens: PlatensTable | None = None
-    service: Mapping[Text, ServiceTable] = Field(default_factory=dict)
+    title: str = key("heading of the report; not part of the study's hash", "", usual="the file's name")
+    seed: Annotated[int, *_real(0, closed=True, whole=True)] = key("the same seed gives the same answers", 0)
+    sphere: Sphere | None = None
+    bars: Bars | None = None
+    striker: Striker | None = None
+    pulse: Pulse | None = None
+    contact: Contact | None = None
+    rig: Rig | None = None
+    target: OnePartner = None
+    anvil: OnePartner = None
+    other: OnePartner = None
+    hammer: OnePartner = None
+    rod: OnePartner = None
+    platens: OnePartner = None
+    insert: OnePartner = None
     model: ModelChoice | None = None
-    inputs: Mapping[Text, Number] | None = None
-    outputs: OutputsTable | None = None
-    limits: Mapping[Text, LimitTable] = Field(default_factory=dict)
+    inputs: dict[str, Any] | None = None
+    outputs: Outputs | None = None
+    limits: dict[str, LimitTable] = Field(default_factory=dict)
     dependence: tuple[Dependence, ...] = ()
     gauges: tuple[Gauge, ...] = ()
     analysis: Analysis = Field(default_factory=Analysis)
     margins: MarginsTable | None = None
-
-    @property
-    def rig_kind(self) -> str:
-        """What loads the sphere, a key of `RIG_TABLES`."""
-        return "bars" if self.rig is None else self.rig.kind

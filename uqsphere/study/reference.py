@@ -1,134 +1,94 @@
-"""What follows from the declarations in `uqsphere.study.document` besides reading: the JSON schema for editors, which
-complete and underline while a study is written, and the tables of keys in docs/study-file.md.
+"""What follows from the declarations of `uqsphere.study.document`: a JSON schema for editors, and docs/study-file.md.
 
-``python -m uqsphere.study.reference docs/study-file.md`` writes those tables anew.  The schema says less than the
-parser: how numbers go together, only `load_study` knows.
+``python -m uqsphere.study.reference docs/study-file.md`` writes the page anew.  The schema says less than the reader:
+how numbers go together, only `load_study` knows.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from pydantic import TypeAdapter
 
-from uqsphere.materials import material_names
-from uqsphere.mechanics.pulses import noise_names
-from uqsphere.quantities import INPUTS, OUTPUTS
-from uqsphere.study.document import (
-    SCENE,
-    Analysis,
-    BarsTable,
-    ContactTable,
-    Dependence,
-    Document,
-    EmpiricalTable,
-    Gauge,
-    HammerTable,
-    LimitTable,
-    MarginsTable,
-    ModelChoice,
-    OtherTable,
-    PlatensTable,
-    RigTable,
-    RodTable,
-    ServiceTable,
-    SphereTable,
-    StrikerTable,
-    TargetTable,
-)
-from uqsphere.study.faults import Raw
-from uqsphere.study.particle_tables import (
-    CurveTable,
-    EnergyTable,
-    FeedTable,
-    GoalTable,
-    MaterialTable,
-    OnTable,
-    ProductTable,
-    SizesTable,
-    SphereTestsTable,
-    TestsTable,
-)
-from uqsphere.study.scene import FLAT
-from uqsphere.study.tables import BAR_ENDS, Node, declared, far_end
-from uqsphere.units import UNITS, units_of
-from uqsphere.uq.families import FAMILIES, Family
-from uqsphere.uq.fitting import FITS
+from uqsphere.quantities import INPUTS
+from uqsphere.study import document as tables
+from uqsphere.study.document import Document, number_path, one_of
+from uqsphere.units import UNITS
+from uqsphere.uq.families import FAMILIES
 
-#: tables of the reference by their heading
-TABLES: Final = {
-    "## Top level": Document,
-    "## [sphere]": SphereTable,
-    "## [bars]": BarsTable,
-    "## [striker]": StrikerTable,
-    "## [contact]": ContactTable,
-    "## [product]": ProductTable,
-    "### product.curve": CurveTable,
-    "## [material]": MaterialTable,
-    "## [feed]": FeedTable,
-    "### feed.sizes": SizesTable,
-    "### feed.energy": EnergyTable,
-    "### feed.on": OnTable,
-    "### feed.goal": GoalTable,
-    "## [tests]": TestsTable,
-    "## [rig]": RigTable,
-    "## [target], [anvil]": TargetTable,
-    "## [other]": OtherTable,
-    "## [hammer]": HammerTable,
-    "## [rod]": RodTable,
-    "## [platens]": PlatensTable,
-    "## [service.NAME]": ServiceTable,
-    "## [[gauges]]": Gauge,
-    "## [model]": ModelChoice,
-    "## [limits.NAME]": LimitTable,
-    "## [[dependence]]": Dependence,
-    "## [analysis]": Analysis,
-    "## [margins]": MarginsTable,
-}
 _NUMBER: Final = r"^\s*[+-]?(\d(_?\d)*\.?(\d(_?\d)*)?|\.\d(_?\d)*)([eE][+-]?\d+)?\s*"
-#: what a schema has by name; what pydantic says that is for nobody's eyes
-_NAMED: Final = ("properties", "$defs")
-_DROPPED: Final = (*_NAMED, "title", "due", "default_is")
 _NAME: Final = "^[A-Za-z_][A-Za-z0-9_-]{0,63}$"
+#: tables of the page by their heading; the partners are one declaration
+_TABLES: Final[dict[str, Any]] = {
+    "Top level": Document, "[sphere]": tables.Sphere, "[bars]": tables.Bars, "[striker]": tables.Striker,
+    "[pulse]": tables.Pulse, "[contact]": tables.Contact, "[rig]": tables.Rig,
+    "[target], [anvil], [other], [hammer], [rod], [platens], [insert]": tables.Partner, "[[gauges]]": tables.Gauge,
+    "[model]": tables.ModelChoice, "[limits.NAME]": tables.LimitTable, "Strengths and distributions from a file": tables.Observations,
+    "[[dependence]]": tables.Dependence, "[analysis]": tables.Analysis, "[margins]": tables.MarginsTable,
+}  # fmt: skip
 
 
-# --- the schema -------------------------------------------------------------------------------------
+def count_keys() -> int:
+    """Keys in all, those that tables share counted once.
+
+    >>> count_keys() <= 120
+    True
+    """
+    seen = {(name, entry.description or "") for kind in _TABLES.values() for name, entry in kind.__pydantic_fields__.items()
+            if (entry.description or kind is not Document)
+            and not (kind is tables.Observations and name in ("dist", "lower", "upper"))}  # fmt: skip
+    return len(seen)
 
 
-def build_schema() -> Node:
+# --- the schema -------------------------------------------------------------------------------------------------------
+
+
+def build_schema() -> dict[str, Any]:
     """Schema of both forms of a study, JSON-ready (draft 2020-12)."""
-    made = _plain(TypeAdapter(Document).json_schema(ref_template="#/$defs/{model}"))
-    tables = made.pop("$defs")
-    _add_numbers(made, tables)
-    dimensions = sorted(UNITS)
-    measured = {"pulse": {"properties": {"shape": {"const": "measured"}}, "required": ["shape"]}}
-    driven = [{"required": ["striker"]}, {"properties": measured, "required": ["pulse"]}]
-    no_box = {"not": {"anyOf": _present("inputs", "outputs")}}
-    scene = {"required": ["sphere", "bars"], "anyOf": driven, **no_box}
-    rig = {"required": ["sphere", "rig"], **no_box}
-    parts = _present(*SCENE, "model", "gauges")
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "uqsphere study",
-        **made,
-        "anyOf": [scene, rig, {"required": ["inputs", "outputs"], "not": {"anyOf": parts}}],
-        "$defs": {
-            **tables,
-            **{name: _dimension(name) for name in dimensions},
-            **{
-                f"{name}_law": {"anyOf": [*(_law(family, name) for family in FAMILIES.values()), _of_scipy(name)]}
-                for name in dimensions
-            },
-        },
+    made = TypeAdapter(Document).json_schema(ref_template="#/$defs/{model}")
+    made = _plain(made)
+    parts = made.pop("$defs")
+    for name, kind in vars(tables).items():
+        if dataclasses.is_dataclass(kind) and name in parts:
+            parts[name]["properties"] = _properties(kind, parts[name]["properties"])
+    scene = [name for name in tables.SCENE if name in made["properties"]]
+    number = {"anyOf": [{"type": "number"}, {"$ref": "#/$defs/distribution"}]}
+    anything = {"anyOf": [{"type": ["number", "string"]}, {"$ref": "#/$defs/distribution"}]}
+    parts["LimitTable"]["properties"] |= {"strength": anything, "model_factor": number}
+    parts["LimitTable"]["oneOf"] = [{"required": ["quantity"]}, {"required": ["criterion"]}]
+    made["properties"]["inputs"] = {"type": "object", "patternProperties": {_NAME: number}, "additionalProperties": False,
+                                    "minProperties": 1}  # fmt: skip
+    made["properties"]["limits"] = {"type": "object", "patternProperties": {_NAME: {"$ref": "#/$defs/LimitTable"}},
+                                    "additionalProperties": False}  # fmt: skip
+    law: dict[str, Any] = {key: {"type": ["number", "string"]} for family in FAMILIES.values() for key in family.keys}
+    law |= parts.pop("Observations", {}).get("properties", {}) | {
+        key: {"type": ["number", "string"]} for key in ("lower", "upper")
     }
+    law["dist"] = {"anyOf": [{"enum": list(FAMILIES)}, {"type": "string", "pattern": r"^scipy\.\w+$"}]}
+    observed = TypeAdapter(tables.Observations).json_schema()["properties"]
+    law |= {key: _plain(node) for key, node in observed.items() if key not in ("dist", "lower", "upper")}
+    box = {
+        "required": ["inputs", "outputs"],
+        "not": {"anyOf": [{"required": [n]} for n in (*scene, "model", "gauges")]},
+    }
+    no_box = {"not": {"anyOf": [{"required": ["inputs"]}, {"required": ["outputs"]}]}}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema", "title": "uqsphere study", **made,
+        "anyOf": [{"required": ["sphere"], **no_box}, box],
+        "$defs": {
+            **parts,
+            **{name: _dimension(name) for name in UNITS},
+            "distribution": {"type": "object", "properties": law, "anyOf": [{"required": [k]} for k in ("dist", "file", "draws")]},
+        },
+    }  # fmt: skip
 
 
-def _plain(node: Raw) -> Raw:
-    """What pydantic makes of the declarations, as TOML has it: no null, no made-up titles, units by their dimension."""
+def _plain(node: Any) -> Any:
+    """What pydantic makes of the declarations, as TOML has it: no null, no made-up titles, no settings of ours."""
     if isinstance(node, list):
         return [_plain(part) for part in node]
     if not isinstance(node, dict):
@@ -136,174 +96,202 @@ def _plain(node: Raw) -> Raw:
     if "dimension" in node:
         ref = {"$ref": f"#/$defs/{node['dimension']}", "description": node.get("description")}
         return {key: value for key, value in ref.items() if value}
-    named = {key: {name: _plain(part) for name, part in node[key].items()} for key in _NAMED if key in node}
-    found = _without_null({key: _plain(value) for key, value in node.items() if key not in _DROPPED} | named)
-    if node.get("due") or not _telling(found.get("default")):
-        found.pop("default", None)
-    return found | _required(node.get("properties", {}))
+    named = {
+        key: {name: _plain(part) for name, part in node[key].items()} for key in ("properties", "$defs") if key in node
+    }
+    plain = {
+        k: _plain(v) for k, v in node.items() if k not in ("title", "usual", "properties", "$defs") and v is not None
+    }
+    choices = [choice for choice in plain.pop("anyOf", []) if choice != {"type": "null"}]
+    if plain.get("default") in ([], {}, "", ()):
+        del plain["default"]
+    if "description" in plain:
+        plain["description"] = str(plain["description"]).partition("\n")[0]
+    if len(choices) == 1:
+        plain = {**choices[0], **plain}
+    elif choices:
+        plain["anyOf"] = choices
+    return plain | named
 
 
-def _required(properties: Node) -> Node:
-    needed = [name for name, part in properties.items() if part.get("due")]
-    return {"required": needed} if needed else {}
+def _properties(kind: Any, properties: dict[str, Any]) -> dict[str, Any]:
+    """The keys of a table with its numbers by their quantities; a partner has those that belong to it."""
+    table = str(kind.__pydantic_config__.get("title", ""))
+    found = {}
+    for key, node in properties.items():
+        path = number_path(table, key)
+        if path in INPUTS:
+            entry = INPUTS[path]
+            words: list[dict[str, Any]] = [{"enum": list(tables.BAR_ENDS)}] if key.endswith("end") else []
+            words += (
+                [{"const": {"face_radius": "flat", "hardness": "onset"}[key]}]
+                if key == "face_radius" or path == "contact.hardness"
+                else []
+            )
+            choices = [*words, {"$ref": f"#/$defs/{entry.dimension}"}, {"$ref": "#/$defs/distribution"}]
+            unit = f" [{entry.unit}]" if entry.unit else ""
+            found[key] = {"anyOf": choices, "description": f"{entry.meaning}, {entry.symbol}{unit}"}
+        elif table not in tables.SCENE or kind.__pydantic_fields__[key].annotation is not Any:
+            found[key] = node
+    return found
 
 
-def _telling(usual: Raw) -> bool:
-    """Whether a default says something to an editor: one that is empty, or a table of its own, does not."""
-    return isinstance(usual, (bool, int, float)) or (bool(usual) and not isinstance(usual, dict))
-
-
-def _without_null(node: Node) -> Node:
-    """A schema with a description in one line and no null among its choices; with one choice left, that one."""
-    choices = [choice for choice in node.pop("anyOf", []) if choice != {"type": "null"}]
-    if "description" in node:
-        node["description"] = str(node["description"]).partition("\n")[0]
-    return {**choices[0], **node} if len(choices) == 1 else node | ({"anyOf": choices} if choices else {})
-
-
-def _add_numbers(made: Node, tables: dict[str, Node]) -> None:
-    """Put in what a declaration leaves open: numbers of the scene by their quantity, and what a name can be."""
-    _add_scene(tables)
-    for section, kind in (("Sphere", "sphere"), ("Bars", "bars"), ("Striker", "bars")):
-        tables[f"{section}Table"]["properties"]["material"]["enum"] = list(material_names(kind))
-    tables["StrikerTable"]["required"] = ["speed"]
-    tables["ContactTable"]["properties"]["hardness"]["anyOf"].insert(0, {"const": "onset"})
-    same = {"type": "object", "properties": {"same_as": {"type": "string"}}, "additionalProperties": False}
-    tables["ContactTable"]["properties"]["fracture_energy"]["anyOf"].append(same)
-    limit = tables["LimitTable"]
-    strengths = sorted({quantity.dimension for quantity in OUTPUTS.values()})
-    choices = [*(choice for name in strengths for choice in _number_or_law(name)["anyOf"]), same]
-    limit["properties"]["strength"] |= {"anyOf": choices}
-    limit["properties"]["model_factor"] |= _number_or_law("number")
-    limit["oneOf"] = _present("quantity", "criterion")
-    tables["Dependence"]["oneOf"] = _present("spearman", "kendall")
-    tables["OutputsTable"]["required"] = ["names"]
-    for name, item in (
-        ("inputs", _number_or_law("number")),
-        ("limits", {"$ref": "#/$defs/LimitTable"}),
-        ("service", {"$ref": "#/$defs/ServiceTable"}),
-    ):
-        made["properties"][name] = {"type": "object", "patternProperties": {_NAME: item}, "additionalProperties": False}
-    made["properties"]["inputs"]["minProperties"] = 1
-
-
-def _add_scene(tables: dict[str, Node]) -> None:
-    """The numbers of the scene, by their quantity."""
-    for path, quantity in INPUTS.items():
-        section, key = path.split(".")
-        # a target and an anvil are declared once, and what a rig says of speeds a service says too
-        keys = {} if section == "anvil" else tables.get(f"{section.capitalize()}Table", {}).get("properties", {})
-        if key not in keys or path in noise_names():
-            continue  # of no table of a scene, or a number that no study has yet
-        node = _number_or_law(quantity.dimension)
-        if far_end(quantity):
-            node["anyOf"].insert(0, {"enum": list(BAR_ENDS)})
-        if key == "face_radius":
-            node["anyOf"].insert(0, {"const": FLAT})
-        unit = f" [{quantity.unit}]" if quantity.unit else ""
-        told = keys[key].get("description", quantity.meaning)
-        keys[key] = node | {"description": f"{told}, {quantity.symbol}{unit}"}
-        if section == "rig":
-            tables["ServiceTable"]["properties"][key] = keys[key]
-
-
-def _present(*names: str) -> list[Node]:
-    return [{"required": [name]} for name in names]
-
-
-def _dimension(name: str) -> Node:
+def _dimension(name: str) -> dict[str, Any]:
     """A fixed number: a text with a unit, or a plain number where there is no unit."""
     if name == "number":
-        return {"type": "number"}
-    units = "|".join(re.sub(r"([\^/.()])", r"\\\1", unit) for unit in units_of(name))
-    return {"type": "string", "pattern": f"{_NUMBER}({units})\\s*$", "examples": [f"1.5 {units_of(name)[0]}"]}
+        return {"type": ["number", "string"]}
+    units = "|".join(re.sub(r"([\^/.()])", r"\\\1", unit) for unit in UNITS[name])
+    return {
+        "type": "string",
+        "pattern": f"{_NUMBER}({units})\\s*$" if name != "speed" else f"{_NUMBER}({units}|rpm.+)\\s*$",
+    }
 
 
-def _number_or_law(dimension: str) -> Node:
-    return {"anyOf": [{"$ref": f"#/$defs/{dimension}"}, {"$ref": f"#/$defs/{dimension}_law"}]}
+# --- the page -----------------------------------------------------------------------------------------------------------
 
 
-def _law(family: Family, dimension: str) -> Node:
-    """The table of one distribution for a quantity of a dimension."""
-    value = {"$ref": f"#/$defs/{dimension}"}
-    if family.observed:
-        return _observed(value, dimension)
-    properties: Node = {"dist": {"const": family.name}}
-    for key in (*family.keys, "lower", "upper"):
-        properties[key] = value if key in family.dimensional else {"type": "number"}
-    required = ["dist", *(("lower", "upper") if family.bounded else ())]
-    node = {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
-    alternatives = [{"required": list(keys)} for keys in family.alternatives if keys]
-    return node | ({"anyOf": alternatives} if alternatives else {})
+def build_page() -> str:
+    """The page docs/study-file.md."""
+    units = "\n".join(
+        f"| {name.replace('_', ' ')} | {', '.join(f'`{u}`' for u in table if u.isascii() and '^' not in u)} |"
+        for name, table in UNITS.items() if name not in ("number", "mass_per_energy"))  # fmt: skip
+    laws = "\n".join(
+        f"| `{family.name}` | {' or '.join(' '.join(f'`{key}`' for key in keys) for keys in family.alternatives) or '–'}"
+        f"{', `lower` `upper`' if family.bounded else ''} |"
+        for family in FAMILIES.values() if not family.observed)  # fmt: skip
+    rigs = "\n".join(
+        f"| `{rig}` | {', '.join(f'`[{table}]`' for table in names)} |" for rig, names in tables.RIG_TABLES.items()
+    )
+    shapes = one_of([f"`{shape}`" for shape in get_args(tables.Pulse.__annotations__["shape"])] or ["those below"])
+    parts = [_INTRODUCTION.format(units=units, laws=laws)]
+    for heading, kind in _TABLES.items():
+        parts.append(f"## {heading}\n")
+        note = _NOTES.get(heading, "").format(rigs=rigs, shapes=shapes)
+        parts += [f"{note}\n"] if note else []
+        parts += [_key_table(kind), ""]
+    return "\n".join(parts)
 
 
-def _of_scipy(dimension: str) -> Node:
-    """The table of a law by its name in SciPy: its shapes are plain numbers, known to SciPy alone."""
-    value = {"$ref": f"#/$defs/{dimension}"}
-    properties: Node = {"dist": {"type": "string", "pattern": r"^scipy\.\w+$"}}
-    properties |= dict.fromkeys(("loc", "scale", "lower", "upper"), value)
-    return {"type": "object", "properties": properties, "required": ["dist"],
-            "additionalProperties": {"type": "number"}}  # fmt: skip
-
-
-def _observed(value: Node, dimension: str) -> Node:
-    """The table of a distribution from observations: a column, or forces at which spheres broke."""
-    column, forces = (_plain(TypeAdapter(kind).json_schema()) for kind in (EmpiricalTable, SphereTestsTable))
-    own = {"dist": {"const": "empirical"}, "lower": value, "upper": value, "fit": {"enum": list(FITS)}}
-    own["unit"] = {"enum": list(units_of(dimension)), "description": "unit of the column"}
-    properties = {**forces["properties"], **column["properties"], **own}
-    if dimension == "number":
-        del properties["unit"]
-    needs = [["dist", *column["required"], *(["unit"] if dimension != "number" else [])], ["dist", "file"], ["tests"]]
-    node = {"type": "object", "properties": properties, "additionalProperties": False}
-    return node | {"anyOf": [{"required": names} for names in needs]}
-
-
-# --- the tables of the reference ----------------------------------------------------------------------
-
-
-def key_table(kind: Raw) -> str:
+def _key_table(kind: Any) -> str:
     """The keys of a table, their defaults and meanings, as Markdown."""
     rows = ["| key | default | meaning |", "|---|---|---|"]
-    for name, entry in declared(kind).items():
-        extra = entry.json_schema_extra
-        if isinstance(extra, dict) and entry.description:
-            value = entry.get_default(call_default_factory=True)
-            usual = "none" if value in (None, {}) else f"`{_toml(value)}`"
-            default = extra["default_is"] or ("required" if extra["due"] else usual)
-            rows.append(f"| `{name}` | {default} | {entry.description} |")
+    title = str(kind.__pydantic_config__.get("title", ""))
+    for name, entry in kind.__pydantic_fields__.items():
+        path = number_path("target" if title == "partner" else title, name)
+        meaning = entry.description or (INPUTS[path].meaning if path in INPUTS else "")
+        meaning = re.sub(r" of the (target|striker)", "", meaning)
+        if not meaning:
+            continue
+        extra = entry.json_schema_extra if isinstance(entry.json_schema_extra, dict) else {}
+        value = entry.get_default(call_default_factory=True)
+        usual = extra.get("usual") or ("–" if value in (None, {}, ()) else f"`{_toml(value)}`")
+        material = name in ("E", "nu", "density", "yield_strength") and kind is not tables.Document
+        rows.append(f"| `{name}` | {'from the material' if material else usual} | {meaning} |")
     return "\n".join(rows)
 
 
-def _toml(value: Raw) -> str:
+def _toml(value: Any) -> str:
     """A default as it would be written in a study."""
     if isinstance(value, bool):
-        return "true" if value else "false"
+        return str(value).lower()
     if isinstance(value, str):
         return f'"{value}"'
-    if isinstance(value, (tuple, list)):
+    if isinstance(value, tuple | list):
         return f"[{', '.join(map(_toml, value))}]"
-    if isinstance(value, (int, float)):
+    if isinstance(value, int | float):
         return re.sub(r"e-0*", "e-", str(value))
-    return f"{{ {', '.join(f'{name} = {_toml(getattr(value, name))}' for name in declared(value))} }}"
+    inside = ", ".join(f"{entry.name} = {_toml(getattr(value, entry.name))}" for entry in dataclasses.fields(value))
+    return f"{{ {inside} }}"
 
 
-def with_tables(page: str) -> str:
-    """A page with the table of keys below each heading of `TABLES` written anew."""
-    for heading, kind in TABLES.items():
-        start = page.index(f"\n{heading}\n")
-        begin = page.index("| key | default | meaning |", start)
-        end = page.index("\n\n", begin)
-        page = page[:begin] + key_table(kind) + page[end:]
-    return page
+_INTRODUCTION: Final = """# The study file
+
+Made from `uqsphere/study/document.py` by `python -m uqsphere.study.reference docs/study-file.md`; do not edit it here.
+
+A study is one TOML file. It describes a sphere, what loads it, what scatters, what it must withstand, and what is asked.
+It names no code and no file outside its own folder. `uqsphere new -o study.toml` writes a commented one, `uqsphere check
+study.toml` reads it and says what it understood, `uqsphere schema` prints its shape for editors. All faults are told at
+once, as `file:line: path: what is wrong, what is allowed, what to write`. `--set PATH=VALUE` sets a value from outside,
+`--set PATH=null` takes one out.
+
+```toml
+title = "Granite, 20 mm, between 40 mm steel bars"
+seed  = 1
+
+[sphere]
+material = "granite"
+radius   = {{ dist = "normal", mean = "10 mm", sd = "0.15 mm", lower = "9 mm" }}
+
+[bars]
+material = "maraging_steel"
+diameter = "40 mm"
+incident_length  = "1.5 m"
+receiving_length = "1.5 m"
+
+[striker]
+speed  = {{ dist = "normal", mean = "0.5 m/s", cov = "2 %" }}
+length = "0.8 m"
+
+[limits.crushing]
+quantity = "p_max"
+strength = {{ dist = "weibull", mean = "4 GPa", modulus = 12 }}
+target   = "1 %"
+```
+
+## Numbers
+
+A number of the scene is a fixed value or a distribution, written where the value stands. A value with a dimension is a
+text with its unit, `"25 mm"`; a plain number has none, `0.25`, and a share may be `"15 %"`. The speed of a rotor's tip is
+`"1450 rpm at 0.9 m"`. No arithmetic is done. A number outside its usual range is a warning, in `check`, `run` and the page.
+
+| dimension | units |
+|---|---|
+{units}
+
+## Distributions
+
+`{{ dist = "normal", mean = "10 mm", sd = "0.15 mm", lower = "9 mm" }}`: a name, its parameters, and if need be `lower` and
+`upper`, which truncate. `mean` and `sd` or `cov` are those before truncation. Every law of `scipy.stats` goes by
+`dist = "scipy.NAME"` with its shapes, `loc` and `scale`.
+
+| dist | parameters |
+|---|---|
+{laws}
+
+In Python, `Study(...)` takes the tables as mappings, with frozen laws of `scipy.stats` or chaospy for numbers.
+
+## Two kinds of study
+
+A scene has `[sphere]` and the tables of its rig. A black box has `[inputs]`, plain numbers or distributions by names of
+yours, and `[outputs]` with `names`; its model is named by `--model FILE.py:FUNCTION` or given in Python.
+"""
+_NOTES: Final = {
+    "[pulse]": "Without the table the pulse is rectangular and follows from the striker. Shapes: {shapes}, or `measured`: a "
+    "clean file of time and strain that `uqsphere shpb records` writes.",
+    "[contact]": "Where `[contact] law = \"plastic\"`, a limit on a pressure says by `strength_is` which pressure its strength is.",
+    "[rig]": "| kind | tables |\n|---|---|\n{rigs}",
+    "[target], [anvil], [other], [hammer], [rod], [platens], [insert]": "One declaration; each table takes the keys that name "
+    "it or its kind. Inserts stand between bars and sphere.",
+    "[limits.NAME]": "A limit holds a quantity, or the value of a criterion of fracture, against a strength. Any number of them, "
+    "by names of yours. A rock is judged by further failure modes with strengths of the library unless "
+    "`analysis.failure_modes = \"given\"`.",
+    "Strengths and distributions from a file": "A strength may be the forces at which spheres broke: `strength = {{ file = "
+    "\"tests.csv\", force = \"F\", diameter = \"D\" }}`. The force is turned into the value of the limit's criterion; its Weibull "
+    "law is carried to other sizes by the weakest link. A distribution of any number may be a `column` of observations, or "
+    "`{{ draws = \"draws.csv\" }}`, what a fit left open. Tables are read as they come: comma, semicolon or tab; decimal point or "
+    "comma; UTF-8, UTF-16 or Windows text; `.xlsx`. A unit may stand in the heading: `force [kN]`, `force_kN`, `force in kN`. "
+    "Empty cells, marks of thousands, summary rows and text among numbers are refused with their lines; repeated rows, rows "
+    "far from the rest and unusual strengths are warnings.",
+    "[margins]": "At which value of one number is a probability reached? Its distribution is moved with its mean.",
+    "[analysis]": "Quantities are listed by `uqsphere list quantities`; `contact_duration` is the equivalent one, the impulse over "
+    "the peak force.",
+}  # fmt: skip
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Write the tables of the page named anew."""
-    (name,) = arguments
-    path = Path(name)
-    path.write_text(with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
+def main(name: str) -> None:
+    """Write the page."""
+    Path(name).write_text(build_page(), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main(*sys.argv[1:])

@@ -1,15 +1,17 @@
 """Uncertainty: laws, inputs, sampling, estimates, surrogates, sensitivity, reliability and margins.
 
-Knows only arrays and callables rows -> rows; the physics is somewhere else.
+Knows only arrays and callables rows -> rows; the physics is somewhere else.  By module: `law`, `families`, `fitting`,
+`joint` (inputs) · `points`, `sample` (designs) · `estimate`, `describe` (answers) · `chaos`, `response` (expansions) ·
+`indices`, `shapley`, `failure_indices`, `interop` (sensitivity) · `limit_state`, `curve`, `union`, `rare`, `whatif`
+(limits).
 """
 
 from __future__ import annotations
 
 from uqsphere.uq.estimate import (
-    NEVER,
     NORMAL,
+    REPLICATES,
     Estimate,
-    Why,
     absent,
     exact,
     finite,
@@ -21,13 +23,24 @@ from uqsphere.uq.estimate import (
 from uqsphere.uq.families import LawError
 from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import Law, make_law
-from uqsphere.uq.limit_state import LimitState, complement, miss, score_of, tails, target_met
+from uqsphere.uq.limit_state import (
+    LimitState,
+    complement,
+    exceedance,
+    margin_quantiles,
+    miss,
+    reliability_index,
+    score_of,
+    tails,
+    target_met,
+)
 from uqsphere.uq.points import random_generator, sobol_points
+from uqsphere.uq.roots import root
 from uqsphere.uq.sample import Sample, without
-from uqsphere.uq.whatif import root
 
 __all__ = [
-    "NEVER", "NORMAL", "Dependence", "Estimate", "Joint", "Law", "LawError", "LimitState", "Sample", "Why", "absent",
-    "complement", "exact", "finite", "from_replicates", "make_joint", "make_law", "miss", "random_generator", "root",
-    "score_of", "sobol_points", "spread", "student", "tails", "target_met", "widest", "without",
+    "NORMAL", "REPLICATES", "Dependence", "Estimate", "Joint", "Law", "LawError", "LimitState", "Sample", "absent",
+    "complement", "exact", "exceedance", "finite", "from_replicates", "make_joint", "make_law", "margin_quantiles",
+    "miss", "random_generator", "reliability_index", "root", "score_of", "sobol_points", "spread", "student", "tails",
+    "target_met", "widest", "without",
 ]  # fmt: skip

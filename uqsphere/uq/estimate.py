@@ -1,37 +1,20 @@
-"""Estimates: numbers with their intervals, and answers that are absent for a reason.
+"""Estimates: numbers with their 95 % intervals, and answers that are absent for a reason.
 
-All intervals of sampled answers are made here, by one recipe (docs/theory.md, "Intervals"): independent replicates,
-Student's law, the spread of a cell where counts agree, logits for probabilities, ends of quantiles read off those of
-their probability, and the linearised ratio for what is one mean over another.
+All intervals of sampled answers are made here, by one recipe: independent replicates, Student's law, the spread of a
+cell where counts agree, logits for probabilities, ends of quantiles read off those of their probability, and the
+linearised ratio for what is one mean over another.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from enum import Enum
 from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
-
-
-class Why(Enum):
-    """Why an answer is not given; the value is how its text begins, where it begins in one way."""
-
-    NO_MOMENT = "does not exist: "  # a law of the inputs leaves none, or the samples rule it out
-    UNTOLD = "not to be told from samples: "  # it may exist, and no number of samples would tell
-    NOT_KNOWN = "not known: "  # more evaluations may give it
-    NO_CONVERGENCE = "does not converge: "  # one of many samples makes a standard deviation
-    NO_VARIANCE = "the variance "  # a share of a variance that is not there itself
-    NO_SCATTER = "the output does not vary"
-    CENSORED = "beyond "  # the record, or the rows with an answer, end before
-    TOO_FEW = "too few "  # samples or runs
-    OUT_OF_BUDGET = "out of budget"
-    REFUSED = "refused"  # a method or surrogate that may not be used
-
 
 #: independent randomisations that an interval rests on: the t of 15 degrees of freedom is 9 % above that of many
 REPLICATES: Final = 16
@@ -41,32 +24,13 @@ NORMAL: Final = 1.959963984540054
 CELL: Final = 12.0**-0.5
 #: standard errors after which a difference is taken for one
 SURE: Final = 4.0
-#: what no number of evaluations would give: its accuracy is not pursued
-NEVER: Final = (Why.NO_MOMENT, Why.UNTOLD)
-
-
-@dataclass(frozen=True)
-class Absent:
-    """What an answer without value carries: why in one word, and in the words that people read."""
-
-    why: Why
-    text: str
-
-    def __post_init__(self) -> None:
-        if not self.text:
-            raise ValueError("an absent estimate needs a reason")
-
-    @classmethod
-    def because(cls, why: Why, text: str) -> Absent:
-        """With the beginning that all texts of this kind have."""
-        return cls(why, why.value + text)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A number with its 95 % interval; where there is none, `value` is None and `absent` says why.
+    """A number with its 95 % interval; where there is none, `value` is None and `reason` says why.
 
-    `evaluations` counts the model evaluations that it rests on.
+    `evaluations` counts the model runs that it rests on.
     """
 
     value: float | None
@@ -75,32 +39,20 @@ class Estimate:
     std_error: float | None
     method: str
     evaluations: int
-    absent: Absent | None = None
+    reason: str | None = None
 
     def __post_init__(self) -> None:
         for name in ("value", "low", "high", "std_error"):
             number = getattr(self, name)
             if number is not None and not math.isfinite(number):
                 raise ValueError(f"{name} of an estimate must be finite or absent, found {number}")
-        if self.value is None and self.absent is None:
+        if self.value is None and not self.reason:
             raise ValueError("an estimate without value needs a reason")
-
-    @property
-    def why(self) -> Why | None:
-        """Why it is absent; None where it is there."""
-        return None if self.absent is None else self.absent.why
-
-    @property
-    def reason(self) -> str | None:
-        """The same in words."""
-        return None if self.absent is None else self.absent.text
 
     @property
     def half_width(self) -> float:
         """Half the length of the interval; inf where an end is absent."""
-        if self.low is None or self.high is None:
-            return math.inf
-        return 0.5 * (self.high - self.low)
+        return math.inf if self.low is None or self.high is None else 0.5 * (self.high - self.low)
 
     def apart(self, other: Estimate) -> bool:
         """Whether the two intervals have nothing in common."""
@@ -136,17 +88,30 @@ def exact(value: float, method: str = "one evaluation, nothing random") -> Estim
     return Estimate(value=value, low=value, high=value, std_error=0.0, method=method, evaluations=1)
 
 
+def absent(reason: str, method: str, evaluations: int) -> Estimate:
+    """An answer that cannot be given, and why."""
+    return Estimate(value=None, low=None, high=None, std_error=None, method=method, evaluations=evaluations,
+                    reason=reason)  # fmt: skip
+
+
+def around(value: float, half: float, error: float, method: str, evaluations: int) -> Estimate:
+    """A value with this half-width to either side; absent where it is beyond floating point."""
+    low, high = value - half, value + half
+    if not (math.isfinite(low) and math.isfinite(high) and math.isfinite(error)):
+        return absent("the answer is beyond floating point", method, evaluations)
+    return Estimate(value=value, low=low, high=high, std_error=error, method=method, evaluations=evaluations)
+
+
+def between(value: float, low: float, high: float, replicates: int, method: str, evaluations: int) -> Estimate:
+    """A value between ends that were read off at so many replicates: the standard error is that of Student's half."""
+    error = 0.5 * (high - low) / student(replicates)
+    return Estimate(value=value, low=min(low, value), high=max(high, value), std_error=error, method=method,
+                    evaluations=evaluations)  # fmt: skip
+
+
 def widest(*rows: Iterable[Estimate]) -> float:
     """The largest half-width of the answers that are there; 0 where none is."""
     return max((e.half_width for row in rows for e in row if e.value is not None), default=0.0)
-
-
-def absent(reason: Absent | str, method: str, evaluations: int, why: Why = Why.REFUSED) -> Estimate:
-    """An answer that cannot be given, and why: in words of its own, or as another answer is absent."""
-    told = reason if isinstance(reason, Absent) else Absent(why, reason)
-    return Estimate(
-        value=None, low=None, high=None, std_error=None, method=method, evaluations=evaluations, absent=told
-    )
 
 
 def student(replicates: float) -> float:
@@ -156,28 +121,16 @@ def student(replicates: float) -> float:
     return float(stdtrit(replicates - 1, 0.975))
 
 
-def freedom(replicates: int, carriers: Array) -> Array:
-    """Degrees of freedom of a spread over replicates that so many points (m,) carry, by Kish's count.
+def freedom(replicates: int, carriers: float) -> float:
+    """Degrees of freedom of a spread over replicates that so many points carry, by Kish's count.
 
     Those of the replicates, R - 1, and half the number of the carriers, as resistances in parallel, at least one: where
     few points carry what an answer is off by, the few that were met speak for those that were not.
 
-    >>> freedom(16, np.array([np.inf, 30.0, 1.0])).round(1).tolist()
+    >>> [round(freedom(16, carriers), 1) for carriers in (math.inf, 30.0, 1.0)]
     [15.0, 7.5, 1.0]
     """
-    return np.asarray(np.maximum(1.0 / (1.0 / (replicates - 1) + 2.0 / carriers), 1.0))
-
-
-def added(errors: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Standard error and degrees of freedom of what independent errors, each with its own, add up to.
-
-    B. L. Welch, Biometrika 34, 1947, 28.
-
-    >>> added([(3.0, 15.0), (4.0, 15.0), (0.0, 1.0)])[0], round(added([(1.0, 15.0), (1.0, 15.0)])[1], 9)
-    (5.0, 30.0)
-    """
-    error = math.hypot(*(own for own, _ in errors))
-    return error, 1.0 / sum((own / error) ** 4 / freedom for own, freedom in errors) if error > 0.0 else math.inf
+    return max(1.0 / (1.0 / (replicates - 1) + 2.0 / carriers), 1.0)
 
 
 def spread(rows: Array, cell: float = 0.0) -> float:
@@ -189,19 +142,13 @@ def spread(rows: Array, cell: float = 0.0) -> float:
     return max(float(np.std(rows, ddof=1)), CELL * cell) / math.sqrt(rows.size)
 
 
-def half_of_mean(answers: Array) -> Array:
-    """Half-width (...) of the mean of answers (R, ...), by their differences."""
-    return np.asarray(student(len(answers)) * np.std(answers, axis=0, ddof=1) / math.sqrt(len(answers)))
-
-
 def from_replicates(
     values: Array, method: str, evaluations: int, pooled: float | None = None, floor: float = 0.0
 ) -> Estimate:
     """Estimate from the answers (R,) of independent replicates.
 
-    The value is `pooled` if given (the answer of all samples together), else the mean of the replicates;
-    the interval is Student's with R - 1 degrees of freedom.  `floor` is the least standard error: what
-    the resolution of the method leaves even where all replicates agree.
+    The value is `pooled` if given (the answer of all samples together), else the mean of the replicates; the interval
+    is Student's with R - 1 degrees of freedom.  `floor` is the least standard error.
 
     >>> estimate = from_replicates(np.array([1.0, 2.0, 3.0]), "mean", 3)
     >>> estimate.value, round(estimate.std_error, 12)
@@ -233,20 +180,19 @@ def ratio_of_means(numerators: Array, denominators: Array) -> tuple[Array, Array
 
 
 def corrected(rows: Array, gaps: Array) -> tuple[float, float]:
-    """Answers (R,) of replicates less what the cheap model makes of the same points beside its truth, (R,): their mean
-    and its standard error, with R - 1 degrees of freedom.
-
-    Raises ValueError for fewer than four replicates.
+    """Answers (R,) of replicates less what a cheap model errs by at the same points, (R,): their mean and its standard
+    error, with R - 1 degrees of freedom.
 
     >>> noise = np.array([0.3, -0.2, 0.1, -0.4, 0.2])
     >>> value, error = corrected(1.0 + noise, noise)
     >>> round(value, 12), error < 1e-12
     (1.0, True)
     """
-    if len(rows) < 4:
-        raise ValueError(f"a control variate needs at least four replicates, found {len(rows)}")
     rest = rows - gaps
     return float(rest.mean()), spread(rest)
+
+
+# --- probabilities ------------------------------------------------------------------------------------
 
 
 def count_bound(total: float) -> float:
@@ -263,14 +209,15 @@ def probability_ends(p: float, q: float, error: float, replicates: int, total: f
         return 0.0, count_bound(total), 1.0 / total
     if q <= 0.0:
         return 1.0 - count_bound(total), 1.0, 1.0 / total
-    return *logit_ends(p, q, student(replicates) * error), error
+    factor = math.exp(-min(student(replicates) * error / (p * q), 600.0))
+    return p * factor / (q + p * factor), p / (q * factor + p), error
 
 
 def none_of(total: int, method: str = "share of the samples", *, every: bool = False) -> Estimate:
     """A share of which none was seen in `total` samples, or all were: 0 or 1 with its one-sided 95 % bound."""
     low, high, error = probability_ends(float(every), float(not every), 0.0, 1, total)
-    method = f"{method}, one-sided 95 % bound"
-    return Estimate(value=float(every), low=low, high=high, std_error=error, method=method, evaluations=total)
+    return Estimate(value=float(every), low=low, high=high, std_error=error, evaluations=total,
+                    method=f"{method}, one-sided 95 % bound")  # fmt: skip
 
 
 def share(flags: Flags, method: str = "share of the samples") -> Estimate:
@@ -286,18 +233,7 @@ def share(flags: Flags, method: str = "share of the samples") -> Estimate:
     return Estimate(value=p, low=low, high=high, std_error=error, method=method, evaluations=flags.size)
 
 
-# --- independent runs -----------------------------------------------------------------------------
-
-_METHOD: Final = "independent runs"
-#: where the denominator of the upper end is held
-_STEEPEST: Final = 0.35
-
-
-def between(value: float, low: float, high: float, replicates: int, method: str, evaluations: int) -> Estimate:
-    """A value between ends that were read off at so many replicates: the standard error is that of Student's half."""
-    error = 0.5 * (high - low) / student(replicates)
-    low, high = min(low, value), max(high, value)
-    return Estimate(value=value, low=low, high=high, std_error=error, method=method, evaluations=evaluations)
+# --- quantiles ----------------------------------------------------------------------------------------
 
 
 def quantile(
@@ -319,63 +255,3 @@ def weighted_reader(values: Array, weights: Array) -> Callable[[float], float]:
     ordered, mass = values.reshape(-1)[order], weights.reshape(-1)[order]
     middles = (np.cumsum(mass) - 0.5 * mass) / mass.sum()
     return lambda p: float(np.interp(p, middles, ordered))
-
-
-def around(value: float, half: float, error: float, method: str, evaluations: int) -> Estimate:
-    """A value with this half-width to either side; absent where it is beyond floating point."""
-    if not (math.isfinite(value) and math.isfinite(value - half) and math.isfinite(value + half)):
-        return absent("the answer is beyond floating point", method, evaluations)
-    low, high = value - half, value + half
-    return Estimate(value=value, low=low, high=high, std_error=error, method=method, evaluations=evaluations)
-
-
-def mean_alone(values: Array) -> Estimate:
-    """Mean of independent observations (n,) with Student's interval."""
-    n, centre = values.size, float(values.mean())
-    error = float(values.std(ddof=1)) / math.sqrt(n)
-    return around(centre, student(n) * error, error, _METHOD, n)
-
-
-def sd_alone(values: Array) -> Estimate:
-    """Standard deviation of independent observations (n,), n > 2.
-
-    With L = ln s and L_i the same without observation i, u_i = (n - 1)(mean of L_i - L_i) has the standard error
-    e = sqrt(sum u²/(n (n - 1))) (B. Efron, The Jackknife, the Bootstrap and Other Resampling Plans, 1982, chapter 3).
-    The lower end is L - t e.  The upper end is L + e w/(1 - a w)^1.5, w = t + a - b/e, with the acceleration
-    a = sum u³/(6 (sum u²)^1.5) and the bias b of the jackknife: the few large values that carry the standard deviation
-    of a skewed law are mostly not among the runs, and then e is small as well.  The power lies between that of the
-    accelerated bootstrap, 1, and of its quadratic approximation, 2 (T. DiCiccio, B. Efron, Biometrika 79, 1992, 231);
-    `tests.campaigns.given` measures what the interval covers.
-
-    >>> found = sd_alone(np.random.default_rng(1).normal(0.0, 2.0, 1000))
-    >>> f"{found.value:.2f}, {found.low:.2f} to {found.high:.2f}"
-    '1.97, 1.88 to 2.07'
-    """
-    n, s = values.size, float(values.std(ddof=1))
-    off = (values - values.mean()) ** 2
-    unit = float(off.max())
-    if not unit > 0.0:
-        return Estimate(value=s, low=s, high=s, std_error=0.0, method=_METHOD, evaluations=n)
-    off = off / unit
-    # the sum of squares without one observation, in closed form; none is left where one alone is off
-    rest = np.maximum(off.sum() - off * n / (n - 1.0), 1e-16 * off.sum())
-    logarithms = 0.5 * np.log(rest / (n - 2.0))
-    change = (n - 1.0) * (logarithms.mean() - logarithms)
-    squares = float((change**2).sum())
-    error = math.sqrt(squares / n / (n - 1.0))
-    factor = student(n)
-    wide = factor
-    if error > 0.0:
-        bias = (n - 1.0) * (float(logarithms.mean()) - 0.5 * math.log(float(off.sum()) / (n - 1.0)))
-        acceleration = float((change**3).sum()) / (6.0 * squares**1.5)
-        moved = factor + acceleration - bias / error
-        wide = max(factor, moved / max(1.0 - acceleration * moved, _STEEPEST) ** 1.5)
-    # beyond a factor e^20 there is no upper end to speak of, and none that would overflow
-    low, high = s * math.exp(-min(factor * error, 20.0)), s * math.exp(min(wide * error, 20.0))
-    return Estimate(value=s, low=low, high=high, std_error=s * error, method=_METHOD, evaluations=n)
-
-
-def logit_ends(p: float, q: float, half: float) -> tuple[float, float]:
-    """Ends of an interval of a probability p with its complement q, of this half-width, symmetric in logits."""
-    factor = math.exp(-min(half / (p * q), 600.0))
-    return p * factor / (q + p * factor), p / (q * factor + p)

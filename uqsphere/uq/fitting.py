@@ -1,28 +1,26 @@
-"""Laws from observations: which family fits, how well, and what few observations leave open of a law.
+"""Laws from observations, tests with stops among them, and what few observations leave open of a law.
 
-Scatter is what a law describes; ignorance is that its parameters come from n observations.  For laws with a location
-and a scale the parameters that the same tests allow follow from pivots (`families.standard`), with stopped tests
-among them from simulated series (`pivots`).  Gamma, beta, Student and triangular laws take the posterior of their
-parameters; a kernel density or a step function is made again from the observations drawn with repetition, which says
+Scatter is what a law describes; epistemic uncertainty is that its parameters come from n observations.  For laws with a
+location and a scale the parameters that the same tests allow follow from pivots (`families.standard`), with stopped
+tests among them from simulated series (`pivots`).  Gamma, beta, Student and triangular laws are fitted again to samples
+of their own; a kernel density or a step function is made again from the observations drawn with repetition, which says
 too little in the tails.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, special
+from uqsphere.arrays import Array, Flags
 from uqsphere.uq.families import FAMILIES, Family, LawError
-from uqsphere.uq.families.family import Posterior, Strength
-from uqsphere.uq.families.observed import MOST_KERNELS, bandwidth
-from uqsphere.uq.law import Law, bounds_of, checked, make_law
-from uqsphere.uq.points import random_generator
+from uqsphere.uq.families.family import Strength
+from uqsphere.uq.families.observed import DRAWN, MOST_KERNELS, bandwidth
+from uqsphere.uq.law import Law, bounds_of, checked
 
 #: laws that can be fitted with stopped tests among them
 STRENGTHS: Final = {name: family.strength for name, family in FAMILIES.items() if family.strength is not None}
@@ -104,8 +102,8 @@ def pivots(law: Strength, failed: Flags, count: int, generator: np.random.Genera
 
     `failed` (n,): which of the tests, in rising order, ended with a failure.
     """
-    told = failed[int(np.argmax(failed)) :]
-    location, scale = law.maximum(_series(law, told, count, generator), told)
+    counted = failed[int(np.argmax(failed)) :]
+    location, scale = law.maximum(_series(law, counted, count, generator), counted)
     return location / scale, 1.0 / scale
 
 
@@ -183,10 +181,10 @@ def fit_strength(tests: StrengthTests, law: Strength = _WEIBULL, *, draws: int =
     shape = law.shape(spread)
     # how far it lies from the Kaplan-Meier estimate, beside series fitted in the same way
     distance = float(_distance(law.below((y[failed] - location)[None, :] / spread), kaplan_meier(failed))[0])
-    told = failed[int(np.argmax(failed)) :]
-    drawn_series = _series(law, told, 999, np.random.default_rng(_SERIES_SEED + 1))
-    centres, scales = (part[:, None] for part in law.maximum(drawn_series, told))
-    others = _distance(law.below(((drawn_series - centres) / scales)[:, told]), kaplan_meier(failed))
+    counted = failed[int(np.argmax(failed)) :]
+    drawn_series = _series(law, counted, 999, np.random.default_rng(_SERIES_SEED + 1))
+    centres, scales = (part[:, None] for part in law.maximum(drawn_series, counted))
+    others = _distance(law.below(((drawn_series - centres) / scales)[:, counted]), kaplan_meier(failed))
     return StrengthFit(
         law=law, tests=y.size, failures=tests.failures, shape=shape, scale=math.exp(location),
         unbiased=shape * unbiasing(law, failed, simulation),
@@ -246,14 +244,6 @@ def _distance(below: Array, after: Array | None = None) -> Array:
 FITS: Final = ("kde", "steps", *(name for name, family in FAMILIES.items() if not family.observed))
 #: fewer observations than this say nothing of scatter that could be trusted
 LEAST_TESTS: Final = 3
-#: samples of the fitted law that the distance is judged by
-_SAMPLES: Final = 999
-#: candidates for every posterior; freedom of the t distribution that they come from
-_CANDIDATES: Final = 4000
-_FREEDOM: Final = 4.0
-
-
-# --- a law from a column ---------------------------------------------------------------------------------
 
 
 def fitted_law(
@@ -345,15 +335,6 @@ def _strength(
                censored=tuple(sorted(censored)))  # fmt: skip
 
 
-def goodness(law: Law, values: Array) -> tuple[float, float]:
-    """Kolmogorov distance of observations (n,) from a law, and the probability that n of its own lie at least as far
-    (exact in n)."""
-    from scipy import stats
-
-    distance = float(_distance(np.sort(law.cdf(values))[None, :])[0])
-    return distance, float(stats.kstwo.sf(distance, values.size))
-
-
 def is_fitted(law: object) -> bool:
     """Whether a strength or an input is a law that was made from observations."""
     return isinstance(law, Law) and (len(law.data) > 0 or len(law.draws) > 0)
@@ -390,7 +371,7 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> list[
     if law.draws:
         rows = generator.choice(len(law.draws), count, replace=count > len(law.draws))
         return [replace(law, draws=(law.draws[row],)) for row in rows.tolist()]
-    n, family = _told(law), law.family
+    n, family = _observed(law), law.family
     if family.observed:
         return [_redrawn(law, generator) for _ in range(count)]
     if family.strength is not None:
@@ -402,9 +383,22 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> list[
         law, n = replace(law, parameters=best), tests.failures
     if family.pivots is not None:
         return _laws(law, family.pivots(law.parameters, n, count, generator))
-    if family.posterior is None:
-        raise LawError(f"a {family.name} law takes its bounds as known: there is nothing to be unsure of", "fit")
-    return _drawn(law, family.posterior, count, generator)
+    return _refitted(law, count, generator)
+
+
+def _refitted(law: Law, count: int, generator: np.random.Generator) -> list[Law]:
+    """Laws fitted to samples of the law, of as many observations: the parametric bootstrap."""
+    if not law.family.keys:
+        raise LawError(f"a {law.family.name} law takes its bounds as known: there is nothing to be unsure of", "fit")
+    found: list[Law] = []
+    for _ in range(4 * count):
+        try:
+            found.append(_member(law.family, np.sort(law.sample(len(law.data), generator)), law.lower, law.upper))
+        except LawError:
+            continue
+        if len(found) == count:
+            return [replace(one, data=law.data) for one in found]
+    raise LawError(f"samples of this {law.family.name} law cannot be fitted again", "fit")
 
 
 def laws_of_more_tests(law: Law, tests: int, count: int, generator: np.random.Generator) -> list[Law]:
@@ -415,31 +409,18 @@ def laws_of_more_tests(law: Law, tests: int, count: int, generator: np.random.Ge
     LawError
         For a family without exact intervals.
     """
-    if law.draws:
-        return _drawn_together(law, math.sqrt(count_tests(law) / max(tests, 1)), count, generator)
-    if law.family.pivots is None:
+    if law.draws or law.family.pivots is None:
         raise LawError(f"of a {law.family.name} law it is not known what more tests would tell", "fit")
     return _laws(law, law.family.pivots(law.parameters, tests, count, generator))
 
 
-def _drawn_together(law: Law, factor: float, count: int, generator: np.random.Generator) -> list[Law]:
-    """Laws of single draws, each moved towards the middle of its kind: what draws leave open falls as 1/sqrt(tests)."""
-    draws = np.array(law.draws)
-    positive = [2, 3]
-    for kind in np.unique(draws[:, 0]):
-        rows = draws[:, 0] == kind
-        logs = np.log(draws[np.ix_(rows, positive)])
-        middle = np.median(logs, axis=0)
-        draws[np.ix_(rows, positive)] = np.exp(middle + factor * (logs - middle))
-    narrower = replace(law, draws=tuple(map(tuple, draws.tolist())))
-    return possible_laws(narrower, count, generator)
-
-
-def _told(law: Law) -> int:
+def _observed(law: Law) -> int:
     """Observations behind a law; raises LawError for too few."""
     n = len(law.data)
     if n < LEAST_TESTS:
-        raise LawError(f"{n} observations do not tell what they leave open: at least {LEAST_TESTS} are needed", "file")
+        raise LawError(
+            f"{n} observations are too few to say what they leave open: at least {LEAST_TESTS} are needed", "file"
+        )
     return n
 
 
@@ -452,6 +433,27 @@ def _laws(law: Law, columns: Mapping[str, Array]) -> list[Law]:
     ]
 
 
+def law_of_draws(draws: Sequence[Sequence[float]], tests: int) -> Law:
+    """The law that is the mean of the laws of draws (n, 5) of a posterior that rests on so many tests, in SI.
+
+    A draw is (kind, least, scale, shape, bound), as `families.observed` has it: kind 0 a lognormal law with the median
+    `scale` and the standard deviation `shape` of its logarithm, with an upper end scale/bound where bound is not 0; kind
+    1 a Weibull law with the threshold `least`, `scale` and modulus `shape`.  `possible_laws` gives single draws.
+
+    >>> law = law_of_draws([(0.0, 0.0, 2.0, 0.1, 0.0), (0.0, 0.0, 2.0, 0.2, 0.0)], 12)
+    >>> law.ppf(np.array([0.5])).round(6).tolist(), count_tests(law)
+    ([2.0], 12)
+    """
+    table = np.asarray(draws, dtype=float)
+    if table.ndim != 2 or table.shape[1] != 5 or not len(table) or not np.isfinite(table).all():
+        raise LawError(
+            f"draws must be finite and (n, 5): kind, least, scale, shape, bound; found {table.shape}", "draws"
+        )
+    if not (np.isin(table[:, 0], (0.0, 1.0)).all() and (table[:, 2:4] > 0.0).all() and (table[:, [1, 4]] >= 0.0).all()):
+        raise LawError("draws need kind 0 or 1, scale and shape above zero, least and bound not negative", "draws")
+    return Law(family=DRAWN, parameters={"tests": float(tests)}, draws=tuple(map(tuple, table.tolist())))
+
+
 def _redrawn(law: Law, generator: np.random.Generator) -> Law:
     """A kernel density or step function of the observations drawn with repetition."""
     observations = np.asarray(law.data)
@@ -462,236 +464,3 @@ def _redrawn(law: Law, generator: np.random.Generator) -> Law:
             width = 0.0 if law.is_steps else bandwidth(drawn)
             return replace(law, parameters={"bandwidth": width}, data=tuple(drawn.tolist()))
     raise LawError("the observations hardly differ: they cannot be drawn again", "column")
-
-
-def possible_tails(law: Law, x: Array, count: int, generator: np.random.Generator) -> tuple[Array, Array]:
-    """P(X <= x) and its complement, (count, n) each, by the laws that `possible_laws` would give.
-
-    Of kernel densities only the observations are drawn again, not the bandwidth: sums over kernels, not laws.
-    """
-    if law.family.observed and not law.is_steps and not law.draws:
-        return _kernel_tails(law, x, *_multiplicities(law, count, generator))
-    laws = possible_laws(law, count, generator)
-    return np.array([one.cdf(x) for one in laws]), np.array([one.sf(x) for one in laws])
-
-
-def possible_densities(law: Law, x: Array, count: int, generator: np.random.Generator) -> tuple[Array, Array]:
-    """Density (n,) of the law at x, and densities (count, n) of the laws that the tests allow.
-
-    Of a step function: the shares of the observations that equal x.
-    """
-    if not law.family.observed or law.draws:
-        return law.pdf(x), np.array([one.pdf(x) for one in possible_laws(law, count, generator)])
-    observations, width = np.asarray(law.data), law.parameters["bandwidth"]
-    kernels, times = _multiplicities(law, count, generator)
-    if width == 0.0:
-        near = (x[:, None] == kernels).astype(float)
-    else:
-        near = np.exp(-0.5 * ((x[:, None] - kernels) / width) ** 2) / (width * math.sqrt(2.0 * math.pi))
-    every, inside = np.ones((1, observations.size)), np.array([law.lower, law.upper])
-    if width > 0.0:
-        held = [
-            _kernel_tails(replace(law, lower=-math.inf, upper=math.inf), inside, kernels, m)[0] for m in (every, times)
-        ]
-        mass = [h[:, 1:] - h[:, :1] for h in held]
-    else:
-        kept = (kernels >= law.lower) & (kernels <= law.upper)
-        mass = [m @ kept[:, None] / observations.size for m in (every, times)]
-    return (every @ near.T / observations.size / mass[0])[0], times @ near.T / observations.size / mass[1]
-
-
-def _multiplicities(law: Law, count: int, generator: np.random.Generator) -> tuple[Array, Array]:
-    """The observations, and how often each is drawn in `count` draws with repetition, (count, tests)."""
-    n = _told(law)
-    return np.asarray(law.data), generator.multinomial(n, np.full(n, 1.0 / n), size=count).astype(float)
-
-
-def _kernel_tails(law: Law, x: Array, kernels: Array, times: Array) -> tuple[Array, Array]:
-    """Tails (draws, n) of kernel densities whose kernels count `times` (draws, tests)."""
-    bounds = np.array([law.lower, law.upper])
-    y = (np.concatenate([x, bounds])[:, None] - kernels) / law.parameters["bandwidth"]
-    below, above = times @ special.ndtr(y).T / kernels.size, times @ special.ndtr(-y).T / kernels.size
-    lowest, highest = below[:, -2:-1], above[:, -1:]
-    mass = below[:, -1:] - lowest
-    below, above = (below[:, :-2] - lowest) / mass, (above[:, :-2] - highest) / mass
-    return np.clip(below, 0.0, 1.0), np.clip(above, 0.0, 1.0)
-
-
-# --- other families: the posterior of their parameters ------------------------------------------------
-
-
-def _drawn(law: Law, told: Posterior, count: int, generator: np.random.Generator) -> list[Law]:
-    """Draws from the posterior that is flat in the logarithms of positive parameters, by importance resampling.
-
-    Candidates come from a Student t distribution whose spread is that of the likelihood's peak; those parameters
-    that may lie anywhere in a range (a triangle's mode, the degrees of freedom) evenly from that range.
-    """
-    lows, highs = told.ranges(law.lower, law.upper)
-    free = np.isinf(lows)
-    pairs = [(law.parameters[key], positive) for key, positive in zip(told.keys, told.positive, strict=True)]
-    start = np.clip([math.log(value) if positive else value for value, positive in pairs], lows, highs)
-    unit = np.where(told.positive, 1.0, float(np.std(law.data)))
-    likelihood = _likelihood(law, told)
-    places = np.tile(start, (_CANDIDATES, 1))
-    proposed = np.zeros(_CANDIDATES)
-    if free.any():
-        factor = _spread(likelihood, start, unit, np.flatnonzero(free))
-        d = int(free.sum())
-        steps = generator.standard_normal((_CANDIDATES, d))
-        radii = np.sqrt(_FREEDOM / generator.chisquare(_FREEDOM, _CANDIDATES))
-        places[:, free] += (steps * radii[:, None]) @ factor.T
-        proposed = -0.5 * (_FREEDOM + d) * np.log1p((steps**2).sum(axis=1) * radii**2 / _FREEDOM)
-    for j in np.flatnonzero(~free):
-        places[:, j] = generator.uniform(lows[j], highs[j], _CANDIDATES)
-    weight = np.array([likelihood(place) for place in places]) - proposed
-    weight = np.exp(weight - weight.max())
-    chosen = generator.choice(_CANDIDATES, count, p=weight / weight.sum())
-    return [replace(law, parameters=_natural(places[k], told)) for k in chosen]
-
-
-def _natural(place: Array, told: Posterior) -> dict[str, float]:
-    rows = zip(told.keys, place, told.positive, strict=True)
-    return {key: math.exp(v) if positive else float(v) for key, v, positive in rows}
-
-
-def _likelihood(law: Law, told: Posterior) -> Callable[[Array], float]:
-    """Logarithm of the likelihood of the observations at a place; -inf where it is not a law."""
-    family, observations = law.family, np.asarray(law.data)
-
-    def at(place: Array) -> float:
-        try:
-            location, scale, shapes = family.resolve(_natural(place, told), law.lower, law.upper)
-            with np.errstate(all="ignore"):
-                density = np.asarray(family.pdf((observations - location) / scale, shapes)) / scale
-                value = float(np.log(density).sum())
-        except (OverflowError, ValueError, ZeroDivisionError):
-            return -math.inf
-        return value if math.isfinite(value) else -math.inf
-
-    return at
-
-
-def _spread(likelihood: Callable[[Array], float], start: Array, unit: Array, which: Places) -> Array:
-    """Factor (d, d) of the covariance of the likelihood's peak in some parameters, from second differences."""
-    d = len(which)
-    curvature = np.empty((d, d))
-    for row, i in enumerate(which):
-        for column, j in enumerate(which):
-            a, b = np.zeros(len(start)), np.zeros(len(start))
-            a[i], b[j] = 1e-3 * unit[i], 1e-3 * unit[j]
-            difference = likelihood(start + a + b) - likelihood(start + a - b)
-            difference -= likelihood(start - a + b) - likelihood(start - a - b)
-            curvature[row, column] = -difference / 4e-6
-    if not np.isfinite(curvature).all():
-        return np.diag(unit[which])
-    values, vectors = np.linalg.eigh(curvature)
-    # a direction in which the likelihood is flat is searched over a decade
-    spread = np.where(values > 0.1, 1.0 / np.sqrt(np.maximum(values, 0.1)), 3.0)
-    return np.asarray(unit[which, None] * vectors * (1.3 * spread))
-
-
-# --- which family fits ---------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class Fit:
-    """One family fitted to n observations.
-
-    Attributes
-    ----------
-    law : the fitted law
-    criterion : Akaike's criterion with the correction for few observations, smaller is better; of a uniform law, whose
-        likelihood is not regular, that of the normal less twice the logarithm of the Bayes factor between the two
-    distance : largest difference of the distribution functions (Kolmogorov)
-    p_value : probability of a larger distance if the law were right, with the fit repeated on every sample
-    """
-
-    law: Law
-    criterion: float
-    distance: float
-    p_value: float
-
-
-@lru_cache(maxsize=256)
-def _simulated(name: str, n: int, shape: float = 1.0) -> Array:
-    """Distances of samples of the family from the law fitted to each: free of the parameters, but a gamma's shape."""
-    tried = FAMILIES[name].tried
-    assert tried is not None
-    generator = random_generator(seed=0, task=f"distances of {name} {n} {shape!r}")
-    return _distance(tried.below(_SAMPLES, n, shape, generator))
-
-
-def _fitted(name: str, values: Array, normal: float) -> Fit | None:
-    """A family fitted to ordered observations; `normal` is the criterion of the normal law."""
-    n, family = values.size, FAMILIES[name]
-    tried = family.tried
-    if tried is None or (family.positive and not values[0] > 0.0):
-        return None
-    try:
-        with np.errstate(over="ignore", under="ignore"):
-            own = dict(tried.fit(values) if tried.fit else family.fit(values, -math.inf, math.inf))
-            bounds = own.pop("lower", None), own.pop("upper", None)
-            law = replace(make_law(name, own, *bounds), data=tuple(values.tolist()))
-            density = law.pdf(values)
-    except (LawError, ValueError, FloatingPointError, OverflowError):
-        return None
-    if not (density > 0.0).all():
-        return None
-    count = tried.count
-    correction = 2.0 * count * (count + 1) / (n - count - 1) if n > count + 1 else math.inf
-    criterion = 2.0 * count - 2.0 * float(np.log(density).sum()) + correction
-    if tried.evidence is not None:
-        criterion = normal - 2.0 * tried.evidence(values)
-    if not math.isfinite(criterion):
-        return None
-    distance = float(_distance(law.cdf(values)[None, :])[0])
-    shape = tried.shape(law.parameters)
-    p_value = float((1 + (_simulated(name, n, shape) >= distance).sum()) / (_SAMPLES + 1))
-    return Fit(law=law, criterion=criterion, distance=distance, p_value=p_value)
-
-
-def fit_marginal(values: Array) -> list[Fit]:
-    """Every family that the observations (n,) can come from, the best by its criterion first.
-
-    Raises ValueError for fewer than 5 observations, ones that are not finite, or ones without scatter.
-
-    >>> fits = fit_marginal(np.exp(np.linspace(-2.0, 2.0, 40) ** 3 / 4.0))
-    >>> fits[0].law.family.name
-    'lognormal'
-    """
-    values = np.sort(np.asarray(values, dtype=float))
-    if values.ndim != 1 or values.size < 5:
-        raise ValueError(f"a law is chosen from 5 observations or more, found {values.size}")
-    if not np.isfinite(values).all():
-        raise ValueError("the observations hold values that are not finite numbers")
-    if not values[-1] - values[0] > 1e-12 * max(abs(values[0]), abs(values[-1])):
-        raise ValueError("the observations are all equal: there is no scatter")
-    normal = _fitted("normal", values, 0.0)
-    if normal is None:
-        raise ValueError("the observations are beyond what floating point can fit a law to: change their unit")
-    others = [_fitted(name, values, normal.criterion) for name in FAMILIES if name != "normal"]
-    return sorted([normal, *(fit for fit in others if fit is not None)], key=lambda fit: fit.criterion)
-
-
-def plausible(fits: Sequence[Fit], least: float = 0.02) -> list[tuple[Fit, float]]:
-    """Families with their weights, exp(-Δ/2) of the criterion over their sum; those below `least` are left out.
-
-    Akaike weights (K. P. Burnham, D. R. Anderson, Model Selection and Multimodel Inference, 2002, 2.9).
-    """
-    weights = np.exp(-0.5 * (np.array([fit.criterion for fit in fits]) - fits[0].criterion))
-    weights = np.where(weights >= least * weights.sum(), weights, 0.0)
-    return [(fit, float(w)) for fit, w in zip(fits, weights / weights.sum(), strict=True) if w > 0.0]
-
-
-def plausible_laws(fits: Sequence[Fit], count: int, generator: np.random.Generator) -> list[Law]:
-    """`count` laws that the observations leave open: the family by its weight, its parameters by what they allow."""
-    kept = plausible(fits)
-    chosen = generator.multinomial(count, [weight for _, weight in kept])
-    laws: list[Law] = []
-    for (fit, _), times in zip(kept, chosen.tolist(), strict=True):
-        law, tried = fit.law, fit.law.family.tried
-        if times and tried is not None and tried.drawn is not None:
-            laws += _laws(law, tried.drawn(law.parameters, np.asarray(law.data), times, generator))
-        elif times:
-            laws += possible_laws(law, times, generator)
-    return [laws[k] for k in generator.permutation(len(laws))]

@@ -1,6 +1,5 @@
-"""Laws of SciPy and chaospy as laws of this package: of a family of its own where there is one, wrapped else.
-
-Neither package is imported here: what is given tells where it is from.
+"""Laws of SciPy, chaospy and SALib, and observations, as laws of this package: of a family of its own where there is
+one, wrapped else.  No package is imported here: the class of what is given says where it is from.
 """
 
 from __future__ import annotations
@@ -8,33 +7,30 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, special
 from uqsphere.uq.families import LawError
 from uqsphere.uq.families.family import PREFIX, named_family, wrapped
+from uqsphere.uq.fitting import fitted_law
 from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import Law, checked, make_law
 
-if TYPE_CHECKING:
-    from chaospy import Distribution
-
-#: a law, its table as in a study, or a distribution of scipy.stats or chaospy
+#: a law, its table as in a study, a distribution of scipy.stats or chaospy, or observations (n,)
 LawLike: TypeAlias = Any
 #: the keys of a law in a study: `dist`, parameters and bounds
 Table: TypeAlias = dict[str, str | float]
 
 #: probabilities at which a law is compared with what it was made from, and what both may differ by, over the scatter:
 #: chaospy iterates some of its quantiles to 1e-8
-_PLACES: Final = np.array([1e-4, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0 - 1e-4])
-_SAME: Final = 1e-6
-
+PLACES: Final = np.array([1e-4, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0 - 1e-4])
+SAME: Final = 1e-6
 
 #: families of this package by SciPy's names, from shapes, loc and scale; None where loc has no place there
-_TABLES: Final[Mapping[str, Callable[..., Table | None]]] = {
+TABLES: Final[Mapping[str, Callable[..., Table | None]]] = {
     "norm": lambda loc, scale: {"dist": "normal", "mean": loc, "sd": scale},
     "lognorm": lambda s, loc, scale: None if loc else {"dist": "lognormal", "log_mean": math.log(scale), "log_sd": s},
     "uniform": lambda loc, scale: {"dist": "uniform", "lower": loc, "upper": loc + scale},
@@ -56,7 +52,7 @@ _TABLES: Final[Mapping[str, Callable[..., Table | None]]] = {
 }  # fmt: skip
 
 #: chaospy's laws in standard form, by their classes, as SciPy has them: name, then shapes, loc and scale
-_CHAOSPY: Final[Mapping[str, Callable[..., tuple[str | float, ...]]]] = {
+CHAOSPY: Final[Mapping[str, Callable[..., tuple[str | float, ...]]]] = {
     "normal": lambda: ("norm", 0.0, 1.0),
     "uniform": lambda: ("uniform", -1.0, 2.0),
     "log_normal": lambda a: ("lognorm", a, 0.0, 1.0),
@@ -72,36 +68,46 @@ _CHAOSPY: Final[Mapping[str, Callable[..., tuple[str | float, ...]]]] = {
     "trunc_normal": lambda a, b, mu, sigma: ("truncnorm", (a - mu) / sigma, (b - mu) / sigma, mu, sigma),
 }
 
+#: SALib's distributions by their names, from the two to four numbers that it calls bounds
+SALIB: Final[Mapping[str, Callable[..., Table]]] = {
+    "unif": lambda a, b: {"dist": "uniform", "lower": a, "upper": b},
+    "logunif": lambda a, b: {"dist": "loguniform", "lower": a, "upper": b},
+    "norm": lambda m, s: {"dist": "normal", "mean": m, "sd": s},
+    "truncnorm": lambda a, b, m, s: {"dist": "normal", "mean": m, "sd": s, "lower": a, "upper": b},
+    "lognorm": lambda m, s: {"dist": "lognormal", "log_mean": m, "log_sd": s},
+    "triang": lambda a, b, c: {"dist": "triangular", "lower": a, "upper": b, "mode": a + c * (b - a)},
+}
+
 
 def law_table(given: LawLike) -> Table:
     """The table by which a study file has a law: that of a distribution of SciPy or chaospy, or of a law.
 
-    Raises
-    ------
-    LawError
-        For what is no such distribution, or has no table: observations, and laws of chaospy that SciPy does not have.
+    Raises LawError for what is no such distribution, or has no table: observations, and laws that are wrapped.
     """
     if isinstance(given, Mapping):
         return dict(given)
-    if isinstance(given, Law):
-        if given.data or given.draws or given.family.name == "chaospy":
-            raise LawError("a law of observations, or one that is wrapped, has no table: give it to the analyses")
-        ends = {"lower": given.lower, "upper": given.upper}
-        bounds = {key: end for key, end in ends.items() if math.isfinite(end)}
-        return {"dist": given.family.name, **given.parameters, **bounds}
-    return law_table(as_law(given))
+    law = as_law(given)
+    if law.data or law.draws or (named_family(law.family.name) is None and law.family.name not in _names()):
+        raise LawError("a law of observations, or one that is wrapped, has no table: give it to the analyses")
+    ends = {"lower": law.lower, "upper": law.upper}
+    return {"dist": law.family.name, **law.parameters, **{key: end for key, end in ends.items() if math.isfinite(end)}}
+
+
+def _names() -> Mapping[str, object]:
+    from uqsphere.uq.families import FAMILIES
+
+    return FAMILIES
 
 
 def as_law(given: LawLike) -> Law:
-    """A law from a law, its table (`{"dist": "normal", "mean": 0, "sd": 1}`), or of scipy.stats or chaospy.
+    """A law from a law, its table (`{"dist": "normal", "mean": 0, "sd": 1}`), SciPy, chaospy, or observations (n,).
 
     A distribution is taken by its own parameters, so that both tails are those of this package, and its quantiles are
-    compared with those of what was given.  One that has no family here keeps its functions.
+    compared with those of what was given.  One that has no family here keeps its functions.  Observations, and the data
+    of a `gaussian_kde`, become a kernel density.
 
-    Raises
-    ------
-    LawError
-        For anything else, several numbers at once, discrete laws, and laws whose tails contradict themselves.
+    Raises LawError for anything else, several numbers at once, discrete laws, and laws whose tails contradict
+    themselves.
 
     >>> from scipy import stats
     >>> law = as_law(stats.norm(1.0, 0.1))
@@ -111,57 +117,102 @@ def as_law(given: LawLike) -> Law:
     if isinstance(given, Law):
         return given
     if isinstance(given, Mapping):
-        rest = {key: float(value) for key, value in given.items() if key != "dist"}
+        numbers = {key: value for key, value in given.items() if key != "dist"}
+        if wrong := [key for key, value in numbers.items() if not isinstance(value, int | float | np.number)]:
+            raise LawError(
+                f"{wrong[0]} of a law must be a number; observations are given as an array in its place", wrong[0]
+            )
+        rest = {key: float(value) for key, value in numbers.items()}
         bounds = rest.pop("lower", None), rest.pop("upper", None)
         return make_law(str(given.get("dist")), rest, *bounds)
-    origin = type(given).__module__.partition(".")[0]
-    if origin == "scipy" and hasattr(given, "dist") and hasattr(given, "kwds"):
-        if not hasattr(given.dist, "pdf"):
-            raise LawError(f"{given.dist.name} of SciPy is discrete: expansions and tails need a density")
-        shapes, loc, scale = given.dist._parse_args(*given.args, **given.kwds)
-        return _compared(_of_scipy(given.dist.name, *shapes, loc, scale), given.ppf)
+    origin, kind = type(given).__module__.partition(".")[0], type(given).__name__
+    if origin == "scipy":
+        return _of_scipy(given, kind)
     if origin == "chaospy" and hasattr(given, "inv") and hasattr(given, "pdf"):
         if len(given) != 1:
-            raise LawError("a distribution of chaospy of several numbers: give each its own, and their dependence")
+            raise LawError("a joint distribution of chaospy: give each of its distributions a name, as "
+                           "{name: one for name, one in zip(names, joint)}, and their rank correlations to `joint`")  # fmt: skip
         return _of_chaospy(given)
-    raise LawError(f"found {type(given).__name__}: a law, its table, or a frozen distribution of scipy.stats or "
-                   "chaospy is due")  # fmt: skip
+    try:
+        values = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        values = np.zeros(0)
+    if values.ndim == 1 and values.size >= 2:
+        return fitted_law(values.tolist())
+    raise LawError(
+        f"found {kind}: give a law, its table, a distribution of scipy.stats or chaospy, or observations (n,)"
+    )
 
 
-def _of_scipy(name: str, *given: float) -> Law:
+def _of_scipy(given: Any, kind: str) -> Law:
+    if kind == "gaussian_kde":
+        if given.d != 1:
+            raise LawError("a gaussian_kde of several numbers: give each its own law, and their dependence")
+        law = fitted_law(given.dataset[0].tolist())
+        width = float(np.sqrt(given.covariance[0, 0]))
+        return checked(Law(family=law.family, parameters={"bandwidth": width}, data=law.data))
+    if kind == "rv_histogram":
+        return _wrapped("scipy histogram", given)
+    if hasattr(given, "dist") and hasattr(given, "kwds"):
+        if not hasattr(given.dist, "pdf"):
+            raise LawError(f"{given.dist.name} of SciPy is discrete: expansions and tails need a density")
+        if type(given.dist).__name__ == "rv_histogram":
+            return _wrapped("scipy histogram", given)
+        shapes, loc, scale = given.dist._parse_args(*given.args, **given.kwds)
+        return _compared(_by_name(given.dist.name, *shapes, loc, scale), given.ppf)
+    if hasattr(given, "icdf") and hasattr(given, "ccdf"):
+        if kind in ("Normal", "StandardNormal") and np.ndim(given.mean()) == 0:
+            mean, sd = float(given.mean()), float(given.standard_deviation())
+            return _compared(as_law({"dist": "normal", "mean": mean, "sd": sd}), given.icdf)
+        if kind == "Uniform":
+            low, high = (float(end) for end in given.support())
+            return _compared(as_law({"dist": "uniform", "lower": low, "upper": high}), given.icdf)
+        functions = SimpleNamespace(
+            cdf=given.cdf, sf=given.ccdf, ppf=given.icdf, isf=given.iccdf, pdf=given.pdf,
+            stats=lambda moments: (float(given.mean()), float(given.variance())),
+        )  # fmt: skip
+        return _wrapped(f"scipy {kind}", functions)
+    raise LawError(f"{kind} of SciPy: freeze it with its parameters, as scipy.stats.norm(1.0, 0.1)")
+
+
+def _wrapped(name: str, functions: Any) -> Law:
+    family = wrapped(name, functions)
+    return checked(Law(family=family, parameters=family.parameters({}, -math.inf, math.inf)))
+
+
+def _by_name(name: str, *given: float) -> Law:
     """The law by its name, shapes, loc and scale in SciPy."""
     numbers = [float(np.asarray(value)) for value in given]
-    made = _TABLES.get({"reciprocal": "loguniform"}.get(name, name))
+    made = TABLES.get({"reciprocal": "loguniform"}.get(name, name))
     table = None if made is None else made(*numbers)
     if table is None:
         family = named_family(PREFIX + name)
         if family is None:
-            raise LawError(f"scipy.stats has no law {name!r} by this name: a law of one's own has no place in a study")
+            raise LawError(f"scipy.stats has no law {name!r} by this name: give it by rows of its values")
         table = {"dist": family.name} | dict(zip((*family.alternatives[0], "loc", "scale"), numbers, strict=True))
     return as_law(table)
 
 
-def _compared(law: Law, quantile: Callable[[Array], Array], same: float = _SAME) -> Law:
+def _compared(law: Law, quantile: Callable[[Array], Array]) -> Law:
     """The law, once its quantiles are those of what it was made from."""
-    ours, theirs = law.ppf(_PLACES), np.asarray(quantile(_PLACES), dtype=float).ravel()
-    if not np.abs(ours - theirs).max() <= same * np.ptp(ours):
+    ours, theirs = law.ppf(PLACES), np.asarray(quantile(PLACES), dtype=float).ravel()
+    if not np.abs(ours - theirs).max() <= SAME * np.ptp(ours):
         raise LawError(f"{law.family.name} with the same parameters has other quantiles: give the law by its table")
     return law
 
 
-def _of_chaospy(given: Distribution) -> Law:
+def _of_chaospy(given: Any) -> Law:
     """The law of chaospy by its parameters where these are known here, else by its functions."""
     law = _unrolled(given)
     if law is not None:
         return _compared(law, given.inv)
-    family = wrapped("chaospy", _functions(given))
-    law = checked(Law(family=family, parameters=family.parameters({}, -math.inf, math.inf)))
+    law = _wrapped("chaospy", _functions(given))
     if not all(map(math.isinf, law.tail_orders())):
         raise LawError(f"{given} has a heavy tail, which chaospy cuts off: give the law of scipy.stats")
     return law
 
 
-def _unrolled(given: Distribution) -> Law | None:
+def _unrolled(given: Any) -> Law | None:
     """A law of chaospy, which is another one truncated, or moved and stretched; None where the last is not known."""
     shift, scale = 0.0, 1.0
     while (inner := getattr(given, "_dist", None)) is not None:
@@ -177,18 +228,18 @@ def _unrolled(given: Distribution) -> Law | None:
             own["shift"] = own["lower"] - low * own["scale"]
         shift, scale = shift + scale * own["shift"], scale * own["scale"]
         given = inner
-    made = _CHAOSPY.get(type(given).__name__)
+    made = CHAOSPY.get(type(given).__name__)
     if made is None:
         return None
     name, *shapes, loc, unit = made(*map(_number, given._parameters.values()))
-    return _of_scipy(str(name), *map(float, shapes), shift + scale * float(loc), scale * float(unit))
+    return _by_name(str(name), *map(float, shapes), shift + scale * float(loc), scale * float(unit))
 
 
 def _number(value: npt.ArrayLike) -> float:
     return float(np.ravel(value)[0])
 
 
-def _functions(law: Distribution) -> SimpleNamespace:
+def _functions(law: Any) -> SimpleNamespace:
     """The functions of a distribution of chaospy; its upper tail is what its distribution function leaves of 1."""
 
     def shaped(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
@@ -199,29 +250,37 @@ def _functions(law: Distribution) -> SimpleNamespace:
 
     def stats(moments: str) -> tuple[float, float]:
         """Mean and variance, by the trapezoidal rule over normal scores; no variance where a tail is heavy."""
-        from scipy.special import ndtr
-
         z = np.linspace(-6.0, 6.0, 1537)
-        weights, values = np.exp(-0.5 * z * z), ppf(np.asarray(ndtr(z)))
+        weights, values = np.exp(-0.5 * z * z), ppf(np.asarray(special.ndtr(z)))
         weights /= weights.sum()
         far = np.abs(ppf(np.array([1e-6, 1e-9, 1.0 - 1e-6, 1.0 - 1e-9])))
         heavy = max(far[1] / far[0], far[3] / far[2]) > 10.0
         return float(weights @ values), math.inf if heavy else float(weights @ (values - weights @ values) ** 2)
 
-    return SimpleNamespace(
-        cdf=cdf,
-        sf=lambda values: 1.0 - cdf(values),
-        ppf=ppf,
-        isf=lambda shares: ppf(1.0 - np.asarray(shares)),
-        pdf=shaped(law.pdf),
-        stats=stats,
-    )
+    return SimpleNamespace(cdf=cdf, sf=lambda values: 1.0 - cdf(values), ppf=ppf,
+                           isf=lambda shares: ppf(1.0 - np.asarray(shares)), pdf=shaped(law.pdf), stats=stats)  # fmt: skip
 
 
 def joint_of(laws: Joint | Mapping[str, LawLike], dependence: Sequence[Dependence] = ()) -> Joint:
-    """Named laws, of whatever origin, with what ties them; a `Joint` as it is."""
+    """Named laws, of whatever origin, with what ties them; a `Joint` as it is; a problem dict of SALib."""
     if isinstance(laws, Joint):
         return laws
     if not isinstance(laws, Mapping):
-        raise LawError(f"a mapping of name to law, or a Joint, is due; found {type(laws).__name__}")
+        raise LawError(f"give a mapping of name to law, a problem of SALib, or a Joint; found {type(laws).__name__}")
+    if {"num_vars", "bounds"} <= set(laws):
+        laws = _of_salib(laws)
     return make_joint(tuple(laws), tuple(as_law(law) for law in laws.values()), dependence)
+
+
+def _of_salib(problem: Mapping[str, Any]) -> dict[str, Table]:
+    count = int(problem["num_vars"])
+    names = list(problem.get("names") or [f"x{k + 1}" for k in range(count)])
+    found: dict[str, Table] = {}
+    for name, kind, numbers in zip(names, problem.get("dists") or ["unif"] * count, problem["bounds"], strict=True):
+        if kind not in SALIB:
+            raise LawError(f"distribution {kind!r} of SALib; known: {', '.join(SALIB)}", "dists")
+        try:
+            found[str(name)] = SALIB[kind](*map(float, numbers))
+        except TypeError as error:
+            raise LawError(f"{name}: {kind} of SALib takes other numbers than {list(numbers)}", "bounds") from error
+    return found

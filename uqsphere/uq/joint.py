@@ -1,41 +1,133 @@
-"""Several inputs together: their laws, and the copulas that tie them.
+"""Several inputs together: their laws, and the Gaussian and Student t copulas that tie them.
 
-A normal score z stands for the probability Φ(z), so that both tails keep their digits.  Dependent scores are made
-from independent ones by the inverse Rosenblatt transform (Rosenblatt 1952): every member is the conditional
-quantile given those before it, which is monotone in its own number and goes with quasi-random points.  The same
-step gives some members when others are held.
+A normal score z stands for the probability Φ(z), so that both tails keep their digits.  Dependent scores are made from
+independent ones by the inverse Rosenblatt transform (Rosenblatt 1952): every member is the conditional quantile given
+those before it, which is monotone in its own number and goes with quasi-random points.
 
-The Gaussian copula is given by the Pearson correlation of the normal scores; a Spearman rank correlation rho_S
-becomes 2 sin(pi rho_S / 6) (Pearson 1907; exact for the Gaussian copula).  Any number of groups with other copulas
-stand beside it; an input belongs to one of them at most.
+The Gaussian copula is given by the Pearson correlation of the normal scores; a Spearman rank correlation rho_S becomes
+2 sin(pi rho_S / 6) (Pearson 1907; exact for the Gaussian copula).  Any number of groups with Student t copulas stand
+next to it; an input belongs to one of them at most.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import combinations
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.copulas import ARCHIMEDEAN, Archimedean, Elliptical
 from uqsphere.uq.families import LawError
 from uqsphere.uq.law import Law
 from uqsphere.uq.roots import root
 
-Copula: TypeAlias = Elliptical | Archimedean
-
-COPULAS: Final = ("gaussian", "student_t", *ARCHIMEDEAN)
-#: the strongest rank correlation of an Archimedean copula: beyond it, one input is the other
-_STRONGEST: Final = 0.99
+COPULAS: Final = ("gaussian", "student_t")
 LEAST_DOF, MOST_DOF = 1.0, 1000.0
+#: scores are kept within these bounds: the tail beyond is less than 1e-315
+FARTHEST: Final = 38.0
 
 
-# --- the copula of one group -----------------------------------------------------------------------------
+# --- one copula ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Copula:
+    """The Gaussian copula with the correlation (size, size) of its scores, or Student's t with `dof` of freedom."""
+
+    correlation: Array
+    dof: float = math.inf
+
+    @property
+    def size(self) -> int:
+        return len(self.correlation)
+
+    def among(self, members: Sequence[int]) -> Copula:
+        """The copula of some of the members, in the order given."""
+        return replace(self, correlation=self.correlation[np.ix_(members, members)])
+
+    def _given(self, target: int, given: Sequence[int], known: Array) -> tuple[Array, Array]:
+        """Centre and scale (n,) of the (t) variate of a member, given others at the scores `known` (n, j)."""
+        inverse = np.linalg.inv(self.correlation[np.ix_(given, given)])
+        across = self.correlation[list(given), target]
+        weights = inverse @ across
+        remaining = math.sqrt(max(0.0, 1.0 - float(across @ weights)))
+        x = _student(known, self.dof)
+        if math.isinf(self.dof):
+            return np.asarray(x @ weights), np.full(len(known), remaining)
+        # scale of the conditional t law: sqrt((dof + x' R⁻¹ x)/(dof + j))
+        distance = np.einsum("ni,ij,nj->n", x, inverse, x)
+        return np.asarray(x @ weights), remaining * np.sqrt((self.dof + distance) / (self.dof + known.shape[1]))
+
+    def conditional_score(self, target: int, given: Sequence[int], known: Array, score: Array) -> Array:
+        """Normal score (n,) of P(member `target` <= `score` | members `given` at the scores `known` (n, j))."""
+        score = np.asarray(score, dtype=float)
+        if not len(given):
+            return score
+        centre, scale = self._given(target, given, known)
+        return _score((_student(score, self.dof) - centre) / scale, self.dof + len(given))
+
+    def score_at(self, target: int, given: Sequence[int], known: Array, normal: Array) -> Array:
+        """Score (n,) of a member whose conditional score is `normal` (n,): the inverse of `conditional_score`."""
+        if not len(given):
+            return np.asarray(normal, dtype=float)
+        centre, scale = self._given(target, given, known)
+        return _score(centre + scale * _student(normal, self.dof + len(given)), self.dof)
+
+    def conditional_scores(self, given: Sequence[int], known: Array, normals: Array) -> Array:
+        """Scores (n, size - j) of the members not given, in their order, from independent standard normals."""
+        rest = [member for member in range(self.size) if member not in given]
+        held, before = list(given), np.asarray(known, dtype=float)
+        found = np.empty((len(normals), len(rest)))
+        for column, member in enumerate(rest):
+            found[:, column] = self.score_at(member, held, before, np.asarray(normals)[:, column])
+            held.append(member)
+            before = np.concatenate([before, found[:, column : column + 1]], axis=1)
+        return found
+
+    def score_gradient(self, scores: Array) -> Array:
+        """-∂ ln f/∂s (n, size) of the joint density f of the scores s (n, size)."""
+        inverse = np.linalg.inv(self.correlation)
+        if math.isinf(self.dof):
+            return np.asarray(scores @ inverse)
+        x, nu, k = _student(scores, self.dof), self.dof, self.size
+        distance = np.einsum("ni,ij,nj->n", x, inverse, x)
+        # ln f = ln c(x) + Σ ln phi(s), c the density of x over its marginals; dx/ds = phi(s)/t(x)
+        joint = (nu + k) * (x @ inverse) / (nu + distance)[:, None]
+        single = (nu + 1.0) * x / (nu + x**2)
+        constant = math.lgamma(0.5 * (nu + 1.0)) - math.lgamma(0.5 * nu) - 0.5 * math.log(nu * math.pi)
+        density = constant - 0.5 * (nu + 1.0) * np.log1p(x**2 / nu)
+        rate = np.exp(-0.5 * scores**2 - 0.5 * math.log(2.0 * math.pi) - density)
+        return np.asarray((joint - single) * rate + scores)
+
+
+def _student(score: Array, dof: float) -> Array:
+    """Student's t variate with the same probability below it as a normal score.
+
+    By the incomplete beta function from whichever side has the digits: SciPy's own quantile fails in far tails
+    (infinite at a score of -37 and 6 degrees of freedom) and near the median.
+    """
+    if math.isinf(dof):
+        return np.asarray(score)
+    size = np.abs(score)
+    near = np.minimum(size, 0.5)
+    inside = special.betaincinv(0.5, 0.5 * dof, special.erf(near / math.sqrt(2.0)))
+    outside = special.betaincinv(0.5 * dof, 0.5, 2.0 * np.asarray(special.ndtr(-np.maximum(size, 0.5))))
+    # below it, a t variate could not be squared
+    ratio = np.where(size < 0.5, inside / (1.0 - inside), 1.0 / np.maximum(outside, 1e-290) - 1.0)
+    return np.asarray(np.sign(score) * np.sqrt(dof * ratio))
+
+
+def _score(variate: Array, dof: float) -> Array:
+    """Normal score of Student's t variate."""
+    if math.isinf(dof):
+        return np.asarray(variate)
+    with np.errstate(divide="ignore"):
+        far = np.asarray(special.ndtri(special.stdtr(dof, -np.abs(variate))))
+    return np.clip(-np.sign(variate) * far, -FARTHEST, FARTHEST)
 
 
 def make_copula(
@@ -43,38 +135,11 @@ def make_copula(
 ) -> Copula:
     """The copula all of whose pairs have one rank correlation, Spearman's or Kendall's.
 
-    Gaussian and Student t copulas take negative ones down to where the correlation matrix of all pairs ceases to
-    be positive definite; Frank's takes them for two members; Clayton's and Gumbel's take none.
+    Raises LawError (keys "copula", "of", "spearman", "kendall", "dof").
 
-    Raises
-    ------
-    LawError
-        Keys "copula", "of", "spearman", "kendall", "dof": what was found and what is allowed.
-
-    >>> make_copula("clayton", 2, kendall=0.5).theta
-    2.0
+    >>> make_copula("gaussian", 2, kendall=0.5).correlation.round(6).tolist()
+    [[1.0, 0.707107], [0.707107, 1.0]]
     """
-    key, value = _asked_rank(kind, size, spearman, kendall)
-    if kind == "student_t":
-        if dof is None or not LEAST_DOF <= dof <= MOST_DOF:
-            raise LawError(f"dof must lie between {LEAST_DOF:g} and {MOST_DOF:g}, found {dof}", "dof")
-    elif dof is not None:
-        raise LawError(f"dof belongs to the Student t copula, not to {kind}", "dof")
-    if kind in ("gaussian", "student_t"):
-        rho = _strength(kind, key, value, math.inf if dof is None else dof)
-        correlation = np.full((size, size), rho)
-        np.fill_diagonal(correlation, 1.0)
-        if 1.0 + (size - 1) * min(rho, 0.0) < 1e-10 or rho > 1.0 - 1e-10:
-            raise LawError(
-                f"{size} inputs cannot all have {key} {value:g} with each other (not positive definite)", key
-            )
-        return Elliptical(correlation=correlation, dof=math.inf if dof is None else dof)
-    _check_archimedean(kind, size, key, value)
-    return Archimedean(generator=ARCHIMEDEAN[kind], size=size, theta=_strength(kind, key, value))
-
-
-def _asked_rank(kind: str, size: int, spearman: float | None, kendall: float | None) -> tuple[str, float]:
-    """By which rank correlation a dependence is given, and what it is; raises LawError."""
     if kind not in COPULAS:
         raise LawError(f"unknown copula {kind!r}; known: {', '.join(COPULAS)}", "copula")
     if size < 2:
@@ -85,44 +150,31 @@ def _asked_rank(kind: str, size: int, spearman: float | None, kendall: float | N
     assert value is not None
     if not (math.isfinite(value) and -1.0 < value < 1.0):
         raise LawError(f"{key} must lie strictly between -1 and 1, found {value:g}", key)
-    return key, value
-
-
-def _check_archimedean(kind: str, size: int, key: str, value: float) -> None:
-    name = kind.capitalize()
-    if value == 0.0:
-        raise LawError(f"{key} is 0, which is no dependence: leave it out", key)
-    negative = ARCHIMEDEAN[kind].negative
-    if value < 0.0 and (not negative or size > 2):
-        allowed = f"{name}'s ties no more than two inputs" if negative else f"{name}'s has none"
-        raise LawError(
-            f"{key} must be above 0 here, found {value:g}: of negative dependence {allowed}; "
-            "take a Gaussian or Student t copula",
-            key,
-        )
-    if abs(value) > _STRONGEST:
-        raise LawError(f"{key} must be at most {_STRONGEST} with {name}'s copula, found {value:g}", key)
-
-
-def _strength(kind: str, key: str, value: float, dof: float = math.inf) -> float:
-    """theta of an Archimedean copula, the correlation of the scores of an elliptical one; from Kendall's tau that is
-    sin(πτ/2) for every dof (Lindskog, McNeil, Schmock 2003)."""
-    if key == "spearman" and kind == "gaussian":
-        return 2.0 * math.sin(math.pi * value / 6.0)
-    if key == "spearman":
-        return math.copysign(_solved(kind, abs(value), dof), value)
-    if kind in ARCHIMEDEAN:
-        return math.copysign(ARCHIMEDEAN[kind].strength(abs(value)), value)
-    return math.sin(0.5 * math.pi * value)
+    if kind == "student_t" and (dof is None or not LEAST_DOF <= dof <= MOST_DOF):
+        raise LawError(f"dof must lie between {LEAST_DOF:g} and {MOST_DOF:g}, found {dof}", "dof")
+    if kind == "gaussian" and dof is not None:
+        raise LawError("dof belongs to the Student t copula, not to gaussian", "dof")
+    if key == "kendall":
+        # for every dof (Lindskog, McNeil, Schmock 2003)
+        rho = math.sin(0.5 * math.pi * value)
+    elif kind == "gaussian":
+        rho = 2.0 * math.sin(math.pi * value / 6.0)
+    else:
+        assert dof is not None
+        rho = math.copysign(_correlation_of_t(abs(value), dof), value)
+    if 1.0 + (size - 1) * min(rho, 0.0) < 1e-10 or rho > 1.0 - 1e-10:
+        raise LawError(f"{size} inputs cannot all have {key} {value:g} with each other (not positive definite)", key)
+    correlation = np.full((size, size), rho)
+    np.fill_diagonal(correlation, 1.0)
+    return Copula(correlation=correlation, dof=math.inf if dof is None else dof)
 
 
 @lru_cache(maxsize=256)
-def _solved(kind: str, spearman: float, dof: float) -> float:
-    """theta, or the t copula's correlation, with this Spearman's rho >= 0.
-
-    rho = 12 E[U V] - 3 by the trapezoidal rule over independent normal scores, which converges geometrically for
-    smooth integrands; the search runs over Kendall's tau, in which all families are alike.
-    """
+def _correlation_of_t(spearman: float, dof: float) -> float:
+    """The t copula's correlation with this Spearman's rho >= 0: rho = 12 E[U V] - 3 by the trapezoidal rule over
+    independent normal scores, which converges geometrically for smooth integrands."""
+    if spearman == 0.0:
+        return 0.0
     grid = np.linspace(-7.5, 7.5, 61)
     weight = np.exp(-0.5 * grid**2)
     weight /= weight.sum()
@@ -130,62 +182,12 @@ def _solved(kind: str, spearman: float, dof: float) -> float:
     mass = (weight[:, None] * weight[None, :]).reshape(-1) * special.ndtr(first)
 
     def gap(tau: float) -> float:
-        copula: Copula
-        value = _strength(kind, "kendall", tau)
-        if kind == "student_t":
-            copula = Elliptical(correlation=np.array([[1.0, value], [value, 1.0]]), dof=dof)
-        else:
-            copula = Archimedean(generator=ARCHIMEDEAN[kind], size=2, theta=value)
-        v = special.ndtr(conditional_scores(copula, (0,), first[:, None], second[:, None])[:, 0])
-        return 12.0 * float(mass @ v) - 3.0 - spearman
+        rho = math.sin(0.5 * math.pi * tau)
+        pair = Copula(correlation=np.array([[1.0, rho], [rho, 1.0]]), dof=dof)
+        return 12.0 * float(mass @ special.ndtr(pair.score_at(1, (0,), first[:, None], second))) - 3.0 - spearman
 
-    if spearman == 0.0:
-        return 0.0
     # tau lies below rho, and not below a third of it (Daniels 1950 bounds their distance)
-    return _strength(kind, "kendall", root(gap, spearman / 3.0, 0.5 * (1.0 + spearman), xtol=1e-10))
-
-
-def conditional_score(copula: Copula, target: int, given: Sequence[int], known: Array, score: Array) -> Array:
-    """Normal score (n,) of P(member `target` <= `score` | members `given` at the scores `known` (n, j)).
-
-    Increasing in `score`; the score itself where nothing is given.
-
-    >>> pair = make_copula("clayton", 2, kendall=0.5)
-    >>> bool(conditional_score(pair, 1, (0,), np.array([[-2.0]]), np.array([0.0]))[0] > 0.0)
-    True
-    """
-    score = np.asarray(score, dtype=float)
-    return copula.conditional_score(target, given, known, score) if len(given) else score
-
-
-def conditional_scores(copula: Copula, given: Sequence[int], known: Array, normals: Array) -> Array:
-    """Scores (n, size - j) of the members not given, in their order, given j members at the scores `known` (n, j).
-
-    `normals` (n, size - j) are independent standard normals, one for every member that is not given.
-    """
-    known, normals = np.asarray(known, dtype=float), np.asarray(normals, dtype=float)
-    rest = [member for member in range(copula.size) if member not in given]
-    held, before = list(given), known
-    found = np.empty_like(normals)
-    for column, member in enumerate(rest):
-        found[:, column] = copula.score_at(member, held, before, normals[:, column]) if held else normals[:, column]
-        held = [*held, member]
-        before = np.concatenate([before, found[:, column : column + 1]], axis=1)
-    return found
-
-
-def dependent_scores(copula: Copula, normals: Array) -> Array:
-    """Independent standard normals (n, size) -> dependent normal scores (n, size): inverse Rosenblatt transform."""
-    return conditional_scores(copula, (), np.empty((len(normals), 0)), normals)
-
-
-def independent_scores(copula: Copula, scores: Array) -> Array:
-    """Dependent normal scores (n, size) -> independent standard normals (n, size): Rosenblatt transform."""
-    found = np.empty_like(scores)
-    for member in range(copula.size):
-        before = list(range(member))
-        found[:, member] = conditional_score(copula, member, before, scores[:, :member], scores[:, member])
-    return found
+    return math.sin(0.5 * math.pi * root(gap, spearman / 3.0, 0.5 * (1.0 + spearman), xtol=1e-10))
 
 
 # --- several inputs ----------------------------------------------------------------------------------------
@@ -205,7 +207,7 @@ class Tie:
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Names that are tied by a copula other than the Gaussian; in the order of its members."""
+    """Names that are tied by a Student t copula, in the order of its members."""
 
     members: tuple[str, ...]
     copula: Copula
@@ -227,7 +229,7 @@ class Joint:
     """Named laws in a fixed order, and what ties them.
 
     `correlation` (d, d) is that of the normal scores under the Gaussian copula, None if no two are tied so; `groups`
-    are tied by other copulas, and their members have no correlation here.
+    are tied by Student t copulas, and their members have no correlation here.
 
     >>> from uqsphere.uq.law import make_law
     >>> two = Joint(names=("a", "b"), laws=(make_law("normal", {"mean": 1.0, "sd": 0.1}),
@@ -244,9 +246,21 @@ class Joint:
     def __post_init__(self) -> None:
         if len(self.names) != len(self.laws) or len(set(self.names)) != len(self.names):
             raise LawError(f"{len(self.laws)} laws need as many different names, found {list(self.names)}")
+        taken = {name for columns, _ in self._gaussian() for name in (self.names[k] for k in columns)}
         if self.correlation is not None:
             _factor(self.names, np.asarray(self.correlation, dtype=float))
-        _check_groups(self)
+        for group in self.groups:
+            for name in group.members:
+                if name not in self.names:
+                    known = ", ".join(self.names) or "none"
+                    raise LawError(f"{name!r} is not a random input; random are: {known}", "of")
+                if name in taken:
+                    raise LawError(f"{name} is in more than one dependence, and one of them is not Gaussian: name all "
+                                   "that depend on each other in one dependence, or take Gaussian copulas", "of")  # fmt: skip
+                taken.add(name)
+
+    def __repr__(self) -> str:
+        return f"<Joint of {', '.join(self.names)}{', dependent' if self.dependent else ''}>"
 
     @property
     def dependent(self) -> bool:
@@ -256,8 +270,6 @@ class Joint:
     @cached_property
     def _lower(self) -> Array | None:
         return None if self.correlation is None else _factor(self.names, self.correlation)
-
-    # --- from independent normals to inputs -------------------------------------------------------------
 
     def scores(self, normals: Array) -> Array:
         """Independent standard normals (..., d) -> dependent normal scores (..., d)."""
@@ -269,11 +281,11 @@ class Joint:
             rows = rows.copy()
             for group in self.groups:
                 at = [self.names.index(name) for name in group.members]
-                rows[:, at] = dependent_scores(group.copula, rows[:, at])
+                rows[:, at] = group.copula.conditional_scores((), np.empty((len(rows), 0)), rows[:, at])
         return rows.reshape(normals.shape)
 
     def marginal(self, scores: Array) -> Array:
-        """Dependent normal scores (..., d) -> inputs (..., d) in SI: the laws alone."""
+        """Dependent normal scores (..., d) -> inputs (..., d) in SI: the laws, without what ties them."""
         physical = np.empty_like(scores)
         for column, law in enumerate(self.laws):
             physical[..., column] = law.from_normal(scores[..., column])
@@ -282,8 +294,6 @@ class Joint:
     def physical(self, normals: Array) -> Array:
         """Independent standard normals (..., d) -> inputs (..., d) in SI, with laws and copulas in force."""
         return self.marginal(self.scores(normals))
-
-    # --- some inputs, and some given others -----------------------------------------------------------------
 
     def only(self, names: Sequence[str]) -> Joint:
         """Some of the inputs, with what ties them to each other."""
@@ -302,17 +312,17 @@ class Joint:
         laws = tuple(self.laws[k] for k in at)
         return Joint(names=tuple(names), laws=laws, correlation=correlation, groups=tuple(groups))
 
+    def _gaussian(self) -> list[tuple[tuple[int, ...], Copula]]:
+        if self.correlation is None:
+            return []
+        off = np.abs(np.asarray(self.correlation) - np.eye(len(self.correlation))).max(axis=1, initial=0.0) > 0.0
+        tied = tuple(int(k) for k in np.flatnonzero(off))
+        return [(tied, Copula(correlation=self.correlation[np.ix_(tied, tied)]))] if tied else []
+
     def blocks(self) -> list[tuple[tuple[int, ...], Copula]]:
         """Columns that are tied to each other, with their copula; all that the Gaussian one ties are one block."""
-        found: list[tuple[tuple[int, ...], Copula]] = [
-            (tuple(self.names.index(name) for name in group.members), group.copula) for group in self.groups
-        ]
-        if self.correlation is not None:
-            off = np.abs(self.correlation - np.eye(len(self.names))).max(axis=1) > 0.0
-            tied = tuple(int(k) for k in np.flatnonzero(off))
-            if tied:
-                found.insert(0, (tied, Elliptical(correlation=self.correlation[np.ix_(tied, tied)])))
-        return found
+        return self._gaussian() + [(tuple(self.names.index(name) for name in group.members), group.copula)
+                                   for group in self.groups]  # fmt: skip
 
     def tied(self) -> list[str]:
         """Names that depend on another one, in order."""
@@ -332,21 +342,20 @@ class Joint:
             free = [column for column in block if column not in held]
             if free:
                 known = found[:, [block[k] for k in fixed]]
-                found[:, free] = conditional_scores(copula, fixed, known, normals[:, free])
+                found[:, free] = copula.conditional_scores(fixed, known, normals[:, free])
         return found
 
     def regression(self, target: str, given: Sequence[str]) -> tuple[Array, float]:
-        """Normal score of `target` given the normal scores of `given`: weights (k,) and remaining sd.
+        """Normal score of `target` given the normal scores of `given` by the Gaussian copula: weights (k,), sd left.
 
-        z_target | z_given is normal with mean weights · z_given and standard deviation sd; independent: 0, 1.
+        z_target | z_given is normal with mean weights · z_given and this standard deviation; independent: 0, 1.
         """
         if self.correlation is None or not given:
             return np.zeros(len(given)), 1.0
         at = self.names.index(target)
         others = [self.names.index(name) for name in given]
-        within = self.correlation[np.ix_(others, others)]
         across = self.correlation[others, at]
-        weights = np.asarray(np.linalg.solve(within, across), dtype=np.float64)
+        weights = np.asarray(np.linalg.solve(self.correlation[np.ix_(others, others)], across), dtype=np.float64)
         return weights, math.sqrt(max(0.0, 1.0 - float(across @ weights)))
 
     def tie(self, target: str, drawn: Sequence[str], scores: Array) -> Tie | None:
@@ -355,36 +364,12 @@ class Joint:
         None where it depends on none of them or by the Gaussian copula, for which there is `regression`.
         """
         for group in self.groups:
-            if target not in group.members:
-                continue
             known = [name for name in group.members if name in drawn]
-            if not known:
-                return None
-            copula = group.copula.among([group.members.index(name) for name in (*known, target)])
-            of = tuple(list(drawn).index(name) for name in known)
-            return Tie(copula=copula, given=scores[..., list(of)], of=of)
+            if target in group.members and known:
+                copula = group.copula.among([group.members.index(name) for name in (*known, target)])
+                of = tuple(list(drawn).index(name) for name in known)
+                return Tie(copula=copula, given=scores[..., list(of)], of=of)
         return None
-
-
-def _check_groups(inputs: Joint) -> None:
-    taken: set[str] = set()
-    if inputs.correlation is not None and inputs.groups:
-        tied = np.abs(inputs.correlation - np.eye(len(inputs.names))).max(axis=1) > 0.0
-        taken = {name for name, is_tied in zip(inputs.names, tied, strict=True) if is_tied}
-    for group in inputs.groups:
-        if group.copula.size != len(group.members):
-            raise LawError(f"a copula of {group.copula.size} members cannot tie {list(group.members)}", "of")
-        for name in group.members:
-            if name not in inputs.names:
-                known = ", ".join(inputs.names) or "none"
-                raise LawError(f"{name!r} is not a random input; random are: {known}", "of")
-            if name in taken:
-                raise LawError(
-                    f"{name} is in more than one dependence, and one of them is not Gaussian: name all that depend "
-                    "on each other in one dependence, or take Gaussian copulas",
-                    "of",
-                )
-            taken.add(name)
 
 
 def _factor(names: Sequence[str], correlation: Array) -> Array:
@@ -398,39 +383,9 @@ def _factor(names: Sequence[str], correlation: Array) -> Array:
         raise LawError("the correlation matrix must be symmetric")
     smallest = float(np.linalg.eigvalsh(correlation)[0]) if d else 1.0
     if smallest < 1e-10:
-        raise LawError(
-            f"the dependences cannot hold together: the correlation matrix is not positive definite "
-            f"(smallest eigenvalue {smallest:.3g}); weaken or remove some of them",
-            "spearman",
-        )
+        raise LawError("the dependences cannot hold together: the correlation matrix is not positive definite "
+                       f"(smallest eigenvalue {smallest:.3g}); weaken or remove some of them", "spearman")  # fmt: skip
     return np.asarray(np.linalg.cholesky(correlation), dtype=np.float64)
-
-
-def correlation_from_spearman(names: Sequence[str], groups: Sequence[tuple[tuple[str, ...], float]]) -> Array | None:
-    """Correlation (d, d) of the normal scores from rank correlations that hold for every pair of a group.
-
-    None if nothing depends on anything.  Raises LawError (keys "of", "spearman") for unknown or repeated
-    names, a pair given twice, |rho| >= 1, and a matrix that is not positive definite.
-    """
-    correlation = np.eye(len(names))
-    tied: set[tuple[int, int]] = set()
-    for members, spearman in groups:
-        if unknown := [name for name in members if name not in names]:
-            raise LawError(f"{unknown[0]!r} is not a random input; random are: {', '.join(names) or 'none'}", "of")
-        if len(members) < 2 or len(set(members)) != len(members):
-            raise LawError(f"a dependence needs two or more different inputs, found {list(members)}", "of")
-        for pair in combinations(sorted(map(list(names).index, members)), 2):
-            if not (math.isfinite(spearman) and -1.0 < spearman < 1.0):
-                raise LawError(f"spearman must lie strictly between -1 and 1, found {spearman:g}", "spearman")
-            if pair in tied:
-                one, other = (names[k] for k in pair)
-                raise LawError(f"the dependence of {one} and {other} is given twice", "of")
-            tied.add(pair)
-            correlation[pair] = correlation[pair[::-1]] = 2.0 * math.sin(math.pi * spearman / 6.0)
-    if not np.any(correlation - np.eye(len(names))):
-        return None
-    _factor(names, correlation)
-    return correlation
 
 
 def make_joint(names: Sequence[str], laws: Sequence[Law], dependences: Sequence[Dependence]) -> Joint:
@@ -440,27 +395,23 @@ def make_joint(names: Sequence[str], laws: Sequence[Law], dependences: Sequence[
 
     >>> from uqsphere.uq.law import make_law
     >>> law = make_law("normal", {"mean": 0.0, "sd": 1.0})
-    >>> made = make_joint(("a", "b", "c"), (law,) * 3, [Dependence(of=("a", "c"), kendall=0.5, copula="clayton")])
-    >>> made.groups[0].copula.theta, made.correlation is None
-    (2.0, True)
+    >>> make_joint(("a", "b", "c"), (law,) * 3, [Dependence(of=("a", "c"), spearman=0.5)]).tied()
+    ['a', 'c']
     """
-    gaussian = [(tie.of, _spearman(tie)) for tie in dependences if tie.copula == "gaussian"]
-    groups = []
+    correlation, groups, pairs = np.eye(len(names)), [], set[tuple[int, int]]()
     for tie in dependences:
-        if tie.copula == "gaussian":
-            continue
         if len(set(tie.of)) != len(tie.of):
             raise LawError(f"a dependence needs two or more different inputs, found {list(tie.of)}", "of")
         copula = make_copula(tie.copula, len(tie.of), spearman=tie.spearman, kendall=tie.kendall, dof=tie.dof)
-        groups.append(Group(members=tie.of, copula=copula))
-    correlation = correlation_from_spearman(names, gaussian) if gaussian else None
-    return Joint(names=tuple(names), laws=tuple(laws), correlation=correlation, groups=tuple(groups))
-
-
-def _spearman(tie: Dependence) -> float:
-    """Spearman's rho of a Gaussian dependence that may be given by Kendall's tau."""
-    if tie.spearman is not None:
-        return tie.spearman
-    if tie.kendall is None or not -1.0 < tie.kendall < 1.0:
-        raise LawError(f"kendall must lie strictly between -1 and 1, found {tie.kendall}", "kendall")
-    return 6.0 / math.pi * math.asin(0.5 * math.sin(0.5 * math.pi * tie.kendall))
+        if tie.copula != "gaussian":
+            groups.append(Group(members=tuple(tie.of), copula=copula))
+            continue
+        if unknown := [name for name in tie.of if name not in names]:
+            raise LawError(f"{unknown[0]!r} is not a random input; random are: {', '.join(names) or 'none'}", "of")
+        for pair in combinations(sorted(map(list(names).index, tie.of)), 2):
+            if pair in pairs:
+                raise LawError(f"the dependence of {names[pair[0]]} and {names[pair[1]]} is given twice", "of")
+            pairs.add(pair)
+            correlation[pair] = correlation[pair[::-1]] = copula.correlation[0, 1]
+    tied = bool(np.any(correlation - np.eye(len(names))))
+    return Joint(names=tuple(names), laws=tuple(laws), correlation=correlation if tied else None, groups=tuple(groups))

@@ -7,18 +7,15 @@ standard deviations out keeps all its digits.  Nothing imports scipy.stats.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import cast
 
 import numpy as np
 
 from uqsphere.arrays import Array, special
 from uqsphere.uq.families import FAMILIES, Family, LawError, family_named, family_stored
-from uqsphere.uq.families.family import Shapes
 from uqsphere.uq.families.observed import steps_ppf, steps_share_below
-from uqsphere.uq.roots import root
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +41,11 @@ class Law:
     data: tuple[float, ...] = ()
     censored: tuple[float, ...] = ()
     draws: tuple[tuple[float, ...], ...] = ()
+
+    def __repr__(self) -> str:
+        own = ", ".join(f"{key} = {value:.6g}" for key, value in self.parameters.items())
+        ends = "" if math.isinf(self.lower) and math.isinf(self.upper) else f" on [{self.lower:.6g}, {self.upper:.6g}]"
+        return f"<Law {self.family.name}({own}){ends}>"
 
     def __reduce__(self) -> tuple[object, ...]:
         # a family is known by its name, and is not sent along
@@ -219,6 +221,10 @@ class Law:
 
     # --- moments ------------------------------------------------------------------------------------------
 
+    def sample(self, count: int, rng: np.random.Generator) -> Array:
+        """Independent values (count,)."""
+        return self.ppf(rng.random(count))
+
     def median(self) -> float:
         """Median of the law in force."""
         return float(self.ppf(np.array([0.5]))[0])
@@ -306,86 +312,10 @@ class Law:
         ratio = mean / given["mean"] if cut else 1.0
         return make_law(self.family.name, {**given, "mean": mean}, ratio * self.lower, ratio * self.upper)
 
-    def with_scatter(self, factor: float) -> tuple[str, float, float, Law] | None:
-        """The law with the same mean and its modulus, or coefficient of variation, times a factor; None without one.
-
-        Returns
-        -------
-        str, float, float, Law
-            `modulus` or `cov`, what it is, what it becomes, and the law.
-
-        >>> weibull = make_law("weibull", {"mean": 4.0, "modulus": 12.0})
-        >>> what, taken, instead, other = weibull.with_scatter(0.5)
-        >>> what, taken, instead, round(other.mean(), 12)
-        ('modulus', 12.0, 6.0, 4.0)
-        """
-        own, keys = self.parameters, self.family.alternatives
-        try:
-            if ("mean", "modulus") in keys:
-                modulus = own["modulus"]
-                optional = {key: own[key] for key in self.family.optional}
-                given = {"mean": self.nominal_mean(), "modulus": factor * modulus, **optional}
-                return "modulus", modulus, _rounded(factor * modulus), self._like(self.family.name, given)
-            if ("mean", "sd") not in keys:
-                return None
-            centre, scatter = self._untruncated_moments()
-            cov = scatter / centre
-            other = self._like(self.family.name, {"mean": centre, "sd": factor * scatter})
-            return "cov", _rounded(cov), _rounded(factor * cov), other
-        except (LawError, OverflowError, ZeroDivisionError):
-            return None
-
-    def kin(self) -> Law | None:
-        """The law with the same mean and scatter of the family that is held against its own; None where there is none.
-
-        >>> round(make_law("weibull", {"mean": 4.0, "modulus": 12.0}).kin().sd(), 3)
-        0.405
-        """
-        if not self.family.kin:
-            return None
-        try:
-            centre, scatter = self._untruncated_moments()
-            if not (centre > 0.0 and 0.0 < scatter < centre):
-                return None
-            other = FAMILIES[self.family.kin]
-            given = {"mean": centre, "sd": scatter}
-            if ("mean", "sd") not in other.alternatives:
-                given = {"mean": centre, "modulus": weibull_modulus(scatter / centre)}
-            return self._like(other.name, given)
-        except (LawError, OverflowError, ZeroDivisionError):
-            return None
-
-    def _like(self, name: str, given: Mapping[str, float]) -> Law:
-        return make_law(name, given, self.lower, self.upper)
-
-    def _untruncated_moments(self) -> tuple[float, float]:
-        """Mean and standard deviation before truncation, but for a law that its bounds belong to."""
-        bare = self if self.family.bounded else replace(self, lower=-math.inf, upper=math.inf)
-        return float(bare.mean()), float(bare.sd())
-
-
-def tails_together(laws: Sequence[Law], x: Array) -> tuple[Array, Array] | None:
-    """(P(X <= x), P(X > x)) of several laws, (laws, *x.shape) each; None where they are not of one unbounded family."""
-    family = laws[0].family
-    if family.observed or family.bounded or any(law.family is not family or law._truncated for law in laws):
-        return None
-    locations, scales, shapes = zip(*(law._form for law in laws), strict=True)
-    column = (-1, *(1,) * x.ndim)
-    given = cast(Shapes, tuple(np.reshape(one, column) for one in zip(*shapes, strict=True)))
-    with np.errstate(divide="ignore", over="ignore"):
-        values = np.log(np.maximum(x, 0.0)) if family.logarithmic else x
-        y = (values - np.reshape(locations, column)) / np.reshape(scales, column)
-        return family.cdf(y, given), family.sf(y, given)
-
 
 def _named(name: str, *rest: object) -> Law:
     keys = ("parameters", "lower", "upper", "data", "censored", "draws")
     return Law(family=family_stored(name), **dict(zip(keys, rest, strict=True)))  # type: ignore[arg-type]
-
-
-def _rounded(value: float) -> float:
-    """Without the last digits, which are rounding."""
-    return float(f"{value:.12g}")
 
 
 def make_law(name: str, given: Mapping[str, float], lower: float | None = None, upper: float | None = None) -> Law:
@@ -445,12 +375,3 @@ def checked(law: Law) -> Law:
     if not high > low:
         raise LawError("the law has no scatter: give the number itself where a fixed value is meant", "dist")
     return law
-
-
-def weibull_modulus(cov: float) -> float:
-    """Modulus of the Weibull law with a coefficient of variation below 1."""
-
-    def gap(m: float) -> float:
-        return math.lgamma(1.0 + 2.0 / m) - 2.0 * math.lgamma(1.0 + 1.0 / m) - math.log1p(cov**2)
-
-    return root(gap, 0.9, 2.0 / cov + 2.0)

@@ -10,15 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
-from uqsphere.uq.copulas import FARTHEST
 from uqsphere.uq.describe import quantile_estimates
 from uqsphere.uq.estimate import Estimate, absent, between, probability_ends, spread, student
-from uqsphere.uq.joint import Tie, conditional_score, conditional_scores
+from uqsphere.uq.joint import FARTHEST, Tie
 from uqsphere.uq.law import Law
 from uqsphere.uq.roots import root
 
@@ -32,8 +31,8 @@ class LimitState:
 
     `strength` is a number or a law.  `shift` (R, n) and `remaining_sd` describe a strength that depends on
     the inputs by the Gaussian copula: its normal score is shift + remaining_sd · ε, the shift being the inputs'
-    scores times `weights` (`inputs.conditional_normal`).  `tie`, with given scores (R, n, k), is one that depends
-    on them by another copula (`inputs.strength_tie`).  `censored` demands are known only to exceed their value;
+    scores times `weights` (`Joint.regression`).  `tie`, with given scores (R, n, k), is one that depends
+    on them by a Student t copula (`Joint.tie`).  `censored` demands are known only to exceed their value;
     `failed` rows (and demands that are nan) are left out (`on_failure` "drop") or counted once as exceeding and
     once as not ("bound"), never as survival.
     """
@@ -77,7 +76,7 @@ class LimitState:
             known = given.reshape(-1, given.shape[-1])
             last = copula.size - 1
             near = np.clip(score, -FARTHEST, FARTHEST)
-            found = conditional_score(copula, last, range(last), known, near.reshape(-1)).reshape(score.shape)
+            found = copula.conditional_score(last, range(last), known, near.reshape(-1)).reshape(score.shape)
             return np.where(np.isinf(score), score, found)
         return score if self.shift is None else shifted_score(score, self.shift, self.remaining_sd)
 
@@ -86,7 +85,7 @@ class LimitState:
         if self.tie is not None:
             known, last = self.tie.given.reshape(-1, self.tie.given.shape[-1]), self.tie.copula.size - 1
             near = np.clip(score, -FARTHEST, FARTHEST).reshape(-1, 1)
-            return conditional_scores(self.tie.copula, range(last), known, near).reshape(score.shape)
+            return self.tie.copula.conditional_scores(range(last), known, near).reshape(score.shape)
         return score if self.shift is None else self.shift + self.remaining_sd * score
 
 
@@ -129,15 +128,6 @@ def shifted_score(score: Array, shift: Array, remaining: float) -> Array:
     if remaining == 0.0:
         return np.where(score > shift, math.inf, -math.inf)
     return np.asarray((score - shift) / remaining)
-
-
-def pick_replicates(state: LimitState, rows: Sequence[int]) -> LimitState:
-    """The state of some of the replicates, in the order given; one may come twice."""
-    at = np.asarray(rows)
-    tie = None if state.tie is None else replace(state.tie, given=state.tie.given[at])
-    parts: dict[str, Any] = {name: getattr(state, name) for name in ("demands", "shift", "censored", "failed")}
-    chosen: dict[str, Any] = {name: None if part is None else part[at] for name, part in parts.items()}
-    return replace(state, tie=tie, **chosen)
 
 
 def _interval(event: Array, other: Array, counts: Array, cell: float) -> tuple[float, float, float, float]:
@@ -186,19 +176,6 @@ def _estimate(state: LimitState, breaking: bool) -> Estimate:
         method += f", one sample carries {100.0 * largest:.0f} %"
     return Estimate(value=value, low=min(low, value), high=max(high, value), std_error=error,
                     method=method, evaluations=total)  # fmt: skip
-
-
-def by_replicate(state: LimitState, aim: str) -> Array | None:
-    """Probability (R,) that the aim is missed, of each replicate by itself; None where one has no two rows.
-
-    Rows without a demand are left out, and demands that are lower bounds count as they are.
-    """
-    state = replace(state, censored=None, failed=None)
-    below, above = tails(state)
-    event, other = (above, below) if aim == "break" else (below, above)
-    if (~state.broken).sum(axis=1).min() < 2:
-        return None
-    return np.asarray(event.sum(axis=1) / (event + other).sum(axis=1))
 
 
 def exceedance(state: LimitState) -> Estimate:

@@ -1,4 +1,4 @@
-"""The one table of rows: where the points of a design lie, and what was answered there."""
+"""The one table of rows: where the points of a design lie, and the answers there."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ class Sample:
     quantities : the q answers, in the order of the columns; none before the rows are evaluated
     answers, censored : values [SI], and whether they outlast the record, (R, n, q) each
     status, failed : the model's code of each row, and whether an answer of it is missing, (R, n) each
-    fidelity : the model that was asked
     """
 
     names: tuple[str, ...]
@@ -34,7 +33,6 @@ class Sample:
     censored: Flags
     status: npt.NDArray[np.int64]
     failed: Flags
-    fidelity: str = ""
 
     @classmethod
     def at(cls, names: Sequence[str], scores: Array, inputs: Array) -> Sample:
@@ -93,9 +91,8 @@ class Sample:
         censored: Flags | None = None,
         status: npt.NDArray[np.int64] | None = None,
         failed: Flags | None = None,
-        fidelity: str = "",
     ) -> Sample:
-        """The same points with answers (R, n, q), none of them censored or failed unless it is said."""
+        """The same points with answers (R, n, q), none of them censored or failed by default."""
         shape = self.scores.shape[:2]
         return replace(
             self,
@@ -104,7 +101,6 @@ class Sample:
             censored=np.zeros(answers.shape, dtype=bool) if censored is None else censored,
             status=np.zeros(shape, dtype=np.int64) if status is None else status,
             failed=np.zeros(shape, dtype=bool) if failed is None else failed,
-            fidelity=fidelity,
         )
 
     def join(self, other: Sample) -> Sample:
@@ -118,10 +114,6 @@ class Sample:
     def whole(self) -> Sample:
         """The same number of rows without a failure from every replicate."""
         return self._each(lambda own, _: without(own, self.failed), self)
-
-    def blocks(self, count: int) -> Sample:
-        """One replicate cut into `count` blocks of consecutive rows, which serve as replicates."""
-        return self._each(lambda own, _: own[0].reshape(count, -1, *own.shape[2:]), self)
 
     def _each(self, change: Callable[[Cells, Cells], Cells], other: Sample) -> Sample:
         rows = ("scores", "inputs", "answers", "censored", "status", "failed")

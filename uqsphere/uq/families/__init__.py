@@ -20,5 +20,5 @@ def family_named(name: str) -> Family | None:
 
 
 def family_stored(name: str) -> Family | None:
-    """A family by its name in a result: one that a study names, or that of a posterior."""
+    """A family by its name in a result: one that a study names, or that of draws."""
     return DRAWN if name == DRAWN.name else family_named(name)

@@ -1,12 +1,11 @@
-"""What a family of laws is: its table in a study, its standard form in both tails, and what observations tell of it.
+"""What a family of laws is: its table in a study, its standard form in both tails, and how observations are fitted.
 
 A family is known by functions of y = (x - location)/scale and of its shape parameters.  The lower and the upper tail
 have functions of their own, so that neither is a difference from one: each keeps its relative accuracy however small it
 is.  Families with `logarithmic` hold for ln x instead of x.
 
-Whatever depends on the distribution is asked of its `Family`: the keys that a study may give, the JSON schema, labels,
-fits to observations, the laws that few tests leave open.  A new distribution is one `Family` in its file and a line in
-docs/study-file.md.
+Whatever depends on the distribution is in its `Family`: the keys that a study may give, labels, fits to observations,
+the laws that few tests leave open.  A new distribution is one `Family`.
 """
 
 from __future__ import annotations
@@ -34,19 +33,6 @@ class LawError(ValueError):
         super().__init__(message)
         self.message = message
         self.key = key
-
-
-@dataclass(frozen=True, kw_only=True)
-class Posterior:
-    """Parameters of a family that observations tell by their likelihood, in the order of `keys`.
-
-    `positive` are those that enter by their logarithm; `ranges` gives the lowest and highest values, of logarithms
-    where they are positive, from the bounds of the law: infinite, or between which any value is as likely.
-    """
-
-    keys: tuple[str, ...]
-    positive: tuple[bool, ...]
-    ranges: Callable[[float, float], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,31 +110,6 @@ class Strength:
         return g / h * spread[:, 0] + centre[:, 0], spread[:, 0] / h
 
 
-@dataclass(frozen=True, kw_only=True)
-class Distances:
-    """How a family is tried on observations beside others: fitted parameters, and how far off a fit to its own is.
-
-    Attributes
-    ----------
-    below : (samples, n, shape, generator) -> P(X <= x) (samples, n) at ordered samples of the family, each fitted to
-    fit : values (n,) in rising order -> parameters, with `lower` and `upper` if they are told, where it is another
-        than that of the family
-    count : parameters that are fitted
-    shape : parameters -> the shape that `below` depends on; those of a location and scale depend on none
-    evidence : values (n,) in rising order -> logarithm of the Bayes factor against the normal law, for a family whose
-        likelihood is not regular
-    drawn : (parameters, values, count, generator) -> parameters (count,) that the observations allow, where they are
-        not those of `possible_laws`
-    """
-
-    below: Callable[[int, int, float, np.random.Generator], Array]
-    fit: Callable[[Array], Parameters] | None = None
-    count: int = 2
-    shape: Callable[[Parameters], float] = lambda parameters: 1.0
-    evidence: Callable[[Array], float] | None = None
-    drawn: Callable[[Parameters, Array, int, np.random.Generator], Columns] | None = None
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Family:
     """A family of laws.
@@ -172,14 +133,10 @@ class Family:
     gaussian : the standard form is the normal law
     whole_mean, whole_sd : of x by (parameters, lower, upper), where they are not location + scale times those of y
     least : (parameters, lower, upper) -> a bound below which there is nothing to speak of
-    variation : parameters -> standard deviation over mean of a law of positive numbers, 0 where it is not told
     fit : (observations (n,) in rising order, lower, upper) -> parameters of the largest likelihood; raises ValueError
     positive : only positive observations can come from it
     pivots : (parameters, n, count, generator) -> parameters (count,) that n observations allow
-    posterior : in place of pivots, how the likelihood tells the parameters
     strength : how it is fitted with stopped tests among the others; None where it cannot be
-    tried : how it is tried on observations beside others; None where it is not
-    kin : family with the same mean and scatter that is held against it
     """
 
     name: str
@@ -209,15 +166,11 @@ class Family:
     whole_sd: Callable[[Parameters, float, float], float] | None = None
 
     least: Callable[[Parameters, float, float], float] = lambda parameters, lower, upper: -math.inf
-    variation: Callable[[Parameters], float] = lambda parameters: 0.0
 
     fit: Callable[[Array, float, float], Parameters]
     positive: bool = False
     pivots: Callable[[Parameters, int, int, np.random.Generator], Columns] | None = None
-    posterior: Posterior | None = None
     strength: Strength | None = None
-    tried: Distances | None = None
-    kin: str = ""
 
     def __repr__(self) -> str:
         return f"<family {self.name}>"

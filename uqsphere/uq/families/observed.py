@@ -236,11 +236,11 @@ def _drawn_mean(shapes: Shapes) -> float:
 
 
 def _not_given(*given: object) -> dict[str, float]:
-    raise LawError('draws are made by uqsphere fit: strength = { fit = "DIR" }', "dist")
+    raise LawError('draws are read from a file: { draws = "FILE.csv" }', "dist")
 
 
 DRAWN: Final = Family(
-    name="drawn",
+    name="draws",
     label="posterior",
     alternatives=((),),
     dimensional=frozenset(),

@@ -3,7 +3,6 @@
 With the estimates (m*, s*) of the largest likelihood of n draws of a standard law with a location and a scale,
 m - s m*/s* and s/s* are draws whose quantile intervals cover a quantile, or a probability, exactly as often as they
 promise, however small n is (J. F. Lawless, Statistical Models and Methods for Lifetime Data, 2003, sections 4.1 and E).
-Gamma, beta, Student's and triangular laws take the posterior of their parameters.
 """
 
 from __future__ import annotations
@@ -15,13 +14,9 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
-from uqsphere.uq.families.family import Columns, Distances, Family, LawError, Parameters, Posterior, Shapes, Strength
+from uqsphere.uq.families.family import Columns, Family, LawError, Parameters, Shapes, Strength
 
 MOMENTS: Final = (("mean", "sd"), ("mean", "cov"))
-#: steps of the logarithm of a shape between which the distribution of a distance is the same for all purposes
-_STEPS: Final = 20.0
-#: largest degrees of freedom that are tried: what cannot be told from a normal law
-_MOST_FREEDOM: Final = 200.0
 
 Keys = dict[str, float]
 Generator = np.random.Generator
@@ -45,11 +40,6 @@ def _normal_pivots(n: int, count: int, generator: Generator) -> tuple[Array, Arr
     """(m*/s*, 1/s*) of the maximum-likelihood estimates of n standard normal draws, (count,) each."""
     inverse = np.sqrt(n / generator.chisquare(n - 1, count))
     return generator.standard_normal(count) / math.sqrt(n) * inverse, inverse
-
-
-def _normal_below(samples: int, n: int, shape: float, generator: Generator) -> Array:
-    x = np.sort(generator.standard_normal((samples, n)), axis=1)
-    return special.ndtr((x - x.mean(axis=1, keepdims=True)) / x.std(axis=1, keepdims=True))
 
 
 def _lognormal_keys(given: Keys, lower: float, upper: float) -> Keys:
@@ -100,8 +90,6 @@ NORMAL: Final = Family(
     least=lambda own, lower, upper: own["mean"] - 8.0 * own["sd"] if lower < own["mean"] < upper else -math.inf,
     fit=lambda data, lower, upper: {"mean": float(np.mean(data)), "sd": float(np.std(data))},
     pivots=lambda own, n, count, generator: _normal_moved(own, *_normal_pivots(n, count, generator)),
-    tried=Distances(below=_normal_below),
-    kin="lognormal",
 )
 
 
@@ -116,7 +104,6 @@ LOGNORMAL: Final = replace(
     whole_mean=_lognormal_mean,
     whole_sd=lambda own, lower, upper: _lognormal_mean(own) * math.sqrt(math.expm1(own["log_sd"] ** 2)),
     least=lambda own, lower, upper: 0.0,
-    variation=lambda own: math.sqrt(math.expm1(own["log_sd"] ** 2)),
     fit=lambda data, lower, upper: {"log_mean": float(np.mean(np.log(data))), "log_sd": float(np.std(np.log(data)))},
     positive=True,
     pivots=lambda own, n, count, generator: _lognormal_moved(own, *_normal_pivots(n, count, generator)),
@@ -134,7 +121,6 @@ LOGNORMAL: Final = replace(
         shape_words="standard deviation of the logarithm",
         scale_words="median",
     ),
-    kin="weibull",
 )
 
 
@@ -152,12 +138,6 @@ def extreme_pivots(n: int, count: int, generator: Generator) -> tuple[Array, Arr
     """(m*/s*, 1/s*) of n draws of ln E, E exponential: the logarithm of a standard Weibull variable."""
     modulus, scale = weibull_estimates(np.log(generator.standard_exponential((count, n))))
     return np.log(scale) * modulus, modulus
-
-
-def _extreme_below(samples: int, n: int, shape: float, generator: Generator) -> Array:
-    x = np.sort(generator.standard_exponential((samples, n)), axis=1)
-    modulus, scale = weibull_estimates(np.log(x))
-    return np.asarray(-np.expm1(-((x / scale[:, None]) ** modulus[:, None])))
 
 
 def _extreme_terms(z: Array, failed: Flags) -> tuple[Array, Array, Array]:
@@ -214,7 +194,6 @@ WEIBULL: Final = Family(
     mean=lambda shapes: math.gamma(1.0 + 1.0 / shapes[0]),
     sd=lambda shapes: math.exp(math.lgamma(1.0 + 1.0 / shapes[0])) * _weibull_variation(shapes[0]),
     least=lambda own, lower, upper: own["threshold"],
-    variation=lambda own: 0.0 if own["threshold"] else _weibull_variation(own["modulus"]),
     fit=_weibull_fit,
     positive=True,
     pivots=lambda own, n, count, generator: _weibull_moved(own, *extreme_pivots(n, count, generator)),
@@ -231,14 +210,7 @@ WEIBULL: Final = Family(
         shape_words="modulus",
         scale_words="scale (63.2 %)",
     ),
-    tried=Distances(below=_extreme_below),
-    kin="lognormal",
 )
-
-
-def _exponential_below(samples: int, n: int, shape: float, generator: Generator) -> Array:
-    x = np.sort(generator.standard_exponential((samples, n)), axis=1)
-    return np.asarray(-np.expm1(-x / x.mean(axis=1, keepdims=True)))
 
 
 #: Weibull with the modulus 1
@@ -254,12 +226,9 @@ EXPONENTIAL: Final = replace(
     },
     resolve=lambda own, lower, upper: (0.0, 1.0 / own["rate"], (1.0,)),
     least=lambda own, lower, upper: 0.0,
-    variation=lambda own: 0.0,
     fit=lambda data, lower, upper: {"rate": 1.0 / float(np.mean(data))},
     pivots=lambda own, n, count, generator: {"rate": own["rate"] * generator.chisquare(2 * n, count) / (2.0 * n)},
     strength=None,
-    tried=Distances(below=_exponential_below, count=1),
-    kin="",
 )
 
 
@@ -279,8 +248,6 @@ RAYLEIGH: Final = replace(
     pivots=lambda own, n, count, generator: {
         "scale": own["scale"] * np.sqrt(2.0 * n / generator.chisquare(2 * n, count))
     },
-    tried=None,
-    kin="lognormal",
 )
 
 
@@ -373,17 +340,10 @@ GUMBEL: Final = Family(
     sd=lambda shapes: math.pi / math.sqrt(6.0),
     fit=_gumbel_fit,
     pivots=_gumbel_pivots,
-    tried=Distances(below=_extreme_below),
-    kin="lognormal",
 )
 
 
 # --- gamma and Student's t -------------------------------------------------------------------------------
-
-
-def _anywhere(lower: float, upper: float) -> tuple[Array, Array]:
-    """Ranges of two parameters that the posterior leaves open."""
-    return np.full(2, -math.inf), np.full(2, math.inf)
 
 
 def _gamma_pdf(y: Array, shapes: Shapes) -> Array:
@@ -412,21 +372,6 @@ def _gamma_fit(data: Array, lower: float, upper: float) -> Keys:
     return {"shape": shape, "scale": float(data.mean()) / shape}
 
 
-def _gamma_below(samples: int, n: int, shape: float, generator: Generator) -> Array:
-    # the samples keep the fitted shape, and each is fitted again
-    x = np.sort(generator.standard_gamma(shape, (samples, n)), axis=1)
-    fitted = _gamma_shapes(x)
-    return special.gammainc(fitted[:, None], x * (fitted / x.mean(axis=1))[:, None])
-
-
-def _gamma_drawn(own: Parameters, values: Array, count: int, generator: Generator) -> Columns:
-    """From samples of the fitted law: ratios of shape and mean to those of the sample serve as pivots."""
-    shape, scale = own["shape"], own["scale"]
-    x = generator.standard_gamma(shape, (count, len(values)))
-    shapes = shape**2 / _gamma_shapes(x)
-    return {"shape": shapes, "scale": scale * shape**2 / x.mean(axis=1) / shapes}
-
-
 GAMMA: Final = Family(
     name="gamma",
     label="gamma",
@@ -442,16 +387,8 @@ GAMMA: Final = Family(
     mean=lambda shapes: shapes[0],
     sd=lambda shapes: math.sqrt(shapes[0]),
     least=lambda own, lower, upper: 0.0,
-    variation=lambda own: 1.0 / math.sqrt(own["shape"]),
     fit=_gamma_fit,
     positive=True,
-    posterior=Posterior(keys=("shape", "scale"), positive=(True, True), ranges=_anywhere),
-    tried=Distances(
-        below=_gamma_below,
-        shape=lambda own: math.exp(round(_STEPS * math.log(own["shape"])) / _STEPS),
-        drawn=_gamma_drawn,
-    ),
-    kin="lognormal",
 )
 
 
@@ -480,11 +417,6 @@ def _student_fit(data: Array, lower: float, upper: float) -> Keys:
     return {"dof": dof, "location": location * size, "scale": scale * size}
 
 
-def _student_range(lower: float, upper: float) -> tuple[Array, Array]:
-    # tests say little of the degrees of freedom: from Cauchy's law to what cannot be told from a normal one
-    return np.array([0.0, -math.inf, -math.inf]), np.array([math.log(_MOST_FREEDOM), math.inf, math.inf])
-
-
 STUDENT_T: Final = Family(
     name="student_t",
     label="Student’s t",
@@ -502,53 +434,10 @@ STUDENT_T: Final = Family(
     heavy_lower=lambda shapes: shapes[0],
     heavy_upper=lambda shapes: shapes[0],
     fit=_student_fit,
-    posterior=Posterior(keys=("dof", "location", "scale"), positive=(True, False, True), ranges=_student_range),
 )
 
 
 # --- between two bounds: uniform and loguniform ------------------------------------------------------------
-
-
-def _uniform_bounds(ordered: Array) -> tuple[Array, Array]:
-    """Unbiased bounds (rows,) of uniform laws from ordered observations (rows, n)."""
-    beyond = (ordered[:, -1] - ordered[:, 0]) / (ordered.shape[1] - 1)
-    return ordered[:, 0] - beyond, ordered[:, -1] + beyond
-
-
-def _uniform_fit(values: Array) -> Keys:
-    low, high = _uniform_bounds(values[None, :])
-    return {"lower": float(low[0]), "upper": float(high[0])}
-
-
-def _uniform_below(samples: int, n: int, shape: float, generator: Generator) -> Array:
-    x = np.sort(generator.random((samples, n)), axis=1)
-    low, high = _uniform_bounds(x)
-    return np.asarray((x - low[:, None]) / (high - low)[:, None])
-
-
-def _against_normal(values: Array) -> float:
-    """Logarithm of the Bayes factor of a uniform law against a normal one, ordered observations (n,).
-
-    Both with the prior dm ds/s of location and scale, for which the two marginal likelihoods are in closed form; their
-    ratio is the most powerful invariant test of one against the other (V. A. Uthoff, JASA 65, 1970, 1597).
-    """
-    n = values.size
-    width = float(values[-1] - values[0])
-    squares = float((((values - values.mean()) / width) ** 2).sum())
-    uniform = -math.log(n * (n - 1.0))
-    normal = float(special.gammaln(0.5 * (n - 1.0))) - 0.5 * (n - 1.0) * math.log(math.pi * squares)
-    return uniform - (normal - 0.5 * math.log(n) - math.log(2.0))
-
-
-def _uniform_drawn(own: Parameters, values: Array, count: int, generator: Generator) -> Columns:
-    """Bounds by pivots: the range of n observations over that of the law is Beta(n - 1, 2), and what is left of it lies
-    evenly on both sides."""
-    first, last, n = float(values[0]), float(values[-1]), len(values)
-    part = generator.beta(n - 1.0, 2.0, count)
-    below = generator.random(count) * (1.0 - part)
-    width = (last - first) / part
-    lower = first - below * width
-    return {"lower": lower, "upper": lower + width}
 
 
 UNIFORM: Final = Family(
@@ -568,7 +457,6 @@ UNIFORM: Final = Family(
     mean=lambda shapes: 0.5,
     sd=lambda shapes: math.sqrt(1.0 / 12.0),
     fit=lambda data, lower, upper: {},
-    tried=Distances(fit=_uniform_fit, below=_uniform_below, evidence=_against_normal, drawn=_uniform_drawn),
 )
 
 
@@ -587,7 +475,6 @@ LOGUNIFORM: Final = replace(
     logarithmic=True,
     whole_mean=lambda own, lower, upper: (upper - lower) / math.log(upper / lower),
     positive=True,
-    tried=None,
 )
 
 
@@ -652,9 +539,6 @@ TRIANGULAR: Final = Family(
     mean=lambda shapes: (1.0 + shapes[0]) / 3.0,
     sd=lambda shapes: math.sqrt((1.0 - shapes[0] + shapes[0] ** 2) / 18.0),
     fit=_triangular_fit,
-    posterior=Posterior(
-        keys=("mode",), positive=(False,), ranges=lambda lower, upper: (np.array([lower]), np.array([upper]))
-    ),
 )
 
 
@@ -706,7 +590,6 @@ BETA: Final = Family(
     mean=lambda shapes: shapes[0] / (shapes[0] + shapes[1]),
     sd=_beta_sd,
     fit=_beta_fit,
-    posterior=Posterior(keys=("alpha", "beta"), positive=(True, True), ranges=_anywhere),
 )
 
 FAMILIES: Final = (

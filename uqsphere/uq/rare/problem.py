@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, special
 
-#: range of a free scalar beside standard normal variables, to either side
-REACH = 3.0
+#: standard deviations beyond which the model is not evaluated: 2e-19 of a variable's probability lies there
+REACH: Final = 9.0
 
 
 class FailedEvaluation(ValueError):
@@ -31,15 +32,15 @@ class Spent(Exception):
 class LimitFunction:
     """A limit function of `dimension` independent standard normal variables.
 
-    `function` maps rows (n, dimension) to values (n,), failure where negative.  `integrated`: given u, failure
-    has the probability Phi(-g(u)).  `on_failure`: a value nan raises ("refuse") or is carried to the bounds of
-    the answer ("bound"): once as failure, once as none.
+    `function` maps rows (n, dimension) to values (n,), failure where negative.  `integrated`: given u, failure has the
+    probability Phi(-g(u)).  `on_failure`: a value nan raises ("refuse") or is carried to the bounds of the answer
+    ("bound"): once as failure, once as none.
     """
 
     function: Callable[[Array], Array]
     dimension: int
     integrated: bool = False
-    on_failure: str = "refuse"
+    on_failure: str = "bound"
 
     def __post_init__(self) -> None:
         if self.dimension < 1:
@@ -73,32 +74,28 @@ class Evaluator:
         return self.budget - self.count
 
     def values(self, points: Array) -> Array:
-        """g at points (n, dimension), counted; nan stays where the policy is "bound".
+        """g at points (n, dimension); inf beyond `REACH`, where nothing is evaluated; nan stays where the policy is
+        "bound".
 
-        Raises
-        ------
-        Spent
-            Before anything is evaluated, where the budget does not suffice.
-        FailedEvaluation
-            Where a value is nan and the policy is "refuse".
+        Raises Spent before anything is evaluated where the budget does not suffice, FailedEvaluation for a nan that is
+        refused.
         """
         points = np.ascontiguousarray(points, dtype=np.float64)
-        if points.ndim != 2 or points.shape[1] != self.dimension:
-            raise ValueError(f"points must be (n, {self.dimension}), found shape {points.shape}")
-        if not len(points):
-            return np.empty(0)
         if self.count + len(points) > self.budget:
             raise Spent
-        found = np.asarray(self.limit.function(points), dtype=np.float64)
+        near = np.flatnonzero(np.abs(points).max(axis=1) <= REACH) if len(points) else np.zeros(0, dtype=np.intp)
+        values = np.full(len(points), np.inf)
         self.count += len(points)
-        if found.shape != (len(points),):
-            raise ValueError(f"the limit function must return shape ({len(points)},), found {found.shape}")
-        lost = int(np.isnan(found).sum())
-        if lost:
-            self.failed += lost
-            if self.limit.on_failure == "refuse":
-                raise FailedEvaluation(f"the limit function is nan at {lost} of {len(points)} points")
-        return found
+        if near.size:
+            found = np.asarray(self.limit.function(points[near]), dtype=np.float64)
+            if found.shape != near.shape:
+                raise ValueError(f"the limit function must return shape ({near.size},), found {found.shape}")
+            values[near] = found
+        lost = int(np.isnan(values).sum())
+        self.failed += lost
+        if lost and self.limit.on_failure == "refuse":
+            raise FailedEvaluation(f"the limit function is nan at {lost} of {len(points)} points")
+        return values
 
     def hard(self, points: Array) -> Array:
         """The hard limit at points (n, size); a failed evaluation is +inf, so that no search ends there."""
@@ -110,9 +107,7 @@ class Evaluator:
     def mass(self, values: Array) -> Array:
         """Probability of failure given values of g: 0 or 1, or Phi(-g); nan stays nan."""
         if self.limit.integrated:
-            from scipy.special import ndtr
-
-            return np.asarray(ndtr(-values))
+            return np.asarray(special.ndtr(-values))
         return np.where(np.isnan(values), np.nan, (values < 0.0).astype(float))
 
 

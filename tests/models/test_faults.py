@@ -1,0 +1,655 @@
+"""What can go wrong with a model, a process or a cache, and what is kept: one table over one small black box."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import uqsphere.models
+from uqsphere.errors import AccessError, ModelError, UsageError
+from uqsphere.models import Interrupted, Model, open_model, workers
+from uqsphere.models.cache import Cache
+from uqsphere.models.rows import Code
+from uqsphere.study import Study, load_study
+
+STUDY = """
+seed = 3
+[inputs]
+a = { dist = "normal", mean = 0.0, sd = 1.0 }
+b = 2.0
+[outputs]
+names = ["y", "z"]
+[analysis]
+on_failure = "bound"
+"""
+
+HEAD = """
+import ctypes, os, subprocess, sys, time
+import numpy as np
+
+class Hostile:
+    def __str__(self): raise RuntimeError("no text")
+    __repr__ = __array__ = __float__ = __len__ = __str__
+
+class Silly(Exception):
+    def __str__(self): raise RuntimeError("no text")
+
+class Odd(dict):
+    def __getitem__(self, key): raise OSError("odd")
+
+def good(x):
+    with open({log!r}, "a") as log:
+        log.write("x" * len(x["a"]))
+    return {{"y": x["a"] + x["b"], "z": x["a"] * x["b"]}}
+
+"""
+
+#: rows of a test; the faults sit at the rows with a > 2
+A = np.array([0.5, -1.0, 3.0, 0.25, 1.0, 2.5, -0.5, 0.0])
+ROWS = A[:, None]
+BAD = A > 2.0
+
+#: body of the model where a > 2; status of those rows, or the error; a word of what is reported
+FAULTS: dict[str, tuple[str, Code | type[Exception], str]] = {
+    "not a number": (
+        "return {'y': x['a'] + np.where(x['a'] > 2, np.nan, 2.0), 'z': x['a'] * x['b']}",
+        Code.NOT_FINITE,
+        "y = nan at a = 3, b = 2",
+    ),
+    "infinite": (
+        "return {'y': x['a'] + np.where(x['a'] > 2, np.inf, 2.0), 'z': x['a'] * x['b']}",
+        Code.NOT_FINITE,
+        "y = inf at a = 3",
+    ),
+    "raises": ("raise ValueError('too large')", Code.RAISED, "ValueError: too large (box.py, line"),
+    "exits": ("sys.exit(0)", Code.RAISED, "SystemExit: 0"),
+    "interrupts": ("raise KeyboardInterrupt", Code.RAISED, "KeyboardInterrupt"),
+    "memory": ("np.ones(1 << 45)", Code.RAISED, "MemoryError"),
+    "recursion": ("return f(x)", Code.RAISED, "RecursionError"),
+    "long text": ("raise ValueError('\\x1b[2J' + 'x' * 10_000_000)", Code.RAISED, "ValueError: ?[2Jxxx"),
+    "no text": ("raise Silly", Code.RAISED, "Silly: (its text cannot be had: RuntimeError)"),
+    "ends": ("os._exit(0)", Code.DIED, "exit code 0"),
+    "dies": ("os._exit(7)", Code.DIED, "exit code 7"),
+    "closes its files": ("os.closerange(3, 999); time.sleep(0.1)", Code.DIED, "exit code"),
+    "writes anywhere": (
+        "[os.write(k, b'junk' * 99) for k in range(3, 30) if not os.set_blocking(k, False)]",
+        Code.RAISED,
+        "Error",
+    ),
+    "crashes": ("ctypes.string_at(0)", Code.DIED, "exit code -11"),
+    "killed": ("os.kill(os.getpid(), 9)", Code.DIED, "exit code -9"),
+    "hangs": ("time.sleep(99)", Code.TIME_OVER, "longer than analysis.time_limit (0.2 s)"),
+    "hangs in a child": ("subprocess.run(['sleep', '3599'])", Code.TIME_OVER, "longer than analysis.time_limit"),
+    "huge": ("return {'y': [10**400] * len(x['a']), 'z': x['a']}", ModelError, "is not an array of numbers"),
+    "hostile keys": ("return {Hostile(): 1.0, '\\x1b[2J' * 10_000: 2.0}", ModelError, "returned no 'y'"),
+    "hostile mapping": ("return Odd(y=1.0, z=1.0)", ModelError, "cannot be read: OSError: odd"),
+    "hostile output": ("return {'y': Hostile(), 'z': x['a']}", ModelError, "RuntimeError"),
+    "wrong shape": ("return {'y': x['a'][:-1], 'z': x['a']}", ModelError, "must have shape"),
+    "unknown name": ("return {'why': x['a'], 'z': x['a']}", ModelError, "returned no 'y'"),
+}
+
+#: what does no harm
+HARMLESS = {
+    "forks": "os.fork()",
+    "prints": "os.system('echo noise'); ctypes.CDLL(None).puts(b'noise'); print('noise')",
+    "leaves": "os.chdir('/')",
+    "changes what it was given": "x['a'] = x['a'].copy(); y = good(x); x['a'] *= 0; return y",
+}
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(uqsphere.models, "_BLOCKS", 3)  # two rows of eight in a call
+    (tmp_path / "calls").touch()
+    return tmp_path
+
+
+def study(*lines: str) -> Study:
+    return load_study(text=STUDY + "".join(f"{line}\n" for line in lines))
+
+
+def box(place: Path, body: str = "", *, where: str = "(x['a'] > 2).any()") -> str:
+    """A model with a fault where a > 2."""
+    head = HEAD.format(log=str(place / "calls"))
+    (place / "box.py").write_text(f"{head}\ndef f(x):\n    if {where}:\n        {body or 'pass'}\n    return good(x)\n")
+    return f"{place / 'box.py'}:f"
+
+
+def calls(place: Path) -> int:
+    """Rows that the model was called with."""
+    return len((place / "calls").read_text())
+
+
+def evaluated(model: Model) -> Any:
+    return model.evaluate(["a"], ROWS, ["y", "z"])
+
+
+def is_right(answers: Any, good: Any = slice(None)) -> bool:
+    expected = np.stack([A + 2.0, A * 2.0], axis=1)[good]
+    return bool((answers.values[good] == expected).all() and (answers.status[good] == 0).all())
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_at_some_rows_leaves_the_others(place: Path, name: str) -> None:
+    body, result, text = FAULTS[name]
+    lines = ["time_limit = '0.2 s'"] if result is Code.TIME_OVER else []
+    reference = box(place, body)
+    with open_model(study(*lines), reference, threads=1) as model:
+        if not isinstance(result, Code):
+            with pytest.raises(result) as caught:
+                evaluated(model)
+            assert text in str(caught.value)
+            return
+        answers = evaluated(model)
+        assert model.evaluations == len(A)
+    assert is_right(answers, ~BAD)
+    assert answers.status[BAD].tolist() == [result, result]
+    assert np.isnan(answers.values[BAD]).all()
+    assert text in answers.note
+    assert "at a = 3, b = 2" in answers.note
+    assert len(answers.note) < 500
+
+
+@pytest.mark.parametrize("name", HARMLESS)
+def test_a_model_that_does_more_than_answer_harms_nothing(
+    place: Path, name: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with open_model(study(), box(place, HARMLESS[name], where="True"), threads=1) as model:
+        assert is_right(evaluated(model))
+    assert "noise" not in capfd.readouterr().out
+
+
+def test_an_output_that_is_not_requested_may_fail(place: Path) -> None:
+    body = FAULTS["not a number"][0]
+    with open_model(study(), box(place, body), threads=1) as model:
+        assert model.evaluate(["a"], ROWS[2:3], ["z"]).good.all()
+        assert not model.evaluate(["a"], ROWS[2:3], ["y"]).good.any()
+
+
+def test_abort_ends_with_what_the_model_raised(place: Path) -> None:
+    aborting = load_study(text=STUDY.replace('"bound"', '"abort"'))
+    with (
+        open_model(aborting, box(place, "raise ValueError('too large')"), threads=1) as model,
+        pytest.raises(ModelError, match="too large"),
+    ):
+        evaluated(model)
+
+
+@pytest.mark.parametrize(
+    ("body", "text"),
+    [
+        ("1 / 0", "ZeroDivisionError"),
+        ("def f(:", "SyntaxError"),
+        ("import sys; sys.exit(0)", "SystemExit"),
+        ("import os; os._exit(0)", "could not be loaded"),
+        ("import time; time.sleep(99)", "hangs"),
+    ],
+)
+def test_a_file_that_cannot_be_loaded(place: Path, body: str, text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    (place / "box.py").write_text(f"{body}\n")
+    if "sleep" in body:
+        monkeypatch.setattr(workers, "LOADING", 1.5)
+    with open_model(study(), f"{place / 'box.py'}:f") as model, pytest.raises(ModelError, match=text):
+        evaluated(model)
+
+
+def test_a_model_that_never_answers_is_given_up(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uqsphere.models, "_HUNG", 3)
+    limited = study("time_limit = '0.1 s'")
+    with (
+        open_model(limited, box(place, "time.sleep(99)", where="True"), threads=1) as model,
+        pytest.raises(ModelError, match="3 rows in a row have no answer"),
+    ):
+        evaluated(model)
+
+
+def test_what_a_model_has_started_ends_with_it(place: Path) -> None:
+    """Its process by the limit of time, and the child with it; the process when the one that asked is killed."""
+    mark = f"{time.time_ns() % 10**6 + 10**6}"
+    with open_model(study("time_limit = '0.2 s'"), box(place, f"os.system('sleep {mark}')"), threads=1) as model:
+        assert evaluated(model).status[BAD].tolist() == [Code.TIME_OVER] * 2
+    assert not _running(f"sleep\0{mark}")
+    reference = box(place, f"os.system('sleep {mark}')", where="True")
+    program = f"""
+from pathlib import Path
+from uqsphere.models import open_model
+from uqsphere.study import load_study
+import numpy as np
+open_model(load_study(text={STUDY!r}), {reference!r}).evaluate(["a"], np.zeros((1, 1)), ["y"])
+"""
+    process = subprocess.Popen([sys.executable, "-c", program], start_new_session=True)
+    _until(lambda: _running(f"sleep\0{mark}"))
+    process.kill()
+    process.wait()
+    _until(lambda: not _running(f"sleep\0{mark}"))
+
+
+def _running(command: str) -> bool:
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):
+            if entry.read_bytes().startswith(command.encode()):
+                return True
+    return False
+
+
+def _until(condition: Callable[[], bool]) -> None:
+    for _ in range(600):
+        if condition():
+            return
+        time.sleep(0.05)
+    raise AssertionError("it did not come true")
+
+
+# --- where rows are evaluated -----------------------------------------------------------------------------------------
+
+
+def rough(x: dict[str, Any]) -> dict[str, Any]:
+    """A sum whose last bits depend on the rows of the call."""
+    total = np.full(len(x["a"]), np.sum(np.sin(1e3 * x["a"])))
+    return {"y": np.sin(x["a"]) + 1e-15 * total, "z": np.sqrt(np.abs(x["a"])) * x["b"]}
+
+
+def test_where_rows_are_evaluated_changes_no_bit(place: Path) -> None:
+    rows = np.random.default_rng(1).normal(size=(1000, 1))
+    (place / "box.py").write_text("import numpy as np\ndef f(x):\n" + _body(rough))
+    reference = f"{place / 'box.py'}:f"
+    found = {}
+    plain, limited = study(), study("time_limit = '60 s'")
+    with ThreadPoolExecutor(2) as threads, ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        for name, given, of, options in (
+            ("here", rough, plain, {}),
+            ("a process", reference, plain, {"threads": 1}),
+            ("threads", reference, plain, {"executor": threads}),
+            ("a pool", reference, plain, {"executor": pool}),
+            ("a function in a pool", rough, plain, {"executor": pool}),
+            ("in reverse", reference, plain, {"executor": Backwards()}),
+        ):
+            with open_model(of, given, **options) as model:
+                found[name] = model.evaluate(["a"], rows, ["y", "z"]).values.tobytes()
+    assert len(set(found.values())) == 1, found.keys()
+    with open_model(limited, reference, threads=2) as model, open_model(limited, rough, threads=1) as other:
+        assert (
+            model.evaluate(["a"], rows, ["y"]).values.tobytes() == other.evaluate(["a"], rows, ["y"]).values.tobytes()
+        )
+
+
+def _body(function: Callable[..., Any]) -> str:
+    import inspect
+
+    return "\n".join(inspect.getsource(function).splitlines()[1:]) + "\n"
+
+
+class Backwards(Executor):
+    """Finishes the newest of its blocks first."""
+
+    def __init__(self) -> None:
+        self.waiting: list[tuple[Future[Any], Any]] = []
+
+    def submit(self, function: Any, /, *arguments: Any, **options: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.waiting.append((future, lambda: function(*arguments)))
+        threading.Timer(0.2, self.work).start()
+        return future
+
+    def work(self) -> None:
+        while self.waiting:
+            with contextlib.suppress(IndexError):
+                future, call = self.waiting.pop()
+                future.set_result(call())
+
+
+def test_a_slow_function_gets_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uqsphere.models, "_WORTH", 1e-9)
+
+    def where(x: dict[str, Any]) -> dict[str, Any]:
+        return {"y": np.full(len(x["a"]), float(os.getpid())), "z": x["a"]}
+
+    with open_model(study(), where, threads=2) as model:
+        processes = model.evaluate(["a"], ROWS, ["y"]).values[:, 0]
+    assert processes[0] == os.getpid()
+    assert (processes[1:] != os.getpid()).all()
+
+
+def test_a_function_that_cannot_travel_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uqsphere.models, "_WORTH", 1e-9)
+    lock = threading.Lock()
+
+    def held(x: dict[str, Any]) -> dict[str, Any]:
+        with lock:
+            return {"y": x["a"] + 2.0, "z": 2.0 * x["a"]}
+
+    with open_model(study(), held, threads=2) as model:
+        assert is_right(evaluated(model))
+    with (
+        open_model(study(), held, executor=Backwards()) as model,
+        pytest.raises(UsageError, match=r"FILE\.py:FUNCTION"),
+    ):
+        evaluated(model)
+
+
+class Lost(Executor):
+    """An executor that breaks after some blocks."""
+
+    def __init__(self, blocks: int) -> None:
+        self.left = blocks
+
+    def submit(self, function: Any, /, *arguments: Any, **options: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.left -= 1
+        if self.left < 0:
+            future.set_exception(RuntimeError("gone"))
+        else:
+            future.set_result(function(*arguments))
+        return future
+
+
+def test_an_executor_that_is_lost_leaves_what_is_done(place: Path) -> None:
+    reference, cache = box(place, "time.sleep(0.001)", where="True"), place / "cache"
+    with (
+        open_model(study(), reference, executor=Lost(2), cache=cache) as model,
+        pytest.raises(AccessError, match="the executor Lost was lost"),
+    ):
+        evaluated(model)
+    with open_model(study(), reference, threads=1, cache=cache) as model:
+        assert is_right(evaluated(model))
+        assert model.reused == 4
+
+
+def test_a_dask_cluster_answers_and_may_be_lost(place: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    reference = box(place)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        client = distributed.Client(cluster)
+        with open_model(study(), reference, executor=client) as model:
+            assert is_right(evaluated(model))
+        client.close()
+        with (
+            open_model(study(), reference, executor=client) as model,
+            pytest.raises(AccessError, match="the Dask cluster was lost"),
+        ):
+            evaluated(model)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"executor": 3}, "submit"),
+        ({"threads": 0}, "threads"),
+        ({"model": 3}, "a function or"),
+        ({"model": None}, "--model"),
+        ({"model": "box.txt:f"}, r"FILE\.py:FUNCTION"),
+    ],
+)
+def test_wrong_requests_are_refused(options: dict[str, Any], text: str) -> None:
+    model = options.pop("model", lambda x: x)
+    with pytest.raises(UsageError, match=text):
+        open_model(study(), model, **options)
+    with pytest.raises(UsageError, match="time_limit"):
+        open_model(study("time_limit = '1 s'"), lambda x: x, executor=Backwards())
+
+
+# --- a model that does not keep to the rules ---------------------------------------------------------------------
+
+
+def test_a_model_that_gives_two_answers_is_noted(place: Path) -> None:
+    def random(x: dict[str, Any]) -> dict[str, Any]:
+        return {"y": np.random.random(len(x["a"])), "z": x["a"]}  # noqa: NPY002
+
+    def neighbours(x: dict[str, Any]) -> dict[str, Any]:
+        return {"y": x["a"] - np.mean(x["a"]), "z": x["a"]}
+
+    for unsteady, text in ((random, "two answers to the same row"), (neighbours, "the rows next to it")):
+        with open_model(study(), unsteady) as model:
+            evaluated(model)
+            assert len(model.notes) == 1
+            assert text in model.notes[0]
+            assert model.evaluations == len(A)
+    with open_model(study(), lambda x: {"y": x["a"], "z": x["b"]}) as model:
+        evaluated(model)
+        assert model.notes == []
+
+
+# --- the cache -------------------------------------------------------------------------------------------------------
+
+
+def slow(place: Path) -> str:
+    return box(place, "time.sleep(0.001 * len(x['a']))", where="True")
+
+
+def stored(place: Path) -> Path:
+    """A cache with the answers to `ROWS`."""
+    with open_model(study(), slow(place), threads=1, cache=place / "cache") as model:
+        assert is_right(evaluated(model))
+        assert (model.evaluations, model.reused, model.notes) == (len(A), 0, [])
+    return place / "cache"
+
+
+def again(place: Path, **options: Any) -> Model:
+    """The same once more; returns the closed model with its counts and notes."""
+    with open_model(study(), slow(place), threads=1, cache=place / "cache", **options) as model:
+        assert is_right(evaluated(model))
+    return model
+
+
+def _flip(path: Path) -> None:
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        for key, record in database.execute("SELECT key, record FROM answers").fetchall():
+            flipped = record[:-1] + bytes([record[-1] ^ 1])
+            database.execute("UPDATE answers SET record = ? WHERE key = ?", (flipped, key))
+        database.commit()
+
+
+def _foreign(path: Path) -> None:
+    path.unlink()
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        database.execute("CREATE TABLE other (x)")
+
+
+def _folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def _link(path: Path) -> None:
+    path.rename(path.with_name("elsewhere"))
+    path.symlink_to("elsewhere")
+
+
+#: what becomes of the cache: rows that are reused afterwards, a word of the note
+DAMAGES: dict[str, tuple[Callable[[Path], object], int, str]] = {
+    "nothing": (lambda path: None, 8, ""),
+    "deleted": (lambda path: path.unlink(), 0, ""),
+    "emptied": (lambda path: path.write_bytes(b""), 0, ""),
+    "truncated": (lambda path: path.write_bytes(path.read_bytes()[:5000]), 0, "evaluated anew"),
+    "overwritten": (lambda path: path.write_bytes(b"x" * 5000), 0, "is cache.damaged now"),
+    "a bit flipped": (_flip, 0, "8 damaged rows"),
+    "another database": (_foreign, 0, "no cache of this version"),
+    "a folder": (_folder, 0, "evaluated rows are not stored"),
+    "a link": (_link, 0, "it is a link"),
+    "a journal of another": (lambda path: path.with_name("cache-journal").write_bytes(b"x" * 999), 8, ""),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_whatever_becomes_of_a_cache_the_answers_are_right(place: Path, name: str) -> None:
+    damage, reused, text = DAMAGES[name]
+    damage(stored(place))
+    model = again(place)
+    assert (model.reused, model.evaluations) == (reused, len(A) - reused)
+    assert (text in " ".join(model.notes)) if text else model.notes == []
+    assert again(place).reused == (0 if name == "a folder" else len(A))
+
+
+@pytest.mark.parametrize("fault", ["no folder", "full disk", "locked", "vanished"])
+def test_a_cache_that_cannot_be_written_is_none(place: Path, fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache = place / "cache"
+    if fault == "no folder":
+        cache = place / "box.py" / "cache"
+    monkeypatch.setattr("uqsphere.models.cache._WAIT", 0.1)
+    with open_model(study(), slow(place), threads=1, cache=cache) as model:
+        assert model.cache is not None
+        holder = contextlib.nullcontext()
+        if fault == "full disk":
+            database = model.cache._database
+            assert database is not None
+            database.execute("PRAGMA max_page_count = 1")
+        elif fault == "locked":
+            holder = contextlib.closing(sqlite3.connect(cache))  # type: ignore[assignment]
+        elif fault == "vanished":
+            cache.unlink()
+        with holder as other:
+            if other is not None:
+                other.execute("BEGIN IMMEDIATE")
+            assert is_right(evaluated(model))
+            assert model.evaluate(["a"], np.arange(200.0)[:, None], ["y"]).good.all()
+    if fault != "vanished":
+        assert "not stored" in " ".join(model.notes)
+
+
+def test_a_run_that_is_killed_goes_on_where_it_was(place: Path) -> None:
+    """Killed while it evaluates and writes: no row that was stored is evaluated again, none is lost."""
+    reference = box(place, "time.sleep(0.02)", where="True")
+    program = f"""
+from pathlib import Path
+from uqsphere.models import cache, open_model
+from uqsphere.study import load_study
+import numpy as np
+cache._GATHERED = 0.0
+with open_model(load_study(text={STUDY!r}), {reference!r}, threads=1, cache=Path({str(place / "cache")!r})) as model:
+    model.evaluate(["a"], np.arange(40.0)[:, None], ["y", "z"])
+"""
+    for seen in (3, 12):
+        process = subprocess.Popen([sys.executable, "-c", program])
+        _until(lambda: calls(place) >= seen)  # noqa: B023
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    with contextlib.closing(sqlite3.connect(place / "cache")) as database:
+        kept = database.execute("SELECT count(*) FROM answers").fetchone()[0]
+    assert kept >= 10
+    with open_model(study(), reference, cache=place / "cache", threads=1) as model:
+        answers = model.evaluate(["a"], np.arange(40.0)[:, None], ["y"])
+    assert (answers.values[:, 0] == np.arange(40.0) + 2.0).all()
+    assert (model.reused, model.evaluations) == (kept, 40 - kept)
+
+
+def test_a_stop_loses_nothing(place: Path) -> None:
+    reference, cache = slow(place), place / "cache"
+    with (
+        open_model(study(), reference, threads=1, cache=cache, stop=lambda: calls(place) >= 5) as model,
+        pytest.raises(Interrupted),
+    ):
+        evaluated(model)
+    assert model.evaluations < len(A)
+    assert again(place).reused == model.evaluations > 0
+
+
+def test_two_runs_at_once_share_a_cache(place: Path) -> None:
+    reference = slow(place)
+    rows = np.arange(100.0)[:, None]
+
+    def run(half: slice) -> Any:
+        with open_model(study(), reference, threads=1, cache=place / "cache") as model:
+            return model.evaluate(["a"], rows[half], ["y"]), model.notes
+
+    with ThreadPoolExecutor(2) as pool:
+        parts = list(pool.map(run, (slice(0, 60), slice(40, 100))))
+    assert [notes for _, notes in parts] == [[], []]
+    with open_model(study(), reference, threads=1, cache=place / "cache") as model:
+        assert (model.evaluate(["a"], rows, ["y"]).values[:, 0] == rows[:, 0] + 2.0).all()
+        assert model.reused == 100
+
+
+def test_a_cache_knows_a_row_whatever_scatters(place: Path) -> None:
+    """The number b scatters in another study, is requested in another order, and another output is wanted."""
+    stored(place)
+    other = load_study(text=STUDY.replace("b = 2.0", 'b = { dist = "normal", mean = 5.0, sd = 1.0 }'))
+    rows = np.stack([np.full(len(A), 2.0), A], axis=1)
+    with open_model(other, slow(place), cache=place / "cache", threads=1) as model:
+        assert (model.evaluate(["b", "a"], rows, ["z"]).values[:, 0] == 2.0 * A).all()
+        assert model.reused == len(A)
+    with open_model(other, slow(place), cache=place / "cache", threads=1) as model:
+        model.evaluate(["b", "a"], rows + 1.0, ["z"])
+        assert model.reused == 0
+
+
+def test_another_state_of_the_model_uses_no_old_answer(place: Path) -> None:
+    stored(place)
+    (place / "box.py").write_text((place / "box.py").read_text() + "# mended\n")
+    with open_model(study(), f"{place / 'box.py'}:f", cache=place / "cache", threads=1) as model:
+        evaluated(model)
+        assert model.reused == 0
+
+
+def test_what_a_model_reads_is_noticed_when_a_run_goes_on(place: Path) -> None:
+    (place / "number").write_text("1.0")
+    (place / "box.py").write_text(
+        f"import time\ndef f(x):\n    time.sleep(0.001)\n    k = float(open({str(place / 'number')!r}).read())\n"
+        "    return {'y': k * x['a'], 'z': x['b']}\n"
+    )
+    for number, notes in (("1.0", 0), ("1.0", 0), ("3.0", 1)):
+        (place / "number").write_text(number)
+        with open_model(study(), f"{place / 'box.py'}:f", cache=place / "cache", threads=1) as model:
+            evaluated(model)
+        assert len(model.notes) == notes
+    assert "reads or imports has changed" in model.notes[0]
+
+
+def test_rows_of_a_quick_model_are_not_stored(place: Path) -> None:
+    with open_model(study(), lambda x: {"y": x["a"], "z": x["b"]}, cache=place / "cache") as model:
+        model.evaluate(["a"], np.zeros((100_000, 1)), ["y"])
+        assert model.seconds_per_row is not None
+    with contextlib.closing(sqlite3.connect(place / "cache")) as database:
+        assert database.execute("SELECT count(*) FROM answers").fetchone()[0] == 0
+
+
+def test_records_hold_every_bit(place: Path) -> None:
+    from uqsphere.models.rows import EvaluatedRows
+
+    cache = Cache(place / "cache", "digest", ("b", "a"), ("y",))
+    rows = np.array([[1.0, -0.0], [np.inf, 5e-324], [1e308, np.nan]])
+    answers = EvaluatedRows(
+        values=np.array([[5e-324], [-0.0], [np.nan]]), censored=np.zeros((3, 1), bool), status=np.array([0, 0, 8])
+    )
+    cache.write(rows, answers)
+    cache.close()
+    moved = place / "moved"
+    shutil.copy(place / "cache", moved)
+    values, status, stored = Cache(moved, "digest", ("b", "a"), ("y",)).read(rows)
+    assert stored.all()
+    assert values.tobytes() == answers.values.tobytes()
+    assert status.tolist() == [0, 0, 8]
+    assert Cache(moved, "digest", ("a", "b"), ("y",)).read(rows[:, ::-1])[2].all()
+    assert not Cache(moved, "another", ("b", "a"), ("y",)).read(rows)[2].any()
+
+
+@pytest.fixture(autouse=True)
+def no_process_is_left() -> Iterator[None]:
+    """Every process that a test has started has ended when it has."""
+    yield
+    _until(lambda: not any("pebble" in name for name in _children()))
+
+
+def _children() -> list[str]:
+    names = []
+    for entry in Path(f"/proc/{os.getpid()}/task").glob("*/children"):
+        for child in entry.read_text().split():
+            with contextlib.suppress(OSError):
+                names.append(Path(f"/proc/{child}/cmdline").read_text())
+    return names

@@ -1,0 +1,408 @@
+"""Rows in, columns out: the impact model against closed forms, names and indices, and what a black box may return."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from concurrent.futures import Executor, Future
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from uqsphere.errors import AccessError, ModelError, UsageError
+from uqsphere.mechanics import closed_form
+from uqsphere.models import check_quantities, check_range, evaluate, load_black_box, model_digest, open_model, scene_of
+from uqsphere.models.black_box import call_black_box
+from uqsphere.study import Study, load_study
+
+BARS = """
+seed = 1
+[sphere]
+E = { dist = "lognormal", mean = "52 GPa", cov = 0.1 }
+nu = 0.25
+radius = { dist = "normal", mean = "10 mm", sd = "0.1 mm" }
+density = "2650 kg/m3"
+[bars]
+E = "210 GPa"
+nu = 0.3
+density = "7850 kg/m3"
+yield_strength = "1500 MPa"
+diameter = "60 mm"
+infinite = true
+rigid_contact = true
+[striker]
+speed = { dist = "normal", mean = "1 m/s", cov = 0.1 }
+[pulse]
+shape = "step"
+[model]
+fidelity = "massless"
+horizon = "100 ms"
+[limits.crushing]
+quantity = "p_max"
+strength = "3 GPa"
+[margins]
+solve = "striker.speed"
+between = ["0.1 m/s", "5 m/s"]
+[analysis]
+quantities = ["p_max"]
+"""
+
+BLOW = """
+seed = 1
+[sphere]
+E = { dist = "lognormal", mean = "60 GPa", cov = 0.1 }
+nu = 0.25
+radius = "5 mm"
+density = "2650 kg/m3"
+[rig]
+kind = "impact"
+speed = "5 m/s"
+[target]
+kind = "thick"
+E = "210 GPa"
+nu = 0.3
+yield_strength = "2000 MPa"
+[limits.crushing]
+quantity = "p_max"
+strength = "3 GPa"
+[analysis]
+quantities = ["p_max"]
+"""
+
+
+@pytest.fixture(scope="module")
+def bars() -> Study:
+    return load_study(text=BARS)
+
+
+@pytest.fixture(scope="module")
+def blow() -> Study:
+    return load_study(text=BLOW)
+
+
+def table(count: int, seed: int = 1) -> pd.DataFrame:
+    """Rows of the random inputs of `BARS`."""
+    rng = np.random.default_rng(seed)
+    return pd.DataFrame(
+        {
+            "sphere.E": 52e9 * np.exp(0.1 * rng.standard_normal(count)),
+            "sphere.radius": 0.01 + 1e-4 * rng.standard_normal(count),
+            "striker.speed": rng.uniform(0.5, 2.0, count),
+        },
+        index=[f"row {k}" for k in range(count)],
+    )
+
+
+# --- the impact model -----------------------------------------------------------------------------------------------
+
+
+def test_a_step_on_a_massless_sphere_is_its_closed_form(bars: Study) -> None:
+    """Rigid contact: the force rises to Z v0, and p_max = (6 P E*^2/(pi^3 r^2))^(1/3) with 1/E* = (1 - nu^2)/E."""
+    rows = table(20)
+    impedance = math.sqrt(210e9 * 7850.0) * math.pi / 4.0 * 0.06**2
+    modulus = rows["sphere.E"] / (1.0 - 0.25**2)
+    force = 0.5 * impedance * rows["striker.speed"]
+    expected = np.cbrt(6.0 * force * modulus**2 / (math.pi**3 * rows["sphere.radius"] ** 2))
+    found = evaluate(bars, rows, "p_max")
+    assert list(found.columns) == ["p_max", "censored"]
+    np.testing.assert_allclose(found["p_max"], expected, rtol=1e-9)
+
+
+def test_a_blow_on_a_thick_block_is_that_of_hertz(blow: Study) -> None:
+    """P_max = beta^(2/5) (5/4 m v^2)^(3/5), beta = 4/3 E* sqrt(r), p_max = (6 P E*^2/(pi^3 r^2))^(1/3)."""
+    E, speed = np.array([40e9, 60e9, 80e9]), np.array([1.0, 5.0, 3.0])
+    modulus = 1.0 / ((1.0 - 0.25**2) / E + (1.0 - 0.3**2) / 210e9)
+    beta = 4.0 / 3.0 * modulus * math.sqrt(0.005)
+    mass = 4.0 / 3.0 * math.pi * 0.005**3 * 2650.0
+    force = beta**0.4 * (1.25 * mass * speed**2) ** 0.6
+    found = evaluate(blow, {"sphere.E": E, "rig.speed": speed}, ("P_max", "p_max"))
+    np.testing.assert_allclose(found["P_max"], force, rtol=1e-12)
+    np.testing.assert_allclose(found["p_max"], np.cbrt(6.0 * force * modulus**2 / (math.pi**3 * 0.005**2)), rtol=1e-12)
+
+
+def test_rows_that_have_a_closed_form_are_no_others(blow: Study) -> None:
+    """On a bar the echo decides row by row which sphere is answered in closed form: each as by itself."""
+    text = BLOW.replace('kind = "thick"', 'kind = "bar"\ndiameter = "40 mm"\nlength = "0.05 m"\ndensity = "7850 kg/m3"')
+    study = load_study(text=text)
+    radius = np.linspace(1e-3, 9e-3, 12)
+    together = evaluate(study, {"sphere.radius": radius}, "p_max", 1e-8)["p_max"]
+    alone = [evaluate(study, {"sphere.radius": r}, "p_max", 1e-8)["p_max"][0] for r in radius]
+    scene = scene_of(study, {"sphere.radius": radius})
+    assert 0 < closed_form.closed_form_rows(scene).sum() < 12
+    assert together.to_list() == alone
+    assert np.isfinite(alone).all()
+
+
+class Reversed(Executor):
+    def submit(self, function: Any, /, *arguments: Any, **options: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        future.set_result(function(*arguments))
+        return future
+
+
+def test_blocks_and_threads_change_no_bit(bars: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = table(700)
+    names = tuple(rows.columns)
+    found = []
+    for sizes, options in (((16_384, 2_048), {}), ((100, 50), {"threads": 2}), ((1, 33), {"executor": Reversed()})):
+        monkeypatch.setattr("uqsphere.models._SCENE_ROWS", sizes)
+        with open_model(bars, **options) as model:
+            answers = model.evaluate(names, rows.to_numpy(), ("p_max", "P_max"))
+            assert (model.evaluations, model.reused) == (700, 0)
+        found.append(answers.values.tobytes())
+    assert found[0] == found[1] == found[2]
+
+
+@pytest.mark.parametrize(
+    ("column", "bad"),
+    [("sphere.E", -1.0), ("sphere.E", np.nan), ("sphere.nu", 0.5), ("sphere.radius", 0.04), ("striker.speed", 0.0)],
+)
+def test_a_row_without_meaning_has_a_status_a_reason_and_no_number(bars: Study, column: str, bad: float) -> None:
+    good = bars.at_means()[column]
+    with open_model(bars) as model:
+        answers = model.evaluate((column,), np.array([[good], [bad], [good]]), ("p_max",))
+    assert answers.status.tolist() == [0, 1, 0]
+    assert np.isnan(answers.values[:, 0]).tolist() == [False, True, False]
+    assert f"at {column} = {bad:.6g}" in answers.note
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        frame = evaluate(bars, {column: [good, bad, good]}, "p_max")
+    assert "1 of 3 rows have no answer" in str(caught[-1].message)
+    assert frame["p_max"].isna().tolist() == [False, True, False]
+
+
+def test_what_the_rig_has_not_is_refused_by_its_place(blow: Study, bars: Study) -> None:
+    check_quantities(blow)
+    check_range(bars)
+    wrong = load_study(text=BLOW.replace('quantities = ["p_max"]', 'quantities = ["mean_force_max", "dent"]'))
+    with pytest.raises(UsageError, match=r"analysis\.quantities"):
+        check_quantities(wrong)
+    with pytest.raises(UsageError, match=r"margins\.between: 0 m/s|margins\.between"):
+        check_range(load_study(text=BARS.replace('solve = "striker.speed"', 'solve = "sphere.radius"').replace(
+            '["0.1 m/s", "5 m/s"]', '["1 mm", "40 mm"]')))  # fmt: skip
+    with pytest.raises(UsageError, match=r"sphere\.colour"):
+        scene_of(bars, {"sphere.colour": np.array([1.0])})
+
+
+# --- names and indices ----------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None)
+@given(order=st.permutations(range(3)), rows=st.permutations(range(6)), seed=st.integers(0, 5))
+def test_names_and_labels_count_not_the_order(order: list[int], rows: list[int], seed: int) -> None:
+    study = load_study(text=BARS)
+    frame = table(6, seed)
+    expected = evaluate(study, frame, "p_max")
+    mixed = frame.iloc[rows, order]
+    found = evaluate(study, mixed, "p_max")
+    assert found.index.equals(mixed.index)
+    pd.testing.assert_frame_equal(found.loc[frame.index], expected)
+    columns = {name: mixed[name].iloc[np.roll(np.arange(6), k)] for k, name in enumerate(mixed.columns)}
+    by_index = evaluate(study, columns, "p_max")
+    pd.testing.assert_frame_equal(by_index.loc[frame.index], expected)
+    arrays = {name: mixed[name].to_numpy() for name in mixed.columns}
+    assert (evaluate(study, arrays, "p_max")["p_max"].to_numpy() == found["p_max"].to_numpy()).all()
+    with open_model(study) as model:
+        names = tuple(mixed.columns)
+        assert (model.evaluate(names, mixed.to_numpy(), ("p_max",)).values[:, 0] == found["p_max"].to_numpy()).all()
+
+
+def test_numbers_spread_and_what_a_dict_leaves_out_is_the_mean(bars: Study) -> None:
+    whole = bars.at_means() | {"striker.speed": np.array([1.0, 2.0])}
+    found = evaluate(bars, whole, ("p_max", "P_max"))
+    pd.testing.assert_frame_equal(found, evaluate(bars, {"striker.speed": [1.0, 2.0]}, ("p_max", "P_max")))
+    assert found.index.equals(pd.RangeIndex(2))
+    one = evaluate(bars, pd.Series(bars.at_means()), "p_max")
+    assert one["p_max"].tolist() == [found["p_max"][0]]
+    assert evaluate(bars, {"striker.speed": []}).shape == (0, 2)
+    assert evaluate(bars, {}).columns.tolist() == ["p_max", "censored"]
+
+
+@pytest.mark.parametrize(
+    ("rows", "options", "text"),
+    [
+        (pd.DataFrame({"sphere.E": [5e10]}), {}, "'sphere.radius' is missing"),
+        (pd.concat([table(2), table(2)], axis=1), {}, "'sphere.E' is there 2 times"),
+        (table(2).assign(colour=1.0), {}, "unknown input 'colour'"),
+        ({"limits.crushing.strength": [1.0]}, {}, "unknown input"),
+        ({"hammer.speed": [1.0]}, {}, "unknown input"),
+        ({"sphere.E": [5e10, 6e10], "striker.speed": [1.0, 2.0, 3.0]}, {}, "the same shape"),
+        ({"sphere.E": [[5e10, 6e10]]}, {}, r"shape \(n,\)"),
+        ({"striker.speed": ["0.5 m/s"]}, {}, "numbers in SI are needed"),
+        ({"striker.speed": ["0.5"]}, {}, "numbers in SI are needed"),
+        ({"sphere.E": pd.Series([5e10], ["a"]), "striker.speed": pd.Series([1.0], ["b"])}, {}, "another index"),
+        ([1.0, 2.0], {}, "DataFrame or a dict"),
+        ({}, {"quantities": ("p_min",)}, "p_min"),
+        ({}, {"tolerance": 0.0}, "tolerance"),
+        ({}, {"tolerance": math.nan}, "tolerance"),
+        ({}, {"threads": 0}, "threads"),
+        ({}, {"model": lambda x: x}, "impact scene"),
+    ],
+)
+def test_wrong_rows_are_refused(bars: Study, rows: Any, options: dict[str, Any], text: str) -> None:
+    with pytest.raises(UsageError, match=text):
+        evaluate(bars, rows, **options)
+
+
+@pytest.mark.parametrize("values", [{"sphere.E": 52.0}, {"sphere.radius": 5.0}, {"sphere.density": 2.65}])
+def test_a_number_far_from_the_usual_is_warned_of(bars: Study, values: dict[str, float]) -> None:
+    name = next(iter(values))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        evaluate(bars, values)
+    assert f"{name} = {values[name]:g}" in str(caught[0].message)
+    assert "is the unit right?" in str(caught[0].message)
+
+
+# --- what a black box gets and returns ------------------------------------------------------------------------------
+
+BOX = """
+seed = 1
+[inputs]
+a = { dist = "uniform", lower = 0.0, upper = 1.0 }
+b = 3.0
+[outputs]
+names = ["y", "z"]
+"""
+A = np.linspace(0.1, 0.9, 4)
+EXPECTED = np.stack([A + 3.0, 2.0 * A], axis=1)
+
+#: forms in which the same answers may come
+FORMS: dict[str, Any] = {
+    "a dict": lambda x: {"z": 2 * x["a"], "y": x["a"] + x["b"], "more": None},
+    "lists": lambda x: {"y": list(x["a"] + x["b"]), "z": tuple(2 * x["a"])},
+    "objects": lambda x: {"y": (x["a"] + x["b"]).astype(object), "z": 2 * x["a"]},
+    "a DataFrame": lambda x: pd.DataFrame({"z": 2 * x["a"], "y": x["a"] + x["b"]}),
+    "a sorted DataFrame": lambda x: pd.DataFrame({"z": 2 * x["a"], "y": x["a"] + x["b"]}).sort_values("z")[::-1],
+    "Series": lambda x: {
+        "y": pd.Series(x["a"] + x["b"])[::-1],
+        "z": pd.Series(2 * x["a"], index=list("abcd")[: len(x["a"])]),
+    },
+    "an array": lambda x: np.stack([x["a"] + x["b"], 2 * x["a"]], axis=1),
+}
+
+#: what is no answer, and why
+WRONG: dict[str, tuple[Any, str]] = {
+    "missing": (lambda x: {"y": x["a"]}, "no 'z'"),
+    "empty": (lambda x: {}, "returned nothing"),
+    "none": (lambda x: None, "returned nothing"),
+    "one array": (lambda x: x["a"], r"must return a dict with 'y', 'z'"),
+    "transposed": (lambda x: np.stack([x["a"], x["a"]]), r"shape \(4, 2\)"),
+    "short": (lambda x: {"y": x["a"], "z": x["a"][:2]}, r"must have shape \(4,\)"),
+    "one number": (lambda x: {"y": x["a"], "z": 1.0}, "numpy.vectorize"),
+    "two dimensions": (lambda x: {"y": x["a"], "z": x["a"][:, None]}, r"its shape is \(4, 1\)"),
+    "text": (lambda x: {"y": x["a"], "z": ["1", "2", "3", "4"]}, "not an array of numbers"),
+    "objects": (lambda x: {"y": x["a"], "z": np.array([1, 2, 3, "x"], dtype=object)}, "not an array of numbers"),
+    "dates": (lambda x: {"y": x["a"], "z": np.zeros(4, "M8[s]")}, "not an array of numbers"),
+    "complex": (lambda x: {"y": x["a"], "z": x["a"] + 1j}, "complex"),
+    "repeated": (lambda x: pd.DataFrame(np.zeros((4, 3)), columns=["y", "z", "y"]), "more than once"),
+    "raises": (lambda x: 1 / 0, "ZeroDivisionError"),
+    "generator": (lambda x: (a for a in x["a"]), "must return a dict"),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_answers_may_come_in_many_forms(form: str, capsys: pytest.CaptureFixture[str]) -> None:
+    def box(x: dict[str, np.ndarray[Any, Any]]) -> Any:
+        print("chatter")
+        assert {name: column.dtype for name, column in x.items()} == {"a": np.float64, "b": np.float64}
+        return FORMS[form](x)
+
+    study = load_study(text=BOX)
+    with open_model(study, box) as model:
+        answers = model.evaluate(("a",), A[:, None], ("y", "z"))
+        assert (answers.values == EXPECTED).all()
+        assert (model.evaluate(("a",), A[:, None], ("z",)).values == EXPECTED[:, 1:]).all()
+    frame = pd.DataFrame({"a": A}, index=list("wxyz"))
+    found = evaluate(study, frame, model=box)
+    assert found.columns.tolist() == ["y", "z", "censored"]
+    assert found.index.tolist() == list("wxyz")
+    assert "chatter" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_answers_of_another_form_are_refused(name: str) -> None:
+    box, text = WRONG[name]
+    with pytest.raises(ModelError, match=text):
+        call_black_box(box, ("a",), A[:, None], ("y", "z"))
+
+
+def test_one_output_and_one_row_need_no_dict() -> None:
+    assert call_black_box(lambda x: 2 * x["a"], ("a",), A[:, None], ("y",)).tolist() == EXPECTED[:, 1:].tolist()
+    assert call_black_box(lambda x: 2.0, ("a",), A[:1, None], ("y",)).tolist() == [[2.0]]
+    masked = np.ma.array([1.0, 2.0], mask=[False, True])
+    assert np.isnan(call_black_box(lambda x: masked, ("a",), A[:2, None], ("y",))[1, 0])
+    assert np.isnan(call_black_box(lambda x: [1.0, None], ("a",), A[:2, None], ("y",))[1, 0])
+
+
+def test_unknown_inputs_and_outputs_are_refused() -> None:
+    with open_model(load_study(text=BOX), FORMS["a dict"]) as model:
+        for names, columns, text in ((("q",), ("y",), "unknown input 'q'"), (("a",), ("q",), "unknown output 'q'")):
+            with pytest.raises(UsageError, match=text):
+                model.evaluate(names, A[:, None], columns)
+        with pytest.raises(UsageError, match=r"shape \(n, 1\)"):
+            model.evaluate(("a",), A, ("y",))
+
+
+# --- loading --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("reference", ["model.py", "model.txt:f", "model.py:", "model.py:not a name", ":f", ""])
+def test_malformed_references_are_refused(reference: str) -> None:
+    with pytest.raises(UsageError, match=r"FILE\.py:FUNCTION"):
+        load_black_box(reference)
+
+
+def test_models_that_cannot_be_had(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(AccessError, match="does not exist"):
+        load_black_box(f"{tmp_path / 'none.py'}:f")
+    file = tmp_path / "model.py"
+    for text, kind, message in (
+        ("x = 1\ndef g(x): pass\n", UsageError, r"no function 'f' \(it has: g\)"),
+        ("f = 1\n", UsageError, "no function 'f'"),
+        ("1 / 0\n", ModelError, r"ZeroDivisionError: division by zero \(model.py, line 1\)"),
+        ("def f(:\n", ModelError, "SyntaxError"),
+        ("import sys\nsys.exit(0)\n", ModelError, "SystemExit"),
+    ):
+        file.write_text(text)
+        with pytest.raises(kind, match=message):
+            load_black_box(f"{file}:f")
+    file.write_text("print('loading')\ndef f(x):\n    return 2 * x['a']\n")
+    assert load_black_box(f"{file}:f")({"a": np.array([1.5])}).tolist() == [3.0]
+    assert capsys.readouterr().out == ""
+
+
+def test_digests_tell_models_apart(tmp_path: Path) -> None:
+    file = tmp_path / "model.py"
+    file.write_text("def f(x): return 1\ndef g(x): return 2\n")
+    first = model_digest(f"{file}:f")
+    assert first == model_digest(f"{file}:f") != model_digest(f"{file}:g")
+    file.write_text("def f(x): return 3\n")
+    assert first != model_digest(f"{file}:f")
+
+    def scaled(k: float) -> Any:
+        return lambda x: k * x["a"]
+
+    def default(x: Any, k: float = 1.0) -> Any:
+        return k
+
+    one = model_digest(default)
+    default.__defaults__ = (2.0,)
+    assert model_digest(scaled(1.0)) == model_digest(scaled(1.0)) != model_digest(scaled(2.0))
+    assert one != model_digest(default)
+
+    count = 0
+
+    def counted(x: Any) -> Any:
+        nonlocal count
+        count += 1
+        return count
+
+    before = model_digest(counted)
+    counted(None)
+    assert before == model_digest(counted)

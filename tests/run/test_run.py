@@ -1,0 +1,264 @@
+"""A run against models whose answers are known in closed form, and on granite against its own identities."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import uqsphere
+from uqsphere import Study
+from uqsphere.errors import FolderError, TooManyFailures, UsageError
+from uqsphere.results import COLUMNS, Run
+from uqsphere.results.folder import damaged_files
+
+NORMAL = {"dist": "normal", "mean": 0.0, "sd": 1.0}
+
+
+def linear(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """y = 3 a + 4 b."""
+    return {"y": 3.0 * inputs["a"] + 4.0 * inputs["b"]}
+
+
+def study(strength: Any = 8.0, **more: Any) -> Study:
+    """The linear model: y is normal with sd 5, and exceeds a strength of 8 with the probability of 1.6 sd."""
+    tables: dict[str, Any] = {
+        "inputs": {"a": NORMAL, "b": NORMAL}, "outputs": "y", "seed": 3,
+        "limits": {"high": {"quantity": "y", "strength": strength, "aim": "survive", "target": 0.1}},
+    }  # fmt: skip
+    return Study(**{**tables, **more})
+
+
+def holds(run: Run, subject: str, answer: str, truth: float, at: float | str = "") -> bool:
+    """Whether an answer is within four of its own standard errors of the truth."""
+    table = run.answers
+    row = table[(table.subject == subject) & (table.answer == answer) & (table["at"] == at)].iloc[0]
+    return bool(abs(row["value"] - truth) <= 4.0 * row["std_error"] + 1e-12 * abs(truth))
+
+
+@pytest.fixture(scope="module")
+def plain() -> Run:
+    return uqsphere.run(study(), linear)
+
+
+def test_moments_quantiles_and_indices_are_those_of_a_normal(plain: Run) -> None:
+    assert holds(plain, "y", "mean", 0.0)
+    assert holds(plain, "y", "sd", 5.0)
+    for p in (0.01, 0.05, 0.5, 0.95, 0.99):
+        assert holds(plain, "y", "quantile", 5.0 * stats.norm.ppf(p), p)
+    sobol = plain.sobol("y")
+    assert np.allclose(sobol["first"], [0.36, 0.64], atol=1e-9)
+    assert np.allclose(sobol["total"], [0.36, 0.64], atol=1e-9)
+
+
+def test_a_failure_probability_is_that_of_the_normal(plain: Run) -> None:
+    p = float(stats.norm.sf(1.6))
+    assert holds(plain, "limits.high", "failure_probability", p)
+    assert plain.probability("high")["low"] < p < plain.probability("high")["high"]
+    assert plain.verdicts["high"]["verdict"] == "met"
+
+
+def test_a_strength_is_integrated_exactly() -> None:
+    law = {"dist": "normal", "mean": 12.0, "sd": 2.0}
+    run = uqsphere.run(study(law), linear)
+    assert holds(run, "limits.high", "failure_probability", float(stats.norm.sf(12.0 / math.hypot(5.0, 2.0))))
+
+
+def test_a_rare_event_is_searched_for() -> None:
+    high = {"high": {"quantity": "y", "strength": 26.0, "aim": "survive", "target": 1e-6}}
+    run = uqsphere.run(study(limits=high), linear)
+    p = run.probability("high")
+    assert p["low"] < stats.norm.sf(5.2) < p["high"]
+    assert p["high"] < 1.2 * p["low"]
+    point = run.answers[run.answers.answer == "design_point"].set_index("at")["value"]
+    assert np.allclose([point["a"], point["b"]], [26.0 * 3 / 25, 26.0 * 4 / 25], atol=1e-3)
+
+
+def test_a_margin_is_where_the_curve_takes_the_probability() -> None:
+    run = uqsphere.run(study(margins={"solve": "a", "between": [-20.0, 20.0], "for_probability": [0.1, 0.5]}), linear)
+    # y = 3 (m + z) + 4 b exceeds 8 with probability p where 3 m = 8 + 5 z_p
+    for p in (0.1, 0.5):
+        truth = (8.0 + 5.0 * float(stats.norm.ppf(p))) / 3.0
+        row = run.margin("high", p)
+        assert row["low"] - 0.05 < truth < row["high"] + 0.05
+    curve = run.curve("high")
+    assert np.all(np.diff(curve["value"]) >= -1e-9)
+    use = run.verdicts["high"]["use"]
+    assert use["safe_end"] == "largest"
+    assert use["value"] == pytest.approx((8.0 + 5.0 * float(stats.norm.ppf(0.1))) / 3.0, abs=0.15)
+
+
+def test_the_same_study_gives_the_same_numbers(plain: Run) -> None:
+    again = uqsphere.run(study(), linear)
+    assert again.results["answers"] == plain.results["answers"]
+
+
+def test_nothing_random_is_answered_by_one_run() -> None:
+    run = uqsphere.run(Study(inputs={"a": 1.0, "b": 2.0}, outputs="y",
+                             limits={"high": {"quantity": "y", "strength": 8.0, "aim": "survive"}}), linear)  # fmt: skip
+    table = run.answers
+    assert run.results["accuracy"]["runs"] == 1
+    assert table[(table.subject == "y") & (table.answer == "mean")]["value"].item() == 11.0
+    assert run.probability("high")["value"] == 1.0
+
+
+def test_limits_that_no_sample_reaches_are_bounds() -> None:
+    run = uqsphere.run(study(1e6), linear)
+    p = run.probability("high")
+    assert p["high"] < 1e-3
+    assert run.verdicts["high"]["verdict"] == "met"
+
+
+# --- accuracy, budget, interruption --------------------------------------------------------------------------------
+
+
+def test_speed_against_error_is_told_at_each_size(plain: Run) -> None:
+    reached = plain.results["accuracy"]["reached"]
+    assert [row["runs"] for row in reached] == sorted(row["runs"] for row in reached)
+    assert plain.results["accuracy"]["stopped"] == "accurate"
+    assert reached[-1]["error"] <= 1.0
+    assert not plain.results["accuracy"]["missed"]
+
+
+def test_an_accuracy_out_of_reach_ends_with_the_budget() -> None:
+    tight = study(analysis={"accuracy": {"probability": 1e-6}, "budget": {"evaluations": 20_000}})
+    run = uqsphere.run(tight, linear)
+    assert run.results["accuracy"]["stopped"] == "budget"
+    assert run.results["accuracy"]["runs"] <= 20_000
+    assert {miss["answer"] for miss in run.results["accuracy"]["missed"]} >= {"failure_probability"}
+
+
+def test_a_stop_ends_with_what_is_there() -> None:
+    asked = []
+
+    def stop() -> bool:
+        asked.append(1)
+        return len(asked) > 150
+
+    tight = study(analysis={"accuracy": {"probability": 1e-6}})
+    run = uqsphere.run(tight, linear, stop=stop)
+    assert run.results["accuracy"]["stopped"] == "interrupted"
+    assert run.probability("high")["value"] > 0.0
+
+
+def test_a_stop_before_anything_raises() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        uqsphere.run(study(), linear, stop=lambda: True)
+
+
+@pytest.mark.parametrize("policy", ["abort", "bound", "drop"])
+def test_rows_that_fail_are_never_survival(policy: str) -> None:
+    def failing(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        y = linear(inputs)["y"]
+        return {"y": np.where(y > 14.0, np.nan, y)}
+
+    run = None
+    if policy == "abort":
+        with pytest.raises(TooManyFailures, match="on_failure"):
+            uqsphere.run(study(analysis={"on_failure": policy}), failing)
+        return
+    run = uqsphere.run(study(analysis={"on_failure": policy}), failing)
+    p, truth = run.probability("high"), float(stats.norm.sf(1.6))
+    lost = float(stats.norm.sf(14.0 / 5.0))
+    if policy == "bound":
+        assert p["low"] < truth < p["high"]
+    else:
+        assert p["low"] - lost < truth < p["high"] + lost
+    assert any(check["name"] == "failed_rows" for check in run.results["checks"])
+
+
+# --- slow models --------------------------------------------------------------------------------------------------
+
+
+def test_a_slow_model_is_answered_by_a_corrected_expansion() -> None:
+    cubic = study(30.0, analysis={"cost": "10 s", "budget": {"time": "10 min", "evaluations": 60}})
+
+    def model(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": linear(inputs)["y"] + 0.1 * inputs["a"] ** 3}
+
+    run = uqsphere.run(cubic, model)
+    assert run.results["accuracy"]["runs"] <= 60
+    sobol = run.sobol("y")
+    # Var(3 a + a³/10) = 9 + 6 · 3/10 + 15/100
+    var = 9.0 + 1.8 + 0.15
+    assert sobol["first"]["a"] == pytest.approx(var / (var + 16.0), abs=1e-3)
+    assert any("3/" in check["text"] for check in run.results["checks"])
+    p = run.probability("high")
+    assert p["high"] >= 3.0 / 60
+    assert p["note"]
+
+
+def test_a_budget_too_small_for_any_answer_is_refused() -> None:
+    with pytest.raises(UsageError, match="at least"):
+        uqsphere.run(study(analysis={"cost": "10 s", "budget": {"evaluations": 5}}), linear)
+
+
+# --- the folder ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def granite(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("granite") / "run"
+    return uqsphere.run(uqsphere.load_study("studies/granite.toml"), out=folder)
+
+
+def test_a_folder_has_few_files_with_their_sums(granite: Run) -> None:
+    assert granite.folder is not None
+    files = {path.relative_to(granite.folder).as_posix() for path in granite.folder.rglob("*") if path.is_file()}
+    assert files >= {"study.toml", "results.json", "answers.csv", "samples.csv", "report.html", "SHA256SUMS", "log.txt"}
+    assert len(files) <= 25
+    assert damaged_files(granite.folder) == []
+    (granite.folder / "answers.csv").write_text("", encoding="utf-8")
+    assert damaged_files(granite.folder) == ["answers.csv"]
+
+
+def test_results_are_one_long_table_without_nan(granite: Run) -> None:
+    assert granite.folder is not None
+    text = (granite.folder / "results.json").read_text(encoding="utf-8")
+    results = json.loads(text, parse_constant=lambda name: pytest.fail(name))
+    assert set(results) == {"schema_version", "study", "inputs", "answers", "verdicts", "checks", "accuracy", "versions"}
+    assert all(tuple(row) == COLUMNS for row in results["answers"])
+    opened = uqsphere.open_run(granite.folder)
+    assert opened.answers.equals(granite.answers)
+    assert opened.samples.shape[0] <= 16_384
+    assert {"sphere.E", "p_max", "contact_duration", "limits.crushing.strength"} <= set(opened.samples.columns)
+
+
+def test_the_samples_have_the_failure_probability_of_the_run(granite: Run) -> None:
+    table = granite.samples
+    share = float((table["p_max"] > table["limits.crushing.strength"]).mean()) if "p_max" in table else math.nan
+    p = granite.probability("crushing")["value"]
+    assert abs(share - p) < 4.0 * math.sqrt(p / len(table))
+
+
+def test_both_quantities_of_the_mission_have_distributions_and_indices(granite: Run) -> None:
+    for quantity in ("p_max", "contact_duration"):
+        sobol = granite.sobol(quantity)
+        assert sobol["first"].sum() == pytest.approx(1.0, abs=0.05)
+        assert (sobol["total"] >= sobol["first"] - 1e-12).all()
+        assert granite.results["study"]["quantities"][quantity]["density"]
+
+
+def test_the_verdict_names_what_decides_it(granite: Run) -> None:
+    verdict = granite.verdicts["crushing"]
+    assert verdict["verdict"] == "not established"
+    assert verdict["reasons"][0]["code"] == "assumed strength"
+    assert verdict["use"]["value"] < 0.5
+    assert "Use at most" in verdict["headline"]
+    assert "no margin" in verdict["headline"]
+
+
+def test_a_folder_of_another_study_is_refused(granite: Run) -> None:
+    with pytest.raises(FolderError, match="another study"):
+        uqsphere.run(study(), linear, out=granite.folder)
+
+
+def test_a_folder_with_other_files_is_not_written_into(tmp_path: Any) -> None:
+    (tmp_path / "thesis.docx").write_text("", encoding="utf-8")
+    with pytest.raises(FolderError, match=r"thesis\.docx"):
+        uqsphere.run(study(), linear, out=tmp_path)

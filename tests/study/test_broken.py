@@ -1,0 +1,317 @@
+"""Studies that are broken, one way each or several at once: exit code, place and first line of the message."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from study_base import BASE, BLACK_BOX
+
+from uqsphere.errors import StudyError
+from uqsphere.study import load_study
+
+
+@dataclass(frozen=True, kw_only=True)
+class Broken:
+    """A broken study: what is replaced in the base, where the first fault is due, and what it says."""
+
+    name: str
+    edits: tuple[tuple[str, str], ...] = ()
+    at: str = ""
+    says: tuple[str, ...]
+    text: str | bytes | None = None
+    count: int = 1
+
+    def content(self) -> bytes:
+        """The file as it is written."""
+        if self.text is not None:
+            return self.text if isinstance(self.text, bytes) else self.text.encode()
+        text = BASE
+        for old, new in self.edits:
+            assert text.count(old) == 1, f"{self.name}: {old!r} stands {text.count(old)} times in the base"
+            text = text.replace(old, new)
+        return text.encode()
+
+    def line(self) -> int:
+        """Line of the first fault."""
+        if not self.at:
+            return 1
+        before, found, _ = self.content().partition(self.at.encode())
+        assert found, f"{self.name}: {self.at!r} is not in the text"
+        return before.count(b"\n") + 1
+
+
+def one(name: str, old: str, new: str, *says: str, at: str | None = None, count: int = 1) -> Broken:
+    return Broken(name=name, edits=((old, new),), at=new if at is None else at, says=says, count=count)
+
+
+SHAPE = 'shape = "trapezoid"\nrise = "25 us"\nfall = "25 us"'
+RADIUS = 'radius = { dist = "normal", mean = "10 mm", sd = "0.15 mm", lower = "9 mm" }'
+STRENGTH = 'strength = { dist = "weibull", mean = "4 GPa", modulus = 12 }'
+SPEED = 'speed = { dist = "normal", mean = "0.5 m/s", cov = 0.02 }'
+DEEP = "[" * 40 + "1" + "]" * 40
+
+CASES = [
+    # the file as such
+    Broken(name="empty", text=b"", says=("the file is empty", "uqsphere new")),
+    Broken(name="blanks alone", text=b" \n\n\t\n", says=("the file is empty",)),
+    Broken(name="a comment alone", text=b"# nothing\n", says=("sphere: missing", "neither a scene", "nor a black box")),
+    Broken(name="bytes that are not text", text=b'title = "\xff\xfe"\n', says=("0xff is not UTF-8",)),
+    Broken(name="UTF-16", text='title = "x"'.encode("utf-16"), says=("UTF-16", "save it as UTF-8")),
+    Broken(name="a NUL", text=b'title = "x"\nseed = \0 1\n', at="seed", says=("NUL byte",)),
+    Broken(name="ten megabytes", text=b"# x\n" * 2_600_000, says=("larger than 1 MiB",)),
+    Broken(name="brackets without end", text=f"seed = 1\nx = {DEEP}\n", at="x =", says=("nested", "16")),
+    Broken(name="tables without end", text="x = " + "{a=" * 3000 + "1" + "}" * 3000, says=("nested",)),
+    Broken(name="dots without end", text=".".join("a" * 5000) + " = 1\n", says=("dotted key", "12")),
+    Broken(name="an integer without end", text="seed = " + "9" * 5000, says=("more digits")),
+    # syntax
+    one("a quantity without quotes", 'length = "0.8 m"', "length = 0.8 m", "not valid TOML", '"0.8 m"'),
+    one("a word without quotes", 'shape = "trapezoid"', "shape = trapezoid", "quotes", '"trapezoid"'),
+    one("a key twice", "nu = 0.25", "nu = 0.25\nnu = 0.3", "written twice", at="nu = 0.3"),
+    one("a table twice", "[pulse]", "[striker]", "written twice", at="[striker]\nshape"),
+    one("a text without end", '"40 mm"', '"40 mm', "does not end on its line", at='diameter = '),
+    # numbers that are none
+    one("not a number", "nu = 0.25", "nu = nan", "sphere.nu", "found nan", "finite"),
+    one("infinity in a table", "cov = 0.12", "cov = inf", "sphere.E.cov", "found inf"),
+    one("more than 64 bits", "seed = 7", "seed = 99999999999999999999", "64 bits"),
+    one("a length without its unit", '"40 mm"', "40", "bars.diameter", "no unit", 'such as "40 mm" (units: m'),
+    one("a length in SI without its unit", '"40 mm"', "0.04", 'such as "0.04 m" (units: m'),
+    one("a scatter without its unit", '"0.15 mm"', "0.15", "sphere.radius.sd", 'such as "0.15 mm" (units: m',
+        at='radius = {'),
+    one("a scatter beside another unit", '"10 mm", sd = "0.15 mm"', '"1 cm", sd = 0.015', "sphere.radius.sd",
+        'such as "0.015 cm" (units: m', at='radius = {'),
+    one("a density in grams without its unit", "nu = 0.25", "nu = 0.25\ndensity = 2.65",
+        'such as "2.65 g/cm3" (units: kg/m3', at="density = 2.65"),
+    one("a strength in SI without its unit", '"4 GPa"', "4000000000.0", "strength.mean: 4e9 has no unit",
+        'such as "4e9 Pa"', at="strength = {"),
+    one("a stiffness in MPa without its unit", '"52 GPa"', "52000.0", "sphere.E.mean: 52000 has", '"52000 MPa"',
+        at="E = {"),
+    one("a stiffness as text without its unit", 'mean = "52 GPa"', 'mean = "52"', "sphere.E.mean", 'write "52 GPa"'),
+    one("a decimal comma", '"40 mm"', '"0,04 m"', "bars.diameter", "decimal comma", 'write "0.04 m"'),
+    one("a unit of something else", '"40 mm"', '"40 GPa"', "unknown unit 'GPa' for a length", "mm"),
+    one("a unit where none is due", "nu = 0.25", 'nu = "0.25 m"', "plain number", "found 'm'"),
+    one("a boolean for a number", "nu = 0.25", "nu = true", "sphere.nu", "found true"),
+    one("an array for a number", '"40 mm"', '["40 mm"]', "bars.diameter: found an array"),
+    one("a date for a number", '"40 mm"', "1979-05-27", "bars.diameter: found a date"),
+    one("a negative length", '"40 mm"', '"-40 mm"', 'found "-40 mm"', "must be above 0"),
+    one("Poisson ratio of a half", "nu = 0.25", "nu = 0.5", "sphere.nu", "between -1 and 0.5"),
+    one("an end that is none", 'incident_end = "free"', 'incident_end = "fre"', "did you mean 'free'?"),
+    one("an end beyond its range", 'incident_end = "free"', "incident_end = 1.5", "from -1 to 1"),
+    # keys and words
+    one("an unknown key", 'length = "0.8 m"', 'lenght = "0.8 m"', "unknown key", "did you mean 'length'?"),
+    one("an unknown table", "[model]", "[modle]", "unknown key", "did you mean 'model'?"),
+    one("an unknown material", '"granite"\nE', '"granit"\nE', "unknown material", "'granite'?",
+        at='"granit"'),
+    one("a material of the other kind", '"maraging_steel"', '"basalt"', "is for sphere"),
+    one("an unknown shape", SHAPE, 'shape = "square"', '"square"', "rectangular", at='"square"'),
+    one("a record that is not there", "[striker]\nspeed = { dist = \"normal\", mean = \"0.5 m/s\", cov = 0.02 }\n"
+        "length = \"0.8 m\"\n\n[pulse]\n" + SHAPE,
+        '[pulse]\nshape = "measured"\nfile = "p.csv"', 'there is no file "p.csv" beside the study',
+        at='"p.csv"', count=2),
+    one("a key of another shape", SHAPE, 'rise = "1 us"', "does not belong to a rectangular pulse"),
+    one("a word for a flag", "tolerance = 1e-6", 'first_loading_only = "yes"', "true or false"),
+    one("an unknown fidelity", "tolerance = 1e-6", 'fidelity = "fast"',
+        "allowed: full, massless or linear"),
+    # distributions
+    one("a table without dist", '{ dist = "lognormal", mean', "{ mean", "a distribution is required", at="E = {"),
+    one("an unknown distribution", '"lognormal"', '"log-normal"', "known distributions", "'lognormal'?"),
+    one("a key of another distribution", "cov = 0.12", "cov = 0.12, modulus = 3", "does not belong", "sd",
+        at="E = {"),
+    one("sd and cov", "cov = 0.12", 'cov = 0.12, sd = "1 GPa"', "sphere.E", at="E = {"),
+    one("no scatter", "cov = 0.12", "cov = 0.0", "sphere.E.cov", "must be positive", at="E = {"),
+    one("a number in the wrong unit", 'mean = "52 GPa"', 'mean = "52 mm"', "sphere.E.mean", "unknown unit"),
+    one("truncation without mass", 'lower = "9 mm"', 'lower = "5 m"', "leaves no mass"),
+    one("bounds out of order", RADIUS, 'radius = { dist = "uniform", lower = "9 mm", upper = "8 mm" }',
+        "must be below upper"),
+    one("a law of impossible values", "nu = 0.25", 'nu = { dist = "uniform", lower = 0.1, upper = 0.6 }',
+        "sphere.nu.upper", "between -1 and 0.5"),
+    one("a law with an impossible mean", '"0.5 m/s", cov = 0.02', '"-0.5 m/s", cov = 0.02',
+        "must be above 0"),
+    # what is missing
+    one("no radius", RADIUS, "", "sphere.radius: radius is missing", at="[sphere]"),
+    one("no striker", f'[striker]\n{SPEED}\nlength = "0.8 m"', "", "[striker] is missing", at="title"),
+    one("no stiffness", 'material = "maraging_steel"', "", "E is missing", at="[bars]", count=3),
+    one("no length", 'receiving_length = "1.5 m"', "", "infinite = true", at="[bars]"),
+    # numbers that do not go together
+    one("a sphere larger than its bar", '"40 mm"', '"19 mm"', "larger than its bars", at=RADIUS),
+    one("a pulse longer than the round trip", '"0.8 m"', '"1.6 m"', "round trip", "absorbing"),
+    one("a trapezoid without width", 'rise = "25 us"', 'rise = "900 us"', "exceeds the width"),
+    one("two peaks out of order", SHAPE,
+        'shape = "two_peak"\nt1 = "90 us"\nlevel1 = 1\nt2 = "50 us"\nlevel2 = 1',
+        "must come before the second", at='t2 = "50 us"'),
+    one("a step without end", SHAPE, 'shape = "step"', "longer than any round trip", count=2),
+    # limits
+    one("an unknown quantity", 'quantity = "p_max"', 'quantity = "pmax"', "did you mean 'p_max'?"),
+    one("a strength in newton", STRENGTH, 'strength = "4 kN"', "unknown unit 'kN' for a pressure"),
+    one("no strength", STRENGTH, "", "strength is missing", at="[limits.crushing]"),
+    one("a target of one", "target = 0.01", "target = 1.0", "between 0 and 1"),
+    one("a limit with a strange name", "[limits.crushing]", '[limits."a/b"]', "letters, digits", count=2),
+    # dependence
+    one("an unknown name", '"sphere.E", "limits', '"sphere.e", "limits', "did you mean 'sphere.E'?",
+        at='of = ["sphere.e"'),
+    one("a fixed number depends", '"sphere.E", "limits', '"sphere.nu", "limits', "is a fixed number",
+        at='of = ["sphere.nu"'),
+    one("a perfect correlation", "spearman = 0.6", "spearman = 1.0", "both excluded"),
+    one("another copula", "spearman = 0.6", 'spearman = 0.6\ncopula = "gausian"', "did you mean 'gaussian'?",
+        at="copula"),
+    one("two strengths", "spearman = 0.6", "spearman = 0.6\nkendall = 0.4", "spearman is given too", at="kendall"),
+    one("no strength of dependence", "spearman = 0.6", 'copula = "gaussian"', "spearman is missing",
+        at="[[dependence]]"),
+    one("a t copula without freedom", "spearman = 0.6", 'spearman = 0.6\ncopula = "student_t"', "dof is missing",
+        at="[[dependence]]"),
+    one("freedom of a stranger", "spearman = 0.6", 'spearman = 0.6\ndof = 4.0', "dof belongs to", at="dof"),
+    one("two copulas for one name", "spearman = 0.6",
+        'spearman = 0.6\n[[dependence]]\nof = ["sphere.radius", "sphere.E"]\ncopula = "student_t"\ndof = 4.0\nkendall = 0.2',
+        "more than one dependence", at='of = ["sphere.radius'),
+    one("a pair twice", "spearman = 0.6",
+        'spearman = 0.6\n[[dependence]]\nof = ["limits.crushing.strength", "sphere.E"]\nspearman = 0.2',
+        "given twice", at='of = ["limits'),
+    one("not positive definite", 'of = ["sphere.E", "limits.crushing.strength"]\nspearman = 0.6',
+        'of = ["sphere.E", "sphere.radius", "striker.speed"]\nspearman = -0.7', "not positive definite",
+        at="spearman = -0.7"),
+    # analysis and margins
+    one("a method of later", "quantiles = [0.05, 0.5]", 'methods = ["active"]', "allowed: auto, qmc, pce"),
+    one("a quantile of two", "[0.05, 0.5]", "[0.05, 2]", "quantiles[1]", "between 0 and 1"),
+    one("a budget of nothing", "quantiles = [0.05, 0.5]", "budget = { evaluations = 0 }", "above 0"),
+    one("a tolerance of one", "tolerance = 1e-6", "tolerance = 1.0", "1e-12 to 0.01"),
+    one("a negative seed", "seed = 7", "seed = -7", "from 0 upwards"),
+    one("solve for a word", 'solve = "striker.speed"', 'solve = "striker.sped"', "'striker.speed'?"),
+    one("between out of order", '["0.05 m/s", "20 m/s"]', '["20 m/s", "2 m/s"]',
+        "lower value must come first"),
+    # several at once, and black boxes
+    Broken(
+        name="three faults at once",
+        edits=(("seed = 7", "sead = 7"), ('"40 mm"', "40"), ("spearman = 0.6", "spearman = 2")),
+        at="sead",
+        says=("did you mean 'seed'?",),
+        count=3,
+    ),
+    one("a scene and a black box", "[model]", '[inputs]\nx = 1.0\n[model]', "belongs to a scene",
+        at="[sphere]",
+        count=5),
+    Broken(name="a unit in a black box", text=BLACK_BOX.replace("2.0", '"2 mm"'), at="x2",
+        says=("plain number",)),
+    Broken(name="no outputs", text=BLACK_BOX.replace('names = ["y"]', ""), at="[outputs]",
+        says=("outputs are missing",)),
+    Broken(name="no inputs", text='[outputs]\nnames = ["y"]\n', says=("[inputs] is missing",)),
+    Broken(
+        name="an output that is not one",
+        text=BLACK_BOX + '[limits.g]\nquantity = "z"\nstrength = 0\n',
+        at='quantity = "z"',
+        says=('unknown quantity "z"', "known: y"),
+    ),
+]  # fmt: skip
+
+
+def faults(content: bytes, folder: Path) -> StudyError:
+    path = folder / "study.toml"
+    path.write_bytes(content)
+    with pytest.raises(StudyError) as caught:
+        load_study(path)
+    return caught.value
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_broken_study(case: Broken, tmp_path: Path) -> None:
+    error = faults(case.content(), tmp_path)
+    assert error.exit_code == 2
+    first = error.problems[0]
+    assert first.line == case.line(), str(error)
+    shown = str(error).splitlines()[0]
+    assert shown.startswith(f"{tmp_path / 'study.toml'}:{first.line}: "), shown
+    for words in case.says:
+        assert words in shown, (words, shown)
+    assert len(error.problems) == case.count, str(error)
+    for jargon in ("pydantic", "https://", "Traceback", "Input should", "validation error", "type=", "None"):
+        assert jargon not in str(error), str(error)
+
+
+#: a key or value of an earlier study put into the base (place, what is replaced), and what the way out names
+REMOVED = [
+    ('seed = 7', 'seed = 7\n[service.chute]\nspeed = "3 m/s"', "service", "a study of its own"),
+    ('seed = 7', 'seed = 7\nrig = { kind = "none" }', "rig.kind", "write the machine as [rig]"),
+    ('seed = 7', 'seed = 7\n[feed]\nblows = 2', "feed", "uqsphere comminution"),
+    ('seed = 7', 'seed = 7\n[product]\nA = "55 %"', "product", "comminution feed"),
+    ('seed = 7', 'seed = 7\n[tests]\nfile = "t.csv"', "tests", "comminution fit"),
+    ("tolerance = 1e-6", 'fidelity = "auto"', "model.fidelity", '"massless" or "linear"'),
+    ("tolerance = 1e-6", "stochastic = true", "model.stochastic", "same row alike"),
+    ('incident_end = "free"', 'receiving_damper = "d.csv"', "bars.receiving_damper", "receiving_end"),
+    ('incident_end = "free"', 'insert_E = "190 GPa"', "bars.insert_E", "[insert]"),
+    ("[model]", '[contact]\nlaw = "damage"\n[model]', "contact.law", '"plastic"'),
+    ("[model]", '[contact]\ndynamics = "path"\n[model]', "contact.dynamics", "equations of motion"),
+    ("[model]", "[contact]\ngamma = 5\n[model]", "contact.gamma", "leave it out"),
+    ('rise = "25 us"', 'rise = "25 us"\nnoise = true', "pulse.noise", "shpb records"),
+    ("target = 0.01", 'in = "chute"', "limits.crushing.in", "a study of its own"),
+    ("modulus = 12 }", 'modulus = 12, made_up = true }', "limits.crushing.strength", "synthetic = true"),
+    ('{ dist = "weibull", mean = "4 GPa", modulus = 12 }', '{ fit = "vsifit" }', "limits.crushing.strength",
+     'draws = "draws.csv"'),
+    ('{ dist = "weibull", mean = "4 GPa", modulus = 12 }', '{ same_as = "limits.b.strength" }',
+     "limits.crushing.strength", "write the strength again"),
+    ("spearman = 0.6", 'spearman = 0.6\ncopula = "clayton"', "dependence[0].copula", "student_t"),
+    ('quantities = ["p_max"]', 'quantities = ["p_max", "contact_time"]', "analysis.quantities[1]",
+     "write contact_duration, or time_to_first_loss"),
+    ('quantity = "p_max"', 'quantity = "impulse_time"', "limits.crushing.quantity", "write contact_duration"),
+    ('quantities = ["p_max"]', 'ways = "given"', "analysis.ways", "failure_modes"),
+    ('quantities = ["p_max"]', "fields = { force_a = 9 }", "analysis.fields", "uqsphere history"),
+    ('quantities = ["p_max"]', "rows_per_call = 4", "analysis.rows_per_call", "leave it out"),
+    ('quantities = ["p_max"]', "accuracy = { curve = 0.1 }", "analysis.accuracy.curve", "probability"),
+    ('solve = "striker.speed"', 'solve = "striker.specific_energy"', "margins.solve", "striker.speed"),
+    ('solve = "striker.speed"', 'solve = "striker.speed"\nfor_survival = [0.9]', "margins.for_survival", "1 - p"),
+    ('solve = "striker.speed"', 'solve = "striker.speed"\nbars_elastic = true', "margins.bars_elastic", "fracture = false"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("old", "new", "path", "way"), REMOVED, ids=[case[2] for case in REMOVED])
+def test_a_removed_key_is_refused_once_with_the_way_out(
+    old: str, new: str, path: str, way: str, tmp_path: Path
+) -> None:
+    assert BASE.count(old) == 1
+    error = faults(BASE.replace(old, new).encode(), tmp_path)
+    (problem,) = error.problems
+    assert problem.path == path
+    assert "no longer" in problem.message
+    assert way in problem.message
+
+
+def test_the_base_is_in_order(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    for text in (BASE, BLACK_BOX):
+        path.write_text(text)
+        assert load_study(path).warnings == ()
+
+
+def test_many_faults_are_counted_not_listed(tmp_path: Path) -> None:
+    keys = "\n".join(f"key{number} = 1" for number in range(500))
+    error = faults(f"{keys}\n{BASE}".encode(), tmp_path)
+    assert len(error.problems) == 101
+    assert "400 more faults" in error.problems[-1].message
+
+
+CELL = """\
+sphere = { material = "quartz", radius = "5 mm" }
+rig = { kind = "load_cell" }
+hammer = { shape = "ball", diameter = "25.4 mm", material = "bearing_steel", drop_height = "0.2 m" }
+rod = { material = "hard_4340", diameter = "20 mm", length = "1.5 m", gauge = "0.2 m" }
+limits = { one = { criterion = "specific_energy", energy_is = "contact", strength = "60 J/kg" } }
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("", 'gauges = [{ bar = "rod", position = {} }]', "6: gauges[0].position: found a table"),
+        ('gauge = "0.2 m"', 'gauge = "2 m"', "4: rod.gauge: found 2 m, beyond the far end"),
+        ('energy_is = "contact", ', "", "5: limits.one.energy_is: energy_is is missing"),
+        ('drop_height = "0.2 m"', 'drop_height = "0.2 m", speed = "1 m/s"', "3: hammer.drop_height: speed is given too"),
+        ('shape = "ball"', 'shape = "ball", mass = "1 kg"', "3: hammer.mass: mass of a ball follows"),
+        ('radius = "5 mm" }', 'radius = "5 mm" }\nanvil = { material = "steel" }', '2: anvil: [anvil] belongs to the rig'),
+        ('length = "1.5 m", ', "", "4: rod.length: length is missing"),
+        ('diameter = "20 mm", length', 'thickness = "2 mm", diameter = "20 mm", length', "4: rod.thickness: thickness does not"),
+        ('"60 J/kg"', '"60 J"', "5: limits.one.strength: unknown unit"),
+        ("", 'contact = { law = "plastic", hardness = "1 GPa", onset_pressure = "2 GPa" }', "6: contact.hardness: the hardness"),
+    ],
+)  # fmt: skip
+def test_faults_of_a_rig(old: str, new: str, said: str, tmp_path: Path) -> None:
+    text = CELL.replace(old, new, 1) if old else CELL + new
+    assert f"study.toml:{said}" in str(faults(text.encode(), tmp_path))

@@ -1,0 +1,141 @@
+"""Tables as they come from instruments and Excel: read alike, or refused with their lines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uqsphere.tables import TableError, read_table, unit_in_heading
+
+PLAIN = "D,F\n14.9,7.42\n15.1,9.85\n15,8.31\n"
+
+#: the same three tests, as various people save them
+ALIKE = {
+    "commas": PLAIN.encode(),
+    "mark, CRLF, quotes": b'\xef\xbb\xbf"D","F"\r\n"14.9","7.42"\r\n15.1,9.85\r\n15,8.31\r\n',
+    "German Excel": "D;F\n14,9;7,42\n15,1;9,85\n15;8,31\n".encode(),
+    "tabs": PLAIN.replace(",", "\t").encode(),
+    "UTF-16": PLAIN.replace(",", "\t").encode("utf-16"),
+    "comments, blanks": ("# made by hand\n\n" + PLAIN + "\n,\n").encode(),
+    "empty last column": b"D,F,\n14.9,7.42,\n15.1,9.85,\n15,8.31,\n",
+}
+
+
+@pytest.mark.parametrize("data", ALIKE.values(), ids=ALIKE)
+def test_one_table_in_many_forms(data: bytes, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_bytes(data)
+    table = read_table(tmp_path / "t.csv")
+    assert table.numbers("F", "force", "kN").tolist() == pytest.approx([7420.0, 9850.0, 8310.0], rel=1e-15)
+    assert table.numbers("D", "length", "mm").tolist() == pytest.approx([14.9e-3, 15.1e-3, 15e-3], rel=1e-15)
+    table.finish()
+
+
+def test_a_workbook_and_windows_text(tmp_path: Path) -> None:
+    from openpyxl import Workbook
+
+    book = Workbook()
+    for row in [["Größe [mm]", "Kraft_kN"], [14.9, 7.42], [15.1, 9.85], [None, None]]:
+        book.active.append(row)
+    book.save(tmp_path / "t.xlsx")
+    (tmp_path / "t.csv").write_bytes("Größe [mm];Kraft_kN\n14,9;7,42\n15,1;9,85\n".encode("cp1252"))
+    for name in ("t.xlsx", "t.csv"):
+        table = read_table(tmp_path / name)
+        assert table.numbers("Größe", "length").tolist() == pytest.approx([14.9e-3, 15.1e-3])
+        assert table.numbers("Kraft", "force").tolist() == pytest.approx([7420.0, 9850.0])
+    assert "cp1252" in table.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("heading", "dimension", "found"),
+    [
+        ("force/kN", "force", ("force", "kN")),
+        ("force (kN)", "force", ("force", "kN")),
+        ("force [kN]", "force", ("force", "kN")),
+        ("force in kN", "force", ("force", "kN")),
+        ("force, kN", "force", ("force", "kN")),
+        ("mean_rate_kN_s", "loading_rate", ("mean_rate", "kN/s")),
+        ("specific energy (J/kg)", "specific_energy", ("specific energy", "J/kg")),
+        ("force_kN", "length", ("force_kN", None)),
+        ("m", "length", ("m", None)),
+    ],
+)
+def test_units_in_headings(heading: str, dimension: str, found: tuple[str, str | None]) -> None:
+    assert unit_in_heading(heading, dimension) == found
+
+
+#: text of the table, and what its one message says
+FAULTY = {
+    "an empty cell": ("D,F\n14.9,7.42\n15.1,\n15,8\n15,\n", "t.csv: lines 3, 5: F: an empty cell"),
+    "a text": ("D,F\n14.9,7.42\n15.1,broken\n", "line 3: F: found 'broken', where a number is required"),
+    "a unit in a cell": ("D,F\n14.9,7.42 kN\n", "line 2: F: found '7.42 kN'"),
+    "a mark of thousands": ("D;F\n14,9;1.234,5\n15;7,4\n", "line 2: F: a mark of thousands"),
+    "a thousands dot among whole numbers": ("D,F\n14,2.830\n15,2260\n", "line 2: F: '2.830' beside '2260': a mark of thousands?"),
+    "comma or thousands": ("D;F\n14;2,830\n15;2,260\n", 'add decimal = ","'),
+    "two decimal marks": ("D;F\n14;2,83\n15;2.26\n", "decimal point and comma in one column"),
+    "summary rows": ("n;F\n1;7.42\n2;9.85\nMittelwert;8.6\nsd;1.7\n", "lines 4, 5: a summary row"),
+    "a decimal comma between commas": ("D,F\n14,9,7,42\n", "line 2: more cells than headings"),
+    "no such column": ("D,G\n1,2\n", "the column 'F' is not in 't.csv', which has 'D', 'G'"),
+    "a column twice": ("F,F\n1,2\n", "'F' is twice or more in"),
+    "headings alone": ("D,F\n", "no row below its headings"),
+    "nothing": ("\n\n", "'t.csv' is empty"),
+    "bytes": ("\0\0\0\1\2\3", "no text"),
+    "too large": ("D,F\n1,1e999\n", "a number too large"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "said"), FAULTY.values(), ids=FAULTY)
+def test_faults_name_their_lines(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_bytes(text.encode())
+
+    def read() -> None:
+        table = read_table(tmp_path / "t.csv")
+        table.numbers("F", key="force")
+        table.finish()
+
+    with pytest.raises(TableError) as caught:
+        read()
+    assert said in str(caught.value)
+
+
+def test_all_faults_of_a_kind_are_one_message(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("D,F\n" + "1,\n" * 30 + "x,2\n")
+    table = read_table(tmp_path / "t.csv")
+    for name in ("D", "F"):
+        table.numbers(name)
+    with pytest.raises(TableError) as caught:
+        table.finish()
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 2
+    assert "lines 2, 3, 4, 5, 6, 7, 8, 9 and 22 more: F: an empty cell" in lines[1]
+
+
+def test_rows_pasted_twice_and_rows_of_sums_are_noted(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    rows = [f"{d:.1f},{f:.0f}" for d, f in zip(rng.normal(12, 0.4, 25), rng.normal(2500, 600, 25), strict=True)]
+    values = np.array([[float(cell) for cell in row.split(",")] for row in rows])
+    means, sds = values.mean(axis=0), values.std(axis=0, ddof=1)
+    for more, said in (
+        (rows, "repeat earlier rows: pasted twice?"),
+        ([f"{means[0]:.1f},{means[1]:.0f}", f"{sds[0]:.1f},{sds[1]:.0f}"], "line 27 is the mean of the rows above"),
+        ([], None),
+    ):
+        (tmp_path / "t.csv").write_text("\n".join(["D,F", *rows, *more]))
+        table = read_table(tmp_path / "t.csv")
+        table.numbers("F")
+        table.finish()
+        assert [said in note for note in table.notes] == ([True] if said else [])
+
+
+def test_units_come_from_the_key_or_the_heading_and_must_agree(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("F [kN],D\n1,2\n")
+    table = read_table(tmp_path / "t.csv")
+    assert table.numbers("F", "force", key="force").tolist() == [1000.0]
+    for unit, said in (("N", "the heading 'F [kN]' says 'kN'"), ("mm", "found 'mm', allowed: N, mN, kN")):
+        with pytest.raises(TableError) as caught:
+            table.numbers("F", "force", unit, key="force")
+        assert said in str(caught.value)
+        assert caught.value.key == "force_unit"
+    with pytest.raises(TableError, match="unit of the column 'D' is missing: add diameter_unit = \"m\""):
+        table.numbers("D", "length", key="diameter")

@@ -1,0 +1,165 @@
+"""Estimates: intervals that cover, censoring and failures that are never hidden, accuracies that are met."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.special import ndtri
+
+from uqsphere.uq.describe import describe, hazen, hill
+from uqsphere.uq.estimate import Estimate, absent, from_replicates, share
+from uqsphere.uq.points import sobol_points
+
+QUANTILES = (0.05, 0.5, 0.95)
+REPETITIONS = 60
+
+
+def normals(kind: str, repetition: int, dimension: int, n: int, replicates: int = 16) -> np.ndarray:
+    """Standard normals (R, n, d), random or quasi-random."""
+    if kind == "random":
+        return np.random.default_rng([repetition, 77]).standard_normal((replicates, n, dimension))
+    points = [
+        sobol_points(dimension=dimension, count=n, seed=repetition, task="coverage", replicate=r)
+        for r in range(replicates)
+    ]
+    return ndtri(np.stack(points))
+
+
+@pytest.mark.parametrize("kind", ["random", "quasi-random"])
+@pytest.mark.parametrize(
+    ("model", "dimension", "truth"),
+    [
+        (lambda z: z.sum(axis=-1), 3, stats.norm(0.0, math.sqrt(3.0))),
+        (lambda z: np.exp(0.15 * z.sum(axis=-1)), 4, stats.lognorm(0.3)),
+        (lambda z: (z**2).sum(axis=-1), 3, stats.chi2(3)),
+    ],
+    ids=["sum", "product", "squares"],
+)
+def test_intervals_cover_what_they_promise(kind, model, dimension, truth) -> None:
+    exact = {"mean": truth.mean(), "sd": truth.std(), **{p: truth.ppf(p) for p in QUANTILES}}
+    hits = dict.fromkeys(exact, 0)
+    for repetition in range(REPETITIONS):
+        found = describe(model(normals(kind, repetition, dimension, 64)), quantiles=QUANTILES)
+        for key, estimate in [("mean", found.mean), ("sd", found.sd), *found.quantiles.items()]:
+            hits[key] += estimate.low <= exact[key] <= estimate.high
+    # 0.95 with the scatter of these repetitions; quantiles of few samples a little above.
+    for key, hit in hits.items():
+        assert hit / REPETITIONS >= 0.95 - 4.0 * math.sqrt(0.95 * 0.05 / REPETITIONS), key
+    assert min(hits.values()) / REPETITIONS < 1.0
+
+
+def test_quasi_random_intervals_are_narrower_than_random_ones() -> None:
+    widths = {
+        kind: describe(normals(kind, 1, 3, 1024).sum(axis=-1)).mean.half_width for kind in ("random", "quasi-random")
+    }
+    assert widths["quasi-random"] < 0.1 * widths["random"]
+
+
+def test_description_does_not_depend_on_unit_or_offset() -> None:
+    x = np.exp(0.3 * normals("quasi-random", 3, 2, 256).sum(axis=-1))
+    one, other = describe(x), describe(1e9 * x + 5e9)
+    assert other.mean.value == pytest.approx(1e9 * one.mean.value + 5e9, rel=1e-12)
+    assert other.mean.half_width == pytest.approx(1e9 * one.mean.half_width, rel=1e-6)
+    assert other.sd.value == pytest.approx(1e9 * one.sd.value, rel=1e-9)
+    for p, estimate in one.quantiles.items():
+        assert other.quantiles[p].low == pytest.approx(1e9 * estimate.low + 5e9, rel=1e-12)
+
+
+def test_censored_quantiles_are_absent_beyond_the_share_and_unmoved_below() -> None:
+    x = np.random.default_rng(4).standard_normal((16, 512))
+    censored = x > 1.0
+    found = describe(np.minimum(x, 1.0), censored=censored, quantiles=(0.05, 0.5, 0.95))
+    plain = describe(x, quantiles=(0.05, 0.5, 0.95))
+    assert found.quantiles[0.5] == plain.quantiles[0.5]
+    assert found.quantiles[0.95].value is None
+    assert found.quantiles[0.95].reason.startswith("beyond the censored share")
+    assert found.exempt == (0.95,)
+    assert found.censored_share.value == pytest.approx(censored.mean())
+    assert "restricted to the record" in found.mean.method
+
+
+def test_a_record_that_ends_at_random_widens_the_quantile_to_what_is_known() -> None:
+    rng = np.random.default_rng(6)
+    x, end = rng.standard_normal((16, 512)), rng.standard_normal((16, 512)) + 1.5
+    found = describe(np.minimum(x, end), censored=x > end, quantiles=(0.5,)).quantiles[0.5]
+    plain = describe(x, quantiles=(0.5,)).quantiles[0.5]
+    assert found.low < plain.value < found.high
+    assert found.half_width > 2.0 * plain.half_width
+
+
+def test_failed_rows_are_dropped_or_bound_and_never_survive() -> None:
+    x = np.random.default_rng(8).standard_normal((16, 512))
+    broken = x > 1.5  # the failures are the largest: dropping them is biased, bounding is honest
+    spoiled = np.where(broken, math.nan, x)
+    dropped = describe(spoiled, quantiles=(0.9, 0.99))
+    bound = describe(spoiled, quantiles=(0.9, 0.99), on_failure="bound")
+    assert "without failed rows" in dropped.mean.method
+    assert dropped.quantiles[0.9].high < stats.norm.ppf(0.9)
+    assert bound.quantiles[0.9].low <= stats.norm.ppf(0.9) <= bound.quantiles[0.9].high
+    assert bound.quantiles[0.99].value is None
+    assert "failed share" in bound.quantiles[0.99].reason
+    infinite = describe(np.where(broken, math.inf, x), quantiles=(0.9,))
+    assert infinite.mean == describe(spoiled, quantiles=(0.9,)).mean
+
+
+def test_shares_stay_in_the_unit_interval_and_none_is_not_zero_for_certain() -> None:
+    none = share(np.zeros((4, 25), dtype=bool))
+    assert (none.value, none.low) == (0.0, 0.0)
+    assert none.high == pytest.approx(1.0 - 0.05 ** (1 / 100))
+    assert share(np.ones((4, 25), dtype=bool)).low == pytest.approx(0.05 ** (1 / 100))
+    few = np.zeros((4, 25), dtype=bool)
+    few[0, 0] = True
+    found = share(few)
+    assert 0.0 <= found.low <= 0.01 <= found.high
+    ends = [math.log(99.0 * end / (1.0 - end)) for end in (found.low, found.high)]
+    assert ends == pytest.approx([-ends[1], ends[1]])  # as far to both sides in logits
+
+
+def test_heavy_tails_are_said_and_not_printed() -> None:
+    x = np.random.default_rng(1).standard_cauchy((16, 1024))
+    found = describe(x)
+    assert found.sd.value is None
+    assert "does not converge" in found.sd.reason
+    assert 1.0 < found.scale < 4.0
+
+
+def test_hill_reads_the_order_off_a_tail() -> None:
+    rng = np.random.default_rng(5)
+    assert hill(rng.standard_cauchy(20_000)) == pytest.approx(1.0, rel=0.2)
+    assert hill(rng.standard_t(3.0, 20_000)) == pytest.approx(3.0, rel=0.3)
+    assert hill(rng.standard_normal(20_000)) > 4.0
+    assert hill(np.zeros(100)) == math.inf
+
+
+def test_estimates_are_ready_for_json_and_refuse_what_is_not() -> None:
+    estimate = from_replicates(np.array([1.0, 2.0, 4.0]), "mean", 3, pooled=2.25)
+    table = json.loads(json.dumps(estimate.as_dict(), allow_nan=False))
+    assert set(table) == {"value", "low", "high", "std_error", "method", "evaluations"}
+    half = stats.t.ppf(0.975, 2) * np.std([1, 2, 4], ddof=1) / math.sqrt(3)
+    assert (table["low"], table["high"]) == pytest.approx((2.25 - half, 2.25 + half))
+    assert absent("why", "m", 1).as_dict()["reason"] == "why"
+    assert from_replicates(np.array([1.0, math.nan]), "m", 2).value is None
+    assert from_replicates(np.array([1.0]), "m", 1).value is None
+    assert from_replicates(np.array([-1e308, 1e308]), "m", 1).value is None
+    with pytest.raises(ValueError, match="finite"):
+        Estimate(value=math.nan, low=None, high=None, std_error=None, method="m", evaluations=1)
+    with pytest.raises(ValueError, match="reason"):
+        Estimate(value=None, low=None, high=None, std_error=None, method="m", evaluations=1)
+
+
+def test_too_few_samples_are_said() -> None:
+    found = describe(np.random.default_rng(3).random((2, 16)), quantiles=(0.01,))
+    assert "too few" in found.quantiles[0.01].reason
+    assert describe(np.full((3, 8), math.nan)).mean.value is None
+
+
+@pytest.mark.parametrize("total", [1, 2, 5, 64])
+@pytest.mark.parametrize("p", [0.001, 0.1, 0.37, 0.5, 0.9, 0.999])
+def test_a_quantile_of_samples_is_hazens(total: int, p: float) -> None:
+    ordered = np.sort(np.random.default_rng(total).standard_normal(total))
+    found = hazen(ordered, p)
+    assert found == pytest.approx(float(np.quantile(ordered, p, method="hazen")), abs=1e-12)

@@ -1,0 +1,121 @@
+"""Laws of SciPy and chaospy: as families of our own, by name, or wrapped, with their tails held to account."""
+
+from __future__ import annotations
+
+import pickle
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import uqsphere
+from uqsphere.errors import StudyError, UsageError
+from uqsphere.uq.families import LawError
+from uqsphere.uq.foreign import as_law, law_table
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")
+    from uqsphere.uq.interop import load_chaospy
+
+    chaospy = load_chaospy()
+
+P = np.array([1e-12, 1e-3, 0.3, 0.9])
+SCIPY = {
+    "normal": stats.norm(1, 2),
+    "lognormal": stats.lognorm(0.3, scale=2),
+    "uniform": stats.uniform(2, 3),
+    "loguniform": stats.loguniform(1, 4),
+    "triangular": stats.triang(0.3, 1, 2),
+    "beta": stats.beta(2, 3, 1, 2),
+    "gamma": stats.gamma(2, 0, 3),
+    "weibull": stats.weibull_min(3, 1, 2),
+    "gumbel": stats.gumbel_r(1, 2),
+    "frechet": stats.invweibull(3, 1, 2),
+    "exponential": stats.expon(0, 2),
+    "rayleigh": stats.rayleigh(0, 2),
+    "student_t": stats.t(5, 1, 2),
+    "scipy.lognorm": stats.lognorm(0.3, 1, 2),
+    "scipy.johnsonsu": stats.johnsonsu(1, 2, 3, 4),
+    "scipy.gumbel_l": stats.gumbel_l(1, 2),
+    "scipy.genpareto": stats.genpareto(-0.2, 1, 2),
+}
+
+
+@pytest.mark.parametrize("family", SCIPY)
+def test_a_law_of_scipy_is_the_same_law(family: str) -> None:
+    given = SCIPY[family]
+    law = as_law(given)
+    assert law.family.name == family
+    for ours, theirs in ((law.ppf, given.ppf), (law.isf, given.isf)):
+        np.testing.assert_allclose(ours(P), theirs(P), rtol=1e-9, atol=1e-9)
+    x = law.ppf(P)
+    np.testing.assert_allclose(law.pdf(x), given.pdf(x), rtol=1e-6)
+    np.testing.assert_allclose([law.mean(), law.sd()], [given.mean(), given.std()], rtol=1e-9)
+    again = pickle.loads(pickle.dumps(law))
+    assert again.ppf(P).tolist() == law.ppf(P).tolist()
+    assert as_law(law_table(law)).ppf(P).tolist() == law.ppf(P).tolist()
+
+
+@pytest.mark.parametrize(
+    ("given", "family"),
+    [
+        (lambda: chaospy.Normal(1, 2), "normal"),
+        (lambda: chaospy.LogNormal(0.3, 0.5), "lognormal"),
+        (lambda: chaospy.LogNormal(0.3, 0.5, shift=1, scale=2), "scipy.lognorm"),
+        (lambda: chaospy.Uniform(2, 5), "uniform"),
+        (lambda: chaospy.Beta(2, 3, 1, 4), "beta"),
+        (lambda: chaospy.Weibull(3, 2), "weibull"),
+        (lambda: chaospy.TruncNormal(lower=-1, upper=2, mu=0.5, sigma=1.5), "normal"),
+        (lambda: chaospy.Trunc(chaospy.Gamma(2, 3), upper=8), "gamma"),
+        (lambda: chaospy.Triangle(1, 2, 3), "triangular"),
+        (lambda: chaospy.Kumaraswamy(2, 3), "chaospy"),
+    ],
+)
+def test_a_law_of_chaospy_is_the_same_law(given: Any, family: str) -> None:
+    made = given()
+    law = as_law(made)
+    assert law.family.name == family
+    p = np.linspace(0.01, 0.99, 9)
+    np.testing.assert_allclose(law.ppf(p), made.inv(p), rtol=1e-6, atol=1e-6)
+
+
+def test_converted_tails_are_our_own_where_chaospy_cuts_them_off() -> None:
+    far = np.array([1e-20])
+    assert float(as_law(chaospy.Normal(0, 1)).ppf(far)[0]) == pytest.approx(stats.norm.ppf(1e-20), rel=1e-12)
+    assert float(chaospy.Normal(0, 1).inv(far)[0]) == pytest.approx(-8.22)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (lambda: stats.poisson(3), "discrete"),
+        (lambda: 3.0, "found float"),
+        (lambda: chaospy.J(chaospy.Normal(), chaospy.Normal()), "give each of its distributions a name"),
+        (lambda: chaospy.Pareto1(1.2), "heavy tail"),
+        (lambda: _Broken(name="broken")(), "has no law 'broken'"),
+        (lambda: {"dist": "scipy.johnsonsu", "a": 1.0}, r"takes \(a, b\)"),
+        (lambda: {"dist": "scipy.johnsonsu", "a": 1.0, "b": -1.0}, "no law with these shapes"),
+    ],
+)
+def test_what_is_no_law_is_refused(given: Any, said: str) -> None:
+    with pytest.raises(LawError, match=said):
+        as_law(given())
+
+
+class _Broken(stats.rv_continuous):
+    def _pdf(self, x: Any) -> Any:
+        return np.exp(-x)
+
+
+def test_a_tail_that_contradicts_itself_is_refused() -> None:
+    from types import SimpleNamespace
+
+    from uqsphere.uq.families.family import wrapped
+
+    own = {name: getattr(stats.norm, name) for name in ("cdf", "ppf", "isf", "pdf", "stats")}
+    wrong = SimpleNamespace(**own, sf=lambda x: np.maximum(stats.norm.sf(x), 1e-8))
+    with pytest.raises(LawError, match="upper tail of w is wrong from the probability 1e-09 on"):
+        wrapped("w", wrong).parameters({}, -np.inf, np.inf)

@@ -1,0 +1,232 @@
+"""Speed against error: the integrator next to general ones, and a run as it doubles its rows."""
+
+from __future__ import annotations
+
+import math
+import platform
+import time
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from importlib import metadata
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.mechanics import contact
+from uqsphere.mechanics.scene import Scene
+from uqsphere.models.scene import solve_scene
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from uqsphere.study import Study
+
+#: granite of 20 mm between long steel bars of 40 mm; density and striker set mass and pulse number
+_NUMBERS: Final = {
+    "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 10e-3, "sphere.density": 2650.0,
+    "bars.E": 210e9, "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 40e-3,
+    "striker.speed": 1.0, "striker.length": 1.0,
+}  # fmt: skip
+#: tolerance of the reference
+_REFERENCE: Final = 1e-12
+#: time over t_c after the pulse in which the last peak falls: what is left of the sphere's swing is smaller
+_AFTER: Final = 0.6
+
+
+def scattered_scene(count: int, *, mu: float = 3e-3, theta: float = 3.0, seed: int = 0) -> Scene:
+    """Infinite bars, rectangular pulse; lognormal E, radius and speed (10, 2, 10 %) about mu and theta."""
+    rng = np.random.default_rng(seed)
+    columns = {name: np.full(count, number) for name, number in _NUMBERS.items()}
+    for name, scatter in (("sphere.E", 0.1), ("sphere.radius", 0.02), ("striker.speed", 0.1)):
+        columns[name] = columns[name] * np.exp(scatter * rng.standard_normal(count))
+    centre = Scene(columns={name: np.array([number]) for name, number in _NUMBERS.items()}, infinite=True).scales
+    columns["sphere.density"] *= mu / centre.mass_number[0]
+    columns["striker.length"] *= theta / centre.pulse_number[0]
+    return Scene(columns=columns, infinite=True)
+
+
+# --- contenders: each gives the largest pressure (n,) [Pa] of a scene by `scattered_scene` ----------------------------
+#
+# Scaled by P_c, alpha_c, t_c and V_c (docs/theory.md): x_1' = 2 f - q_1 - u, x_2' = u - q_2, mu u' = q_1 - q_2 with
+# q = max(x, 0)^(3/2), and f = 1 while the pulse lasts.
+
+
+def _by_kernel(scene: Scene, tolerance: float) -> Array:
+    return solve_scene(scene, tolerance=tolerance, threads=1, quantities=("p_max",)).values["p_max"]
+
+
+def _pressure(scene: Scene, largest: Array) -> Array:
+    scales = scene.scales
+    force = scales.force * largest**1.5
+    return np.asarray(contact.pressure_at_force(force, scales.modulus, scales.effective_radius))
+
+
+def _by_scipy(scene: Scene, tolerance: float) -> Array:
+    """DOP853 as a good user would: a piece before and one after the end of the pulse, peaks by events."""
+    from scipy.integrate import solve_ivp
+
+    solve: Any = solve_ivp
+
+    def largest(mu: float, theta: float) -> float:
+        state, peak = np.zeros(3), 0.0
+        for f, begin, end in ((1.0, 0.0, theta), (0.0, theta, theta + _AFTER)):
+
+            def slope(t: float, y: Array, f: float = f) -> list[float]:
+                q1, q2 = max(y[0], 0.0) ** 1.5, max(y[1], 0.0) ** 1.5
+                return [2.0 * f - q1 - y[2], y[2] - q2, (q1 - q2) / mu]
+
+            rates = [lambda t, y, k=k, slope=slope: slope(t, y)[k] for k in (0, 1)]
+            found = solve(slope, (begin, end), state, "DOP853", events=rates, rtol=tolerance, atol=0.01 * tolerance)
+            state = found.y[:, -1]
+            peak = max([peak, *state[:2], *(float(y[k]) for k in (0, 1) for y in found.y_events[k])])
+        return peak
+
+    scales = scene.scales
+    pairs = zip(scales.mass_number.tolist(), scales.pulse_number.tolist(), strict=True)
+    return _pressure(scene, np.array([largest(mu, theta) for mu, theta in pairs]))
+
+
+@lru_cache(maxsize=1)
+def _compiled() -> Callable[[Array, Array, int], Array]:
+    """Classical Runge-Kutta steps in numba: what a good user would write who does not mind compiling."""
+    import numba
+
+    @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator, unused-ignore]
+    def rate(f: float, mu: float, a: float, b: float, u: float) -> tuple[float, float, float]:
+        p, q = max(a, 0.0), max(b, 0.0)
+        p, q = p * math.sqrt(p), q * math.sqrt(q)
+        return 2.0 * f - p - u, u - q, (p - q) / mu
+
+    @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator, unused-ignore]
+    def largest(masses: Array, pulses: Array, steps: int) -> Array:
+        peaks = np.zeros(len(masses))
+        for row in range(len(masses)):
+            mu, theta, a, b, u = masses[row], pulses[row], 0.0, 0.0, 0.0
+            for piece in range(2):
+                f, length = (1.0, theta) if piece == 0 else (0.0, _AFTER)
+                count = math.ceil(steps * length)
+                before = 0.0
+                for k in range(count):
+                    # short steps at first: the solution starts as t^(5/2)
+                    after = length * ((k + 1.0) / count) ** (2.0 if piece == 0 else 1.0)
+                    h = after - before
+                    before = after
+                    a1, b1, u1 = rate(f, mu, a, b, u)
+                    a2, b2, u2 = rate(f, mu, a + 0.5 * h * a1, b + 0.5 * h * b1, u + 0.5 * h * u1)
+                    a3, b3, u3 = rate(f, mu, a + 0.5 * h * a2, b + 0.5 * h * b2, u + 0.5 * h * u2)
+                    a4, b4, u4 = rate(f, mu, a + h * a3, b + h * b3, u + h * u3)
+                    x, y = a + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4), b + h / 6.0 * (b1 + 2.0 * b2 + 2.0 * b3 + b4)
+                    u += h / 6.0 * (u1 + 2.0 * u2 + 2.0 * u3 + u4)
+                    xs, ys, _ = rate(f, mu, x, y, u)
+                    for old, new, begin, end in ((a, x, a1, xs), (b, y, b1, ys)):
+                        top = max(old, new)
+                        if begin > 0.0 > end:
+                            # the cubic through both values and rates, at the root of its derivative
+                            s = begin / (begin - end)
+                            for _ in range(3):
+                                jump = new - old
+                                first = h * begin + s * (6.0 * jump - 2.0 * h * (2.0 * begin + end)
+                                                         + s * 3.0 * (h * (begin + end) - 2.0 * jump))  # fmt: skip
+                                second = (6.0 * jump - 2.0 * h * (2.0 * begin + end)
+                                          + 6.0 * s * (h * (begin + end) - 2.0 * jump))  # fmt: skip
+                                s -= first / second
+                            top = old + s * (h * begin + s * (3.0 * jump - h * (2.0 * begin + end)
+                                                              + s * (h * (begin + end) - 2.0 * jump)))  # fmt: skip
+                        peaks[row] = max(peaks[row], top)
+                    a, b = x, y
+        return peaks
+
+    return largest
+
+
+def _by_numba(scene: Scene, steps: float) -> Array:
+    scales = scene.scales
+    return _pressure(scene, _compiled()(scales.mass_number, scales.pulse_number, int(steps)))
+
+
+#: who is compared: what computes, what sets the accuracy, its values, and the share of the rows that are taken
+_CONTENDERS: Final[dict[str, tuple[Callable[[Scene, float], Array], str, tuple[float, ...], float]]] = {
+    "uqsphere": (_by_kernel, "tolerance", (1e-4, 1e-6, 1e-8, 1e-10), 1.0),
+    "numba RK4": (_by_numba, "steps per t_c", (50, 100, 200, 400, 1600), 1.0),
+    "scipy DOP853": (_by_scipy, "tolerance", (1e-4, 1e-6, 1e-8, 1e-10), 0.01),
+}
+
+
+def bench(*, rows: int = 1024, rounds: int = 3) -> pd.DataFrame:
+    """Processor time of one thread against error in p_max, between infinite bars, for every contender.
+
+    rows : of the scene; scipy takes a hundredth, at least two.
+    rounds : each contender is timed so often, in turn; the shortest counts. The first call is not timed.
+
+    Returns a DataFrame with a row for each contender and setting: contender, setting, seconds_per_row [s],
+    median_error, largest_error (relative, against the integrator at 1e-12), rows.
+    """
+    import pandas as pd
+
+    scene = scattered_scene(max(rows, 2))
+    reference = _by_kernel(scene, _REFERENCE)
+    entries: dict[tuple[str, float], dict[str, Any]] = {}
+    for turn in range(rounds + 1):
+        for name, (solve, kind, settings, share) in _CONTENDERS.items():
+            count = max(2, int(share * len(scene)))
+            part = scene.at(slice(count))
+            for setting in settings:
+                began = time.process_time()
+                found = solve(part, setting)
+                seconds = (time.process_time() - began) / count
+                if turn == 0:
+                    error = np.abs(found / reference[:count] - 1.0)
+                    entries[name, setting] = {
+                        "contender": name, "setting": f"{kind} {setting:g}", "seconds_per_row": math.inf,
+                        "median_error": float(np.median(error)), "largest_error": float(error.max()), "rows": count,
+                    }  # fmt: skip
+                else:
+                    entry = entries[name, setting]
+                    entry["seconds_per_row"] = min(entry["seconds_per_row"], seconds)
+    return pd.DataFrame(entries.values())
+
+
+def times_as_fast(frame: pd.DataFrame, rival: str, error: float) -> float:
+    """How many times as many seconds a rival takes at a median error, both read off log-log lines.
+
+    NaN where the rival or uqsphere was not measured on both sides of the error.
+    """
+
+    def seconds(name: str) -> float:
+        rows = frame[frame["contender"] == name].sort_values("median_error")
+        errors, taken = np.log(rows["median_error"].clip(lower=1e-16)), np.log(rows["seconds_per_row"])
+        return float(np.exp(np.interp(math.log(error), errors, taken, left=np.nan, right=np.nan)))
+
+    return seconds(rival) / seconds("uqsphere")
+
+
+def run_history(study: Study | None = None, **options: Any) -> pd.DataFrame:
+    """Accuracy of a run as its rows double: model_runs, and error, the largest half-width over what was required.
+
+    study : granite, as shipped, if None.
+    **options : of `uqsphere.run`.
+    """
+    import pandas as pd
+
+    import uqsphere
+    from uqsphere.study import load_study, shipped_studies
+
+    study = load_study(shipped_studies()["granite"]) if study is None else study
+    reached: Sequence[dict[str, float]] = uqsphere.run(study, **options).results["accuracy"]["reached"]  # type: ignore[index]
+    return pd.DataFrame(
+        {"model_runs": [int(r["runs"]) for r in reached], "error": [float(r["error"]) for r in reached]}
+    )
+
+
+def bench_text(*, rows: int = 1024, rounds: int = 3) -> str:
+    """Both tables, with the machine and the versions."""
+    frame, history = bench(rows=rows, rounds=rounds), run_history()
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", "numba"))
+    shown = frame.assign(microseconds_per_row=frame["seconds_per_row"] * 1e6).drop(columns="seconds_per_row")
+    lines = [f"p_max between infinite bars, one thread; Python {platform.python_version()}, {versions}", ""]
+    lines += [shown.to_string(index=False, float_format="{:.2g}".format), ""]
+    for rival in ("numba RK4", "scipy DOP853"):
+        lines.append(f"{rival} takes {times_as_fast(frame, rival, 1e-6):,.3g} times as long at a median error of 1e-6")
+    lines += ["", "a run of granite: error over what is required, as its rows double", ""]
+    return "\n".join([*lines, history.to_string(index=False, float_format="{:.2g}".format)])

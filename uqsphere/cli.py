@@ -1,0 +1,383 @@
+"""The command line: one function a command.  stdout has the answer only, progress and notes go to stderr."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from uqsphere.errors import UqsphereError, UsageError
+
+#: exit codes beside those of errors: a target whose verdict is not met, and an interruption
+NOT_MET, INTERRUPTED = 3, 130
+#: labs: products beside the product, with commands of their own
+LABS = ("shpb", "comminution")
+
+
+def program() -> None:
+    """The entry point: the exit code of a command, errors as one message."""
+    with contextlib.suppress(AttributeError, OSError, ValueError):
+        for stream in (sys.stdout, sys.stderr):
+            stream.reconfigure(errors="replace")  # type: ignore[union-attr]
+    try:
+        code = main(sys.argv[1:])
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # whoever read has gone: nothing more can be told
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    sys.exit(code)
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run a command; returns its exit code."""
+    if argv and argv[0] in LABS and find_spec("uqsphere.labs") is not None:
+        command = import_module(f"uqsphere.labs.{argv[0]}.cli").main
+        return _guarded(lambda: int(command(list(argv[1:]))))
+    parser = _parser()
+    given = parser.parse_args(argv)
+    if not getattr(given, "command", None):
+        parser.print_help()
+        return 2
+    return _guarded(lambda: int(given.command(given)))
+
+
+def _guarded(command: Callable[[], int]) -> int:
+    try:
+        return command()
+    except UqsphereError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        raise
+    except MemoryError:
+        print("out of memory: fewer rows, fewer processes (-j 1) or a smaller study", file=sys.stderr)
+        return 6
+    except OSError as error:
+        print(f"{error.filename or ''}: {error.strerror or error}".lstrip(": "), file=sys.stderr)
+        return 6
+    except Exception as error:
+        if os.environ.get("UQSPHERE_DEBUG"):
+            raise
+        print(
+            f"internal error: {type(error).__name__}: {error}\nPlease report it with the study; UQSPHERE_DEBUG=1 shows "
+            "where it happened.",
+            file=sys.stderr,
+        )
+        return 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="uqsphere", description="Fracture risk and uncertainty of brittle spheres under impact.",
+        epilog="Start with: uqsphere new granite -o rock.toml; uqsphere run rock.toml",
+    )  # fmt: skip
+    parser.add_argument("--version", action=_Version, nargs=0, help="versions of uqsphere and of what it stands on")
+    commands = parser.add_subparsers(metavar="COMMAND")
+
+    def add(name: str, command: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        one = commands.add_parser(name, help=text, description=text[:1].upper() + text[1:] + ".")
+        one.set_defaults(command=command)
+        return one
+
+    new = add("new", _new, "a commented study to start from")
+    new.add_argument(
+        "template", nargs="?", metavar="TEMPLATE", help="one of the shipped studies; without it they are listed"
+    )
+    new.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write it")
+    check = add("check", _check, "validate a study; inputs and strengths as understood, and about how long a run takes")
+    _with_study(check)
+    run = add("run", _run, "run a study, and write its results and its page")
+    _with_study(run)
+    run.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (FILE-results)")
+    run.add_argument("-j", "--processes", type=_count, metavar="N", help="threads, or processes of a black box")
+    run.add_argument("--budget", metavar="TIME", help="time budget in place of the study's, such as 10min")
+    run.add_argument("--model", metavar="FILE.py:FUNCTION", help="the model of a black-box study; this runs its code")
+    run.add_argument("--fresh", action="store_true", help="replace what is in the folder")
+    run.add_argument("--json", action="store_true", help="print results.json in place of the summary")
+    report = add("report", _report, "write the page of a result folder again, from what is stored")
+    report.add_argument("folder", type=Path, metavar="DIR")
+    compare = add("compare", _compare, "runs side by side: what was set otherwise, which answers moved, by how much")
+    compare.add_argument("folders", type=Path, nargs="+", metavar="DIR")
+    compare.add_argument("--csv", type=Path, metavar="FILE", help="write all answers")
+    history = add("history", _history, "one scene over time: forces, pressures, gauges, x-t diagram")
+    _with_study(history)
+    history.add_argument("--out", type=Path, metavar="DIR", help="folder for table and figures")
+    history.add_argument("--json", action="store_true", help="print the rows as JSON")
+    verify = add("verify", _verify, "whether a result folder is whole")
+    verify.add_argument("folder", type=Path, metavar="DIR")
+    verify.add_argument("--again", action="store_true", help="run the study again and compare the answers")
+    verify.add_argument("--model", metavar="FILE.py:FUNCTION", help="the model of a black-box study")
+    listing = add("list", _list, "materials, quantities, criteria or distributions")
+    listing.add_argument("what", choices=("materials", "quantities", "criteria", "distributions"))
+    add("schema", _schema, "the JSON schema of a study file, for editors")
+    bench = add("bench", _bench, "speed against error of the integrator, beside other solvers")
+    bench.add_argument("--rows", type=_count, default=1024, metavar="N")
+    if find_spec("uqsphere.labs") is not None:
+        commands.add_parser("shpb", help="lab: records of Hopkinson bars, contact laws, plans of tests")
+        commands.add_parser("comminution", help="lab: tests of single particles, feeds under blows")
+    return parser
+
+
+class _Version(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from uqsphere.run.write import _versions
+
+        print("\n".join(f"{name} {number}" for name, number in _versions().items()))
+        parser.exit()
+
+
+def _with_study(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", type=Path, metavar="FILE")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="PATH=VALUE",
+        dest="overrides",
+        help="a value in place of the study's, such as sphere.radius='12 mm'; may be given again",
+    )
+
+
+def _count(text: str) -> int:
+    try:
+        number = int(text)
+    except ValueError:
+        number = 0
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}: a whole number from 1 on is required")
+    return number
+
+
+def _loaded(given: argparse.Namespace) -> Any:
+    from uqsphere.study import load_study
+
+    study = load_study(given.file, given.overrides)
+    for warning in study.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    return study
+
+
+# --- commands -------------------------------------------------------------------------------------------------------
+
+
+def _new(given: argparse.Namespace) -> int:
+    from uqsphere.study import shipped_studies
+
+    shipped = shipped_studies()
+    if given.template is None:
+        print("\n".join(shipped))
+        return 0
+    if given.template not in shipped:
+        from difflib import get_close_matches
+
+        near = get_close_matches(given.template, shipped, n=1)
+        raise UsageError(f"there is no template {given.template!r}" + (f"; did you mean {near[0]}?" if near else "")
+                         + f" (known: {', '.join(shipped)})")  # fmt: skip
+    source = shipped[given.template]
+    target = given.output or Path(source.name)
+    beside = [
+        source,
+        *(p for p in source.parent.glob(f"{source.stem}*") if p.suffix in (".csv", ".py") and p != source),
+    ]
+    for path in beside:
+        place = target if path is source else target.parent / path.name
+        if place.exists():
+            raise UsageError(f"{place} is there already: choose another name with -o")
+        place.write_text(path.read_text(encoding="utf-8"), encoding="utf-8")
+        print(f"wrote {place}")
+    print(f"next: uqsphere check {target}")
+    return 0
+
+
+def _check(given: argparse.Namespace) -> int:
+    from uqsphere.models import check_quantities, check_range
+    from uqsphere.report.study import described
+
+    study = _loaded(given)
+    if study.black_box or study.rig:
+        check_range(study)
+        check_quantities(study)
+    print(described(study))
+    return 0
+
+
+def _run(given: argparse.Namespace) -> int:
+    from uqsphere.run import run
+    from uqsphere.units import parse_value
+
+    study = _loaded(given)
+    seconds = None
+    if given.budget is not None:
+        try:
+            seconds = parse_value(given.budget, "time", "min")
+        except ValueError as error:
+            raise UsageError(f"--budget: {error}") from None
+    folder = given.out or Path(f"{given.file.stem}-results")
+    with _interruptible() as stop, _progress(study) as progress:
+        found = run(study, given.model, out=folder, threads=given.processes, seconds=seconds, progress=progress,
+                    stop=stop, fresh=given.fresh)  # fmt: skip
+    if given.json:
+        print(json.dumps(found.results, indent=1, ensure_ascii=False))
+    else:
+        from shutil import get_terminal_size
+
+        from uqsphere.report import summary
+
+        print(summary(found.results, max(min(get_terminal_size().columns - 1, 99), 20)))
+        print(f"report: {folder / 'report.html'}")
+    if found.results["accuracy"]["stopped"] == "interrupted":
+        return INTERRUPTED
+    open_targets = [v for v in found.verdicts.values() if v["target"] is not None and v["verdict"] != "met"]
+    return NOT_MET if open_targets else 0
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[Callable[[], bool]]:
+    """Whether the user has pressed Ctrl-C: once ends with what is there, twice at once."""
+    pressed: list[int] = []
+
+    def press(*_: object) -> None:
+        pressed.append(1)
+        if len(pressed) > 1:
+            raise KeyboardInterrupt
+        print("\nending with what is there; Ctrl-C again ends at once", file=sys.stderr)
+
+    before = signal.getsignal(signal.SIGINT)
+    signal.signal(signal.SIGINT, press)
+    try:
+        yield lambda: bool(pressed)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
+def _progress(study: Any) -> Iterator[Callable[[int, float, str], None]]:
+    """A bar on a terminal, else a line every few seconds; both with the accuracy so far."""
+    if not study.black_box:
+        from uqsphere.mechanics.integrator.compiled import cache_folder
+
+        kept = cache_folder()
+        if kept is None or not any(kept.rglob("*.nbc")):
+            print("compiling the integrator, once: about half a minute", file=sys.stderr)
+    if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
+        from tqdm import tqdm
+
+        with tqdm(unit=" runs", unit_scale=True, leave=False, file=sys.stderr) as bar:
+
+            def show(runs: int, error: float, text: str) -> None:
+                bar.set_postfix_str(f"error / tolerance {error:.2g}" if error == error else text)
+                bar.update(runs - bar.n)
+
+            yield show
+        return
+    last = [time.monotonic()]
+
+    def line(runs: int, error: float, text: str) -> None:
+        if time.monotonic() - last[0] > 3.0:
+            last[0] = time.monotonic()
+            print(f"{runs:,} runs, error / tolerance {error:.2g}: {text}", file=sys.stderr)
+
+    yield line
+
+
+def _report(given: argparse.Namespace) -> int:
+    from uqsphere.report import write_page
+
+    print(f"wrote {write_page(given.folder)}")
+    return 0
+
+
+def _compare(given: argparse.Namespace) -> int:
+    from uqsphere.report.compare import compare, comparison_text
+    from uqsphere.results import open_run
+
+    runs = [open_run(folder) for folder in given.folders]
+    names = [folder.name or str(folder) for folder in given.folders]
+    if len(set(names)) < len(names):
+        names = [str(folder) for folder in given.folders]
+    print(comparison_text(runs, names))
+    if given.csv is not None:
+        compare(runs, names).to_csv(given.csv, index=False)
+        print(f"wrote {given.csv}")
+    return 0
+
+
+def _history(given: argparse.Namespace) -> int:
+    from uqsphere.report.history import history, history_rows, write_history
+    from uqsphere.results.folder import locked
+
+    study = _loaded(given)
+    found = history(study)
+    rows = history_rows(study, found)
+    if given.json:
+        print(json.dumps({"title": study.title, "rows": dict(rows)}, indent=1, ensure_ascii=False))
+    else:
+        width = max(len(text) for text, _ in rows)
+        print(f"{study.title}: one scene, every number at its mean")
+        print("\n".join(f"{text:{width}}  {value}" for text, value in rows))
+    if given.out is not None:
+        with locked(given.out):
+            for name in write_history(study, found, given.out):
+                print(f"wrote {given.out / name}")
+    return 0
+
+
+def _verify(given: argparse.Namespace) -> int:
+    from uqsphere.errors import FolderError
+    from uqsphere.results import open_run
+    from uqsphere.results.folder import damaged_files
+
+    wrong = damaged_files(given.folder)
+    if wrong:
+        raise FolderError(f"{given.folder}: damaged or missing: {', '.join(wrong[:8])}")
+    print(f"{given.folder}: every file is as it was written")
+    if not given.again:
+        return 0
+    from uqsphere.run import run
+    from uqsphere.study import load_study
+
+    before = open_run(given.folder)
+    study = load_study(given.folder / "study.toml", before.results["study"]["overrides"])
+    after = run(study, given.model)
+    if after.results["answers"] == before.results["answers"]:
+        print(f"run again: all {len(before.results['answers'])} answers are the same")
+        return 0
+    moved = [(one, other) for one, other in zip(before.results["answers"], after.results["answers"], strict=False)
+             if one["value"] != other["value"]]  # fmt: skip
+    one, other = moved[0]
+    raise FolderError(f"run again: {len(moved)} answers differ, the first is {one['subject']} {one['answer']}: "
+                      f"{one['value']} before, {other['value']} now")  # fmt: skip
+
+
+def _list(given: argparse.Namespace) -> int:
+    from uqsphere.report.study import listing
+
+    print(listing(given.what))
+    return 0
+
+
+def _schema(given: argparse.Namespace) -> int:
+    from uqsphere.study import json_schema
+
+    print(json.dumps(json_schema(), indent=1, ensure_ascii=False))
+    return 0
+
+
+def _bench(given: argparse.Namespace) -> int:
+    from uqsphere.bench import bench
+
+    print(bench(rows=given.rows).to_string(index=False))
+    return 0

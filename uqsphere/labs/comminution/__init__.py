@@ -1,0 +1,1 @@
+"""Lab for comminution: tests of single particles to a posterior of their fracture energy, and a feed under blows."""

@@ -1,0 +1,126 @@
+"""`uqsphere comminution fit | feed`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from uqsphere.errors import UqsphereError
+from uqsphere.labs.comminution.document import ComminutionDocument
+from uqsphere.labs.shpb.cli import show, table, write_files
+from uqsphere.labs.shpb.document import load_document
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command of the lab; exit codes 0, 2 (usage, or tests that cannot be used), 6 (files)."""
+    parser = argparse.ArgumentParser(prog="uqsphere comminution", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name, text in (
+        ("fit", "posterior of the fracture energy from tests of single particles; draws.csv is a strength"),
+        ("feed", "what becomes of a feed under blows"),
+    ):
+        one = commands.add_parser(name, help=text, description=text)
+        one.add_argument("file", type=Path, help="input file (TOML)")
+        one.add_argument("--out", type=Path, help="folder for the files (default: FILE-fit, FILE-feed)")
+        one.add_argument("--json", action="store_true", help="one JSON document on stdout")
+    try:
+        chosen = parser.parse_args(argv)
+    except SystemExit as ended:
+        return int(ended.code or 0)
+    try:
+        return _run(chosen)
+    except UqsphereError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+
+
+def _run(chosen: argparse.Namespace) -> int:
+    from uqsphere.labs.comminution.feed import answer_feed, figures
+    from uqsphere.labs.comminution.fit import fit
+    from uqsphere.labs.comminution.tests import load_tests
+
+    asked = load_document(chosen.file, ComminutionDocument)
+    folder = chosen.file.parent
+    fitted = fit(load_tests(asked, folder), asked)
+    out = chosen.out or Path(f"{chosen.file.stem}-{chosen.command}")
+    low, high = fitted.posterior.tested
+    at = asked.strength_at or math.sqrt(low * high)
+    content = {**fitted.content, "strength_at": at}
+    files = {"draws.csv": fitted.posterior.strength_csv(at), "fit.json": _json(content)}
+    text = _fit_text(content)
+    if chosen.command == "feed":
+        answer = answer_feed(fitted.posterior, asked, folder)
+        content = {"fit": content, "feed": answer.content}
+        files |= {"feed.json": _json(answer.content), "classes.csv": answer.class_csv(),
+                  "feed.svg": figures(answer, fitted.content)}  # fmt: skip
+        if asked.product is not None:
+            files["product.csv"] = answer.product_csv()
+        text = _feed_text(answer.content)
+        warnings = dict.fromkeys((*fitted.warnings, *answer.warnings))
+    else:
+        warnings = dict.fromkeys(fitted.warnings)
+    for warning in warnings:
+        print(f"note: {warning}", file=sys.stderr)
+    show(chosen, content, text, write_files(out, files))
+    return 0
+
+
+def _json(content: Any) -> str:
+    return json.dumps(content, indent=1, allow_nan=False, default=float) + "\n"
+
+
+def _interval(one: dict[str, float], factor: float = 1.0, unit: str = "") -> tuple[str, str]:
+    low, high = one["low"] * factor, one["high"] * factor
+    return f"{one['value'] * factor:.4g} {unit}".rstrip(), f"{low:.4g} to {high:.4g}"
+
+
+def _fit_text(content: dict[str, Any]) -> str:
+    tests = content["tests"]
+    head = f"{content['title'] or 'tests'}: {tests['particles']} particles, {tests['broke']} broke"
+    rows = [("size", "tests", "E50 of the law", "95 %", "breaks half", "95 %", "breaks 1 %", "95 %")]
+    for one in content["sizes"]:
+        rows.append((f"{one['diameter'] * 1e3:.4g} mm", str(one["tests"]), *_interval(one["E50"], 1.0, "J/kg"),
+                     *_interval(one["breaks_half"], 1.0, "J/kg"),
+                     *_interval(one["breaks_1_percent"], 1.0, "J/kg")))  # fmt: skip
+    laws = [("law", "weight", "log likelihood", "log score (leave one out)")]
+    laws += [(law, f"{one['weight']:.0%}", f"{one['log_likelihood']:.2f}", f"{one['loo']:.2f}")
+             for law, one in content["laws"].items()]  # fmt: skip
+    names = [("parameter", "value", "95 %", "sd of the logarithm: prior, posterior")]
+    for name, one in content["parameters"].items():
+        prior = "flat" if one["prior_sd"] is None else f"{one['prior_sd']:.2g}"
+        names.append((name, *_interval(one), f"{prior}, {one['sd']:.2g}"))
+    use = f'strength = {{ draws = "draws.csv" }}    # of particles of {content["strength_at"] * 1e3:.4g} mm, J/kg'
+    return "\n\n".join([head, table(rows), table(laws), table(names), use])
+
+
+def _feed_text(content: dict[str, Any]) -> str:
+    scale = {"energy [J/kg]": ("energy of the particles", 1.0 / 3600.0, "kWh/t"), "P80 [m]": ("P80", 1e3, "mm"),
+             "P50 [m]": ("P50", 1e3, "mm")}  # fmt: skip
+    rows = [("answer", "value", "95 %")]
+    for name, one in content["numbers"].items():
+        words, factor, unit = scale.get(name, (name, 1.0, ""))
+        if name in ("broken", "never broken", "t10", "fines"):
+            factor, unit = 100.0, "%"
+        rows.append((words, *_interval(one, factor, unit)))
+    if "lot" in content:
+        one = content["lot"]
+        value, reach = _interval(one["broken"], 100.0, "%")
+        spread = f"{reach}; sd {100 * one['epistemic_sd']:.2g} % of the tests, {100 * one['lot_sd']:.2g} % of the lot"
+        rows.append((f"broken of a lot of {one['mass']:.4g} kg", value, spread))
+    classes = [("size", "mass", "broken", "95 %", "")]
+    for one in content["classes"]:
+        mark = "extrapolated" if one["extrapolated"] else ""
+        classes.append(
+            (f"{one['size'] * 1e3:.4g} mm", f"{one['mass']:.1%}", *_interval(one["broken"], 100.0, "%"), mark)
+        )
+    blocks = [content["title"] or "feed", table(rows), table(classes)]
+    if "goal" in content:
+        goal = content["goal"]
+        blocks.append(f"{goal['broken']:.0%} broken with {goal['at_least']:.0%}: {goal['verdict']} "
+                      f"(probability {goal['probability']:.1%} +- {goal['error']:.1%})")  # fmt: skip
+    return "\n\n".join(blocks)

@@ -1,0 +1,203 @@
+"""The input file of the lab: material, tests of particles, feed, product."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from uqsphere.labs.shpb.document import Density, Length, Pressure, Section, Speed, _in
+from uqsphere.materials import library
+
+SpecificEnergy = Annotated[float, _in("specific_energy"), Field(gt=0.0)]
+Energy = Annotated[float, _in("energy"), Field(gt=0.0)]
+Mass = Annotated[float, _in("mass"), Field(gt=0.0)]
+Share = Annotated[
+    float, BeforeValidator(lambda v: v if isinstance(v, (int, float)) else _share(v)), Field(gt=0.0, le=1.0)
+]
+
+
+def _share(text: Any) -> float:
+    from uqsphere.units import UnitError, parse_value
+
+    try:
+        return parse_value(text, "share")
+    except UnitError as error:
+        raise ValueError(str(error)) from None
+
+
+class Elastic(Section):
+    """E, nu and density; those of a material of the library where they are left out."""
+
+    material: str | None = None
+    E: Pressure | None = None
+    nu: float | None = Field(default=None, ge=0.0, lt=0.5)
+    density: Density | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_library(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or data.get("material") is None:
+            return data
+        known = {name: m for kind in library().values() for name, m in kind.items()}
+        name = data["material"]
+        if name not in known:
+            raise ValueError(f"material {name!r} is not known: {', '.join(known)}")
+        own = known[name].properties
+        units = {"E": " Pa", "nu": "", "density": " kg/m3"}
+        taken = {
+            key: f"{own[key].value!r}{unit}" if unit else own[key].value for key, unit in units.items() if key in own
+        }
+        return {**taken, **data}
+
+
+class Lognormal(Section):
+    """A lognormal prior or scatter: logarithm of its median, and sd of the logarithm."""
+
+    log_mean: float
+    log_sd: float = Field(gt=0.0)
+
+
+class TestsTable(Section):
+    """Tests of single particles, a row a blow or a compression; values name columns of the file.
+
+    rig : what the rows were tested in, or the column that says so (`rig_column`).
+    specific_energy, energy, speed, force : exactly one; the unit stands in the heading or in `unit`.
+    energy_is : `sphere` the particle's own, `contact` of all bodies of the contacts, `input` what was offered.
+    particles, broken : rows that stand for many alike.  specimen : rows of one name are blows on one particle.
+    stiffness : column of measured K_e = E*; without it a force needs `assume_intact = true`.
+    partner : what the particles touch: its share of the energy is taken off.
+    ratio : E_max/E50 of the lognormal law.  gamma : damage exponent, "fit" where repeated blows determine it.
+    """
+
+    file: str
+    rig: Literal["platens", "load_cell", "bars", "drop_weight", "impact", "drop"] = "load_cell"
+    rig_column: str | None = None
+    where: dict[str, str | int | float] = Field(default_factory=dict)
+    diameter: str | None = None
+    mesh_lower: str | None = None
+    mesh_upper: str | None = None
+    diameter_unit: str = ""
+    specific_energy: str | None = None
+    energy: str | None = None
+    speed: str | None = None
+    force: str | None = None
+    unit: str = ""
+    energy_is: Literal["sphere", "contact", "input"] | None = None
+    outcome: str | None = None
+    specimen: str | None = None
+    blows: str | None = None
+    particles: str | None = None
+    broken: str | None = None
+    mass: str | None = None
+    mass_unit: str = ""
+    stiffness: str | None = None
+    stiffness_unit: str = ""
+    assume_intact: bool = False
+    partner: Elastic | None = None
+    law: Literal["lognormal", "weibull", "average"] = "average"
+    ratio: float = Field(default=4.0, gt=1.0)
+    size: Literal["tavares", "king", "power", "class"] = "tavares"
+    gamma: float | Literal["fit"] = "fit"
+    prior: dict[str, Lognormal] = Field(default_factory=dict)
+    synthetic: bool = False
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> TestsTable:
+        given = [key for key in ("specific_energy", "energy", "speed", "force") if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise ValueError("exactly one of specific_energy, energy, speed, force is required, each a column")
+        if self.diameter is None and (self.mesh_lower is None or self.mesh_upper is None):
+            raise ValueError("diameter is required, or mesh_lower and mesh_upper")
+        if self.outcome is None and self.broken is None:
+            raise ValueError("outcome is required, or broken with particles")
+        if given[0] == "force" and self.stiffness is None and not self.assume_intact:
+            raise ValueError(
+                "a force needs the stiffness of each particle (stiffness = COLUMN): broken rock is often several times "
+                "softer than intact rock; assume_intact = true takes E and nu of the material"
+            )
+        if given[0] in ("specific_energy", "energy") and self.energy_is is None:
+            raise ValueError('energy_is is required: "sphere", "contact" or "input"')
+        if isinstance(self.gamma, float) and not 0.5 < self.gamma < 50.0:
+            raise ValueError("gamma lies from 0.5 to 50 (published: 3 to 5.4)")
+        known = {"e_inf", "C", "d0", "phi", "sigma", "modulus", "gamma"}
+        if set(self.prior) - known:
+            raise ValueError(f"prior: allowed are {', '.join(sorted(known))}")
+        return self
+
+
+class SizesTable(Section):
+    """The feed by mass: a law with its numbers, or a sieve table; classes from `top` down in steps of `ratio`."""
+
+    law: Literal["rosin_rammler", "gaudin_schuhmann", "lognormal", "table"]
+    d63: Length | None = None
+    d50: Length | None = None
+    n: float | None = Field(default=None, gt=0.0)
+    sd: float | None = Field(default=None, gt=0.0)
+    top: Length | None = None
+    ratio: float = Field(default=2.0**0.5, gt=1.0)
+    classes: int = Field(default=14, ge=1, le=200)
+    file: str | None = None
+    sieve: str | None = None
+    sieve_unit: str = ""
+    passing: str | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> SizesTable:
+        needs = {"rosin_rammler": ("d63", "n", "top"), "gaudin_schuhmann": ("n", "top"),
+                 "lognormal": ("d50", "sd", "top"), "table": ("file", "sieve", "passing")}[self.law]  # fmt: skip
+        missing = [key for key in needs if getattr(self, key) is None]
+        if missing:
+            raise ValueError(f"{self.law}: {', '.join(missing)} required")
+        return self
+
+
+class FeedTable(Section):
+    """A feed under blows.
+
+    specific_energy, energy, speed : of one blow, exactly one; the same J/kg for all sizes, J a blow, closing speed.
+    cov : coefficient of variation of the energy from blow to blow.  impact_surface : what the particles hit.
+    undersize : whether what is below the last sieve breaks too.  lot : mass over which numbers scatter.
+    goal : broken share that is to be reached with the probability `at_least`.
+    """
+
+    sizes: SizesTable
+    blows: int = Field(default=1, ge=1, le=1000)
+    specific_energy: SpecificEnergy | None = None
+    energy: Energy | None = None
+    speed: Speed | None = None
+    cov: float = Field(default=0.0, ge=0.0, le=3.0)
+    impact_surface: Elastic | None = None
+    undersize: Literal["stays", "breaks"] = "stays"
+    lot: Mass | None = None
+    fines: Length | None = None
+    goal: Share | None = None
+    at_least: Share = 0.95
+
+    @model_validator(mode="after")
+    def _one_energy(self) -> FeedTable:
+        if sum(v is not None for v in (self.specific_energy, self.energy, self.speed)) != 1:
+            raise ValueError("exactly one of specific_energy, energy, speed is required")
+        return self
+
+
+class ProductTable(Section):
+    """t10 = A (1 - exp(-b E)) and the curve of t_n; alpha a number, or its scatter."""
+
+    A: Share
+    b: Annotated[float, _in("mass_per_energy"), Field(gt=0.0)]
+    curve: Literal["trr", "milin"] = "trr"
+    alpha: float | Lognormal = Lognormal(log_mean=-0.5108, log_sd=0.25)
+
+
+class ComminutionDocument(Section):
+    """An input file of `uqsphere comminution fit` and `feed`; `strength_at`: diameter of the draws of a strength."""
+
+    title: str = ""
+    seed: int = Field(default=1, ge=0)
+    material: Elastic
+    tests: TestsTable
+    feed: FeedTable | None = None
+    product: ProductTable | None = None
+    strength_at: Length | None = None
+    draws: int = Field(default=4000, ge=200, le=20000)

@@ -1,0 +1,375 @@
+"""A feed under blows: shares broken by size and blow, product, energy, each over the draws of a posterior.
+
+Of n equal blows those particles break whose first fracture energy is at most u_n E; with scatter from blow to blow u_n
+is a sample over series of blows.  What the tests leave open (the draws) and the scatter of a lot stand apart.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.errors import UsageError
+from uqsphere.labs.comminution import laws
+from uqsphere.labs.comminution.document import ComminutionDocument, FeedTable, Lognormal, ProductTable, SizesTable
+from uqsphere.labs.comminution.fit import Posterior, quantiles
+from uqsphere.labs.comminution.tests import stiffness
+from uqsphere.labs.tables import read_table
+
+#: draws that a feed is computed for, and series of blows where their energy scatters
+DRAWS, _SERIES = 1000, 256
+#: mass of a sieve table that may be cut without a refusal
+_CUT: Final = 0.05
+#: specific energies [J/kg] and sizes [m] of the drop-weight tests behind A and b
+_OFFERED, _DROPPED = (360.0, 9000.0), (0.0132, 0.063)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Classes:
+    """Size classes from coarse to fine, the last one all that is below the last sieve; mass (K,) sums to 1.
+
+    edges (K,) : upper ends [m]; the lower end of one is the upper end of the next.
+    """
+
+    edges: Array
+    mass: Array
+    notes: tuple[str, ...] = ()
+
+    @property
+    def sizes(self) -> Array:
+        """Representative diameters (K,): geometric means; of the last class half its upper end, times sqrt 2."""
+        lower = np.append(self.edges[1:], 0.5 * self.edges[-1])
+        return np.asarray(np.sqrt(self.edges * lower))
+
+
+def load_classes(asked: SizesTable, folder: Path) -> Classes:
+    """The classes of a feed; UsageError for a sieve table that leaves out more than 5 % of the mass."""
+    notes: list[str] = []
+    if asked.law == "table":
+        passing, top = _sieves(asked, folder, notes)
+    else:
+        assert asked.top is not None
+        top = asked.top
+        if asked.law == "rosin_rammler":
+            assert asked.d63 is not None
+            assert asked.n is not None
+            d63, n = asked.d63, asked.n
+            passing = lambda x: -np.expm1(-((x / d63) ** n))  # noqa: E731
+        elif asked.law == "gaudin_schuhmann":
+            assert asked.n is not None
+            n = asked.n
+            passing = lambda x: (x / top) ** n  # noqa: E731
+        else:
+            from scipy.special import ndtr
+
+            assert asked.d50 is not None
+            assert asked.sd is not None
+            d50, sd = asked.d50, asked.sd
+            passing = lambda x: ndtr(np.log(x / d50) / sd)  # noqa: E731
+        cut = 1.0 - float(passing(top))
+        if cut > 1e-6:
+            notes.append(f"{cut:.2g} of the mass is coarser than top = {top * 1e3:.4g} mm, is cut, and the rest scaled")
+    edges = np.asarray(top * asked.ratio ** -np.arange(asked.classes + 1.0), dtype=float)
+    share = np.clip(passing(edges), 0.0, None)
+    mass = np.append(share[:-1] - share[1:], share[-1]) / share[0]
+    return Classes(edges=edges, mass=mass, notes=tuple(notes))
+
+
+def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Any, float]:
+    """Passing as a function of the size, log-linear between sieves, and the top size."""
+    assert asked.file is not None
+    assert asked.sieve is not None
+    assert asked.passing is not None
+    table = read_table(folder / asked.file)
+    sieve = table.in_si(asked.sieve, "length", asked.sieve_unit)
+    heading = f"{asked.passing} {table.units[table.place(asked.passing)]}".lower()
+    percent = "%" in heading or "percent" in heading or "pct" in heading
+    given = table.numbers(asked.passing)
+    order = np.argsort(sieve)
+    sieve, given = sieve[order], given[order]
+    largest = float(given[-1])
+    if percent and largest <= 1.0:
+        raise UsageError(
+            f"{table.path.name}: {asked.passing!r} is headed as percent and reaches {largest:.4g}: are these shares? "
+            "Head them so, without percent"
+        )
+    if not percent and largest > 1.0:
+        percent = True
+        notes.append(f"{table.path.name}: passing reaches {largest:.4g}, percent are taken")
+    share = given * (0.01 if percent else 1.0)
+    if (
+        (sieve <= 0.0).any()
+        or (np.diff(sieve) == 0.0).any()
+        or (np.diff(share) < 0.0).any()
+        or not 0 < share[-1] <= 1.0001
+    ):
+        raise UsageError(f"{table.path.name}: sieves must differ, and what passes must rise with them up to 100 %")
+    left = 1.0 - float(share[-1])
+    top = asked.top if asked.top is not None else float(sieve[-1])
+    if asked.top is not None and asked.top > sieve[-1] * (1.0 + 1e-9):
+        sieve, share = np.append(sieve, asked.top), np.append(share, 1.0)
+        if left > 1e-4:
+            notes.append(f"{left:.3g} of the mass lies between the coarsest sieve and top, where all passes: by a line")
+    elif left > _CUT:
+        raise UsageError(
+            f"{table.path.name}: the coarsest sieve passes {share[-1]:.1%}: {left:.1%} of the feed has no size; add "
+            "top, the size that all passes"
+        )
+    elif left > 1e-4:
+        notes.append(f"{left:.2g} of the mass is coarser than the coarsest sieve, is cut, and the rest scaled")
+    x, y = np.log(sieve), share
+
+    def passing(size: Array) -> Array:
+        # below the finest sieve a straight line in logarithms to nothing, by its own slope
+        slope = (math.log(y[1]) - math.log(y[0])) / (x[1] - x[0]) if len(y) > 1 and y[0] > 0.0 and y[1] > y[0] else 1.0
+        low = np.log(np.asarray(size))
+        return np.where(low < x[0], y[0] * np.exp(slope * (low - x[0])), np.interp(low, x, y))
+
+    return passing, top
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """What becomes of a feed; (D, ...) over draws, and `content` as plain JSON."""
+
+    classes: Classes
+    broken: Array
+    total: Array
+    sieves: Array
+    passing: Array
+    content: dict[str, Any]
+    warnings: tuple[str, ...]
+
+    def class_csv(self) -> str:
+        """Shares broken by class."""
+        rows = ["upper [mm],size [mm],mass [1],broken [1],low [1],high [1]"]
+        for k, one in enumerate(self.content["classes"]):
+            b = one["broken"]
+            rows.append(f"{self.classes.edges[k] * 1e3:.6g},{self.classes.sizes[k] * 1e3:.6g},{one['mass']:.6g},"
+                        f"{b['value']:.6g},{b['low']:.6g},{b['high']:.6g}")  # fmt: skip
+        return "\n".join(rows) + "\n"
+
+    def product_csv(self) -> str:
+        """The product curve."""
+        rows = ["sieve [mm],feed [1],passing [1],low [1],high [1]"]
+        for one in self.content["product"]:
+            rows.append(
+                ",".join(f"{v:.6g}" for v in (one["sieve"] * 1e3, one["feed"], one["value"], one["low"], one["high"]))
+            )
+        return "\n".join(rows) + "\n"
+
+
+def offered(asked: FeedTable, sizes: Array, density: float) -> Array:
+    """Energy offered by one blow per mass of each class (K,) [J/kg]."""
+    if asked.specific_energy is not None:
+        return np.full(len(sizes), asked.specific_energy)
+    if asked.speed is not None:
+        return np.full(len(sizes), 0.5 * asked.speed**2)
+    assert asked.energy is not None
+    return asked.energy / laws.mass_of(sizes, density)
+
+
+def factors(asked: FeedTable, gamma: Array, rng: np.random.Generator) -> Array:
+    """u_0 ... u_n (D, J, n + 1): bounds of the first fracture energy after so many blows, over the mean energy."""
+    if asked.cov == 0.0:
+        return laws.thresholds(gamma, asked.blows)[:, None, :]
+    sd = math.sqrt(math.log1p(asked.cov**2))
+    series = np.exp(sd * rng.standard_normal((_SERIES, asked.blows)) - 0.5 * sd**2)
+    nodes = np.quantile(gamma, np.linspace(0.0, 1.0, 9)) if np.ptp(gamma) > 0.0 else gamma[:1]
+    table = np.zeros((len(nodes), _SERIES, asked.blows + 1))
+    for k in range(1, asked.blows + 1):
+        table[:, :, k] = laws.survivor_bound(np.broadcast_to(series[:, :k], (len(nodes), _SERIES, k)), nodes[:, None])
+    at = np.clip(np.searchsorted(nodes, gamma) - 1, 0, max(len(nodes) - 2, 0))
+    after = np.minimum(at + 1, len(nodes) - 1)
+    gap = np.where(nodes[after] > nodes[at], nodes[after] - nodes[at], 1.0)
+    part = np.clip((gamma - nodes[at]) / gap, 0.0, 1.0)[:, None, None]
+    return np.asarray((1.0 - part) * table[at] + part * table[after])
+
+
+def broken_by_blow(posterior: Posterior, energy: Array, sizes: Array, u: Array) -> Array:
+    """Cumulative share broken (D, K, n + 1) of classes after 0 ... n blows of a mean energy (K,) [J/kg]."""
+    found = np.zeros((len(posterior), len(sizes), u.shape[2]))
+    for k in range(1, u.shape[2]):
+        for j in range(u.shape[1]):
+            found[:, :, k] += posterior.broken(energy * u[:, j, k, None], sizes) / u.shape[1]
+    return found
+
+
+def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) -> Answer:
+    """Broken shares, product and energy of the feed of an input file.
+
+    Raises UsageError where [feed] is missing or cannot be.
+    """
+    feed, product, own = asked.feed, asked.product, asked.material
+    if feed is None:
+        raise UsageError("the input file has no [feed]")
+    if own.density is None:
+        raise UsageError("material.density is required")
+    classes = load_classes(feed.sizes, folder)
+    posterior, rng = posterior.thin(DRAWS), np.random.default_rng([asked.seed, 739])
+    draws, sizes, mass = len(posterior), classes.sizes, classes.mass
+    given = offered(feed, sizes, own.density)
+    share, warnings = 1.0, list(classes.notes)
+    if feed.impact_surface is not None:
+        share = laws.particle_share(stiffness(own), stiffness(feed.impact_surface))
+    u = factors(feed, posterior.gamma, rng)
+    cumulative = broken_by_blow(posterior, given * share, sizes, u)
+    if feed.undersize == "stays":
+        cumulative[:, -1] = 0.0
+    broken = cumulative[:, :, -1]
+    total = broken @ mass
+    hit = np.ones(len(mass))
+    hit[-1] = float(feed.undersize == "breaks")
+    blows = hit * (1.0 - cumulative[:, :, :-1]).sum(axis=2)
+    energy = (blows * mass * given * share).sum(axis=1)
+    numbers: dict[str, Array] = {"broken": total, "blows": blows @ mass, "energy [J/kg]": energy}
+
+    sieves = np.unique(np.concatenate([classes.edges, classes.edges[-1] * feed.sizes.ratio ** -np.arange(1.0, 15.0)]))
+    lower = np.append(classes.edges[1:], 1e-6 * classes.edges[-1])
+    # whole particles of a class lie evenly in the logarithm between its ends; below the last sieve in proportion
+    whole = np.clip(np.log(sieves[:, None] / lower) / np.log(classes.edges / lower), 0.0, 1.0)
+    whole[:, -1] = np.clip(sieves / classes.edges[-1], 0.0, 1.0)
+    before = whole @ mass
+    passing = np.full((draws, len(sieves)), np.nan)
+    if product is not None:
+        fine = laws.t10(given, product.A, product.b)
+        passing = _product(product, fine, sizes, sieves, broken * mass, whole, (1.0 - broken) * mass, rng)
+        weight = broken * mass
+        numbers["t10"] = (weight * fine).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300)
+        numbers |= {f"P{round(100 * p)} [m]": _size_at(p, sieves, passing) for p in (0.8, 0.5)}
+        numbers["F80/P80"] = _size_at(0.8, sieves, before[None])[0] / numbers["P80 [m]"]
+        if feed.fines is not None:
+            numbers["fines"] = np.array([np.interp(math.log(feed.fines), np.log(sieves), row) for row in passing])
+        outside = (given < _OFFERED[0]) | (given > _OFFERED[1]) | (sizes < _DROPPED[0]) | (sizes > _DROPPED[1])
+        beyond = float((weight.mean(axis=0) * outside).sum() / max(weight.mean(axis=0).sum(), 1e-300))
+        if beyond > 0.01:
+            warnings.append(f"{beyond:.0%} of what breaks lies beyond the drop-weight tests behind A and b "
+                            "(0.1 to 2.5 kWh/t, 13 to 63 mm): the product curve is extrapolated")  # fmt: skip
+    low, high = posterior.tested
+    untested = (sizes < low * 0.84) | (sizes > high * 1.19)
+    if float(mass[untested].sum()) > 0.005:
+        warnings.append(f"{mass[untested].sum():.0%} of the feed lies beyond the tested {low * 1e3:.3g} to "
+                        f"{high * 1e3:.3g} mm: extrapolated")  # fmt: skip
+    if feed.blows > 1 and not any("gamma" in model.names for model in posterior.models) and asked.tests.gamma == "fit":
+        warnings.append("no test was repeated: gamma of the damage has its prior, 2.0 to 7.9")
+    warnings.append("energies are those of the particles; the machine takes more")
+    content: dict[str, Any] = {
+        "title": asked.title, "blows": feed.blows, "energy_offered": given.tolist(), "particle_share": share,
+        "numbers": {name: quantiles(v) for name, v in numbers.items()},
+        "classes": [
+            {"upper": float(classes.edges[k]), "size": float(sizes[k]), "mass": float(mass[k]),
+             "broken": quantiles(broken[:, k]), "by_blow": cumulative[:, k, 1:].mean(axis=0).tolist(),
+             "extrapolated": bool(untested[k])}
+            for k in range(len(mass))
+        ],
+        "product": [
+            {"sieve": float(s), "feed": float(before[k]), **quantiles(passing[:, k])} for k, s in enumerate(sieves)
+        ] if product is not None else [],
+    }  # fmt: skip
+    content["numbers"]["never broken"] = quantiles(1.0 - total)
+    lots = None
+    if feed.lot is not None:
+        count = np.maximum(np.round(mass * feed.lot / laws.mass_of(sizes, own.density)), 0.0)
+        lots = _lots(broken, mass, count, rng)
+        content["lot"] = {
+            "mass": feed.lot, "broken": quantiles(lots), "epistemic_sd": float(total.std()),
+            "lot_sd": float(math.sqrt(max(float(lots.var() - total.var()), 0.0))),
+        }  # fmt: skip
+    if feed.goal is not None:
+        content["goal"] = _goal(feed, total if lots is None else lots, asked.tests.synthetic)
+    if asked.tests.synthetic:
+        warnings.insert(0, "the tests are synthetic data: no number here is of a rock")
+    content["warnings"] = warnings
+    return Answer(classes=classes, broken=broken, total=total, sieves=sieves, passing=passing, content=content,
+                  warnings=tuple(warnings))  # fmt: skip
+
+
+def _product(
+    product: ProductTable, fine: Array, sizes: Array, sieves: Array, fragments: Array, whole: Array, left: Array,
+    rng: np.random.Generator,
+) -> Array:  # fmt: skip
+    """Passing (D, S): fragments (D, K) of classes by t_n, whole particles `left` (D, K) by their places."""
+    ratio = sizes[None, :] / sieves[:, None]
+    if isinstance(product.alpha, Lognormal):
+        alpha = np.exp(product.alpha.log_mean + product.alpha.log_sd * rng.standard_normal(len(fragments)))
+    else:
+        alpha = np.full(len(fragments), product.alpha)
+    passing = left @ whole.T
+    if product.curve == "milin":
+        passing = passing + fragments @ laws.t_n(ratio, fine, "milin").T
+    else:
+        for k in range(len(alpha)):
+            passing[k] += laws.t_n(ratio, fine, "trr", alpha[k]) @ fragments[k]
+    return np.asarray(np.minimum(np.maximum.accumulate(passing, axis=1), 1.0))
+
+
+def _size_at(share: float, sieves: Array, passing: Array) -> Array:
+    """The size [m] that a share passes, in every row."""
+    return np.asarray(np.exp([np.interp(share, row, np.log(sieves)) for row in passing]))
+
+
+def _lots(broken: Array, mass: Array, count: Array, rng: np.random.Generator) -> Array:
+    """Broken share of a lot for every draw: each class has so many particles, which break or not."""
+    few = count < 1e8
+    drawn = np.array(broken)
+    many = np.maximum(count, 1.0)
+    drawn[:, few] = rng.binomial(many[few].astype(np.int64), np.clip(broken[:, few], 0.0, 1.0)) / many[few]
+    return np.asarray(drawn @ mass)
+
+
+def _goal(feed: FeedTable, total: Array, synthetic: bool) -> dict[str, Any]:
+    assert feed.goal is not None
+    probability = float((total >= feed.goal).mean())
+    error = 3.0 * math.sqrt(max(probability * (1.0 - probability), 1.0 / len(total)) / len(total))
+    verdict = (
+        "met"
+        if probability - error >= feed.at_least
+        else "not met"
+        if probability + error < feed.at_least
+        else "undecided"
+    )
+    if synthetic:
+        verdict = "not established"
+    return {
+        "broken": feed.goal,
+        "at_least": feed.at_least,
+        "probability": probability,
+        "error": error,
+        "verdict": verdict,
+    }
+
+
+def figures(answer: Answer, fitted: Mapping[str, Any]) -> str:
+    """Share broken by class, and the product curve, as SVG text."""
+    from matplotlib.figure import Figure
+
+    drawn = Figure(figsize=(8.5, 3.6), layout="constrained")
+    left, right = drawn.subplots(1, 2)
+    x = answer.classes.sizes * 1e3
+    for axes, at, values, name in (
+        (left, x, answer.broken, "share broken"), (right, answer.sieves * 1e3, answer.passing, "product, passing"),
+    ):  # fmt: skip
+        low, middle, high = (
+            np.nanquantile(values, [0.025, 0.5, 0.975], axis=0) if np.isfinite(values).any() else [None] * 3
+        )
+        if low is None:
+            continue
+        axes.fill_between(at, low, high, color="#0072b2", alpha=0.25, linewidth=0)
+        axes.plot(at, middle, color="#0072b2")
+        axes.set_xscale("log")
+        axes.set_xlabel("size [mm]")
+        axes.set_ylabel(name)
+        axes.spines[["top", "right"]].set_visible(False)
+    tested = [1e3 * d for d in fitted["tests"]["diameters"]]
+    left.axvspan(tested[0], tested[1], color="#888888", alpha=0.12, label="tested sizes")
+    left.legend(frameon=False)
+    text = io.StringIO()
+    drawn.savefig(text, format="svg", metadata={"Date": None})
+    return text.getvalue()

@@ -1,0 +1,416 @@
+"""From tests to the posterior of the fracture energy, and its draws as a strength.
+
+Every specimen says that its first fracture energy lies in (lo, hi], or what it is: ln f(e), or ln(P(hi) - P(lo)) from
+the tail that both lie in.  Parameters enter by their logarithms.  Sampler: the affine-invariant ensemble of J. Goodman
+and J. Weare, Commun. Appl. Math. Comput. Sci. 5 (2010) 65, stretch moves with a = 2, four ensembles at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from uqsphere.arrays import Array, Values
+from uqsphere.labs.comminution import laws
+from uqsphere.labs.comminution.document import ComminutionDocument
+from uqsphere.labs.comminution.tests import Specimens
+
+#: priors of logarithms (mean, sd): 95 % of phi in 0.41 to 2.4 and of gamma in 2.0 to 7.9, the published ranges; the
+#: modulus is that of a Weibull law whose lognormal fit has such a sigma
+PRIORS: Final = {
+    "phi": (0.0, 0.45), "d0": (math.log(0.005), 1.0), "sigma": (math.log(0.6), 0.5),
+    "modulus": (math.log(2.1375 / 0.6), 0.5), "gamma": (math.log(4.0), 0.35),
+}  # fmt: skip
+_FLAT: Final = (0.0, math.inf)
+_ENSEMBLES, _WALKERS, _BLOCK, _MOST = 4, 32, 400, 8000
+#: what chains must reach to be believed
+R_HAT, EFFECTIVE = 1.01, 1000.0
+#: fewer tests than this choose between lognormal and Weibull too often wrongly: both are averaged by their scores
+FEW: Final = 50
+#: nodes of ln gamma between which bounds of repeated blows are interpolated
+_GAMMAS: Final = np.linspace(math.log(0.5), math.log(50.0), 93)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """The parameters of one law by the names of their logarithms, with their priors (mean, sd)."""
+
+    law: str
+    size: str
+    ratio: float
+    priors: Mapping[str, tuple[float, float]]
+    classes: tuple[float, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in the order of the columns."""
+        return tuple(self.priors)
+
+    def median(self, p: Mapping[str, Values], diameter: Values) -> Array:
+        """E50 [J/kg] of parameters (not logarithms) at diameters; they broadcast."""
+        if self.size == "class":
+            place = np.abs(np.log(np.asarray(diameter)[..., None] / np.array(self.classes))).argmin(axis=-1)
+            each = np.stack([np.asarray(p[f"e50_{k + 1}"]) for k in range(len(self.classes))])
+            first = each[place] if each.ndim == 1 else np.moveaxis(each[place.ravel(), ..., 0], 0, -1)
+            return np.asarray(first)
+        lead = "C" if self.size == "power" else "e_inf"
+        return laws.median_energy(self.size, diameter, p[lead], p["phi"], p.get("d0", math.nan))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Posterior:
+    """Draws (D,) of a law and its size effect; of an average the laws stand in proportion to their weights.
+
+    law : (D,) index into `models`; parameters : by name, NaN where a draw's law has none.
+    """
+
+    models: tuple[Model, ...]
+    law: Array
+    parameters: Mapping[str, Array]
+    tested: tuple[float, float]
+    tests: int
+
+    def __len__(self) -> int:
+        return len(self.law)
+
+    def thin(self, count: int) -> Posterior:
+        """About so many draws, evenly."""
+        rows = np.unique(np.linspace(0, len(self) - 1, min(count, len(self))).astype(int))
+        return Posterior(models=self.models, law=self.law[rows], tested=self.tested, tests=self.tests,
+                         parameters={name: v[rows] for name, v in self.parameters.items()})  # fmt: skip
+
+    def median(self, diameter: Values) -> Array:
+        """E50 (D, m) [J/kg] at diameters (m,)."""
+        return self._each(np.atleast_1d(diameter), lambda model, p, d, _: model.median(p, d), 0.0)
+
+    def broken(self, energy: Values, diameter: Values) -> Array:
+        """Share (D, m) that one blow of an energy, (m,) or (D, m), breaks at diameters (m,)."""
+        return self._each(np.atleast_1d(diameter), lambda model, p, d, e: laws.broken_share(
+            model.law, e, model.median(p, d), p[laws.LAWS[model.law]], model.ratio), energy)  # fmt: skip
+
+    def energy_at(self, share: Values, diameter: Values) -> Array:
+        """The energy (D, m) [J/kg] that breaks a share, (m,) or (D, m), at diameters (m,)."""
+        return self._each(np.atleast_1d(diameter), lambda model, p, d, q: laws.energy_at(
+            model.law, q, model.median(p, d), p[laws.LAWS[model.law]], model.ratio), share)  # fmt: skip
+
+    def _each(self, diameter: Array, ask: Callable[..., Array], values: Values) -> Array:
+        values = np.broadcast_to(np.asarray(values, dtype=float), (len(self), len(diameter)))
+        found = np.empty((len(self), len(diameter)))
+        for k, model in enumerate(self.models):
+            rows = np.flatnonzero(self.law == k)
+            p = {name: self.parameters[name][rows, None] for name in model.names}
+            found[rows] = ask(model, p, diameter, values[rows])
+        return found
+
+    @property
+    def gamma(self) -> Array:
+        """The damage exponent (D,); its prior where the tests say nothing of it."""
+        return self.parameters["gamma"]
+
+    def strength_csv(self, diameter: float) -> str:
+        """Draws of the strength of particles of one size, as a study takes them: distribution, scale, shape, bound."""
+        median = self.median(diameter)[:, 0]
+        lines = ["distribution,scale [J/kg],shape,bound,tests,diameter [mm]"]
+        for k in range(len(self)):
+            model = self.models[int(self.law[k])]
+            if model.law == "lognormal":
+                scale, shape = median[k], self.parameters["sigma"][k]
+                bound = 0.0 if math.isinf(model.ratio) else 1.0 / model.ratio
+            else:
+                shape = 0.6 * self.parameters["modulus"][k]
+                scale, bound = median[k] / math.log(2.0) ** (1.0 / shape), 0.0
+            lines.append(f"{model.law},{scale:.9g},{shape:.9g},{bound:.9g},{self.tests},{diameter * 1e3:.9g}")
+        return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """The posterior with what is to be said of it; `content` is plain JSON."""
+
+    posterior: Posterior
+    content: dict[str, Any]
+    warnings: tuple[str, ...]
+
+
+# --- likelihood ---------------------------------------------------------------------------------------------------
+
+
+def log_likelihoods(model: Model, tests: Specimens, gamma: float | None) -> Callable[[Array], Array]:
+    """A function from logarithms of parameters (..., d) to log likelihoods (..., s) of specimens."""
+    from scipy.special import log_ndtr
+
+    if not tests.repeated.any():
+        low, high = tests.bounds(np.array(4.0))
+    elif gamma is not None:
+        low, high = tests.bounds(np.array(gamma))
+    else:
+        low, high = tests.bounds(np.exp(_GAMMAS))
+        with np.errstate(divide="ignore"):
+            log_low, log_high = np.log(low), np.log(high)
+    exact = tests.exact & tests.broke
+    step = _GAMMAS[1] - _GAMMAS[0]
+
+    def between(x: Array, y: Array) -> Array:
+        """Interpolated bounds; 0 and inf stay what they are."""
+        at = np.clip((x - _GAMMAS[0]) / step, 0.0, len(_GAMMAS) - 1.001)
+        k = at.astype(int)
+        part = (at - k)[..., None]
+        first, second = y[k], y[k + 1]
+        with np.errstate(invalid="ignore"):
+            return np.where(np.isfinite(first), np.exp(first + part * (second - first)), np.exp(first))
+
+    def log_rest(h: Array) -> Array:
+        with np.errstate(divide="ignore"):
+            return np.where(h < 1.0, np.log(-np.expm1(-h)), np.log1p(-np.exp(-np.maximum(h, 1.0))))
+
+    def value(x: Array) -> Array:
+        p = {name: np.exp(x[..., k, None]) for k, name in enumerate(model.names)}
+        median = model.median(p, tests.diameter)
+        lo, hi = low, high
+        if low.ndim > 1:
+            g = x[..., model.names.index("gamma")]
+            lo, hi = between(g, log_low), between(g, log_high)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            if model.law == "lognormal":
+                sigma, top = p["sigma"], model.ratio * median
+                z = laws.standard(hi, median, sigma, model.ratio)
+                density = -0.5 * z * z - np.log(sigma * math.sqrt(2.0 * math.pi)) - np.log(hi) - np.log1p(-hi / top)
+                density = np.where(hi < top, density, -np.inf)
+                a = laws.standard(lo, median, sigma, model.ratio)
+                # the normal law is even: both ends in the lower tail
+                upper = a + z > 0.0
+                larger, smaller = log_ndtr(np.where(upper, -a, z)), log_ndtr(np.where(upper, -z, a))
+                inside = np.where(np.isneginf(larger), -np.inf, larger + log_rest(np.maximum(larger - smaller, 0.0)))
+            else:
+                s = 0.6 * p["modulus"]
+                first, last = laws.hazard(lo, median, p["modulus"]), laws.hazard(hi, median, p["modulus"])
+                density = np.log(s * last / hi) - last
+                inside = np.where(np.isposinf(first), -np.inf, -first + log_rest(np.maximum(last - first, 0.0)))
+        return np.asarray(tests.weight * np.where(exact, density, inside))
+
+    return value
+
+
+def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> Model:
+    """The parameters of a law with their priors; of one size the scatter's is flat, which is exact there."""
+    want, sizes = asked.tests, tests.sizes
+    size = want.size if len(sizes) > 1 else "class"
+    largest = tests.diameter >= 0.75 * tests.diameter.max()
+    middle = float(np.average(np.log(tests.last[largest]), weights=tests.weight[largest]))
+    if size == "class":
+        found = {f"e50_{k + 1}": _FLAT for k in range(len(sizes))}
+    else:
+        known = {**PRIORS, "e_inf": (middle, 5.0), "C": _FLAT}
+        found = {name: known[name] for name in laws.SIZES[size]}
+    shape = laws.LAWS[law]
+    found[shape] = PRIORS[shape] if len(sizes) > 1 else _FLAT
+    if want.gamma == "fit" and tests.repeated.any():
+        found["gamma"] = PRIORS["gamma"]
+    own = {name: (one.log_mean, one.log_sd) for name, one in want.prior.items() if name in found}
+    return Model(
+        law=law, size=size, ratio=want.ratio, priors={**found, **own}, classes=sizes if size == "class" else ()
+    )
+
+
+# --- sampling -----------------------------------------------------------------------------------------------------
+
+
+def sample(model: Model, tests: Specimens, gamma: float | None, rng: np.random.Generator) -> dict[str, Any]:
+    """Chains (steps, R, W, d) of the posterior until they settle, its mode, and how they settled."""
+    each = log_likelihoods(model, tests, gamma)
+    centre = np.array([mean for mean, _ in model.priors.values()])
+    sd = np.array([sd for _, sd in model.priors.values()])
+
+    def value(x: Array) -> Array:
+        prior = -0.5 * np.square(np.where(np.isinf(sd), 0.0, (x - centre) / sd)).sum(axis=-1)
+        with np.errstate(invalid="ignore"):
+            found = each(x).sum(axis=-1) + prior
+        return np.where((np.abs(x) < 60.0).all(axis=-1) & ~np.isnan(found), found, -np.inf)
+
+    mode = _mode(model, tests, value)
+    d = len(model.names)
+    start = mode + 0.05 * rng.standard_normal((_ENSEMBLES, _WALKERS, d))
+    start = np.where(np.isfinite(value(start))[..., None], start, mode + 1e-3 * rng.standard_normal(start.shape))
+    chain = _stretch(value, start, 2 * _BLOCK, rng)
+    kept = np.empty((0, *start.shape))
+    r_hat, effective = np.full(d, np.inf), np.zeros(d)
+    while len(kept) < _MOST:
+        last = kept[-1] if len(kept) else chain[-1]
+        kept = np.concatenate([kept, _stretch(value, last, _BLOCK, rng)])
+        r_hat, effective = _settled(kept)
+        if r_hat.max() < R_HAT and effective.min() > 4.0 * EFFECTIVE:
+            break
+    return {"chain": kept, "mode": mode, "log_likelihood": float(each(mode).sum()), "each": each, "value": value,
+            "r_hat": float(r_hat.max()), "effective": float(effective.min())}  # fmt: skip
+
+
+def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> Array:
+    from scipy.optimize import fmin
+
+    x = np.array([mean for mean, _ in model.priors.values()])
+    lead = [k for k, name in enumerate(model.names) if name in ("e_inf", "C") or name.startswith("e50_")]
+    shape = model.names.index(laws.LAWS[model.law])
+    x[shape] = PRIORS[laws.LAWS[model.law]][0]
+    p = {name: np.exp(x[k]) for k, name in enumerate(model.names)}
+    for k in lead:
+        p[model.names[k]] = np.array(1.0)
+        x[k] = 0.0
+    gap = np.log(tests.last) - np.log(model.median(p, tests.diameter))
+    for k in lead:
+        x[k] = float(np.median(gap))
+    tried = x + np.linspace(-3.0, 4.0, 57)[:, None] * np.isin(np.arange(len(x)), lead)
+    x = tried[int(np.argmax(value(tried)))]
+    for _ in range(3):
+        x = fmin(lambda y: min(-float(value(y)), 1e15), x, xtol=1e-9, ftol=1e-10, maxiter=4000, disp=False)
+    return np.asarray(x)
+
+
+def _stretch(value: Callable[[Array], Array], x: Array, steps: int, rng: np.random.Generator) -> Array:
+    """Steps of the affine-invariant ensemble, each half moved along lines to walkers of the other."""
+    chain, half, d = np.empty((steps, *x.shape)), x.shape[1] // 2, x.shape[2]
+    x, now = x.copy(), value(x)
+    for k in range(steps):
+        for first in (slice(0, half), slice(half, 2 * half)):
+            other = x[:, half:] if first.start == 0 else x[:, :half]
+            shape = now[:, first].shape
+            z = np.square(1.0 + rng.random(shape)) / 2.0  # density 1/sqrt(z) on (1/2, 2)
+            pick = rng.integers(half, size=shape)
+            partner = np.take_along_axis(other, pick[..., None], axis=1)
+            moved = partner + z[..., None] * (x[:, first] - partner)
+            there = value(moved)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                taken = np.log(rng.random(shape)) < (d - 1) * np.log(z) + there - now[:, first]
+            x[:, first] = np.where(taken[..., None], moved, x[:, first])
+            now[:, first] = np.where(taken, there, now[:, first])
+        chain[k] = x
+    return chain
+
+
+def _settled(chain: Array) -> tuple[Array, Array]:
+    """Split R-hat over ensembles, and effective sizes, of every parameter (d,)."""
+    n = len(chain) // 2
+    halves = np.stack([chain[:n], chain[n : 2 * n]], axis=1).mean(axis=3)  # (n, 2, R, d): means over walkers
+    flat = halves.reshape(n, -1, chain.shape[-1])
+    whole = chain.reshape(-1, chain.shape[-1]).var(axis=0)
+    between = flat.mean(axis=0).var(axis=0, ddof=1)
+    r_hat = np.sqrt(1.0 + between / np.maximum(whole, 1e-300))
+    x = chain.reshape(len(chain), -1, chain.shape[-1])
+    x = x - x.mean(axis=0)
+    size = 1 << (2 * len(x) - 1).bit_length()
+    spectrum = np.abs(np.fft.rfft(x, size, axis=0)) ** 2
+    correlation = np.fft.irfft(spectrum.mean(axis=1), size, axis=0)[: len(x)]
+    correlation = correlation / np.maximum(correlation[0], 1e-300)
+    tau = 2.0 * np.cumsum(correlation, axis=0) - 1.0
+    window = (np.arange(len(tau))[:, None] >= 5.0 * tau).argmax(axis=0)
+    tau = np.take_along_axis(tau, window[None], axis=0)[0]
+    return r_hat, x.shape[0] * x.shape[1] / np.maximum(tau, 1.0)
+
+
+# --- the fit ------------------------------------------------------------------------------------------------------
+
+
+def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
+    """The posterior of the tests, and what is to be said of it."""
+    want = asked.tests
+    names = ("lognormal", "weibull") if want.law == "average" else (want.law,)
+    gamma = want.gamma if isinstance(want.gamma, float) else None
+    models, chains, scores, content_laws = [], [], [], {}
+    for k, law in enumerate(names):
+        model = model_of(law, asked, tests)
+        rng = np.random.default_rng([asked.seed, 731, k])
+        done = sample(model, tests, gamma, rng)
+        chain = done["chain"].reshape(-1, len(model.names))
+        rows = chain[rng.permutation(len(chain))[: asked.draws]]  # even strides would meet the same walkers again
+        each = done["each"](rows)
+        # leave-one-out by importance: 1/mean(1/p) of every specimen
+        loo = float(-np.log(np.mean(np.exp(np.minimum(-each / tests.weight, 600.0)), axis=0)) @ tests.weight)
+        models.append(model)
+        chains.append(rows)
+        scores.append(loo)
+        content_laws[law] = {"log_likelihood": done["log_likelihood"], "loo": loo, "r_hat": done["r_hat"],
+                             "effective": done["effective"],
+                             "settled": done["r_hat"] < R_HAT and done["effective"] > EFFECTIVE}  # fmt: skip
+    weights = np.exp(np.array(scores) - max(scores))
+    weights /= weights.sum()
+    counts = np.round(np.cumsum(weights) * asked.draws).astype(int)
+    counts = np.diff(np.concatenate([[0], counts]))
+    law_of = np.repeat(np.arange(len(names)), counts)
+    rng = np.random.default_rng([asked.seed, 733])
+    order = rng.permutation(len(law_of))
+    every = dict.fromkeys(name for model in models for name in model.names)
+    parameters = {name: np.full(len(law_of), np.nan) for name in every}
+    for k, (model, rows) in enumerate(zip(models, chains, strict=True)):
+        own = np.flatnonzero(law_of == k)
+        for j, name in enumerate(model.names):
+            parameters[name][own] = np.exp(rows[np.linspace(0, len(rows) - 1, len(own)).astype(int), j])
+    if "gamma" not in parameters:
+        mean, sd = PRIORS["gamma"]
+        drawn = np.exp(mean + sd * rng.standard_normal(len(law_of)))
+        parameters["gamma"] = np.full(len(law_of), gamma) if gamma is not None else drawn
+    posterior = Posterior(
+        models=tuple(models), law=law_of[order], tested=(float(tests.diameter.min()), float(tests.diameter.max())),
+        parameters={name: v[order] for name, v in parameters.items()}, tests=int(tests.weight.sum()),
+    )  # fmt: skip
+    return _described(posterior, models, content_laws, dict(zip(names, weights.tolist(), strict=True)), tests, asked)
+
+
+def quantiles(values: Array) -> dict[str, float]:
+    """Median and 95 % interval of draws."""
+    low, value, high = np.quantile(values[np.isfinite(values)], [0.025, 0.5, 0.975])
+    return {"value": float(value), "low": float(low), "high": float(high)}
+
+
+def _described(
+    posterior: Posterior, models: list[Model], about: dict[str, Any], weights: dict[str, float], tests: Specimens,
+    asked: ComminutionDocument,
+) -> Fit:  # fmt: skip
+    warnings = list(tests.notes)
+    parameters, priors = {}, {name: prior for model in models for name, prior in model.priors.items()}
+    for name, values in posterior.parameters.items():
+        sd = priors.get(name, PRIORS.get(name, _FLAT))[1]
+        own = float(np.nanstd(np.log(values)))
+        parameters[name] = {**quantiles(values), "prior_sd": None if math.isinf(sd) else sd, "sd": own}
+        if name in priors and not math.isinf(sd) and own > 0.7 * sd:
+            warnings.append(f"these tests do not determine {name}: it keeps its prior")
+    sizes = []
+    for size in tests.sizes[:200]:
+        near = np.abs(np.log(tests.diameter / size)) < 0.006
+        half, hundredth = posterior.energy_at(0.5, size)[:, 0], posterior.energy_at(0.01, size)[:, 0]
+        step = np.log(posterior.median(size * 1.01)[:, 0] / posterior.median(size / 1.01)[:, 0]) / (
+            2.0 * math.log(1.01)
+        )
+        sizes.append({"diameter": size, "tests": int(tests.weight[near].sum()),
+                      "broke": int(tests.weight[near & tests.broke].sum()), "breaks_half": quantiles(half),
+                      "E50": quantiles(posterior.median(size)[:, 0]), "breaks_1_percent": quantiles(hundredth),
+                      "slope": quantiles(-step)})  # fmt: skip
+    if len(about) > 1:
+        gap = about["lognormal"]["loo"] - about["weibull"]["loo"]
+        if abs(gap) > 2.0:
+            better = "lognormal" if gap > 0.0 else "weibull"
+            warnings.append(f"the {better} law predicts these tests better (log score by {abs(gap):.1f})")
+        elif tests.weight.sum() < FEW:
+            warnings.append(
+                "too few tests to choose between lognormal and Weibull: both are averaged; small shares differ"
+            )
+    for law, one in about.items():
+        if not one["settled"]:
+            warnings.append(
+                f"{law}: the draws did not settle (R-hat {one['r_hat']:.3f}, {one['effective']:.0f} effective)"
+            )
+    if asked.tests.synthetic:
+        warnings.append("the tests are synthetic data: no number here is of a rock")
+    content = {
+        "title": asked.title, "seed": asked.seed, "law": asked.tests.law, "size": models[0].size,
+        "ratio": asked.tests.ratio if math.isfinite(asked.tests.ratio) else None,
+        "tests": {"specimens": len(tests.weight), "particles": int(tests.weight.sum()),
+                  "broke": int(tests.weight[tests.broke].sum()),
+                  "exact": int(tests.weight[tests.exact & tests.broke].sum()),
+                  "repeated": int(tests.repeated.sum()), "diameters": list(posterior.tested)},
+        "laws": {law: {**one, "weight": weights[law]} for law, one in about.items()},
+        "parameters": parameters, "sizes": sizes, "warnings": warnings,
+    }  # fmt: skip
+    return Fit(posterior=posterior, content=content, warnings=tuple(warnings))

@@ -1,0 +1,305 @@
+"""The contact law of a sphere that yields, from a slow load-unload record between two flat platens.
+
+The two faces are alike, so that the platens close by twice the approach of one.  Up to the onset, Hertz's centre
+pressure p_y, a face is elastic; beyond it, with z = alpha/alpha_y, s = sqrt(z) - 1 and b = C H/p_y - 1 (theory, C5),
+
+    P/P_y = 1 + 3 s + 3 s² + 3 b² (b - 1) G(s/b),    G(t) = t²/2 - t + ln(1 + t);
+
+unloading is Hertz with another curvature, alpha = alpha_max - alpha_e (1 - (P/P_max)^(2/3)) with alpha_e = P/sqrt(A)
+(C8).  E*, p_y, H, C and the displacement of first touch follow by least squares over the displacement.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import numpy as np
+from pydantic import Field
+from scipy.optimize import least_squares
+from scipy.special import stdtrit
+
+from uqsphere.arrays import Array
+from uqsphere.errors import UsageError
+from uqsphere.labs.shpb.document import Length, Section, _in
+from uqsphere.labs.tables import read_table
+from uqsphere.materials import library
+from uqsphere.mechanics.contact import hertz_constant, pressure_at_force
+
+#: samples without which no law is fitted, and the most that are used
+_LEAST, _MOST = 30, 1500
+#: forces below this share of the largest are left out; a record that ends above the second is not unloaded
+_QUIET, _UNLOADED = 0.01, 0.5
+#: shares of the largest force at which the search for the onset begins
+_BEGINNINGS: Final = (0.03, 0.15, 0.5)
+#: bounds of H/p_y and of the pile-up
+_RATIO, _PILE_UP = (1.2, 50.0), (1.0, 3.0)
+#: upper over lower end of an interval beyond which a number is not determined
+_OPEN: Final = 30.0
+
+Stiffness = Annotated[float, _in("stiffness"), Field(gt=0.0)]
+
+
+class ContactDocument(Section):
+    """An input file of `uqsphere shpb fit-contact`.
+
+    displacement, force : columns by heading or number; units stand in the heading or in `*_unit`.
+    machine_stiffness : of the machine, taken off the displacement.
+    platens : "rigid", or a material of the library for bars: E of the sphere follows from E* with `nu`.
+    pile_up : where it is known; a record that was not unloaded does not tell it.
+    """
+
+    title: str = ""
+    file: str
+    diameter: Length
+    displacement: str | int = 1
+    force: str | int = 2
+    displacement_unit: str = ""
+    force_unit: str = ""
+    machine_stiffness: Stiffness | None = None
+    platens: str = "rigid"
+    nu: float = Field(default=0.25, ge=0.0, lt=0.5)
+    pile_up: float | None = Field(default=None, ge=1.0, le=3.0)
+    compression: Literal["positive", "negative"] = "positive"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loading:
+    """A slow test: displacement of the platens [m] and force [N] in the order in which they were taken, (n,)."""
+
+    displacement: Array
+    force: Array
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fitted:
+    """A number with its 95 % interval, SI."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactFit:
+    """The law of the faces; `misfit` rms of the displacement [m], `depth` largest approach over that of the onset."""
+
+    onset_pressure: Fitted
+    hardness: Fitted
+    pile_up: Fitted
+    modulus: Fitted
+    sphere_modulus: Fitted | None
+    depth: float
+    misfit: float
+    samples: int
+    notes: tuple[str, ...]
+
+    def lines(self) -> str:
+        """The lines of a study."""
+        values = (self.onset_pressure, self.hardness)
+        names = ("onset_pressure", "hardness")
+        numbers = [
+            f'{name} = "{v.value * 1e-9:.4g} GPa"    # {v.low * 1e-9:.4g} to {v.high * 1e-9:.4g} GPa'
+            for name, v in zip(names, values, strict=True)
+        ]
+        end = f"    # {self.pile_up.low:.3g} to {self.pile_up.high:.3g}"
+        return "\n".join(["[contact]", 'law = "plastic"', *numbers, f"pile_up = {self.pile_up.value:.4g}{end}", ""])
+
+    def rows(self) -> list[tuple[str, str, str]]:
+        """Name, value and 95 % interval."""
+        found = []
+        for name, v, unit, scale in (
+            ("onset pressure", self.onset_pressure, "GPa", 1e-9), ("hardness", self.hardness, "GPa", 1e-9),
+            ("pile-up", self.pile_up, "", 1.0), ("reduced modulus E*", self.modulus, "GPa", 1e-9),
+            ("E of the sphere", self.sphere_modulus, "GPa", 1e-9),
+        ):  # fmt: skip
+            if v is not None:
+                low, high = v.low * scale, v.high * scale
+                found.append(
+                    (name, f"{v.value * scale:.4g} {unit}".rstrip(), f"{low:.4g} to {high:.4g} {unit}".rstrip())
+                )
+        found.append(("misfit of the displacement", f"{self.misfit * 1e6:.2g} um", f"{self.samples} samples"))
+        return found
+
+
+def load_loading(asked: ContactDocument, folder: Path) -> Loading:
+    """Displacement and force of a file; UsageError for columns, units or cells that are none."""
+    table = read_table(folder / asked.file, (asked.displacement, asked.force))
+    displacement = table.in_si(asked.displacement, "length", asked.displacement_unit)
+    force = table.in_si(asked.force, "force", asked.force_unit)
+    if not np.isfinite(displacement).all() or not np.isfinite(force).all():
+        at = int(np.argmin(np.isfinite(displacement) & np.isfinite(force)))
+        raise UsageError(f"{table.path.name}: line {table.values.index[at]} has no number: take it out")
+    sign = 1.0 if asked.compression == "positive" else -1.0
+    return Loading(displacement=sign * displacement, force=sign * force, notes=table.notes)
+
+
+def _bend(t: Array) -> Array:
+    """G(t) = t²/2 - t + ln(1 + t), by its series where that cancels."""
+    near = np.minimum(t, 0.3)
+    series = np.zeros_like(near)
+    for k in range(40, 2, -1):
+        series = 1.0 / k - near * series
+    return np.where(t < 0.3, near**3 * series, 0.5 * t * t - t + np.log1p(t))
+
+
+def virgin_force(depth: Array, softening: float) -> Array:
+    """P/P_y at z = alpha/alpha_y on virgin loading; Hertz below 1. Theory (C5).
+
+    >>> float(virgin_force(np.array([0.25]), 2.0)[0])
+    0.125
+    """
+    s = np.sqrt(np.maximum(depth, 1.0)) - 1.0
+    rest = softening**2 * (softening - 1.0) * _bend(s / softening)
+    return np.where(depth > 1.0, 1.0 + 3.0 * s + 3.0 * s * s + 3.0 * rest, np.maximum(depth, 0.0) ** 1.5)
+
+
+def contact_area(depth: Array, softening: float, pile_up: float) -> Array:
+    """A = a²/(r alpha_y) on virgin loading. Theory (C6)."""
+    s = np.sqrt(np.maximum(depth, 1.0)) - 1.0
+    g = min(5.0, pile_up * softening**2 / ((pile_up - 1.0) * (1.0 + softening))) if pile_up > 1.0 else 5.0
+    rest = s * s * (1.0 + (pile_up - 1.0) / g) + 2.0 * (pile_up - 1.0) * g * (g - 1.0) * _bend(s / g)
+    return np.where(depth > 1.0, 1.0 + 2.0 * s + rest, np.maximum(depth, 0.0))
+
+
+def face_approach(
+    force: Array, largest: Array, radius: float, modulus: float, onset: float, hardness: float, pile_up: float
+) -> Array:
+    """Approach of a face [m] at forces [N], given the largest force so far [N], (n,)."""
+    softening = pile_up * hardness / onset - 1.0
+    alpha_y = radius * (0.5 * math.pi * onset / modulus) ** 2
+    force_y = (2.0 / 3.0) * math.pi * onset * radius * alpha_y
+    top = max(float(largest.max()) / force_y, 1.0 + 1e-9)
+    # the law of b = 0 is the softest: its depth is the largest
+    grid = np.square(np.linspace(1.0, math.sqrt(1.0 + (top - 1.0) / 1.5) * 1.001, 400))
+    forces = virgin_force(grid, softening)
+    roots = np.sqrt(grid)
+
+    def depth_at(ratio: Array) -> Array:
+        beyond = np.interp(np.sqrt(np.maximum(ratio, 1.0)), np.sqrt(forces), roots) ** 2
+        return np.where(ratio > 1.0, beyond, np.cbrt(np.square(np.maximum(ratio, 0.0))))
+
+    pressed = depth_at(force / force_y)
+    below = force < largest * (1.0 - 1e-12)
+    deepest = depth_at(largest[below] / force_y)
+    recovered = np.where(
+        deepest > 1.0, virgin_force(deepest, softening) / np.sqrt(contact_area(deepest, softening, pile_up)), deepest
+    )
+    share = np.cbrt(np.square(np.maximum(force[below], 0.0) / largest[below]))
+    pressed[below] = deepest - recovered * (1.0 - share)
+    return np.asarray(pressed * alpha_y)
+
+
+def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
+    """Onset, hardness and pile-up of the faces of a sphere.
+
+    Raises UsageError for a record that was not pressed, not unloaded, too short, or elastic throughout.
+    """
+    compliance = 1.0 / asked.machine_stiffness if asked.machine_stiffness else 0.0
+    force, displacement = loading.force, loading.displacement - compliance * loading.force
+    top, radius = int(np.argmax(force)), 0.5 * asked.diameter
+    if not force[top] > 0.0:
+        raise UsageError('the force is never positive: is compression negative in the file (compression = "negative")?')
+    pressed = displacement[: top + 1]
+    if len(pressed) < 3 or not (pressed - pressed.mean()) @ force[: top + 1] > 0.0:
+        raise UsageError(
+            "the displacement does not grow with the force: turn its sign, or machine_stiffness is too low"
+        )
+    if np.median(np.abs(np.diff(displacement))) > 0.2 * np.ptp(displacement):
+        raise UsageError("the displacement jumps back and forth: put the samples in the order in which they were taken")
+    if asked.pile_up is None and force[top:].min() > _UNLOADED * force[top]:
+        raise UsageError("the record is not unloaded, which hardness and pile-up need: unload, or give pile_up")
+    kept = np.flatnonzero(force > _QUIET * force[top])
+    if len(kept) < _LEAST:
+        raise UsageError(f"{len(kept)} samples above {_QUIET:.0%} of the largest force, {_LEAST} are required")
+    largest = np.maximum.accumulate(force)
+    kept = kept[np.unique(np.linspace(0, len(kept) - 1, min(len(kept), _MOST)).astype(int))]
+    force, largest, displacement = force[kept], largest[kept], displacement[kept]
+    scale, known = float(np.ptp(displacement)), asked.pile_up
+
+    def residual(x: Array) -> Array:
+        modulus, onset, ratio = (math.exp(v) for v in x[:3])
+        pile_up = x[4] if known is None else known
+        alpha = face_approach(force, largest, radius, modulus, onset, onset * ratio, pile_up)
+        return np.asarray((displacement - 2.0 * alpha) / scale - x[3])
+
+    best = None
+    for share in _BEGINNINGS:
+        early = (force <= max(0.15, share) * force.max()) & (force >= largest)
+        rows = np.stack([np.cbrt(np.square(force[early])), np.ones(int(early.sum()))], axis=1)
+        slope, touch = np.linalg.lstsq(rows, displacement[early], rcond=None)[0] if len(rows) > 3 else (0.0, 0.0)
+        if not slope > 0.0:
+            slope, touch = scale / float(np.cbrt(force.max() ** 2)), float(displacement.min())
+        modulus = (2.0 / slope) ** 1.5 / float(hertz_constant(1.0, radius))
+        onset = float(pressure_at_force(share * force.max(), modulus, radius))
+        start = np.array([math.log(modulus), math.log(onset), math.log(2.0), touch / scale, 2.0][: 4 + (known is None)])
+        low = [start[0] - 3.0, start[1] - 5.0, math.log(_RATIO[0]), -3.0, _PILE_UP[0]][: len(start)]
+        high = [start[0] + 3.0, start[1] + 5.0, math.log(_RATIO[1]), 3.0, _PILE_UP[1]][: len(start)]
+        found = least_squares(residual, np.clip(start, low, high), bounds=(low, high), x_scale="jac", xtol=1e-10)
+        if best is None or found.cost < best.cost:
+            best = found
+    assert best is not None
+    x, left = best.x, best.fun
+    modulus, onset, ratio = (math.exp(v) for v in x[:3])
+    alpha_y = radius * (0.5 * math.pi * onset / modulus) ** 2
+    pile_up = float(x[4]) if known is None else known
+    deepest = face_approach(force.max()[None], force.max()[None], radius, modulus, onset, onset * ratio, pile_up)
+    depth = float(deepest[0]) / alpha_y
+    if depth < 1.5:
+        reached = float(pressure_at_force(force.max(), modulus, radius))
+        raise UsageError(f"hardly beyond Hertz, whose pressure reaches {reached / 1e9:.3g} GPa: press harder")
+    # residuals that follow each other count for fewer
+    alike = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
+    alike = alike if alike > 2.0 / math.sqrt(len(left)) else 0.0
+    free = len(left) - len(x)
+    jacobian = np.asarray(best.jac)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(left @ left) / free
+    covariance *= (1.0 + alike) / max(1.0 - alike, 0.02)
+    reach = float(stdtrit(free, 0.975))
+
+    def interval(value: float, weights: Sequence[float]) -> Fitted:
+        of = np.array([*weights, *[0.0] * (len(x) - len(weights))])
+        spread = reach * math.sqrt(max(float(of @ covariance @ of), 0.0))
+        return Fitted(value=value, low=value * math.exp(-spread), high=value * math.exp(spread))
+
+    fitted = interval(modulus, [1.0])
+    half = reach * math.sqrt(max(float(covariance[4, 4]), 0.0)) if known is None else 0.0
+    notes = []
+    hard = interval(onset * ratio, [0.0, 1.0, 1.0])
+    if hard.high > _OPEN * hard.low:
+        notes.append("the record does not determine the hardness: press harder")
+    if (onset_range := interval(onset, [0.0, 1.0])).high > _OPEN * onset_range.low:
+        raise UsageError("no law of a contact follows this record: is the force free of offset, steps, clipping?")
+    if alike > 0.0:
+        notes.append(
+            f"neighbouring residuals are correlated ({alike:.2g}): drift or a hold in the record; intervals widened"
+        )
+    return ContactFit(
+        onset_pressure=onset_range, hardness=hard, modulus=fitted,
+        pile_up=Fitted(value=pile_up, low=max(pile_up - half, 1.0), high=min(pile_up + half, 3.0)),
+        sphere_modulus=_sphere_modulus(fitted, asked, notes, onset_range), depth=depth,
+        misfit=scale * float(np.sqrt(np.mean(np.square(left)))), samples=len(left), notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _sphere_modulus(reduced: Fitted, asked: ContactDocument, notes: list[str], onset: Fitted) -> Fitted | None:
+    """E of the sphere from E* and the platens: 1/E* = (1-nu²)/E + (1-nu_p²)/E_p."""
+    soft = 0.0
+    if asked.platens != "rigid":
+        known = {**library()["bars"], **library()["plates"]}
+        if asked.platens not in known:
+            raise UsageError(f"platens = {asked.platens!r}: allowed are rigid, {', '.join(known)}")
+        plate = {key: entry.value for key, entry in known[asked.platens].properties.items()}
+        soft = (1.0 - plate["nu"] ** 2) / plate["E"]
+        limit = 1.61 * plate.get("yield_strength", math.inf)
+        if onset.high > limit / 1.3:
+            notes.append(f"the platens yield from about {limit / 1e9:.3g} GPa on: what was fitted may be theirs")
+    rest = [1.0 / m - soft for m in (reduced.value, reduced.low, reduced.high)]
+    if min(rest) <= 0.0:
+        return None
+    value, low, high = ((1.0 - asked.nu**2) / compliance for compliance in rest)
+    return Fitted(value=value, low=low, high=high)

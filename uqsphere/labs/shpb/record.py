@@ -1,0 +1,643 @@
+"""From the columns of a file to strains over even time, mended in named steps.
+
+read · spikes · clipped · baseline · drift · sign · gauges.  Every step adds a `Change` for what it changed, with its
+size; what cannot be changed without inventing a record is marked as unknown, or refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from scipy.ndimage import binary_closing, maximum_filter, median_filter
+
+from uqsphere.arrays import Array, Flags, Places
+from uqsphere.errors import UsageError
+from uqsphere.labs.shpb.document import BarTable, RecordDocument
+from uqsphere.labs.tables import STRAIN_UNITS, VOLT_UNITS, Table, read_table
+from uqsphere.units import UNITS
+
+#: missing samples in a row that a line fills; samples of a record and of a baseline, at the least
+_SHORT_GAP, _FEWEST, _BASELINE = 10, 20, 10
+#: samples beyond which a record is thinned, and about how many are left
+_LARGE, _LEFT = 1_000_000, 400_000
+#: more strain is no strain of an elastic bar; a longer record [s] is no test
+_MOST_STRAIN, _LONGEST = 0.05, 10.0
+#: no wave of a bar is shorter [s]
+_SHORTEST: Final = 1e-6
+#: robust standard deviations, and share of the peak, beyond which a sample is a spike
+_ODD, _ROBUST, _SPIKE_SHARE = 8.0, 1.4826, 0.02
+#: part of the longest excursion that a first wave lasts: bursts of a trigger do not
+_LASTS: Final = 0.25
+#: a gauge that shows less of what its partner shows is dead
+_DEAD: Final = 0.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """What a step of mending changed; `size` in strain (time shift: s)."""
+
+    step: str
+    signal: str
+    text: str
+    size: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wave:
+    """The first wave of a signal: samples of its foot, of the first and last half of its top, of its end.
+
+    rising : samples from a tenth to half the way up; peak : of the smoothed signal, > 0; ended : comes back to rest.
+    """
+
+    foot: int
+    half: int
+    falling: int
+    end: int
+    rising: int
+    peak: float
+    sign: float
+    ended: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Signal:
+    """One wave or bar: strain (n,), compression negative, about its rest.
+
+    known : (n,) whether a sample is known; noise : standard deviation of a sample at rest, correlated over `memory`
+    samples; offset : standard deviation of the baseline; spread : (n,) half the difference of the gauges of a bar, 0 of
+    one; single : whether a bar rests on one gauge, whose bending is not seen.
+    """
+
+    name: str
+    strain: Array
+    known: Flags
+    noise: float
+    memory: float
+    offset: float
+    spread: Array
+    single: bool
+    wave: Wave
+
+
+@dataclass(kw_only=True)
+class Record:
+    """Mended signals over even time: `start`, `step` [s]; `reflected` is None where the incident gauge shows both."""
+
+    start: float
+    step: float
+    incident: Signal
+    reflected: Signal | None
+    receiving: Signal
+    changes: list[Change] = field(default_factory=list)
+
+
+def load_record(document: RecordDocument, folder: Path) -> Record:
+    """The record of an input file, read and mended.
+
+    Raises UsageError for columns, units or a clock that cannot be, and for a signal without a wave or a rest.
+    """
+    changes: list[Change] = []
+    tables = [read_table(folder / name) for name in (document.record.file, *document.record.more_files)]
+    for table in tables:
+        changes += [Change(step="read", signal=table.path.name, text=f"{table.path.name}: {n}") for n in table.notes]
+    time, groups = _columns(document, tables, changes)
+    start, step, columns = _even(time, groups, changes)
+    for name, values, known in columns:
+        _despike(name, values, step, changes)
+        _mark_clipped(name, values, known, changes)
+    by_name = {name: (values, known) for name, values, known in columns}
+    names = {role: [name for name, _ in signals] for role, signals in groups.items()}
+    first, rough = _incident_foot([by_name[n][0] for n in names["incident"]], step)
+    bar, behind = document.incident_bar, document.receiving_bar
+    # the first wave of a signal stands before the first echo of a far end
+    limits = {"incident": math.inf, "reflected": math.inf, "receiving": math.inf}
+    if not document.record.aligned and bar.length is not None:
+        limits["incident"] = rough + 2.0 * bar.length / bar.wave_speed / step
+    if not document.record.aligned:
+        way = bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed + behind.echo
+        limits["receiving"] = rough + way / step
+    sign = {"auto": 0.0, "tension": 1.0, "compression": -1.0}[document.record.polarity]
+    joined: dict[str, tuple[Signal, float]] = {}
+    for role, own in names.items():
+        gauges = []
+        for name in own:
+            values, known = by_name[name]
+            if document.record.aligned:
+                gauges.append(_cut_out(name, values, known, step, changes))
+                continue
+            gauges.append(_rested(name, values, known, step, first if role == "receiving" else None, limits[role],
+                                  changes))  # fmt: skip
+        # one sign a bar: a reflected wave has that of the incident gauge of its place
+        if role == "reflected":
+            signs = [sign or (-joined["incident"][1])] * len(gauges)
+        else:
+            signs = [sign or -gauge.wave.sign for gauge in gauges]
+        turned = [g.name for g, s in zip(gauges, signs, strict=True) if s < 0.0 and not sign]
+        if turned:
+            text = f"{', '.join(turned)}: compression is positive in the file; the sign is turned"
+            changes.append(Change(step="sign", signal=", ".join(turned), text=text))
+        gauges = [_turned(g, s) for g, s in zip(gauges, signs, strict=True)]
+        joined[role] = (_joined(gauges, step, limits[role], changes), -signs[0])
+    if document.record.window is not None:
+        signal = joined["incident"][0]
+        begin, end = (round((t - start) / step) for t in document.record.window)
+        if not 0 <= begin < end < len(signal.strain):
+            raise UsageError("record.window lies outside the record, or is empty")
+        joined["incident"] = (_windowed(signal, begin, end), joined["incident"][1])
+    reflected = joined["reflected"][0] if "reflected" in joined else None
+    return Record(start=start, step=step, incident=joined["incident"][0], reflected=reflected,
+                    receiving=joined["receiving"][0], changes=changes)  # fmt: skip
+
+
+# --- columns, units, clock --------------------------------------------------------------------------------------
+
+
+def _columns(
+    document: RecordDocument, tables: Sequence[Table], changes: list[Change]
+) -> tuple[Array, dict[str, list[tuple[str, Array]]]]:
+    """Time (n,) [s] and strains of every gauge by role."""
+    asked, main = document.record, tables[0]
+    untimed = asked.sample_interval is not None or (
+        asked.time is None and main.interval > 0.0 and not _rises(main, 0) and len(tables) == 1
+    )
+    if untimed and asked.time is None:
+        interval = asked.sample_interval or main.interval
+        time = np.asarray(interval * np.arange(len(main.values)), dtype=float)
+        text = f"no column of time: a sample every {interval * 1e6:.6g} us"
+        changes.append(Change(step="read", signal="time", text=text))
+        clock = -1
+    else:
+        clock = main.place(asked.time if asked.time is not None else 1)
+        unit = asked.time_unit or main.units[clock]
+        if not unit:
+            text = f"{main.names[clock]}: no unit in the heading, seconds are taken"
+            changes.append(Change(step="read", signal="time", text=text))
+        else:
+            text = f"{main.names[clock]} is in {unit}" + (" by the input file" if asked.time_unit else "")
+            changes.append(Change(step="read", signal="time", text=text))
+        if (unit or "s") not in UNITS["time"]:
+            raise UsageError(f"the time is in {unit!r}: allowed are {', '.join(UNITS['time'])} (record.time_unit)")
+        time = main.numbers(clock + 1) * UNITS["time"][unit or "s"]
+        if asked.time is None and len(tables) > 1 and not _rises(main, clock):
+            raise UsageError(_no_time(main, clock))
+    # every file in the layout of the first: the clock of the others must be the same
+    pool: list[tuple[Table, int]] = [(main, k) for k in range(len(main.names)) if k != clock]
+    count = len(time)
+    for other in tables[1:]:
+        own = other.numbers(clock + 1) * UNITS["time"][(asked.time_unit or other.units[clock] or "s")]
+        both = min(count, len(own))
+        if np.nanmax(np.abs(own[:both] - time[:both])) > 0.5 * float(np.median(np.abs(np.diff(time)))):
+            raise UsageError(f"{other.path.name}: its clock is not that of {main.path.name}; bring them to one first")
+        if len(own) != len(time):
+            changes.append(
+                Change(step="read", signal=other.path.name, text="files of unlike length: the longer is cut")
+            )
+        count = both
+        pool += [(other, k) for k in range(len(other.names)) if k != clock]
+    roles = {"incident": asked.incident, "reflected": asked.reflected, "receiving": asked.receiving}
+    if not (asked.incident or asked.receiving):
+        # all that are left, in their order
+        free = [one for one in pool if one[0].values.iloc[:, one[1]].dtype != object]
+        each = {2: 1, 4: 2}.get(len(free))
+        if each is None or asked.reflected:
+            if not untimed and not _rises(main, clock):
+                raise UsageError(_no_time(main, clock))
+            names = ", ".join(f"{t.names[k]!r}" for t, k in pool)
+            raise UsageError(
+                f"{main.path.name}: {len(pool)} signals ({names}); name them by record.incident, record.receiving "
+                "and, where the waves stand apart, record.reflected"
+            )
+        picked = {"incident": free[:each], "receiving": free[each:]}
+    else:
+        picked = {role: [_pick(pool, main, name) for name in names] for role, names in roles.items() if names}
+        if not {"incident", "receiving"} <= set(picked):
+            raise UsageError("record.incident and record.receiving are both required")
+    _check_clock(time, main, asked.time is None, untimed)
+    groups: dict[str, list[tuple[str, Array]]] = {}
+    for role, places in picked.items():
+        bar = document.receiving_bar if role == "receiving" else document.incident_bar
+        groups[role] = []
+        for table, k in places:
+            name = table.names[k] if len(tables) == 1 else f"{table.path.stem} {table.names[k]}"
+            groups[role].append((name, _strain(table, k, name, bar, changes)[:count]))
+    order = ("incident", "reflected", "receiving")
+    return time[:count], {role: groups[role] for role in order if role in groups}
+
+
+def _pick(pool: Sequence[tuple[Table, int]], main: Table, name: str | int) -> tuple[Table, int]:
+    """A column by its name in any of the files; `FILE:COLUMN` names it in one of several."""
+    text = str(name)
+    stem, _, rest = text.rpartition(":")
+    for table, _ in pool:
+        if stem and stem in (table.path.name, table.path.stem):
+            return table, table.place(rest)
+    return main, main.place(name)
+
+
+def _strain(table: Table, k: int, name: str, bar: BarTable, changes: list[Change]) -> Array:
+    """A column as strain."""
+    unit = bar.unit or table.units[k]
+    if unit in STRAIN_UNITS or not unit:
+        factor = STRAIN_UNITS.get(unit, 1.0)
+        said = f"{name} is in {unit}" if unit else f"{name}: no unit in the heading, strain is taken"
+    elif unit in VOLT_UNITS:
+        if bar.excitation is None:
+            raise UsageError(f"{name} is in {unit}: the bridge is required too, such as excitation = 5.0 (volts)")
+        assert bar.gauge_factor is not None
+        assert bar.active_arms is not None
+        assert bar.amplification is not None
+        factor = VOLT_UNITS[unit] * 4.0 / (bar.gauge_factor * bar.active_arms * bar.excitation * bar.amplification)
+        said = f"{name} is in {unit}: {factor / VOLT_UNITS[unit] * 1e6:.5g} microstrain a volt"
+    else:
+        raise UsageError(f"{name} is in {unit!r}: allowed are {', '.join([*STRAIN_UNITS, *VOLT_UNITS])}")
+    values = table.numbers(k + 1) * factor
+    good = values[np.isfinite(values)]
+    if len(good) < max(_FEWEST, len(values) // 2):
+        raise UsageError(f"{name}: {len(values) - len(good)} of {len(values)} samples are no numbers")
+    away = np.abs(good - np.median(good))
+    if away.max() == 0.0:
+        raise UsageError(f"{name}: every sample is the same; there is no wave in it")
+    if (size := float(np.quantile(away, 0.98))) > _MOST_STRAIN:
+        raise UsageError(
+            f"{name} reaches a strain of {size:.3g}, which no elastic bar bears; is it in microstrain or volts "
+            '(unit = "microstrain")?'
+        )
+    changes.append(Change(step="read", signal=name, text=said))
+    return values
+
+
+def _no_time(table: Table, clock: int) -> str:
+    rising = [table.names[k] for k in range(len(table.names)) if _rises(table, k)]
+    hint = f'{rising[0]!r} rises like one: record.time = "{rising[0]}"' if rising else (
+        'no column does, the file seems to have no time: record.sample_interval = "0.8 us"'
+    )  # fmt: skip
+    return f"{table.path.name}: {table.names[clock]!r} does not rise like a time; {hint}"
+
+
+def _rises(table: Table, k: int) -> bool:
+    """Whether a column goes on like a time."""
+    if table.values.iloc[:, k].dtype == object:
+        return False
+    steps = np.diff(table.values.iloc[:, k].dropna().to_numpy(dtype=float))
+    return bool(len(steps) and (steps >= 0.0).mean() > 0.99 and steps.max() > 0.0)
+
+
+def _check_clock(time: Array, table: Table, guessed: bool, untimed: bool) -> None:
+    if untimed:
+        return
+    good = time[np.isfinite(time)]
+    if len(good) < _FEWEST:
+        raise UsageError(f"{table.path.name}: {len(good)} samples with a time; a record has {_FEWEST} at least")
+    if (np.diff(good) < 0.0).any():
+        at = int(np.argmax(np.diff(good) < 0.0)) + 2
+        if not guessed or (np.diff(good) < 0.0).mean() < 0.01:
+            raise UsageError(
+                f"{table.path.name}: the time falls at sample {at}; are there several records in the file?"
+            )
+        raise UsageError(_no_time(table, table.place(1)))
+    if good[-1] - good[0] > _LONGEST:
+        raise UsageError(
+            f"{table.path.name}: the record lasts {good[-1] - good[0]:.4g} s, longer than any test; is its time in "
+            'another unit (record.time_unit = "us")?'
+        )
+
+
+def _even(
+    time: Array, groups: dict[str, list[tuple[str, Array]]], changes: list[Change]
+) -> tuple[float, float, list[tuple[str, Array, Flags]]]:
+    """Start and step [s], and every gauge as name, strain and known samples, on even steps."""
+    names = [name for signals in groups.values() for name, _ in signals]
+    raw = np.stack([values for signals in groups.values() for _, values in signals], axis=1)
+
+    def note(text: str) -> None:
+        changes.append(Change(step="read", signal="time", text=text))
+
+    there = np.isfinite(time)
+    if not there.all():
+        note(f"{int((~there).sum())} rows without a time are left out")
+        time, raw = time[there], raw[there]
+    steps = np.diff(time)
+    if (steps == 0.0).any():
+        even, digit = np.linspace(time[0], time[-1], len(time)), float(steps.max())
+        if digit == 0.0 or np.abs(even - time).max() > 1.01 * digit:
+            raise UsageError(f"the same time stands twice, first at sample {int(np.argmax(steps == 0.0)) + 2}")
+        # the last time is rounded like the others: the mean step comes from a line
+        slope = float(np.polyfit(np.arange(len(time), dtype=float), time - time[0], 1)[0])
+        time = time[0] + slope * np.arange(len(time))
+        note("the time has too few digits to tell its samples apart: even steps are assumed")
+        steps = np.diff(time)
+    step = float(np.median(steps))
+    grid = time
+    if np.abs(steps - step).max() > 0.01 * step:
+        count = round((time[-1] - time[0]) / step) + 1
+        if count > 4 * len(time) + 1000:
+            raise UsageError("the steps of time differ too much: most of the record is missing")
+        grid = time[0] + step * np.arange(count)
+        note(f"the steps of time are uneven: brought to {step * 1e6:.6g} us by lines between samples")
+    else:
+        step = float((time[-1] - time[0]) / (len(time) - 1))
+    strain, known, filled = np.empty((len(grid), len(names))), np.ones((len(grid), len(names)), dtype=bool), 0
+    for k in range(len(names)):
+        good = np.isfinite(raw[:, k])
+        own = time[good]
+        strain[:, k] = np.interp(grid, own, raw[good, k])
+        after = np.clip(np.searchsorted(own, grid), 1, len(own) - 1)
+        wide = own[after] - own[after - 1]
+        inside = (grid > own[after - 1] + 1e-6 * step) & (grid < own[after] - 1e-6 * step)
+        inside |= (grid < own[0] - 1e-6 * step) | (grid > own[-1] + 1e-6 * step)
+        filled += int((inside & (wide > 1.5 * step)).sum())
+        known[:, k] = ~(inside & (wide > (_SHORT_GAP + 1.5) * step))
+        known[:, k] &= (grid >= own[0] - 1e-6 * step) & (grid <= own[-1] + 1e-6 * step)
+    if filled:
+        note(f"{filled} missing samples are filled by lines between their neighbours")
+    if not known.all():
+        note(f"{int((~known).sum())} samples lie in gaps of more than {_SHORT_GAP}, and are not used")
+    if len(grid) > _LARGE:
+        block = -(-len(grid) // _LEFT)
+        whole = len(grid) // block * block
+        strain = strain[:whole].reshape(-1, block, len(names)).mean(axis=1)
+        known = np.asarray(known[:whole].reshape(-1, block, len(names)).all(axis=1))
+        note(f"{len(grid):,} samples are thinned to {len(strain):,}, means of {block}")
+        return float(grid[0] + 0.5 * (block - 1) * step), step * block, [
+            (name, strain[:, k].copy(), known[:, k].copy()) for k, name in enumerate(names)
+        ]  # fmt: skip
+    return float(grid[0]), step, [(name, strain[:, k].copy(), known[:, k].copy()) for k, name in enumerate(names)]
+
+
+# --- spikes, clipping ---------------------------------------------------------------------------------------------
+
+
+def _runs(same: Flags) -> tuple[Places, Places]:
+    """First places and lengths of the runs of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
+    return edges[::2], edges[1::2] - edges[::2]
+
+
+def _despike(name: str, values: Array, step: float, changes: list[Change]) -> None:
+    """Samples that jump up and down within less than any wave of a bar lasts, replaced by lines (in place)."""
+    most = min(max(5, math.ceil(_SHORTEST / step)), 40)
+    width = 4 * most + 1
+    if len(values) < 2 * width:
+        return
+    removed: list[tuple[int, int, float]] = []
+    for _ in range(3):  # what a large spike hides shows behind it
+        middle = median_filter(values, width, mode="nearest")
+        left = values - middle
+        away = np.abs(left)
+        scatter = _ROBUST * np.maximum(median_filter(away, 5 * width, mode="nearest"), np.median(away))
+        peak = float(np.abs(middle - np.median(middle[: max(_FEWEST, len(middle) // 50)])).max())
+        bounds = np.maximum(_ODD * scatter, _SPIKE_SHARE * peak)
+        near = away > np.maximum(0.5 * bounds, 0.05 * maximum_filter(away, width, mode="nearest"))
+        odd = []
+        for begin, length in zip(*_runs(binary_closing(near, np.ones(3, dtype=bool))), strict=True):
+            first, last = int(begin), int(begin + length) - 1
+            inner = left[first : last + 1]
+            size = float(inner[np.argmax(np.abs(inner))])
+            # ringing of a spike above any wave lasts longer
+            short = length <= (2 * most if abs(size) > peak else most) and first >= 1 and last <= len(left) - 2
+            if short and (np.abs(inner) > bounds[first : last + 1]).any():
+                jumps = np.diff(values[first - 1 : last + 2]) / size
+                if min(jumps.max(), -jumps.min()) > 0.4:
+                    odd.append((first, last, size))
+        for first, last, _ in odd:
+            inner_places = np.arange(first, last + 1)
+            values[inner_places] = np.interp(inner_places, [first - 1, last + 1], values[[first - 1, last + 1]])
+        removed += odd
+        if not odd:
+            break
+    if removed:
+        samples = sum(last - first + 1 for first, last, _ in removed)
+        worst = max(removed, key=lambda one: abs(one[2]))
+        text = (
+            f"{name}: {len(removed)} spike{'s' * (len(removed) > 1)} ({samples} samples) taken out, the largest of "
+            f"{worst[2] * 1e6:.4g} microstrain at sample {worst[0]}"
+        )
+        changes.append(Change(step="spikes", signal=name, size=worst[2], text=text))
+
+
+def _mark_clipped(name: str, values: Array, known: Flags, changes: list[Change]) -> None:
+    """Stretches at the end of the recorder's range, which writes one number again and again (marked in place)."""
+    head = values[: max(len(values) // 20, _FEWEST)]
+    if np.ptp(head) == 0.0:  # without noise a flat top may be one
+        return
+    quiet = int(_runs(np.diff(head) == 0.0)[1].max(initial=0))
+    for extreme in (values.max(), values.min()):
+        same = np.abs(values - extreme) <= 1e-9 * abs(extreme)
+        lengths = _runs(same)[1]
+        if lengths.max() >= 8 and lengths.max() > 2 * (quiet + 1):
+            known[same] = False
+            text = (
+                f"{name}: clipped at {extreme * 1e6:.5g} microstrain, {int(same.sum())} samples; its peak is not known"
+            )
+            changes.append(Change(step="clipped", signal=name, size=float(extreme), text=text))
+
+
+# --- the first wave, and the rest before it -----------------------------------------------------------------------
+
+
+def smooth(values: Array, samples: int) -> Array:
+    """Running means."""
+    if samples < 2:
+        return values
+    return np.convolve(values, np.full(samples, 1.0 / samples), mode="same")
+
+
+def first_wave(values: Array, step: float, noise: float, name: str) -> Wave:
+    """The first wave of a signal about zero; UsageError where none rises above the noise at rest."""
+    width = max(1, round(2.0 * _SHORTEST / step))
+    # bursts of a trigger swing within a few microseconds; running medians have nothing of them
+    calm = smooth(median_filter(values, 2 * min(3 * round(_SHORTEST / step), 40) + 1, mode="nearest"), width)
+    peak = float(np.abs(calm).max())
+    high = np.abs(calm) > 0.5 * peak
+    begins, lengths = _runs(high)
+    if not peak > 5.0 * noise / math.sqrt(width) or peak == 0.0 or lengths.max() < 3:
+        raise UsageError(f"{name}: no wave rises above the noise before it")
+    first = int(np.argmax(lengths >= max(3.0, _LASTS * lengths.max())))
+    half, falling = int(begins[first]), int(begins[first] + lengths[first]) - 1
+    sign = math.copysign(1.0, calm[half])
+    top = float((sign * calm[half : falling + 1]).max())
+    low = np.flatnonzero(sign * calm[:half] < 0.1 * top)
+    rising = half - (int(low[-1]) if len(low) else 0)
+    width = max(width, rising // 5 + 1)
+    calm = sign * smooth(values, width)
+    level = max(0.01 * top, 4.0 * noise / math.sqrt(width))
+    before = np.flatnonzero(calm[:half] < level)
+    behind = np.flatnonzero(calm[falling:] < max(0.02 * top, level))
+    end = falling + int(behind[0]) if len(behind) else len(values) - 1
+    return Wave(foot=int(before[-1]) + 1 if len(before) else 0, half=half, falling=falling, end=end, rising=rising,
+                peak=top, sign=sign, ended=len(behind) > 0)  # fmt: skip
+
+
+def _incident_foot(gauges: Sequence[Array], step: float) -> tuple[int, int]:
+    """The earliest foot of the incident gauges, before which every gauge of the rig is at rest, and about when the
+    wave is there: the first stay above a fifth of the largest, however large echoes grow later."""
+    feet, places = [], []
+    for values in gauges:
+        about = np.abs(values - float(np.median(values[: max(2 * _BASELINE, len(values) // 50)])))
+        calm = smooth(median_filter(about, 2 * min(3 * round(_SHORTEST / step), 40) + 1, mode="nearest"),
+                      max(1, round(2.0 * _SHORTEST / step)))  # fmt: skip
+        begins, lengths = _runs(calm > 0.2 * float(calm.max()))
+        half = int(begins[int(np.argmax(lengths >= max(3.0, _LASTS * lengths.max())))])
+        low = np.flatnonzero(calm[:half] < 0.05 * float(calm.max()))
+        rising = half - (int(low[-1]) if len(low) else 0)
+        feet.append(half - 2 * rising)
+        places.append(half)
+    return max(min(feet), 0), min(places)
+
+
+def _line(quiet: Array, place: Array) -> tuple[float, float, float, float, float]:
+    """Mean, slope a sample, standard deviation about the line, its memory in samples, sd of the slope."""
+    about = place - place.mean()
+    slope = float((about * (quiet - quiet.mean())).sum() / np.square(about).sum())
+    left = quiet - quiet.mean() - slope * about
+    sd = float(left.std(ddof=2))
+    if sd <= 1e-12 * float(np.abs(quiet).max(initial=0.0)):  # rounding is no noise
+        return float(quiet.mean()), slope, 0.0, 1.0, 1e-6 * abs(slope)
+    memory = 1.0
+    for lag in range(1, min(len(left) // 4, 200)):
+        alike = float((left[lag:] * left[:-lag]).mean() / sd**2)
+        if alike < 2.0 / math.sqrt(len(left)):
+            break
+        memory += 2.0 * alike
+    return float(quiet.mean()), slope, sd, memory, sd * math.sqrt(memory / float(np.square(about).sum()))
+
+
+def _rested(name: str, values: Array, known: Flags, step: float, rest_end: int | None, limit: float,
+            changes: list[Change]) -> Signal:  # fmt: skip
+    """A gauge about its rest: baseline and drift from the samples before its first wave.
+
+    rest_end : sample before which it is at rest whatever it shows itself, where another gauge settles that.
+    limit : sample before which its first wave stands.
+    """
+    seen = slice(int(limit) if limit < len(values) else None)
+    head = values[: max(2 * _BASELINE, len(values) // 50)]
+    middle = float(np.median(head))
+    wave = first_wave((values - middle)[seen], step, 0.0, name)
+    early = max(wave.half - 3 * wave.rising, rest_end or 0, 0)
+    scatter = 0.0
+    if early >= 3 * _BASELINE:
+        # the scatter of the rest before the wave alone, about a line through it
+        place = np.arange(early, dtype=float)
+        third = early // 3
+        climb = (float(np.median(values[2 * third : early])) - float(np.median(values[:third]))) / (2.0 * third)
+        left = values[:early] - climb * place
+        scatter = _ROBUST * float(np.median(np.abs(left - np.median(left))))
+        drifts = abs(climb) * 2.0 * third > 7.0 * scatter / math.sqrt(third)
+        level = float(np.median(left)) + (climb * np.arange(len(values)) if drifts else 0.0)
+        wave = first_wave((values - level)[seen], step, scatter, name)
+    elif early >= _BASELINE:
+        scatter = _ROBUST * float(np.median(np.abs(values[:early] - middle)))
+        wave = first_wave((values - middle)[seen], step, scatter, name)
+    count = max(wave.foot - max(3, wave.rising // 5), 0)
+    if rest_end is not None and rest_end >= _BASELINE:
+        count = max(min(count, len(values)), min(rest_end, wave.half))
+    quiet, place = values[:count], np.arange(count, dtype=float)
+    if count < _BASELINE:
+        last = values[-max(2 * _BASELINE, len(values) // 20) :]
+        if np.ptp(last) > 0.1 * wave.peak:
+            raise UsageError(f"{name}: at rest neither before the wave nor at the end; there is no baseline")
+        if abs(float(np.median(values[:5])) - float(last.mean())) > 0.1 * wave.peak:
+            raise UsageError(f"{name}: the record begins inside the wave; its beginning is missing")
+        quiet, place = last, np.arange(len(values) - len(last), len(values), dtype=float)
+        changes.append(Change(step="baseline", signal=name, text=f"{name}: baseline from the end of the record"))
+        wave = first_wave(values - float(last.mean()), step, 0.0, name)
+    away = np.abs(quiet - np.median(quiet))
+    burst = away > max(_ODD * _ROBUST * float(np.median(away)), 0.02 * wave.peak)
+    if 0 < burst.sum() < len(quiet) // 3:
+        text = (
+            f"{name}: {int(burst.sum())} samples of trigger noise before the wave, up to {away.max() * 1e6:.4g} "
+            "microstrain, are no rest"
+        )
+        changes.append(Change(step="baseline", signal=name, size=float(away.max()), text=text))
+        quiet, place = quiet[~burst], place[~burst]
+    mean, slope, noise, memory, slope_sd = _line(quiet, place)
+    unsure = noise * math.sqrt(min(1.0, memory / len(quiet)))
+    line, reach = np.full(len(values), mean), wave.end - float(place.mean())
+    if abs(mean) > 0.005 * wave.peak:
+        text = (
+            f"{name}: a baseline of {mean * 1e6:.4g} microstrain is taken off ({abs(mean) / wave.peak:.1%} of the wave)"
+        )
+        changes.append(Change(step="baseline", signal=name, size=mean, text=text))
+    if abs(slope) > 5.0 * slope_sd and abs(slope * reach) > 0.01 * wave.peak:
+        line += slope * (np.arange(len(values)) - float(place.mean()))
+        unsure = math.hypot(unsure, slope_sd * reach)
+        text = (
+            f"{name}: a drift of {slope / step * 1e3:.4g} microstrain/ms is taken off, {slope * reach * 1e6:.3g} "
+            "microstrain up to the end of the wave"
+        )
+        changes.append(Change(step="drift", signal=name, size=slope * reach, text=text))
+    return Signal(name=name, strain=values - line, known=known, noise=noise, memory=memory, offset=unsure,
+                  spread=np.zeros(len(values)), single=False, wave=wave)  # fmt: skip
+
+
+def _cut_out(name: str, values: Array, known: Flags, step: float, changes: list[Change]) -> Signal:
+    """A wave that was cut out at its foot: it has no rest of its own, and zero is that of the file."""
+    noise = _ROBUST * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2.0)
+    wave = first_wave(values, step, noise, name)
+    text = f"{name}: cut out at its foot, no rest: the zero of the file is taken"
+    changes.append(Change(step="baseline", signal=name, text=text))
+    return Signal(name=name, strain=values, known=known, noise=noise, memory=1.0, offset=0.01 * wave.peak,
+                  spread=np.zeros(len(values)), single=False, wave=wave)  # fmt: skip
+
+
+def _turned(signal: Signal, sign: float) -> Signal:
+    wave = replace(signal.wave, sign=signal.wave.sign * sign)
+    return replace(signal, strain=signal.strain * sign, wave=wave)
+
+
+def _windowed(signal: Signal, begin: int, end: int) -> Signal:
+    """The incident wave where the input file says that it stands."""
+    inner = -signal.strain[begin : end + 1]
+    peak = float(inner.max())
+    if not peak > 0.0:
+        raise UsageError("record.window: nothing presses in it")
+    half = begin + int(np.argmax(inner > 0.5 * peak))
+    falling = begin + int(np.flatnonzero(inner > 0.5 * peak)[-1])
+    low = np.flatnonzero(inner[: half - begin] < 0.1 * peak)
+    rising = half - begin - (int(low[-1]) if len(low) else 0)
+    wave = Wave(foot=begin, half=half, falling=falling, end=end, rising=rising, peak=peak, sign=-1.0, ended=True)
+    return replace(signal, wave=wave)
+
+
+def _joined(gauges: Sequence[Signal], step: float, limit: float, changes: list[Change]) -> Signal:
+    """The gauges of a bar as one signal: dead ones left out, the others averaged, with the bending that they show."""
+    peaks = [float(np.abs(g.strain[g.known]).max(initial=0.0)) if not g.known.all() else g.wave.peak for g in gauges]
+    alive = [g for g, peak in zip(gauges, peaks, strict=True) if peak >= _DEAD * max(peaks)]
+    for gauge, peak in zip(gauges, peaks, strict=True):
+        if peak < _DEAD * max(peaks):
+            text = f"{gauge.name}: shows {peak / max(peaks):.1%} of what its partner shows, left out"
+            changes.append(Change(step="gauges", signal=gauge.name, text=text))
+    if len(alive) == 1:
+        return replace(alive[0], single=len(gauges) > 1)
+    first = min(g.wave.foot for g in alive)
+    known = np.stack([g.known for g in alive], axis=1)
+    strains = np.stack([g.strain for g in alive], axis=1)
+    both = np.asarray(known.all(axis=1))
+    if not both.all():
+        # where one is not known the other stands for the mean, with the difference that they had before
+        place = np.arange(len(both))
+        for k in range(len(alive)):
+            others = np.delete(np.arange(len(alive)), k)
+            rest = strains[:, others].mean(axis=1)
+            gap = ~known[:, k] & known[:, others].all(axis=1)
+            if both.any():
+                strains[gap, k] = (rest + np.interp(place, place[both], (strains[:, k] - rest)[both]))[gap]
+    mean = strains.mean(axis=1)
+    spread = 0.5 * np.ptp(strains, axis=1)
+    spread[~both] = max(float(spread[first:][both[first:]].max(initial=0.0)), 0.0)
+    count = max(first - 3, _BASELINE)
+    _, _, noise, memory, _ = _line(mean[:count], np.arange(count, dtype=float))
+    seen = slice(int(limit) if limit < len(mean) else None)
+    wave = first_wave(mean[seen], step, noise, " and ".join(g.name for g in alive))
+    bent = float(spread[wave.foot : wave.end + 1].max()) / wave.peak
+    name = " and ".join(g.name for g in alive)
+    text = f"{name} are averaged; they differ by up to {2.0 * bent:.1%} of the wave"
+    changes.append(Change(step="gauges", signal=name, size=bent * wave.peak, text=text))
+    offset = math.hypot(*(g.offset for g in alive)) / len(alive)
+    return Signal(name=name, strain=mean, known=np.asarray(known.any(axis=1)), noise=noise, memory=memory, offset=offset,
+                  spread=spread, single=len(alive) < len(gauges), wave=wave)  # fmt: skip

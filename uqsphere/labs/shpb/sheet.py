@@ -1,0 +1,136 @@
+"""The laboratory sheet of a test: one HTML page, and the forces and the pulse as CSV."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from uqsphere.labs.shpb.document import RecordDocument
+from uqsphere.labs.shpb.waves import NORMAL, Peak, Test
+
+if TYPE_CHECKING:
+    from uqsphere.arrays import Array
+
+FACES = {"A": "largest force at A, two waves", "B": "largest force at B, one wave", "mean": "mean of both, three waves"}
+
+
+def interval(peak: Peak) -> str:
+    """The ends of an interval in kN."""
+    high = f"{peak.high * 1e-3:.4g}" if math.isfinite(peak.high) else "not known"
+    return f"{peak.low * 1e-3:.4g} to {high} kN"
+
+
+def rows(test: Test) -> list[tuple[str, str, str]]:
+    """What a test shows: name, value, interval or remark; a doubt stands at its number."""
+    found = []
+    for face, peak in test.peaks.items():
+        mark = "DOUBTED " if peak.doubts else ""
+        found.append(
+            (f"{FACES[face]}, at {peak.time * 1e6:.4g} us", f"{mark}{peak.value * 1e-3:.4g} kN", interval(peak))
+        )
+        found += [("", "doubt", doubt) for doubt in peak.doubts]
+    found += [("not given", "", reason) for reason in test.withheld]
+    if test.energies is not None:
+        e = test.energies
+        parts = f"{e.incident:.4g} J in, {e.reflected:.4g} back, {e.transmitted:.4g} on"
+        found.append(("energy absorbed", f"{e.absorbed:.4g} J", parts))
+    if test.balanced is not None:
+        found.append(("forces within 5 % of their mean", f"{test.balanced:.0%}", "of the rise from half the largest"))
+    found.append(("loading rate", f"{test.loading_rate * 1e-9:.4g} kN/us", ""))
+    found.append(("first touch", f"{test.touch * 1e6:.8g} us", "of the record"))
+    return found
+
+
+def document(test: Test) -> dict[str, Any]:
+    """A test as plain JSON, SI."""
+    return {
+        "forces": {
+            face: {"value": p.value, "low": p.low, "high": p.high if math.isfinite(p.high) else None, "time": p.time,
+                   "doubts": list(p.doubts), "sound": not p.doubts}
+            for face, p in test.peaks.items()
+        },
+        "withheld": list(test.withheld),
+        "energy": None if test.energies is None else {
+            "incident": test.energies.incident, "reflected": test.energies.reflected,
+            "transmitted": test.energies.transmitted, "absorbed": test.energies.absorbed,
+        },
+        "balanced_share": test.balanced, "loading_rate": test.loading_rate, "first_touch": test.touch,
+        "step": test.step,
+        "mending": [{"step": c.step, "signal": c.signal, "size": c.size, "text": c.text} for c in test.changes],
+    }  # fmt: skip
+
+
+def write_csv(header: Sequence[str], columns: Sequence[Array]) -> str:
+    """Columns as CSV."""
+    import pandas as pd
+
+    text = io.StringIO()
+    pd.DataFrame(dict(zip(header, columns, strict=True))).to_csv(text, index=False, float_format="%.7g")
+    return text.getvalue()
+
+
+def forces_csv(test: Test) -> str:
+    """Time and forces with the ends of their 95 % intervals."""
+    header, columns = ["time [us]"], [test.time * 1e6]
+    for name, force, sd in (("A", test.force_a, test.sd_a), ("B", test.force_b, test.sd_b)):
+        if force is not None:
+            header += [f"{name} [kN]", f"{name} low [kN]", f"{name} high [kN]"]
+            columns += [force * 1e-3, (force - NORMAL * sd) * 1e-3, (force + NORMAL * sd) * 1e-3]
+    return write_csv(header, columns)
+
+
+def pulse_csv(test: Test, end: int) -> str:
+    """The incident pulse as a study takes it: compression positive, from its foot to its end."""
+    strain = -test.incident[: max(end, 2)]
+    strain[[0, -1]] = np.maximum(strain[[0, -1]], 0.0)
+    return write_csv(["time [us]", "strain [microstrain]"], [test.time[: len(strain)] * 1e6, strain * 1e6])
+
+
+def figure(test: Test) -> str:
+    """Forces over time as SVG text."""
+    from matplotlib.figure import Figure
+
+    drawn = Figure(figsize=(7.2, 3.6), layout="constrained")
+    axes = drawn.add_subplot()
+    for name, force, sd, colour in (
+        ("A, two waves", test.force_a, test.sd_a, "#0072b2"), ("B, one wave", test.force_b, test.sd_b, "#d55e00"),
+    ):  # fmt: skip
+        if force is None:
+            continue
+        thin = max(1, len(force) // 2000)
+        t, f, s = test.time[::thin] * 1e6, force[::thin] * 1e-3, sd[::thin] * 1e-3
+        axes.fill_between(t, f - NORMAL * s, f + NORMAL * s, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(t, f, color=colour, linewidth=1.0, label=name)
+    for peak in test.peaks.values():
+        axes.axvline(peak.time * 1e6, color="#888888", linewidth=0.5, linestyle=":")
+    axes.set_xlabel("time after first touch [us]")
+    axes.set_ylabel("force [kN]")
+    axes.legend(frameon=False)
+    axes.spines[["top", "right"]].set_visible(False)
+    text = io.StringIO()
+    drawn.savefig(text, format="svg", metadata={"Date": None})
+    return text.getvalue()[text.getvalue().index("<svg") :]
+
+
+def page(test: Test, asked: RecordDocument, source: str) -> str:
+    """The sheet as one self-contained page."""
+    from jinja2 import Environment
+
+    template = files("uqsphere.labs.shpb").joinpath("sheet.html").read_text(encoding="utf-8")
+    drawn = figure(test)
+    environment = Environment(autoescape=True)
+    bars = [
+        (name, f"E {b.E * 1e-9:.4g} GPa, {b.density:.5g} kg/m3, diameter {b.diameter * 1e3:.4g} mm, "
+               f"c0 {b.wave_speed:.5g} m/s, gauge at {b.gauge:.4g} m, gain known to {100.0 * (b.gain_sd or 0.0):.2g} %")
+        for name, b in (("incident bar", asked.incident_bar), ("receiving bar", asked.receiving_bar))
+        if b.E is not None and b.density is not None and b.diameter is not None
+    ]  # fmt: skip
+    return environment.from_string(template).render(
+        title=asked.title or source, source=source, rows=rows(test), figure=drawn, bars=bars, changes=test.changes,
+        doubted=any(p.doubts for p in test.peaks.values()), specimen=asked.specimen.name,
+    )  # fmt: skip

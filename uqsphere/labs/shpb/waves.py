@@ -1,0 +1,494 @@
+"""From gauges to faces: arrivals, forces by one, two and three waves with intervals, energies, equilibrium.
+
+The incident gauge stands d_i before face A, the receiving gauge d_r behind face B.  With E A of a bar:
+
+    P_A = -E A (eps_i + eps_r)    two waves        P_B = -E A eps_t    one wave        (P_A + P_B)/2    three waves
+    W = E A c0 ∫ eps² dt          energy of a wave
+
+(G. T. Gray III, ASM Handbook 8, 2000).  What the file says of distances is held against the arrivals of the waves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.signal import savgol_filter
+from scipy.special import ndtri
+
+from uqsphere.arrays import Array
+from uqsphere.errors import UsageError
+from uqsphere.labs.shpb.document import BarTable, RecordDocument
+from uqsphere.labs.shpb.record import Change, Record, Signal, smooth
+
+NORMAL: Final = 1.959964
+#: samples at the faces, at the least
+_FEWEST: Final = 50
+#: passes of the incident bar that no pulse lasts
+_PASSES: Final = 6.0
+#: shares of the peak at which an arrival is read, on means over so long [s]: to doubt distances; to shift a steep wave
+_SURE, _FINE = (0.15, 8e-6), (0.05, 2e-6)
+#: share of its peak that the tail of the incident wave may have where the reflected one comes
+_TAIL: Final = 0.10
+#: shares of the predicted delay by which a wave may come early, and late, before distances are doubted
+_EARLY, _LATE = 0.02, 0.10
+#: bending over the wave (sd) that a single gauge of a pair may hide: pairs of real tests show 0.02 to 0.05
+_BENT: Final = 0.04
+#: difference of two gauges of a bar over the wave, and of both faces over the larger force, that is a gross fault
+_GROSS: Final = 0.25
+#: width of an interval over its value beyond which a number is hardly known; difference of the faces that is a doubt
+#: even where their intervals meet
+_WIDE, _APART = 0.3, 0.2
+#: difference of the forces over their mean that counts as equilibrium
+_BALANCE: Final = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Peak:
+    """The largest force [N] with its 95 % interval, its time after first touch [s], and what doubts it."""
+
+    value: float
+    low: float
+    high: float
+    time: float
+    doubts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Energies:
+    """Energies of the waves [J]; `absorbed` stays between the bars."""
+
+    incident: float
+    reflected: float
+    transmitted: float
+
+    @property
+    def absorbed(self) -> float:
+        """What the incident wave brings and the others do not take away."""
+        return self.incident - self.reflected - self.transmitted
+
+
+@dataclass(frozen=True, kw_only=True)
+class Test:
+    """One test.
+
+    time, force_a, force_b (n,) [s], [N] with their standard deviations; `force_a` is None where it is not known.
+    peaks : by face, "A", "B" and "mean"; only faces that are known.
+    withheld : why a number is not given; changes : what mending changed, the shift of time included.
+    balanced : share of the rise from half the largest force in which both forces agree within 5 %.
+    """
+
+    step: float
+    touch: float
+    time: Array
+    force_a: Array | None
+    force_b: Array
+    sd_a: Array
+    sd_b: Array
+    incident: Array
+    peaks: Mapping[str, Peak]
+    energies: Energies | None
+    balanced: float | None
+    loading_rate: float
+    withheld: tuple[str, ...]
+    changes: tuple[Change, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Arrivals:
+    """Delays behind the incident wave in samples: as predicted by the distances, and shifts that the record shows."""
+
+    reflected: float
+    transmitted: float
+    doubt_a: str = ""
+    doubt_b: str = ""
+
+
+def read_test(record: Record, document: RecordDocument) -> Test:
+    """Forces, energies and equilibrium of a test.
+
+    Raises UsageError where the pulse cannot be one of these bars, where no force rises above the noise, or where
+    nothing is left of the record behind first touch.
+    """
+    inc, rec, step = record.incident, record.receiving, record.step
+    bar, behind = document.incident_bar, document.receiving_bar
+    wave = inc.wave
+    shared = record.reflected is None
+    delay = 2.0 * bar.gauge / bar.wave_speed / step if shared else math.inf
+    lasts = (wave.falling - wave.half) * step
+    if bar.length is not None and lasts > _PASSES * 2.0 * bar.length / bar.wave_speed:
+        raise UsageError(
+            f"the pulse lasts {lasts * 1e6:.4g} us, {lasts * bar.wave_speed / bar.length:.0f} passes of the incident "
+            "bar: is the time in another unit (record.time_unit)?"
+        )
+    if wave.sign > 0.0:
+        raise UsageError("the first wave of the incident bar does not press (record.polarity)")
+    changes = list(record.changes)
+    withheld: list[str] = []
+    arrivals = _arrivals(record, document, changes)
+    lead = max(2, round(0.2 * wave.rising))
+    start = max(wave.foot - lead, 0)
+    aligned = document.record.aligned
+
+    # places of first touch in the three signals
+    to_b = start + arrivals.transmitted
+    foot_b = rec.wave.foot - max(2, round(0.2 * rec.wave.rising))
+    if arrivals.doubt_b:  # the distances are wrong: the transmitted wave begins at its own foot
+        to_b = float(foot_b)
+    count = len(rec.strain) - 3 - int(to_b)
+    if math.isfinite(behind.echo):
+        count = min(count, int(behind.echo / step))
+    if aligned:
+        count = len(rec.strain) - int(to_b) - 3
+    count = _until_unknown(rec, int(to_b), count)
+    to_a = start + arrivals.reflected
+    a_signal = record.reflected if record.reflected is not None else inc
+    count_a = len(a_signal.strain) - 3 - int(to_a)
+    if math.isfinite(bar.echo) and not aligned:
+        count_a = min(count_a, int(bar.echo / step))
+    count_a = _until_unknown(a_signal, int(to_a), count_a)
+    if inc.known[start : wave.end].all():
+        overlap = _overlap(inc, start, delay, withheld)
+    else:
+        overlap = None
+        withheld.append("force at A: samples of the incident wave are not known")
+    if arrivals.doubt_a:
+        withheld.append(f"force at A: {arrivals.doubt_a}")
+        overlap = None
+    if count < _FEWEST:
+        raise UsageError(
+            f"{max(count, 0)} samples of the transmitted wave are left, {_FEWEST} are required: the record ends too "
+            "early, or an echo or a gap comes before"
+        )
+    if overlap is not None and count_a < _FEWEST:
+        withheld.append("force at A: the record ends before the reflected wave")
+        overlap = None
+    if overlap is not None:
+        count = min(count, count_a)
+
+    transmitted = _at(rec.strain, to_b, count)
+    spread = _at(rec.spread, to_b, count)
+    force_b = -behind.stiffness * transmitted
+    assert behind.gain_sd is not None
+    assert bar.gain_sd is not None
+    gain_b = math.hypot(behind.gain_sd, _BENT if rec.single else 0.0)
+    sd_b = np.sqrt(behind.stiffness**2 * (rec.noise**2 + rec.offset**2) + (gain_b * force_b) ** 2)
+
+    incident = np.zeros(count)
+    last = int(min(count, delay, len(inc.strain) - start))
+    incident[:last] = inc.strain[start : start + last]
+    force_a, sd_a, reflected = None, np.full(count, np.inf), np.zeros(count)
+    if overlap is not None:
+        reflected = _at(a_signal.strain, to_a, count)
+        turned = _sign_of_reflected(record, document, incident, reflected, force_b, bar, changes)
+        reflected = reflected * turned[0]
+        force_a = -bar.stiffness * (incident + reflected)
+        alive = np.arange(count) < last
+        noise = a_signal.noise**2 + np.where(alive, inc.noise**2, 0.0)
+        rest = np.where(alive, (inc.offset + a_signal.offset) ** 2, a_signal.offset**2)
+        tail = np.zeros(count)
+        if overlap and delay < count:
+            tail[last : last + round(0.25 * delay)] = overlap
+            tail[: round(0.25 * delay)] = np.maximum(tail[: round(0.25 * delay)], overlap)
+        both = incident**2 + reflected**2
+        gained = (bar.gain_sd * force_a) ** 2 if shared else (bar.gain_sd * bar.stiffness) ** 2 * both
+        gained = gained + (_BENT * bar.stiffness) ** 2 * both * (inc.single or a_signal.single)
+        sd_a = np.sqrt(bar.stiffness**2 * (noise + rest + tail**2) + gained)
+    else:
+        turned = (1.0, "")
+
+    time = np.asarray(step * np.arange(count), dtype=float)
+    peaks = {"B": _peak(time, force_b, sd_b, behind.stiffness * rec.noise, rec.memory)}
+    if not peaks["B"].low > 0.0 or peaks["B"].value < 3.0 * behind.stiffness * rec.noise / math.sqrt(
+        max(1.0, (rec.wave.falling - rec.wave.half) / rec.memory)
+    ):
+        raise UsageError("no force at the receiving face rises above the noise of the record")
+    if arrivals.doubt_b:
+        peaks["B"] = _doubted(peaks["B"], arrivals.doubt_b)
+    energies = None
+    if force_a is not None:
+        peaks["A"] = _peak(time, force_a, sd_a, bar.stiffness * math.hypot(inc.noise, a_signal.noise), inc.memory)
+        mean, sd_mean = 0.5 * (force_a + force_b), 0.5 * np.hypot(sd_a, sd_b)
+        peaks["mean"] = _peak(time, mean, sd_mean, 0.5 * bar.stiffness * math.hypot(inc.noise, rec.noise), inc.memory)
+        for doubt in filter(None, (turned[1], arrivals.doubt_b)):
+            peaks["A"] = _doubted(peaks["A"], doubt)
+        energies = Energies(
+            incident=bar.stiffness * bar.wave_speed * step * float(np.square(incident).sum()),
+            reflected=bar.stiffness * bar.wave_speed * step * float(np.square(reflected).sum()),
+            transmitted=behind.stiffness * behind.wave_speed * step * float(np.square(transmitted).sum()),
+        )
+    pressed = math.inf if overlap is None and not wave.ended else bar.stiffness * wave.peak
+    peaks = _held_together(peaks, energies, pressed, document)
+    at = int(np.searchsorted(time, peaks["B"].time))
+    peaks["B"] = _bent(peaks["B"], behind.stiffness * spread, at, peaks["B"].value, "receiving")
+    if "A" in peaks:
+        at = int(np.searchsorted(time, peaks["A"].time))
+        both = np.maximum(_at(inc.spread, float(start), count), _at(a_signal.spread, to_a, count))
+        peaks["A"] = _bent(peaks["A"], bar.stiffness * both, at, bar.stiffness * wave.peak, "incident")
+    peaks = _at_the_striker(peaks, wave.peak, document)
+    if "mean" in peaks:
+        every = dict.fromkeys((*peaks["mean"].doubts, *peaks["A"].doubts, *peaks["B"].doubts))
+        peaks["mean"] = replace(peaks["mean"], doubts=tuple(every))
+    else:
+        peaks["B"] = _doubted(peaks["B"], "the force at A is not known: gauge and gain of B are not checked by it")
+    balanced, rate = _balance(time, force_a, force_b, peaks["B"])
+    order = ("A", "B", "mean")
+    return Test(
+        step=step, touch=record.start + step * start + (0.0 if aligned else bar.gauge / bar.wave_speed), time=time,
+        force_a=force_a, force_b=force_b, sd_a=sd_a, sd_b=sd_b, incident=incident,
+        peaks={face: peaks[face] for face in order if face in peaks}, energies=energies, balanced=balanced,
+        loading_rate=rate, withheld=tuple(withheld), changes=tuple(changes),
+    )  # fmt: skip
+
+
+# --- arrivals ---------------------------------------------------------------------------------------------------
+
+
+def _crossing(values: Array, level: float, begin: int, end: int) -> float | None:
+    """First place in [begin, end) at which values rise through a level and stay there for three samples."""
+    above = values[begin:end] > level
+    runs = above[:-2] & above[1:-1] & above[2:] if len(above) > 2 else above
+    if not runs.any():
+        return None
+    k = begin + int(np.argmax(runs))
+    if k == 0 or k == begin:
+        return float(k)
+    low, high = values[k - 1], values[k]
+    return k - 1 + float((level - low) / (high - low)) if high > low else float(k)
+
+
+def _arrivals(record: Record, document: RecordDocument, changes: list[Change]) -> _Arrivals:
+    """The three arrivals held against distances and wave speeds; a wave that comes a little early is shifted."""
+    step, inc, rec = record.step, record.incident, record.receiving
+    bar, behind = document.incident_bar, document.receiving_bar
+    wave = inc.wave
+    if document.record.aligned:
+        own = [s.wave.foot - max(2, round(0.2 * s.wave.rising)) for s in (record.reflected or inc, rec)]
+        start = max(wave.foot - max(2, round(0.2 * wave.rising)), 0)
+        return _Arrivals(reflected=max(own[0], 0) - start, transmitted=max(own[1], 0) - start)
+    reflected = 2.0 * bar.gauge / bar.wave_speed / step
+    transmitted = (bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed) / step
+    steep, doubt_a, doubt_b = float(wave.rising), "", ""
+
+    def lags(share: float, window: float) -> tuple[float | None, float | None]:
+        """Samples by which reflected and transmitted wave come behind the incident one; None where that is not seen."""
+        width = max(1, round(window / step))
+        calm = smooth(inc.strain, width)
+        level = max(share * wave.peak, 5.0 * inc.noise / math.sqrt(width))
+        first = _crossing(-calm, level, max(wave.foot - 2 * wave.rising - 5, 0), wave.falling)
+        if first is None:
+            return None, None
+        if record.reflected is not None:
+            back = _crossing(np.abs(smooth(record.reflected.strain, width)), level, 0, len(calm))
+        else:  # the first excursion of either sign behind the end of the incident wave
+            low = np.flatnonzero(-calm[wave.falling :] < level)
+            back = _crossing(np.abs(calm), level, wave.falling + int(low[0]) + 1, len(calm)) if len(low) else None
+        level = max(share * rec.wave.peak, 5.0 * rec.noise / math.sqrt(width))
+        there = _crossing(-smooth(rec.strain, width), level, 0, rec.wave.falling + 1)
+        return None if back is None else back - first, None if there is None else there - first
+
+    back, there = lags(*_SURE)
+    if back is not None:
+        off = back - reflected
+        if not -(_EARLY * reflected + 0.5 * steep + 3.0) <= off <= _LATE * reflected + 2.0 * steep + 5.0:
+            doubt_a = (
+                f"the reflected wave comes {abs(off) * step * 1e6:.4g} us too {'early' if off < 0 else 'late'} for a "
+                f"gauge at {bar.gauge:.4g} m; {0.5 * back * step * bar.wave_speed:.4g} m would fit (or another E or "
+                "density)"
+            )
+    # the transmitted wave may be late, by the transit and the softness of the specimen, but not early
+    if there is not None:
+        off = there - transmitted
+        late = _LATE * transmitted + 2.0 * steep + 0.5 * (wave.falling - wave.half) + 50e-6 / step
+        if not -(_EARLY * transmitted + 0.5 * steep + 3.0) <= off <= late:
+            fits = there * step * behind.wave_speed - bar.gauge * behind.wave_speed / bar.wave_speed
+            would = f"{fits:.4g} m would fit" if fits > 0.0 else "no distance fits"
+            doubt_b = (
+                f"the transmitted wave comes {abs(off) * step * 1e6:.4g} us too {'early' if off < 0 else 'late'} for a "
+                f"gauge at {behind.gauge:.4g} m; {would} if the incident gauge is right"
+            )
+            if off < 0.0:  # no force before first touch: the incident wave itself is not where it seems
+                doubt_a = doubt_a or doubt_b
+    if steep < 0.05 * reflected and not doubt_a and not doubt_b:
+        back, there = lags(*_FINE)
+        for name, lag, predicted in (("reflected", back, reflected), ("transmitted", there, transmitted)):
+            off = 0.0 if lag is None else lag - predicted
+            if -_EARLY * predicted - 3.0 <= off < -max(1.0, 1e-6 / step):
+                signal = rec.name if name == "transmitted" else (record.reflected or inc).name
+                text = f"{name} wave: taken {-off * step * 1e6:.3g} us earlier than the gauges' distances predict"
+                changes.append(Change(step="time shift", signal=signal, size=off * step, text=text))
+                reflected += off * (name == "reflected")
+                transmitted += off * (name == "transmitted")
+    return _Arrivals(reflected=reflected, transmitted=transmitted, doubt_a=doubt_a, doubt_b=doubt_b)
+
+
+def _overlap(inc: Signal, start: int, delay: float, withheld: list[str]) -> float | None:
+    """Strain of the incident wave's tail where the reflected one comes; None where the two overlap by more."""
+    wave = inc.wave
+    if not math.isfinite(delay):
+        return 0.0
+    split = start + int(delay)
+    if wave.end <= split:
+        return 0.0
+    if split >= len(inc.strain):
+        withheld.append("force at A: the record ends before the reflected wave")
+        return None
+    tail = float(np.abs(inc.strain[max(split - 3, 0) : split + 3]).max())
+    if wave.falling >= split or tail > _TAIL * wave.peak:
+        withheld.append(
+            f"force at A: incident and reflected wave overlap at the incident gauge ({tail / wave.peak:.0%} of the "
+            "peak is left where the reflected wave is due); shorten the pulse or move the gauge back"
+        )
+        return None
+    return tail
+
+
+def _sign_of_reflected(
+    record: Record, document: RecordDocument, incident: Array, reflected: Array, force_b: Array, bar: BarTable,
+    changes: list[Change],
+) -> tuple[float, str]:  # fmt: skip
+    """+1 or -1 for a reflected wave in a column of its own, with a doubt where its sign had to be taken.
+
+    The sign is that of its bar.  Only where waves were cut out, so that each may stand as its size, a reflected wave
+    of the sign of the incident one is turned: a specimen softer than the bar pulls.
+    """
+    if record.reflected is None or document.record.polarity != "auto":
+        return 1.0, ""
+    body = np.abs(reflected) > 0.5 * float(np.abs(reflected).max())
+    if not document.record.aligned or float(reflected[body].mean()) > 0.0:
+        return 1.0, ""
+    changes.append(Change(step="sign", signal=record.reflected.name, text=(
+        f"{record.reflected.name}: has the sign of the incident wave; taken as a size, tension")))  # fmt: skip
+    other = bar.stiffness * float(-(incident + reflected).min())
+    return -1.0, f"the reflected wave is taken as tension; as it stands in the file A would be {other * 1e-3:.4g} kN"
+
+
+def _until_unknown(signal: Signal, place: int, count: int) -> int:
+    lost = np.flatnonzero(~signal.known[max(place, 0) : max(place, 0) + max(count, 0)])
+    return int(lost[0]) if len(lost) else count
+
+
+def _at(values: Array, place: float, count: int) -> Array:
+    """Samples from a place between samples on, by cubics through four."""
+    whole = math.floor(place)
+    x = place - whole
+    weights = (-x * (x - 1) * (x - 2) / 6, (x + 1) * (x - 1) * (x - 2) / 2, -(x + 1) * x * (x - 2) / 2,
+               (x + 1) * x * (x - 1) / 6)  # fmt: skip
+    padded = np.concatenate([np.full(max(2, 2 - whole), values[0]), values, np.full(4, values[-1])])
+    base = whole + max(2, 2 - whole)
+    found = np.zeros(count)
+    for k, weight in enumerate(weights):
+        part = padded[base - 1 + k : base - 1 + k + count]
+        found[: len(part)] += weight * part
+    return found
+
+
+# --- the largest force, and what doubts it ------------------------------------------------------------------------
+
+
+def _peak(time: Array, force: Array, sd: Array, noise: float, memory: float) -> Peak:
+    """The largest force from a parabola over a third of its top, not from its highest sample."""
+    calm = median_filter(force, 5, mode="nearest")
+    at = int(np.argmax(calm))
+    low = np.flatnonzero(calm < 0.8 * calm[at])
+    top = (int(low[low > at][0]) if (low > at).any() else len(calm)) - (
+        int(low[low < at][-1]) if (low < at).any() else 0
+    )
+    width = min(max(5, 2 * (top // 6) + 1), len(calm) - 1 + len(calm) % 2)
+    curve = savgol_filter(savgol_filter(calm, width, 2), width, 2)
+    at = int(np.argmax(curve))
+    value = float(curve[at])
+    # the middle of a parabola through `width` samples has 9/4 of the variance of their mean
+    kept = noise * math.sqrt(min(1.0, 2.25 * memory / width))
+    # of m places that might as well be the top the highest is too high, by Blom's mean of the largest of m
+    rivals = 1.0 + float((curve > value - 2.0 * kept).sum()) / (width * max(1.0, memory / width))
+    value -= kept * float(ndtri((rivals - 0.375) / (rivals + 0.25)))
+    half = NORMAL * math.hypot(math.sqrt(max(float(sd[at]) ** 2 - noise**2, 0.0)), kept)
+    high, doubts = value + half, []
+    highest = float(force.max())
+    if highest > value + 5.0 * noise + 0.05 * value:
+        doubts.append(f"single samples reach {highest * 1e-3:.4g} kN, which those around them do not bear out")
+        high = max(high, highest)
+    if at >= len(force) - max(3, width // 2):
+        doubts.append("the force is largest where the record ends: it is at least this")
+        high = math.inf
+    return Peak(value=value, low=value - half, high=high, time=float(time[at]), doubts=tuple(doubts))
+
+
+def _doubted(peak: Peak, doubt: str, low: float | None = None, high: float | None = None) -> Peak:
+    return replace(peak, doubts=(*peak.doubts, doubt), low=min(peak.low, low if low is not None else peak.low),
+                   high=max(peak.high, high if high is not None else peak.high))  # fmt: skip
+
+
+def _bent(peak: Peak, spread: Array, at: int, whole: float, bar: str) -> Peak:
+    """A peak with what the gauges of its bar differ by [N], against the wave `whole` [N]."""
+    near = spread[max(at - 3, 0) : at + 4]
+    bent = float(near.mean()) if len(near) else 0.0
+    if 2.0 * bent <= _GROSS * whole:
+        return peak
+    doubt = f"the gauges of the {bar} bar differ by {2.0 * bent / whole:.0%} of the wave there"
+    return _doubted(peak, doubt, peak.low - bent, peak.high + bent)
+
+
+def _held_together(
+    peaks: Mapping[str, Peak], energies: Energies | None, pressed: float, document: RecordDocument
+) -> dict[str, Peak]:
+    """The faces against each other, the wave that made them, the energy that it brought, and the specimen."""
+    found = dict(peaks)
+    for face, peak in peaks.items():
+        if peak.low > 2.0 * pressed:
+            doubt = f"an incident wave of {pressed * 1e-3:.4g} kN presses with at most twice as much"
+            found[face] = _doubted(found[face], doubt, 2.0 * pressed)
+        if _WIDE * peak.value < peak.high - peak.low < math.inf:
+            half = 0.5 * (peak.high - peak.low) / peak.value
+            found[face] = _doubted(found[face], f"hardly known: 95 % interval of +- {half:.0%}")
+        strongest = document.specimen.strongest
+        if strongest is not None and peak.low > strongest:
+            doubt = f"the specimen bears at most {strongest * 1e-3:.4g} kN"
+            found[face] = _doubted(found[face], doubt, strongest)
+    if energies is not None and energies.absorbed < -0.05 * energies.incident:
+        doubt = (
+            f"reflected and transmitted wave carry {energies.reflected + energies.transmitted:.4g} J, the incident one "
+            f"{energies.incident:.4g} J: a gain is wrong"
+        )
+        for face in found:
+            found[face] = _doubted(found[face], doubt)
+    if "A" in peaks:
+        a, b = peaks["A"], peaks["B"]
+        apart = abs(a.value - b.value) / max(a.value, b.value)
+        if a.low > b.high or b.low > a.high or apart > _APART:
+            what = "one face is wrong (gauge, gain or a wave)" if apart > _GROSS else "no common force"
+            for face, other in (("A", b), ("B", a), ("mean", None)):
+                text = f"the faces differ by {apart:.0%} (A {a.value * 1e-3:.4g}, B {b.value * 1e-3:.4g} kN): {what}"
+                bound = (min(a.low, b.low), max(a.high, b.high))
+                found[face] = _doubted(found[face], text, *(bound if other is None or apart > _GROSS else (None, None)))
+    return found
+
+
+def _at_the_striker(peaks: dict[str, Peak], strain: float, document: RecordDocument) -> dict[str, Peak]:
+    """The incident wave held against v/(2 c0) of a striker of the bar's own section and material."""
+    speed = document.striker_speed
+    if speed is None:
+        return peaks
+    due = 0.5 * speed / document.incident_bar.wave_speed
+    if abs(strain / due - 1.0) < 0.1:
+        return peaks
+    doubt = f"the incident wave reaches {strain * 1e6:.4g} microstrain, the striker's speed gives {due * 1e6:.4g}"
+    return {face: _doubted(peak, doubt) if face != "B" else peak for face, peak in peaks.items()}
+
+
+def _balance(time: Array, force_a: Array | None, force_b: Array, peak: Peak) -> tuple[float | None, float]:
+    """Share of the rise in which both forces agree within 5 % of their mean, and the loading rate [N/s]."""
+    top = max(int(np.searchsorted(time, peak.time)), 3)
+    calm = smooth(force_b, 5)
+    half = min(int(np.argmax(calm > 0.5 * peak.value)), top - 2)
+    rate = 0.5 * peak.value / float(time[top] - time[half])
+    if force_a is None:
+        return None, rate
+    mean = 0.5 * (smooth(force_a, 5) + calm)
+    even = np.abs(smooth(force_a, 5) - calm) <= 2.0 * _BALANCE * np.abs(mean)
+    return float(even[half : top + 1].mean()), rate

@@ -1,0 +1,187 @@
+"""A model of the user's own: load it, call it for many rows at once, check what it returns, and tell two apart."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import inspect
+import re
+import sys
+import sysconfig
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.errors import AccessError, ModelError, ModelRaised, UsageError, told
+
+#: takes columns (n,) by the names of the inputs; returns columns (n,) by the names of the outputs as a dict or a
+#: DataFrame, an array (n, outputs) in the order of the study's outputs, or (n,) where there is one output
+BlackBox = Callable[[dict[str, Array]], Any]
+
+#: what is the model's own fault; Ctrl-C too in a process that nobody interrupts (`workers`)
+FAULTS: tuple[type[BaseException], ...] = (Exception, SystemExit)
+#: folders of packages, wherever an installation has them
+_INSTALLED: Final = frozenset(("site-packages", "dist-packages"))
+
+
+def parse_reference(reference: str) -> tuple[Path, str]:
+    """File and function of "FILE.py:FUNCTION". Raises UsageError for another form, AccessError for a missing file."""
+    file, _, name = reference.rpartition(":")
+    if not file.endswith(".py") or not name.isidentifier():
+        raise UsageError(f"a model is given as FILE.py:FUNCTION, not {told(reference, 120)!r}")
+    if not Path(file).is_file():
+        raise AccessError(f"the model file {file} does not exist")
+    return Path(file), name
+
+
+def load_black_box(reference: str) -> BlackBox:
+    """The function that "FILE.py:FUNCTION" names. This runs the file.
+
+    Raises UsageError for another form and a missing function; AccessError where the file cannot be read; ModelError
+    where it raises.
+    """
+    path, name = parse_reference(reference)
+    module = ModuleType(f"uqsphere_black_box_{path.stem}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module  # dataclasses and pickle look a module up by its name
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            # compiled from the file as it is: bytecode on disk may be that of the same second
+            exec(compile(path.read_bytes(), str(path), "exec"), module.__dict__)
+    except (Exception, SystemExit) as error:
+        raise ModelError(f"{path} raised {_described(error)} while it was loaded") from error
+    function = getattr(module, name, None)
+    if not callable(function):
+        functions = [key for key, value in vars(module).items() if inspect.isfunction(value) and key[0] != "_"]
+        raise UsageError(f"{path} has no function {name!r} (it has: {', '.join(functions) or 'none'})")
+    return function  # type: ignore[no-any-return]
+
+
+def _described(error: BaseException) -> str:
+    """An exception, and where in the user's code it began: "ValueError: too large (bad.py, line 3)"."""
+    ours = {Path(__file__).parent, *(Path(sysconfig.get_path(key)) for key in ("stdlib", "purelib", "platlib"))}
+    places = [
+        f" ({Path(frame.filename).name}, line {frame.lineno})"
+        for frame in traceback.extract_tb(error.__traceback__)
+        if not frame.filename.startswith("<")
+        and ours.isdisjoint(Path(frame.filename).parents)
+        and _INSTALLED.isdisjoint(Path(frame.filename).parts)
+    ]
+    return f"{type(error).__name__}: {told(error)}{places[-1] if places else ''}"
+
+
+def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Sequence[str]) -> Array:
+    """Answers (n, q) of a model to rows (n, d), in one call. What it prints goes to stderr.
+
+    names : d inputs, the columns of `rows`.
+    outputs : q outputs, in the order in which the study has them.
+
+    Raises ModelRaised with what the model raised, and where; ModelError where it returned something of the wrong form.
+    """
+    columns = {name: rows[:, k].copy() for k, name in enumerate(names)}
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            returned = box(columns)
+    except FAULTS as error:
+        raise ModelRaised(f"the model raised {_described(error)}") from error
+    try:
+        return _table(returned, outputs, len(rows))
+    except ModelError:
+        raise
+    except Exception as error:  # what was returned computes its content as it likes
+        raise ModelError(f"what the model returned cannot be read: {_described(error)}") from error
+
+
+def _table(returned: Any, outputs: Sequence[str], count: int) -> Array:
+    """What a model returned, as numbers (n, q)."""
+    returned = _by_index(returned, count)
+    if hasattr(returned, "iloc") and hasattr(returned, "columns"):  # a DataFrame, without importing pandas
+        names = list(returned.columns)
+        if repeated := [name for name in names if names.count(name) > 1]:
+            raise ModelError(f"the model returned the column {told(repeated[0], 60)!r} more than once")
+        returned = {name: returned[name].to_numpy() for name in names}
+    if isinstance(returned, Mapping):
+        if missing := [name for name in outputs if name not in returned]:
+            keys = ", ".join(repr(told(key, 60)) for key in list(returned)[:6]) or "nothing"
+            raise ModelError(f"the model returned no {missing[0]!r} (it returned {keys})")
+        return np.stack([_column(_by_index(returned[name], count), name, count) for name in outputs], axis=1)
+    if returned is None:
+        raise ModelError("the model returned nothing: it must return a dict of output name -> array")
+    shape = np.shape(returned)
+    if shape == (count, len(outputs)):
+        table = np.asanyarray(returned)
+        return np.stack([_column(table[:, k], name, count) for k, name in enumerate(outputs)], axis=1)
+    if len(outputs) == 1:
+        return _column(returned, outputs[0], count)[:, None]
+    raise ModelError(
+        f"the model must return a dict with {', '.join(map(repr, outputs))}, or an array of shape "
+        f"({count}, {len(outputs)}); it returned {type(returned).__name__}{f' of shape {shape}' if shape else ''}"
+    )
+
+
+def _by_index(value: Any, count: int) -> Any:
+    """A Series or DataFrame in the order of the rows, if its index numbers them; anything else as it is."""
+    if hasattr(value, "iloc") and len(value) == count:
+        labels = np.asarray(value.index)
+        if labels.dtype.kind in "iu" and np.array_equal(np.sort(labels), np.arange(count)):
+            return value.iloc[np.argsort(labels)]
+    return value
+
+
+def _column(value: Any, name: str, count: int) -> Array:
+    """One output as numbers (n,); what a mask hides, and None, is NaN."""
+    given = np.asarray(value)
+    if given.dtype.kind == "c":
+        raise ModelError(f"the model's {name!r} has complex numbers: return the real part, or the absolute value")
+    if given.dtype.kind not in "fiubO":
+        raise ModelError(f"the model's {name!r} is not an array of numbers (its type is {given.dtype})")
+    try:
+        column = given.astype(float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ModelError(f"the model's {name!r} is not an array of numbers: {told(error)}") from error
+    if isinstance(value, np.ma.MaskedArray):
+        column = np.where(value.mask, np.nan, column)
+    if count == 1 and column.ndim == 0:
+        return column[None]
+    if column.shape != (count,):
+        hint = "; a function of one row can be wrapped by numpy.vectorize" if column.ndim == 0 else ""
+        raise ModelError(
+            f"the model's {name!r} must have shape ({count},), one number for each row of its inputs; "
+            f"its shape is {column.shape}{hint}"
+        )
+    return column
+
+
+def model_digest(model: str | BlackBox) -> str:
+    """What distinguishes one black box from another, 32 hexadecimal digits.
+
+    Of a reference its file and function; of a function its source, its defaults, and the numbers and texts that it
+    takes from outside, but for those that it assigns. What it reads or imports besides is not seen.
+    """
+    if isinstance(model, str):
+        path, name = parse_reference(model)
+        return hashlib.sha256(path.read_bytes() + b"\0" + name.encode()).hexdigest()[:32]
+    if isinstance(model, functools.partial):
+        content = f"{model_digest(model.func)}{model.args}{sorted(model.keywords.items())}"
+        return hashlib.sha256(content.encode()).hexdigest()[:32]
+    function = inspect.unwrap(model)
+    function = getattr(function if inspect.isroutine(function) else type(model).__call__, "__func__", function)
+    try:
+        source = inspect.getsource(function)
+    except (OSError, TypeError):
+        source = str(getattr(getattr(function, "__code__", None), "co_code", function))
+    parts = [source, getattr(function, "__qualname__", "")]
+    if inspect.isfunction(function):
+        parts += [repr(function.__defaults__), repr(function.__kwdefaults__)]
+        assigned = re.findall(r"\w+", " ".join(re.findall(r"\b(?:global|nonlocal) ([\w, ]+)", source)))
+        outside = inspect.getclosurevars(function)
+        for name, value in sorted({**outside.globals, **outside.nonlocals}.items()):
+            if name not in assigned and isinstance(value, (bool, int, float, complex, str, bytes, tuple, np.ndarray)):
+                parts.append(f"{name} = {value.tolist() if isinstance(value, np.ndarray) else value!r}")
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]

@@ -1,0 +1,84 @@
+"""Rows of answers, the states that a row can be in, and the note on a row that failed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final
+
+import numpy as np
+
+from uqsphere.arrays import Array, Flags, Places
+
+
+class Code(IntEnum):
+    """Status of a row that a black box has no answer to; 1 to 5 are those of the impact model."""
+
+    NOT_FINITE = 6
+    RAISED = 8
+    TIME_OVER = 9
+    DIED = 10
+
+
+_TEXTS: Final[dict[int, str]] = {
+    Code.NOT_FINITE: "the model gave a number that is not finite",
+    Code.RAISED: "the model raised an exception",
+    Code.TIME_OVER: "the model took longer than analysis.time_limit",
+    Code.DIED: "the model ended the process it ran in",
+}
+#: inputs that a note names
+_MOST_NAMED: Final = 6
+
+
+class Interrupted(Exception):
+    """`stop` was true between two calls of the model. What a slow black box has answered is in the cache."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluatedRows:
+    """Answers of n rows.
+
+    values : (n, q), SI, in the order of the columns that were requested; NaN where a row failed.
+    censored : (n, q); the value is a lower bound, since the record ended first.
+    status : (n,); 0 for an answer, else a code of `status_text`.
+    note : what happened at the first row that failed, with its inputs; empty if none failed.
+    """
+
+    values: Array
+    censored: Flags
+    status: Places
+    note: str = ""
+
+    @property
+    def good(self) -> Flags:
+        """Which rows have an answer, (n,)."""
+        return np.asarray(self.status == 0)
+
+    @classmethod
+    def plain(cls, values: Array, status: Places | int = 0, note: str = "") -> EvaluatedRows:
+        """Answers (n, q) of which none is censored; one status (n,) for all rows, or each its own."""
+        codes = np.broadcast_to(np.asarray(status, dtype=np.int64), len(values)).copy()
+        return cls(values=values, censored=np.zeros(values.shape, dtype=bool), status=codes, note=note)
+
+
+def where_of(names: Sequence[str], row: Array) -> str:
+    """The inputs (d,) of a row, in words.
+
+    >>> where_of(("a", "b"), np.array([1.0, 0.25]))
+    'at a = 1, b = 0.25'
+    """
+    shown = [f"{name} = {value:.6g}" for name, value in zip(names, row.tolist(), strict=True)]
+    more = f" and {len(shown) - _MOST_NAMED} more inputs" if len(shown) > _MOST_NAMED else ""
+    return f"at {', '.join(shown[:_MOST_NAMED])}{more}" if shown else "in the only row"
+
+
+def status_text(code: int, *, black_box: bool) -> str:
+    """What the status of a row means.
+
+    >>> status_text(9, black_box=True)
+    'the model took longer than analysis.time_limit'
+    """
+    from uqsphere.mechanics.scene import STATUS
+
+    return (_TEXTS if black_box else STATUS).get(code, f"status {code}")

@@ -1,0 +1,147 @@
+"""A study as it was understood, and the lists of what there is: what `check` and `list` print."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from uqsphere.quantities import display_unit, format_value, lookup
+from uqsphere.study import Study
+from uqsphere.uq import Law
+
+
+def described(study: Study) -> str:
+    """Inputs with their scatter and source, strengths with their tests, warnings, and about how long a run takes."""
+    parts = [f"{study.title}: the study is valid", "", _inputs(study)]
+    if study.limits:
+        parts += ["", _strengths(study)]
+    if study.dependence:
+        parts += ["", "\n".join(f"dependence: {', '.join(tie.of)}" for tie in study.dependence)]
+    return "\n".join([*parts, "", _cost(study)])
+
+
+def _inputs(study: Study) -> str:
+    rows = [("input", "mean", "sd", "5-95 % range", "distribution", "source")]
+    numbers: dict[str, float | Law] = {**study.fixed, **study.random}
+    for name, value in numbers.items():
+        source = study.sources.get(name)
+        text = "study" if source is None else source.text if source.seen else f"{source.text} (source not checked)"
+        if isinstance(value, Law):
+            low, high = (float(x) for x in value.ppf(np.array([0.05, 0.95])))
+            mean, sd = value.mean(), value.sd()
+            rows.append((name, "-" if mean is None else format_value(mean, name), "-" if sd is None else
+                         format_value(sd, name, 3), f"{format_value(low, name)} to {format_value(high, name)}",
+                         value.family.name.replace("_", " "), text))  # fmt: skip
+        else:
+            rows.append((name, format_value(value, name), "-", "-", "fixed", text))
+    return table(rows)
+
+
+def _strengths(study: Study) -> str:
+    rows = [("strength", "tests", "range of the tests", "distribution", "mean", "5-95 % range", "held against")]
+    for limit in study.limits:
+        law, name = limit.strength, limit.quantity
+        if not isinstance(law, Law):
+            rows.append((limit.name, "-", "-", "fixed", format_value(float(law), name), "-", lookup(name).meaning))
+            continue
+        low, high = (float(x) for x in law.ppf(np.array([0.05, 0.95])))
+        tests, ends = "-", "-"
+        if law.data:
+            tests = str(len(law.data) + len(law.censored))
+            ends = f"{format_value(min(law.data), name)} to {format_value(max(law.data), name)}"
+        if limit.tested is not None and limit.tested.forces:
+            tested = limit.tested
+            ends = (
+                f"{format_value(min(tested.forces), 'P_max')} to {format_value(max(tested.forces), 'P_max')} on "
+                f"{2e3 * 0.5 * min(tested.diameters):.3g} to {2e3 * 0.5 * max(tested.diameters):.3g} mm"
+            )
+            tests = str(len(tested.forces))
+        mean = law.mean()
+        text = law.family.name.replace("_", " ")
+        if "modulus" in law.parameters:
+            text += f", modulus {law.parameters['modulus']:.3g}"
+        rows.append((limit.name, tests, ends, text, "-" if mean is None else format_value(mean, name),
+                     f"{format_value(low, name)} to {format_value(high, name)}", lookup(name).meaning))  # fmt: skip
+    return table(rows)
+
+
+def _cost(study: Study) -> str:
+    """About how long the first size of a run takes: 64 rows are timed, and multiplied."""
+    from uqsphere.models import open_model
+    from uqsphere.run.design import Design
+    from uqsphere.run.grow import first_rows
+
+    if study.black_box:
+        first = first_rows(study)
+        text = f"a run begins with {first:,} model runs"
+        if study.analysis.cost is not None:
+            text += f", {first * study.analysis.cost:,.0f} s by analysis.cost"
+        return f"{text}; a model too slow for its budget is answered by one design of fewer runs"
+    design = Design.of(study)
+    with open_model(design.study, threads=1) as model:
+        names = design.inputs
+        rows = design.points(4).inputs[:, :, : len(names)].reshape(-1, len(names)) if names else np.zeros((1, 0))
+        model.evaluate(names, rows, design.columns)
+        each = model.seconds_per_row or 0.0
+    first = first_rows(design.study)
+    return (
+        f"a run begins with {first:,} model runs, about {max(first * each, 0.1):.1f} s, and doubles them until accurate"
+    )
+
+
+def table(rows: Sequence[Sequence[str]]) -> str:
+    """Rows as columns of text, the first row underlined; the last column is not padded."""
+    widths = [max(len(str(row[k])) for row in rows) for k in range(len(rows[0]))]
+    lines = ["  ".join(str(c).ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return "\n".join([lines[0], "-" * min(len(lines[0]), 79), *lines[1:]])
+
+
+def listing(what: str) -> str:
+    """Materials, quantities, criteria or distributions, as `uqsphere list` prints them."""
+    if what == "materials":
+        from uqsphere.materials import library
+
+        lines = []
+        for kind, entries in library().items():
+            for name, material in entries.items():
+                lines.append(f"{name} ({kind}): {material.title}")
+                for key, entry in material.properties.items():
+                    path = f"{'sphere' if kind == 'sphere' else 'bars'}.{key}"
+                    lines.append(f"    {key} {_value(entry.value, path, key)}  [{entry.source}]")
+        return "\n".join(lines)
+    if what == "quantities":
+        from uqsphere.mechanics.outputs import OUTPUTS
+
+        return table(
+            [("quantity", "unit", "meaning"), *((n, display_unit(n)[0], q.meaning) for n, q in OUTPUTS.items())]
+        )
+    if what == "criteria":
+        from uqsphere.mechanics.criteria import CRITERIA
+
+        return table([("criterion", "meaning"), *((name, _meaning(c)) for name, c in CRITERIA.items())])
+    from uqsphere.uq.families import FAMILIES
+
+    return table(
+        [("distribution", "keys"), *((name, ", ".join(getattr(f, "keys", ()))) for name, f in FAMILIES.items())]
+    )
+
+
+def _meaning(criterion: object) -> str:
+    return str(getattr(criterion, "meaning", "") or getattr(criterion, "text", ""))
+
+
+def _value(value: float, path: str, key: str) -> str:
+    units = {
+        "fracture_toughness": (1e-6, "MPa.sqrt(m)"),
+        "tensile_strength": (1e-6, "MPa"),
+        "contact_strength": (1e-9, "GPa"),
+        "fracture_energy": (1.0, "J/kg"),
+        "yield_strength": (1e-6, "MPa"),
+        "E": (1e-9, "GPa"),
+        "density": (1.0, "kg/m3"),
+        "onset_pressure": (1e-9, "GPa"),
+        "hardness": (1e-9, "GPa"),
+    }
+    factor, unit = units.get(key, (1.0, ""))
+    return f"{value * factor:.4g} {unit}".rstrip()

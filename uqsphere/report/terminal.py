@@ -1,0 +1,96 @@
+"""The terminal's summary of a run: the sentence to act on, failure modes, quantities and indices, in 40 lines."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+from typing import Any
+
+from uqsphere.report.format import estimate, find, label, meaning, of, probability, short, value
+
+#: lines at most, and rows of each table
+LINES, ROWS = 40, 8
+
+
+def summary(results: Mapping[str, Any], width: int = 79) -> str:
+    """The summary as text of at most 40 lines."""
+    lines = textwrap.wrap(results["study"]["title"], width)
+    told = set()
+    for name, verdict in results["verdicts"].items():
+        said = f"{verdict['headline']} {verdict['detail']}".strip()
+        if said in told:
+            continue
+        told.add(said)
+        lines += ["", *textwrap.wrap(f"{name}: {said}", width)]
+        if verdict["next"]:
+            lines += textwrap.wrap(f"Next: {verdict['next']}", width)
+    if modes := _modes(results):
+        lines += ["", *_table(("failure mode", "probability", "beta", "at the target"), modes[:ROWS], width)]
+    lines += ["", *_table(("quantity", "mean", "5-95 % range"), _quantities(results)[:ROWS], width)]
+    if indices := _indices(results):
+        lines += ["", *_table(("Sobol' index, total", *results_names(results)), indices[:ROWS], width)]
+    accuracy = results["accuracy"]
+    error = accuracy["reached"][-1]["error"] if accuracy["reached"] else None
+    tail = f"{accuracy['runs']:,} model runs, {accuracy['seconds']:.3g} s"
+    if error is not None:
+        tail += f", largest error / tolerance {error:.2g} ({accuracy['stopped']})"
+    lines += ["", *textwrap.wrap(tail, width)]
+    return "\n".join(lines if len(lines) <= LINES else [*lines[: LINES - 1], "... the rest is in the report"])
+
+
+def results_names(results: Mapping[str, Any]) -> list[str]:
+    """Quantities that have indices."""
+    return [name for name in results["study"]["quantities"] if of(results["answers"], name, "sobol_total")][:3]
+
+
+def _modes(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
+    free = results["study"]["free"]
+    for kind, entries in (("limits", results["study"]["limits"]), ("modes", results["study"]["modes"])):
+        for name, entry in entries.items():
+            subject = f"{kind}.{name}"
+            index = find(results["answers"], subject, "reliability_index")
+            targets = [v["target"] for v in results["verdicts"].values() if v["target"]]
+            target = entry["target"] or (targets[0] if targets else None)
+            at = None
+            if free and target:
+                wanted = target if entry["aim"] == "survive" else 1.0 - target
+                at = next((r for r in of(results["answers"], subject, "margin")
+                           if isinstance(r["at"], float) and abs(r["at"] - wanted) < 1e-9), None)  # fmt: skip
+            rows.append((label(subject), probability(find(results["answers"], subject, "exceedance_probability")),
+                         "–" if index is None else f"{index['value']:.2f}",
+                         "–" if at is None or at["value"] is None else value(at["value"], free["path"])))  # fmt: skip
+    return rows
+
+
+def _quantities(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
+    for name, entry in results["study"]["quantities"].items():
+        low, _, high = entry["range"]
+        ends = "–" if low is None else f"{value(low, name)} to {value(high, name)}"
+        rows.append((short(entry["meaning"]), estimate(find(results["answers"], name, "mean"), name), ends))
+    return rows
+
+
+def _indices(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    names = results_names(results)
+    if not names:
+        return []
+    first = of(results["answers"], names[0], "sobol_total")
+    ranked = sorted(first, key=lambda row: -(row["value"] or 0.0))
+    rows: list[tuple[str, ...]] = []
+    for row in ranked:
+        cells = [find(results["answers"], name, "sobol_total", row["at"]) for name in names]
+        if any(cell is not None and cell["value"] is not None for cell in cells):
+            texts = ["–" if c is None or c["value"] is None else f"{c['value']:.3f}" for c in cells]
+            rows.append((meaning(row["at"], results["inputs"]), *texts))
+    return rows
+
+
+def _table(header: tuple[str, ...], rows: list[tuple[str, ...]], width: int) -> list[str]:
+    """Columns side by side; the first one gives way where the terminal is narrow."""
+    cells = [header, *rows]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
+    room = width - sum(widths[1:]) - 2 * (len(widths) - 1)
+    widths[0] = max(min(widths[0], room), 8)
+    return ["  ".join(text[:w].ljust(w) for text, w in zip(row, widths, strict=True)).rstrip() for row in cells]

@@ -1,0 +1,155 @@
+"""A finished run: its answers, samples and expansions as tables, and its plots."""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from uqsphere.errors import FolderError, UsageError
+from uqsphere.results.answers import frame_of
+from uqsphere.results.folder import read_results
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from uqsphere.report.figures import Plots
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """A run that has ended.
+
+    results : what results.json holds
+    folder : where it lies; None for a run that was not given a folder
+    samples_csv : the table of samples as written
+    live : what only a run of this process has: expansions and pairs, by quantity
+    """
+
+    results: dict[str, Any]
+    folder: Path | None = None
+    samples_csv: str = ""
+    live: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def __repr__(self) -> str:
+        study, accuracy = self.results["study"], self.results["accuracy"]
+        return f"<Run {study['title']!r}: {len(self.results['answers'])} answers of {accuracy['runs']:,} model runs>"
+
+    @cached_property
+    def answers(self) -> pd.DataFrame:
+        """The long table of answers, SI units: subject, answer, at, value, low, high, std_error, unit, method, runs,
+        note."""
+        return frame_of(self.results["answers"])
+
+    @cached_property
+    def samples(self) -> pd.DataFrame:
+        """Inputs, strengths and columns of up to 16,384 rows, SI units."""
+        import pandas as pd
+
+        text = self.samples_csv
+        if not text and self.folder is not None:
+            path = self.folder / "samples.csv"
+            if path.is_symlink() or not path.is_file():
+                raise FolderError(f"{self.folder} holds no samples.csv")
+            text = path.read_text(encoding="utf-8")
+        return pd.read_csv(io.StringIO(text))
+
+    @property
+    def verdicts(self) -> dict[str, Any]:
+        """The verdict on every limit, with its reasons."""
+        return dict(self.results["verdicts"])
+
+    def sobol(self, quantity: str) -> pd.DataFrame:
+        """First-order and total Sobol' indices of a quantity by input, with their 95 % intervals and the method.
+
+        Raises UsageError for a quantity that the run has not.
+        """
+        table = self._of(quantity)
+        parts: dict[str, pd.Series] = {}
+        for order in ("first", "total"):
+            rows = table[table["answer"] == f"sobol_{order}"].set_index("at")
+            parts |= {order: rows["value"], f"{order}_low": rows["low"], f"{order}_high": rows["high"]}
+            parts["method"] = rows["method"]
+        import pandas as pd
+
+        found = pd.DataFrame(parts)
+        found.index.name = "input"
+        return found[[*(name for name in found.columns if name != "method"), "method"]]
+
+    def quantiles(self, quantity: str) -> pd.DataFrame:
+        """Quantiles of a quantity with their 95 % intervals, by probability; mean and sd are in `answers`."""
+        table = self._of(quantity)
+        rows = table[table["answer"] == "quantile"]
+        return rows.set_index(rows["at"].astype(float).rename("probability"))[["value", "low", "high", "note"]]
+
+    def probability(self, limit: str) -> pd.Series:
+        """The failure probability of a limit or failure mode: value, low, high, method, note."""
+        return self._one(limit, "failure_probability", "")
+
+    def curve(self, limit: str) -> pd.DataFrame:
+        """The probability of exceedance (fracture) over the free number, with its 95 % interval."""
+        table = self._of(self._subject(limit))
+        rows = table[table["answer"] == "curve"]
+        return rows.set_index(rows["at"].astype(float).rename("free"))[["value", "low", "high"]]
+
+    def margin(self, limit: str, probability: float) -> pd.Series:
+        """The free number at which a limit is exceeded with a probability: value, low, high, method, note."""
+        return self._one(limit, "margin", float(probability))
+
+    def expansion(self, quantity: str) -> Any:
+        """The polynomial chaos of a quantity (`uqsphere.uq`): coefficients, multi-indices, germs, `predict(x)`,
+        `to_chaospy()`.
+
+        Raises UsageError where there is none: the quantity does not vary, or the run was read from a folder.
+        """
+        found = self.live.get("expansions", {}).get(quantity)
+        if found is None:
+            why = "the run was read from a folder: run the study again" if not self.live else "it has none"
+            raise UsageError(f"no expansion of {quantity!r}: {why}")
+        return found
+
+    @property
+    def plot(self) -> Plots:
+        """Plots on matplotlib axes: `density`, `sobol`, `fragility`, `convergence`."""
+        from uqsphere.report.figures import Plots
+
+        return Plots(self.results)
+
+    def _subject(self, limit: str) -> str:
+        subjects = dict.fromkeys(row["subject"] for row in self.results["answers"])
+        for subject in (limit, f"limits.{limit}", f"modes.{limit}"):
+            if subject in subjects:
+                return subject
+        known = [re.sub(r"^(limits|modes)\.", "", s) for s in subjects if "." in s]
+        raise UsageError(f"no limit or failure mode {limit!r} (known: {', '.join(known) or 'none'})")
+
+    def _of(self, subject: str) -> pd.DataFrame:
+        table = self.answers[self.answers["subject"] == subject]
+        if table.empty:
+            known = ", ".join(self.results["study"]["quantities"])
+            raise UsageError(f"the run has no answer on {subject!r} (quantities: {known})")
+        return table
+
+    def _one(self, limit: str, answer: str, at: float | str) -> pd.Series:
+        table = self._of(self._subject(limit))
+        rows = table[(table["answer"] == answer) & (table["at"] == at)]
+        if rows.empty:
+            raise UsageError(f"the run has no {answer} of {limit!r} at {at!r}")
+        return rows.iloc[0][["value", "low", "high", "method", "note"]]
+
+
+def open_run(folder: str | Path) -> Run:
+    """The run in a result folder.
+
+    Raises FolderError where there is none or it is damaged, AccessError where it cannot be read.
+
+    >>> open_run("nowhere")
+    Traceback (most recent call last):
+    ...
+    uqsphere.errors.FolderError: nowhere holds no results.json: it is no result folder of this version
+    """
+    path = Path(folder)
+    return Run(results=read_results(path), folder=path)

@@ -1,0 +1,135 @@
+"""A run: from a study to its answers.
+
+design   what is evaluated: every column of every failure mode, at points of one design
+grow     the loop: one size n, doubled until accurate, out of budget, out of time, or stopped
+analyses functions of the tables, each giving rows of the one long table of answers
+verdict  what the answers mean, and what could turn it
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any
+
+from uqsphere.errors import UsageError
+from uqsphere.models import check_quantities, check_range, open_model
+from uqsphere.results import Answers, Run
+from uqsphere.results.folder import Log, clear, locked, read_results
+from uqsphere.run import surrogate
+from uqsphere.run.assumptions import assumptions
+from uqsphere.run.checks import checks
+from uqsphere.run.design import Design
+from uqsphere.run.distributions import distributions
+from uqsphere.run.drivers import drivers
+from uqsphere.run.fracture import fracture
+from uqsphere.run.fragility import fragility
+from uqsphere.run.grow import Progress, Tables, grow
+from uqsphere.run.indices import indices
+from uqsphere.run.limits import limits
+from uqsphere.run.verdict import verdicts
+from uqsphere.run.write import results_of, samples_of, written
+from uqsphere.study import Study
+
+__all__ = ["run"]
+
+ANALYSES = (distributions, limits, fragility, indices, drivers, fracture)
+
+
+def run(
+    study: Study,
+    model: str | Callable[..., Any] | None = None,
+    *,
+    out: str | Path | None = None,
+    executor: Executor | None = None,
+    threads: int | None = None,
+    seconds: float | None = None,
+    progress: Progress | None = None,
+    stop: Callable[[], bool] | None = None,
+    fresh: bool = False,
+) -> Run:
+    """Run a study: draw, evaluate, answer, judge, and write what was found.
+
+    Parameters
+    ----------
+    study : of `uqsphere.load_study` or `uqsphere.Study`
+    model : the black box of a black-box study, a function of a dict of arrays or "FILE.py:FUNCTION"
+    out : folder for the results; None keeps them in memory
+    executor : takes the evaluations of a black box, as those of `concurrent.futures`, or a Dask client
+    threads : threads of the mechanics, or processes of a black box; the answers do not depend on it
+    seconds : time budget [s] in place of the study's
+    progress : called after each size with model runs, largest half-width over what is required, and a text
+    stop : asked between evaluations; once it is true the run ends with what is there
+    fresh : forget what an earlier run of the study left in the folder
+
+    Raises UqsphereError (`uqsphere.errors`), KeyboardInterrupt where `stop` leaves nothing to answer with.
+    """
+    if not isinstance(study, Study):
+        raise UsageError(f"run takes a study of uqsphere.load_study or uqsphere.Study, found {type(study).__name__}")
+    check_range(study)
+    check_quantities(study)
+    if out is None:
+        return _run(study, model, None, executor, threads, seconds, progress, stop)
+    folder = Path(out)
+    with locked(folder):
+        _check_owner(folder, study, fresh=fresh)
+        return _run(study, model, folder, executor, threads, seconds, progress, stop)
+
+
+def _run(
+    study: Study, model: str | Callable[..., Any] | None, folder: Path | None, executor: Executor | None,
+    threads: int | None, seconds: float | None, progress: Progress | None, stop: Callable[[], bool] | None,
+) -> Run:  # fmt: skip
+    from threadpoolctl import threadpool_limits
+
+    started = time.monotonic()
+    log = Log(None if folder is None else folder / "log.txt")
+    log.write(f"run of {study.title!r}, study {study.hash}")
+    design = Design.of(study)
+    budget = study.analysis.budget.time if seconds is None else seconds
+    cache = None if folder is None or not study.black_box else folder / "cache.sqlite"
+    # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
+    given = open_model(design.study, model, executor=executor, threads=threads, cache=cache, stop=stop)
+    with threadpool_limits(limits=1, user_api="blas"), given as opened:
+        if surrogate.is_slow(design, opened, budget):
+            tables = surrogate.tables_of(design, opened, seconds=budget, progress=progress)
+        else:
+            tables = grow(design, opened, seconds=budget, progress=progress)
+        answers = Answers()
+        for analysis in ANALYSES:
+            answers += analysis(design, tables)
+        assumed = assumptions(design, tables)
+        answers += assumed.answers
+        for runs, error in tables.reached:
+            answers.row("run", "error", float(runs), error, unit="1", method="half-width over what is required")
+        checked = checks(design, tables, opened.notes)
+        judged = verdicts(design, tables, answers, assumed, checked)
+        took = time.monotonic() - started
+        results = results_of(design, tables, answers, judged, checked, opened, took)
+    log.write(f"ended: {tables.stopped} after {took:.1f} s")
+    return written(folder, study, results, samples_of(design, tables), _live(design, tables))
+
+
+def _live(design: Design, tables: Tables) -> dict[str, Any]:
+    """What only this process keeps: expansions and pairs of runs."""
+    expansions = {name: e.fit for name, e in tables.expansions.items()}
+    if tables.slow is not None:
+        expansions = {name: response.fits[0] for name, response in tables.slow.responses.items()}
+    return {"expansions": expansions, "pairs": dict(tables.pairs), "design": design}
+
+
+def _check_owner(folder: Path, study: Study, *, fresh: bool) -> None:
+    """Refuse a folder of another study, and remove what an earlier run of this one left where it is asked."""
+    from uqsphere.errors import FolderError
+
+    if fresh:
+        clear(folder)
+        return
+    if (folder / "results.json").exists():
+        known = read_results(folder)["study"].get("hash")
+        if known != study.hash:
+            raise FolderError(
+                f"{folder} holds another study: choose another folder with --out, or replace it with --fresh"
+            )

@@ -1,0 +1,108 @@
+"""Polynomial chaos of a run: fitted to one replicate of the sample, and held against the rows of all others.
+
+With the expansion f of a quantity y, r = y - f the residual at rows that it was not fitted to, and P_u the projection
+onto the terms of a set of inputs u, every variance of y is
+
+    |P_u y|² = |P_u f|² + 2 <P_u f, r> + |P_u r|²,    0 <= |P_u r|² <= |r|².
+
+The first part is a sum of squared coefficients, the second a mean over rows, and the third is bounded by the error of
+the expansion, which the same rows measure.  So an index from chaos has an interval that holds whatever the fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.arrays import Array
+from uqsphere.run.design import Design
+from uqsphere.uq import Sample
+from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, germs_of, predict, rows_of
+
+#: rows that an expansion is fitted to at most: more buy nothing on outputs with kinks, and smooth ones need fewer
+MOST_ROWS: Final = 512
+#: rows of a replicate that correct its indices at most
+MOST_TERMS: Final = 2048
+#: share of the variance that an expansion may leave and still serve as a control
+MOST_LEFT: Final = 0.05
+#: share below which more rows are not worth a second fit
+GOOD: Final = 0.01
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Expansion:
+    """An expansion of one quantity with what the rows that it was not fitted to say of it.
+
+    fit : the expansion, of the quantity itself, in the germs of the inputs
+    rows : rows of the first replicate that it was fitted to
+    values : its values (R-1, n) at the rows of all other replicates
+    terms : values (R-1, m, T) of its terms at the first m of these rows; the first term is 1
+    residuals : (R-1, m) what it leaves of those
+    left : share of the variance that it leaves, of all rows it was not fitted to
+    """
+
+    fit: Chaos
+    rows: int
+    values: Array
+    terms: Array
+    residuals: Array
+    left: float
+
+    def projection(self, which: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Numerators (R-1,) of the index of some terms (T,) and variances (R-1,), before what is left is added."""
+        coefficients = np.where(which, self.fit.coefficients, 0.0)
+        varying = np.where(self.fit.multi_indices.any(axis=1), self.fit.coefficients, 0.0)
+        own = float((coefficients**2).sum()) + 2.0 * ((self.terms @ coefficients) * self.residuals).mean(axis=1)
+        rest = self.residuals - self.residuals.mean()
+        whole = float((varying**2).sum()) + 2.0 * ((self.terms @ varying) * rest).mean(axis=1) + (rest**2).mean(axis=1)
+        return own, whole
+
+
+def expansions(
+    design: Design, sample: Sample, columns: Sequence[str], before: Mapping[str, Expansion]
+) -> dict[str, Expansion]:
+    """Expansions of the columns whose rows all have a plain value, in the independent germs of the inputs.
+
+    One that was fitted to as many rows before, or leaves next to nothing, is not fitted again.
+    """
+    size, count = len(design.inputs), sample.count
+    germs = germs_of(design.joint.only(design.inputs).laws)
+    found: dict[str, Expansion] = {}
+    points: Array | None = None
+    for name in columns:
+        outputs = sample.answer(name)
+        if not sample.knows(name) or not outputs.std() > 1e-12 * abs(outputs).max():
+            continue
+        if points is None:
+            flat = sample.scores[:, :, :size].reshape(-1, size)
+            points = germ_points(flat, germs).reshape(*outputs.shape, size)
+        rows = min(count, MOST_ROWS)
+        known = before.get(name)
+        if known is not None and (known.rows == rows or known.left < GOOD):
+            fit, rows = known.fit, known.rows
+        else:
+            fit = fit_chaos(points[0, :rows], outputs[0, :rows], germs, plain=True)
+        values = predict(fit, points[1:].reshape(-1, size)).reshape(outputs[1:].shape)
+        few = min(count, MOST_TERMS)
+        terms = rows_of(fit.germs, points[1:, :few].reshape(-1, size), fit.multi_indices)
+        rest = outputs[1:] - values
+        found[name] = Expansion(
+            fit=fit, rows=rows, values=values, terms=terms.T.reshape(len(values), few, -1), residuals=rest[:, :few],
+            left=float(rest.var() / outputs[1:].var()),
+        )  # fmt: skip
+    return found
+
+
+def values_at(design: Design, expansion: Expansion) -> Callable[[Array], Array]:
+    """Values of an expansion at independent normals (..., d) of the inputs."""
+    germs = germs_of(design.joint.only(design.inputs).laws)
+
+    def at(normals: Array) -> Array:
+        flat = normals.reshape(-1, normals.shape[-1])[:, : len(germs)]
+        return predict(expansion.fit, germ_points(flat, germs)).reshape(normals.shape[:-1])
+
+    return at

@@ -1,0 +1,95 @@
+"""Where the model may be trusted: its validity checks on the first rows, and cautions on inputs and answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from uqsphere.models import checked_rows
+from uqsphere.run.design import Design
+from uqsphere.run.limits import chances, state_of
+
+if TYPE_CHECKING:
+    from uqsphere.run.grow import Tables
+
+#: rows that are checked
+ROWS = 512
+GRADES = ("ok", "note", "warning", "failure")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One check: the share of rows that breach it, its grade, and the share of each limit's failures that do."""
+
+    name: str
+    text: str
+    share: float
+    grade: str
+    effect: str = ""
+    remedy: str = ""
+    failures: Mapping[str, float] = field(default_factory=dict)
+
+    def share_of_failures(self, limit: str) -> float | None:
+        """The share of a limit's failures in rows where the model fails; None where it is not known."""
+        return self.failures.get(limit)
+
+    def as_dict(self) -> dict[str, Any]:
+        """As results.json has it."""
+        return {"name": self.name, "text": self.text, "share": self.share, "grade": self.grade, "effect": self.effect}
+
+
+def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Check]:
+    """Checks of the model on the first rows of every replicate, those of the tables, and what the model noted."""
+    found = [Check(name="model", text=note, share=1.0, grade="warning", effect="bias not quantified") for note in notes]
+    sample = tables.sample
+    each = max(ROWS // len(sample.scores), 1)
+    head = sample.head(min(each, sample.count))
+    if not design.study.black_box:
+        rows = (np.stack([head.input(name).ravel() for name in design.inputs], axis=1)
+                if design.inputs else np.zeros((1, 0)))  # fmt: skip
+        results, grades = checked_rows(design.study, design.inputs, rows)
+        weights = {limit.name: np.ravel(chances(state_of(design, limit, head), limit.aim)) for limit in design.limits}
+        for result in results:
+            if not result.grade:
+                continue
+            broken = np.resize(grades.get(result.check, np.zeros(1)), head.size) == 3
+            failures = {name: float((w * broken).sum() / w.sum()) for name, w in weights.items() if w.sum() > 0.0}
+            worst = max(failures.values(), default=0.0)
+            effect = f"{100.0 * worst:.2g} % of the failures lie in such rows" if worst > 0.0 else "bias not quantified"
+            found.append(Check(name=result.check, text=result.text, share=float(result.share),
+                               grade=GRADES[result.grade], effect=effect, failures=failures))  # fmt: skip
+    failed = float(sample.failed.mean())
+    if failed > 0.0:
+        policy = design.study.analysis.on_failure
+        found.append(Check(name="failed_rows", share=failed, grade="warning",
+                           text=f"{100.0 * failed:.2g} % of the model runs failed",
+                           effect="left out" if policy == "drop" else "intervals widened"))  # fmt: skip
+    if tables.slow is not None:
+        n = tables.slow.count
+        found.append(Check(name="few_runs", share=1.0, grade="note",
+                           text=f"answers rest on {n} model runs: an event rarer than about 3/{n} is not in them",
+                           effect=f"failure probabilities below {3.0 / n:.2g} are bounds"))  # fmt: skip
+    found += _heavy_tails(design, tables)
+    return found
+
+
+def _heavy_tails(design: Design, tables: Tables) -> list[Check]:
+    """One warning by Hill's rule: an output whose variance may not exist."""
+    from uqsphere.uq.describe import hill
+
+    found = []
+    for name in design.study.analysis.quantities:
+        values = tables.sample.outputs(name)
+        values = values[np.isfinite(values)]
+        if values.size < 1000 or not values.std() > 0.0:
+            continue
+        order = hill(values)
+        if order < 2.0:
+            found.append(Check(name=f"heavy_tail_{name}", share=1.0, grade="warning",
+                               text=f"{name} has a tail so heavy that its variance may not exist (Hill index "
+                                    f"{order:.2g})",
+                               effect="read quantiles; do not use standard deviation and indices"))  # fmt: skip
+    return found

@@ -1,0 +1,81 @@
+"""What strengths are held against: a quantity, or the equivalent force where the strength is that of crushing tests.
+
+A crushing test gives a force on its own sphere.  A row fails where the force that would give its value of the
+criterion in the rig of the tests, on the row's own sphere, exceeds the force of the tests.  So the scatter of E and nu
+in the tests is never counted a second time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.study import Limit
+from uqsphere.study.strength import test_force
+from uqsphere.uq import Law, Sample
+
+if TYPE_CHECKING:
+    from uqsphere.run.design import Design
+
+#: numbers of the sphere that the force in a test depends on
+SPHERE = ("sphere.E", "sphere.nu", "sphere.density")
+
+
+def strength_of(limit: Limit) -> Law | float:
+    """What a limit is held against: the distribution of the force of its crushing tests, or its strength."""
+    return limit.strength if limit.tested is None or limit.tested.law is None else limit.tested.law
+
+
+def by_force(limit: Limit) -> bool:
+    """Whether a limit is held against the force of crushing tests."""
+    return limit.tested is not None and limit.tested.law is not None
+
+
+def column_of(limit: Limit) -> str:
+    """The column of a sample that a limit is held against."""
+    return f"limits.{limit.name}.test_force" if by_force(limit) else limit.quantity
+
+
+def demands_of(limit: Limit, sample: Sample) -> Array:
+    """Demands (R, n) of a limit, with its model factor; those against forces of tests have it already."""
+    return sample.answer(column_of(limit)) * (1.0 if by_force(limit) else _factor(limit, sample))
+
+
+def _factor(limit: Limit, sample: Sample) -> Array | float:
+    name = f"limits.{limit.name}.model_factor"
+    if name in sample.names:
+        return sample.input(name)
+    return limit.model_factor.nominal_mean() if isinstance(limit.model_factor, Law) else limit.model_factor
+
+
+def with_test_forces(
+    design: Design, sample: Sample, moving: Mapping[str, Array], limits: Sequence[Limit] | None = None
+) -> Sample:
+    """An evaluated sample with a column of equivalent test forces for every limit, or some, that need them.
+
+    `moving` are values (R, n) of numbers in place of the sample's or the study's.
+    """
+    means = design.study.at_means()
+    shape = sample.scores.shape[:2]
+
+    def number(name: str) -> Array:
+        own = moving[name] if name in moving else sample.input(name) if name in sample.names else means[name]
+        return np.broadcast_to(np.asarray(own, dtype=float), shape).ravel()
+
+    for limit in design.study.limits if limits is None else limits:
+        if not by_force(limit):
+            continue
+        value = sample.answer(limit.quantity) * _factor(limit, sample)
+        known = np.isfinite(value)
+        sphere = {name.partition(".")[2]: number(name)[known.ravel()] for name in SPHERE}
+        force = np.full(shape, np.nan)
+        force[known] = test_force(limit, value[known], sphere, number("sphere.radius")[known.ravel()])
+        late = sample.late(limit.quantity)
+        sample = replace(sample, quantities=(*sample.quantities, column_of(limit)),
+                         answers=np.concatenate([sample.answers, force[:, :, None]], axis=2),
+                         censored=np.concatenate([sample.censored, late[:, :, None]], axis=2))  # fmt: skip
+    return sample

@@ -1,0 +1,118 @@
+"""What a run evaluates: the random variables, the columns of every failure mode, and the points of each table.
+
+Points are scrambled Sobol' sequences, `REPLICATES` of them, each an independent randomisation of the same design: what
+the replicates differ by is every interval of the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.models import absent_quantity
+from uqsphere.study import Limit, Study, Way, limit_of, means_fracture, ways_of
+from uqsphere.uq import Joint, Law, Sample, sobol_points
+
+#: independent randomisations of every table
+REPLICATES: Final = 16
+#: values of the free number
+VALUES: Final = 25
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Design:
+    """A study with the limits of all its failure modes, and the columns that they need.
+
+    study : the study; behind its own limits stand those of the modes with assumed strengths
+    limits : the limits of the study file
+    modes : failure modes that the file has no limit for, judged with strengths of the library
+    not_judged : other failure modes, and why they are not judged
+    columns : quantities that are evaluated at every point
+    """
+
+    study: Study
+    limits: tuple[Limit, ...]
+    modes: tuple[Way, ...]
+    not_judged: Mapping[str, str]
+    columns: tuple[str, ...]
+
+    @classmethod
+    def of(cls, study: Study) -> Design:
+        """The design of a study, with its failure modes that a model of the sphere can answer."""
+        ways = ways_of(study)
+        wide = _with_limits(study, [way.limit for way in ways.assumed])
+        unanswered = {way.called: why for way in ways.assumed if (why := absent_quantity(wide, way.limit.quantity))}
+        modes = tuple(way for way in ways.assumed if way.called not in unanswered)
+        wide = _with_limits(study, [mode.limit for mode in modes])
+        columns = dict.fromkeys([*study.analysis.quantities, *(limit.quantity for limit in wide.limits)])
+        return cls(study=wide, limits=study.limits, modes=modes, not_judged={**ways.not_judged, **unanswered},
+                   columns=tuple(columns))  # fmt: skip
+
+    @cached_property
+    def joint(self) -> Joint:
+        """All random variables with their dependence: inputs, model factors and strengths."""
+        return self.study.inputs()
+
+    @cached_property
+    def inputs(self) -> tuple[str, ...]:
+        """The random inputs of the model."""
+        return tuple(self.study.random)
+
+    @cached_property
+    def drawn(self) -> Joint:
+        """The variables that points are drawn of: the model's inputs and model factors.  Strengths are integrated."""
+        return self.joint.only([name for name in self.joint.names if not name.endswith(".strength")])
+
+    @cached_property
+    def fracture(self) -> tuple[Limit, ...]:
+        """The limits of the file that mean fracture of the sphere."""
+        return tuple(limit for limit in self.limits if means_fracture(limit))
+
+    def subject(self, limit: Limit) -> str:
+        """The name of a limit in the table of answers."""
+        assumed = next((mode for mode in self.modes if mode.limit.name == limit.name), None)
+        return f"limits.{limit.name}" if assumed is None else f"modes.{assumed.called}"
+
+    def points(self, count: int, start: int = 0, task: str = "sample", joint: Joint | None = None) -> Sample:
+        """`count` points of every replicate, from the `start`-th of its sequence on; `joint` replaces the variables."""
+        drawn = self.drawn if joint is None else joint
+        size = len(drawn.names)
+        if not self.inputs and not size:
+            return Sample.at((), np.zeros((REPLICATES, count, 0)), np.zeros((REPLICATES, count, 0)))
+        uniforms = [
+            sobol_points(dimension=size, count=count, start=start, seed=self.study.seed, task=task, replicate=replicate)
+            for replicate in range(REPLICATES)
+        ]
+        return at_normals(drawn, normal_scores(np.stack(uniforms)))
+
+
+def _with_limits(study: Study, further: Sequence[Limit]) -> Study:
+    return replace(study, limits=(*study.limits, *further)) if further else study
+
+
+def normal_scores(uniforms: Array) -> Array:
+    """Standard normal scores of uniforms of any shape."""
+    from scipy.special import ndtri
+
+    return np.asarray(ndtri(uniforms))
+
+
+def at_normals(joint: Joint, normals: Array) -> Sample:
+    """The points of a joint distribution at independent standard normals (R, n, D)."""
+    flat = normals.reshape(-1, normals.shape[2])
+    return Sample.at(joint.names, normals, joint.physical(flat).reshape(normals.shape))
+
+
+def number(value: Law | float) -> float:
+    """A number, or the mean of its distribution."""
+    return value.nominal_mean() if isinstance(value, Law) else float(value)
+
+
+def is_strength(name: str) -> bool:
+    """Whether a random variable is the strength of a limit."""
+    return limit_of(name) is not None and name.endswith(".strength")

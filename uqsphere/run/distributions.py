@@ -1,0 +1,103 @@
+"""Distributions of the quantities: mean, standard deviation, quantiles, density, and the share beyond the record."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.quantities import lookup
+from uqsphere.results import Answers
+from uqsphere.run import chaos, surrogate
+from uqsphere.run.design import Design
+from uqsphere.uq import exact
+from uqsphere.uq.describe import Description, describe, describe_controlled
+
+if TYPE_CHECKING:
+    from uqsphere.run.grow import Tables
+
+#: points at which an expansion that serves as control is evaluated, for each point of the sample, and at most
+MANY, MOST_MANY = 16, 1 << 16
+SAMPLED = "sample"
+CONTROLLED = "sample, chaos as control variate"
+
+
+def distributions(design: Design, tables: Tables) -> Answers:
+    """Mean, standard deviation, quantiles and censored share of every quantity asked for."""
+    answers = Answers()
+    runs = tables.sample.size if design.drawn.names else 1
+    for name in design.study.analysis.quantities:
+        found = described(design, tables, name)
+        unit = lookup(name).unit
+        answers.add(name, "mean", "", found.mean, unit=unit, runs=runs)
+        answers.add(name, "sd", "", found.sd, unit=unit, runs=runs)
+        for p, estimate in found.quantiles.items():
+            answers.add(name, "quantile", p, estimate, unit=unit, runs=runs)
+        if tables.sample.late(name).any():
+            answers.add(name, "censored_share", "", found.censored_share, unit="", runs=runs)
+    return answers
+
+
+def described(design: Design, tables: Tables, name: str) -> Description:
+    """The description of a quantity; an accurate expansion is its control variate."""
+    key = id(tables.sample), name
+    if key not in _DESCRIBED:
+        if len(_DESCRIBED) > 256:
+            _DESCRIBED.clear()
+        _DESCRIBED[key] = (tables.sample, _described(design, tables, name))
+    return _DESCRIBED[key][1]
+
+
+#: descriptions by table and quantity: the loop and the analyses ask for the same ones
+_DESCRIBED: dict[tuple[int, str], tuple[object, Description]] = {}
+
+
+def _described(design: Design, tables: Tables, name: str) -> Description:
+    analysis, sample = design.study.analysis, tables.sample
+    if not design.drawn.names and not sample.late(name).any() and not sample.failed.any():
+        value = exact(float(sample.answer(name)[0, 0]))
+        return Description(mean=value, sd=exact(0.0), quantiles=dict.fromkeys(analysis.quantiles, value),
+                           censored_share=exact(0.0), scale=0.0)  # fmt: skip
+    if tables.slow is not None:
+        return surrogate.described(design, tables.slow, sample, name)
+    expansion = tables.expansions.get(name)
+    if expansion is not None and expansion.left < chaos.MOST_LEFT:
+        many = many_values(design, expansion, sample.count)
+        return describe_controlled(sample.answer(name)[1:], expansion.values, many[1:], quantiles=analysis.quantiles,
+                                   method=CONTROLLED)  # fmt: skip
+    policy = "drop" if analysis.on_failure == "abort" else analysis.on_failure
+    return describe(sample.answer(name), censored=sample.late(name), failed=sample.lost(name), on_failure=policy,
+                    quantiles=analysis.quantiles, method=SAMPLED)  # fmt: skip
+
+
+def many_values(design: Design, expansion: chaos.Expansion, count: int) -> Array:
+    """Values (R, m) of an expansion at the sample's points continued, `MANY` for each."""
+    return chaos.values_at(design, expansion)(_many_points(design, max(min(MANY * count, MOST_MANY), count)))
+
+
+@lru_cache(maxsize=2)
+def _many_points(design: Design, count: int) -> Array:
+    return design.points(count).scores
+
+
+def density(values: Array) -> list[list[float]] | None:
+    """Density of samples of any shape over their range, by a kernel of Silverman's width on 160 places.
+
+    None where the values do not vary.
+    """
+    flat = np.sort(values[np.isfinite(values)].ravel())
+    if flat.size < 16 or not flat[-1] - flat[0] > 1e-9 * abs(flat[-1]):
+        return None
+    low, high = np.quantile(flat, [0.0005, 0.9995])
+    spread = min(float(flat.std()), float(np.subtract(*np.quantile(flat, [0.75, 0.25]))) / 1.349) or float(flat.std())
+    width = 0.9 * spread * flat.size**-0.2
+    if not width > 0.0:
+        return None
+    places = np.linspace(low - 2.0 * width, high + 2.0 * width, 160)
+    # counts in cells much finer than the kernel, so that the cost does not grow with the rows
+    counts, edges = np.histogram(flat, bins=2048, range=(places[0] - 3.0 * width, places[-1] + 3.0 * width))
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    kernel = np.exp(-0.5 * ((places[:, None] - middles) / width) ** 2) / (width * np.sqrt(2.0 * np.pi))
+    return [places.tolist(), (kernel @ counts / flat.size).tolist()]

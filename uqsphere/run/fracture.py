@@ -1,0 +1,57 @@
+"""Fracture by any limit of the study: how likely, by which mode first, and in what state of loading.
+
+The moment of fracture is read off the loading of a few hundred spheres, drawn with their strengths from those that
+break.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uqsphere.models import fractures_of
+from uqsphere.results import Answers
+from uqsphere.run.assumptions import _common_factor
+from uqsphere.run.design import Design
+from uqsphere.run.limits import state_of
+from uqsphere.uq import random_generator
+from uqsphere.uq.limit_state import exceedance
+from uqsphere.uq.union import draw_breaking, make_union, share_of, union_state, weighted_quantile
+
+if TYPE_CHECKING:
+    from uqsphere.run.grow import Tables
+
+#: spheres of each replicate whose loading is followed, of the first so many points
+SPECIMENS, MOST = 16, 512
+METHOD = "spheres that break, along their loading"
+
+
+def fracture(design: Design, tables: Tables) -> Answers:
+    """Probability of fracture by any limit, the share of each mode, and time and force at fracture."""
+    answers = Answers()
+    limits = design.fracture
+    if len(limits) < 2 or design.study.black_box or not design.drawn.names:
+        return answers
+    sample = tables.sample.head(min(tables.sample.count, MOST))
+    generator = random_generator(seed=design.study.seed, task="fracture")
+    union = make_union([state_of(design, limit, sample) for limit in limits], _common_factor(design, limits), generator)
+    answers.add("fracture", "exceedance_probability", "", exceedance(union_state(union)), unit="1", runs=sample.size)
+    drawn = draw_breaking(union, SPECIMENS, generator)
+    if drawn is None:
+        return answers
+    shape = drawn.rows.shape
+    flat = (np.arange(shape[0])[:, None] * sample.count + drawn.rows).ravel()
+    rows = np.stack([sample.input(name).ravel()[flat] for name in design.inputs], axis=1)
+    found = fractures_of(design.study, design.inputs, rows, [limit.quantity for limit in limits],
+                         drawn.shares.reshape(len(limits), -1).T)  # fmt: skip
+    first = found.first.reshape(shape)
+    for k, limit in enumerate(limits):
+        share = share_of(first == k, drawn.weights, METHOD, first.size)
+        answers.add("fracture", "mode_share", limit.name, share, unit="1", runs=first.size)
+    for name, values, unit in (("time", found.time, "s"), ("force", found.force, "N"), ("energy", found.energy, "J")):
+        known = np.where(np.isfinite(values), values, 0.0).reshape(shape)
+        for p in (0.05, 0.5, 0.95):
+            estimate = weighted_quantile(known, drawn.weights, p, METHOD, first.size)
+            answers.add("fracture", f"{name}_at_fracture", p, estimate, unit=unit, runs=first.size)
+    return answers

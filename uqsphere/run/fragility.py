@@ -1,0 +1,130 @@
+"""Fragility: the probability of exceedance over the free number, and the free number at a probability.
+
+The same points serve every value, so that the curve is smooth; each replicate has its own curve, and their spread is
+the interval.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uqsphere.quantities import lookup
+from uqsphere.results import Answers
+from uqsphere.run.design import VALUES, Design, number
+from uqsphere.run.limits import chances, state_of
+from uqsphere.study import Limit
+from uqsphere.uq import Estimate, Law, Sample
+from uqsphere.uq.curve import Fragility
+from uqsphere.uq.curve import fragility as fragility_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from uqsphere.arrays import Array
+    from uqsphere.run.grow import Tables
+
+METHOD = "the same points at every value"
+
+
+def fragility(design: Design, tables: Tables) -> Answers:
+    """Curves and margins of every limit and failure mode."""
+    answers, margins = Answers(), design.study.margins
+    if margins is None or (margins.axis.moves_rows and not tables.line):
+        return answers
+    unit = lookup(margins.axis.path).unit
+    for limit in design.study.limits:
+        subject, runs = design.subject(limit), sum(sample.size for sample in tables.line.values()) or tables.sample.size
+        found = curve_of(design, tables, limit)
+        for value, p, low, high in found.curve:
+            answers.row(subject, "curve", value, p, low, high, unit="1", method=METHOD, runs=runs)
+        for p, estimate in found.values.items():
+            answers.add(subject, "margin", p, estimate, unit=unit, runs=runs)
+        allowed, planned = found.values.get(allowable_probability(design, limit)), planned_value(design)
+        if allowed is not None and allowed.value and planned and limit.target is not None:
+            row = [None if x is None or not x > 0.0 else x / planned if limit.aim == "survive" else planned / x
+                   for x in (allowed.value, allowed.low, allowed.high)]  # fmt: skip
+            ends = row[1:] if limit.aim == "survive" else row[:0:-1]
+            answers.row(subject, "safety_factor", margins.axis.path, row[0], *ends, unit="1", method=METHOD, runs=runs)
+    return answers
+
+
+def allowable_probability(design: Design, limit: Limit) -> float:
+    """The probability of exceedance at which the aim is just met: the target, or 1 less the target for "break"."""
+    target = target_of(design, limit)
+    return 1.0 - target if limit.aim == "break" else target
+
+
+def target_of(design: Design, limit: Limit) -> float:
+    """The target of a limit; an assumed mode has that of the limits beside it, and none leaves the least asked for."""
+    if limit.target is not None:
+        return limit.target
+    own = [one.target for one in design.limits if one.target is not None]
+    margins = design.study.margins
+    return min(own) if own else min(margins.for_probability) if margins is not None else 0.01
+
+
+def planned_value(design: Design) -> float | None:
+    """The planned value of the free number: the mean that the study gives it."""
+    margins = design.study.margins
+    if margins is None:
+        return None
+    axis = margins.axis
+    if axis.kind == "strength":
+        limit = next(limit for limit in design.limits if limit.name == axis.limit)
+        return number(limit.strength)
+    return design.study.at_means().get(axis.path)
+
+
+def table_along(design: Design, tables: Tables, chance: Callable[[Sample, float], Array]) -> tuple[Array, Array]:
+    """Values (K,) of the free number and what `chance(sample, value)` (R, n) gives there, by replicate (K, R)."""
+    margins = design.study.margins
+    assert margins is not None
+    if margins.axis.moves_rows:
+        pairs = [(value, sample) for value, sample in tables.line.items()]
+    else:
+        pairs = [(value, tables.sample) for value in margins.axis.grid(VALUES)]
+    return np.array([value for value, _ in pairs]), np.array([chance(s, v).mean(axis=1) for v, s in pairs])
+
+
+def curve_of(
+    design: Design, tables: Tables, limit: Limit, strength: Law | float | None = None, targets: tuple[float, ...] = ()
+) -> Fragility:
+    """The curve of a limit with its margins; `strength` in place of its own."""
+    margins = design.study.margins
+    assert margins is not None
+
+    def exceeded(sample: Sample, value: float) -> Array:
+        state = state_of(design, limit, sample, strength)
+        factor = margins.axis.demand_factor(limit, value)
+        if factor != 1.0:
+            state = replace(state, demands=state.demands * factor)
+        return chances(state, "survive")
+
+    grid, table = table_along(design, tables, exceeded)
+    wanted = targets or tuple(sorted({*margins.for_probability, allowable_probability(design, limit)}))
+    count = next((sample.count for sample in tables.line.values()), tables.sample.count)
+    table = np.clip(table, 0.0, 1.0)
+    return fragility_of(grid, table, wanted, samples=count, evaluations=table.size * count)
+
+
+def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Estimate, float | None]:
+    """The free number at the target, and half of what the curve takes from 16 to 84 %: what its accuracy is held to."""
+    wanted = allowable_probability(design, limit)
+    values = curve_of(design, tables, limit, None, tuple(sorted({0.16, wanted, 0.84}))).values
+    low, high = values[0.16].value, values[0.84].value
+    return values[wanted], None if low is None or high is None or low == high else 0.5 * abs(high - low)
+
+
+def band_of(design: Design, tables: Tables, chance: Callable[[Sample, float], Array], target: float) -> float | None:
+    """The free number at which what `chance` gives takes a probability; None where it does nowhere."""
+    grid, table = table_along(design, tables, chance)
+    found = fragility_of(grid, np.clip(table, 0.0, 1.0), (target,), samples=tables.sample.count, evaluations=0)
+    return found.values[target].value
+
+
+def curves(answers: Answers, subject: str) -> Mapping[float, float]:
+    """The stored curve of a subject: probability of exceedance by value."""
+    return {float(row["at"]): float(row["value"]) for row in answers.where(subject, "curve")}

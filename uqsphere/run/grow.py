@@ -1,0 +1,311 @@
+"""The loop of a run: one size n, doubled until every answer is accurate enough, or the budget, the time or the user
+ends it.
+
+Three tables grow together: `sample`, n points in each of `REPLICATES` randomisations; `line`, n/16 of the same points
+at each of 25 values of the free number; and `pairs`, n/4 points of the design of Sobol' indices, only for quantities
+whose polynomial chaos is not accurate enough.  A probability too small for n is left to one search for rare events.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.arrays import Array
+from uqsphere.errors import ModelError, TooManyFailures
+from uqsphere.models import Interrupted, Model
+from uqsphere.run.chaos import Expansion, expansions
+from uqsphere.run.demands import with_test_forces
+from uqsphere.run.design import REPLICATES, VALUES, Design, is_strength, normal_scores
+from uqsphere.run.distributions import described
+from uqsphere.run.fragility import margin_and_scale
+from uqsphere.run.indices import by_chaos_accurate, of_quantity
+from uqsphere.run.limits import can_search, failure
+from uqsphere.run.rare import RareAnswer, search
+from uqsphere.run.surrogate import Slow
+from uqsphere.study import Study
+from uqsphere.uq import Sample
+from uqsphere.uq.indices import Blocks, uniform_halves
+
+#: points of a replicate at first
+FIRST: Final = 256
+#: one in so many points of the sample is evaluated at every value of the free number, and of pairs
+LINE_SHARE, PAIRS_SHARE = 16, 4
+#: points of a replicate at most
+MOST: Final = 1 << 17
+#: a probability below this is searched for by the methods for rare events where sampling does not reach it
+SMALL: Final = 0.01
+
+Progress = Callable[[int, float, str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accuracy:
+    """How accurate an answer is, and how accurate it is required to be: half-widths in the unit of the requirement."""
+
+    subject: str
+    answer: str
+    required: float
+    reached: float
+
+
+@dataclass(kw_only=True)
+class Tables:
+    """What was evaluated, and how accurate it is.
+
+    sample : (R, n) points with all columns
+    line : the same at values of the free number; empty where it moves no row, or there is none
+    pairs : outputs (R, n/4, blocks) of the design of Sobol' indices by quantity
+    expansions : polynomial chaos by quantity
+    rare : searches for small probabilities by limit
+    reached : (model runs, largest half-width over what was required) at each size
+    slow : the rows of a slow model, whose tables are predicted
+    """
+
+    sample: Sample
+    line: Mapping[float, Sample] = field(default_factory=dict)
+    pairs: dict[str, Array] = field(default_factory=dict)
+    expansions: dict[str, Expansion] = field(default_factory=dict)
+    rare: dict[str, RareAnswer] = field(default_factory=dict)
+    reached: list[tuple[int, float]] = field(default_factory=list)
+    missed: list[Accuracy] = field(default_factory=list)
+    stopped: str = ""
+    slow: Slow | None = None
+
+
+def evaluate(design: Design, model: Model, points: Sample, further: Mapping[str, Array] | None = None) -> Sample:
+    """Points (R, n) with all columns; `further` are values (R, n) of fixed numbers that move from point to point."""
+    names = list(design.inputs)
+    columns = [points.input(name) for name in names]
+    for name, values in (further or {}).items():
+        if name in names:
+            columns[names.index(name)] = values
+        else:
+            names.append(name)
+            columns.append(values)
+    shape = points.scores.shape[:2]
+    rows = np.stack([np.broadcast_to(c, shape).ravel() for c in columns], axis=1) if names else np.zeros((1, 0))
+    answers = model.evaluate(tuple(names), rows, design.columns)
+    _check_failures(design, answers.status, answers.good, answers.note)
+
+    def table(cells: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+        return (
+            np.broadcast_to(cells, (*shape, *cells.shape[1:])) if not names else cells.reshape(*shape, *cells.shape[1:])
+        )
+
+    answered = points.with_answers(
+        design.columns,
+        np.asarray(table(np.where(answers.good[:, None], answers.values, np.nan)), dtype=float),
+        censored=np.asarray(table(answers.censored), dtype=bool),
+        status=np.asarray(table(answers.status), dtype=np.int64),
+        failed=np.asarray(table(~answers.good), dtype=bool),
+    )
+    return with_test_forces(design, answered, further or {})
+
+
+def _check_failures(design: Design, status: npt.NDArray[np.int64], good: npt.NDArray[np.bool_], note: str) -> None:
+    """Refuse failed rows as the study's policy says."""
+    analysis = design.study.analysis
+    share = 1.0 - float(good.mean())
+    if good.all() or analysis.on_failure == "bound":
+        return
+    if analysis.on_failure == "abort":
+        raise TooManyFailures(f"an evaluation failed: {note or f'status {status[~good][0]}'}; "
+                              'analysis.on_failure = "bound" or "drop" goes on without such rows')  # fmt: skip
+    most = max(getattr(analysis, "drop_limit", None) or 0.01, 3.0 / len(good))
+    if share > most:
+        raise TooManyFailures(
+            f"{100.0 * share:.2g} % of the evaluations failed, more than {100.0 * most:.2g} %: {note}"
+        )
+
+
+def grow(design: Design, model: Model, *, seconds: float, progress: Progress | None = None) -> Tables:
+    """The tables of a study, as large as its accuracies need.
+
+    Raises KeyboardInterrupt where the user stops before there is anything, TooManyFailures, ModelError.
+    """
+    end, budget = time.monotonic() + seconds, design.study.analysis.budget.evaluations
+    tables, count = None, first_count(design.study)
+    while True:
+        started = time.monotonic()
+        try:
+            tables = _grown(design, model, tables, count)
+        except Interrupted:
+            if tables is None:
+                raise KeyboardInterrupt from None
+            tables.stopped = "interrupted"
+            return tables
+        took = time.monotonic() - started
+        errors = accuracies(design, tables)
+        tables.missed = [error for error in errors if error.reached > error.required]
+        worst = max((error.reached / error.required for error in errors), default=0.0)
+        tables.reached.append((model.evaluations + model.reused, worst))
+        if progress is not None:
+            progress(model.evaluations + model.reused, worst, f"{count:,} points in {REPLICATES} randomisations")
+        if not tables.missed or not design.drawn.names:
+            tables.stopped = "accurate"
+        elif count >= MOST or model.evaluations + model.reused + _rows(design, tables, count) > budget:
+            tables.stopped = "budget"
+        elif time.monotonic() + took > end:
+            tables.stopped = "time"
+        if tables.stopped:
+            return _search_rare(design, model, tables, end)
+        count *= 2
+
+
+def first_count(study: Study) -> int:
+    """Points of a replicate at first: fewer where the budget has no room for more, two of one row without scatter."""
+    if not any(not is_strength(name) for name in study.laws()):
+        return 2
+    count = FIRST
+    while count > 8 and first_rows(study, count) > study.analysis.budget.evaluations:
+        count //= 2
+    return count
+
+
+def first_rows(study: Study, count: int = FIRST) -> int:
+    """Model runs of the first size of the loop, with `count` points in each replicate."""
+    moving = study.margins is not None and study.margins.axis.moves_rows
+    return REPLICATES * (count + (VALUES * max(count // LINE_SHARE, 2) if moving else 0))
+
+
+def _rows(design: Design, tables: Tables, count: int) -> int:
+    """Rows that the next doubling adds."""
+    return REPLICATES * count + sum(s.size for s in tables.line.values()) + sum(p.size for p in tables.pairs.values())
+
+
+def _grown(design: Design, model: Model, before: Tables | None, count: int) -> Tables:
+    """Tables of `count` points that continue those before; a line that is accurate enough stays as it is."""
+    known = 0 if before is None else before.sample.count
+    more = evaluate(design, model, design.points(count - known, known))
+    sample = more if before is None else before.sample.join(more)
+    line = before.line if before is not None else {}
+    if before is None or any(miss.answer == "margin" for miss in before.missed):
+        line = along(design, model, max(count // LINE_SHARE, 2), line)
+    tables = Tables(sample=sample, line=line, reached=[] if before is None else before.reached)
+    names = design.study.analysis.quantities if design.inputs else ()
+    needed = tuple(dict.fromkeys([*names, *(limit.quantity for limit in design.limits)])) if design.inputs else ()
+    tables.expansions = expansions(design, sample, needed, {} if before is None else before.expansions)
+    open_ = [name for name in names if not by_chaos_accurate(design, tables, name)]
+    tables.pairs = paired(design, model, max(count // PAIRS_SHARE, 2), open_, {} if before is None else before.pairs)
+    return tables
+
+
+def along(design: Design, model: Model, count: int, before: Mapping[float, Sample]) -> dict[float, Sample]:
+    """The first points of the sample at each value of the free number, all values in one evaluation."""
+    margins = design.study.margins
+    if margins is None or not margins.axis.moves_rows:
+        return {}
+    axis = margins.axis
+    values = axis.grid(VALUES)
+    known = next((sample.count for sample in before.values()), 0)
+    if known >= count:
+        return dict(before)
+    place = axis.path
+    parts, moving = [], []
+    for value in values:
+        moved = axis.move(design.study, value)
+        points = design.points(count - known, known, joint=moved.inputs().only(design.drawn.names))
+        names, columns = axis.place(moved, points.inputs[:, :, : len(design.inputs)], value)
+        shape = points.scores.shape[:2]
+        parts.append(points)
+        moving.append(columns[:, :, names.index(place)] if place in names else np.full(shape, value))
+    whole = Sample.at(design.drawn.names, np.concatenate([p.scores for p in parts], axis=1),
+                      np.concatenate([p.inputs for p in parts], axis=1))  # fmt: skip
+    answered = evaluate(design, model, whole, {place: np.concatenate(moving, axis=1)})
+    each = {value: _part(answered, k, count - known) for k, value in enumerate(values)}
+    return {value: before[value].join(new) if value in before else new for value, new in each.items()}
+
+
+def _part(sample: Sample, number: int, count: int) -> Sample:
+    """The `number`-th block of `count` points of every replicate."""
+    cut = slice(number * count, (number + 1) * count)
+    names = ("scores", "inputs", "answers", "censored", "status", "failed")
+    return replace(sample, **{name: getattr(sample, name)[:, cut] for name in names})
+
+
+def paired(design: Design, model: Model, count: int, names: list[str], before: Mapping[str, Array]) -> dict[str, Array]:
+    """Outputs (R, count, blocks) of the design of Sobol' indices, of the quantities that need it."""
+    if not names or design.joint.only(design.inputs).dependent:
+        return {}
+    blocks = Blocks(inputs_count=len(design.inputs), second=bool(design.study.analysis.second_order))
+    known = min((before[name].shape[1] if name in before else 0 for name in names), default=0)
+    inputs = design.joint.only(design.inputs)
+    mixed = []
+    for replicate in range(REPLICATES):
+        halves = uniform_halves(blocks, count=count - known, seed=design.study.seed, task="pairs",
+                                replicate=replicate, start=known)  # fmt: skip
+        mixed.append(blocks.mix(*(inputs.physical(normal_scores(half)) for half in halves)))
+    rows = np.stack(mixed)
+    answers = model.evaluate(design.inputs, rows.reshape(-1, rows.shape[3]), tuple(names))
+    _check_failures(design, answers.status, answers.good, answers.note)
+    values = np.where(answers.good[:, None], answers.values, np.nan).reshape(*rows.shape[:3], len(names))
+    new = {name: values[..., k] for k, name in enumerate(names)}
+    return {name: np.concatenate([before[name][:, :known], own], axis=1) if known else own for name, own in new.items()}
+
+
+def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
+    """The accuracy of every answer that the study has a requirement for."""
+    accuracy = design.study.analysis.accuracy
+    found = []
+
+    def hold(subject: str, answer: str, reached: float, required: float) -> None:
+        if math.isfinite(required):
+            found.append(Accuracy(subject=subject, answer=answer, required=required, reached=reached))
+
+    for name in design.study.analysis.quantities:
+        description = described(design, tables, name)
+        scale = description.scale
+        if description.mean.value is None or not scale > 0.0:
+            continue
+        least = 1e-13 * abs(description.mean.value) / scale
+        hold(name, "mean", description.mean.half_width / scale - least, accuracy.mean)
+        for p, estimate in description.quantiles.items():
+            if estimate.value is not None and p not in description.exempt:
+                hold(name, f"quantile {p:g}", estimate.half_width / scale - least, accuracy.quantile)
+        for input_name, row in of_quantity(design, tables, name).items():
+            widest = max((e.half_width for e in row if e.value is not None), default=0.0)
+            hold(name, f"sobol {input_name}", widest, accuracy.sobol)
+    for limit in design.limits:
+        estimate = failure(design, tables, limit)
+        if not estimate.value or estimate.high is None or estimate.high <= 0.01 * (limit.target or 1e-6):
+            continue
+        if estimate.value < SMALL and limit.name not in tables.rare and can_search(design, limit):
+            continue  # left to the search for rare events
+        hold(f"limits.{limit.name}", "failure_probability", estimate.half_width / estimate.value, accuracy.probability)
+    for limit in design.limits if tables.line else ():
+        margin, scale = margin_and_scale(design, tables, limit)
+        if margin.value is not None and scale is not None:
+            hold(f"limits.{limit.name}", "margin", margin.half_width / scale, accuracy.probability)
+    return found
+
+
+def _search_rare(design: Design, model: Model, tables: Tables, end: float) -> Tables:
+    """Searches for the failure probabilities that are too small for the sample."""
+    accuracy = design.study.analysis.accuracy.probability
+    for limit in design.limits:
+        p = failure(design, tables, limit)
+        small = p.value is None or p.value < SMALL
+        if not small or p.high is None or p.high < 0.01 * (limit.target or 1e-6) or not can_search(design, limit):
+            continue
+        if p.value and p.half_width <= accuracy * p.value:
+            continue
+        left = design.study.analysis.budget.evaluations - model.evaluations
+        if time.monotonic() > end or left < 1000:
+            break
+        try:
+            tables.rare[limit.name] = search(design, model, limit, accuracy=accuracy, budget=min(left, 30_000))
+        except Interrupted:
+            tables.stopped = "interrupted"
+            break
+        except ModelError:
+            continue
+    if tables.rare:
+        tables.missed = [error for error in accuracies(design, tables) if error.reached > error.required]
+    return tables

@@ -1,0 +1,122 @@
+"""Sobol' indices of the quantities, first and total: from the polynomial chaos where that is accurate enough, else from
+pairs of runs (pick and freeze)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uqsphere.results import Answers
+from uqsphere.run import chaos, surrogate
+from uqsphere.run.design import Design
+from uqsphere.uq import Estimate, absent, from_replicates
+from uqsphere.uq.estimate import ratio_of_means
+from uqsphere.uq.indices import Blocks, sampled_indices
+
+if TYPE_CHECKING:
+    from uqsphere.run.grow import Tables
+
+CHAOS = "polynomial chaos, corrected by rows"
+
+
+def indices(design: Design, tables: Tables) -> Answers:
+    """First-order and total indices of every quantity, second-order ones where the study asks for them."""
+    answers = Answers()
+    for name in design.study.analysis.quantities:
+        for label, row in of_quantity(design, tables, name).items():
+            runs = tables.sample.size + (tables.pairs[name].size if name in tables.pairs else 0)
+            for order, estimate in zip(("sobol_second",) if "," in label else ("sobol_first", "sobol_total"), row,
+                                       strict=True):  # fmt: skip
+                answers.add(name, order, label, estimate, unit="1", runs=runs)
+    return answers
+
+
+def of_quantity(design: Design, tables: Tables, name: str) -> Mapping[str, tuple[Estimate, ...]]:
+    """(first, total) by input, and (second,) by "input,input"."""
+    if not design.inputs:
+        return {}
+    if design.joint.only(design.inputs).dependent:
+        return dependent(design, tables, name)
+    if tables.slow is not None:
+        return surrogate.shares(design, tables.slow, name)
+    if name in tables.pairs:
+        return _by_pairs(design, tables, name)
+    if name in tables.expansions:
+        return by_chaos(design, tables.expansions[name])
+    nothing = absent("the quantity does not vary, or has no plain value at every point", CHAOS, tables.sample.size)
+    return dict.fromkeys(design.inputs, (nothing, nothing))
+
+
+def method_of(design: Design, tables: Tables, name: str) -> str:
+    """Where the indices of a quantity come from: "chaos", "pairs" or nothing."""
+    if not design.inputs:
+        return ""
+    if tables.slow is not None:
+        return "chaos" if name in tables.slow.responses else ""
+    return "pairs" if name in tables.pairs else "chaos" if name in tables.expansions else ""
+
+
+def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Estimate, ...]]:
+    """Indices of an expansion, corrected by the rows that it was not fitted to."""
+    powers = expansion.fit.multi_indices > 0
+    rows: dict[str, tuple[Estimate, ...]] = {}
+    for k, name in enumerate(design.inputs):
+        single = powers[:, k] & (powers.sum(axis=1) == 1)
+        first, total = _index(expansion, single), _index(expansion, powers[:, k])
+        if first.value is not None and total.value is not None and total.value < first.value:
+            # a total index is no smaller: the difference is noise of the correction
+            total = replace(total, value=min(first.value, total.high or 1.0))
+        rows[name] = first, total
+    if design.study.analysis.second_order:
+        for i, j in combinations(range(len(design.inputs)), 2):
+            pair = powers[:, i] & powers[:, j] & (powers.sum(axis=1) == 2)
+            rows[f"{design.inputs[i]},{design.inputs[j]}"] = (_index(expansion, pair),)
+    return rows
+
+
+def _index(expansion: chaos.Expansion, which: np.ndarray) -> Estimate:
+    """One index; what no term of the expansion holds, between nothing and all that is left, widens it upwards."""
+    value, off = ratio_of_means(*expansion.projection(which))
+    estimate = from_replicates(value + off, CHAOS, expansion.residuals.size, float(value))
+    if estimate.value is None or estimate.low is None or estimate.high is None:
+        return estimate
+    return estimate.spanning(max(estimate.low, 0.0), min(estimate.high + expansion.left, 1.0))
+
+
+def by_chaos_accurate(design: Design, tables: Tables, name: str) -> bool:
+    """Whether the chaos indices of a quantity are as accurate as required."""
+    expansion = tables.expansions.get(name)
+    if expansion is None:
+        # nothing varies: there is nothing to sample
+        return tables.sample.knows(name)
+    widest = max(e.half_width for row in by_chaos(design, expansion).values() for e in row)
+    return widest <= design.study.analysis.accuracy.sobol
+
+
+def _by_pairs(design: Design, tables: Tables, name: str) -> dict[str, tuple[Estimate, ...]]:
+    """Indices of the pairs; points of which any run has no value are left out."""
+    blocks = Blocks(inputs_count=len(design.inputs), second=bool(design.study.analysis.second_order))
+    values = tables.pairs[name]
+    whole = np.asarray(np.isfinite(values).all(axis=2))
+    least = int(whole.sum(axis=1).min())
+    if least < 2:
+        nothing = absent("too few pairs without a failure", "pairs of runs", values.size)
+        return dict.fromkeys(design.inputs, (nothing, nothing))
+    found = sampled_indices(
+        np.stack([own[keep][:least] for own, keep in zip(values, list(whole), strict=True)]), blocks
+    )
+    rows: dict[str, tuple[Estimate, ...]] = dict(zip(design.inputs, zip(found.first, found.total, strict=True),
+                                                     strict=True))  # fmt: skip
+    for (i, j), estimate in found.second.items():
+        rows[f"{design.inputs[i]},{design.inputs[j]}"] = (estimate,)
+    return rows
+
+
+def dependent(design: Design, tables: Tables, name: str) -> dict[str, tuple[Estimate, ...]]:
+    """Where inputs depend on each other variance has no parts of its own for each."""
+    nothing = absent("inputs depend on each other: their Sobol' indices have no meaning", CHAOS, tables.sample.size)
+    return dict.fromkeys(design.inputs, (nothing, nothing))

@@ -1,0 +1,109 @@
+"""Limits and failure modes: demand against strength at the sampled points, the strength integrated exactly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from uqsphere.quantities import lookup
+from uqsphere.results import Answers
+from uqsphere.run import rare, surrogate
+from uqsphere.run.demands import column_of, demands_of, strength_of
+from uqsphere.run.design import Design
+from uqsphere.study import Limit, strength_name
+from uqsphere.uq import Estimate, Law, LimitState, Sample, absent, complement, exact, miss
+from uqsphere.uq.limit_state import margin_quantiles, reliability_index
+
+if TYPE_CHECKING:
+    from uqsphere.run.grow import Tables
+
+
+def limits(design: Design, tables: Tables) -> Answers:
+    """Fracture and failure probability, reliability index, strength over demand and design point of every limit."""
+    answers = Answers()
+    for limit in design.study.limits:
+        subject, runs = design.subject(limit), tables.sample.size
+        failed = failure(design, tables, limit)
+        exceeded = failed if limit.aim == "survive" else complement(failed)
+        answers.add(subject, "exceedance_probability", "", exceeded, unit="1", runs=runs)
+        answers.add(subject, "failure_probability", "", failed, unit="1", runs=runs)
+        index = reliability_index(failed.value)
+        if index is not None:
+            low, high = reliability_index(failed.high), reliability_index(failed.low)
+            answers.row(subject, "reliability_index", "", index, low, high, unit="1", method=failed.method, runs=runs)
+        ratio = margin_quantiles(state_of(design, limit, tables.sample), (0.5,))["median"]
+        answers.add(subject, "safety_factor", "strength over demand", ratio, unit="1", runs=runs)
+    for limit in design.limits:
+        for name, value in rare.design_point(design, tables, limit).items():
+            unit = lookup(limit.quantity if name.endswith(".strength") else name).unit
+            answers.row(design.subject(limit), "design_point", name, value, unit=unit, method="FORM",
+                        runs=tables.sample.size)  # fmt: skip
+    return answers
+
+
+def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
+    """The failure probability of a limit: of missing its aim."""
+    if limit.name in tables.rare:
+        return tables.rare[limit.name].estimate
+    state = state_of(design, limit, tables.sample)
+    found = miss(state, limit.aim)
+    if not design.drawn.names and found.value is not None and not state.late.any() and not state.broken.any():
+        return exact(found.value)
+    if tables.slow is not None:
+        rows, left = (chances(state_of(design, limit, _doubled(part)), limit.aim)[:1]
+                      for part in (tables.slow.rows, tables.slow.left_out))  # fmt: skip
+        return surrogate.failure(tables.slow, found, rows, left)
+    if found.value is not None and 0.0 < found.value < 1e-3 and _carrying(state, limit.aim) < 20.0:
+        bound = max(found.high or 0.0, 3.0 / tables.sample.size)
+        none = absent("too few points carry it", found.method, found.evaluations)
+        return replace(none, low=0.0, high=min(bound, 1.0))
+    return found
+
+
+def _doubled(sample: Sample) -> Sample:
+    """One replicate twice, as a limit state needs two."""
+    parts = ("scores", "inputs", "answers", "censored", "status", "failed")
+    doubled: dict[str, Any] = {name: np.repeat(getattr(sample, name), 2, axis=0) for name in parts}
+    return replace(sample, **doubled)
+
+
+def _carrying(state: LimitState, aim: str) -> float:
+    """How many points carry a failure probability, by Kish's count."""
+    weights = chances(state, aim)
+    squares = float((weights**2).sum())
+    return float(weights.sum()) ** 2 / squares if squares > 0.0 else 0.0
+
+
+def chances(state: LimitState, aim: str) -> np.ndarray:
+    """Probability (R, n) that the aim is missed given the inputs."""
+    from uqsphere.uq import tails
+
+    below, above = tails(state)
+    return above if aim == "break" else below
+
+
+def state_of(design: Design, limit: Limit, sample: Sample, strength: Law | float | None = None) -> LimitState:
+    """Demands of a limit at points, against its strength or another one, with the dependence between the two."""
+    column = column_of(limit)
+    policy = design.study.analysis.on_failure
+    state = LimitState(
+        demands=demands_of(limit, sample), strength=strength_of(limit) if strength is None else strength,
+        censored=sample.late(column), failed=sample.lost(column),
+        on_failure="drop" if policy == "abort" else policy,
+    )  # fmt: skip
+    own = strength_name(limit.name)
+    if own not in design.joint.names or not design.study.dependence or not isinstance(state.strength, Law):
+        return state
+    names = design.drawn.names
+    scores = design.drawn.scores(sample.scores.reshape(-1, len(names))).reshape(sample.scores.shape)
+    weights, remaining = design.joint.regression(own, names)
+    shift = scores @ weights if np.any(weights) else None
+    return replace(state, shift=shift, remaining_sd=remaining, weights=tuple(weights.tolist()),
+                   tie=design.joint.tie(own, names, scores))  # fmt: skip
+
+
+def can_search(design: Design, limit: Limit) -> bool:
+    """Whether the methods for rare events can take a limit: something is drawn, and the study leaves them."""
+    return bool(design.drawn.names) and rare.possible(design)

@@ -1,0 +1,315 @@
+"""Slow models: one design, a polynomial chaos corrected by its own rows, and the same tables as any run.
+
+A model is slow where the first size of the loop would take longer than the budget allows.  It gets one design of N
+rows.  Eight expansions, each fitted without one eighth of the rows, predict the tables: replicate r by expansion r
+modulo eight, so that the replicates differ by the fit as well.  What an expansion leaves of the rows that it was not
+fitted to corrects every answer,
+
+    E[T(y)] = E[T(f)] + E[T(y) - T(f)],
+
+the first over the table, the second over the N rows, whose spread is the interval.  An event rarer than about 3/N is
+not in N rows: the run says so.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from uqsphere.arrays import Array, special
+from uqsphere.errors import UsageError
+from uqsphere.models import Interrupted, Model
+from uqsphere.run.design import REPLICATES, VALUES, Design, at_normals, normal_scores
+from uqsphere.study import Axis
+from uqsphere.uq import Estimate, Sample, absent, sobol_points
+from uqsphere.uq.chaos import germ_points, germs_of, predict
+from uqsphere.uq.describe import Description, describe
+from uqsphere.uq.estimate import around, between
+from uqsphere.uq.response import Response, cross_fit, half_width, index_shares
+
+if TYPE_CHECKING:
+    from uqsphere.run.grow import Progress, Tables
+
+#: rows that measure what the model costs, rows of a design at most and at least, and points of a replicate of a table
+PROBE, MOST_ROWS, LEAST_ROWS, POINTS = 8, 1024, 16, 4096
+#: share of the budget that rows along the free number take
+LINE_SHARE: Final = 0.4
+METHOD: Final = "polynomial chaos, corrected by runs"
+ROUGH: Final = "runs of the model"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Slow:
+    """The rows of a slow model.
+
+    rows : (1, N) as evaluated
+    left_out : the same with the values of the expansions that were fitted without them
+    responses : the expansions by quantity; a quantity without one is answered by its rows
+    """
+
+    rows: Sample
+    left_out: Sample
+    responses: Mapping[str, Response]
+
+    @property
+    def count(self) -> int:
+        """Rows that every answer rests on."""
+        return self.rows.size
+
+
+def is_slow(design: Design, model: Model, seconds: float) -> bool:
+    """Whether the first size of the loop is more than the budget allows."""
+    from uqsphere.run.grow import first_rows
+
+    analysis = design.study.analysis
+    if not design.study.black_box or not design.inputs:
+        return False
+    first = first_rows(design.study)
+    if analysis.cost is not None:
+        return bool(analysis.cost * first > seconds or analysis.budget.evaluations < first)
+    if analysis.budget.evaluations < first:
+        return True
+    try:
+        model.evaluate(design.inputs, _rows_of(design, _design_points(design, PROBE)), design.columns)
+    except Interrupted:
+        raise KeyboardInterrupt from None
+    return (model.seconds_per_row or 0.0) * first > seconds
+
+
+def _design_points(design: Design, count: int, extra: int = 0, task: str = "slow") -> Array:
+    """Independent normals (count, D), and `extra` uniforms behind them."""
+    size = len(design.drawn.names)
+    points = sobol_points(dimension=size + extra, count=count, seed=design.study.seed, task=task, replicate=0)
+    return np.concatenate([normal_scores(points[:, :size]), points[:, size:]], axis=1)
+
+
+def _rows_of(design: Design, normals: Array) -> Array:
+    names = design.drawn.names
+    physical = design.drawn.physical(normals[:, : len(names)])
+    return np.asarray(physical[:, [names.index(name) for name in design.inputs]])
+
+
+def tables_of(design: Design, model: Model, *, seconds: float, progress: Progress | None = None) -> Tables:
+    """The tables of a slow model: predicted by expansions of one design that its own rows correct.
+
+    Raises KeyboardInterrupt where the user stops before there is enough, UsageError for a budget that is too small.
+    """
+    from uqsphere.run.grow import Tables, accuracies, evaluate
+
+    analysis, began = design.study.analysis, time.monotonic()
+    cost = analysis.cost if analysis.cost is not None else model.seconds_per_row or 0.0
+    affordable = int(min(analysis.budget.evaluations, 0.9 * seconds / cost if cost else math.inf))
+    along = design.study.margins is not None and design.study.margins.axis.moves_rows
+    count = min(int(affordable * (1.0 - LINE_SHARE * along)), MOST_ROWS)
+    if count < LEAST_ROWS:
+        raise UsageError(f"the budget allows {affordable} model runs, and an answer takes {LEAST_ROWS} at least: "
+                         "raise analysis.budget or --budget")  # fmt: skip
+    stopped, rows = "", None
+    normals, done = _design_points(design, count), 0
+    step = max(PROBE, count // 8)
+    while done < count:
+        part = at_normals(design.drawn, normals[None, done : min(done + step, count)])
+        try:
+            more = evaluate(design, model, part)
+        except Interrupted:
+            stopped = "interrupted"
+            break
+        rows = more if rows is None else rows.join(more)
+        done = rows.count
+        if progress is not None:
+            progress(model.evaluations + model.reused, math.nan, f"{done} of {count} runs of the design")
+        if time.monotonic() - began > seconds:
+            stopped = "time"
+            break
+    if rows is None or rows.count < LEAST_ROWS:
+        raise KeyboardInterrupt
+    slow, sample = _predicted(design, rows)
+    line: Mapping[float, Sample] = {}
+    if along and not stopped:
+        try:
+            line = _line(design, model, min(affordable - count, MOST_ROWS), sample)
+        except Interrupted:
+            stopped = "interrupted"
+    tables = Tables(sample=sample, line=line, stopped=stopped or "budget", slow=slow)
+    errors = accuracies(design, tables)
+    tables.missed = [error for error in errors if error.reached > error.required]
+    worst = max((error.reached / error.required for error in errors), default=0.0)
+    tables.reached = [(model.evaluations + model.reused, worst)]
+    if not tables.missed:
+        tables.stopped = stopped or "accurate"
+    return tables
+
+
+def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:
+    """The expansions of all columns, and a table of their values; a column that stays rough keeps its rows."""
+    size = len(design.inputs)
+    order = [rows.names.index(name) for name in design.inputs]
+    germs = germs_of(design.joint.only(design.inputs).laws)
+    good = np.isfinite(rows.answers[0]).all(axis=1) & ~rows.censored[0].any(axis=1)
+    responses: dict[str, Response] = {}
+    if good.sum() >= LEAST_ROWS and size:
+        points = germ_points(rows.scores[0][:, order], germs)[good]
+        for name, response in zip(rows.quantities, cross_fit(points, rows.answers[0][good], germs), strict=True):
+            if response.usable:
+                responses[name] = response
+    if len(responses) < len(rows.quantities) or not good.all():
+        # one table for all columns: where one is rough, the rows answer for all
+        replicates = max(k for k in (8, 4, 2) if rows.count >= 2 * k)
+        kept = _blocks(rows, replicates)
+        return Slow(rows=rows, left_out=rows, responses={}), kept
+    table = design.points(POINTS)
+    flat = germ_points(table.scores[:, :, order].reshape(-1, size), germs).reshape(REPLICATES, POINTS, size)
+    values = np.stack([_by_folds(responses[name], flat) for name in rows.quantities], axis=2)
+    left_out = rows.with_answers(
+        rows.quantities, np.stack([responses[name].levels for name in rows.quantities], axis=1)[None]
+    )
+    return Slow(rows=rows, left_out=left_out, responses=responses), table.with_answers(rows.quantities, values)
+
+
+def _blocks(rows: Sample, count: int) -> Sample:
+    """Rows (1, N) cut into blocks of consecutive ones, which stand for replicates."""
+    each = rows.count // count
+    parts = ("scores", "inputs", "answers", "censored", "status", "failed")
+    cut: dict[str, Any] = {}
+    for name in parts:
+        own = getattr(rows, name)[0, : each * count]
+        cut[name] = own.reshape(count, each, *own.shape[1:])
+    return replace(rows, **cut)
+
+
+def _by_folds(response: Response, points: Array) -> Array:
+    """Values (R, n) at germ points (R, n, d), each replicate by an expansion of its own, with a residual of a row."""
+    generator = np.random.default_rng(0)
+    values = [predict(response.fits[r % len(response.fits)], own) for r, own in enumerate(points)]
+    return np.stack([own + generator.choice(response.residuals, own.shape) for own in values])
+
+
+def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[float, Sample]:
+    """Predicted columns at values of the free number, by expansions in the inputs and in it."""
+    from uqsphere.run.grow import evaluate
+
+    margins = design.study.margins
+    if margins is None or count < LEAST_ROWS:
+        return {}
+    axis, names = margins.axis, design.drawn.names
+    points = _design_points(design, count, 1, "slow line")
+    values = np.asarray(axis.value(points[:, -1]))
+    moved = [axis.move(design.study, float(value)).inputs().only(names) for value in values]
+    normals = points[:, : len(names)]
+    physical = np.concatenate([joint.physical(normals[k : k + 1]) for k, joint in enumerate(moved)])
+    placed = Sample.at(names, normals[None], physical[None])
+    column = physical[:, names.index(axis.path)] if axis.path in names else values
+    rows = evaluate(design, model, placed, {axis.path: column[None]})
+    order = [names.index(name) for name in design.inputs]
+    germs = (*germs_of(design.joint.only(design.inputs).laws), "uniform")
+    places = np.column_stack([germ_points(normals[:, order], germs[:-1]), 2.0 * points[:, -1] - 1.0])
+    good = np.isfinite(rows.answers[0]).all(axis=1)
+    responses = cross_fit(places[good], rows.answers[0][good], germs)
+    if not all(response.usable for response in responses):
+        return {}
+    table = design.points(sample.count if sample.replicates == REPLICATES else POINTS).head(256)
+    flat = germ_points(table.scores[:, :, order].reshape(-1, len(order)), germs[:-1]).reshape(
+        *table.scores.shape[:2], -1
+    )
+    found = {}
+    for value in axis.grid(VALUES):
+        place = np.full((*flat.shape[:2], 1), _germ_of(axis, value))
+        at = np.concatenate([flat, place], axis=2)
+        answers = np.stack([_by_folds(response, at) for response in responses], axis=2)
+        found[value] = table.with_answers(rows.quantities, answers)
+    return found
+
+
+def _germ_of(axis: Axis, value: float) -> float:
+    """The place of a value of the free number in [-1, 1], in ratios where it is positive."""
+    low, high = axis.low, axis.high
+    if axis.logarithmic:
+        low, high, value = math.log(low), math.log(high), math.log(value)
+    return 2.0 * (value - low) / (high - low) - 1.0
+
+
+# --- answers corrected by the rows ------------------------------------------------------------------------------------
+
+
+def described(design: Design, slow: Slow, sample: Sample, name: str) -> Description:
+    """The description of a quantity: of the table, corrected by what the expansions leave of the rows."""
+    analysis = design.study.analysis
+    if name not in slow.responses:
+        return describe(sample.answer(name), censored=sample.late(name), failed=sample.lost(name),
+                        on_failure="bound" if analysis.on_failure == "bound" else "drop", quantiles=analysis.quantiles,
+                        method=f"{slow.count} {ROUGH}")  # fmt: skip
+    table, rows, left = sample.answer(name), slow.rows.answer(name)[0], slow.left_out.answer(name)[0]
+    known = np.isfinite(rows) & np.isfinite(left)
+    rows, left = rows[known], left[known]
+    base = describe(table, quantiles=analysis.quantiles, method=METHOD)
+    # the table holds residuals of its own, whose mean is that of the rows: what it adds is taken off
+    mean = float(table.mean())
+    half = half_width(rows - left)
+    spread = (rows - mean) ** 2
+    variance = float(table.var()) + float((spread - (left - mean) ** 2).mean()) - float(np.var(rows - left))
+    scale = math.sqrt(variance) if variance > 0.0 else float(table.std())
+    half_sd = 0.5 * half_width(spread - (left - mean) ** 2) / scale if scale > 0.0 else 0.0
+    many = np.sort(table, axis=None)
+    return Description(
+        mean=_widened(base.mean, mean, half, slow.count), sd=_widened(base.sd, scale, half_sd, slow.count),
+        quantiles={p: _quantile(p, e, many, rows, left, slow.count) for p, e in base.quantiles.items()},
+        censored_share=base.censored_share, scale=scale,
+    )  # fmt: skip
+
+
+def _widened(base: Estimate, value: float, half: float, count: int) -> Estimate:
+    """A value with the interval of the table and of the rows together."""
+    whole = math.hypot(half, base.half_width if math.isfinite(base.half_width) else 0.0)
+    return around(value, whole, 0.5 * whole, METHOD, count)
+
+
+def _quantile(p: float, base: Estimate, many: Array, rows: Array, left: Array, count: int) -> Estimate:
+    """A quantile of the table, its probability corrected by the rows over a range of values about it."""
+    if min(p, 1.0 - p) * count < 1.0:
+        return absent(f"{count} runs show nothing of the {p:g} quantile: an event rarer than 3/{count} is not in them",
+                      METHOD, count)  # fmt: skip
+    places = (np.arange(many.size) + 0.5) / many.size
+
+    def read(probability: float) -> float:
+        return float(np.interp(probability, places, many))
+
+    width = 0.5 * (read(min(p + 0.05, 1.0)) - read(max(p - 0.05, 0.0))) or 1e-300
+    at = read(p)
+    moved = special.ndtr((at - rows) / width) - special.ndtr((at - left) / width)
+    half = math.hypot(half_width(moved), 0.5 * (p * (1.0 - p)) ** 0.5 * 0.1 if base.value is None else 0.0)
+    value, low, high = read(p), read(max(p - half, 0.0)), read(min(p + half, 1.0))
+    found = between(value, low, high, REPLICATES, METHOD, count)
+    return found if base.value is None else found.holding(base)
+
+
+def failure(slow: Slow, table: Estimate, rows: Array, left: Array) -> Estimate:
+    """A failure probability of the table, corrected by the failure probabilities (1, N) of the rows."""
+    if table.value is None or not slow.responses:
+        return replace(table, high=max(table.high or 0.0, 3.0 / slow.count)) if table.high is not None else table
+    off = (rows - left).ravel()
+    value = table.value + float(off.mean())
+    half = math.hypot(half_width(off), table.half_width)
+    low, high = max(table.value - half, 0.0), min(table.value + half, 1.0)
+    if high * slow.count < 3.0 and (rows.sum() < 1e-3 or not 0.0 < value < 1.0):
+        none = absent(
+            f"too small for {slow.count} runs: an event rarer than 3/{slow.count} is not in them", METHOD, slow.count
+        )
+        return replace(none, low=0.0, high=min(max(high, 3.0 / slow.count), 1.0))
+    value = min(max(table.value, 0.0), 1.0)
+    return Estimate(value=value, low=min(low, value), high=max(high, value), std_error=0.5 * half, method=METHOD,
+                    evaluations=slow.count)  # fmt: skip
+
+
+def shares(design: Design, slow: Slow, name: str) -> dict[str, tuple[Estimate, ...]]:
+    """First and total indices of a quantity, off its expansions."""
+    response = slow.responses.get(name)
+    if response is None:
+        nothing = absent(f"{slow.count} runs of a rough model show no indices", ROUGH, slow.count)
+        return dict.fromkeys(design.inputs, (nothing, nothing))
+    found = index_shares(response)
+    return dict(zip(design.inputs, zip(found["first"], found["total"], strict=True), strict=True))

@@ -1,0 +1,369 @@
+"""The verdict on every limit: met, not met, undecided, or not established with its reasons, and the number to use.
+
+A verdict is not established where something that the study takes for granted could turn it: a contact law, an assumed
+strength of another failure mode, the few tests behind a strength, a model outside its range, synthetic data.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from uqsphere.quantities import display_unit, format_probability, format_value
+from uqsphere.results import Answers
+from uqsphere.run.assumptions import Assumptions, along_line, other_distributions, together
+from uqsphere.run.checks import Check
+from uqsphere.run.demands import strength_of
+from uqsphere.run.design import Design
+from uqsphere.run.fragility import allowable_probability, band_of, planned_value, target_of
+from uqsphere.run.limits import chances, failure, state_of
+from uqsphere.study import Limit, means_fracture, strength_name
+from uqsphere.uq import Estimate, Law, target_met
+from uqsphere.uq.fitting import count_tests
+
+if TYPE_CHECKING:
+    from uqsphere.arrays import Array
+    from uqsphere.run.grow import Tables
+
+WORDS = {True: "met", False: "not met", None: "undecided"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reason:
+    """Why a verdict is not established: `decides` names what would turn it, `remedy` what would settle it."""
+
+    code: str
+    text: str
+    decides: str
+    remedy: str
+
+
+def verdicts(
+    design: Design, tables: Tables, answers: Answers, assumed: Assumptions, checks: Sequence[Check]
+) -> dict[str, dict[str, Any]]:
+    """The verdict on every limit of the study, ready for results.json."""
+    return {limit.name: _verdict(design, tables, answers, assumed, checks, limit) for limit in design.limits}
+
+
+def _verdict(
+    design: Design, tables: Tables, answers: Answers, assumed: Assumptions, checks: Sequence[Check], limit: Limit
+) -> dict[str, Any]:
+    judged = _judged_together(design, limit)
+    p = _combined(design, tables, limit, judged)
+    target = limit.target
+    reasons = _reasons(design, tables, assumed, checks, limit, judged, p) if target is not None else []
+    word = "no target" if target is None else "not established" if reasons else WORDS[target_met(p, target)]
+    modes = [
+        limit,
+        *judged[1:],
+        *(mode.limit for mode in design.modes if limit.aim == "survive" and means_fracture(limit)),
+    ]
+    governing = max(modes, key=lambda one: failure(design, tables, one).value or 0.0)
+    number = _number_to_use(design, tables, answers, limit, judged, modes)
+    verdict = {
+        "verdict": word, "aim": limit.aim, "target": target,
+        "probability": {"value": p.value, "low": p.low, "high": p.high},
+        "governing": design.subject(number["governing"] if number else governing),
+        "reasons": [{"code": reason.code, "text": reason.text} for reason in reasons],
+        "use": None if number is None else {k: v for k, v in number.items() if k not in ("governing", "factor")},
+        "safety_factor": None if number is None else number["factor"],
+        "next": _next(design, limit, p, reasons, assumed),
+    }  # fmt: skip
+    headline, detail = _headline(design, answers, limit, p, word, reasons, number)
+    return {**verdict, "headline": headline, "detail": detail}
+
+
+def _judged_together(design: Design, limit: Limit) -> list[Limit]:
+    """The limit, and for a sphere that must survive all other limits of the study that mean its fracture."""
+    if not means_fracture(limit) or limit.aim != "survive":
+        return [limit]
+    others = [one for one in design.fracture if one.name != limit.name and one.aim == "survive"]
+    same = (limit.quantity, limit.strength)
+    return [limit, *(one for one in others if (one.quantity, one.strength) != same)]
+
+
+def _combined(design: Design, tables: Tables, limit: Limit, judged: Sequence[Limit]) -> Estimate:
+    """The failure probability by all limits that are judged together."""
+    own = failure(design, tables, limit)
+    if len(judged) == 1:
+        return own
+    sample = tables.sample
+    more = together(design, sample, judged) - together(design, sample, [limit])
+    return _added(own, more)
+
+
+def _added(own: Estimate, more: Array) -> Estimate:
+    """A probability with what further failures (R, n) add to it."""
+    from uqsphere.uq import from_replicates
+
+    added = from_replicates(more.mean(axis=1), own.method, own.evaluations)
+    if own.value is None or added.value is None:
+        return own if added.value is None else added
+    low, high = (own.low or 0.0) + (added.low or 0.0), (own.high or 1.0) + (added.high or 0.0)
+    value = min(max(own.value + added.value, 0.0), 1.0)
+    return replace(own, value=value, low=min(max(low, 0.0), value), high=max(min(high, 1.0), value))
+
+
+# --- reasons --------------------------------------------------------------------------------------------------------
+
+
+def _reasons(
+    design: Design, tables: Tables, assumed: Assumptions, checks: Sequence[Check], limit: Limit,
+    judged: Sequence[Limit], p: Estimate,
+) -> list[Reason]:  # fmt: skip
+    target = limit.target or 0.0
+    verdict = target_met(p, target)
+    found: list[Reason] = []
+    sample = tables.sample
+    fracture = means_fracture(limit)
+
+    def turned(value: float) -> bool:
+        return verdict is not None and (value < target) is not verdict
+
+    if fracture and assumed.plastic is not None:
+        base = sample.head(assumed.plastic.count)
+        other = _missed(design, assumed.plastic, limit, judged) - _missed(design, base, limit, judged)
+        value = min(max((p.value or 0.0) + float(other.mean()), 0.0), 1.0)
+        if turned(value):
+            found.append(Reason(code="contact law", decides="the contact law",
+                                text=f"where contacts yield, the failure probability is {format_probability(value)}",
+                                remedy='set [contact] law = "plastic"'))  # fmt: skip
+    if fracture and limit.aim == "survive":
+        found += _assumed_modes(design, tables, limit, judged, p, turned)
+    for one in judged:
+        ends = assumed.tests.get(one.name)
+        if ends is not None:
+            own = failure(design, tables, one).value or 0.0
+            values = [min(max((p.value or 0.0) - own + end, 0.0), 1.0) for end in ends]
+            if len({value < target for value in values}) == 2 or turned(values[0]):
+                law = strength_of(one)
+                n = count_tests(law) if isinstance(law, Law) else 0
+                span = f"{format_probability(values[0])} to {format_probability(values[1])}"
+                found.append(
+                    Reason(
+                        code="tests",
+                        decides=f"the {n} tests of {one.name}",
+                        text=f"the {n} tests of {one.name} leave {span} open",
+                        remedy=_more_tests(n, values, target),
+                    )
+                )
+    for one in judged:
+        own = failure(design, tables, one).value or 0.0
+        head = sample.head(min(sample.count, 512))
+        for name, otherwise in other_distributions(one):
+            changed = float(chances(state_of(design, one, head, otherwise), one.aim).mean())
+            value = min(max((p.value or 0.0) - own + changed, 0.0), 1.0)
+            if turned(value):
+                found.append(
+                    Reason(
+                        code="distribution",
+                        decides=f"the distribution of the strength of {one.name}",
+                        text=f"with a {name} of the same mean and scatter, {format_probability(value)} fail",
+                        remedy=f"test the strength of {one.name} in its lower tail",
+                    )
+                )
+    missed = float(_missed(design, sample, limit, judged).mean())
+    for check in checks:
+        share = check.share_of_failures(limit.name)
+        if missed > 0.0 and share is not None and share > target and check.grade == "failure":
+            found.append(
+                Reason(
+                    code="model",
+                    decides=check.text,
+                    text=f"the model does not hold in {format_probability(share)} of the failures: {check.text}",
+                    remedy=check.remedy,
+                )
+            )
+    synthetic = {strength_name(one.name) for one in judged} | set(design.inputs)
+    if synthetic & set(design.study.made_up):
+        found.append(Reason(code="synthetic", decides="synthetic data", text="the tests are synthetic data",
+                            remedy="replace the synthetic tests by measured ones"))  # fmt: skip
+    return found
+
+
+def _missed(design: Design, sample: Any, limit: Limit, judged: Sequence[Limit]) -> Array:
+    """Probability (R, n) that the aim is missed given the inputs."""
+    if len(judged) > 1:
+        return together(design, sample, judged)
+    return np.asarray(chances(state_of(design, limit, sample), limit.aim))
+
+
+def _assumed_modes(
+    design: Design, tables: Tables, limit: Limit, judged: Sequence[Limit], p: Estimate, turned: Any
+) -> list[Reason]:
+    sample = tables.sample.head(min(tables.sample.count, 256))
+    base = together(design, sample, judged)
+    deciding, worst = [], base
+    for mode in design.modes:
+        each = [chances(state_of(design, mode.limit, sample, law), "survive")
+                for law in (mode.weak, mode.limit.strength, mode.strong)]  # fmt: skip
+        values = [(p.value or 0.0) + float(((1.0 - base) * c).mean()) for c in each]
+        if any(turned(min(value, 1.0)) for value in values):
+            deciding.append(mode.called)
+        worst = worst + (1.0 - worst) * max(each, key=lambda c: float(c.mean()))
+    if deciding:
+        names = _listed(deciding)
+        said = (
+            f"strength for {names} is assumed, and decides"
+            if len(deciding) == 1
+            else (f"strengths for {names} are assumed, and decide")
+        )
+        return [
+            Reason(
+                code="assumed strength",
+                decides=names,
+                remedy=f"measure the strength for {names} on this rock",
+                text=f"the {said}",
+            )
+        ]
+    value = min((p.value or 0.0) + float((worst - base).mean()), 1.0)
+    if design.modes and turned(value):
+        names = _listed([mode.called for mode in design.modes])
+        return [
+            Reason(
+                code="assumed strength",
+                decides=names,
+                remedy=f"measure the strengths for {names} on this rock",
+                text=f"the assumed strengths for {names} together allow up to {format_probability(value)}",
+            )
+        ]
+    return []
+
+
+def _more_tests(n: int, ends: Sequence[float], target: float) -> str:
+    """How many tests in all would settle a target: the range of the log-odds shrinks with the root of their number."""
+    logit = [math.log(max(x, 1e-12) / max(1.0 - x, 1e-12)) for x in (*ends, target)]
+    middle, half = 0.5 * (logit[0] + logit[1]), 0.5 * (logit[1] - logit[0])
+    distance = abs(middle - logit[2])
+    needed = n * (half / distance) ** 2 if distance > 0.0 else math.inf
+    if needed > 1000:
+        return "the target is too close to call by more tests: change the plan"
+    return f"test more: about {max(math.ceil(needed), n + 1)} tests in all would settle the target"
+
+
+# --- the number to use ----------------------------------------------------------------------------------------------
+
+
+def _number_to_use(
+    design: Design, tables: Tables, answers: Answers, limit: Limit, judged: Sequence[Limit], modes: Sequence[Limit]
+) -> dict[str, Any] | None:
+    """The conservative value of the free number: by all modes, at the unsafe end of what the tests leave open."""
+    margins = design.study.margins
+    if margins is None:
+        return None
+    target = target_of(design, limit)
+    survive = limit.aim == "survive"
+    axis, planned = margins.axis, planned_value(design)
+    candidates: list[tuple[float, Limit]] = []
+    yielding = answers.get(design.subject(limit), "margin", "assumed: contacts yield")
+    if yielding is not None and yielding["value"] is not None:
+        candidates.append((yielding["value"], limit))
+    for one in modes:
+        row = answers.get(design.subject(one), "margin", target if survive else 1.0 - target)
+        if row is None or row["value"] is None:
+            continue
+        ends = [row["low"], row["high"]]
+        tests = answers.get(design.subject(one), "margin", "tests")
+        if tests is not None and tests["value"] is not None:
+            ends += [tests["low"], tests["high"]]
+        known = [end for end in ends if end is not None] or [row["value"]]
+        candidates.append((min(known) if _rising(answers, design.subject(one)) == survive else max(known), one))
+    if not candidates:
+        return None
+    pick = min if _rising(answers, design.subject(limit)) == survive else max
+    value, governing = pick(candidates, key=lambda pair: pair[0])
+    if survive and len(modes) > 1:
+        # all modes together ask for a little less than the worst of them
+        joint = band_of(design, tables, along_line(design, modes), target)
+        value = value if joint is None else pick(value, joint)
+    row = answers.get(design.subject(governing), "margin", target if survive else 1.0 - target)
+    factor = None
+    if planned and value > 0.0:
+        factor = value / planned if pick is min else planned / value
+    end = "largest" if pick is min else "smallest"
+    return {"value": value, "low": row and row["low"], "high": row and row["high"], "safe_end": end,
+            "path": axis.path, "text": format_value(value, axis.path, 2), "governing": governing,
+            "factor": factor}  # fmt: skip
+
+
+def _rising(answers: Answers, subject: str) -> bool:
+    """Whether exceedance rises with the free number."""
+    curve = answers.where(subject, "curve")
+    return not curve or (curve[-1]["value"] or 0.0) >= (curve[0]["value"] or 0.0)
+
+
+# --- words ----------------------------------------------------------------------------------------------------------
+
+
+def _next(design: Design, limit: Limit, p: Estimate, reasons: Sequence[Reason], assumed: Assumptions) -> str:
+    """What to measure next: told only where it can settle what is open."""
+    if not reasons:
+        if limit.target is not None and target_met(p, limit.target) is None:
+            return "run again with a tighter analysis.accuracy.probability: the target lies inside the interval"
+        return ""
+    order = ("contact law", "model", "assumed strength", "tests", "distribution", "synthetic")
+    first = min(reasons, key=lambda reason: order.index(reason.code))
+    remedy = first.remedy
+    return remedy[:1].upper() + remedy[1:] + "." if remedy else ""
+
+
+def _headline(
+    design: Design, answers: Answers, limit: Limit, p: Estimate, word: str, reasons: Sequence[Reason],
+    number: dict[str, Any] | None,
+) -> tuple[str, str]:  # fmt: skip
+    """The sentence to act on, and what stands behind it."""
+    name = "Fracture probability" if means_fracture(limit) else "Failure probability"
+    what = f"{name} {_percent_of(p)}" if limit.aim == "survive" else f"P(not broken) {_percent_of(p)}"
+    if limit.target is not None:
+        what += f", target at most {format_probability(limit.target)}"
+    first, rest = [], []
+    if number is not None:
+        path, planned = number["path"], planned_value(design)
+        assumed = next((m.called for m in design.modes if m.limit.name == number["governing"].name), None)
+        by = f" ({assumed}, by an assumed strength)" if assumed else ""
+        verb = "Use at most" if number["safe_end"] == "largest" else "Use at least"
+        first.append(f"{verb} {_rounded(number['value'], path, number['safe_end'])}{by}.")
+        if planned is not None:
+            factor = number["factor"]
+            margin = "no margin" if factor is None or factor < 1.0 else f"safety factor {factor:.3g}"
+            first.append(f"Planned {format_value(planned, path, 3)}: {margin}.")
+        own = answers.get(design.subject(limit), "margin", allowable_probability(design, limit))
+        if assumed and own is not None and own["value"] is not None:
+            rest.append(f"By the limit of the study alone: {format_value(own['value'], path, 2)}.")
+        rest.insert(0, what + ".")
+    else:
+        first.append(what + ".")
+    if word == "not established":
+        rest.append("Not established: " + "; ".join(reason.text for reason in reasons) + ".")
+    elif word == "undecided":
+        rest.append("Undecided: the target lies inside the interval.")
+    elif word != "no target":
+        rest.append(f"Target {word}.")
+    return " ".join(first), " ".join(rest)
+
+
+def _rounded(value: float, path: str, end: str, digits: int = 2) -> str:
+    """A conservative value, rounded towards its safe side."""
+    unit, factor = display_unit(path)
+    scaled = value * factor
+    if scaled == 0.0:
+        return f"0 {unit}".rstrip()
+    step = 10.0 ** (math.floor(math.log10(abs(scaled))) - digits + 1)
+    rounded = (math.floor if end == "largest" else math.ceil)(
+        scaled / step + (1e-9 if end == "largest" else -1e-9)
+    ) * step
+    return f"{float(f'{rounded:.{digits}g}'):g} {unit}".rstrip()
+
+
+def _percent_of(p: Estimate) -> str:
+    if p.value is None:
+        return f"below {format_probability(p.high)}" if p.high is not None else "not known"
+    return format_probability(p.value)
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

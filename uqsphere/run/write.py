@@ -1,0 +1,229 @@
+"""What is kept of a run: results.json, the tables, and the page."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from uqsphere.models import Model
+from uqsphere.quantities import display_unit, format_value, lookup
+from uqsphere.results import Answers, Run
+from uqsphere.results.answers import as_json, frame_of
+from uqsphere.results.folder import write_files
+from uqsphere.run.checks import Check
+from uqsphere.run.design import Design
+from uqsphere.run.distributions import density, many_values
+from uqsphere.run.fragility import planned_value
+from uqsphere.run.grow import Tables
+from uqsphere.run.indices import method_of
+from uqsphere.run.limits import state_of
+from uqsphere.study import Limit, Study, breaks_by, means_fracture
+from uqsphere.uq import Law, random_generator
+from uqsphere.uq.fitting import count_tests, is_fitted
+
+#: rows of samples.csv
+MOST_ROWS: Final = 16_384
+PACKAGES: Final = ("uqsphere", "numpy", "scipy", "numba", "pandas", "chaospy", "SALib", "pydantic", "matplotlib")
+
+
+def results_of(
+    design: Design, tables: Tables, answers: Answers, judged: dict[str, Any], checked: Sequence[Check], model: Model,
+    seconds: float,
+) -> dict[str, Any]:  # fmt: skip
+    """results.json as a dictionary (docs/study-file.md, "Results")."""
+    study = design.study
+    accuracy = study.analysis.accuracy
+    return {
+        "schema_version": 2,
+        "study": {
+            "title": study.title, "hash": study.hash, "kind": "black box" if study.black_box else study.rig,
+            "seed": study.seed, "description": _description(design), "free": _free(design),
+            "overrides": list(study.overrides), "warnings": list(study.warnings),
+            "quantities": {name: _quantity(design, tables, name) for name in study.analysis.quantities},
+            "limits": {limit.name: _limit(design, limit) for limit in design.limits},
+            "modes": {mode.called: {**_limit(design, mode.limit), "assumed": True, "source": mode.source,
+                                    "source_checked": mode.seen} for mode in design.modes},
+            "not_judged": dict(design.not_judged),
+        },
+        "inputs": {name: _input(design, name) for name in (*study.fixed, *study.random)},
+        "answers": as_json(answers.rows),
+        "verdicts": as_json(judged),
+        "checks": [as_json(check.as_dict()) for check in checked],
+        "accuracy": {
+            "required": {name: getattr(accuracy, name) for name in ("mean", "quantile", "sobol", "probability")},
+            "reached": [{"runs": runs, "error": as_json(error)} for runs, error in tables.reached],
+            "stopped": tables.stopped,
+            "missed": [{"subject": m.subject, "answer": m.answer, "required": m.required, "reached": as_json(m.reached)}
+                       for m in tables.missed],
+            "runs": model.evaluations + model.reused, "reused": model.reused, "seconds": round(seconds, 2),
+        },
+        "versions": _versions(),
+    }  # fmt: skip
+
+
+def _description(design: Design) -> list[str]:
+    """What was studied, in two lines: rock, size and rig; strength with its tests."""
+    study = design.study
+    if study.black_box:
+        first = f"Black box of {len(study.fixed) + len(study.random)} inputs: {', '.join(study.outputs)}"
+    else:
+        means = study.at_means()
+        rock = study.materials.get("sphere", "").replace("_", " ") or "sphere"
+        size = f"{2e3 * means['sphere.radius']:.3g} mm"
+        rig = {
+            "bars": "between Hopkinson bars",
+            "impact": "impact on a body",
+            "sphere_on_sphere": "sphere on sphere",
+            "drop_weight": "drop weight",
+            "load_cell": "impact load cell",
+            "platens": "between platens",
+        }[study.rig]
+        scatter = ", ".join(lookup(name).meaning for name in study.random) or "nothing"
+        first = f"{rock[:1].upper()}{rock[1:]}, {size}, {rig}; scatter of {scatter}"
+    strengths = []
+    for limit in design.limits:
+        tests = _tests(limit)
+        strengths.append(f"{limit.name}: {_strength_text(limit)}" + (f" from {tests} tests" if tests else ""))
+    return [
+        first,
+        "Strength " + "; ".join(strengths) if strengths else "No strength: distributions and sensitivity only",
+    ]
+
+
+def _free(design: Design) -> dict[str, Any] | None:
+    margins = design.study.margins
+    if margins is None:
+        return None
+    path = margins.axis.path
+    return {"path": path, "meaning": lookup(path).meaning, "planned": planned_value(design), "low": margins.axis.low,
+            "high": margins.axis.high, "unit": display_unit(path)[0]}  # fmt: skip
+
+
+def _quantity(design: Design, tables: Tables, name: str) -> dict[str, Any]:
+    expansion = tables.expansions.get(name)
+    if expansion is not None and expansion.left < 1e-3:
+        values = many_values(design, expansion, tables.sample.count)
+    else:
+        values = tables.sample.answer(name)
+    known = values[np.isfinite(values)]
+    ranges = [None] * 3 if not known.size else [float(x) for x in np.quantile(known, [0.05, 0.5, 0.95])]
+    return {"meaning": lookup(name).meaning, "unit": display_unit(name)[0], "range": ranges,
+            "method_of_indices": method_of(design, tables, name), "density": density(values)}  # fmt: skip
+
+
+def _limit(design: Design, limit: Limit) -> dict[str, Any]:
+    law = limit.strength
+    strength: dict[str, Any] = {"text": _strength_text(limit), "unit": display_unit(limit.quantity)[0]}
+    if isinstance(law, Law):
+        p05, median, p95 = (float(x) for x in law.ppf(np.array([0.05, 0.5, 0.95])))
+        ends = law.ppf(np.array([0.001, 0.999]))
+        places = np.linspace(float(ends[0]), float(ends[1]), 160)
+        smooth = not law.is_steps
+        strength |= {"median": median, "p05": p05, "p95": p95,
+                     "density": [places.tolist(), as_json(law.pdf(places))] if smooth else None}  # fmt: skip
+    else:
+        strength |= {"median": float(law), "p05": float(law), "p95": float(law), "density": None}
+    tests = _tests(limit)
+    modes = {"contact": "contact pressure", "rim": "ring crack", "core": "core tension", "energy": "fracture energy"}
+    found = breaks_by(limit)
+    return {
+        "mode": modes.get(found, found or "limit"), "quantity": limit.quantity, "aim": limit.aim,
+        "target": limit.target, "criterion": limit.criterion, "fracture": means_fracture(limit),
+        "assumed": False, "tests": tests,
+        "strength": as_json(strength), "source": "study", "test_points": None,
+    }  # fmt: skip
+
+
+def _tests(limit: Limit) -> int | None:
+    """Number of tests behind a strength, None for one that was not fitted to tests."""
+    law = limit.strength
+    return count_tests(law) if isinstance(law, Law) and is_fitted(law) else None
+
+
+def _strength_text(limit: Limit) -> str:
+    law = limit.strength
+    if not isinstance(law, Law):
+        return format_value(float(law), limit.quantity)
+    mean, sd = law.mean(), law.sd()
+    text = f"{law.family.name.replace('_', ' ').capitalize()}"
+    if mean is not None:
+        text += f", mean {format_value(mean, limit.quantity)}"
+    if law.family.name == "weibull" and "modulus" in law.parameters:
+        text += f", modulus {law.parameters['modulus']:.3g}"
+    elif mean and sd is not None:
+        text += f", scatter {100.0 * sd / abs(mean):.3g} %"
+    return text
+
+
+def _input(design: Design, name: str) -> Any:
+    study = design.study
+    quantity, source = lookup(name), study.sources.get(name)
+    about = {
+        "meaning": quantity.meaning, "unit": display_unit(name)[0],
+        "source": source.text if source else "study", "source_checked": source.seen if source else True,
+    }  # fmt: skip
+    if name in study.random:
+        law = study.random[name]
+        low, high = (float(x) for x in law.ppf(np.array([0.05, 0.95])))
+        return as_json({**about, "mean": law.mean(), "sd": law.sd(), "p05": low, "p95": high, "fixed": False,
+                        "distribution": law.family.name.replace("_", " ")})  # fmt: skip
+    value = study.fixed[name]
+    return as_json({**about, "mean": value, "sd": 0.0, "p05": value, "p95": value, "fixed": True,
+                    "distribution": "fixed"})  # fmt: skip
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": ".".join(str(part) for part in sys.version_info[:3])}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def samples_of(design: Design, tables: Tables) -> str:
+    """samples.csv: inputs, columns, and a strength of every row, of up to `MOST_ROWS` rows; SI units."""
+    import pandas as pd
+
+    sample = tables.sample
+    count = max(min(sample.count, MOST_ROWS // sample.replicates), 1)
+    head = sample.head(count)
+    table: dict[str, Any] = {name: head.input(name).ravel() for name in head.names}
+    generator = random_generator(seed=design.study.seed, task="strengths of samples")
+    for limit in design.limits:
+        state = state_of(design, limit, head)
+        if isinstance(state.strength, Law):
+            drawn = state.score_drawn(generator.standard_normal(state.demands.shape))
+            table[f"limits.{limit.name}.strength"] = state.strength.from_normal(drawn).ravel()
+    table |= {name: np.where(head.lost(name), np.nan, head.answer(name)).ravel() for name in head.quantities}
+    if head.censored.any():
+        table["censored"] = head.censored.any(axis=2).ravel()
+    text = io.StringIO()
+    pd.DataFrame(table).to_csv(text, index=False)
+    return text.getvalue()
+
+
+def written(folder: Path | None, study: Study, results: dict[str, Any], samples: str, live: dict[str, Any]) -> Run:
+    """The run, kept in its folder with its page where it has one."""
+    found = Run(results=results, folder=folder, samples_csv=samples, live=live)
+    if folder is None:
+        return found
+    files: dict[str, str | bytes] = {
+        "study.toml": study.text,
+        "results.json": json.dumps(results, indent=1, allow_nan=False, ensure_ascii=False) + "\n",
+        "answers.csv": frame_of(results["answers"]).to_csv(index=False),
+        "samples.csv": samples,
+    }
+    write_files(folder, files)
+    from uqsphere.report import write_page
+
+    write_page(folder)
+    return found

@@ -1,0 +1,496 @@
+"""Strengths from a file: a column of observations, draws of a fit, or forces at which spheres broke between platens.
+
+A crushing test is a slow compression between two flat platens.  By the law of the study's contact its force gives the
+value that the limit's criterion reached, and those values the strength.  `equivalent_force` goes the other way: the
+force that gives a row's value on the row's own sphere in the rig of the tests; `test_force` carries it to the size of
+the tests, where `Tested.law` holds.  So the scatter of E and nu in the tests is never counted twice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from uqsphere.arrays import Array, Flags, Values
+from uqsphere.errors import AccessError, UsageError
+from uqsphere.files import is_device_name
+from uqsphere.materials import library
+from uqsphere.mechanics import contact
+from uqsphere.mechanics.criteria import CRITERIA, pole_of
+from uqsphere.mechanics.criteria import demand as demand_of
+from uqsphere.mechanics.outputs import OUTPUTS, at_force, follows_force
+from uqsphere.quantities import INPUTS, format_value, reading_units, unit_that_reads
+from uqsphere.study.document import (
+    Fault,
+    Number,
+    Observations,
+    Place,
+    Reader,
+    one_of,
+    shown,
+    suggestion,
+    value_of,
+)
+from uqsphere.study.study import Limit, Tested
+from uqsphere.tables import Table, TableError, read_table
+from uqsphere.units import UNITS, Quantity
+from uqsphere.uq import Law, LawError
+from uqsphere.uq.fitting import fitted_law
+
+#: fewer observations than these are worth a warning
+_FEW: Final = 10
+#: ratio of diameters of tests and sphere that is told, and beyond which nothing but a size law carries a strength
+SIZES_TOLD, SIZES_REFUSED = 1.1, 1.5
+#: usual strengths by dimension, and usual 0.9 P/D² of brittle spheres
+USUAL: Final = {"pressure": (1e5, 1e11), "specific_energy": (1.0, 2e4), "toughness": (1e4, 2e7)}
+_TENSION: Final = (2e5, 5e8)
+#: a row as many robust deviations from the rest of the logarithms is told, and a fit less likely than this
+_APART, _UNLIKELY = 5.0, 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demand:
+    """What a limit holds against its strength: a quantity, or a criterion with its parameters by a name of its own."""
+
+    quantity: str
+    criterion: str | None = None
+    parameters: Mapping[str, float]
+
+    @property
+    def base(self) -> str:
+        """The quantity of interest that is the demand, but for its parameters."""
+        return self.quantity if self.criterion is None else CRITERIA[self.criterion].quantity or self.criterion
+
+    @property
+    def place(self) -> str:
+        """The part of the sphere that it is a load of, as of a `Quantity`."""
+        entry = OUTPUTS.get(self.quantity) if self.criterion is None else CRITERIA[self.criterion]
+        return "" if entry is None else entry.place
+
+
+# --- the force in the test that is worth a row's value ---------------------------------------------------------------
+
+
+def _state(force: Array, sphere: Mapping[str, Values], radius: Array, platens: tuple[float, float],
+           rate: Array | None = None) -> Any:  # fmt: skip
+    """What the criteria read of n spheres of a radius (n,) that are pressed to a force (n,) between platens."""
+    full = {f"sphere.{key}": np.broadcast_to(np.asarray(value, dtype=float), radius.shape)
+            for key, value in sphere.items()}  # fmt: skip
+    E, nu, mass = full["sphere.E"], full["sphere.nu"], contact.sphere_mass(radius, full["sphere.density"])
+    modulus = np.asarray(contact.reduced_modulus(E, nu, *platens))
+    state = at_force(force, {
+        **full, "sphere.radius": radius, "modulus": modulus, "effective_radius": radius, "mass": mass,
+        "hertz_constant": contact.hertz_constant(modulus, radius),
+        "loading_rate": np.zeros(radius.shape) if rate is None else rate, "face": pole_of(full, modulus, radius),
+    })  # fmt: skip
+    # the sphere has this share of what both contacts store; in the study's own rig it may be another
+    share = modulus * (1.0 - nu * nu) / E
+    own = share * state["energy"] + state["dissipated"]
+    both = (own - state["dissipated"]) / full.get("sphere.share", share)
+    given = {"energy_sphere": own, "specific_energy_sphere": own / mass, "impact_energy": state["energy"],
+             "specific_impact_energy": state["energy"] / mass, "energy": both, "specific_energy": both / mass}  # fmt: skip
+    return type(state)({**state, **given})
+
+
+def _reached(state: Any, demand: Demand) -> Array:
+    """The value (n,) of a demand in some states."""
+    if demand.criterion is not None:
+        return demand_of(CRITERIA[demand.criterion], state, demand.parameters)
+    return np.asarray(state[demand.quantity], dtype=float)
+
+
+def equivalent_force(
+    limit: Limit | Demand, value: Values, sphere: Mapping[str, Values], radius: Values, platens: tuple[float, float]
+) -> Array:
+    """The force [N] that gives a criterion's value on the row's own sphere, pressed slowly between platens.
+
+    Every criterion rises with the force, nearly as a power of it: the secant in logarithms ends after some steps.  It
+    is exact for Hertz: p_max = (6 P E*²/(pi³ r²))^(1/3) gives P = pi³ p_max³ r²/(6 E*²).
+
+    Parameters
+    ----------
+    limit : its quantity, or criterion with parameters.
+    value : (n,) of that criterion in the row, SI.
+    sphere : E [Pa], nu, density [kg/m³], (n,) each or numbers; onset_pressure and hardness [Pa] where its poles yield;
+        share, the sphere's of the energy in both contacts of the row's own rig, where that is what is limited.
+    radius : of the row's sphere [m], (n,).
+    platens : E [Pa], infinite if rigid, and nu of the platens of the tests.
+
+    Returns
+    -------
+    (n,) forces; 0 for a value of 0, infinite for one that no force reaches (a pressure above the hardness).
+    """
+    demand = limit if isinstance(limit, Demand) else Demand(
+        quantity=limit.quantity, criterion=limit.criterion,
+        parameters={k: v for k, v in limit.parameters.items() if k != "rate_0"})  # fmt: skip
+    value, radius = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, dtype=float)) for v in (value, radius)))
+    wanted = np.log(np.where(value > 0.0, value, 1.0))
+
+    def reached(log_force: Array) -> Array:
+        with np.errstate(all="ignore"):
+            return np.asarray(np.log(_reached(_state(np.exp(log_force), sphere, radius, platens), demand)))
+
+    x = np.log(1e7 * np.square(radius))
+    y, slope = reached(x), np.full(radius.shape, 0.7)
+    for _ in range(60):
+        step = np.clip((wanted - y) / slope, -6.0, 6.0)
+        if not (np.abs(step) > 1e-13 * np.maximum(np.abs(x), 1.0)).any():
+            break
+        after = reached(x + step)
+        with np.errstate(all="ignore"):
+            secant = (after - y) / step
+        slope = np.where((secant > 0.02) & (np.abs(step) > 1e-9), secant, slope)
+        x, y = x + step, after
+    found = np.where(np.abs(wanted - y) < 1e-6, np.exp(x), np.inf)
+    return np.where(value > 0.0, found, 0.0)
+
+
+def test_force(limit: Limit, value: Values, sphere: Mapping[str, Values], radius: Values) -> Array:
+    """The force [N] in the limit's tests that is worth a row's value: what `limit.tested.law` is held against.
+
+    The equivalent force on the row's own sphere, times (D_tests/D)^a with the exponent a of `Tested`.  Parameters and
+    result as of `equivalent_force`.
+    """
+    tested = limit.tested
+    assert tested is not None
+    own = {**{k: v for k, v in tested.sphere.items() if k in ("onset_pressure", "hardness", "share")}, **sphere}
+    force = equivalent_force(limit, value, own, radius, tested.platens)
+    return np.asarray(force * (tested.diameter / (2.0 * np.asarray(radius, dtype=float))) ** tested.exponent)
+
+
+test_force.__test__ = False  # type: ignore[attr-defined]
+
+
+# --- files ----------------------------------------------------------------------------------------------------------
+
+
+def inside_folder(name: str, reader: Reader, key: str) -> Path:
+    """The file as a real path, links followed; raises Fault at `key` unless it lies in the study's folder."""
+    posix = PurePosixPath(name.replace("\\", "/"))
+    if not name or len(name) > 255 or "\0" in name or ":" in name or posix.is_absolute() or ".." in posix.parts:
+        raise Fault(f"found {shown(name)}: a study reads files of its own folder only, by a relative path", key)
+    if any(is_device_name(part) for part in posix.parts):
+        raise Fault(f"found {shown(name)}: some system takes that for a device; rename the file", key)
+    try:
+        home = reader.folder.resolve()
+        path = (home / name).resolve()
+        there, beside = path.exists(), [item.name for item in home.iterdir()] if home.is_dir() else []
+    except (OSError, RuntimeError, ValueError):
+        raise Fault(f"found {shown(name)}, which cannot be read", key) from None
+    if not path.is_relative_to(home):
+        raise Fault(f"{shown(name)} is a link that leaves the study's folder", key)
+    if not there:
+        raise Fault(f"there is no file {shown(name)} beside the study{suggestion(name, beside)}", key)
+    return path
+
+
+def open_table(name: str, reader: Reader, key: str, decimal: str | None = None) -> Table:
+    """The table of a file of the study; raises Fault at `key`."""
+    path = inside_folder(name, reader, key)
+    try:
+        return read_table(path, decimal=decimal or "")
+    except TableError as error:
+        raise Fault(str(error), key) from None
+    except (AccessError, UsageError):
+        raise Fault(f"{shown(name)} cannot be read as a file", key) from None
+
+
+def platens_of(raw: Any, bars: tuple[float, float] | None, *at: str) -> tuple[float, float]:
+    """E [Pa], infinite if rigid, and nu of what a strength was measured between; raises Fault."""
+    known = library()["bars"]
+    if isinstance(raw, Mapping):
+        if set(raw) != {"E", "nu"}:
+            raise Fault(f"a table of platens has E and nu, found {one_of(raw) if raw else 'nothing'}", *at)
+        return value_of(raw["E"], INPUTS["bars.E"]), value_of(raw["nu"], INPUTS["bars.nu"])
+    if raw == "bars":
+        if bars is None:
+            raise Fault(
+                'there are no bars here: write what it was measured between, platens = "rigid" or a material', *at
+            )
+        return bars
+    if raw == "rigid":
+        return math.inf, 0.3
+    if not isinstance(raw, str) or raw not in known:
+        raise Fault(f"found {shown(raw)}, allowed: {one_of(['bars', 'rigid', *known])}{suggestion(raw, known)}", *at)
+    return known[raw].properties["E"].value, known[raw].properties["nu"].value
+
+
+# --- distributions from a file ----------------------------------------------------------------------------------------
+
+
+def _declared(raw: Mapping[str, Any]) -> Observations:
+    """The keys of a distribution from a file; raises Fault for the first that is none."""
+    try:
+        return TypeAdapter(Observations).validate_python(dict(raw), context=None)
+    except ValidationError as error:
+        fault = error.errors(include_url=False)[0]
+        at = str(fault["loc"][0])
+        if fault["type"] == "unexpected_keyword_argument":
+            keys = [*Observations.__pydantic_fields__]
+            raise Fault(
+                f"unknown key {shown(at)}{suggestion(at, keys) or f'; known here: {one_of(keys)}'}", at
+            ) from None
+        raise Fault(f"found {shown(fault['input'])}, which cannot stand here", at) from None
+
+
+def is_tests(raw: Any) -> bool:
+    """Whether a strength is written as forces at which spheres broke."""
+    return isinstance(raw, Mapping) and ("force" in raw or "diameter" in raw) and not {"column", "draws"} & set(raw)
+
+
+def observed_law(raw: Mapping[str, Any], quantity: Quantity, reader: Reader, place: Place) -> Number:
+    """The distribution of a column, or of draws; raises Fault."""
+    table = _declared(raw)
+    if table.draws is not None:
+        return _drawn(table, quantity, reader)
+    if is_tests(raw):
+        raise Fault("forces at failure belong to the strength of a limit of the impact model", "force")
+    if table.file is None or table.column is None:
+        missing = "file" if table.file is None else "column"
+        raise Fault(f'{missing} is missing: add {missing} = "{"tests.csv" if missing == "file" else "strength"}"')
+    found = open_table(table.file, reader, "file", table.decimal)
+    with _faults(found):
+        data = found.numbers(table.column, quantity.dimension, table.unit, key="column")
+        stopped = _stopped(found, table, len(data))
+    bounds = [None if end is None else value_of(end, quantity, bounded=False) for end in (table.lower, table.upper)]
+    law = _fitted(data, stopped, table, table.fit, *bounds)
+    _warn(found, table.file, data, stopped, law, reader, place)
+    return Number(value=law, synthetic=table.synthetic)
+
+
+def _drawn(table: Observations, quantity: Quantity, reader: Reader) -> Number:
+    """The mean of the distributions that a fit allows, each a draw of its parameters."""
+    from uqsphere.uq.families.observed import DRAWN, LOGNORMAL, WEIBULL
+
+    assert table.draws is not None
+    found = open_table(table.draws, reader, "draws", table.decimal)
+    kinds = {"lognormal": LOGNORMAL, "weibull": WEIBULL}
+    with _faults(found, "draws"):
+        words = found.texts("distribution", "draws")
+        found.refuse("draws", f"distribution: {one_of(kinds)} is required", np.array([w not in kinds for w in words]))
+        scale = found.numbers("scale", quantity.dimension, table.unit, key="draws")
+        heads = [heading.split(" ")[0] for heading in found.headings]
+        shape = found.numbers("shape", key="draws")
+        least = found.numbers("least", quantity.dimension, table.unit, key="draws") if "least" in heads else 0.0 * scale
+        bound = found.numbers("bound", key="draws") if "bound" in heads else 0.0 * scale
+        tests = found.numbers("tests", key="draws") if "tests" in heads else np.zeros(1)
+        wrong = ~((scale > 0.0) & (shape > 0.0) & (least >= 0.0) & (bound >= 0.0) & (bound < 1.0))
+        found.refuse("draws", "scale and shape above 0, least from 0, bound from 0 to below 1 are required", wrong)
+    kind = np.array([kinds[word] for word in words])
+    rows = np.column_stack([kind, least, scale, shape, bound])
+    law = Law(family=DRAWN, parameters={"tests": float(tests[0])}, draws=tuple(map(tuple, rows.tolist())))
+    return Number(value=law, synthetic=table.synthetic)
+
+
+class _faults:
+    """Turns the faults of a table into one Fault, all that were noted inside together."""
+
+    def __init__(self, table: Table, key: str = "file") -> None:
+        self.table, self.key = table, key
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        try:
+            if isinstance(error, TableError):
+                raise error
+            if error is None:
+                self.table.finish()
+        except TableError as fault:
+            key = self.key if self.key == "draws" else fault.key or self.key
+            raise Fault(str(fault), key) from None
+
+
+def _stopped(found: Table, table: Observations, count: int) -> Flags:
+    if table.censored is None:
+        return np.zeros(count, dtype=bool)
+    return found.flags(table.censored, "censored", meant="0 or 1 (1: stopped)")
+
+
+def _fitted(data: Array, stopped: Flags, table: Observations, fit: str | None, lower: float | None = None,
+            upper: float | None = None) -> Law:  # fmt: skip
+    """The law of some observations; raises Fault."""
+    if len(data) < 2 or stopped.all():
+        said = f"all {len(data)} tests were stopped" if len(data) > 1 else f"found {len(data)} observation"
+        raise Fault(f"{said}: two failures or more are required", "file")
+    try:
+        return fitted_law(data[~stopped].tolist(), fit, lower, upper, censored=data[stopped].tolist(),
+                          unbiased=table.unbiased)  # fmt: skip
+    except LawError as error:
+        raise Fault(error.message, error.key if error.key in ("fit", "lower", "upper") else "file") from None
+
+
+# --- strengths from crushing tests --------------------------------------------------------------------------------------
+
+
+def tested_strength(
+    raw: Mapping[str, Any], demand: Demand, sphere: Mapping[str, float], radius: float, bars: tuple[float, float] | None,
+    reader: Reader, place: Place, *, quick: bool,
+) -> Number:  # fmt: skip
+    """The law of the strength against a demand from forces at failure, and the tests themselves; raises Fault.
+
+    sphere: E, nu, density, share, and onset_pressure and hardness where its poles yield, at their means (see
+    `equivalent_force`); radius: its mean [m];
+    bars: E and nu of the study's bars; quick: whether the study's rig is a blow.
+    """
+    table = _declared(raw)
+    for key, example in (("file", "tests.csv"), ("force", "F"), ("diameter", "D")):
+        if getattr(table, key) is None:
+            raise Fault(f'{key} is missing: add {key} = "{example}"')
+    assert table.file is not None and table.force is not None and table.diameter is not None
+    if demand.criterion is None and not follows_force(demand.quantity):
+        raise Fault(f"a force at failure is no measure of {demand.quantity}: name a criterion", "force")
+    platens = platens_of(table.platens, bars, "platens")
+    found = open_table(table.file, reader, "file", table.decimal)
+    with _faults(found):
+        force = found.numbers(table.force, "force", table.force_unit, key="force")
+        if table.diameter[:1].isdigit():
+            diameter = np.full(len(force), value_of(table.diameter, INPUTS["bars.diameter"]))
+        else:
+            diameter = found.numbers(table.diameter, "length", table.diameter_unit, key="diameter")
+        rate = None if table.rate is None else found.numbers(table.rate, "loading_rate", table.rate_unit, key="rate")
+        stopped = _stopped(found, table, len(force))
+        for key, column in (("force", force), ("diameter", diameter)):
+            found.refuse(key, f"the {key} must be above 0", column <= 0.0)
+    fit = table.fit or "weibull"
+    _warn(found, table.file, force, stopped, None, reader, place)
+    _warn_of_tests(table, force, diameter, radius, reader, place)
+    knows = demand.criterion is not None and "modulus" in CRITERIA[demand.criterion].parameters
+    g = {"ring_crack_toughness": 1.0, "energy": 0.2, "energy_sphere": 0.2, "P_max": 0.0}.get(demand.base, 2.0)
+    links = 3.0 if demand.place in ("core", "") or demand.base.endswith("energy") else 2.0
+    mean = float(diameter.mean())
+
+    def forces(exponent: float) -> tuple[Law, float]:
+        law = _fitted(force * (mean / diameter) ** exponent, stopped, table, fit)
+        return law, g - links / law.parameters["modulus"] if fit == "weibull" and g else g
+
+    law_of_force, exponent = forces(g)
+    for _ in range(60):
+        law_of_force, after = forces(exponent)
+        if abs(after - exponent) < 1e-12:
+            break
+        exponent = after
+    size = "weakest link" if fit == "weibull" and g else "none"
+    ratio = max(mean / (2.0 * radius), 2.0 * radius / mean)
+    if ratio > SIZES_REFUSED and size == "none" and not knows:
+        raise Fault(f"the tests have a mean diameter of {1e3 * mean:.4g} mm, the sphere of {2e3 * radius:.4g} mm, and no "
+                    'size law: test spheres of this size, or take fit = "weibull"', "diameter")  # fmt: skip
+    if ratio > SIZES_TOLD:
+        reader.warn((*place, "diameter"), f"the tests have a mean diameter of {1e3 * mean:.4g} mm, the sphere of "
+                    f"{2e3 * radius:.4g} mm: {'the weakest link' if size != 'none' else 'nothing'} carries the strength")  # fmt: skip
+    state = _state(force, sphere, 0.5 * diameter, platens, rate)
+    growth = 0.0 if rate is None else float(np.median(rate / force))
+    if quick and "rate_0" not in demand.parameters:
+        reader.warn(place, "slow tests, quick rig: struck rocks bore 1.24 to 2.12 times as much; that is conservative "
+                    "for survive, not for break; rate_0 of the criterion accounts for it (110 to 760 1/s)")  # fmt: skip
+    law = _of_demand(table, fit, state, stopped, demand, needs_modulus=knows and "modulus" not in demand.parameters)
+    tested = Tested(
+        diameter=mean, growth=growth or None, forces=tuple(force.tolist()), diameters=tuple(diameter.tolist()),
+        suspended=tuple(stopped.tolist()), platens=platens, sphere=dict(sphere), law=law_of_force, exponent=exponent,
+        size=size,
+    )  # fmt: skip
+    return Number(value=law, synthetic=table.synthetic, tested=tested)
+
+
+def _of_demand(
+    table: Observations, fit: str, state: Any, stopped: Flags, demand: Demand, *, needs_modulus: bool
+) -> Law:
+    """The law of the demand's values at failure; of a weakest link the modulus makes the demand, and it the modulus."""
+    if not needs_modulus:
+        return _fitted(_reached(state, demand), stopped, table, fit)
+    if fit != "weibull":
+        raise Fault('the strength of a weakest link is a Weibull distribution: write fit = "weibull"', "fit")
+    modulus = 8.0
+    for _ in range(60):
+        own = replace(demand, parameters={**demand.parameters, "modulus": modulus})
+        try:
+            law = _fitted(_reached(state, own), stopped, table, fit)
+        except ValueError as error:
+            raise Fault(f"the tests cannot be turned into a strength: {error}", "file") from None
+        before, modulus = modulus, law.parameters["modulus"]
+        if abs(modulus - before) < 1e-10 * modulus:
+            return law
+    raise Fault("no modulus agrees with itself: give it by the key modulus of the limit")
+
+
+# --- whether the numbers of a file are plausible -------------------------------------------------------------------------
+
+
+def _warn(found: Table, file: str, data: Array, stopped: Flags, law: Law | None, reader: Reader, place: Place) -> None:
+    """Warn of what the file itself and its scatter say: notes of the reader, few tests, rows apart, an unlikely fit."""
+    for note in found.notes:
+        reader.warn((*place, "file"), note)
+    if len(data) < _FEW:
+        reader.warn(
+            (*place, "file"), f"{len(data)} observations: what so few leave open is large; {_FEW} or more are a start"
+        )
+    for said in unusual_rows(data, stopped, found.lines):
+        reader.warn((*place, "file"), f"{file}: {said}")
+
+
+def unusual_rows(data: Array, stopped: Flags, lines: list[int]) -> Iterator[str]:
+    """What is odd about positive observations (n,): rows far from the rest of the logarithms, a shape of no fit.
+
+    The shape is judged by the correlation of the logarithms with the quantiles of a Weibull and of a lognormal law,
+    which depends on n alone; its distribution is simulated.
+    """
+    x = np.log(data[~stopped & (data > 0.0)])
+    if len(x) < 6:
+        return
+    middle = np.median(x)
+    deviation = 1.4826 * np.median(np.abs(x - middle))
+    apart = np.flatnonzero(np.abs(np.log(np.where(data > 0.0, data, 1.0)) - middle) > _APART * deviation)
+    if deviation > 0.0 and 0 < len(apart) <= max(1, len(data) // 10):
+        rows = ", ".join(f"line {lines[k]} ({data[k] / math.exp(middle):.3g} times the median)" for k in apart[:5])
+        yield f"{rows}: far from the other rows; a slip of the decimal point?"
+    p = np.arange(1, len(x) + 1) / (len(x) + 1.0)
+    rng = np.random.default_rng(20_240_607)
+    shares = []
+    for name in ("weibull", "lognormal"):
+        z = (
+            rng.standard_normal((2000, len(x)))
+            if name == "lognormal"
+            else np.log(rng.standard_exponential((2000, len(x))))
+        )
+        from uqsphere.arrays import special
+
+        scores = special.ndtri(p) if name == "lognormal" else np.log(-np.log1p(-p))
+        scores = scores - scores.mean()
+
+        def straight(values: Array, scores: Array = scores) -> Array:
+            values = np.sort(values, axis=-1)
+            values = values - values.mean(axis=-1, keepdims=True)
+            return np.asarray(values @ scores / np.sqrt(np.square(values).sum(axis=-1) * np.square(scores).sum()))
+
+        if np.ptp(x) > 0.0:
+            shares.append(float(np.mean(straight(z) <= straight(x))))
+    if shares and max(shares) < _UNLIKELY:
+        yield f"neither a Weibull nor a lognormal distribution fits (p = {max(shares):.2g}): mixed or faulty rows?"
+
+
+def _warn_of_tests(
+    table: Observations, force: Array, diameter: Array, radius: float, reader: Reader, place: Place
+) -> None:
+    """Warn of forces and diameters that no sphere has, with the unit that would make them usual."""
+    tension = 0.9 * force / np.square(diameter)
+    typical = float(np.median(tension))
+    if not _TENSION[0] <= typical <= _TENSION[1]:
+        given = UNITS["force"].get(table.force_unit or "", 1.0)
+        likely = [u for u in ("N", "kN", "MN") if u != table.force_unit
+                  and _TENSION[0] <= typical * UNITS["force"][u] / given <= _TENSION[1]]  # fmt: skip
+        hint = f": is the unit {one_of(likely)}?" if likely and table.force_unit else ": are the units right?"
+        with reading_units({"core_tension": unit_that_reads("core_tension", [typical])}):
+            value = format_value(typical, "core_tension", 3)
+        reader.warn((*place, "force"), f"0.9 P/D² of {table.file} is {value}, usual are "
+                    f"{_TENSION[0] / 1e6:g} to {_TENSION[1] / 1e6:g} MPa{hint}")  # fmt: skip
+    off = diameter / (2.0 * radius)
+    wrong = np.flatnonzero((off > 3.0) | (off < 1.0 / 3.0))
+    if 0 < len(wrong) < len(off):
+        reader.warn((*place, "diameter"), f"{table.file}: {len(wrong)} of {len(off)} diameters are more than three times "
+                    f"off the sphere's, the first {1e3 * diameter[wrong[0]]:.4g} mm")  # fmt: skip

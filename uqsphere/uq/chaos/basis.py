@@ -1,0 +1,294 @@
+"""Germs, their orthonormal polynomials, and products of these.
+
+A germ is the standardised random number that an input is expanded in: Hermite polynomials of a standard normal score,
+Legendre polynomials of 2Φ(z) - 1 for laws between bounds, or the polynomials of the input's own law (Jacobi's for a
+beta law, else by Stieltjes' procedure; Gautschi 2004).  A lognormal input is expanded in its logarithm: polynomials of
+a lognormal law are not complete (Ernst et al. 2012).  Points are given in the base of a germ, "normal" or "uniform", so
+that both bases of an input are compared on the same points.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.arrays import Array, special
+from uqsphere.uq.families import FAMILIES, Family
+from uqsphere.uq.law import Law
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+
+Indices: TypeAlias = npt.NDArray[np.int64]
+
+HIGHEST_DEGREE: Final = 15
+#: normal scores between which the values of a law are tabled (2e-33 lies beyond either end), and the knots of the table
+REACH, KNOTS = 12.0, 2401
+#: Gauss-Legendre nodes of a density: twice as many move coefficients by 1e-13, of a density with a kink by 2e-7
+NODES: Final = 1600
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Germ:
+    """A germ with a law of its own, at points of the base "normal" or "uniform".
+
+    `table` is the standardised value (x - centre)/half of the law over the normal score; `recurrence` (2, degree + 1)
+    the monic coefficients a, b of its polynomials.
+    """
+
+    law: Law
+    centre: float
+    half: float
+    base: str
+    table: CubicSpline
+    recurrence: Array
+
+    def values(self, points: Array) -> Array:
+        """Standardised values (n,) of the law at points (n,) of the base."""
+        scores = special.ndtri(0.5 * (points + 1.0)) if self.base == "uniform" else points
+        return np.asarray(self.table(np.clip(scores, -REACH, REACH)))
+
+
+GermLike: TypeAlias = str | Germ
+
+
+def base_of(germ: GermLike) -> str:
+    """The base that points of a germ are given in: "normal" or "uniform"."""
+    return germ.base if isinstance(germ, Germ) else germ
+
+
+def recurrence_of(germ: GermLike, degree: int) -> Array:
+    """Monic recurrence (2, degree + 1 or more) of a germ's polynomials: b is k (normal) or k²/(4 k² - 1) (uniform)."""
+    if isinstance(germ, Germ):
+        return germ.recurrence
+    k = np.arange(degree + 1.0)
+    return np.array([np.zeros_like(k), k if germ == "normal" else k * k / (4.0 * k * k - 1.0)])
+
+
+def jacobi(alpha: float, beta: float, degree: int = HIGHEST_DEGREE) -> Array:
+    """Recurrence (2, degree + 1) of the beta law with these parameters on [-1, 1] (Gautschi 2004, table 1.1).
+
+    >>> [round(float(b), 9) for b in jacobi(1.0, 1.0, 2)[1]]
+    [1.0, 0.333333333, 0.266666667]
+    """
+    k, p, q = np.arange(degree + 1.0), beta - 1.0, alpha - 1.0
+    whole = 2.0 * k + p + q
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a = (q * q - p * p) / (whole * (whole + 2.0))
+        b = 4.0 * k * (k + p) * (k + q) * (k + p + q) / (whole**2 * (whole + 1.0) * (whole - 1.0))
+    a[0], b[0] = (q - p) / (p + q + 2.0), 1.0
+    if degree:
+        b[1] = 4.0 * (1.0 + p) * (1.0 + q) / ((2.0 + p + q) ** 2 * (3.0 + p + q))
+    return np.array([a, b])
+
+
+@lru_cache(maxsize=1)
+def _legendre_nodes() -> tuple[Array, Array]:
+    nodes, weights = special.roots_legendre(NODES)
+    return np.asarray(nodes), np.asarray(weights)
+
+
+def stieltjes(density: Callable[[Array], Array], degree: int = HIGHEST_DEGREE) -> Array:
+    """Recurrence (2, degree + 1) of a density on [-1, 1], by Stieltjes' procedure (Gautschi 2004, section 2.2.3).
+
+    Raises ValueError for a density whose integral is not 1 within 1e-4.
+
+    >>> [round(float(x), 6) for x in stieltjes(lambda x: 0.5 * (1.0 + x), 1).ravel()]
+    [0.333333, 0.066667, 1.0, 0.222222]
+    """
+    nodes, weights = _legendre_nodes()
+    weights = weights * density(nodes)
+    mass = float(weights.sum())
+    if not abs(mass - 1.0) < 1e-4:
+        raise ValueError(f"the density integrates to {mass:.6g} over its bounds, not to 1")
+    found = np.ones((2, degree + 1))
+    before, now, last = np.zeros(NODES), np.ones(NODES), 1.0
+    for k in range(degree + 1):
+        square = float(weights @ now**2)
+        found[0, k] = float(weights @ (nodes * now**2)) / square
+        found[1, k] = square / last if k else 1.0
+        before, now, last = now, (nodes - found[0, k]) * now - found[1, k] * before, square
+    return found
+
+
+def germs_of(laws: Iterable[Law]) -> tuple[GermLike, ...]:
+    """What an expansion is in: the polynomials of each law where it has its own, else Legendre's or Hermite's."""
+    return tuple(_own_germ(law.family, tuple(law.parameters.items()), law.lower, law.upper) if _own_polynomials(law)
+                 else law.family.germ for law in laws)  # fmt: skip
+
+
+def _own_polynomials(law: Law) -> bool:
+    """Whether the polynomials of a law are complete, and others than those of its germ.
+
+    They are where its support is bounded or its tails fall off exponentially (Ernst et al. 2012).
+    """
+    family = law.family
+    if (family.name not in FAMILIES or family.observed or law.data or family.name == "uniform"
+            or min(law.tail_orders()) < math.inf or (family.logarithmic and math.isinf(law.upper))):  # fmt: skip
+        return False
+    # a normal law of which bounds cut off next to nothing stays one
+    return not (family.gaussian and law.mass > 1.0 - 1e-9)
+
+
+@lru_cache(maxsize=256)
+def _own_germ(family: Family, parameters: tuple[tuple[str, float], ...], lower: float, upper: float) -> GermLike:
+    """The germ of a law of its own, cut where 2e-33 is left; that of its family where it has no such polynomials."""
+    from scipy.interpolate import CubicSpline
+
+    law = Law(family=family, parameters=dict(parameters), lower=lower, upper=upper)
+    scores = np.linspace(-REACH, REACH, KNOTS)
+    values = law.from_normal(scores)
+    least = float(law.ppf(np.array([0.0]))[0])
+    low, high = (float(end if math.isfinite(end) else values[k]) for k, end in ((0, least), (-1, upper)))
+    centre, half = 0.5 * (low + high), 0.5 * (high - low)
+
+    def density(x: Array) -> Array:
+        return np.asarray(law.pdf(centre + half * x) * half)
+
+    try:
+        own = law.parameters
+        recurrence = jacobi(own["alpha"], own["beta"]) if family.name == "beta" else stieltjes(density)
+        table = CubicSpline(scores, (values - centre) / half)
+    except ValueError:
+        return family.germ
+    if not (np.isfinite(recurrence).all() and (recurrence[1] > 0.0).all()):
+        return family.germ
+    return Germ(law=law, centre=centre, half=half, base=family.germ, table=table, recurrence=recurrence)
+
+
+def orthonormal_values(germ: GermLike, points: Array, degree: int) -> Array:
+    """Values (degree + 1, n) of the orthonormal polynomials of a germ at points (n,).
+
+    sqrt(b_(k+1)) p_(k+1) = (x - a_k) p_k - sqrt(b_k) p_(k-1), with the monic coefficients a, b.
+    """
+    a, b = recurrence_of(germ, degree)
+    points = germ.values(points) if isinstance(germ, Germ) else points
+    values = np.empty((degree + 1, points.size))
+    values[0] = 1.0
+    for k in range(degree):
+        before = math.sqrt(b[k]) * values[k - 1] if k else 0.0
+        values[k + 1] = ((points - a[k]) * values[k] - before) / math.sqrt(b[k + 1])
+    return values
+
+
+def germ_points(normals: Array, germs: Sequence[GermLike]) -> Array:
+    """Independent standard normals (n, d) -> points (n, d) of the germs' bases: as they are, or 2Φ(z) - 1."""
+    points = np.array(normals, dtype=float)
+    for column, germ in enumerate(germs):
+        if base_of(germ) == "uniform":
+            points[:, column] = 2.0 * special.ndtr(points[:, column]) - 1.0
+        elif base_of(germ) != "normal":
+            raise ValueError(f"unknown germ {germ!r}; allowed: normal, uniform, or a law of its own")
+    return points
+
+
+# --- products of polynomials ----------------------------------------------------------------------
+
+
+def hyperbolic_indices(dimension: int, degree: int, norm: float, most: int) -> Indices | None:
+    """Multi-indices (P, d) with (Σ α_j^norm)^(1/norm) <= degree, or None if there are more than `most`.
+
+    >>> hyperbolic_indices(2, 2, 1.0, 100).tolist()
+    [[0, 0], [0, 1], [1, 0], [0, 2], [1, 1], [2, 0]]
+    """
+    budget = degree**norm + 1e-9
+    partial: list[tuple[tuple[int, ...], float]] = [((), 0.0)]
+    for _ in range(dimension):
+        longer = []
+        for head, used in partial:
+            for k in range(degree + 1):
+                total = used + k**norm if k else used
+                if total > budget:
+                    break
+                longer.append(((*head, k), total))
+        if len(longer) > most:
+            return None
+        partial = longer
+    rows = sorted((row for row, _ in partial), key=lambda row: (sum(row), row))
+    return np.array(rows, dtype=np.int64).reshape(len(rows), dimension)
+
+
+@lru_cache(maxsize=64)
+def nested(dimension: int, norm: float, highest: int, most: int) -> tuple[Indices, tuple[int, ...]] | None:
+    """The largest hyperbolic set of at most `most` terms, and how many of them each lower degree has.
+
+    The rows are ordered so that the set of every degree comes first.  None where degree 1 has too many.
+    """
+    sizes: list[int] = []
+    largest = None
+    for degree in range(1, highest + 1):
+        indices = hyperbolic_indices(dimension, degree, norm, most)
+        if indices is None:
+            break
+        sizes.append(len(indices))
+        largest = indices
+    if largest is None:
+        return None
+    reach = (largest.astype(float) ** norm).sum(axis=1, where=largest > 0) ** (1.0 / norm)
+    # a sum of roots may miss a whole number by rounding
+    return largest[np.argsort(np.ceil(reach - 1e-6), kind="stable")], tuple(sizes)
+
+
+def grown(active: Indices, weights: Array, highest: int, most: int) -> Indices:
+    """The terms `active` (k, d), what lies below them, and the neighbours one degree above: at most `most` terms.
+
+    A neighbour is let in where everything just below it is there (Gerstner and Griebel 2003; for regression, Jakeman,
+    Eldred and Sargsyan 2015); where there are too many, those of the terms with the largest `weights` (k,) come first.
+    """
+    rows = [tuple(int(k) for k in row) for row in active]
+    ranks = dict(zip(rows, weights.tolist(), strict=True))
+    base, waiting = set(rows), list(rows)
+    while waiting:
+        row = waiting.pop()
+        for j, k in enumerate(row):
+            below = (*row[:j], k - 1, *row[j + 1 :])
+            if k and below not in base:
+                base.add(below)
+                waiting.append(below)
+    found: dict[tuple[int, ...], float] = {}
+    for row in base:
+        for j, k in enumerate(row):
+            above = (*row[:j], k + 1, *row[j + 1 :])
+            if k >= highest or above in base or above in found:
+                continue
+            lower = [(*above[:i], m - 1, *above[i + 1 :]) for i, m in enumerate(above) if m]
+            if all(low in base for low in lower):
+                found[above] = max(ranks.get(low, 0.0) for low in lower)
+    inner = sorted(base - set(rows), key=lambda row: (sum(row), row))
+    outer = sorted(found, key=lambda row: (-found[row], sum(row), row))
+    return np.array((rows + inner + outer)[: max(most, len(rows))], dtype=np.int64)
+
+
+def skipping(active: Indices, highest: int) -> Indices:
+    """The terms (m, d) two degrees above one of `active` (k, d) in an input of it, unless these are there.
+
+    Outputs that are even or odd in an input have nothing in between: `grown` never gets past it.
+
+    >>> skipping(np.array([[0, 0], [1, 0], [1, 2]]), 4).tolist()
+    [[1, 4], [3, 0], [3, 2]]
+    """
+    rows = [tuple(int(k) for k in row) for row in active]
+    above = {(*row[:j], k + 2, *row[j + 1 :]) for row in rows for j, k in enumerate(row) if 0 < k <= highest - 2}
+    return np.array(sorted(above - set(rows)), dtype=np.int64).reshape(-1, active.shape[1])
+
+
+def products(tables: Sequence[Array], terms: Indices) -> Array:
+    """Values (P, n) of the products with degrees terms (P, d), from those (degree + 1, n) of each input."""
+    matrix = np.ones((len(terms), tables[0].shape[1]))
+    for column, table in enumerate(tables):
+        active = np.flatnonzero(terms[:, column])
+        if active.size:
+            matrix[active] *= table[terms[active, column]]
+    return matrix
+
+
+def rows_of(germs: Sequence[GermLike], points: Array, terms: Indices) -> Array:
+    """Products (P, n) of polynomials with degrees terms (P, d) at germ points (n, d)."""
+    highest = terms.max(axis=0)
+    return products([orthonormal_values(germ, points[:, j], int(highest[j])) for j, germ in enumerate(germs)], terms)

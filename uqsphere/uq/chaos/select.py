@@ -1,0 +1,158 @@
+"""Which terms of a basis to keep, judged on samples that the choice has not seen.
+
+A solver runs on all samples and on all samples but one fold, K times, next to each other ("lanes", the first of which
+has all samples): the fold left out is predicted by terms that were chosen without it.  The leave-one-out error of terms
+chosen on all samples is ten to a hundred times too small where candidates outnumber samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.arrays import Array
+
+Order: TypeAlias = npt.NDArray[np.intp]
+
+#: what is left of the square norm of the outputs by rounding, and of a row that depends on those taken before
+ROUNDING, DEPENDENT = 1e-30, 1e-8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Task:
+    """A basis (P, n) at the samples, row 0 constant; values (n,) to be fitted; the fold (n,) of every sample.
+
+    `error` gives the mean square error of predictions (n,) over the variance, in the units of the output; `most` is the
+    largest number of terms.
+    """
+
+    basis: Array
+    values: Array
+    folds: Order
+    error: Callable[[Array], float]
+    most: int
+
+    @property
+    def masks(self) -> Array:
+        """Which samples each lane sees, (1 + K, n) of 0 and 1; the first sees all."""
+        count = int(self.folds.max()) + 1
+        return np.stack([np.ones(self.folds.size), *((self.folds != k).astype(float) for k in range(count))])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Path:
+    """Rows chosen (k,), their K-fold error, and the predictions (n,) of every sample without its fold.
+
+    `ended`: more terms would have changed nothing.
+    """
+
+    rows: Order
+    error: float
+    held_out: Array
+    ended: bool
+
+
+def folds_of(n: int, folds: int) -> Order:
+    """Fold of every sample: each run of `folds` samples is dealt out in an order of its own, the same every time."""
+    folds = min(folds, n)
+    generator = np.random.default_rng(0)
+    runs = [generator.permutation(folds) for _ in range(-(-n // folds))]
+    return np.concatenate(runs)[:n].astype(np.intp)
+
+
+def forward_selection(task: Task) -> Path:
+    """Orthogonal least squares: the row that lowers the residual most (Chen, Billings and Luo 1989), in every lane.
+
+    Directions are orthonormal over the samples that a lane sees and go on over the fold left out, so that the fit is a
+    prediction there.  Correlations follow from those before by one product of the basis with the new directions.
+    """
+    basis, masks = task.basis, task.masks
+    (lanes, n), every = masks.shape, np.arange(masks.shape[0])
+    most = max(min(task.most, len(basis)), 1)
+    directions = np.empty((lanes, most, n))
+    along = np.empty((most, lanes, len(basis)))  # products of every direction with every row of the basis
+    norms = masks @ (basis**2).T
+    least = np.maximum(DEPENDENT * norms, 1e-300)
+    left = norms.copy()  # square norms of the rows beyond the span of those taken
+    residuals = masks * task.values
+    floors = ROUNDING * np.vecdot(residuals, residuals)
+    correlations = residuals @ basis.T
+    closed = np.zeros_like(left, dtype=bool)
+    rows, wanted = np.zeros(lanes, dtype=np.intp), np.ones(lanes, dtype=bool)
+    lane, sample = 1 + task.folds, np.arange(n)
+    predicted = held_out = np.zeros(n)
+    order: list[int] = []
+    best, size, looked, since = math.inf, 1, math.inf, 0
+    for k in range(most):
+        if k:
+            closed |= left <= least
+            scores = correlations**2 / np.maximum(left, least)
+            scores[closed] = -1.0
+            rows = np.argmax(scores, axis=1)
+            wanted = scores[every, rows] >= 0.0
+            if not wanted.any():
+                break
+        fresh, before = basis[rows], norms[every, rows]
+        part = np.ascontiguousarray(along[:k, every, rows].T)
+        for turn in range(2):
+            if k:
+                fresh -= np.matmul(part[:, None, :], directions[:, :k])[:, 0]
+            masked = masks * fresh
+            squares = np.vecdot(masked, masked)
+            if turn or (squares > 1e-5 * before).all():  # once is enough where something is left
+                break
+            part = np.matmul(directions[:, :k], masked[:, :, None])[:, :, 0]
+        sound = wanted & (squares > DEPENDENT * before)
+        inverse = np.where(sound, 1.0 / np.sqrt(np.where(sound, squares, 1.0)), 0.0)[:, None]
+        fresh *= inverse
+        masked *= inverse
+        directions[:, k] = fresh
+        steps = np.where(np.vecdot(residuals, residuals) > floors, np.vecdot(masked, residuals), 0.0)
+        residuals -= steps[:, None] * masked
+        predicted = predicted + steps[lane] * fresh[lane, sample]
+        np.matmul(masked, basis.T, out=along[k])
+        closed[every, rows] = True
+        order.append(int(rows[0]) if sound[0] else -1)
+        error = task.error(predicted)
+        if error < best:
+            best, size, held_out = error, k + 1, predicted
+        since = 0 if error < 0.99 * looked else since + 1
+        looked = min(looked, error)
+        if (np.vecdot(residuals, residuals) <= floors).all() or since > max(10, k // 4):
+            break
+        left -= along[k] ** 2
+        correlations -= steps[:, None] * along[k]
+    kept = np.array(order[:size], dtype=np.intp)
+    return Path(rows=kept[kept >= 0], error=best, held_out=held_out, ended=len(order) < most)
+
+
+def whole_set(task: Task, sizes: tuple[int, ...]) -> Path:
+    """All terms of a set, of the nested sets of these sizes that with the least K-fold error."""
+    masks = task.masks[1:]
+    sizes = tuple(size for size in sizes if size <= min(task.most, int(masks.sum(axis=1).min()) - 1))
+    if not sizes:
+        return Path(rows=np.zeros(1, dtype=np.intp), error=math.inf, held_out=np.zeros(task.values.size), ended=True)
+    predicted = np.empty((len(sizes), task.values.size))
+    for mask in masks:
+        inside, outside = mask == 1.0, mask == 0.0
+        q, r = np.linalg.qr(task.basis[: sizes[-1], inside].T)
+        diagonal = np.abs(np.diag(r))
+        # a column that depends on the others gets no weight
+        r[np.diag_indices_from(r)] = np.where(diagonal > 1e-10 * diagonal.max(), np.diag(r), 1e150)
+        ahead = np.linalg.solve(r.T, task.basis[: sizes[-1], outside]).T
+        fitted = np.cumsum(ahead * (q.T @ task.values[inside]), axis=1)
+        predicted[:, outside] = fitted[:, [size - 1 for size in sizes]].T
+    errors = [task.error(line) for line in predicted]
+    at = int(np.argmin(errors))
+    return Path(rows=np.arange(sizes[at], dtype=np.intp), error=errors[at], held_out=predicted[at], ended=True)
+
+
+def solve_rows(rows: Array, values: Array) -> Array:
+    """Least-squares coefficients (k,) of values (n,) in rows (k, n)."""
+    q, r = np.linalg.qr(rows.T)
+    return np.asarray(np.linalg.solve(r, q.T @ values))
