@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,14 +31,13 @@ def test_where_6_715_comes_from():
     assert 4.0 * literal == pytest.approx(4.726, abs=1e-3)
 
 
-def test_widths_of_the_printed_force_curve():
+def test_times_of_the_printed_force_curve():
     """Against the curve itself: alpha^(3/2) by (3.9)."""
 
     def force(t):
         return float(as_printed.approach(t, 1.0, 1.0)) ** 1.5
 
-    first, last = brentq(lambda t: force(t) - 0.5, 0.0, 0.5), brentq(lambda t: force(t) - 0.5, 0.5, 1.0)
-    assert as_printed.pulse_width(1.0) == pytest.approx(last - first, rel=1e-10)
+    assert as_printed.equivalent_duration(1.0) == pytest.approx(quad(force, 0.0, 1.0)[0], rel=1e-9)
     low, high = brentq(lambda t: force(t) - 0.1, 0.0, 0.5), brentq(lambda t: force(t) - 0.9, 0.0, 0.5)
     assert as_printed.rise_time(1.0) == pytest.approx(high - low, rel=1e-10)
     assert force(1.1) == 0.0
@@ -65,7 +63,7 @@ def test_peaks_are_those_of_an_endless_step(table):
 def test_values_of_the_table(table):
     full = dynamics.solve(SCENE, tolerance=1e-8).values
     closed = solve_closed(SCENE).values
-    for name in ("p_max", "P_max", "alpha_max", "a_max", "pulse_width", "rise_time", "energy"):
+    for name in ("p_max", "P_max", "alpha_max", "a_max", "contact_duration", "rise_time", "energy"):
         assert table[name].full == full[name][0]
         assert table[name].corrected == closed[name][0]
     assert table["energy"].as_printed is None
@@ -113,9 +111,3 @@ def test_a_row_without_meaning_is_refused():
     columns = {**SCENE.columns, "sphere.nu": np.array([0.7])}
     with pytest.raises(ValueError, match="outside the domain"):
         as_printed.compare(replace(SCENE, columns=columns))
-
-
-# --- the page on paper, its words, and the numbers behind its figures -----------------------------
-
-
-STUDIES = Path(__file__).parents[2] / "studies"

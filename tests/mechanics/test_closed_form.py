@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
-from conftest import CLOSED, log_peak
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import ENDLESS
 from scipy.integrate import quad
 from scipy.optimize import brentq
-from scipy.stats import norm
 
 from uqsphere.mechanics.closed_form import (
     closed_form_applies,
@@ -208,82 +204,3 @@ def test_linear_closed_form_against_the_integrator(mu, theta):
     assert found.values["P_max"][0] / force == pytest.approx(both.max(), rel=1e-8)
     energy = 0.5 * (both**2).sum(axis=0).max() * force * float(scene.scales.approach[0])
     assert found.values["energy"][0] == pytest.approx(energy, rel=1e-8)
-
-
-# --- a study whose every answer is known: rigid contact, infinite bars, a step, no mass, lognormal inputs
-
-
-TEXT = (
-    'title = "Closed form"\nseed = 12\n'
-    + CLOSED % (0.2, 0.1, 0.3)
-    + """
-[limits.crushing]
-quantity = "p_max"
-strength = { dist = "lognormal", mean = "5 GPa", cov = 0.1 }
-fracture = false
-
-[limits.rare]
-quantity = "p_max"
-strength = "5.6 GPa"
-fracture = false
-
-[analysis]
-quantities = ["p_max"]
-accuracy = { mean = 0.004, quantile = 0.02, sobol = 0.02, probability = 0.1 }
-budget = { evaluations = 400_000, time = "10 min" }
-"""
-)
-
-#: exponents of the inputs in p_max
-POWERS = {"sphere.E": 2.0 / 3.0, "sphere.radius": -2.0 / 3.0, "striker.speed": 1.0 / 3.0}
-COVS = {"sphere.E": 0.2, "sphere.radius": 0.1, "striker.speed": 0.3}
-#: variances of the logarithms, each times its power squared
-SHARES = {name: power**2 * math.log1p(COVS[name] ** 2) for name, power in POWERS.items()}
-VARIANCE = sum(SHARES.values())
-
-
-def exact() -> dict[tuple[str, ...], float]:
-    """Every answer by its path in results.json."""
-    centre, spread = log_peak((0.2, 0.1, 0.3)), math.sqrt(VARIANCE)
-    mean = math.exp(centre + 0.5 * VARIANCE)
-    found: dict[tuple[str, ...], float] = {
-        ("quantities", "p_max", "mean"): mean,
-        ("quantities", "p_max", "sd"): mean * math.sqrt(math.expm1(VARIANCE)),
-    }
-    for p in (0.01, 0.05, 0.5, 0.95, 0.99):
-        found["quantities", "p_max", "quantiles", f"{p:g}"] = math.exp(centre + spread * float(norm.ppf(p)))
-    whole = math.expm1(VARIANCE)
-    for name, share in SHARES.items():
-        found["sensitivity", "p_max", "first", name] = math.expm1(share) / whole
-        found["sensitivity", "p_max", "total", name] = 1.0 - math.expm1(VARIANCE - share) / whole
-    strength = math.log(5e9) - 0.5 * math.log1p(0.1**2)
-    both = math.sqrt(VARIANCE + math.log1p(0.1**2))
-    found["limits", "crushing", "exceedance"] = float(norm.sf((strength - centre) / both))
-    found["limits", "crushing", "margin", "median"] = math.exp(strength - centre)
-    for p in (0.05, 0.95):
-        found["limits", "crushing", "margin", f"{p:g}"] = math.exp(strength - centre + both * float(norm.ppf(p)))
-    found["limits", "rare", "exceedance"] = float(norm.sf((math.log(5.6e9) - centre) / spread))
-    return found
-
-
-def estimate_at(results: dict[str, Any], path: tuple[str, ...]) -> dict[str, Any]:
-    entry: Any = results
-    for key in path:
-        entry = entry[key]
-    return dict(entry)
-
-
-def compared(results: dict[str, Any]) -> Iterator[tuple[tuple[str, ...], float, dict[str, Any]]]:
-    for path, value in exact().items():
-        yield path, value, estimate_at(results, path)
-
-
-
-
-
-
-
-
-
-
-SEEDS = 20

@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scenes import example
 
 from tests.campaigns.stress_tables import hoop_field
-from uqsphere import load_study
 from uqsphere.mechanics import contact, criteria
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, demand, in_range
+from uqsphere.mechanics.integrator.solve import solve
 from uqsphere.mechanics.outputs import path_of
-from uqsphere.models import evaluate
 from uqsphere.quantities import OUTPUTS
-from uqsphere.study import shipped_studies
 from uqsphere.units import UNITS
 
 #: length, mass and time exponents of a dimension
@@ -199,14 +198,12 @@ def test_the_tension_of_a_grain_is_that_of_practice_over_its_factor() -> None:
 
 
 def test_the_model_answers_them_for_every_fidelity() -> None:
-    study = load_study(shipped_studies()["granite"], ['contact.law="hertz"'])
+    scene = example(rows=2, striker_speed=[0.5, 2.0])
     own = {c.quantity: key for key, c in CRITERIA.items() if c.follows == "force" and c.quantity not in (None, "p_max")}
     names = ("p_max", "P_max", "a_max", *own)
-    values = {"striker.speed": np.array([0.5, 2.0])}
     for fidelity in ("massless", "linear", "full"):
-        frame = evaluate(study, values, names, fidelity=fidelity, tolerance=1e-6)
-        fixed = study.at_means()
-        columns = {name: frame[name].to_numpy() for name in ("p_max", "P_max", "a_max")}
-        columns |= {name: np.full(2, fixed[name]) for name in ("sphere.radius", "sphere.nu", "sphere.E")}
+        found = solve(scene, fidelity=fidelity, tolerance=1e-6, quantities=names).values
+        columns = {name: found[name] for name in ("p_max", "P_max", "a_max")}
+        columns |= {name: scene.columns[name] for name in ("sphere.radius", "sphere.nu", "sphere.E")}
         for name, criterion in own.items():
-            assert frame[name].to_numpy() == pytest.approx(demand(CRITERIA[criterion], columns), rel=1e-12)
+            assert found[name] == pytest.approx(demand(CRITERIA[criterion], columns), rel=1e-12)

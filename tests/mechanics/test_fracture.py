@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import CLOSED, log_peak, middle, spread
 from scenes import ENDLESS, example
-from scipy.special import ndtr, owens_t
 
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.closed_form import loading_time
@@ -156,87 +152,6 @@ def test_balance_judged_at_fracture() -> None:
     assert fine.grade == 0
     assert "at most 0.01" in fine.text
     assert check_at_fracture(np.array([np.nan]), np.ones(1)).worst is None
-
-
-# --- whole runs -------------------------------------------------------------------------------------------
-
-TWO = (
-    'title = "Two ways to break, everything lognormal"\nseed = 5\n'
-    + (CLOSED % (0.1, 0.05, 0.1)).replace("30 ms", "8 ms")
-    + """\
-[limits.pressure]
-quantity = "p_max"
-strength = { dist = "lognormal", mean = "PRESSURE GPa", cov = 0.1 }
-[limits.force]
-quantity = "P_max"
-strength = { dist = "lognormal", mean = "FORCE kN", cov = 0.15 }
-TIE
-[analysis]
-quantities = ["p_max"]
-methods = METHODS
-budget = { evaluations = EVALUATIONS, time = "5 min" }
-accuracy = { mean = 0.02, quantile = 0.05, sobol = 0.2, probability = 0.03 }
-"""
-)
-
-
-FIXED = """
-[sphere]
-E = "52 GPa"
-nu = 0.25
-radius = "10 mm"
-density = "2650 kg/m3"
-[bars]
-E = "200 GPa"
-nu = 0.3
-density = "7850 kg/m3"
-yield_strength = "0.8 GPa"
-diameter = "40 mm"
-infinite = true
-[striker]
-speed = "0.5 m/s"
-length = "0.8 m"
-[limits.force]
-quantity = "P_max"
-strength = "1 kN"
-"""
-
-
-def exact_union(pressure: float, force: float, tie: float = 0.0) -> float:
-    """1 - P(both strengths hold): the logarithms of strength over demand are two normals, by Owen (1956)."""
-    impedance = math.pi * 0.03**2 * math.sqrt(210e9 * 7850.0)
-    log_force = math.log(0.5 * impedance) + middle(1.0, 0.1)
-    v = spread(0.1) ** 2
-    first = math.sqrt((v + 4.0 * v + 4.0 * spread(0.05) ** 2) / 9.0 + v)
-    second = math.sqrt(v + spread(0.15) ** 2)
-    rho = (v / 3.0 + tie * spread(0.1) * spread(0.15)) / (first * second)
-    h = (middle(pressure, 0.1) - log_peak((0.1, 0.05, 0.1))) / first
-    k = (middle(force, 0.15) - log_force) / second
-    root = math.sqrt(1.0 - rho**2)
-    both = 0.5 * (ndtr(h) + ndtr(k)) - owens_t(h, (k - rho * h) / (h * root)) - owens_t(k, (h - rho * k) / (k * root))
-    return float(1.0 - both)
-
-
-
-
-
-
-
-
-
-
-MORE = """
-[limits.core]
-criterion = "core_tension"
-strength = { dist = "weibull", mean = "70 MPa", modulus = 8 }
-[limits.yield]
-quantity = "p_max"
-strength = "2.4 GPa"
-fracture = false
-[limits.long]
-quantity = "time_to_first_loss"
-strength = "1 ms"
-"""
 
 
 def test_where_faces_yield_the_path_is_that_of_the_law():

@@ -9,7 +9,7 @@ from test_kernel import scaled_scene
 
 from uqsphere.bench import scattered_scene
 from uqsphere.mechanics.integrator.solve import solve
-from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
+from uqsphere.mechanics.scene import STATUS, Scene
 
 
 @pytest.mark.parametrize(
@@ -44,49 +44,6 @@ def test_ends_of_the_inputs_are_answered(name: str, value: float) -> None:
     assert found.status[0] == 0
     for quantity in ("p_max", "time_to_first_loss", "energy"):
         assert found.values[quantity][0] == pytest.approx(closer.values[quantity][0], rel=5e-6)
-
-
-# ---- answers that jump
-
-
-def grazing_scene() -> tuple[Scene, np.ndarray]:
-    """A pulse so long that contact is just lost, one that just keeps it, found by halving, and one far from both."""
-
-    def times(theta: np.ndarray) -> np.ndarray:
-        scene = scaled_scene(np.full(len(theta), 0.3), theta)
-        return np.asarray(solve(scene, tolerance=1e-12).values["time_to_first_loss"] / scene.scales.time) - theta
-
-    theta = np.linspace(1.7, 1.8, 21)
-    jump = int(np.abs(np.diff(times(theta))).argmax())
-    low, high = theta[jump], theta[jump + 1]
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        early, at = times(np.array([low, middle]))
-        low, high = (middle, high) if abs(early - at) < 0.5 else (low, middle)
-    return scaled_scene([0.3] * 3, [low, high, 1.05 * high]), np.array([low, high])
-
-
-def test_a_grazing_separation_has_two_answers() -> None:
-    scene, theta = grazing_scene()
-    assert theta[1] - theta[0] < 1e-9
-    found = solve(scene, tolerance=1e-6)
-    assert (found.status[:2] == UNDECIDED).all()
-    assert found.status[2] == 0
-    assert answered(found.status).all()
-    exact = solve(scene, tolerance=1e-12).values["time_to_first_loss"][:2]
-    assert exact[1] > 1.1 * exact[0] or exact[0] > 1.1 * exact[1]
-    # less than the tolerance lies between the two rows: both have both answers, in either order
-    for row in range(2):
-        pair = sorted([found.values["time_to_first_loss"][row], found.others["time_to_first_loss"][row]])
-        assert pair == pytest.approx(sorted(exact), rel=1e-4)
-    assert np.isnan(found.others["time_to_first_loss"][2])
-    assert set(found.others) == set(found.values)
-
-
-def test_a_row_that_is_decided_has_one_answer() -> None:
-    found = solve(scaled_scene([0.03, 1.0], [3.0, 3.0]))
-    assert (found.status == 0).all()
-    assert found.others == {}
 
 
 # ---- nothing that is not needed

@@ -22,12 +22,12 @@ from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator.solve import motion, solve
 from uqsphere.mechanics.integrator.tracked import LANES
 from uqsphere.mechanics.outputs import Answers
-from uqsphere.mechanics.scene import UNDECIDED, Scene, answered
+from uqsphere.mechanics.scene import Scene, answered
 
 SOLVER = 5.0
 EXACT = 1e-12
 
-REFERENCE = json.loads((Path(__file__).parents[1] / "data" / "reference_scenes.json").read_text())
+REFERENCE = json.loads((Path(__file__).parent / "data" / "reference_scenes.json").read_text())
 
 
 def scaled_scene(mu: Any, theta: Any, trips: Any = None, ends: Any = None, **structure: Any) -> Scene:
@@ -78,14 +78,13 @@ def test_reference_scenes_between_finite_bars() -> None:
     found = solve(Scene(columns=columns), tolerance=1e-8)
     assert (found.status == 0).all()
     # the reference is converged to about 1e-8, its times to 1e-7; its force_imbalance, a small difference, to 1e-6
-    for name, tolerance in (("p_max", 5e-8), ("P_max", 5e-8), ("time_to_first_loss", 2e-7), ("pulse_width", 2e-7),
-                            ("force_imbalance", 5e-6)):  # fmt: skip
+    for name, tolerance in (("p_max", 5e-8), ("P_max", 5e-8), ("contact_time", 2e-7), ("force_imbalance", 5e-6)):
         expected = np.array([np.nan if row["answer"][name] is None else row["answer"][name] for row in rows])
         known = np.isfinite(expected)
-        assert relative(found.values[name], expected)[known].max() < tolerance, name
-    assert found.censored["time_to_first_loss"].tolist() == [
-        row["answer"]["time_to_first_loss"] is None for row in rows
-    ]
+        values = found.values["time_to_first_loss" if name == "contact_time" else name]
+        assert relative(values, expected)[known].max() < tolerance, name
+    lost = [row["answer"]["contact_time"] is not None for row in rows]
+    assert found.censored["time_to_first_loss"].tolist() == [not one for one in lost]
 
 
 def test_reference_peaks_on_infinite_bars() -> None:
@@ -200,8 +199,7 @@ def test_the_error_falls_with_the_tolerance_and_stays_below_it() -> None:
     for tolerance in (1e-3, 1e-5, 1e-7, 1e-9):
         found = solve(scene, tolerance=tolerance)
         assert answered(found.status).all()
-        assert (found.status == UNDECIDED).mean() < 0.03
-        for name in ("p_max", "first_peak", "pulse_width", "rise_time", "force_imbalance", "energy"):
+        for name in ("p_max", "first_peak", "contact_duration", "rise_time", "force_imbalance", "energy"):
             error = relative(found.values[name], exact.values[name]) / tolerance
             # a threshold may be reached one oscillation sooner or later: a true jump, in few rows
             assert np.quantile(error, 0.98) < SOLVER, (name, tolerance)
@@ -219,7 +217,7 @@ def test_what_is_asked_for_is_what_is_answered() -> None:
     for names in (("p_max", "time_to_first_loss"), ("rise_time",), ("force_imbalance", "specific_energy")):
         found = solve(scene, tolerance=1e-7, quantities=names)
         assert set(found.values) == set(names)
-        assert set(found.censored) == {"time_to_first_loss", "pulse_width"} & set(names)
+        assert set(found.censored) == {"time_to_first_loss"} & set(names)
         for name in names:
             assert np.quantile(relative(found.values[name], every.values[name]), 0.9) < SOLVER * 1e-7
     with pytest.raises(ValueError, match="unknown quantities p_maximum"):
@@ -333,7 +331,7 @@ def test_a_short_separation_inside_a_step_is_not_passed_over() -> None:
     np.testing.assert_allclose(found, 193.18e-6, rtol=1e-4)
 
 
-def test_time_to_first_losss_do_not_depend_on_the_tolerance() -> None:
+def test_contact_times_do_not_depend_on_the_tolerance() -> None:
     """Among random scenes with short strikers, a tolerance of 1e-6 finds the separations that 1e-9 finds."""
     rng = np.random.default_rng(11)
     n = 800
@@ -345,7 +343,7 @@ def test_time_to_first_losss_do_not_depend_on_the_tolerance() -> None:
     loose, tight = (solve(scene, tolerance=tolerance, quantities=("time_to_first_loss",)) for tolerance in (1e-6, 1e-9))
     assert (loose.status == 0).all()
     apart = np.abs(loose.values["time_to_first_loss"] / tight.values["time_to_first_loss"] - 1.0) > 1e-4
-    # a grazing separation is undecided within the tolerance: at most one in a thousand scenes
+    # a separation that grazes is decided by less than the tolerance: at most two in a thousand scenes
     assert apart.mean() <= 2e-3
 
 

@@ -1,57 +1,56 @@
-"""Models and studies that must meet in a limit, all seen through study files and evaluate()."""
+"""Models and scenes that must meet in a limit."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
+from scenes import ENDLESS, EXAMPLE, example
 
-from uqsphere.models import evaluate
-from uqsphere.study import Study
+from uqsphere.mechanics.integrator.solve import solve
+from uqsphere.mechanics.scene import Scene
 
-INFINITE = ("bars.infinite=true",)
-Build = Callable[..., Study]
+#: a sphere of 10 mm between bars of 12 mm: heavy enough for both faces and echoes
+HEAVY = {
+    **EXAMPLE, "sphere.E": 60e9, "sphere.radius": 5e-3, "bars.E": 200e9, "bars.diameter": 0.012,
+    "bars.incident_length": 0.4, "bars.receiving_length": 0.4, "striker.speed": 5.0, "striker.length": 0.1,
+}  # fmt: skip
+WITHOUT_ENDS = {name: number for name, number in HEAVY.items() if not name.endswith(("length", "end"))}
 
 
-def column(study: Study, name: str, fidelity: str = "full", tolerance: float = 1e-9) -> float:
-    return float(evaluate(study, {}, (name,), fidelity=fidelity, tolerance=tolerance)[name][0])
+def value(scene: Scene, name: str, fidelity: str = "full") -> float:
+    return float(solve(scene, fidelity=fidelity, tolerance=1e-9, quantities=(name,)).values[name][0])
 
 
-def test_linear_is_the_secant_of_full(study_from: Build) -> None:
+def test_linear_is_the_secant_of_full() -> None:
     """Both springs carry P_0 at alpha_c: under a long pulse the forces end at the same place."""
-    study = study_from(*INFINITE, 'pulse={shape="step"}', 'model.horizon="2 ms"', 'sphere.density="20 kg/m3"')
-    full, linear = (column(study, "P_max", fidelity) for fidelity in ("full", "linear"))
-    assert linear == pytest.approx(full, rel=0.05)
-    assert linear != full
-    assert column(study, "alpha_max", "linear") == pytest.approx(column(study, "alpha_max", "full"), rel=0.05)
+    scene = example("step", numbers={**WITHOUT_ENDS, "sphere.density": 20.0}, infinite=True, horizon=2e-3)
+    for name in ("P_max", "alpha_max"):
+        assert value(scene, name, "linear") == pytest.approx(value(scene, name), rel=0.05)
+    assert value(scene, "P_max", "linear") != value(scene, "P_max")
 
 
-def test_infinite_bars_are_long_bars_before_the_first_echo(study_from: Build) -> None:
-    long = study_from('bars.incident_length="50 m"', 'bars.receiving_length="50 m"', 'model.horizon="3 ms"')
-    infinite = study_from(*INFINITE, 'model.horizon="3 ms"')
-    names = ("p_max", "first_peak", "force_imbalance", "energy", "rise_time", "pulse_width")
-    one, two = (evaluate(study, {}, names, tolerance=1e-9) for study in (long, infinite))
+def test_infinite_bars_are_long_bars_before_the_first_echo() -> None:
+    long = example(numbers={**HEAVY, "bars.incident_length": 50.0, "bars.receiving_length": 50.0}, horizon=3e-3)
+    infinite = example(numbers={**WITHOUT_ENDS, "striker.length": 0.1}, infinite=True, horizon=3e-3)
+    names = ("p_max", "first_peak", "force_imbalance", "energy", "rise_time", "contact_duration")
+    one, two = (solve(scene, tolerance=1e-9, quantities=names).values for scene in (long, infinite))
     for name in names:
         assert one[name][0] == pytest.approx(two[name][0], rel=1e-7), name
 
 
-def test_bars_that_reflect_nothing_are_infinite(study_from: Build) -> None:
-    ends = ('bars.incident_end="absorbing"', 'bars.receiving_end="absorbing"', 'model.horizon="500 us"')
-    dull = study_from(*ends)
-    infinite = study_from(*INFINITE, 'model.horizon="500 us"')
-    for name in ("p_max", "energy", "force_imbalance"):
-        assert column(dull, name) == pytest.approx(column(infinite, name), rel=1e-12), name
+def test_bars_that_reflect_nothing_are_infinite() -> None:
+    dull = example(numbers={**HEAVY, "bars.incident_end": 0.0, "bars.receiving_end": 0.0}, horizon=5e-4)
+    infinite = example(numbers={**WITHOUT_ENDS, "striker.length": 0.1}, infinite=True, horizon=5e-4)
+    for name in ("p_max", "energy", "force_imbalance", "contact_duration"):
+        assert value(dull, name) == pytest.approx(value(infinite, name), rel=1e-12), name
 
 
-def test_the_first_loading_ends_at_the_echo(study_from: Build) -> None:
-    whole = study_from()
-    first = study_from("model.first_loading_only=true")
-    frame = evaluate(first, {}, ("p_max", "first_peak"), tolerance=1e-9)
-    assert frame["p_max"][0] == frame["first_peak"][0] == pytest.approx(column(whole, "first_peak"), rel=1e-7)
+def test_the_first_loading_ends_at_the_echo() -> None:
+    first = example(numbers=HEAVY, first_loading_only=True)
+    assert value(first, "p_max") == value(first, "first_peak")
+    assert value(first, "p_max") == pytest.approx(value(example(numbers=HEAVY), "first_peak"), rel=1e-7)
 
 
-OTHER_UNITS = (
-    ("52 GPa", "52000 MPa"), ("60 GPa", "60000 MPa"), ("5 mm", "5000 um"), ("0.05 mm", "50 um"),
-    ("2650 kg/m3", "2.65 g/cm3"), ("200 GPa", "2e11 Pa"), ("1500 MPa", "1.5 GPa"), ("12 mm", "1.2 cm"),
-    ("0.4 m", "400 mm"), ("5 m/s", "18 km/h"), ("0.1 m", "10 cm"), ("6 GPa", "0.006 TPa"), ("10 min", "600 s"),
-)  # fmt: skip
+def test_a_massless_model_is_the_limit_of_a_light_sphere() -> None:
+    scene = example(numbers={**ENDLESS, "sphere.density": 2.0}, infinite=True)
+    for name in ("p_max", "contact_duration"):
+        assert value(scene, name, "massless") == pytest.approx(value(scene, name), rel=5e-3)

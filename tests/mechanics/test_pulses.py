@@ -8,13 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import EXAMPLE, example
 
-import uqsphere
-from uqsphere.errors import StudyError
 from uqsphere.mechanics import bars
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.pulses import DEFAULT_VALLEY, PRESETS, Pulse, build_pulse, pulse_value, striker_steps
 from uqsphere.mechanics.scene import Scene
-from uqsphere.quantities import INPUTS
 
 EXACT = 1e-12
 TWO_PEAK = {"t1": [19e-6], "level1": [1.0], "t2": [60e-6], "level2": [0.8]}
@@ -228,19 +225,6 @@ def test_a_very_stiff_striker_is_refused():
         Scene(columns={name: np.array([1.0]) for name in [*BASE, "striker.E"]}, shape="half_sine")
 
 
-# --- in a study ---------------------------------------------------------------------------------------
-
-
-def test_a_preset_is_its_numbers(study_from):
-    for name, (shape, numbers) in PRESETS.items():
-        study = study_from(f'pulse.preset="{name}"', 'bars.incident_length="3 m"')
-        assert study.options["pulse.shape"] == shape
-        assert {key: study.fixed[f"pulse.{key}"] for key in numbers} == dict(numbers)
-        assert all(f"pulse.{key}" in INPUTS for key in numbers)
-    own = study_from('pulse.preset="short"', "pulse.level2=0.3")
-    assert own.fixed["pulse.level2"] == 0.3
-
-
 def test_presets_have_the_durations_of_the_paper():
     assert [PRESETS[name][1]["duration"] for name in ("very_short", "short", "long")] == [24.8e-6, 60e-6, 400e-6]
     second = PRESETS["very_short"][1]["t2"]
@@ -248,32 +232,3 @@ def test_presets_have_the_durations_of_the_paper():
     values = pulse_value(pulse, 0, second + np.array([-1e-6, 0.0, 1e-6]))
     assert second == 19e-6
     assert values[1] == max(values)
-
-
-def test_a_striker_of_a_material(study_from):
-    study = study_from('striker.material="aluminium"', 'striker.diameter="10 mm"')
-    assert study.materials["striker"] == "aluminium"
-    assert study.fixed["striker.diameter"] == 0.01
-    frame = uqsphere.evaluate(study, {"striker.speed": np.array([5.0])}, quantities=("p_max",), tolerance=1e-6)
-    plain = uqsphere.evaluate(study_from(), {"striker.speed": np.array([5.0])}, quantities=("p_max",), tolerance=1e-6)
-    assert 0.3 * plain["p_max"][0] < frame["p_max"][0] < plain["p_max"][0]
-
-
-@pytest.mark.parametrize(
-    ("overrides", "words"),
-    [
-        (('pulse.preset="longest"',), "allowed: very_short, short or long"),
-        (('pulse.preset="long"', 'pulse.shape="half_sine"'), "leave shape or preset out"),
-        (('pulse.preset="long"',), "longer than the round trip"),
-        (('striker.material="granite"',), "unknown material"),
-        (('striker.diameter="40 mm"',), "at most 9 is allowed"),
-        (('striker.diameter="20 mm"',), "longer than the round trip"),
-        (('striker.diameter="10 mm"', 'pulse.shape="half_sine"'), "does not follow from the striker"),
-        (('pulse.shape="ramp"',), "rise is missing"),
-        (('pulse.shape="ramp"', 'pulse.rise="200 us"'), "exceeds the width"),
-        (('pulse.shape="ramp"', 'pulse.rise="20 us"', 'pulse.fall="1 us"'), "does not belong to a ramp pulse"),
-    ],
-)
-def test_what_does_not_go_together_is_refused(study_from, overrides, words):
-    with pytest.raises(StudyError, match=words):
-        study_from(*overrides)

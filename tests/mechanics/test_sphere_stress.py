@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -22,21 +21,9 @@ from tests.campaigns.stress_tables import (
 )
 from tests.independent import elements
 from tests.independent.elements import compare, make_mesh, solve_elements
-from uqsphere import load_study
 from uqsphere.mechanics import stress
 from uqsphere.mechanics.contact import centre_tension
-from uqsphere.mechanics.stress import (
-    Load,
-    core_ratio,
-    load_coefficients,
-    pressure_on_surface,
-    series_stress,
-    surface_stress,
-)
-from uqsphere.report.figures.history import write_history
-from uqsphere.report.figures.scene import stress_picture
-from uqsphere.report.history import history
-from uqsphere.study import shipped_studies
+from uqsphere.mechanics.stress import Load, load_coefficients, pressure_on_surface, series_stress, surface_stress
 
 Array = npt.NDArray[np.float64]
 
@@ -388,31 +375,3 @@ def test_uniform_pressure_is_exact() -> None:
     found = solve_elements(0.5, 0.3, mesh, pressure=lambda sine: np.ones_like(sine))
     assert found.stress[:, :3] == pytest.approx(-1.0, abs=1e-4)
     assert np.abs(found.stress[:, 3]).max() < 1e-4
-
-
-# --- the picture of the stress inside the sphere --------------------------------------------------
-
-
-def test_it_says_what_the_table_says() -> None:
-    picture = stress_picture(0.1, 0.25, 2.5e9)
-    assert f"{float(core_ratio(0.1, 0.25)[0]) * 2500:.1f} MPa" in picture.finding
-    axes = picture.figure.axes[0]
-    mark = next(line for line in axes.lines if line.get_marker() == "o")
-    assert mark.get_ydata()[0] == pytest.approx(1.0 - float(core_ratio(0.1, 0.25)[1]))
-
-
-@pytest.mark.parametrize(("ratio", "nu"), [(0.4, 0.2), (0.001, 0.2), (0.1, -0.1)])
-def test_outside_the_tables_there_is_none(ratio: float, nu: float) -> None:
-    with pytest.raises(ValueError, match="outside the tables"):
-        stress_picture(ratio, nu, 1e9)
-
-
-def test_a_history_brings_it_along(tmp_path: Path) -> None:
-    study = load_study(shipped_studies()["granite"])
-    found = history(study)
-    written = {path.name for path in write_history(found, tmp_path)}
-    assert "stress.svg" in written
-    largest = max(found.pressure_a.max(), found.pressure_b.max())
-    assert f"{np.format_float_positional(largest / 1e9, 3, fractional=False, trim='-')} GPa" in (
-        tmp_path / "stress.svg"
-    ).read_text(encoding="utf-8")

@@ -173,10 +173,3 @@ def test_an_endless_step_has_no_infinite_number():
     found = checks(scene_with(shape="step", infinite=True, horizon=1e-3))["force_level"]
     assert (found.grade, found.worst) == (0, None)
     assert "inf" not in found.text
-
-
-def test_a_sphere_that_breaks_by_its_damage_is_told():
-    scene = scene_with(contact_law="damage", contact_gamma=5.0, contact_fracture_energy=50.0)
-    peak = 3.0 / (3.0 + 2.0 * 5.0)
-    assert checks(scene, damage=0.99 * peak)["broken_by_damage"].grade == 0
-    assert checks(scene, damage=peak)["broken_by_damage"].grade == 2

@@ -8,7 +8,7 @@ import pytest
 
 from uqsphere.mechanics.yielding import Face, metal_onset
 
-THETA = Path(__file__).parents[1] / "data" / "face_law.csv"
+THETA = Path(__file__).parent / "data" / "face_law.csv"
 
 
 def face(b: float, pile_up: float, onset: float = 1e9) -> Face:

@@ -13,11 +13,10 @@ from tests.independent.yielding import Law, follow
 from uqsphere.mechanics.integrator import faces, solve
 from uqsphere.mechanics.integrator.tracked import (
     ANSWER_CONTACT,
+    ANSWER_DURATION,
     ANSWER_FACES,
     ANSWER_RISE,
     ANSWER_UNLOADINGS,
-    ANSWER_WIDTH,
-    ANSWER_WIDTHS,
     ANSWER_X_FIRST,
     ANSWER_X_MAX,
     LAW_STIFFNESS,
@@ -27,7 +26,7 @@ from uqsphere.mechanics.integrator.tracked import (
 )
 from uqsphere.mechanics.scene import Scene
 
-SCENES = json.loads((Path(__file__).parents[1] / "data" / "contact_scenes.json").read_text())["scenes"]
+SCENES = json.loads((Path(__file__).parent / "data" / "contact_scenes.json").read_text())["scenes"]
 STEEL = {"bars.E": 205e9, "bars.nu": 0.29, "bars.density": 7850.0, "bars.diameter": 0.04}
 GRANITE = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0}
 
@@ -66,8 +65,8 @@ def test_converged_scenes(case):
         "first_P": faces.pressed(answers[[ANSWER_X_FIRST]] * scale.approach / faces.onset_approach).force,
     }.items():
         assert value[0] == pytest.approx(wanted[name], rel=1e-7), name
-    if wanted["time_to_first_loss"] is not None:
-        assert answers[ANSWER_CONTACT] * scale.time[0] == pytest.approx(wanted["time_to_first_loss"], rel=1e-7)
+    if wanted["contact_time"] is not None:
+        assert answers[ANSWER_CONTACT] * scale.time[0] == pytest.approx(wanted["contact_time"], rel=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -123,10 +122,10 @@ def test_what_never_yields_has_the_bits_of_hertz():
     elastic = solve.integrate(granite_rows(), threads=1)
     hard = solve.integrate(granite_rows(onset_pressure=50e9, hardness=90e9, pile_up=2.0), threads=1)
     assert np.array_equal(hard.steps, elastic.steps)
-    same = [k for k in range(ANSWER_FACES) if not ANSWER_WIDTH <= k <= ANSWER_RISE and k < ANSWER_WIDTHS]
+    same = [k for k in range(ANSWER_FACES) if k != ANSWER_RISE]
     assert np.array_equal(hard.answers[:, same], elastic.answers[:, same], equal_nan=True)
     # thresholds are approaches of a force, not shares of an approach: the same but for rounding
-    timed = [ANSWER_WIDTH, ANSWER_RISE]
+    timed = [ANSWER_RISE, ANSWER_DURATION]
     assert hard.answers[:, timed] == pytest.approx(elastic.answers[:, timed], rel=1e-12, nan_ok=True)
     assert np.array_equal(
         hard.answers[:, ANSWER_FACES : ANSWER_FACES + 2].max(axis=1), elastic.answers[:, ANSWER_X_MAX]
@@ -152,7 +151,7 @@ def test_a_fall_that_is_over_before_the_next_point_of_a_step_is_seen():
         "bars.diameter": 0.82047, "pulse": "step", "infinite": True, "horizon": 30.07,
     }  # fmt: skip
     scene = scene_of(numbers, onset_pressure=149.864e3, hardness=149.864e3, pile_up=1.0)
-    names = ("rise_time", "pulse_width", "P_max", "dent", "energy")
+    names = ("rise_time", "contact_duration", "P_max", "dent", "energy")
     rough, fine = (solve.solve(scene, tolerance=tolerance, threads=1, quantities=names) for tolerance in (1e-6, 1e-9))
     for name in names:
         assert rough.values[name] == pytest.approx(fine.values[name], rel=1e-7), name
@@ -175,7 +174,7 @@ def test_thresholds_of_force_are_as_close_as_the_approaches(numbers, law):
              "bars.density", "bars.diameter", "horizon")  # fmt: skip
     given = {**dict(zip(names, numbers, strict=True)), "pulse": "step", "infinite": True}
     scene = scene_of(given, **dict(zip(("onset_pressure", "hardness", "pile_up"), law, strict=True)))
-    times = ("rise_time", "pulse_width", "time_to_first_loss")
+    times = ("rise_time", "time_to_first_loss")
     rough, fine = (solve.solve(scene, tolerance=tolerance, threads=1, quantities=times) for tolerance in (1e-6, 1e-10))
     for name in times:
         assert rough.values[name] == pytest.approx(fine.values[name], rel=1e-6), name
@@ -196,10 +195,9 @@ def there_and_back(given, pressed, approach):
     [
         ((0.3, 3.0, 2.0), (0.31, 0.5, 1.0, 30.0)),
         ((0.3, 0.0, 1.0), (0.31, 0.5, 1.0, 30.0)),
-        ((2.0, 4.0, 0.0), (1e-6, 0.2, 1.0, 1.4)),
         ((np.inf, 1.0, 1.0), (1e-6, 0.2, 1.0, 30.0)),
     ],
-    ids=["plastic", "Thornton", "damage", "elastic"],
+    ids=["plastic", "Thornton", "elastic"],
 )
 def test_virgin_loading_reaches_a_force_where_it_is_said_to(law, approaches):
     given = np.ones((LAWS, 2))
@@ -240,10 +238,10 @@ def test_a_linear_contact_does_not_yield():
 def test_a_motion_has_approaches_and_forces_of_faces_that_yield(case):
     scene = scene_of(case["scene"])
     found = solve.motion(scene, 0, tolerance=1e-8)
-    times = np.linspace(0.0, case["answer"]["time_to_first_loss"], 20_001)
+    times = np.linspace(0.0, case["answer"]["contact_time"], 20_001)
     assert found.forces_at(times).max() == pytest.approx(case["answer"]["P_max"], rel=1e-4)
     assert found.states_at(times)[:, :2].max() == pytest.approx(case["answer"]["alpha_max"], rel=1e-4)
     # where contact is lost first, the dent stays
-    at = found.states_at(np.array([case["answer"]["time_to_first_loss"]]))[0]
+    at = found.states_at(np.array([case["answer"]["contact_time"]]))[0]
     dents = [case["answer"][f"residual_{face}"] for face in "AB"]
     assert min(abs(at[:2] - dents)) < 1e-6 * case["answer"]["alpha_max"]
