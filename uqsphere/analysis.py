@@ -5,9 +5,9 @@
 * of independent observations: `f(values)`.
 
 `inputs` maps names to laws: of this package, their tables as in a study (`{"dist": "normal", "mean": 0, "sd": 1}`),
-distributions of scipy.stats or chaospy, observations, or a problem dict of SALib; `joint` ties them.  Every number comes
-as an `Estimate` with its 95 % interval; results have `to_frame()`; units are those of what is given.  All raise
-UsageError for arrays that do not go together, values that are not finite, and laws that cannot be made.
+distributions of scipy.stats or chaospy, observations, or a problem dict of SALib; `joint` ties them.  Every number is
+an `Estimate` with its 95 % interval; results have `to_frame()`; units are those of what is given.  All raise UsageError
+for arrays that do not go together, values that are not finite, and laws that cannot be made.
 
 >>> import numpy as np
 >>> from scipy import stats
@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 __all__ = [
-    "Expansion", "Failure", "Fragility", "Indices", "chaos", "failure_probability", "fragility", "joint",
-    "lognormal_fit", "moments", "quantiles", "shapley_effects", "sobol_indices", "weibull_fit",
+    "Answers", "Expansion", "Failure", "Fragility", "chaos", "failure_probability", "fragility", "joint",
+    "lognormal_fit", "moments", "quantiles", "sobol_indices", "weibull_fit",
 ]  # fmt: skip
 
 #: named laws, a problem dict of SALib, or what `joint` made of them
@@ -63,29 +63,17 @@ def _refusing() -> Iterator[None]:
         raise UsageError(str(error)) from error
 
 
-def _rows(estimates: Mapping[Any, Estimate], key: str) -> DataFrame:
-    from pandas import DataFrame
-
-    columns = ("value", "low", "high", "std_error", "evaluations", "method", "reason")
-    return DataFrame([{key: name, **{c: getattr(e, c) for c in columns}} for name, e in estimates.items()])
-
-
-class Indices(dict[str, dict[str, Estimate]]):
-    """Indices of every input by their order: {"first": {"a": Estimate, ...}, ...}."""
+class Answers(dict[Any, Any]):
+    """Estimates by name or probability; indices by order, then input."""
 
     def to_frame(self) -> DataFrame:
-        """One row for each order and input: value, low, high, std_error, evaluations, method, reason."""
-        from pandas import concat
+        """One row for each estimate: order and name, value, low, high, std_error, evaluations, method, reason."""
+        from pandas import DataFrame
 
-        return concat([_rows(row, "input").assign(order=order) for order, row in self.items()], ignore_index=True)
-
-
-class Answers(dict[Any, Estimate]):
-    """Estimates by name or probability."""
-
-    def to_frame(self) -> DataFrame:
-        """One row for each answer: value, low, high, std_error, evaluations, method, reason."""
-        return _rows(self, "answer")
+        flat = [(order, name, e) for order, row in self.items() if isinstance(row, dict) for name, e in row.items()]
+        flat = flat or [("", name, e) for name, e in self.items()]
+        columns = ("value", "low", "high", "std_error", "evaluations", "method", "reason")
+        return DataFrame([{"order": o, "name": n, **{c: getattr(e, c) for c in columns}} for o, n, e in flat])
 
 
 def joint(
@@ -146,8 +134,8 @@ def chaos(x: Any, y: Any, inputs: Inputs, *, plain: bool = False, seed: int = 0)
         return fit_expansion(rows, values, given, plain=plain, seed=seed)
 
 
-def sobol_indices(x: Any, y: Any, inputs: Inputs, *, seed: int = 0) -> Indices:
-    """First and total Sobol' indices {"first": {input: Estimate}, "total": ...}; Kucherenko's of inputs that are tied.
+def sobol_indices(x: Any, y: Any, inputs: Inputs, *, seed: int = 0) -> Answers:
+    """Sobol' indices {"first": {input: Estimate}, "total": ...}; of tied inputs Kucherenko's, and {"shapley": ...}.
 
     By an expansion whose residuals correct them.  What n rows cannot show, an event rarer than 3/n, is in no interval:
     the method of every estimate says so.  Raises UsageError where the expansion leaves more than 5 % of the variance.
@@ -157,23 +145,7 @@ def sobol_indices(x: Any, y: Any, inputs: Inputs, *, seed: int = 0) -> Indices:
     if not found.response.usable:
         raise UsageError(f"no indices from these rows: {found.response.reason}; give more rows, or call the model")
     with _refusing():
-        return Indices({order: row for order, row in found.indices().items() if order != "shapley"})
-
-
-def shapley_effects(x: Any, y: Any, inputs: Inputs, *, seed: int = 0) -> Answers:
-    """Shapley effects of inputs that may depend on each other: shares of the variance that sum to 1, by input.
-
-    On the expansion (E. Song, B. L. Nelson, J. Staum, SIAM/ASA J. Uncertainty Quantification 4, 2016, 1060), with what
-    the expansion lacks.  Raises UsageError as `sobol_indices`.
-    """
-    from uqsphere.uq.shapley import dependent_shares
-
-    found = chaos(x, y, inputs, seed=seed)
-    assert found.response is not None
-    if not found.response.usable:
-        raise UsageError(f"no effects from these rows: {found.response.reason}")
-    with _refusing():
-        return Answers(zip(found.names, dependent_shares(found.response, found.joint)["shapley"], strict=True))
+        return Answers(found.indices())
 
 
 # --- a model that is called -------------------------------------------------------------------------------------
@@ -214,7 +186,7 @@ class Failure:
 
     def to_frame(self) -> DataFrame:
         """One row: the probability, whether it is sure, the warning, and the design point by input."""
-        frame = _rows({"failure_probability": self.probability}, "answer")
+        frame = Answers(failure_probability=self.probability).to_frame()
         return frame.assign(sure=self.sure, warning=self.warning, **self.design_point)
 
 
@@ -233,7 +205,7 @@ def failure_probability(
     limit : dict of name -> (n,) in, (n,) out
     evaluations : the most that may be spent
     accuracy : half-width of the 95 % interval over the probability at which it ends
-    on_failure : rows that are nan, or raise, count into the ends of the interval ("bound") or raise UsageError ("refuse")
+    on_failure : rows that are nan, or raise, count into the ends ("bound") or raise UsageError ("refuse")
     """
     with _refusing():
         given = joint_of(inputs)
@@ -241,8 +213,9 @@ def failure_probability(
         def function(z: Array) -> Array:
             return _called(limit, dict(zip(given.names, given.physical(z).T.copy(), strict=True)))
 
-        found = rare.failure_probability(function, len(given.names), on_failure=on_failure, seed=seed, accuracy=accuracy,
-                                         budget=evaluations)  # fmt: skip
+        found = rare.failure_probability(
+            function, len(given.names), on_failure=on_failure, seed=seed, accuracy=accuracy, budget=evaluations
+        )
     return Failure(probability=found.estimate, sure=found.sure, warning="" if found.sure else "; ".join(found.checks),
                    design_point=found.design_point(given.names, given.physical))  # fmt: skip
 
@@ -267,8 +240,7 @@ def fragility(
 ) -> Fragility:  # fmt: skip
     """Probability that the model's answer exceeds a strength, over levels of one more input.
 
-    The strength is integrated exactly, and the same points serve every level, so that the curve is smooth.  Rows without
-    an answer count once as exceeding and once as not.
+    The strength is integrated exactly, and the same points serve every level, so that the curve is smooth.
 
     Parameters
     ----------
@@ -283,16 +255,18 @@ def fragility(
             raise UsageError(f"{free} is free and cannot scatter besides")
         law = float(strength) if isinstance(strength, int | float) else as_law(strength)
         count = max(evaluations // (REPLICATES * max(grid.size, 1)), 8)
-        points = np.concatenate([special.ndtri(sobol_points(dimension=len(given.names), count=count, seed=seed,
-                                                            task="fragility", replicate=r)) for r in range(REPLICATES)])  # fmt: skip
-        columns = dict(zip(given.names, given.physical(points).T.copy(), strict=True))
+        d = len(given.names)
+        points = [sobol_points(dimension=d, count=count, seed=seed, task="fragility", replicate=r)
+                  for r in range(REPLICATES)]  # fmt: skip
+        x = given.physical(special.ndtri(np.concatenate(points)))
+        columns = dict(zip(given.names, x.T.copy(), strict=True))
         rows = []
         for level in grid:
-            answers = _called(model, {**columns, free: np.full(len(points), level)})
+            answers = _called(model, {**columns, free: np.full(len(x), level)})
             if not np.isfinite(answers).all():
                 raise UsageError(f"the model has no finite answer at {free} = {level:g}")
             rows.append(tails(LimitState(demands=answers.reshape(REPLICATES, count), strength=law))[0].mean(axis=1))
-        found = curve.fragility(grid, np.array(rows), probabilities, samples=count, evaluations=grid.size * len(points))
+        found = curve.fragility(grid, np.array(rows), probabilities, samples=count, evaluations=grid.size * len(x))
     return Fragility(curve=np.array(found.curve), values=found.values)
 
 
@@ -330,15 +304,17 @@ def quantiles(values: npt.ArrayLike, probabilities: Sequence[float] = (0.05, 0.5
         if low < 0 or high >= x.size:
             found[p] = absent(f"{x.size} values are too few for the {p:g} quantile", "order statistics", x.size)
         else:
-            found[p] = between(float(np.quantile(x, p)), float(x[low]), float(x[high]), x.size, "order statistics", x.size)
+            found[p] = between(
+                float(np.quantile(x, p)), float(x[low]), float(x[high]), x.size, "order statistics", x.size
+            )
     return found
 
 
 def weibull_fit(values: npt.ArrayLike, stopped: npt.ArrayLike | None = None) -> StrengthFit:
     """The two-parameter Weibull law of strengths (n,), some of whose tests were stopped before failure (n,).
 
-    Largest likelihood, the factor that takes its bias out, and intervals of 95 % that hold for any n (D. R. Thoman, L. J.
-    Bain, C. E. Antle, Technometrics 11, 1969, 445; ISO 20501): `shape` the modulus, `scale` in the values' unit.
+    Largest likelihood, the factor that takes its bias out, and intervals of 95 % that hold for any n (D. R. Thoman,
+    L. J. Bain, C. E. Antle, Technometrics 11, 1969, 445): `shape` the modulus, `scale` in the values' unit.
     """
     with _refusing():
         return fit_strength(make_tests(values, stopped), STRENGTHS["weibull"])

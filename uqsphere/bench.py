@@ -77,9 +77,9 @@ def _by_scipy(scene: Scene, tolerance: float) -> Array:
                 return [2.0 * f - q1 - y[2], y[2] - q2, (q1 - q2) / mu]
 
             rates = [lambda t, y, k=k, slope=slope: slope(t, y)[k] for k in (0, 1)]
-            found = solve(slope, (begin, end), state, "DOP853", events=rates, rtol=tolerance, atol=0.01 * tolerance)
-            state = found.y[:, -1]
-            peak = max([peak, *state[:2], *(float(y[k]) for k in (0, 1) for y in found.y_events[k])])
+            solution = solve(slope, (begin, end), state, "DOP853", events=rates, rtol=tolerance, atol=0.01 * tolerance)
+            state = solution.y[:, -1]
+            peak = max([peak, *state[:2], *(float(y[k]) for k in (0, 1) for y in solution.y_events[k])])
         return peak
 
     scales = scene.scales
@@ -173,10 +173,10 @@ def bench(*, rows: int = 1024, rounds: int = 3) -> pd.DataFrame:
             part = scene.at(slice(count))
             for setting in settings:
                 began = time.process_time()
-                found = solve(part, setting)
+                pressures = solve(part, setting)
                 seconds = (time.process_time() - began) / count
                 if turn == 0:
-                    error = np.abs(found / reference[:count] - 1.0)
+                    error = np.abs(pressures / reference[:count] - 1.0)
                     entries[name, setting] = {
                         "contender": name, "setting": f"{kind} {setting:g}", "seconds_per_row": math.inf,
                         "median_error": float(np.median(error)), "largest_error": float(error.max()), "rows": count,

@@ -200,9 +200,9 @@ class Table:
         first: dict[tuple[str, ...], int] = {}
         again = [k for k, row in enumerate(self.rows) if first.setdefault(tuple(row), k) != k]
         if again and (len(again) > 1 or len(set(self.rows[again[0]])) > 2):
-            lines = ", ".join(str(self.lines[k]) for k in again[:_MOST_LINES])
+            at = ", ".join(str(self.lines[k]) for k in again[:_MOST_LINES])
             more = f" and {len(again) - _MOST_LINES} more" if len(again) > _MOST_LINES else ""
-            self.notes.append(f"{self.name}: line{'s' * (len(again) > 1)} {lines}{more} repeat"
+            self.notes.append(f"{self.name}: line{'s' * (len(again) > 1)} {at}{more} repeat"
                               f"{'s' * (len(again) == 1)} earlier rows: pasted twice?")  # fmt: skip
         self._note_sums()
 
@@ -268,7 +268,7 @@ def read_table(path: Path, *, decimal: str = "", largest: int = LARGEST) -> Tabl
         width = max(line.count(divider) for _, line in kept) + 1
         try:
             frame = pd.read_csv(io.StringIO("\n".join(line for _, line in kept)), sep=divider, header=None, dtype=str,
-                                keep_default_na=False, skip_blank_lines=False, names=range(width), engine="c")  # fmt: skip
+                                keep_default_na=False, skip_blank_lines=False, names=range(width))  # fmt: skip
         except (ValueError, pd.errors.ParserError) as error:
             raise TableError(f"{name!r} is no table: {' '.join(str(error).split())}") from None
         cells = [

@@ -218,6 +218,3 @@ def format_probability(value: float) -> str:
         return f"{value:.2g}"
     digits = 2 if value <= 0.99 else 2 - math.floor(math.log10(1.0 - value)) if value < 1.0 else 3
     return f"{100.0 * value:.{digits}g} %"
-
-
-told_apart = format_distinct  # by this name until all rooms are merged

@@ -18,123 +18,16 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing import Pipe, get_context
-from multiprocessing.connection import Connection
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from tests.campaigns import options, tell
-from tests.campaigns import table as markdown
+from tests.campaigns import options, table, tell
 from uqsphere.arrays import Array
-from uqsphere.uq.chaos import Germ, GermLike, base_of, fit_chaos, germ_points, germs_of, predict
+from uqsphere.uq.chaos import GermLike, base_of, fit_chaos, germ_points, germs_of, predict
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.points import random_generator, sobol_points
-
-# --- OpenTURNS on the models of the expansions (the extra `peers`).
-#
-# The rival is `LeastSquaresMetaModelSelection` with LARS and corrected leave-one-out, on the same points, in normal and
-# uniform germs and, for other laws, in the polynomials that it finds for the law itself.  Of all its degrees and norms
-# two are counted: the one with the least corrected leave-one-out error, which is what its user can choose by, and the
-# one with the least *true* error, which nobody can.  Seconds are those of one thread, summed over its degrees and
-# norms; beyond `--rival` seconds of a cell it gets no larger basis.  Each cell is a process of its own, ended after
-# three times as long (a basis of many inputs may never be done): what it had found by then counts.
-
-#: most terms of a basis given to the rival, over the number of samples
-_SHARE: Final = 4
-_NORMS: Final = (1.0, 0.75, 0.5)
-
-
-def rival_fit(name: str, samples: int, seed: int, most: float) -> tuple[float, float, float]:
-    """The true error of OpenTURNS at the degree and norm of its least own error, the least true one, and its seconds.
-
-    Needs the package openturns.
-    """
-    here, there = Pipe(duplex=False)
-    child = get_context("fork").Process(target=_rival_fits, args=(there, name, samples, seed, most))
-    child.start()
-    there.close()
-    tried, seconds = [(1.0, 1.0)], 0.0
-    with suppress(EOFError):
-        while True:
-            own, true, seconds = here.recv()
-            tried.append((own, true))
-    child.join()
-    if len(tried) == 1:
-        raise RuntimeError(f"OpenTURNS answered nothing of {name}: is it installed?")
-    return min(tried)[1], min(error for _, error in tried), seconds
-
-
-def _rival_fits(told: Connection, name: str, samples: int, seed: int, most: float) -> None:
-    """Sends its own error, the true one and the seconds so far of every degree and norm."""
-    import resource
-
-    import openturns as ot
-
-    resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(3.0 * most),) * 2)
-    ot.Log.Show(ot.Log.NONE)
-    ot.TBB.SetThreadsNumber(1)
-    model = MODELS[name]
-    points, (checks, truth) = design(model, samples, seed), checked(model)
-    outputs = model(points)
-    begin = time.process_time()
-    laws = [_rival_law(ot, law, germ) for law, germ in zip(model.laws, model.germs, strict=True)]
-    own = [isinstance(germ, Germ) for germ in model.germs]
-    rows = np.where(own, model.inputs(points), points)
-    check = np.where(own, model.inputs(checks), checks), truth
-    families = [ot.StandardDistributionPolynomialFactory(law) for law in laws]
-    for norm in _NORMS:
-        enumerate_terms = ot.HyperbolicAnisotropicEnumerateFunction(len(laws), norm)
-        basis = ot.OrthogonalProductPolynomialFactory(families, enumerate_terms)
-        last, worse = 1.0, 0
-        for degree in range(1, 16):
-            terms = enumerate_terms.getMaximumDegreeCardinal(degree)
-            late = time.process_time() - begin > most
-            if terms > max(_SHARE * samples, len(laws) + 1) or worse == 2 or late:
-                break
-            own_error, error = _one(ot, laws, basis, terms, rows, outputs, check)
-            told.send((own_error, error, time.process_time() - begin))
-            worse = 0 if error < last else worse + 1
-            last = min(last, error)
-    told.close()
-
-
-def _rival_law(ot: Any, law: Law, germ: GermLike) -> Any:
-    """The law that the rival expands an input in."""
-    if not isinstance(germ, Germ):
-        return ot.Uniform(-1.0, 1.0) if germ == "uniform" else ot.Normal(0.0, 1.0)
-    own, name = law.parameters, law.family.name
-    if name == "beta":
-        return ot.Beta(own["alpha"], own["beta"], law.lower, law.upper)
-    if name == "triangular":
-        return ot.Triangular(law.lower, own["mode"], law.upper)
-    whole = {
-        "gumbel": lambda: ot.Gumbel(own["scale"], own["location"]),
-        "weibull": lambda: ot.WeibullMin(own["scale"], own["modulus"], own["threshold"]),
-        "normal": lambda: ot.Normal(own["mean"], own["sd"]),
-    }[name]()
-    if math.isinf(law.lower) and math.isinf(law.upper):
-        return whole
-    ends = [max(law.lower, -1e300)], [min(law.upper, 1e300)]
-    return ot.TruncatedDistribution(whole, ot.Interval(*ends))
-
-
-def _one(
-    ot: Any, laws: list[Any], basis: Any, terms: int, points: Array, outputs: Array, check: tuple[Array, Array]
-) -> tuple[float, float]:
-    """Its own corrected leave-one-out error, and the true one."""
-    selection = ot.LeastSquaresMetaModelSelectionFactory(ot.LARS(), ot.CorrectedLeaveOneOut())
-    algorithm = ot.FunctionalChaosAlgorithm(
-        ot.Sample(points), ot.Sample(outputs[:, None]), ot.JointDistribution(laws), ot.FixedStrategy(basis, terms),
-        ot.LeastSquaresStrategy(selection),
-    )  # fmt: skip
-    algorithm.run()
-    result = algorithm.getResult()
-    found = np.asarray(result.getMetaModel()(ot.Sample(check[0])))[:, 0]
-    return min(result.getErrorHistory()), relative_error(found, check[1])
-
 
 #: points on which the true error is counted
 CHECKED: Final = 20_000
@@ -408,145 +301,37 @@ def relative_error(predicted: Array, outputs: Array) -> float:
     return float(np.mean((predicted - outputs) ** 2) / np.var(outputs))
 
 
-# --- Sparse polynomial chaos measured: true and reported error on 22 models, beside OpenTURNS.
-# python -m tests.campaigns.chaos --sizes 64 128 --seeds 1 41 42 --rival 10
-#
-# Times are those of the processor, one thread.
-
-SEEDS: Final = (1, 41, 42, 43, 44, 45, 46)
-
-#: of the variance: two errors below this are both exact
-EXACT: Final = 1e-10
-#: how much larger an error may be for it to be no worse: less than what one design differs from another by
-_TOLERANCE: Final = 1.05
+# --- what is measured ---------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class Measured:
-    """One fit: true and reported relative mean square error and seconds; the same of the rival, if it was run."""
-
-    model: str
-    samples: int
-    seed: int
-    true: float
-    reported: float
-    seconds: float
-    chosen: str
-    rival_true: float | None = None
-    rival_best: float | None = None
-    rival_seconds: float | None = None
-
-    @property
-    def honest(self) -> bool:
-        """Whether the reported error lies within a factor 3 of the true one; both may be rounding."""
-        low, high = sorted((max(self.true, 1e-24), max(self.reported, 1e-24)))
-        return high <= 3.0 * low
-
-
-def measure(
-    names: Sequence[str],
-    sizes: Sequence[int],
-    seeds: Sequence[int],
-    rival: float | None = None,
-    *,
-    notice: Callable[[Measured], None] = lambda _: None,
-) -> list[Measured]:
-    """Every model at every size and seed; the rival beside it where it has seconds.
-
-    A fit before the first one counted takes what is loaded once.
-    """
-    answer = []
-    fit_chaos(design(MODELS["product"], 64, 0), MODELS["product"](design(MODELS["product"], 64, 0)), ("normal",) * 6)
-    for name in names:
-        model = MODELS[name]
-        check = checked(model)
-        for samples in sizes:
-            for seed in seeds:
-                points = design(model, samples, seed)
-                outputs = model(points)
-                begin = time.process_time()
-                chaos = fit_chaos(points, outputs, model.germs)
-                seconds = time.process_time() - begin
-                theirs = (None, None, None) if rival is None else rival_fit(name, samples, seed, rival)
-                found = Measured(
-                    model=name, samples=samples, seed=seed, true=relative_error(predict(chaos, check[0]), check[1]),
-                    reported=chaos.cross_validation_error, seconds=seconds,
-                    chosen=f"{chaos.solver}, {chaos.transform}", rival_true=theirs[0], rival_best=theirs[1],
-                    rival_seconds=theirs[2],
-                )  # fmt: skip
-                notice(found)
-                answer.append(found)
-    return answer
-
-
-def verdicts(found: Sequence[Measured], best: bool = False) -> tuple[int, int, int]:
-    """How often no worse than the rival, better than it, and compared at all: medians over the seeds of each cell.
-
-    With `best` the rival has what has the least true error, else what has the least of its own.
-    No worse: within 5 %, or both exact.  Better: nearer to the truth, and not both exact.
-    """
-    cells: dict[tuple[str, int], list[tuple[float, float]]] = {}
-    for one in found:
-        theirs = one.rival_best if best else one.rival_true
-        if theirs is not None:
-            cells.setdefault((one.model, one.samples), []).append((one.true, theirs))
-    pairs = [np.median(cell, axis=0) for cell in cells.values()]
-    exact = [max(pair) < EXACT for pair in pairs]
-    no_worse = sum(same or ours <= _TOLERANCE * theirs for (ours, theirs), same in zip(pairs, exact, strict=True))
-    better = sum(not same and ours < theirs for (ours, theirs), same in zip(pairs, exact, strict=True))
-    return int(no_worse), int(better), len(pairs)
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1e}"
-
-
-def table(found: Sequence[Measured]) -> str:
-    """Markdown: medians over the seeds of each model and size, and what they sum up to."""
-    rival = any(one.rival_true is not None for one in found)
-    header = ["model", "N", "true error", "reported", "s", "chosen"]
-    header += ["OpenTURNS", "best", "s"] if rival else []
-    rows = []
-    for name, samples in dict.fromkeys((one.model, one.samples) for one in found):
-        group = [one for one in found if (one.model, one.samples) == (name, samples)]
-        first = group[0]
-        cells = [
-            name, str(samples), _number(float(np.median([one.true for one in group]))),
-            _number(float(np.median([one.reported for one in group]))),
-            f"{float(np.median([one.seconds for one in group])):.2f}", first.chosen,
-        ]  # fmt: skip
-        if rival:
-            theirs = [(one.rival_true, one.rival_best or 0.0, one.rival_seconds or 0.0) for one in group
-                      if one.rival_true is not None]  # fmt: skip
-            cells += [_number(float(x)) for x in np.median(theirs, axis=0)] if theirs else ["-"] * 3
-        rows.append(cells)
-    honest = sum(one.honest for one in found)
-    lines = [markdown(header, rows), "", f"Reported within a factor 3 of the true error: {honest} of {len(found)}."]
-    no_worse, better, compared = verdicts(found)
-    if compared:
-        lines.append(f"Against OpenTURNS on the same points: no worse in {no_worse}, better in {better} of {compared}.")
-    for samples in dict.fromkeys(one.samples for one in found):
-        for best, words in ((False, "its own choice"), (True, "its best")):
-            told = verdicts([one for one in found if one.samples == samples], best)
-            lines.append(f"{samples} points, {words}: no worse {told[0]}, better {told[1]}, compared {told[2]}.")
-    return "\n".join(lines)
+def measured(name: str, samples: int, seed: int) -> tuple[float, float, float, str]:
+    """True and reported relative mean square error of a fit, its CPU seconds (one thread), and what it is."""
+    model = MODELS[name]
+    points, (unseen, truth) = design(model, samples, seed), checked(model)
+    outputs = model(points)
+    begin = time.process_time()
+    fit = fit_chaos(points, outputs, model.germs)
+    seconds = time.process_time() - begin
+    return relative_error(predict(fit, unseen), truth), fit.cross_validation_error, seconds, repr(fit)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Prints the table; progress goes to stderr.  `--rival SECONDS` runs OpenTURNS beside, so long for a design."""
-    asked = options("Sparse polynomial chaos on 22 analytical models", arguments, models=[*MODELS],
-                    sizes=[64, 128, 256, 512], seeds=[*SEEDS], rival=float)  # fmt: skip
-
-    def notice(one: Measured) -> None:
-        rival = (
-            ""
-            if one.rival_true is None
-            else f", rival {one.rival_true:.1e}, {one.rival_best:.1e} in {one.rival_seconds:.1f} s"
-        )
-        tell(f"{one.model}, N = {one.samples}, seed {one.seed}: true {one.true:.1e}, reported {one.reported:.1e}, "
-             f"{one.seconds:.2f} s, {one.chosen}{rival}")  # fmt: skip
-
-    print(table(measure(asked.models, asked.sizes, asked.seeds, asked.rival, notice=notice)))
+    """Medians over the seeds of each model and size; progress goes to stderr."""
+    given = options("Sparse polynomial chaos on 22 analytical models", arguments, models=[*MODELS],
+                    sizes=[64, 128, 256], seeds=[1, 41, 42])  # fmt: skip
+    measured("product", 64, 0)  # what is loaded once
+    rows, honest, count = [], 0, 0
+    for name in given.models:
+        for samples in given.sizes:
+            found = [measured(name, samples, seed) for seed in given.seeds]
+            for true, reported, _, _ in found:
+                low, high = sorted((max(true, 1e-24), max(reported, 1e-24)))
+                honest, count = honest + (high <= 3.0 * low), count + 1
+            true, reported, seconds = (float(np.median([one[k] for one in found])) for k in range(3))
+            rows.append([name, str(samples), f"{true:.1e}", f"{reported:.1e}", f"{seconds:.2f}", found[0][3]])
+            tell(" ".join(rows[-1]))
+    print(table(["model", "N", "true error", "reported", "s", "fit"], rows))
+    print(f"\nReported within a factor 3 of the true error: {honest} of {count}.")
     return 0
 
 

@@ -9,24 +9,16 @@ from __future__ import annotations
 
 import math
 import sys
-import tempfile
-from ast import literal_eval
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-
 from tests.campaigns import options, table, tell
-
 from uqsphere.uq.law import Law, make_law
-
-from uqsphere.uq.rare import find_probability
-from uqsphere.uq.rare import LimitFunction
+from uqsphere.uq.rare import failure_probability
 
 Array = npt.NDArray[np.float64]
 
@@ -255,61 +247,45 @@ def problem(name: str) -> Problem:
     return {entry.name: entry for entry in PROBLEMS}[name]
 
 
-# --- The reliability table: evaluations, error and coverage of the rare-event methods on public problems.
+# --- what is measured ---------------------------------------------------------------------------------------
 
 
-def measure(
-    entry: Problem, *, repetitions: int, seed: int = 1, accuracy: float = 0.015, budget: int = 30_000
-) -> dict[str, float]:
-    """`find_probability` with as many seeds as there are repetitions; errors relative to the reference.
-
-    `covered`: share of the intervals that hold the reference; `wrong`: runs off by more than 20 % whose
-    interval neither holds the reference nor is there a warning; `form`: first-order answer over the reference.
-    """
-    limit = LimitFunction(function=entry.function, dimension=entry.dimension)
-    answers = [
-        find_probability(limit, seed=1000 * seed + k, accuracy=accuracy, budget=budget) for k in range(repetitions)
-    ]
-    values = np.array([a.estimate.value if a.estimate.value is not None else math.nan for a in answers])
-    errors = np.nan_to_num(values / entry.reference - 1.0, nan=-1.0)
-    covered = np.array([
-        (a.estimate.low or 0.0) <= entry.reference <= (a.estimate.high if a.estimate.high is not None else 1.0)
-        for a in answers
-    ])  # fmt: skip
-    agreed, modes = np.array([a.agreed for a in answers]), [a.modes for a in answers]
-    spent = [a.evaluations for a in answers]
-    return {
-        "evaluations": float(np.mean(spent)), "most": max(spent), "rms": float(np.sqrt(np.mean(errors**2))),
-        "worst": float(np.abs(errors).max()), "covered": float(covered.mean()),
-        "half-width": float(np.mean([a.estimate.half_width / (a.estimate.value or math.inf) for a in answers])),
-        "agreed": float(agreed.mean()), "least modes": min(modes), "most modes": max(modes),
-        "wrong": int(((np.abs(errors) > 0.2) & ~covered & agreed).sum()),
-        "form": (answers[0].design.probability or math.nan) / entry.reference,
-    }  # fmt: skip
-
-
-def rare_text(repetitions: int) -> str:
-    """Every problem in turn, as a table, with what it says of all problems of at most ten inputs."""
-    rows, few, wrong = [], [], 0
-    for entry in PROBLEMS:
-        tell(f"reliability: {entry.name}")
-        row = measure(entry, repetitions=repetitions)
-        wrong += int(row["wrong"])
-        few += [row] * (entry.dimension <= 10)
-        modes = "–".join(f"{m:.0f}" for m in sorted({row["least modes"], row["most modes"]}))
-        rows.append((entry.name, entry.dimension, f"{entry.reference:.4g}", f"{row['evaluations']:,.0f}",
-                     *(f"{row[key]:.2%}" for key in ("rms", "worst")), f"{row['covered']:.0%}",
-                     f"{row['half-width']:.2%}", f"{row['agreed']:.0%}", modes,
-                     "none" if math.isnan(row["form"]) else f"{row['form']:.3g}"))  # fmt: skip
-    header = ("problem", "inputs", "reference", "evaluations", "rms error", "worst", "covered", "half-width", "agreed",
-              "modes", "FORM / reference")  # fmt: skip
-    within = sum(row["rms"] <= 0.01 for row in few)
+def measured(entry: Problem, seeds: Sequence[int], budget: int) -> tuple[float, float, float, float]:
+    """Root mean square of the relative error, share of the intervals that hold the reference, the share that is sure,
+    and mean evaluations."""
+    errors, holds, sure, spent = [], [], [], []
+    for seed in seeds:
+        found = failure_probability(entry.function, entry.dimension, seed=seed, budget=budget)
+        low, high = found.estimate.low or 0.0, 1.0 if found.estimate.high is None else found.estimate.high
+        room = 3.0 * entry.error * entry.reference
+        errors.append((found.estimate.value or 0.0) / entry.reference - 1.0)
+        holds.append(low - room <= entry.reference <= high + room)
+        sure.append(found.sure)
+        spent.append(found.evaluations)
     return (
-        f"{table(header, rows)}\n\nUp to ten inputs: rms error at most 1 % on {within} of {len(few)} problems, at most "
-        f"{max(row['rms'] for row in few):.2%} on all; worst single run {max(row['worst'] for row in few):.2%}; pooled "
-        f"coverage {np.mean([row['covered'] for row in few]):.1%}; at most {max(row['most'] for row in few):,} "
-        f"evaluations.\nAnswers off by more than 20 % without interval or warning: {wrong}."
+        float(np.sqrt(np.mean(np.square(errors)))),
+        float(np.mean(holds)),
+        float(np.mean(sure)),
+        float(np.mean(spent)),
     )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """A row for each problem, and what they sum up to; progress goes to stderr."""
+    given = options(__doc__, arguments, problems=[entry.name for entry in PROBLEMS], seeds=[1, 2, 3], budget=30_000)
+    rows = []
+    with np.errstate(all="ignore"):
+        for name in given.problems:
+            entry = problem(name)
+            rms, holds, sure, spent = measured(entry, given.seeds, given.budget)
+            rows.append([name, str(entry.dimension), f"{rms:.4f}", f"{holds:.2f}", f"{sure:.2f}", f"{spent:.0f}"])
+            tell(" ".join(rows[-1]))
+    print(table(["problem", "inputs", "rms", "hold", "sure", "evaluations"], rows))
+    few = [row for row in rows if int(row[1]) <= 10]
+    within = sum(float(row[2]) <= 0.03 for row in few)
+    print(f"\nUp to ten inputs: {within} of {len(few)} within 3 %; "
+          f"{np.mean([float(row[3]) for row in rows]):.3f} of all intervals hold.")  # fmt: skip
+    return 0
 
 
 def integrate_plane(function: Callable[[Array], Array], *, panels: int = 720, grid: int = 2001) -> float:
@@ -342,235 +318,6 @@ def integrate_plane(function: Callable[[Array], Array], *, panels: int = 720, gr
         for a, b in zip(ends[::2], ends[1::2], strict=True):
             total += share * float(ndtr(b) - ndtr(a) if a < 0.0 else ndtr(-a) - ndtr(-b))
     return total
-
-
-# --- Few calls of an expensive model: active learning on the public problems, with at most 200 calls.
-
-CALLS: Final = 200
-FEW_PROBLEMS: Final = ("four branches", "two-sided", "RP14", "RP25", "RP35", "RP53", "RP57", "RP110", "roof truss")
-
-
-def few_call_text(repetitions: int, problems: Sequence[str] = FEW_PROBLEMS, at_once: int = 1) -> str:
-    """`learn_probability` with at most 200 calls and as many seeds as there are repetitions, as a table."""
-    rows, silent = [], 0
-    for name in problems:
-        tell(f"few calls: {name}")
-        entry = problem(name)
-        limit = LimitFunction(function=entry.function, dimension=entry.dimension)
-        found = [active.learn_probability(limit, seed=1 + k, budget=CALLS, at_once=at_once) for k in range(repetitions)]
-        errors = np.abs([(one.estimate.value or 0.0) / entry.reference - 1.0 for one in found])
-        lows = np.array([one.estimate.low or 0.0 for one in found])
-        highs = np.array([math.inf if one.estimate.high is None else one.estimate.high for one in found])
-        held = (lows <= entry.reference) & (entry.reference <= highs)
-        warned = np.array([bool(one.warning) or one.estimate.value is None for one in found])
-        silent += int(((errors > 0.2) & ~held & ~warned).sum())
-        missed = 0 if entry.modes is None else max(0, entry.modes - min(one.modes for one in found))
-        rows.append((name, entry.dimension, repetitions, f"{np.mean([one.calls for one in found]):.0f}",
-                     f"{np.sqrt(np.mean(errors**2)):.1%}", f"{errors.max():.1%}", f"{held.mean():.0%}",
-                     f"{warned.mean():.0%}", missed))  # fmt: skip
-    header = ("problem", "inputs", "runs", "calls", "rms error", "worst", "covered", "warned", "modes missed")
-    return (f"Active learning with at most {CALLS} calls, for models of which an evaluation takes seconds.\n\n"
-            f"{table(header, rows)}\n\nOff by more than 20 % without interval or warning: {silent}.")  # fmt: skip
-
-
-def rival_text(repetitions: int, problems: Sequence[str] = FEW_PROBLEMS) -> str:
-    """The same problems by OpenTURNS as its manual has it: FORM, then importance sampling about its design point to a
-    half-width of 5 %, and subset simulation with 10,000 rows a level; calls of the model, and how far off.
-
-    OpenTURNS has no learning.  Needs the package openturns.
-    """
-    import openturns as ot
-
-    methods, rows = ("FORM", "importance sampling", "subset simulation"), []
-    for name in problems:
-        tell(f"OpenTURNS: {name}")
-        entry, found = problem(name), {method: [] for method in methods}  # type: dict[str, list[tuple[int, float]]]
-        for k in range(repetitions):
-            ot.RandomGenerator.SetSeed(1 + k)
-            calls = [0]
-
-            def function(points: object, entry: Problem = entry, calls: list[int] = calls) -> Array:
-                values = entry.function(np.asarray(points, dtype=float))
-                calls[0] += len(values)
-                return values[:, None]
-
-            model = ot.PythonFunction(entry.dimension, 1, func_sample=function)
-            normal = ot.RandomVector(ot.Normal(entry.dimension))
-            event = ot.ThresholdEvent(ot.CompositeRandomVector(model, normal), ot.Less(), 0.0)
-            solver = ot.Cobyla()
-            solver.setStartingPoint([0.0] * entry.dimension)
-            form = ot.FORM(solver, event)
-            try:
-                form.run()
-                found["FORM"].append((calls[0], form.getResult().getEventProbability()))
-                search = ot.PostAnalyticalImportanceSampling(form.getResult())
-                search.setMaximumOuterSampling(100_000)
-                search.setMaximumCoefficientOfVariation(0.05 / 1.96)
-                search.run()
-                found["importance sampling"].append((calls[0], search.getResult().getProbabilityEstimate()))
-            except RuntimeError:  # it says itself that its design point is none
-                tell(f"no design point of {name}, seed {1 + k}")
-            calls[0] = 0
-            search = ot.SubsetSampling(event)
-            search.setBlockSize(100)
-            search.setMaximumOuterSampling(100)
-            search.run()
-            found["subset simulation"].append((calls[0], search.getResult().getProbabilityEstimate()))
-        cells = []
-        for method in methods:
-            errors = [abs(p / entry.reference - 1.0) for _, p in found[method]]
-            cells += (
-                [f"{np.mean([n for n, _ in found[method]]):,.0f}", f"{max(errors):.1%}"] if errors else ["none", ""]
-            )
-        rows.append((name, *cells))
-    return table(("problem", *(head for method in methods for head in (f"{method}: calls", "worst"))), rows)
-
-
-# --- The same problems as a user has them: studies with a budget in all, through `uqsphere.run`.
-
-#: evaluations of a cheap model, and runs of an expensive one: how many in all, at what cost, how accurate
-BUDGETS: Final = {"cheap": (30_000, "1 us", 0.015), "few": (CALLS, "10 s", 0.05)}
-_STUDY: Final = """
-title = "{name}"
-seed = {seed}
-[inputs]
-{inputs}
-[outputs]
-names = ["g"]
-[limits.failure]
-quantity = "g"
-strength = 0.0
-aim = "break"
-[analysis]
-cost = "{cost}"
-budget = {{ evaluations = {evaluations}, time = "100 h" }}
-accuracy = {{ probability = {accuracy} }}
-"""
-
-
-def run_problem(entry: Problem, kind: str, seed: int, folder: Path) -> object:
-    """The probability of failure that a run of a study gives, by the number of evaluations in all."""
-    evaluations, cost, accuracy = BUDGETS[kind]
-    names = [f"u{k}" for k in range(entry.dimension)]
-    inputs = "\n".join(f'{name} = {{ dist = "normal", mean = 0.0, sd = 1.0 }}' for name in names)
-    file = folder / f"{entry.name.replace(' ', '_')}-{kind}-{seed}.toml"
-    text = _STUDY.format(name=entry.name, seed=seed, inputs=inputs, cost=cost, evaluations=evaluations,
-                         accuracy=accuracy)  # fmt: skip
-    file.write_text(text, encoding="utf-8")
-
-    def model(x: dict[str, Array]) -> dict[str, Array]:
-        return {"g": np.asarray(entry.function(np.column_stack([x[name] for name in names])))}
-
-    results = uqsphere.run(uqsphere.load_study(file), out=file.with_suffix(""), model=model).results
-    return results.limits["failure"].miss
-
-
-def run_text(kind: str, repetitions: int, problems: Sequence[str], first: int = 1) -> str:
-    """Every problem through `uqsphere.run`, with seeds from the `first` on: error and coverage of what is answered, and
-    how often it is but a bound.  Intervals that miss the reference are told as they are found."""
-    rows, errors, held = [], [], []
-    for name in problems:
-        tell(f"through run, {kind}: {name}")
-        entry = problem(name)
-        with tempfile.TemporaryDirectory() as place:
-            found = [run_problem(entry, kind, first + k, Path(place)) for k in range(repetitions)]
-        known = [one.value / entry.reference - 1.0 for one in found if one.value is not None]
-        covered = [(one.low or 0.0) <= entry.reference <= (1.0 if one.high is None else one.high) for one in found]
-        for k, one in enumerate(found):
-            if not covered[k]:
-                tell(f"{name}, seed {first + k}: {one.low} to {one.high} misses {entry.reference}")
-        rms = float(np.sqrt(np.mean(np.square(known)))) if known else math.nan
-        errors.append(rms)
-        held += covered
-        widths = [0.5 * (one.high - one.low) / entry.reference for one in found
-                  if one.value is not None and one.high is not None and one.low is not None]  # fmt: skip
-        rows.append((name, entry.dimension, f"{entry.reference:.3g}", f"{rms:.2%}",
-                     f"{max(np.abs(known), default=math.nan):.1%}", f"{np.mean(covered):.0%}",
-                     f"{np.mean(widths) if widths else math.nan:.2%}", len(found) - len(known)))  # fmt: skip
-    header = ("problem", "inputs", "reference", "rms error", "worst", "covered", "half-width", "bounds alone")
-    within = [sum(error <= bound for error in errors) for bound in (0.01, 0.03)]
-    return (
-        f"{BUDGETS[kind][0]:,} evaluations in all, {repetitions} runs of each.\n\n{table(header, rows)}\n\n"
-        f"Rms error at most 1 % on {within[0]} and 3 % on {within[1]} of {len(rows)}; {np.mean(held):.1%} of the "
-        "intervals hold the reference."
-    )
-
-
-# --- A margin of an expensive model: five inputs, two outputs, the asked one with a kink, 150 runs in all.
-
-MARGIN_CASE: Final = """
-title = "Margin of a kinked output"
-seed = {seed}
-[inputs]
-a = {{ dist = "normal", mean = 1.0, sd = 0.1 }}
-b = {{ dist = "normal", mean = 2.0, sd = 0.3 }}
-c = {{ dist = "uniform", lower = 0.0, upper = 1.0 }}
-d = {{ dist = "normal", mean = 0.0, sd = 1.0 }}
-e = {{ dist = "lognormal", mean = 1.0, sd = 0.2 }}
-x = 1.0
-[outputs]
-names = ["smooth", "kinked"]
-[limits.high]
-quantity = "kinked"
-strength = 6.0
-aim = "survive"
-[margins]
-solve = "x"
-between = [0.5, 2.0]
-for_probability = [0.01]
-[analysis]
-cost = "1 s"
-budget = {{ evaluations = {runs}, time = "1 h" }}
-"""
-#: 6 over the 99 % quantile of the kinked output at x = 1, from four million rows: known to 3e-4
-MARGIN_TRUTH: Final = 1.2137
-
-
-def margin_model(v: dict[str, Array]) -> dict[str, Array]:
-    """Both outputs of the case."""
-    kinks = 0.6 * np.abs(v["d"] - 0.5) + np.maximum(v["c"] - 0.5, 0.0)
-    return {"smooth": v["a"] * v["b"] + v["c"] * v["e"], "kinked": v["x"] * (v["a"] * v["b"] + kinks) * v["e"]}
-
-
-def margin_text(repetitions: int, runs: int) -> str:
-    """The value of x that keeps the probability below 1 % from so many runs, by seeds."""
-    rows = []
-    for seed in range(1, 1 + repetitions):
-        tell(f"margin: seed {seed}")
-        with tempfile.TemporaryDirectory() as place:
-            file = Path(place) / "case.toml"
-            file.write_text(MARGIN_CASE.format(seed=seed, runs=runs), encoding="utf-8")
-            study = uqsphere.load_study(file)
-            one = uqsphere.run(study, out=file.with_suffix(""), model=margin_model).results.margins["high"]
-        if (e := one.values.get("0.01")) is None or e.low is None or e.high is None:
-            rows.append((seed, "none", "", "", "no"))
-            continue
-        rows.append((seed, f"{e.value:.4f}", e.low, e.high, "yes" if e.low <= MARGIN_TRUTH <= e.high else "no"))
-        tell(f"{e.value} {e.low} {e.high}")
-    return table(("seed", "x at 1 %", "low", "high", "held"), rows)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Prints the tables; progress goes to stderr.  Words `NAME=VALUE` are other constants of learning."""
-    asked = options("Rare-event methods on public problems", arguments, words=(), repetitions=10, through_run=str,
-                    first=1, margin=False, runs=150, few=False, at_once=1, rival=False)  # fmt: skip
-    for name, value in (word.split("=") for word in asked.words):
-        setattr(active, name, literal_eval(value))
-    if asked.rival:
-        print(rival_text(asked.repetitions))
-        return 0
-    if asked.margin or asked.few:
-        few = partial(few_call_text, at_once=asked.at_once)
-        print(margin_text(asked.repetitions, asked.runs) if asked.margin else few(asked.repetitions))
-        return 0
-    if asked.through_run:
-        names = [entry.name for entry in PROBLEMS] if asked.through_run == "cheap" else FEW_PROBLEMS
-        print(run_text(asked.through_run, asked.repetitions, names, asked.first))
-        return 0
-    print(rare_text(asked.repetitions))
-    print()
-    print(few_call_text(asked.repetitions))
-    return 0
 
 
 if __name__ == "__main__":

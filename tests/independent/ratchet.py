@@ -445,7 +445,6 @@ def refer(scene: Scene, row: int, *, budget: int = 20_000, rtol: float = 1e-11) 
         [_deepest(series, laws, starts, count, k, until) for k in range(2)] for until in (math.inf, first_echo)
     )
     where = (starts, lengths, series, laws, count)
-    first, last = (_crossing(*where, 0.5 * top, side) for side in (False, True))
     rise = _crossing(*where, 0.9 * top, False) - _crossing(*where, 0.1 * top, False)
     radius = float(scales.effective_radius[row])
     p_y, hardness = float(given.onset[0]), float(given.hardness[0])
@@ -456,8 +455,7 @@ def refer(scene: Scene, row: int, *, budget: int = 20_000, rtol: float = 1e-11) 
         "alpha_max": unit * max(reach),
         "dent": unit * max(part["dent"] for part in parts),
         "plastic_work": force * unit * sum(part["plastic"] for part in parts),
-        "contact_time": time * end,
-        "pulse_width": time * (last - first),
+        "time_to_first_loss": time * end,
         "rise_time": time * rise,
         "first_peak": max(_told(x / onset, b, float(given.pile_up[0]), p_y, hardness, onset)["centre"] for x in early),
         "force_imbalance": difference / top,
@@ -467,7 +465,7 @@ def refer(scene: Scene, row: int, *, budget: int = 20_000, rtol: float = 1e-11) 
         "specific_energy": force * unit * energy / float(scales.mass[row]),
     }
     return Reference(
-        values=values, censored={"contact_time": lost < 0, "pulse_width": bool(last >= end)}, record=time * end,
+        values=values, censored={"time_to_first_loss": lost < 0}, record=time * end,
         dips=(), steps=count, tail=rtol,
     )  # fmt: skip
 

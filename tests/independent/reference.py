@@ -611,7 +611,7 @@ class Reference:
     """Answers of one scene.
 
     `values`: every quantity of `uqsphere.quantities.OUTPUTS` that the impact model answers [SI]; `censored`:
-    for contact_time and pulse_width; `record`: its end [s]; `dips` (time [s], approach over the largest): the
+    for time_to_first_loss; `record`: its end [s]; `dips` (time [s], approach over the largest): the
     moments at which a face nearly let go; `steps`: steps taken; `tail`: largest error estimate of a step,
     relative to the state.
     """
@@ -640,7 +640,7 @@ def refer(scene: Scene, row: int = 0, *, budget: int = 20_000) -> Reference:
     ...            "bars.incident_length": 1.5, "bars.receiving_length": 1.5, "bars.incident_end": 1.0,
     ...            "bars.receiving_end": 1.0, "striker.length": 0.4, "striker.speed": 1.0}
     >>> found = refer(Scene(columns={name: np.array([number]) for name, number in numbers.items()}))
-    >>> round(found.values["contact_time"] * 1e3, 8)
+    >>> round(found.values["time_to_first_loss"] * 1e3, 8)
     1.52195874
     """
     if scene.status[row] != 0:
@@ -664,8 +664,6 @@ def _in_si(scene: Scene, row: int, course: Course) -> Reference:
 
     x_max = course.x_max
     third = Long(2) / 3
-    half = x_max * Long("0.5") ** third
-    first, last = crossing(course, half), crossing(course, half, last=True)
     rise = crossing(course, x_max * Long("0.9") ** third) - crossing(course, x_max * Long("0.1") ** third)
     force = unit_force * x_max**1.5
     energy = unit_force * unit * course.energy
@@ -674,8 +672,7 @@ def _in_si(scene: Scene, row: int, course: Course) -> Reference:
         "P_max": force,
         "alpha_max": unit * x_max,
         "a_max": np.sqrt(radius * unit * x_max),
-        "contact_time": unit_time * course.ended,
-        "pulse_width": unit_time * (last - first),
+        "time_to_first_loss": unit_time * course.ended,
         "rise_time": unit_time * rise,
         "loading_rate": Long("0.8") * force / (unit_time * rise),
         "first_peak": pressure(course.x_first),
@@ -687,7 +684,7 @@ def _in_si(scene: Scene, row: int, course: Course) -> Reference:
     }
     return Reference(
         values={name: float(value) for name, value in values.items()},
-        censored={"contact_time": course.lost is None, "pulse_width": bool(last >= course.ended)},
+        censored={"time_to_first_loss": course.lost is None},
         record=float(unit_time * course.ended),
         dips=tuple((float(unit_time) * time, depth) for time, depth in course.dips),
         steps=len(course.pieces),

@@ -79,35 +79,6 @@ class Law:
 
 
 @dataclass(kw_only=True)
-class Wearing:
-    """One face that takes damage, scaled: critical approach, gamma, factor of x^1.5; asked like `Law`."""
-
-    critical: float
-    gamma: float
-    stiffness: float = 1.0
-    state: int = VIRGIN
-    largest: float = 0.0
-    dent: float = 0.0
-    unloadings: int = 0
-
-    def force(self, x: float) -> float:
-        """q at x in the present state: virgin loading, or the secant."""
-        damage = ((x if self.state == VIRGIN else self.largest) / self.critical) ** self.gamma if x > 0.0 else 0.0
-        return 0.0 if self.state == FREE or x <= 0.0 else self.stiffness * (1.0 - damage) * x**1.5
-
-    def unload(self, x: float) -> None:
-        """Virgin loading ends at x."""
-        self.largest, self.state, self.unloadings = x, SPRING, self.unloadings + 1
-
-    def energy(self, x: float) -> float:
-        """Stored, and lost to damage, over P_0 alpha_c: (C16)."""
-        most = max(x, 0.0) if self.state == VIRGIN else self.largest
-        damage = (most / self.critical) ** self.gamma
-        lost = 0.4 * self.stiffness * most**2.5 * damage * self.gamma / (self.gamma + 2.5)
-        return 0.4 * self.force(x) * max(x, 0.0) + lost
-
-
-@dataclass(kw_only=True)
 class Course:
     """Where a scene ended: time, faces, the work of the bars, what is in the sphere, and the largest forces."""
 

@@ -150,7 +150,7 @@ def test_blocks_and_threads_change_no_bit(bars: Study, monkeypatch: pytest.Monke
     names = tuple(rows.columns)
     found = []
     for sizes, options in (((16_384, 2_048), {}), ((100, 50), {"threads": 2}), ((1, 33), {"executor": Reversed()})):
-        monkeypatch.setattr("uqsphere.models._SCENE_ROWS", sizes)
+        monkeypatch.setattr("uqsphere.models.model._SCENE_ROWS", sizes)
         with open_model(bars, **options) as model:
             answers = model.evaluate(names, rows.to_numpy(), ("p_max", "P_max"))
             assert (model.evaluations, model.reused) == (700, 0)

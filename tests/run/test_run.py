@@ -221,7 +221,16 @@ def test_results_are_one_long_table_without_nan(granite: Run) -> None:
     assert granite.folder is not None
     text = (granite.folder / "results.json").read_text(encoding="utf-8")
     results = json.loads(text, parse_constant=lambda name: pytest.fail(name))
-    assert set(results) == {"schema_version", "study", "inputs", "answers", "verdicts", "checks", "accuracy", "versions"}
+    assert set(results) == {
+        "schema_version",
+        "study",
+        "inputs",
+        "answers",
+        "verdicts",
+        "checks",
+        "accuracy",
+        "versions",
+    }
     assert all(tuple(row) == COLUMNS for row in results["answers"])
     opened = uqsphere.open_run(granite.folder)
     assert opened.answers.equals(granite.answers)

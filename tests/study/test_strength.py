@@ -29,7 +29,10 @@ receiving_length = "2 m"
 speed = { dist = "normal", mean = "0.5 m/s", cov = 0.03 }
 length = "0.5 m"
 """
-TESTS = 'strength = { file = "t.csv", force = "F", force_unit = "kN", diameter = "D", diameter_unit = "mm", censored = "stop" }'
+TESTS = (
+    'strength = { file = "t.csv", force = "F", force_unit = "kN", diameter = "D", diameter_unit = "mm", '
+    'censored = "stop" }'
+)
 CSV = "F,D,stop\n6,20,0\n7,20.2,0\n5,19.8,0\n8,20,1\n6.5,20,0\n7.5,20,no\n8,20.0,yes\n"
 Load = Callable[..., Study]
 STEEL = (205e9, 0.29)
@@ -60,7 +63,8 @@ def test_forces_become_pressures_by_hertz(load: Load) -> None:
 
 def test_the_tests_themselves_are_kept(load: Load) -> None:
     tested = load().limits[0].tested
-    assert tested is not None and tested.law is not None
+    assert tested is not None
+    assert tested.law is not None
     assert sorted(tested.forces) == pytest.approx([5e3, 6e3, 6.5e3, 7e3, 7.5e3, 8e3, 8e3])
     assert tested.suspended == (False, False, False, True, False, False, True)
     assert tested.diameter == pytest.approx(20e-3, rel=1e-3)
@@ -81,7 +85,8 @@ def test_every_kind_of_demand(load: Load) -> None:
     assert flaws.parameters["modulus"] == flaws.strength.parameters["modulus"]
     lognormal = load(TESTS.replace(" }", ', fit = "lognormal", unbiased = true }')).limits[0]
     assert lognormal.strength.family.name == "lognormal"
-    assert lognormal.tested is not None and lognormal.tested.size == "none"
+    assert lognormal.tested is not None
+    assert lognormal.tested.size == "none"
 
 
 FORCE, RADIUS = np.array([800.0, 5e3, 40e3]), np.array([4e-3, 10e-3, 20e-3])
@@ -140,7 +145,8 @@ def test_with_test_and_use_alike_the_share_broken_is_that_of_the_tests(load: Loa
     """Whatever E and nu of the rows: only the force and the size count."""
     limit = load(quantity='criterion = "core_tension"').limits[0]
     tested = limit.tested
-    assert tested is not None and tested.law is not None
+    assert tested is not None
+    assert tested.law is not None
     from uqsphere.study.strength import _reached, _state
 
     rng = np.random.default_rng(3)
@@ -187,9 +193,25 @@ def test_tests_refused(load: Load, change: tuple[str, str], csv: str, says: str)
     assert "limits.a.strength" in str(caught.value)
 
 
-ROWS = "11.9,2830 11.9,2260 11.6,2200 12.5,3050 12.5,2890 12.2,2710 11.3,2780 12.2,2980 11.2,1360 11.6,2060 12.1,2530 12.2,2180".split()
+ROWS = [
+    "11.9,2830",
+    "11.9,2260",
+    "11.6,2200",
+    "12.5,3050",
+    "12.5,2890",
+    "12.2,2710",
+    "11.3,2780",
+    "12.2,2980",
+    "11.2,1360",
+    "11.6,2060",
+    "12.1,2530",
+    "12.2,2180",
+]
 PELLET = SCENE.replace('"60 GPa"', '"20 GPa"').replace('"10 mm"', '"6 mm"')
-FORCES = 'strength = { file = "t.csv", force = "F", force_unit = "N", diameter = "D", diameter_unit = "mm", platens = "steel" }'
+FORCES = (
+    'strength = { file = "t.csv", force = "F", force_unit = "N", diameter = "D", diameter_unit = "mm", '
+    'platens = "steel" }'
+)
 
 #: how tests go wrong, and what is warned of: unit key, rows, phrase (empty: nothing but what is usual)
 IMPLAUSIBLE = {
@@ -227,7 +249,8 @@ def test_a_shape_that_no_law_has_is_warned_of(load: Load) -> None:
         ("cov = 0.03", "cov = 15", "15 times the mean"),
         ('"2700 kg/m3"', '"3.7 kg/m3"', "sphere.density: 3.7 kg/m3 is unusual"),
         ('strength = "4 GPa"', 'strength = "4 Pa"', "limits.a.strength: 4e-09 GPa is unusual"),
-        ('quantity = "p_max"\nstrength = "4 GPa"', 'quantity = "specific_energy"\nstrength = "200 kJ/kg"', "2e+05 J/kg is unusual"),
+        ('quantity = "p_max"\nstrength = "4 GPa"', 'quantity = "specific_energy"\nstrength = "200 '
+                                                   'kJ/kg"', "2e+05 J/kg is unusual"),
     ],
 )  # fmt: skip
 def test_unusual_numbers_are_warned_of(old: str, new: str, says: str, tmp_path: Path) -> None:
@@ -240,13 +263,15 @@ def test_unusual_numbers_are_warned_of(old: str, new: str, says: str, tmp_path: 
 
 def test_draws_are_a_strength(load: Load, tmp_path: Path) -> None:
     (tmp_path / "draws.csv").write_text(
-        "distribution,scale_J/kg,shape,bound,tests\nlognormal,100,0.5,0,30\nlognormal,120,0.6,0.2,30\nweibull,110,2,0,30\n"
+        "distribution,scale_J/kg,shape,bound,tests,diameter [mm]\nlognormal,100,0.5,0,30,20\n"
+        "lognormal,120,0.6,0.2,30,20\nweibull,110,2,0,30,20\n"
     )
     limit = load(
         'strength = { draws = "draws.csv" }', quantity='criterion = "specific_energy"\nenergy_is = "sphere"'
     ).limits[0]
     law = limit.strength
-    assert isinstance(law, Law) and len(law.draws) == 3
+    assert isinstance(law, Law)
+    assert len(law.draws) == 3
     x = np.array([60.0, 100.0, 200.0])
     from scipy import stats
 

@@ -15,7 +15,7 @@ PLAIN = "D,F\n14.9,7.42\n15.1,9.85\n15,8.31\n"
 ALIKE = {
     "commas": PLAIN.encode(),
     "mark, CRLF, quotes": b'\xef\xbb\xbf"D","F"\r\n"14.9","7.42"\r\n15.1,9.85\r\n15,8.31\r\n',
-    "German Excel": "D;F\n14,9;7,42\n15,1;9,85\n15;8,31\n".encode(),
+    "German Excel": b"D;F\n14,9;7,42\n15,1;9,85\n15;8,31\n",
     "tabs": PLAIN.replace(",", "\t").encode(),
     "UTF-16": PLAIN.replace(",", "\t").encode("utf-16"),
     "comments, blanks": ("# made by hand\n\n" + PLAIN + "\n,\n").encode(),
@@ -71,7 +71,8 @@ FAULTY = {
     "a text": ("D,F\n14.9,7.42\n15.1,broken\n", "line 3: F: found 'broken', where a number is required"),
     "a unit in a cell": ("D,F\n14.9,7.42 kN\n", "line 2: F: found '7.42 kN'"),
     "a mark of thousands": ("D;F\n14,9;1.234,5\n15;7,4\n", "line 2: F: a mark of thousands"),
-    "a thousands dot among whole numbers": ("D,F\n14,2.830\n15,2260\n", "line 2: F: '2.830' beside '2260': a mark of thousands?"),
+    "a thousands dot among whole numbers": ("D,F\n14,2.830\n15,2260\n", "line 2: F: '2.830' beside '2260': a "
+                                                                        "mark of thousands?"),
     "comma or thousands": ("D;F\n14;2,830\n15;2,260\n", 'add decimal = ","'),
     "two decimal marks": ("D;F\n14;2,83\n15;2.26\n", "decimal point and comma in one column"),
     "summary rows": ("n;F\n1;7.42\n2;9.85\nMittelwert;8.6\nsd;1.7\n", "lines 4, 5: a summary row"),

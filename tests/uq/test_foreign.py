@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import pickle
 import warnings
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 
-import uqsphere
-from uqsphere.errors import StudyError, UsageError
 from uqsphere.uq.families import LawError
 from uqsphere.uq.foreign import as_law, law_table
 

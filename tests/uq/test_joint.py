@@ -127,7 +127,10 @@ def test_what_a_copula_cannot_be_is_refused(kind: str, size: int, given: dict, k
 
 
 def five() -> Joint:
-    ties = [Dependence(of=("a", "c"), spearman=0.6), Dependence(of=("b", "e"), kendall=0.5, copula="student_t", dof=4.0)]
+    ties = [
+        Dependence(of=("a", "c"), spearman=0.6),
+        Dependence(of=("b", "e"), kendall=0.5, copula="student_t", dof=4.0),
+    ]
     return make_joint(tuple("abcde"), (NORMAL,) * 5, ties)
 
 

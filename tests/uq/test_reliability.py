@@ -59,16 +59,6 @@ def test_both_sides_keep_their_relative_accuracy(side: str) -> None:
     assert found.std_error / found.value < 0.1
 
 
-def test_aims_are_complements() -> None:
-    state = lognormal_state(0.03, 0.1, seed=1)
-    fracture, survival, breaking = exceedance(state), miss(state, "survive"), miss(state, "break")
-    assert fracture == survival
-    assert breaking.value == pytest.approx(1.0 - survival.value, rel=1e-12)
-    assert (breaking.low, breaking.high) == pytest.approx((1.0 - survival.high, 1.0 - survival.low), rel=1e-9)
-    with pytest.raises(ValueError, match="survive or break"):
-        miss(state, "bend")
-
-
 def test_no_event_among_the_samples_is_not_zero_for_certain() -> None:
     state = LimitState(demands=np.full((4, 250), 1.0), strength=2.0)
     found = exceedance(state)
@@ -259,14 +249,6 @@ def test_one_strength_for_two_limits_breaks_at_the_larger_demand() -> None:
     assert found.value == pytest.approx(ndtr(-0.5), rel=2e-3)
 
 
-def test_fixed_strengths() -> None:
-    rng = np.random.default_rng(1)
-    x = rng.uniform(size=(R, N))
-    states = [LimitState(demands=x, strength=0.9), LimitState(demands=1.0 - x, strength=0.8)]
-    found = exceedance(union_state(make_union(states, np.eye(2), rng)))
-    assert found.value == pytest.approx(np.mean((x > 0.9) | (1.0 - x > 0.8)), abs=1e-12)
-
-
 def test_samples_without_an_answer_widen_the_interval() -> None:
     failed = np.zeros((R, N), dtype=bool)
     failed[:, 0] = True
@@ -313,20 +295,6 @@ def test_shares_below_one_are_uniform_in_the_strength(rho: float) -> None:
     assert both == pytest.approx(exact, abs=4.0 * np.sqrt(exact / (R * 200)))
 
 
-def test_specimens_of_a_sequence_stay_evenly_spread() -> None:
-    """Every eighth point of a Sobol' sequence lies in one slab: the pick must not follow the order."""
-    x = np.stack([sobol_points(dimension=2, count=512, start=0, seed=1, task="t", replicate=r)[:, 0] for r in range(R)])
-    states = [LimitState(demands=2.0 + 1e-3 * x, strength=make_law("uniform", {}, 0.0, 10.0))] * 2
-    drawn = draw_breaking(make_union(states, np.eye(2), np.random.default_rng(0)), 64, np.random.default_rng(1))
-    low = np.array([(x[r, drawn.rows[r]] < 0.5).mean() for r in range(R)])
-    assert np.std(low) < 2.0 * np.sqrt(0.25 / 64)
-
-
-def test_nothing_breaks() -> None:
-    states = [LimitState(demands=np.full((R, N), 1.0), strength=2.0)]
-    assert draw_breaking(make_union(states, np.eye(1), np.random.default_rng(0)), 8, np.random.default_rng(0)) is None
-
-
 def test_shares_and_quantiles_cover() -> None:
     """95 % intervals of the two estimators hold the truth in about 95 % of the repetitions."""
     rng = np.random.default_rng(11)
@@ -342,11 +310,3 @@ def test_shares_and_quantiles_cover() -> None:
             hits[k] += estimate.low <= truth <= estimate.high
     assert np.all(hits / runs > 0.9)
     assert np.all(hits / runs < 0.99)
-
-
-def test_all_or_none_seen_has_a_one_sided_interval() -> None:
-    every = share_of(np.ones((R, 10), dtype=bool), np.ones(R), "", 1)
-    none = share_of(np.zeros((R, 10), dtype=bool), np.ones(R), "", 1)
-    assert (every.value, none.value) == (1.0, 0.0)
-    assert every.low == pytest.approx(1.0 - 3.0 / 160, abs=1e-3)
-    assert none.high == pytest.approx(3.0 / 160, abs=1e-3)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from scipy.stats import qmc
 
 from uqsphere.uq.points import MOST_DIMENSIONS, _seed, sobol_points
-from uqsphere.uq.sample import Sample, without
+from uqsphere.uq.sample import Sample
 
 
 def draw(count: int, start: int = 0, dimension: int = 3, seed: int = 7, task: str = "t", replicate: int = 0):
@@ -26,13 +24,6 @@ def test_same_key_same_points_other_key_other_points() -> None:
     assert np.array_equal(draw(64), draw(64))
     for other in (draw(64, seed=8), draw(64, task="u"), draw(64, replicate=1)):
         assert np.abs(other - draw(64)).max() > 0.1
-
-
-def test_every_elementary_interval_of_one_axis_holds_one_point() -> None:
-    n = 1024
-    for replicate in range(3):
-        cells = np.sort(np.floor(draw(n, dimension=20, replicate=replicate) * n), axis=0)
-        assert np.array_equal(cells, np.repeat(np.arange(n)[:, None], 20, axis=1))
 
 
 def test_replicates_are_unbiased_and_independent() -> None:
@@ -107,18 +98,3 @@ def test_a_head_and_the_rows_that_continue_it_are_the_whole() -> None:
     assert joined.count == 5
     assert np.array_equal(joined.answers[:, 2:], rest.answers)
     assert np.array_equal(joined.inputs[:, :2], sample.inputs[:, :2])
-
-
-def test_replicates_keep_the_same_number_of_rows_that_have_an_answer() -> None:
-    sample = _sample(4)
-    failed = np.zeros((2, 4), dtype=bool)
-    failed[0, 1] = True
-    answers = sample.answers.copy()
-    answers[0, 1, 0] = np.nan
-    some = sample.with_answers(sample.quantities, answers, failed=failed)
-    assert np.flatnonzero(np.isnan(some.outputs("y"))).tolist() == [1]
-    assert np.array_equal(some.outputs("z"), sample.outputs("z"))  # an output keeps its number where another has none
-    assert not some.knows("y")
-    assert some.whole().count == 3
-    assert np.array_equal(some.whole().answers[1], sample.answers[1, :3])
-    assert np.array_equal(without(sample.scores, failed)[0], sample.scores[0, [0, 2, 3]])

@@ -96,6 +96,10 @@ class Table:
             raise UsageError(f"{self.path.name}: {int(wrong.sum())} cells of {column!r} are no numbers ({listed})")
         return found.to_numpy(dtype=float)
 
+    def words(self, column: str | int) -> pd.Series[str]:
+        """A column as texts."""
+        return self.values.iloc[:, self.place(column)].map(decode_cell)
+
     def in_si(self, column: str | int, dimension: str, unit: str = "") -> Array:
         """A column in SI; its unit is `unit`, else that of the heading; UsageError where there is none."""
         found = unit or self.units[self.place(column)]

@@ -25,7 +25,7 @@ from uqsphere.mechanics.outputs import Answers, answers_from, merged_answers
 from uqsphere.mechanics.rigs import MOST_YIELDING, RIGS, Partner
 from uqsphere.mechanics.roots import newton
 from uqsphere.mechanics.scene import Scene
-from uqsphere.mechanics.yielding import Face, Softening, broken
+from uqsphere.mechanics.yielding import Face
 
 #: approach and time below which the logarithms of (11) cancel and its series in x^(3/2) is the better way, and its
 #: terms: the next one is 0.1^(1.5 13)/20.5, below the rounding of a double
@@ -181,8 +181,8 @@ def solve_closed(scene: Scene, fidelity: str = "massless", quantities: Collectio
     """Quantities of interest of n scenes between bars in closed form, with the same names as `integrator.solve`.
 
     Both forces are equal and rise until the pulse ends, theory (11), then die out, theory (12): the largest force is
-    that at the end of the pulse or of the record.  Contact is never lost, so that contact_time is always censored at
-    the end of the record: the horizon, or where the force is down to 1 % of the largest.  ValueError where
+    that at the end of the pulse or of the record.  Contact is never lost, so that time_to_first_loss is always censored
+    at the end of the record: the horizon, or where the force is down to 1 % of the largest.  ValueError where
     `closed_form_applies` is false.
     """
     if not closed_form_applies(scene, fidelity):
@@ -205,17 +205,14 @@ def scaled_answers(scene: Scene) -> dict[str, Array]:
     peak = loading_approach(loaded)
     tail = theta + relaxing_time(peak, peak * TAIL_SHARE ** (2.0 / 3.0))
     ended = np.where(np.isfinite(horizon), horizon, tail)
-    half = 0.5 ** (2.0 / 3.0)
-    half_again = theta + relaxing_time(peak, peak * half)
-    # x' = f - q: the impulse is that of the pulse less what is left of the approach
+    # x' = f - q: the impulse is that of the pulse less what is left of the approach, nothing where the tail ends it
     left = np.where(ended > theta, relaxing_approach(peak, np.maximum(ended - theta, 0.0)), peak)
+    left = np.where(np.isfinite(horizon), left, 0.0)
     return {
         **dict.fromkeys(("x_max", "x_first", "x_a", "x_b", "x_first_a", "x_first_b"), peak),
         **dict.fromkeys(("contact", "ended", "parting"), ended),
         "difference": np.zeros_like(peak), "contact_censored": np.ones_like(peak),
-        "stored": 2.0 * 0.4 * peak**2.5, "mean_force": peak**1.5, "impulse": (loaded - left) / peak**1.5,
-        "width": np.minimum(half_again, ended) - loading_time(peak * half),
-        "width_censored": 1.0 * (half_again >= ended),
+        "stored": 2.0 * 0.4 * peak**2.5, "mean_force": peak**1.5, "duration": (loaded - left) / peak**1.5,
         "rise": loading_time(peak * 0.9 ** (2.0 / 3.0)) - loading_time(peak * 0.1 ** (2.0 / 3.0)),
     }  # fmt: skip
 
@@ -235,9 +232,8 @@ def reduced_mass(mass: Values, partner: Values = math.inf) -> Array:
     return np.asarray(mass / (1.0 + mass / np.asarray(partner, dtype=float)))
 
 
-#: columns of the table: restitution, peak force, duration, width at half the peak, rise from 10 % to 90 % of it, time
-#: above 10 %
-_COLUMNS: Final = ("restitution", "force", "duration", "width", "rise", "above")
+#: columns of the table: restitution, peak force, time under load, rise from 10 % to 90 % of the peak
+_COLUMNS: Final = ("restitution", "force", "duration", "rise")
 
 
 @cache
@@ -283,7 +279,7 @@ def blow(hertz_constant: Values, mass: Values, speed: Values, impedance: Values 
     )
 
 
-def yielding_depth(face: Face | Softening, mass: Values, speed: Values) -> Array:
+def yielding_depth(face: Face, mass: Values, speed: Values) -> Array:
     """z = alpha/alpha_y to which a blow presses a face that yields: M* v²/2 = W(z) P_y alpha_y, (R23).
 
     The face's `pressed` has force, pressure, dent and work at that depth, its `restitution` the speed after.
@@ -311,11 +307,6 @@ def closed_form_rows(scene: Scene) -> Flags:
     kind = RIGS[scene.rig].kind(1, scene.options)
     bare = RIGS[scene.rig].contacts == 1 and kind in ("thick", "mass") and scene.horizon is None
     behind, ahead = scene.partners
-    if bare and ahead is not None and isinstance(face := _path_of(ahead, scene), Softening):
-        # a sphere that breaks has no way back
-        with np.errstate(all="ignore"):
-            depth = yielding_depth(face, reduced_mass(scene.scales.mass, ahead.mass), scene.scales.speed)
-            return ~broken(depth**face.gamma, face.gamma)
     if scene.rig == "platens" or bare:
         return np.ones(len(scene), dtype=bool)
     if behind is not None or ahead is None or scene.horizon is not None:
@@ -389,7 +380,7 @@ def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answ
         share = behind.mass / (behind.mass + ahead.mass)
         tracked = {
             "x_max": x_a, "x_a": x_a, "x_b": x_b, "force_b_at_a": q, "force_a_at_b": q, "mean_force": q,
-            "difference": np.zeros(1), "impulse": (1.0 + at["restitution"]) / at["force"] * time,
+            "difference": np.zeros(1), "duration": (1.0 + at["restitution"]) / at["force"] * time,
             "stored": 0.4 * q * (slow_a + slow_b),
             "stored_sphere": 0.4 * q * (behind.share * slow_a + ahead.share * slow_b),
             **{name: at[of] * time for name, of in _DURATIONS.items()},
@@ -404,11 +395,11 @@ def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answ
 
 #: times of a blow -> which of `_COLUMNS` they are
 _DURATIONS: Final = {
-    "contact": "duration", "parting": "duration", "ended": "duration", "width": "width", "rise": "rise",
+    "contact": "duration", "parting": "duration", "ended": "duration", "rise": "rise",
 }  # fmt: skip
 
 
-def _path_of(partner: Partner, scene: Scene) -> Face | Softening | None:
+def _path_of(partner: Partner, scene: Scene) -> Face | None:
     """The law that moves the bodies at a face; None: Hertz."""
     return partner.face if scene.contact_dynamics == "path" else None
 
@@ -421,9 +412,9 @@ def _blown(scene: Scene, ahead: Partner) -> dict[str, Array]:
     x = np.cbrt(np.square(at["force"]))
     found = {
         "x_max": x, "x_b": x, "stored": 0.4 * at["force"] * x, "contact": at["duration"], "parting": at["duration"],
-        "width": at["width"], "rise": at["rise"], "ended": at["duration"],
+        "rise": at["rise"], "ended": at["duration"],
         # momentum: the sphere, or of two bodies each in their common frame, leaves with e times its speed
-        "impulse": (1.0 + at["restitution"]) / at["force"], **_speeds(scene, ahead, at["restitution"]), **_CENSORED,
+        "duration": (1.0 + at["restitution"]) / at["force"], **_speeds(scene, ahead, at["restitution"]), **_CENSORED,
     }  # fmt: skip
     if waves:
         # what is lost is what the impedance takes: (1 - e²)/2 = lam times the integral of q²
@@ -432,7 +423,7 @@ def _blown(scene: Scene, ahead: Partner) -> dict[str, Array]:
 
 
 #: a blow in closed form ends by itself, and the bodies touch once
-_CENSORED: Final = dict.fromkeys(("contact_censored", "width_censored", "touches"), np.zeros(1))
+_CENSORED: Final = dict.fromkeys(("contact_censored", "touches"), np.zeros(1))
 
 
 def _speeds(scene: Scene, ahead: Partner, restitution: Array) -> dict[str, Array]:
@@ -443,32 +434,32 @@ def _speeds(scene: Scene, ahead: Partner, restitution: Array) -> dict[str, Array
     return {"end_speed": share - (1.0 - share) * restitution, "end_speed_b": share * (1.0 + restitution)}
 
 
-def _yielded(scene: Scene, face: Face | Softening, ahead: Partner) -> dict[str, Array]:
+def _yielded(scene: Scene, face: Face, ahead: Partner) -> dict[str, Array]:
     """A blow on a face that yields, in scaled variables: depth by (R23), times by quadrature."""
     scales = scene.scales
     depth = yielding_depth(face, reduced_mass(scales.mass, ahead.mass), scales.speed)
     x = depth * face.onset_approach / scales.approach
     state, restitution = face.pressed(depth), face.restitution(depth)
-    top, (low, half, high) = state.force / face.onset_force, (0.1, 0.5, 0.9)
-    down = [_loading(face, depth, face.depth_at(share * top * face.onset_force)) for share in (low, half, high)]
-    down.append(_loading(face, depth, np.zeros(1)))
+    low, high, first = (
+        _loading(face, depth, start)
+        for start in (face.depth_at(0.1 * state.force), face.depth_at(0.9 * state.force), np.zeros(1))
+    )
     to_scaled = face.onset_approach / scales.approach
     # unloading is Hertz's from alpha_e down, and leaves at the speed of restitution
     up = face.recovery(depth) * to_scaled / restitution
-    whole = down[3] * to_scaled + up * _UNLOADING[0]
+    whole = first * to_scaled + up * _UNLOADING
     return {
         "x_max": x, "x_b": x, "stored": state.stored / (scales.force * scales.approach), "contact": whole,
-        "parting": whole, "width": down[1] * to_scaled + up * _UNLOADING[1], "ended": whole,
-        "impulse": (1.0 + restitution) * scales.force / state.force,
-        "rise": (down[0] - down[2]) * to_scaled, **_speeds(scene, ahead, restitution), **_CENSORED,
+        "parting": whole, "ended": whole, "duration": (1.0 + restitution) * scales.force / state.force,
+        "rise": (low - high) * to_scaled, **_speeds(scene, ahead, restitution), **_CENSORED,
     }  # fmt: skip
 
 
-#: integral of dx/sqrt(1 - x^2.5) from 0, from 0.5^(2/3) and from 0.1^(2/3), to 1: unloading times over alpha_e/v, (R11)
-_UNLOADING: Final = (1.4716375921624, 0.8084992204472, 1.2555247086606)
+#: integral of dx/sqrt(1 - x^2.5) from 0 to 1: time of unloading over alpha_e/v, (R11)
+_UNLOADING: Final = 1.4716375921624
 
 
-def _loading(face: Face | Softening, depth: Array, start: Array) -> Array:
+def _loading(face: Face, depth: Array, start: Array) -> Array:
     """Time of loading from z = start to the top z_m over alpha_y/v: the integral of dz/sqrt(1 - W(z)/W(z_m)).
 
     With z = z_m cos²(t) the integrand is smooth at both ends; it bends at the onset, where the range is cut.
@@ -498,8 +489,6 @@ def _pressed(scene: Scene) -> dict[str, Array]:
     else:
         depth = face.depth_at(force)
         approach = depth * face.onset_approach
-        if isinstance(face, Softening):  # no more than the sphere bears
-            force = face.pressed(depth).force
         slope, stored = face.slope(depth) * face.onset_force / face.onset_approach, face.pressed(depth).stored
     rate = c.get("platens.loading_rate", scene.column("platens.speed") / (2.0 / slope + softness))
     x, q = approach / scales.approach, force / scales.force

@@ -47,9 +47,6 @@ def leaving(motion: Motion, bar: int, times: Array, *, sides: Array | None = Non
     g_A(t) = sum_k R_1^k [f_in(t - k T_1) - P_A(t - k T_1)/Z],   k_B(t) = sum_k R_3^k P_B(t - k T_3)/Z.
     sides (m,): -1 takes the value before a jump at that instant, 1 (everywhere if None) the value after it.
     """
-    if bar == 1 and motion.returning is not None:
-        force = motion.forces_at(times)[:, 1]
-        return np.asarray(force / motion.impedance + motion.returning(times))
     return _echoes(motion, bar, times, _sided(motion, times, sides), first=0)
 
 
@@ -57,8 +54,6 @@ def arriving(motion: Motion, bar: int, times: Array, *, sides: Array | None = No
     """The wave that arrives at a face at `times` [s], (m,) [m/s]: f = f_in + R_1 g_A(t - T_1) in the incident bar (0),
     h = R_3 k_B(t - T_3) in the receiving bar (1).
     """  # fmt: skip
-    if bar == 1 and motion.returning is not None:
-        return motion.returning(times)
     nudge = _sided(motion, times, sides)
     echo = _echoes(motion, bar, times, nudge, first=1)
     return _pulse(motion.scene, motion.row, times + nudge) + echo if bar == 0 else echo

@@ -7,16 +7,14 @@ nothing in accuracy.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Values
-from uqsphere.files import Json
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.damper import Damper, move_with_damper
 from uqsphere.mechanics.field import (
     BARS,
     GaugeRecord,
@@ -32,7 +30,6 @@ from uqsphere.mechanics.integrator.solve import Motion, motion
 from uqsphere.mechanics.integrator.tracked import ORDER
 from uqsphere.mechanics.roots import bisect
 from uqsphere.mechanics.scene import Scene
-from uqsphere.mechanics.yielding import Softening
 
 #: an approach over time, of times [s]
 Course = Callable[[Array], Array]
@@ -47,9 +44,9 @@ _COURSES: Final = (
 
 
 # --- loads, dents, velocities and energies of one motion, for every rig and every law of contact ----------------
-# What a face has taken follows from its largest force so far (where it softens: from its largest approach), which gives
-# depth, dent and plastic work by the law of virgin loading (`uqsphere.mechanics.yielding`), and a smaller one lies on
-# the spring of unloading.  Velocities of the partners' contact points: V_A = w + alpha_A', V_B = w - alpha_B', (R1).
+# What a face has taken follows from its largest force so far, which gives depth, dent and plastic work by the law of
+# virgin loading (`uqsphere.mechanics.yielding`), and a smaller one lies on the spring of unloading.  Velocities of the
+# partners' contact points: V_A = w + alpha_A', V_B = w - alpha_B', (R1).
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,10 +123,7 @@ def _face(motion: Motion, pole: int, gap: Array, force: Array) -> tuple[Array, A
         pressed = np.maximum(gap, 0.0)
         return gap, np.sqrt(radius * pressed), none, np.asarray(contact.contact_energy(pressed, beta)), none
     law, largest = law.at(motion.row), np.maximum.accumulate(force)
-    # a face that softens has no dent, and near its largest force that does not tell its depth
-    soft = isinstance(law, Softening)
-    deepest = np.maximum.accumulate(np.maximum(gap, 0.0))
-    peak = law.pressed(deepest / law.onset_approach if soft else law.depth_at(largest))
+    peak = law.pressed(law.depth_at(largest))
     back = np.where(peak.depth > 1.0, peak.approach - peak.dent, peak.approach)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.cbrt(np.square(np.where(largest > 0.0, force / largest, 0.0)))
@@ -226,8 +220,8 @@ class History:
     first_peak, later_peak: largest contact pressure before and after the first loss of contact.  record_end, horizon:
     of the quantities of interest, and of this history.  mass_number, pulse_number: mu and theta of theory (10).
     modulus, effective_radius, hertz_constant: what `pressure_over_contact` needs.  motion: the integrated scene, off
-    which `field` reads any place and instant.  balance: dents, velocities and energies; None for cheaper models and a
-    damper against frequency. gauges: those of a study, or one half-way along each bar; none from `trace` itself.
+    which `field` reads any place and instant.  balance: dents, velocities and energies; None for cheaper models.
+    gauges: those of a study, or one half-way along each bar; none from `trace` itself.
     """
 
     time: Array
@@ -291,22 +285,16 @@ class History:
 
 
 def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: float = 1e-8,
-          points: int = 2000, damper: Damper | None = None) -> History:  # fmt: skip
+          points: int = 2000) -> History:  # fmt: skip
     """One row of a scene from first touch to the horizon, `points` (2 and more) even instants and the events.
 
-    fidelity: `full`, `linear` or `massless`; tolerance: relative error of the integration; damper: the receiving bar's
-    far end against frequency, in place of its number: `full` only, to about 1e-7.  ValueError if the row lies outside
-    the domain or cannot be integrated.
+    fidelity: `full`, `linear` or `massless`; tolerance: relative error of the integration.  ValueError if the row
+    lies outside the domain or cannot be integrated.
     """
     if points < 2:
         raise ValueError(f"a history needs at least 2 points, found {points}")
     row = range(len(scene))[row]
-    if damper is None:
-        found = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
-    elif fidelity == "full":
-        found = move_with_damper(scene, row, damper)
-    else:
-        raise ValueError(f"a damper against frequency goes with the full model, found {fidelity}")
+    found = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
     horizon = found.horizon
     changes = find_changes(found, tolerance=tolerance)
     lost = next((change.time for change in changes if change.kind == "lost" and scene.rig == "bars"), np.inf)
@@ -314,7 +302,7 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
     times, sides = _instants(found, points, [event.time for event in (*changes, first, later) if event is not None])
     states, forces = found.states_at(times), found.forces_at(times).T
     waves = waves_at(found, times, sides=sides) if scene.rig == "bars" else Waves.none(len(times))
-    balance = balance_of(found, times) if fidelity == "full" and damper is None else None
+    balance = balance_of(found, times) if fidelity == "full" else None
     approaches, pressures = _pressed(found, states, forces, balance)
     # without mass the sphere moves with the mean of the two bar ends; the integrator has no velocity for it
     velocity = waves.incident + waves.returning if fidelity == "massless" else states[:, 2]
@@ -335,18 +323,6 @@ def _pressed(found: Motion, states: Array, forces: Array, balance: Balance | Non
     if balance is not None and balance.dent.max() > 0.0:
         return balance.approach, balance.mean_pressure
     return states[:, :2].T, np.stack([found.pressure_at(force, pole) for pole, force in enumerate(forces)])
-
-
-def force_courses(courses: Sequence[Motion], times: Array) -> Array:
-    """Contact forces (n, 2, m) at the faces A and B [N] of n motions at m ascending instants since first touch [s].
-
-    After the end of a motion its forces are nan.
-    """
-    found = np.full((len(courses), 2, len(times)), np.nan)
-    for forces, course in zip(found, courses, strict=True):
-        known = times <= course.horizon
-        forces[:, known] = course.forces_at(times[known]).T
-    return found
 
 
 def _instants(found: Motion, points: int, events: list[float]) -> tuple[Array, Array]:
@@ -488,15 +464,6 @@ class FieldView:
     returns: tuple[float, float]
     tensions: tuple[Tension, ...]
 
-    def __post_init__(self) -> None:
-        if self.stress.ndim != 2 or not 0 < self.stress.size <= 1_000_000 or not np.isfinite(self.stress).all():
-            raise ValueError("the stress must be a table of finite numbers")
-        numbers = (*self.reach, self.begin, self.last, self.wave_speed, self.record_end)
-        if not all(math.isfinite(value) for value in numbers) or not min(*self.reach, self.wave_speed) > 0.0:
-            raise ValueError("lengths, times and the speed must be finite, lengths and speed positive")
-        if not self.begin < self.last or any(one.bar not in BARS for one in self.tensions):
-            raise ValueError("the times must ascend, and the bars be those of the model")
-
     @property
     def places(self) -> Array:
         """(x,) places [m] along the bars, the sphere at 0: between them, which is itself no bar."""
@@ -509,40 +476,6 @@ class FieldView:
         """(t,) instants [s]."""
         count = self.stress.shape[0]
         return np.asarray(self.begin + (np.arange(count) + 0.5) / count * (self.last - self.begin))
-
-    def as_document(self) -> dict[str, Json]:
-        """As JSON: the stress in whole kilopascals, a text an instant; what is infinite as null."""
-        return {
-            "reach": list(self.reach),
-            "begin": self.begin,
-            "last": self.last,
-            "stress_kpa": [" ".join(f"{value:.0f}" for value in row * 1e-3) for row in self.stress],
-            "wave_speed": self.wave_speed,
-            "pulse_end": self.pulse_end if math.isfinite(self.pulse_end) else None,
-            "record_end": self.record_end,
-            "returns": [value if math.isfinite(value) else None for value in self.returns],
-            "tensions": [{"bar": one.bar, "position": one.position, "time": one.time} for one in self.tensions],
-        }
-
-    @classmethod
-    def from_document(cls, found: Mapping[str, Json]) -> FieldView:
-        """The view of `as_document`; ValueError, KeyError, TypeError or AttributeError for what it did not write."""
-        left, right = (float(value) for value in found["reach"])
-        one, two = (math.inf if value is None else float(value) for value in found["returns"])
-        return cls(
-            reach=(left, right),
-            begin=float(found["begin"]),
-            last=float(found["last"]),
-            stress=np.array([np.array(row.split(), dtype=float) for row in found["stress_kpa"]]) * 1e3,
-            wave_speed=float(found["wave_speed"]),
-            pulse_end=math.inf if found["pulse_end"] is None else float(found["pulse_end"]),
-            record_end=float(found["record_end"]),
-            returns=(one, two),
-            tensions=tuple(
-                Tension(bar=str(entry["bar"]), position=float(entry["position"]), time=float(entry["time"]))
-                for entry in found["tensions"]
-            ),
-        )
 
 
 def shown_time(history: History) -> float:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from types import MappingProxyType
 from typing import Final, TypeAlias, TypeVar
@@ -30,8 +30,8 @@ from uqsphere.mechanics.criteria import (
 )
 from uqsphere.mechanics.integrator.tracked import DOMAIN, NOT_FINITE, SCALED
 from uqsphere.mechanics.rigs import RIGS, Partner, loss_to_waves
-from uqsphere.mechanics.scene import BROKEN, Scales, Scene, answered
-from uqsphere.mechanics.yielding import Press, Softening, broken
+from uqsphere.mechanics.scene import Scales, Scene, answered
+from uqsphere.mechanics.yielding import Press
 from uqsphere.units import Quantity
 
 _Kind = TypeVar("_Kind", bound=np.generic)
@@ -86,7 +86,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              needs=("force", "mean_force"), formula=lambda c: c["force"] * c["mean_force"]),
     Quantity(name="contact_duration", symbol="t_eq", dimension="time", display="us",
              meaning="equivalent contact duration: impulse of the mean force of both faces over its peak",
-             needs=("time", "impulse"), formula=lambda c: c["time"] * c["impulse"]),
+             needs=("time", "duration"), formula=lambda c: c["time"] * c["duration"]),
     Quantity(name="time_to_first_loss", symbol="t_loss", dimension="time", display="us", rough=24_000,
              meaning="time from first touch to the first loss of contact at either face", needs=("time", "contact"),
              censored="contact_censored",
@@ -94,10 +94,6 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
     Quantity(name="loaded_time", symbol="t_loaded", dimension="time", display="us",
              meaning="time from first touch until the bodies part for good", needs=("time", "parting"),
              formula=lambda c: c["time"] * c["parting"]),
-    Quantity(name="pulse_width", symbol="t_width", dimension="time", display="us", rough=16_000,
-             meaning="time between the first and the last crossing of half the largest force", needs=("time", "width"),
-             censored="width_censored",
-             formula=lambda c: c["time"] * c["width"]),
     Quantity(name="rise_time", symbol="t_rise", dimension="time", display="us", rough=16_000,
              meaning="time between the first crossings of 10 % and 90 % of the largest force", needs=("time", "rise"),
              formula=lambda c: c["time"] * c["rise"]),
@@ -142,12 +138,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
     Quantity(name="transmitted_energy", symbol="W_t", dimension="energy", display="J", closed=True,
              meaning="energy that the partners carry off as waves", needs=("carried_off", "carried_a", "carried_b")),
     Quantity(name="plastic_work", symbol="D", dimension="energy", display="J", closed=True,
-             meaning="work that both faces have dissipated, by yielding or damage", needs=("dissipated",)),
-    Quantity(name="damage", symbol="d", dimension="number", closed=True, needs=("blow",),
-             meaning="share of the stiffness that the blow takes from the sphere's more damaged contact",
-             formula=lambda c: c["damaged"]),
-    Quantity(name="broke_at", symbol="n_b", dimension="number", needs=("blow",), censored="blow_censored",
-             meaning="number of the equal blow that breaks a sphere which earlier ones have damaged"),
+             meaning="work that both faces have dissipated by yielding", needs=("dissipated",)),
     Quantity(name="t10", symbol="t10", dimension="share", display="%", upper=1.0, follows="energy",
              meaning="share of the product finer than a tenth of the sphere, if it breaks (needs [product])",
              needs=("specific_energy", "product.A", "product.b"),
@@ -219,8 +210,7 @@ def roots_of(quantities: Iterable[str], demands: Demands) -> set[str]:
 
 def all_of(scene: Scene) -> tuple[str, ...]:
     """All quantities that a scene has the numbers for, and its demands."""
-    every = (name for name in OUTPUTS if not absent_in(scene, name))
-    return (*every, *scene.demands)
+    return (*(name for name in OUTPUTS if not absent_in(scene, name)), *scene.demands)
 
 
 def wishes(quantities: Collection[str] | None, demands: Demands = MappingProxyType({})) -> int:
@@ -235,7 +225,7 @@ def wishes(quantities: Collection[str] | None, demands: Demands = MappingProxyTy
 def follows_force(quantity: str) -> bool:
     """Whether a slow test tells the quantity from the force at failure alone.
 
-    >>> follows_force("core_tension"), follows_force("contact_time")
+    >>> follows_force("core_tension"), follows_force("contact_duration")
     (True, False)
     """
     return quantity in OUTPUTS and OUTPUTS[quantity].follows != "" and "product.A" not in _roots(quantity, {})
@@ -306,13 +296,12 @@ def _side(scene: Scene, pole: int, x: Array) -> dict[str, Known]:
             **dict.fromkeys(("stored", "elastic"), lambda: contact.contact_energy(approach, beta)),
         }  # fmt: skip
     path = scene.contact_dynamics == "path" or scene.rig == "platens"
-    state = face.pressed(approach / face.onset_approach if path else face.static_depth(approach, force))
+    state = face.pressed(approach / face.onset_approach if path else face.depth_at(force))
     return {
         **_pressures(state, modulus, radius, partner.takes), "P_max": state.force, "alpha_max": state.approach,
         "p_hertz": contact.pressure_at_force(state.force, modulus, radius), "dent_left": state.dent,
         "dissipated": state.plastic,
         "stored": state.stored, "elastic": contact.contact_energy(approach, beta),
-        "damage": face.damage(state.approach) if isinstance(face, Softening) else np.zeros(1),
     }  # fmt: skip
 
 
@@ -324,7 +313,7 @@ _OPPOSITE: Final = {"a": "force_b_at_a", "b": "force_a_at_b"}
 
 def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Known]:
     """Columns of a scene whose faces are not alike, or yield: each face's own ("sides") and those of the row."""
-    if scene.rig == "bars" and scene.struck.face is None and scene.stiffness_left is None:
+    if scene.rig == "bars" and scene.struck.face is None:
         return {}
     poles = {name: pole for pole, name in enumerate("ab") if scene.partners[pole] is not None}
     sides = [_face(scene, name, tracked) for name in poles]
@@ -333,7 +322,7 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Known]:
         found["first_peak"] = lambda: _largest(
             [Columns(_side(scene, pole, tracked[f"x_first_{name}"])) for name, pole in poles.items()], "p_max"
         )
-    more = _of_forces(scene, tracked, sides) | _of_damage(scene, sides) | _energies(scene, tracked, sides)
+    more = _of_forces(scene, tracked, sides) | _energies(scene, tracked, sides)
     return {"sides": sides} | found | more
 
 
@@ -361,15 +350,6 @@ def _of_forces(scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Colum
     if scene.rig != "bars":
         found["force_at_centre"] = found.get("mean_force_max") or (lambda: force * tracked["mean_force"])
     return found
-
-
-def _of_damage(scene: Scene, sides: Sequence[Columns]) -> dict[str, Known]:
-    """Columns of one blow on a sphere that takes damage: `after_blows` counts them."""
-    if scene.contact_law != "damage":
-        return {}
-    done = partial(_largest, sides, "damage")
-    return {"damaged": done, "blow": lambda: np.ones(len(scene)),
-            "blow_censored": lambda: 1.0 - broken(done(), scene.columns["contact.gamma"])}  # fmt: skip
 
 
 def _largest(sides: Sequence[Columns], column: str) -> Array:
@@ -453,25 +433,20 @@ def _half(scales: Scales) -> Array:
 _LACKING: Final[tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...]] = (
     (("difference",), lambda s: RIGS[s.rig].contacts == 1,
      "with one contact the other force is nothing: the imbalance is 1 by definition"),
-    (("parting", "touches"), lambda s: s.rig == "bars", "the record of bars ends at the first loss of contact"),
+    (("parting", "touches"), lambda s: s.rig == "bars", "between bars echoes load the sphere again and again"),
     (("carried_off",), lambda s: s.rig == "bars", "bars carry waves both ways: history shows them"),
-    (("gap",), lambda s: s.rig != "bars",
-     "the record ends where the bodies part: retouches counts the gaps before the largest force"),
     (("offered", "leaving", "parting_speed"), lambda s: not RIGS[s.rig].blow,
      "no body meets the sphere with a speed: a wave, or a slow press, loads it"),
     (("carried_off",), lambda s: RIGS[s.rig].blow and loss_to_waves(s) is None and not _carrying(s.there),
      "what stands at the poles carries nothing off here (a thick target: give its density)"),
-    (("parting", "touches", "contact", "width", "carried_off", "impulse"), lambda s: s.rig == "platens",
+    (("parting", "touches", "contact", "duration", "carried_off"), lambda s: s.rig == "platens",
      "platens press slowly and stay"),
     (("rise",), lambda s: s.rig == "platens" and s.columns.keys().isdisjoint(("platens.speed", "platens.loading_rate")),
      'how fast the platens press is not given: add speed = "1 mm/min" or loading_rate'),
     (("x_first",), lambda s: s.rig != "bars" and not any(np.any(one.reflection) for one in s.there),
      "no wave comes back to the sphere"),
-    (("dent_left",), lambda s: s.contact_law == "damage", "a contact that takes damage keeps no dent"),
-    (("dent_left", "dissipated"), lambda s: s.contact_law != "damage" and all(one.face is None for one in s.there),
-     'both bodies are elastic: law = "plastic" in the table [contact] is due'),
-    (("blow",), lambda s: s.contact_law != "damage",
-     'blows leave no damage: law = "damage" in the table [contact] is due'),
+    (("dent_left", "dissipated"), lambda s: all(one.face is None for one in s.there),
+     'both bodies are elastic: law = "plastic" in the table [contact] is required'),
 )  # fmt: skip
 
 
@@ -496,10 +471,9 @@ def absent_in(scene: Scene, quantity: str) -> str:
 class Answers:
     """Quantities of interest of n rows, (n,) arrays.
 
-    values: the quantities asked for, SI; NaN where `status` is not 0 or 7.  censored: of contact_time and pulse_width,
-    whether the record ended first and the value is a lower bound.  status: 0, or a code of `scene.STATUS`.  record: its
-    end [s], or the time after which nothing that was asked for could change.  steps: of the integrator.  others: where
-    the status is 7, the quantities if contact is decided the other way, else NaN; empty if no row is undecided.
+    values: the quantities asked for, SI; NaN where `status` is not 0.  censored: of time_to_first_loss, whether the
+    record ended first and the value is a lower bound.  status: 0, or a code of `scene.STATUS`.  record: its end [s], or
+    the time after which nothing that was asked for could change.  steps: of the integrator.
     """
 
     values: Mapping[str, Array]
@@ -507,7 +481,6 @@ class Answers:
     status: Places
     record: Array
     steps: Places
-    others: Mapping[str, Array] = field(default_factory=dict)
 
     def at(self, rows: Places | Flags | slice) -> Answers:
         """The answers of some of the rows."""
@@ -517,7 +490,6 @@ class Answers:
             status=self.status[rows],
             record=self.record[rows],
             steps=self.steps[rows],
-            others={name: column[rows] for name, column in self.others.items()},
         )
 
 
@@ -542,10 +514,6 @@ def _carried(columns: Columns, key: str, parameters: Mapping[str, float], *, yie
                      "specific_impact_energy": offered / known["mass"]})  # fmt: skip
     rest = {name: value for name, value in parameters.items() if name not in CARRIED}
     return demand(CRITERIA[key], state, rest) if key in CRITERIA else np.asarray(state[key])
-
-
-#: what is known of a sphere only once the bodies have parted
-_AFTER: Final = {"parting", "touches", "leaving", "parting_speed", "carried_off"}
 
 
 def answers_from(
@@ -578,12 +546,6 @@ def answers_from(
         for name in values
         if name in OUTPUTS and OUTPUTS[name].censored
     }
-    if "damaged" in made:
-        gone = broken(columns["damaged"], scene.columns["contact.gamma"]) & ~bad
-        censored = {name: flags | gone for name, flags in censored.items()}
-        if any(_roots(name, scene.demands) & _AFTER for name in values):
-            status = np.where(gone, BROKEN, status)
-            values = {name: np.where(gone, np.nan, value) for name, value in values.items()}
     record = np.asarray(scene.scales.time * columns["ended"])
     return Answers(values=values, censored=censored, status=status, record=record, steps=steps)
 
@@ -602,56 +564,18 @@ def _wider_than_its_rod(scene: Scene, made: Mapping[str, Known]) -> Flags:
 def merged_answers(*parts: tuple[Places, Answers]) -> Answers:
     """Answers of one batch from those of some of its rows each; together they are all of them."""
     places, found = np.concatenate([rows for rows, _ in parts]), [part for _, part in parts]
-    if any(part.others for part in found):
-        found = [replace(p, others=p.others or dict.fromkeys(p.values, np.full(len(p.status), np.nan))) for p in found]
     whole = Answers(
         values=_joined([part.values for part in found]),
         censored=_joined([part.censored for part in found]),
         status=np.concatenate([part.status for part in found]),
         record=np.concatenate([part.record for part in found]),
         steps=np.concatenate([part.steps for part in found]),
-        others=_joined([part.others for part in found]),
     )
     return whole if np.all(places[1:] > places[:-1]) else whole.at(np.argsort(places))
 
 
 def _joined(tables: Sequence[Mapping[str, npt.NDArray[_Kind]]]) -> dict[str, npt.NDArray[_Kind]]:
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-
-
-# --- equal blows on a sphere that takes damage: stiffness and fracture energy carried from one to the next ----
-
-
-def after_blows(
-    scene: Scene, solve: Callable[[Scene, Collection[str]], Answers], quantities: Collection[str] | None
-) -> Answers:
-    """Answers of the last of `scene.blows` equal blows that a sphere which takes damage holds, or that breaks it.
-
-    solve: function of (scene, quantities), the answers of one blow.  `broke_at` is the number of the blow that breaks
-    the sphere, censored at the last where it holds them all.
-    """
-    if quantities is None:
-        quantities = all_of(scene)
-    asked = tuple(dict.fromkeys([*(name for name in quantities if name != "broke_at"), "damage"]))
-    left, alive, parts = np.ones(len(scene)), np.arange(len(scene)), []
-    gamma = scene.columns["contact.gamma"]
-    for blow in range(1, scene.blows + 1):
-        found = solve(replace(scene.at(alive), stiffness_left=left[alive]), asked)
-        done = found.values["damage"]
-        breaks = broken(done, gamma[alive]) & answered(found.status)
-        last = breaks | ~answered(found.status) | (blow == scene.blows)
-        counted = np.where(answered(found.status), float(blow), np.nan)
-        told = replace(
-            found,
-            values={**found.values, "broke_at": counted},
-            censored={**found.censored, "broke_at": ~breaks & answered(found.status)},
-        )
-        parts.append((alive[last], told.at(last)))
-        left[alive] = left[alive] * (1.0 - done)
-        alive = alive[~last]
-        if len(alive) == 0:
-            break
-    return merged_answers(*parts)
 
 
 # --- the path to fracture -----------------------------------------------------------------------------
@@ -687,7 +611,7 @@ PATHS: Final[dict[str, Path]] = {
 def path_of(quantity: str, demands: Demands = MappingProxyType({})) -> Path | None:
     """How a quantity or the demand of a criterion follows the loading; None where its exceedance is no fracture.
 
-    >>> path_of("p_max").over, path_of("specific_energy").over, path_of("contact_time")
+    >>> path_of("p_max").over, path_of("specific_energy").over, path_of("contact_duration")
     ('force', 'energy', None)
     """
     if quantity not in demands:

@@ -18,7 +18,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Values
 from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.yielding import CAP_PILE_UP, Body, Face, Softening, critical_approach, metal_body, softer
+from uqsphere.mechanics.yielding import CAP_PILE_UP, Body, Face, metal_body, softer
 
 if TYPE_CHECKING:
     from uqsphere.mechanics.scene import Scene
@@ -37,8 +37,8 @@ class Partner:
     effective_radius, hertz_constant: E* [Pa], r_eff [m] and beta [N/m^1.5] of this face.  share: chi = E* (1 - nu²)/E,
     the sphere's share of its elastic energy, (R22).  impedance, mass: Z and mass [kg], infinite where it does not give
     way, or is not free.  speed: V at first touch, positive from pole A to pole B.  round_trip, reflection: of a bar and
-    its far end; infinite and 0 where nothing returns.  face: its law if it yields or takes damage; takes: the sphere's
-    share of what such a face dissipates, 1 where it is the sphere that yields, chi of damage.
+    its far end; infinite and 0 where nothing returns.  face: its law if it yields; takes: the sphere's share of
+    what such a face dissipates, 1 where it is the sphere that yields.
     """
 
     table: str
@@ -52,7 +52,7 @@ class Partner:
     speed: Array
     round_trip: Array
     reflection: Array
-    face: Face | Softening | None
+    face: Face | None
     takes: Array
 
 
@@ -76,9 +76,6 @@ def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) 
             c["sphere.E"], c["sphere.nu"], face_E, face_nu, rigid_bars=scene.rigid_contact
         )
         share = np.asarray(modulus * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"])
-        if scene.stiffness_left is not None:
-            # what blows have softened is the sphere: the partner's share goes down with the stiffness
-            modulus, share = modulus * scene.stiffness_left, 1.0 - scene.stiffness_left * (1.0 - share)
         radius = contact.effective_radius(c["sphere.radius"], _face_radius(scene, table))
         return Partner(
             table=table,
@@ -90,7 +87,7 @@ def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) 
             impedance=_impedance(scene, table, kind),
             mass=_mass(scene, table) if kind == "mass" else _everywhere(np.inf, scene),
             speed=_everywhere(0.0, scene) if speed is None else speed,
-            **_law(scene, table, modulus, radius, share),
+            **_law(scene, table, modulus, radius),
             **_echo(scene, table, kind),
         )
 
@@ -175,23 +172,13 @@ def softest_partner(scene: Scene) -> Body:
 
 
 class _Law(TypedDict):
-    face: Face | Softening | None
+    face: Face | None
     takes: Array
 
 
-def _law(scene: Scene, table: str, modulus: Array, radius: Array, share: Array) -> _Law:
-    """The law of a face that takes damage, or yields: of its softer body, row by row, but for what [contact] gives."""
+def _law(scene: Scene, table: str, modulus: Array, radius: Array) -> _Law:
+    """The law of a face that yields: of its softer body, row by row, but for what [contact] gives."""
     elastic = _Law(face=None, takes=_everywhere(0.0, scene))
-    if scene.contact_law == "damage":
-        c, beta = scene.columns, contact.hertz_constant(modulus, radius)
-        energy = c["contact.fracture_energy"] * contact.sphere_mass(c["sphere.radius"], c["sphere.density"])
-        if scene.stiffness_left is not None:
-            energy = energy * scene.stiffness_left
-        critical = critical_approach(energy / scene.contacts, share, beta, c["contact.gamma"])
-        law = Softening(
-            critical=critical, gamma=c["contact.gamma"], modulus=modulus, effective_radius=radius, hertz_constant=beta
-        )
-        return _Law(face=law, takes=share)
     if scene.contact_law != "plastic":
         return elastic
     numbers = law_of(scene.columns, table, rigid=scene.rigid_contact, at_onset=scene.hardness_at_onset)

@@ -18,7 +18,7 @@ from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.integrator.tracked import NEVER_CLOSES
 from uqsphere.mechanics.pulses import PARAMETERS, SHAPES, STRIKER_SHAPES, MeasuredPulse, Pulse, build_pulse, noise_names
 from uqsphere.mechanics.rigs import RIGS, Partner, closing_speed, needed, outside, partners_of, speeds_at_touch
-from uqsphere.mechanics.yielding import Face, Softening
+from uqsphere.mechanics.yielding import Face
 from uqsphere.units import Quantity
 
 #: one degree of an angle [rad]
@@ -189,10 +189,6 @@ INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              meaning="mean pressure of a face that flows fully (indentation hardness)"),
     Quantity(name="contact.pile_up", symbol="C", dimension="number", lower=1.0, upper=3.0, closed=True,
              plausible=(1.0, 3.0), meaning="pile-up: a² over r times the approach, far beyond yield"),
-    Quantity(name="contact.gamma", symbol="gamma", dimension="number", lower=2.0, upper=8.0, closed=True,
-             plausible=(2.0, 8.0), meaning="exponent of the sphere's damage"),
-    Quantity(name="contact.fracture_energy", symbol="E_f", dimension="specific_energy", display="J/kg",
-             plausible=(0.1, 1e5), meaning="specific fracture energy of the sphere"),
     *_moving("rig", "v", "speed at which the bodies close"),
     Quantity(name="rig.angle", symbol="phi", dimension="angle", display="deg", lower=5.0 * _DEGREE,
              upper=90.0 * _DEGREE, closed=True, plausible=(20.0 * _DEGREE, 90.0 * _DEGREE),
@@ -226,10 +222,10 @@ INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
       for j, name in enumerate(noise_names(), start=1)),
 )}  # fmt: skip
 
-#: Laws of the contact: elastic, with yield of the softer body, with damage of the sphere.
-CONTACT_LAWS: Final = ("hertz", "plastic", "damage")
+#: Laws of the contact: elastic, with yield of the softer body.
+CONTACT_LAWS: Final = ("hertz", "plastic")
 
-#: what the status of a row means; only rows of 0 and of 7 have numbers
+#: what the status of a row means; only rows of 0 have numbers
 STATUS: dict[int, str] = {
     0: "ok",
     1: "outside the domain of the model (a size, modulus, ratio or pulse without meaning, a sphere wider than its bar, "
@@ -239,20 +235,16 @@ STATUS: dict[int, str] = {
     4: "too many reflections before the end of the record",
     5: "too many steps before the end of the record",
     6: "the answer is not finite",
-    7: "an event comes at one of several times, and less than the tolerance decides which: the answer may jump",
     11: "the bodies never close: a speed that is not positive",
     12: "the record ended while the bodies were still pressed: give a later horizon",
-    13: "the sphere broke while it was pressed: what comes after that has no number",
 }
 #: shortest pulse and round trip over t_c: a double tells times of the record apart to 1e-16 of it
 _SHORTEST: Final = 1e-9
-#: the status of a row that has two answers, and of one that broke before what is asked for
-UNDECIDED, BROKEN = 7, 13
 
 
 def answered(status: Places) -> Flags:
     """Whether rows have numbers that may be used, (n,)."""
-    return np.asarray((status == 0) | (status == UNDECIDED))
+    return np.asarray(status == 0)
 
 
 #: columns without which there is no scene, and those of finite bars
@@ -300,15 +292,15 @@ class Scene:
 
     columns: (n,) arrays [SI] by their dotted path in `INPUTS`.  shape: of the incident pulse, of `pulses.SHAPES` or
     `measured`.  infinite: no wave comes back from the far ends.  rigid_contact: the bars do not yield in the contact,
-    1/E* = (1 - nu²)/E.  first_loading_only: the record ends when the first reflected wave returns.  horizon: its end
+    1/E* = (1 - nu²)/E.  first_loading_only: the record ends when the first reflected wave returns; whole_record: that
+    of bars goes on after the first loss of contact, to the horizon, contacts regained included.  horizon: its end
     [s]; None: the rule of docs/theory.md.  demands: further quantities, name -> criterion and its parameters.
     contact_dynamics: of a law that yields, `path`, inside the equations of motion, or `elastic`, from the largest force
-    alone.  hardness_at_onset: the hardness is the onset, row by row (Thornton's law).  blows: equal ones of a sphere
-    that takes damage; stiffness_left (n,): what those before have left.  record: the pulse of `measured`, the same in
-    every row but for noise and gain; `striker.speed` is then 2 c0 times its peak strain and gain.  rig: of `rigs.RIGS`;
-    shape, infinite, first_loading_only and record belong to `bars`.  options: words of the study, ``target.kind``,
-    ``anvil.kind``, ``hammer.shape``.  ValueError for a missing or misshapen column, an unknown word, or a record
-    without an end.
+    alone.  hardness_at_onset: the hardness is the onset, row by row (Thornton's law).  record: the pulse of `measured`,
+    the same in every row but for noise and gain; `striker.speed` is then 2 c0 times its peak strain and gain.  rig: of
+    `rigs.RIGS`; shape, infinite, first_loading_only and record belong to `bars`.  options: words of the study,
+    ``target.kind``, ``anvil.kind``, ``hammer.shape``.  ValueError for a missing or misshapen column, an unknown word,
+    or a record without an end.
     """
 
     columns: Mapping[str, Array]
@@ -316,13 +308,12 @@ class Scene:
     infinite: bool = False
     rigid_contact: bool = False
     first_loading_only: bool = False
+    whole_record: bool = False
     horizon: float | None = None
     demands: Mapping[str, tuple[str, Mapping[str, float]]] = field(default_factory=dict)
     contact_law: str = "hertz"
     contact_dynamics: str = "path"
     hardness_at_onset: bool = False
-    blows: int = 1
-    stiffness_left: Array | None = None
     record: MeasuredPulse | None = None
     rig: str = "bars"
     options: Mapping[str, str] = field(default_factory=dict)
@@ -362,8 +353,7 @@ class Scene:
 
     def at(self, rows: Places | slice) -> Scene:
         """The scene of some of its rows."""
-        left = None if self.stiffness_left is None else self.stiffness_left[rows]
-        return replace(self, columns={name: column[rows] for name, column in self.columns.items()}, stiffness_left=left)
+        return replace(self, columns={name: column[rows] for name, column in self.columns.items()})
 
     def column(self, name: str, default: Values = np.nan) -> Array:
         """A column, or `default` in every row."""
@@ -523,7 +513,7 @@ class Scene:
         return speed, (beta * beta * impulse * impulse * impulse) ** 0.2
 
     @property
-    def faces(self) -> Face | Softening | None:
+    def faces(self) -> Face | None:
         """The law of the face that is struck first, of both of `bars`, where it yields, (n,) each; None: elastic."""
         return self.struck.face
 

@@ -87,7 +87,7 @@ class Stress:
     def largest_shear(self) -> Array:
         """Half the difference of the largest and the smallest principal stress."""
         upper, lower, around = self.principal
-        return 0.5 * (np.maximum(upper, around) - np.minimum(lower, around))
+        return np.asarray(0.5 * (np.maximum(upper, around) - np.minimum(lower, around)))
 
 
 def load_coefficients(load: Load, terms: int) -> Array:

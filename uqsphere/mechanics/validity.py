@@ -27,7 +27,7 @@ from uqsphere.mechanics.rigs import (
     terminal_speed,
 )
 from uqsphere.mechanics.scene import CONTACT_LAWS, Scene, answered
-from uqsphere.mechanics.yielding import Body, Face, over_peak
+from uqsphere.mechanics.yielding import Body, Face
 
 #: a dent [m] after which a lapped flat is no flat any more
 _RELAP: Final = 1e-6
@@ -342,15 +342,10 @@ RULES: Final[tuple[Rule, ...]] = (
                "(limit {limit})"),
     Rule(name="bar_yield_contact", meaning="contact pressure over that at which the bars yield (elastic contact)",
          measure=lambda s, a: _over_onset(s, a, softest_partner(s), _NO_YIELD), warning=1.0,
-         laws=("hertz", "damage"), rigs=_BARS,
+         laws=("hertz",), rigs=_BARS,
          further=_static(softest_partner),
          words="the bars yield under the sphere, p_0 reaches {worst} times the pressure at which they begin to; "
                "harder bars or inserts, thinner bars or a shorter pulse help"),
-    Rule(name="broken_by_damage", meaning="damage over that at which a sphere breaks (a limit of its own counts it)",
-         measure=lambda s, a: np.asarray(over_peak(a.values["damage"], s.columns["contact.gamma"])), warning=1.0,
-         laws=("damage",),
-         words="the sphere breaks by the law of damage, which no limit on a force or a pressure counts; a limit on the "
-               "damage of 3/(3 + 2 gamma) does"),
     Rule(name="bar_yield_pulse", meaning="stress of the pulse over the bars' yield strength (elastic waves)",
          measure=_pulse_over_yield, warning=1.0, rigs=_BARS,
          words="the pulse makes the bars yield, its stress reaches {worst} times their yield strength"),
@@ -377,7 +372,7 @@ RULES: Final[tuple[Rule, ...]] = (
                "reflected wave in bars of the given length"),
     Rule(name="sphere_yield_contact", meaning="contact pressure over that at which the sphere yields or crushes",
          measure=lambda s, a: _over_onset(s, a, sphere_body(s.columns), _NO_ONSET), warning=1.0,
-         laws=("hertz", "damage"), further=_static(lambda s: sphere_body(s.columns)),
+         laws=("hertz",), further=_static(lambda s: sphere_body(s.columns)),
          words="the sphere crushes at its poles, p_0 reaches {worst} times the pressure at which it begins to"),
     Rule(name="dented", meaning="approach over that at which a face first yields",
          measure=_depth, information=1.0, laws=("plastic",), further=_dents,
@@ -406,7 +401,7 @@ RULES: Final[tuple[Rule, ...]] = (
          words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while it is pressed (at least {limit}); "
                "too few for a quasi-static sphere"),
     Rule(name="face_yield", meaning="contact pressure over that at which what stands at a pole yields",
-         measure=_over_partner_onset, warning=1.0, laws=("hertz", "damage"), rigs=(*_BLOWS, "platens"),
+         measure=_over_partner_onset, warning=1.0, laws=("hertz",), rigs=(*_BLOWS, "platens"),
          further=_static(softest_partner),
          words="what stands at a pole yields under the sphere, p_0 reaches {worst} times the pressure where it begins"),
     Rule(name="thin_plate", meaning="thickness of the plate over the contact radius, or transits of it under load",

@@ -61,8 +61,8 @@ class Cache:
             if database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
                 if any(database.execute(f"PRAGMA {name}").fetchone()[0] != mark for name, mark in _MARKS.items()):
                     raise ValueError("it is no cache of this version")
-                if (found := database.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
-                    raise ValueError(f"it is damaged: {found}")
+                if (state := database.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+                    raise ValueError(f"it is damaged: {state}")
             else:
                 database.execute("BEGIN IMMEDIATE")
                 database.execute("CREATE TABLE IF NOT EXISTS answers (key BLOB PRIMARY KEY, record BLOB) WITHOUT ROWID")
@@ -107,10 +107,10 @@ class Cache:
             if self._database.execute("SELECT 1 FROM answers LIMIT 1").fetchone() is None:
                 return values, status, stored
             for k, key in enumerate(self._keys(rows)):
-                found = self._database.execute("SELECT record FROM answers WHERE key = ?", (key,)).fetchone()
-                if found is None:
+                entry = self._database.execute("SELECT record FROM answers WHERE key = ?", (key,)).fetchone()
+                if entry is None:
                     continue
-                record = bytes(found[0])
+                record = bytes(entry[0])
                 if (
                     len(record) != 5 + 8 * self._outputs
                     or struct.pack("<I", zlib.crc32(record[4:] + key)) != record[:4]

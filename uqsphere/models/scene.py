@@ -240,7 +240,7 @@ def evaluate(
     """
     import pandas as pd
 
-    from uqsphere.models import open_model
+    from uqsphere.models.model import open_model
 
     names = ((quantities,) if isinstance(quantities, str) else quantities) or study.analysis.quantities
     allowed = study.outputs if study.black_box else (*OUTPUTS, *study.demands)
@@ -268,6 +268,7 @@ def _columns_of(study: Study, frame: Any) -> tuple[dict[str, Array], Any]:
     """Columns (n,) by name in the order of `frame`, and its index."""
     import pandas as pd
 
+    index: Any = None
     if isinstance(frame, pd.Series):
         frame = pd.DataFrame([frame.to_numpy()], columns=frame.index)
     if isinstance(frame, pd.DataFrame):

@@ -19,7 +19,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import metadata
-from typing import Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 from loky.backend.context import LokyContext  # type: ignore[import-untyped]
@@ -31,8 +31,9 @@ from uqsphere.errors import AccessError, ModelError, ModelRaised, UqsphereError,
 from uqsphere.models import black_box
 from uqsphere.models.black_box import BlackBox, call_black_box, load_black_box, model_digest
 from uqsphere.models.rows import Code, EvaluatedRows
-from uqsphere.models.scene import evaluate_scene
-from uqsphere.study import Study
+
+if TYPE_CHECKING:
+    from uqsphere.study import Study
 
 #: seconds in which a model's file must have been loaded
 LOADING: Final = 60.0
@@ -56,6 +57,8 @@ class SceneTask:
     tolerance: float | None = None
 
     def answer(self, rows: Array, threads: int | None) -> EvaluatedRows:
+        from uqsphere.models.scene import evaluate_scene
+
         return evaluate_scene(self.study, self.names, rows, self.columns, tolerance=self.tolerance, threads=threads)
 
 

@@ -25,11 +25,13 @@ from uqsphere.study.study import (
     ways_of,
     with_number,
 )
+
 from uqsphere.study.load import load_study  # isort: skip
 
 __all__ = [
-    "Accuracy", "Analysis", "Axis", "Budget", "Dependence", "Gauge", "Limit", "Margins", "ModelChoice", "Source", "Study",
-    "Tested", "Way", "Ways", "breaks_by", "json_schema", "law_json", "limit_of", "load_study", "means_fracture",
+    "Accuracy", "Analysis", "Axis", "Budget", "Dependence", "Gauge", "Limit", "Margins", "ModelChoice", "Source",
+    "Study", "Tested", "Way", "Ways", "breaks_by", "json_schema", "law_json", "limit_of", "load_study",
+    "means_fracture",
     "quantity_of", "reference", "shipped_studies", "spaced", "strength_name", "ways_of", "with_number",
 ]  # fmt: skip
 
@@ -49,10 +51,10 @@ def reference() -> str:
 
 
 def shipped_studies() -> dict[str, Path]:
-    """Shipped studies by name: beside the package when installed, in the repository otherwise."""
+    """Shipped studies by name, but for the labs' input files: in the package when installed, else in the repository."""
     package = Path(__file__).parent.parent
     for folder in (package / "templates", package.parent / "studies"):
-        found = {path.stem: path for path in sorted(folder.glob("*.toml"))}
+        found = {path.stem: path for path in sorted(folder.glob("*.toml")) if not path.stem.startswith("lab_")}
         if found:
             return found
     return {}

@@ -25,10 +25,30 @@ from uqsphere.mechanics.pulses import PARAMETERS as SHAPE_KEYS
 from uqsphere.mechanics.rigs import LAW, RIGS, body_of, law_of, sphere_body
 from uqsphere.quantities import INPUTS, OUTPUTS, format_value, lookup
 from uqsphere.study.document import (
-    ENERGY_OF, RIG_TABLES, SCENE, Analysis, Document, Fault, Gauge, LimitTable, ModelChoice, Number, Place, Reader,
-    number_of, number_path, number_place, one_of, plain_quantity, shown, suggestion, unknown, value_of, warn_unusual,
+    ENERGY_OF,
+    RIG_TABLES,
+    SCENE,
+    Analysis,
+    Document,
+    Fault,
+    Gauge,
+    LimitTable,
+    ModelChoice,
+    Number,
+    Place,
+    Reader,
+    number_of,
+    number_path,
+    number_place,
+    one_of,
+    plain_quantity,
+    shown,
+    suggestion,
+    unknown,
+    value_of,
+    warn_unusual,
 )  # fmt: skip
-from uqsphere.study.strength import USUAL, Demand, is_tests, platens_of, tested_strength
+from uqsphere.study.strength import USUAL, Demand, compare_sizes, is_tests, platens_of, tested_strength
 from uqsphere.study.study import Axis, Limit, Margins, Source, Study, strength_name, tie_of
 from uqsphere.units import Quantity
 from uqsphere.uq import Law, LawError, make_law
@@ -45,7 +65,8 @@ _GIVES: Final = {
     "insert": (("plates", "bars"), ("E", "nu", "yield_strength")),
 }
 _EXAMPLES: Final = {
-    "E": '"210 GPa"', "nu": "0.3", "density": '"7850 kg/m3"', "radius": '"10 mm", half the diameter', "diameter": '"40 mm"',
+    "E": '"210 GPa"', "nu": "0.3", "density": '"7850 kg/m3"', "radius": '"10 mm", half the diameter',
+    "diameter": '"40 mm"',
     "speed": '"3 m/s"', "drop_height": '"1 m"', "length": '"0.8 m"', "thickness": '"12 mm"', "mass": '"40 kg"',
     "force": '"5 kN"', "displacement": '"0.1 mm"', "incident_length": '"1.5 m"', "receiving_length": '"1.5 m"',
     "level1": "1", "level2": "0.8",
@@ -199,7 +220,7 @@ def _black_box(draft: Draft) -> Faults:
             )
 
 
-# --- the scene ----------------------------------------------------------------------------------------------------------
+# --- the scene -----------------------------------------------------------------------------------------------------
 
 
 def _tables(draft: Draft) -> Faults:
@@ -346,6 +367,8 @@ def _pulse(draft: Draft) -> Faults:
                 yield ("striker", key), "the record says what the striker did: leave it out, or use pulse.gain"
         try:
             draft.record = measured_pulse(pulse, draft.reader)
+            for note in draft.record.notes:
+                draft.reader.warn(("pulse", "file"), f"{shown(pulse.file)}: {note}")
         except Fault as error:
             yield ("pulse", *error.at), str(error)
         return
@@ -354,9 +377,9 @@ def _pulse(draft: Draft) -> Faults:
         levels = [numbers[p].value for p in ("pulse.level1", "pulse.level2") if p in numbers]
         if len(fixed := [level for level in levels if not isinstance(level, Law)]) == 2:
             numbers["pulse.valley"] = Number(value=DEFAULT_VALLEY * min(fixed))
-    if draft.document.striker is not None and shape != "step" and "pulse.duration" not in numbers:
-        if draft.clean("pulse", "duration"):
-            yield from _missing(draft, "striker", ("length",), ": it sets the duration of the pulse")
+    driven = draft.document.striker is not None and shape != "step"
+    if driven and "pulse.duration" not in numbers and draft.clean("pulse", "duration"):
+        yield from _missing(draft, "striker", ("length",), ": it sets the duration of the pulse")
     own = next((key for key in ("E", "density", "diameter") if f"striker.{key}" in numbers), None)
     if own is not None and shape not in STRIKER_SHAPES:
         why = f"a {shape} pulse does not follow from the striker's material or diameter"
@@ -461,8 +484,10 @@ def _law_of_face(place: str, law: Any) -> Faults:
     elif 1e-12 < b < least:
         enough = 1.001 * (1.0 + least) * onset / hardness
         yield (place, "hardness" if place == "sphere" else "pile_up"), (
-            f"pile_up = {pile_up:.4g}, hardness {found} and onset {begin} make b = C H/p_y - 1 = {b:.2g}, which must be 0 or "
-            f'from {least:g} to {most:g}: give pile_up = {enough:.4g} or more, or pile_up = 1 with hardness = "onset"')  # fmt: skip
+            f"pile_up = {pile_up:.4g}, hardness {found} and onset {begin} make b = C H/p_y - 1 = {b:.2g}, which "
+            "must be 0 or "
+            f'from {least:g} to {most:g}: give pile_up = {enough:.4g} or more, or pile_up = 1 with hardness = '
+            '"onset"')  # fmt: skip
 
 
 def _together(draft: Draft) -> Faults:
@@ -532,7 +557,8 @@ def _together(draft: Draft) -> Faults:
         place = ("pulse", "duration") if "pulse.duration" in numbers else ("striker", "length")
         yield place if draft.record is None else "pulse.file", (
             f"the whole pulse lasts {format_value(width, 'pulse.duration')}, longer than the round trip of "
-            f"{format_value(trip, 'pulse.duration')} in the incident bar, whose far end cannot reflect before the striker "
+            f"{format_value(trip, 'pulse.duration')} in the incident bar, whose far end cannot reflect before "
+            "the striker "
             'has left it: shorten the pulse, lengthen the bar, or set incident_end = "absorbing"')  # fmt: skip
 
 
@@ -560,7 +586,7 @@ def _gauges(draft: Draft) -> Faults:
             yield place, f"a gauge on the {bar} bar at this place is named twice"
 
 
-# --- limits ---------------------------------------------------------------------------------------------------------------
+# --- limits --------------------------------------------------------------------------------------------------------
 
 
 def _limits(draft: Draft) -> Faults:
@@ -615,7 +641,8 @@ def _limit(draft: Draft, name: str, table: LimitTable, outputs: Sequence[str] | 
         if own is None and modulus is None:
             raise Fault("modulus is missing: give it here or by a strength that is a Weibull distribution", "modulus")
         if own is None:
-            draft.reader.warn(place, "the strength of a weakest link is a Weibull distribution of its modulus; with another "
+            draft.reader.warn(place, "the strength of a weakest link is a Weibull distribution of its modulus; "
+                                     "with another "
                               "the probability is not that of the flaws")  # fmt: skip
         demand = replace(demand, parameters={"modulus": float(modulus if own is None else own), **demand.parameters})  # type: ignore[arg-type]
     platens = strength.tested.platens if strength.tested is not None else None
@@ -627,7 +654,8 @@ def _limit(draft: Draft, name: str, table: LimitTable, outputs: Sequence[str] | 
     draft.limits[name] = Limit(
         name=name, quantity=f"{demand.quantity}.{name}" if demand.criterion else demand.quantity,
         criterion=demand.criterion, parameters=dict(demand.parameters), strength=strength.value, aim=table.aim,
-        model_factor=factor.value, target=table.target, fracture=table.fracture, platens=platens, tested=strength.tested,
+        model_factor=factor.value, target=table.target, fracture=table.fracture, platens=platens,
+        tested=strength.tested,
     )  # fmt: skip
 
 
@@ -639,11 +667,12 @@ def _bars(draft: Draft) -> tuple[float, float] | None:
 def _share_of_sphere(draft: Draft, E: float, nu: float) -> float:
     """The sphere's share of the elastic energy in the contacts of the study's rig."""
     tables = [t for t in RIG_TABLES[draft.rig] if t not in ("striker", "pulse", "insert")]
-    pairs = [(draft.mean(number_path("insert", k)) or draft.mean(f"bars.{k}") if t == "bars" else draft.mean(f"{t}.{k}"))
-             for t in tables for k in ("E", "nu")]  # fmt: skip
-    rigid = bool(draft.options.get("bars.rigid_contact"))
-    moduli = [float(reduced_modulus(E, nu, own, ratio, rigid_bars=rigid)) for own, ratio in zip(pairs[::2], pairs[1::2], strict=True)
-              if own is not None and ratio is not None]  # fmt: skip
+    rigid, moduli = bool(draft.options.get("bars.rigid_contact")), list[float]()
+    for table in tables:
+        insert = [draft.mean(f"bars.insert_{key}") if table == "bars" else None for key in ("E", "nu")]
+        own, ratio = (given or draft.mean(f"{table}.{key}") for given, key in zip(insert, ("E", "nu"), strict=True))
+        if own is not None and ratio is not None:
+            moduli.append(float(reduced_modulus(E, nu, own, ratio, rigid_bars=rigid)))
     return (1.0 - nu * nu) / E * sum(moduli) / len(moduli) if moduli else 1.0
 
 
@@ -660,7 +689,7 @@ def _demand(draft: Draft, table: LimitTable, outputs: Sequence[str] | None) -> D
         if table.quantity is None:
             raise Fault(f'quantity is missing: add quantity = "{(outputs or ["p_max"])[0]}"', "quantity")
         known = list(OUTPUTS) if outputs is None else list(outputs)
-        if table.quantity not in known:
+        if table.quantity not in known and known:
             raise Fault(unknown("quantity", table.quantity, known), "quantity")
         return Demand(quantity=table.quantity, parameters={})
     if outputs is not None:
@@ -700,7 +729,8 @@ def _pressure_meant(draft: Draft, table: LimitTable, quantity: str) -> str:
     if not draft.plastic:
         return quantity
     if meant is None:
-        raise Fault('strength_is is missing: "hertz" if the strength was computed from a failure force by Hertz, as nearly '
+        raise Fault('strength_is is missing: "hertz" if the strength was computed from a failure force by Hertz, '
+                    'as nearly '
                     'all tabulated contact strengths are; "pressure" if it is a true pressure, which never exceeds the '
                     "hardness: the probabilities can differ by decades", "strength_is")  # fmt: skip
     if meant == "pressure":
@@ -708,7 +738,8 @@ def _pressure_meant(draft: Draft, table: LimitTable, quantity: str) -> str:
             raise Fault('forces at failure become pressures by Hertz: write strength_is = "hertz"', "strength_is")
         return quantity
     if quantity == "first_peak":
-        raise Fault('first_peak is a true pressure where faces yield: write strength_is = "pressure", or quantity = "p_max"',
+        raise Fault('first_peak is a true pressure where faces yield: write strength_is = "pressure", or '
+                    'quantity = "p_max"',
                     "strength_is")  # fmt: skip
     return "p_hertz"
 
@@ -733,16 +764,24 @@ def _strength(draft: Draft, table: LimitTable, demand: Demand, place: Place, sce
                and (draft.plastic or key in ("E", "nu", "density"))}  # fmt: skip
         own["share"] = _share_of_sphere(draft, own["E"], own["nu"])
         try:
-            found = tested_strength(table.strength, demand, own, float(sphere["radius"] or 0.0), _bars(draft), draft.reader,
+            radius = float(sphere["radius"] or 0.0)
+            found = tested_strength(table.strength, demand, own, radius, _bars(draft), draft.reader,
                                     place, quick=draft.rig != "platens")  # fmt: skip
         except Fault as error:
             raise Fault(str(error), "strength", *error.at) from None
         warn_unusual(found.mean, entry, draft.reader, place)
         return found
-    return _read(draft, table.strength, entry, place)
+    found = _read(draft, table.strength, entry, place)
+    own_radius = draft.mean("sphere.radius")
+    if found.tested is not None and own_radius is not None:
+        try:
+            compare_sizes(found.tested.diameter, own_radius, False, False, draft.reader, (*place, "draws"))
+        except Fault as error:
+            raise Fault(str(error), "strength", *error.at) from None
+    return replace(found, tested=None)
 
 
-# --- what is asked ----------------------------------------------------------------------------------------------------------
+# --- what is asked -------------------------------------------------------------------------------------------------
 
 
 def _analysis(draft: Draft) -> Faults:
@@ -788,7 +827,7 @@ def _dependence(draft: Draft) -> Faults:
                 )
             elif not _faulty(draft, name):
                 yield (*place, "of", at), (f"unknown random input {shown(name)}, random here: "
-                                           f"{one_of(list(random)[:20]) if random else 'none'}{suggestion(name, random)}")  # fmt: skip
+                                           f"{one_of(list(random)[:20])}{suggestion(name, random)}")  # fmt: skip
         if tie.spearman is not None and tie.kendall is not None:
             yield (*place, "kendall"), "spearman is given too: one of them says how strong the dependence is"
         elif tie.spearman is None and tie.kendall is None and draft.clean(*place, "kendall"):
@@ -863,7 +902,8 @@ def _moved_mean(study: Study) -> Faults:
     if study.margins is None or (name := study.margins.axis.path) not in study.random:
         return
     if "mean" not in study.given[name]:
-        yield ("margins", "solve"), (f"{shown(name)} scatters by a law that is not given by its mean, so there is no mean to "
+        yield ("margins", "solve"), (f"{shown(name)} scatters by a law that is not given by its mean, so there "
+                                     "is no mean to "
                                      "move: give it by mean and sd or cov, or as a fixed number")  # fmt: skip
         return
     for index, value in enumerate((study.margins.axis.low, study.margins.axis.high)):

@@ -50,7 +50,7 @@ _WIDE, _TOO_WIDE = 1.0, 1000.0
 NOTABLE: Final = 1e-6
 
 
-# --- faults and words ---------------------------------------------------------------------------------------------
+# --- faults and words ----------------------------------------------------------------------------------------------
 
 
 class Fault(ValueError):
@@ -106,7 +106,7 @@ def one_of(words: Iterable[str]) -> str:
     >>> one_of(["a", "b", "c"])
     'a, b or c'
     """
-    *first, last = words
+    *first, last = list(words) or ["none"]
     return f"{', '.join(first)} or {last}" if first else last
 
 
@@ -122,7 +122,7 @@ def unknown(what: str, word: object, known: Iterable[str], most: int = 40) -> st
     return f"unknown {what} {shown(word)}, known: {one_of(names[:most])}{suggestion(word, names)}"
 
 
-# --- numbers ------------------------------------------------------------------------------------------------------
+# --- numbers -------------------------------------------------------------------------------------------------------
 
 
 @plain(frozen=True, kw_only=True)
@@ -263,7 +263,8 @@ def _law_of(raw: Mapping[str, Any], quantity: Quantity) -> Number:
 def _check_law(number: Number, raw: object, quantity: Quantity, reader: Reader, place: Place) -> None:
     """Refuse a law outside what has a meaning, or too wide to compute with; warn of tails, wide and cut-off laws."""
     law = number.value
-    assert isinstance(law, Law) and isinstance(raw, Mapping)
+    assert isinstance(law, Law)
+    assert isinstance(raw, Mapping)
     centre, name = law.nominal_mean(), quantity.name
     if not quantity.allows(centre):
         raise Fault(f"the distribution has its mean at {format_value(centre, name)}: {bounds_in_words(quantity)}")
@@ -287,7 +288,8 @@ def _check_law(number: Number, raw: object, quantity: Quantity, reader: Reader, 
     if mean is not None and not law.lower <= mean <= law.upper:
         key = "lower" if mean < law.lower else "upper"
         reader.warn((*place, key), f"the mean {format_value(mean, name)} lies {'below' if key == 'lower' else 'above'} "
-                    f"the bound {format_value(getattr(law, key), name)}: only a tail of the distribution is sampled")  # fmt: skip
+                    f"the bound {format_value(getattr(law, key), name)}: only a tail of the distribution is "
+                    "sampled")  # fmt: skip
     if ends or not law.mass:
         return
     import numpy as np
@@ -303,7 +305,7 @@ def _check_law(number: Number, raw: object, quantity: Quantity, reader: Reader, 
                     f"({bounds_in_words(quantity)}); {effect}truncate it with lower or upper")  # fmt: skip
 
 
-# --- what a key can hold --------------------------------------------------------------------------------------------
+# --- what a key can hold -------------------------------------------------------------------------------------------
 
 
 def _number(raw: Any, info: ValidationInfo) -> Any:
@@ -401,13 +403,14 @@ Shares = Annotated[tuple[Share, ...], _several(1, "numbers")]
 Positive = Annotated[float, *_real(0.0)]
 Correlation = Annotated[float, *_real(-1.0, 1.0)]
 Names = Annotated[tuple[str, ...], _several(1, "names")]
-Seconds, Length = Annotated[float, *_of("time")], Annotated[float, *_of("length")]
+Seconds = Annotated[float, *_of("time")]
+Length = Annotated[float, *_of("length")]
 _Method = Literal["auto", "qmc", "pce", "sobol", "form", "importance", "subset", "morris", "delta", "pawn", "hdmr"]
 Methods = Annotated[tuple[_Method, ...], _several(1, "methods"),
                     BeforeValidator(lambda raw: (raw,) if isinstance(raw, str) else raw)]  # fmt: skip
 
 
-# --- the scene ------------------------------------------------------------------------------------------------------
+# --- the scene -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, config=table("sphere"))
@@ -512,7 +515,7 @@ class Partner(Face):
     """A body that touches the sphere: [target] or [anvil], [other], [hammer], [rod], [platens] or [insert]."""
 
     kind: Literal["thick", "plate", "bar", "mass"] | None = key(
-        'target, anvil: `"thick"`, a `"plate"` that bends, the end of a `"bar"`, a free `"mass"`', usual='`"thick"`')  # fmt: skip
+        'target, anvil: `"thick"`, a `"plate"` that bends, end of a `"bar"`, `"mass"`', usual='`"thick"`')  # fmt: skip
     thickness: Num = key("plate, insert: thickness", usual="required for a plate")
     width: Num = key("plate: width, for the check of its edges")
     mass: Num = key("mass, hammer: its mass", usual="required, or a ball")
@@ -553,7 +556,7 @@ class ModelChoice:
     compare_with_paper: Flag = key("adds the paper's printed massless formulas and the corrected ones", False)
 
 
-# --- limits and what is asked -----------------------------------------------------------------------------------------
+# --- limits and what is asked --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, config=table())
@@ -564,13 +567,15 @@ class LimitTable:
     criterion: Literal[*CRITERIA] | None = key("in place of `quantity`: one of `uqsphere list criteria`")  # type: ignore[valid-type]
     strength: Any = key("value, distribution, or a file with tests or draws, see below", usual="required")
     strength_is: Literal["hertz", "pressure"] | None = key(
-        '`"hertz"`: computed from a force by Hertz; `"pressure"`: the true one', usual="required if `plastic`")  # fmt: skip
+        '`"hertz"`: computed from a force by Hertz; `"pressure"`: the true one', usual="required if "
+                                                                                       "`plastic`")  # fmt: skip
     aim: Literal["survive", "break"] = key("the quantity must stay below the strength, or exceed it", "survive")
     target: Share | None = key('largest accepted failure probability, `0.01` or `"1 %"`')
     model_factor: Any = key("factor on the quantity for what the model leaves out; may scatter", usual="`1`")
     fracture: Flag | None = key("whether exceeding it breaks the sphere", usual="by the quantity")
     energy_is: Literal["contact", "sphere", "input"] | None = key(
-        "of `specific_energy`: stored in both bodies, in the sphere, or offered", usual="required but for bars")  # fmt: skip
+        "of `specific_energy`: stored in both bodies, in the sphere, or offered", usual="required but for "
+                                                                                        "bars")  # fmt: skip
     modulus: Annotated[float, *_parameter("modulus")] | None = key(
         "Weibull modulus of a weakest link", usual="that of the strength")  # fmt: skip
     reference_volume: Annotated[float, *_parameter("reference_volume")] | None = key("volume of a volume strength")
@@ -653,7 +658,7 @@ class Analysis:
     methods: Methods = key(f"`auto`, or some of {one_of([f'`{m}`' for m in get_args(_Method)[1:]])}", ("auto",))
     second_order: Flag = key("Sobol' indices of all pairs of inputs as well", False)
     failure_modes: Literal["all", "given"] = key(
-        '`"all"`: a rock is also judged by failure modes that have no limit, with library strengths', "all")  # fmt: skip
+        '`"all"`: a rock is judged by failure modes without a limit too, by library strengths', "all")  # fmt: skip
     on_failure: Literal["abort", "bound", "drop"] = key(
         'failed evaluations: `"bound"` counts each once as exceeding and once as not; `"drop"` leaves out up to 1 %',
         "abort")  # fmt: skip

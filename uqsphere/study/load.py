@@ -29,52 +29,14 @@ from uqsphere.study.study import Study
 
 LARGEST: Final = 1 << 20
 MOST_NESTING, MOST_DOTS, MOST_PROBLEMS = 16, 12, 100
-_MENDED: Final = "a clean CSV of time and strain is required: `uqsphere shpb records` mends a record and writes it"
-_LAB: Final = "it is an input file of its own now: `uqsphere comminution fit` and `uqsphere comminution feed`"
-_FIRST: Final = "write contact_duration, or time_to_first_loss"
-#: renamed and dropped keys, and values (after =), of earlier studies: the way out, in the one place
-REMOVED: Final[dict[str, str]] = {
-    "service": "a study has one rig: write each machine as a study of its own, with the same tests as strength",
-    "rig.kind=none": "a study has one rig: write the machine as [rig]; its strength may come from other tests",
-    "feed": _LAB, "tests": _LAB, "material": _LAB, "particles": _LAB,
-    "product": "the fineness of a product belongs to `uqsphere comminution feed`",
-    "bars.receiving_damper": "write receiving_end = a reflection coefficient from -1 to 1",
-    "bars.insert_material": 'write it as material of a table [insert]', "bars.insert_E": "write it as E of a table [insert]",
-    "bars.insert_nu": "write it as nu of a table [insert]", "bars.insert_yield_strength": "write it as yield_strength of [insert]",
-    "bars.insert_thickness": "write it as thickness of a table [insert]",
-    "contact.law=damage": 'write law = "hertz" or "plastic"; repeated blows are part of `uqsphere comminution`',
-    "contact.gamma": "it belonged to the damage law: leave it out",
-    "contact.fracture_energy": "it belonged to the damage law: leave it out", "contact.blows": "it belonged to the damage law: leave it out",
-    "contact.dynamics": "the law is always part of the equations of motion: leave it out",
-    "model.fidelity=auto": '"full" is the default: leave it out, or write "massless" or "linear"',
-    "model.stochastic": "leave it out: a model must answer the same row alike",
-    "pulse.unit": 'write units = ["us", "microstrain"], of time and signal',
-    "pulse.time_unit": 'write units = ["us", "microstrain"], of time and signal', "pulse.noise": _MENDED, "pulse.window": _MENDED, "pulse.gauge_factor": _MENDED, "pulse.excitation": _MENDED,
-    "pulse.amplification": _MENDED, "pulse.active_arms": _MENDED, "pulse.polarity": _MENDED,
-    "pulse.correct_dispersion": _MENDED, "pulse.gauge_distance": _MENDED,
-    "limits.*.in": "a study has one rig: write a study of its own for each machine",
-    "limits.*.strength.fit": 'write strength = { draws = "draws.csv" }, which `uqsphere comminution fit` writes',
-    "limits.*.strength.same_as": "write the strength again",
-    "limits.*.strength.tests": 'write file in place of tests', "*.made_up": "write synthetic = true in its place",
-    **{f"limits.*.strength.{key}": "a strength takes forces at failure; `uqsphere comminution fit` takes energies and outcomes"
-       for key in ("energy", "specific_energy", "speed", "energy_is", "outcome", "particles", "blows", "specimen", "mass",
-                   "mesh_lower", "where", "stiffness", "assume_intact")},
-    "margins.family": "run the study again with --set, once for each value, and compare",
-    "margins.against": "leave it out", "margins.bars_elastic": "leave it out: a limit with fracture = false asks for it",
-    "margins.for_survival": "write for_probability = [1 - p] in its place", "margins.for_fracture": "write for_probability in its place",
-    "margins.solve=striker.specific_energy": 'write solve = "striker.speed"',
-    "dependence.*.copula=clayton": 'write "gaussian" or "student_t"', "dependence.*.copula=gumbel": 'write "gaussian" or "student_t"',
-    "dependence.*.copula=frank": 'write "gaussian" or "student_t"',
-    "analysis.ways": "write failure_modes in its place", "analysis.fields": "`uqsphere history` has forces over time: leave it out",
-    "analysis.rows_per_call": "leave it out", "analysis.at_once": "leave it out", "analysis.groups": "leave it out: read the total indices",
-    "analysis.tolerance_intervals": "leave it out: quantiles have intervals", "analysis.replicates": "leave it out",
-    "analysis.screening": 'write methods = ["morris"]', "analysis.accuracy.curve": "write probability in its place",
-    "analysis.budget.exhaust": "leave it out: a run ends when it is accurate or out of budget",
-    **{f"{place}={name}": way for place in ("analysis.quantities.*", "limits.*.quantity") for name, way in {
-        "contact_time": _FIRST, "impulse_time": "write contact_duration", "time_above": "write contact_duration",
-        "first_gap": "leave it out", "damage": "leave it out", "broke_at": "leave it out",
-        "t10": "the fineness of a product belongs to `uqsphere comminution feed`"}.items()},
-}  # fmt: skip
+
+
+@cache
+def removed() -> dict[str, str]:
+    """Renamed and dropped keys of earlier studies, and values (after =): the way out, from the one table of them."""
+    import tomllib
+
+    return tomllib.loads(Path(__file__).with_name("removed.toml").read_text(encoding="utf-8"))
 
 
 def load_study(
@@ -119,7 +81,7 @@ def load_study(
 def _removed(data: Mapping[str, Any]) -> Iterator[tuple[Place, str]]:
     """Every key and value of an earlier study that is renamed or dropped, with the way out."""
     for place, value in list(_walk(data)):
-        for pattern, way in REMOVED.items():
+        for pattern, way in removed().items():
             path, sign, word = pattern.partition("=")
             parts = path.split(".")
             if parts[0] == "*":
@@ -169,10 +131,11 @@ def _take_out(data: Any, place: Place) -> None:
             _take_out(data, place[:-1])
 
 
-# --- reading the tables -------------------------------------------------------------------------------------------------
+# --- reading the tables --------------------------------------------------------------------------------------------
 
 _REQUIRED: Final = {
-    "string_type": "a text in quotes", "bool_type": "true or false", "int_type": "a whole number", "float_type": "a number",
+    "string_type": "a text in quotes", "bool_type": "true or false", "int_type": "a whole number",
+    "float_type": "a number",
     "float_parsing": "a number", "tuple_type": "an array", "dict_type": "a table", "mapping_type": "a table",
     "dataclass_type": "a table", "dataclass_exact_type": "a table",
 }  # fmt: skip
@@ -210,7 +173,7 @@ def keys_at(place: Place) -> list[str]:
         if isinstance(part, str) and part in known:
             fields = kind.__pydantic_fields__[part].annotation
             kind = next(_tables_in(fields), None)
-    return [*kind.__pydantic_fields__] if kind is not None and dataclasses.is_dataclass(kind) else []
+    return [entry.name for entry in dataclasses.fields(kind) if entry.name != "table"] if kind is not None else []
 
 
 def _tables_in(annotation: Any) -> Iterator[Any]:
@@ -233,12 +196,13 @@ def _message(fault: Any, place: Place) -> tuple[str, str]:
         words = re.findall(r"'([^']*)'", fault["ctx"]["expected"])
         return f"found {found}, allowed: {one_of(words)}{suggestion(fault['input'], words)}", ""
     return (
-        f"found {found}, {'where ' + _REQUIRED[kind] + ' is required' if kind in _REQUIRED else 'which cannot stand here'}",
+        f"found {found}, "
+        f"{'where ' + _REQUIRED[kind] + ' is required' if kind in _REQUIRED else 'which cannot stand here'}",
         "",
     )
 
 
-# --- text, lines, syntax --------------------------------------------------------------------------------------------------
+# --- text, lines, syntax -------------------------------------------------------------------------------------------
 
 #: strings and comments are skipped whole; possessive, so that no input makes the scan go back
 _TOKEN: Final = re.compile(
@@ -378,7 +342,7 @@ def _problems(faults: Sequence[tuple[Place, str]], text: str, overridden: Sequen
     return made
 
 
-# --- values set from outside the file: --set striker.speed.mean="0.6 m/s", --set margins=null ------------------------------------
+# --- values set from outside the file: --set striker.speed.mean="0.6 m/s", --set margins=null ----------------------
 
 _PART: Final = re.compile(r"""(?:([A-Za-z0-9_-]+)|"([^"\\]*)"|'([^']*)')((?:\[\d{1,6}\])*)(\.|$)""")
 
@@ -440,7 +404,7 @@ def _set_of_no_limit(
             yield ("limits", name), f"no limit {shown(name)} in the file, {there}; one more needs a quantity"
 
 
-# --- tables as a text ---------------------------------------------------------------------------------------------------------
+# --- tables as a text ----------------------------------------------------------------------------------------------
 
 
 def toml_text(tables: Mapping[str, object]) -> str:

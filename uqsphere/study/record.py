@@ -20,7 +20,7 @@ from uqsphere.units import UNITS
 #: largest misfit over the peak that a cubic may leave, pieces at most, samples that a piece needs
 _FINE, _PIECES, _SAMPLES = 2e-3, 64, 4
 #: share of the peak that both ends may have, and from which on the pulse counts
-_ENDS, _COUNTS = 0.1, 0.01
+_ENDS, _COUNTS = 0.1, 0.003
 _ROUGH: Final = "uqsphere shpb records cuts, mends and writes such a file"
 
 
@@ -57,7 +57,8 @@ def measured_pulse(table: Pulse, reader: Reader) -> MeasuredPulse:
     first, last = max(int(inside[0]) - 1, 0), min(int(inside[-1]) + 1, len(strain) - 1)
     for k, end in ((first, "begins"), (last, "ends")):
         if abs(strain[k]) > _ENDS * peak:
-            raise Fault(f"{shown(table.file)}: the pulse {end} at {strain[k] / peak:.0%} of its peak: cut it out at rest; "
+            raise Fault(f"{shown(table.file)}: the pulse {end} at {strain[k] / peak:.0%} of its peak: cut it out "
+                        "at rest; "
                         f"{_ROUGH}", "file")  # fmt: skip
     breaks, cubics, misfit = _cubics(time[first : last + 1] - time[first], strain[first : last + 1] / peak)
     if misfit > 0.02:
@@ -76,7 +77,7 @@ def measured_pulse(table: Pulse, reader: Reader) -> MeasuredPulse:
 
 
 def _cubics(time: Array, level: Array) -> tuple[Array, Array, float]:
-    """Joints (m + 1,), ascending cubics (m, 4) and largest misfit: the piece with the worst misfit is halved in turn."""
+    """Joints (m + 1,), ascending cubics (m, 4) and largest misfit: the worst piece is halved in turn."""
     from scipy.interpolate import PPoly, make_lsq_spline
 
     level = level.copy()

@@ -16,8 +16,8 @@ from pydantic import TypeAdapter
 
 from uqsphere.quantities import INPUTS
 from uqsphere.study import document as tables
-from uqsphere.study.document import Document, number_path, one_of
-from uqsphere.units import UNITS
+from uqsphere.study.document import Document, number_path
+from uqsphere.units import UNITS, typed_units
 from uqsphere.uq.families import FAMILIES
 
 _NUMBER: Final = r"^\s*[+-]?(\d(_?\d)*\.?(\d(_?\d)*)?|\.\d(_?\d)*)([eE][+-]?\d+)?\s*"
@@ -27,7 +27,8 @@ _TABLES: Final[dict[str, Any]] = {
     "Top level": Document, "[sphere]": tables.Sphere, "[bars]": tables.Bars, "[striker]": tables.Striker,
     "[pulse]": tables.Pulse, "[contact]": tables.Contact, "[rig]": tables.Rig,
     "[target], [anvil], [other], [hammer], [rod], [platens], [insert]": tables.Partner, "[[gauges]]": tables.Gauge,
-    "[model]": tables.ModelChoice, "[limits.NAME]": tables.LimitTable, "Strengths and distributions from a file": tables.Observations,
+    "[model]": tables.ModelChoice, "[limits.NAME]": tables.LimitTable, "Strengths and distributions from a "
+                                                                       "file": tables.Observations,
     "[[dependence]]": tables.Dependence, "[analysis]": tables.Analysis, "[margins]": tables.MarginsTable,
 }  # fmt: skip
 
@@ -38,13 +39,16 @@ def count_keys() -> int:
     >>> count_keys() <= 120
     True
     """
-    seen = {(name, entry.description or "") for kind in _TABLES.values() for name, entry in kind.__pydantic_fields__.items()
-            if (entry.description or kind is not Document)
-            and not (kind is tables.Observations and name in ("dist", "lower", "upper"))}  # fmt: skip
+    seen = set()
+    for kind in _TABLES.values():
+        for name, entry in kind.__pydantic_fields__.items():
+            law = kind is tables.Observations and name in ("dist", "lower", "upper")  # keys of any distribution
+            if name != "table" and not law and (entry.description or kind is not Document):
+                seen.add((name, entry.description or ""))
     return len(seen)
 
 
-# --- the schema -------------------------------------------------------------------------------------------------------
+# --- the schema ----------------------------------------------------------------------------------------------------
 
 
 def build_schema() -> dict[str, Any]:
@@ -59,8 +63,11 @@ def build_schema() -> dict[str, Any]:
     number = {"anyOf": [{"type": "number"}, {"$ref": "#/$defs/distribution"}]}
     anything = {"anyOf": [{"type": ["number", "string"]}, {"$ref": "#/$defs/distribution"}]}
     parts["LimitTable"]["properties"] |= {"strength": anything, "model_factor": number}
+    methods = parts["Analysis"]["properties"]["methods"]
+    parts["Analysis"]["properties"]["methods"] = {"anyOf": [{"const": "auto"}, methods]}
     parts["LimitTable"]["oneOf"] = [{"required": ["quantity"]}, {"required": ["criterion"]}]
-    made["properties"]["inputs"] = {"type": "object", "patternProperties": {_NAME: number}, "additionalProperties": False,
+    made["properties"]["inputs"] = {"type": "object", "patternProperties": {_NAME: number},
+                                    "additionalProperties": False,
                                     "minProperties": 1}  # fmt: skip
     made["properties"]["limits"] = {"type": "object", "patternProperties": {_NAME: {"$ref": "#/$defs/LimitTable"}},
                                     "additionalProperties": False}  # fmt: skip
@@ -75,6 +82,7 @@ def build_schema() -> dict[str, Any]:
         "required": ["inputs", "outputs"],
         "not": {"anyOf": [{"required": [n]} for n in (*scene, "model", "gauges")]},
     }
+    sources = [{"required": [key]} for key in ("dist", "file", "draws")]
     no_box = {"not": {"anyOf": [{"required": ["inputs"]}, {"required": ["outputs"]}]}}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema", "title": "uqsphere study", **made,
@@ -82,7 +90,7 @@ def build_schema() -> dict[str, Any]:
         "$defs": {
             **parts,
             **{name: _dimension(name) for name in UNITS},
-            "distribution": {"type": "object", "properties": law, "anyOf": [{"required": [k]} for k in ("dist", "file", "draws")]},
+            "distribution": {"type": "object", "properties": law, "anyOf": sources},
         },
     }  # fmt: skip
 
@@ -119,7 +127,9 @@ def _properties(kind: Any, properties: dict[str, Any]) -> dict[str, Any]:
     table = str(kind.__pydantic_config__.get("title", ""))
     found = {}
     for key, node in properties.items():
-        path = number_path(table, key)
+        if key == "\0table":
+            continue
+        path = _path(table, key)
         if path in INPUTS:
             entry = INPUTS[path]
             words: list[dict[str, Any]] = [{"enum": list(tables.BAR_ENDS)}] if key.endswith("end") else []
@@ -136,6 +146,12 @@ def _properties(kind: Any, properties: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
+def _path(table: str, key: str) -> str:
+    """The name of a number of a table; of a key of partners that of the first partner that has it."""
+    homes = ("target", "other", "hammer", "rod", "platens", "insert") if table == "partner" else (table,)
+    return next((path for home in homes if (path := number_path(home, key)) in INPUTS), "")
+
+
 def _dimension(name: str) -> dict[str, Any]:
     """A fixed number: a text with a unit, or a plain number where there is no unit."""
     if name == "number":
@@ -147,29 +163,26 @@ def _dimension(name: str) -> dict[str, Any]:
     }
 
 
-# --- the page -----------------------------------------------------------------------------------------------------------
+# --- the page ------------------------------------------------------------------------------------------------------
 
 
 def build_page() -> str:
-    """The page docs/study-file.md."""
-    units = "\n".join(
-        f"| {name.replace('_', ' ')} | {', '.join(f'`{u}`' for u in table if u.isascii() and '^' not in u)} |"
-        for name, table in UNITS.items() if name not in ("number", "mass_per_energy"))  # fmt: skip
-    laws = "\n".join(
-        f"| `{family.name}` | {' or '.join(' '.join(f'`{key}`' for key in keys) for keys in family.alternatives) or '–'}"
-        f"{', `lower` `upper`' if family.bounded else ''} |"
-        for family in FAMILIES.values() if not family.observed)  # fmt: skip
-    rigs = "\n".join(
-        f"| `{rig}` | {', '.join(f'`[{table}]`' for table in names)} |" for rig, names in tables.RIG_TABLES.items()
-    )
-    shapes = one_of([f"`{shape}`" for shape in get_args(tables.Pulse.__annotations__["shape"])] or ["those below"])
-    parts = [_INTRODUCTION.format(units=units, laws=laws)]
+    """The page docs/study-file.md: page.md with its tables of units, distributions, rigs and keys in place."""
+    rows = {
+        "units": [(name.replace("_", " "), ", ".join(f"`{unit}`" for unit in typed_units(name).split(", ")))
+                  for name in UNITS if name not in ("number", "mass_per_energy")],
+        "laws": [(f"`{family.name}`", " or ".join(" ".join(f"`{key}`" for key in keys) for keys in family.alternatives
+                  if keys) + " `lower` `upper`" * family.bounded)
+                 for family in FAMILIES.values() if not family.observed],
+        "rigs": [(f"`{rig}`", ", ".join(f"`[{name}]`" for name in names)) for rig, names in tables.RIG_TABLES.items()],
+    }  # fmt: skip
+    page = Path(__file__).with_name("page.md").read_text(encoding="utf-8")
+    for name, pairs in rows.items():
+        page = page.replace(f"<!-- {name} -->", "\n".join(f"| {one} | {other} |" for one, other in pairs))
     for heading, kind in _TABLES.items():
-        parts.append(f"## {heading}\n")
-        note = _NOTES.get(heading, "").format(rigs=rigs, shapes=shapes)
-        parts += [f"{note}\n"] if note else []
-        parts += [_key_table(kind), ""]
-    return "\n".join(parts)
+        start = page.index(f"\n## {heading}\n")
+        page = page[:start] + page[start:].replace("<!-- keys -->", _key_table(kind), 1)
+    return page
 
 
 def _key_table(kind: Any) -> str:
@@ -177,7 +190,7 @@ def _key_table(kind: Any) -> str:
     rows = ["| key | default | meaning |", "|---|---|---|"]
     title = str(kind.__pydantic_config__.get("title", ""))
     for name, entry in kind.__pydantic_fields__.items():
-        path = number_path("target" if title == "partner" else title, name)
+        path = _path(title, name)
         meaning = entry.description or (INPUTS[path].meaning if path in INPUTS else "")
         meaning = re.sub(r" of the (target|striker)", "", meaning)
         if not meaning:
@@ -202,90 +215,6 @@ def _toml(value: Any) -> str:
         return re.sub(r"e-0*", "e-", str(value))
     inside = ", ".join(f"{entry.name} = {_toml(getattr(value, entry.name))}" for entry in dataclasses.fields(value))
     return f"{{ {inside} }}"
-
-
-_INTRODUCTION: Final = """# The study file
-
-Made from `uqsphere/study/document.py` by `python -m uqsphere.study.reference docs/study-file.md`; do not edit it here.
-
-A study is one TOML file. It describes a sphere, what loads it, what scatters, what it must withstand, and what is asked.
-It names no code and no file outside its own folder. `uqsphere new -o study.toml` writes a commented one, `uqsphere check
-study.toml` reads it and says what it understood, `uqsphere schema` prints its shape for editors. All faults are told at
-once, as `file:line: path: what is wrong, what is allowed, what to write`. `--set PATH=VALUE` sets a value from outside,
-`--set PATH=null` takes one out.
-
-```toml
-title = "Granite, 20 mm, between 40 mm steel bars"
-seed  = 1
-
-[sphere]
-material = "granite"
-radius   = {{ dist = "normal", mean = "10 mm", sd = "0.15 mm", lower = "9 mm" }}
-
-[bars]
-material = "maraging_steel"
-diameter = "40 mm"
-incident_length  = "1.5 m"
-receiving_length = "1.5 m"
-
-[striker]
-speed  = {{ dist = "normal", mean = "0.5 m/s", cov = "2 %" }}
-length = "0.8 m"
-
-[limits.crushing]
-quantity = "p_max"
-strength = {{ dist = "weibull", mean = "4 GPa", modulus = 12 }}
-target   = "1 %"
-```
-
-## Numbers
-
-A number of the scene is a fixed value or a distribution, written where the value stands. A value with a dimension is a
-text with its unit, `"25 mm"`; a plain number has none, `0.25`, and a share may be `"15 %"`. The speed of a rotor's tip is
-`"1450 rpm at 0.9 m"`. No arithmetic is done. A number outside its usual range is a warning, in `check`, `run` and the page.
-
-| dimension | units |
-|---|---|
-{units}
-
-## Distributions
-
-`{{ dist = "normal", mean = "10 mm", sd = "0.15 mm", lower = "9 mm" }}`: a name, its parameters, and if need be `lower` and
-`upper`, which truncate. `mean` and `sd` or `cov` are those before truncation. Every law of `scipy.stats` goes by
-`dist = "scipy.NAME"` with its shapes, `loc` and `scale`.
-
-| dist | parameters |
-|---|---|
-{laws}
-
-In Python, `Study(...)` takes the tables as mappings, with frozen laws of `scipy.stats` or chaospy for numbers.
-
-## Two kinds of study
-
-A scene has `[sphere]` and the tables of its rig. A black box has `[inputs]`, plain numbers or distributions by names of
-yours, and `[outputs]` with `names`; its model is named by `--model FILE.py:FUNCTION` or given in Python.
-"""
-_NOTES: Final = {
-    "[pulse]": "Without the table the pulse is rectangular and follows from the striker. Shapes: {shapes}, or `measured`: a "
-    "clean file of time and strain that `uqsphere shpb records` writes.",
-    "[contact]": "Where `[contact] law = \"plastic\"`, a limit on a pressure says by `strength_is` which pressure its strength is.",
-    "[rig]": "| kind | tables |\n|---|---|\n{rigs}",
-    "[target], [anvil], [other], [hammer], [rod], [platens], [insert]": "One declaration; each table takes the keys that name "
-    "it or its kind. Inserts stand between bars and sphere.",
-    "[limits.NAME]": "A limit holds a quantity, or the value of a criterion of fracture, against a strength. Any number of them, "
-    "by names of yours. A rock is judged by further failure modes with strengths of the library unless "
-    "`analysis.failure_modes = \"given\"`.",
-    "Strengths and distributions from a file": "A strength may be the forces at which spheres broke: `strength = {{ file = "
-    "\"tests.csv\", force = \"F\", diameter = \"D\" }}`. The force is turned into the value of the limit's criterion; its Weibull "
-    "law is carried to other sizes by the weakest link. A distribution of any number may be a `column` of observations, or "
-    "`{{ draws = \"draws.csv\" }}`, what a fit left open. Tables are read as they come: comma, semicolon or tab; decimal point or "
-    "comma; UTF-8, UTF-16 or Windows text; `.xlsx`. A unit may stand in the heading: `force [kN]`, `force_kN`, `force in kN`. "
-    "Empty cells, marks of thousands, summary rows and text among numbers are refused with their lines; repeated rows, rows "
-    "far from the rest and unusual strengths are warnings.",
-    "[margins]": "At which value of one number is a probability reached? Its distribution is moved with its mean.",
-    "[analysis]": "Quantities are listed by `uqsphere list quantities`; `contact_duration` is the equivalent one, the impulse over "
-    "the peak force.",
-}  # fmt: skip
 
 
 def main(name: str) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
@@ -26,17 +26,7 @@ from uqsphere.mechanics.criteria import CRITERIA, pole_of
 from uqsphere.mechanics.criteria import demand as demand_of
 from uqsphere.mechanics.outputs import OUTPUTS, at_force, follows_force
 from uqsphere.quantities import INPUTS, format_value, reading_units, unit_that_reads
-from uqsphere.study.document import (
-    Fault,
-    Number,
-    Observations,
-    Place,
-    Reader,
-    one_of,
-    shown,
-    suggestion,
-    value_of,
-)
+from uqsphere.study.document import Fault, Number, Observations, Place, Reader, one_of, shown, suggestion, value_of
 from uqsphere.study.study import Limit, Tested
 from uqsphere.tables import Table, TableError, read_table
 from uqsphere.units import UNITS, Quantity
@@ -74,7 +64,7 @@ class Demand:
         return "" if entry is None else entry.place
 
 
-# --- the force in the test that is worth a row's value ---------------------------------------------------------------
+# --- the force in the test that is worth a row's value -------------------------------------------------------------
 
 
 def _state(force: Array, sphere: Mapping[str, Values], radius: Array, platens: tuple[float, float],
@@ -94,7 +84,8 @@ def _state(force: Array, sphere: Mapping[str, Values], radius: Array, platens: t
     own = share * state["energy"] + state["dissipated"]
     both = (own - state["dissipated"]) / full.get("sphere.share", share)
     given = {"energy_sphere": own, "specific_energy_sphere": own / mass, "impact_energy": state["energy"],
-             "specific_impact_energy": state["energy"] / mass, "energy": both, "specific_energy": both / mass}  # fmt: skip
+             "specific_impact_energy": state["energy"] / mass, "energy": both,
+             "specific_energy": both / mass}  # fmt: skip
     return type(state)({**state, **given})
 
 
@@ -167,7 +158,7 @@ def test_force(limit: Limit, value: Values, sphere: Mapping[str, Values], radius
 test_force.__test__ = False  # type: ignore[attr-defined]
 
 
-# --- files ----------------------------------------------------------------------------------------------------------
+# --- files ---------------------------------------------------------------------------------------------------------
 
 
 def inside_folder(name: str, reader: Reader, key: str) -> Path:
@@ -221,7 +212,7 @@ def platens_of(raw: Any, bars: tuple[float, float] | None, *at: str) -> tuple[fl
     return known[raw].properties["E"].value, known[raw].properties["nu"].value
 
 
-# --- distributions from a file ----------------------------------------------------------------------------------------
+# --- distributions from a file -------------------------------------------------------------------------------------
 
 
 def _declared(raw: Mapping[str, Any]) -> Observations:
@@ -232,7 +223,7 @@ def _declared(raw: Mapping[str, Any]) -> Observations:
         fault = error.errors(include_url=False)[0]
         at = str(fault["loc"][0])
         if fault["type"] == "unexpected_keyword_argument":
-            keys = [*Observations.__pydantic_fields__]
+            keys = [entry.name for entry in fields(Observations)]
             raise Fault(
                 f"unknown key {shown(at)}{suggestion(at, keys) or f'; known here: {one_of(keys)}'}", at
             ) from None
@@ -280,12 +271,14 @@ def _drawn(table: Observations, quantity: Quantity, reader: Reader) -> Number:
         least = found.numbers("least", quantity.dimension, table.unit, key="draws") if "least" in heads else 0.0 * scale
         bound = found.numbers("bound", key="draws") if "bound" in heads else 0.0 * scale
         tests = found.numbers("tests", key="draws") if "tests" in heads else np.zeros(1)
+        size = found.numbers("diameter", "length", key="draws") if "diameter" in heads else np.zeros(1)
         wrong = ~((scale > 0.0) & (shape > 0.0) & (least >= 0.0) & (bound >= 0.0) & (bound < 1.0))
         found.refuse("draws", "scale and shape above 0, least from 0, bound from 0 to below 1 are required", wrong)
     kind = np.array([kinds[word] for word in words])
     rows = np.column_stack([kind, least, scale, shape, bound])
     law = Law(family=DRAWN, parameters={"tests": float(tests[0])}, draws=tuple(map(tuple, rows.tolist())))
-    return Number(value=law, synthetic=table.synthetic)
+    tested = Tested(diameter=float(size[0])) if size[0] > 0.0 else None
+    return Number(value=law, synthetic=table.synthetic, tested=tested)
 
 
 class _faults:
@@ -326,12 +319,12 @@ def _fitted(data: Array, stopped: Flags, table: Observations, fit: str | None, l
         raise Fault(error.message, error.key if error.key in ("fit", "lower", "upper") else "file") from None
 
 
-# --- strengths from crushing tests --------------------------------------------------------------------------------------
+# --- strengths from crushing tests ---------------------------------------------------------------------------------
 
 
 def tested_strength(
-    raw: Mapping[str, Any], demand: Demand, sphere: Mapping[str, float], radius: float, bars: tuple[float, float] | None,
-    reader: Reader, place: Place, *, quick: bool,
+    raw: Mapping[str, Any], demand: Demand, sphere: Mapping[str, float], radius: float,
+    bars: tuple[float, float] | None, reader: Reader, place: Place, *, quick: bool,
 ) -> Number:  # fmt: skip
     """The law of the strength against a demand from forces at failure, and the tests themselves; raises Fault.
 
@@ -343,7 +336,9 @@ def tested_strength(
     for key, example in (("file", "tests.csv"), ("force", "F"), ("diameter", "D")):
         if getattr(table, key) is None:
             raise Fault(f'{key} is missing: add {key} = "{example}"')
-    assert table.file is not None and table.force is not None and table.diameter is not None
+    assert table.file is not None
+    assert table.force is not None
+    assert table.diameter is not None
     if demand.criterion is None and not follows_force(demand.quantity):
         raise Fault(f"a force at failure is no measure of {demand.quantity}: name a criterion", "force")
     platens = platens_of(table.platens, bars, "platens")
@@ -377,13 +372,7 @@ def tested_strength(
             break
         exponent = after
     size = "weakest link" if fit == "weibull" and g else "none"
-    ratio = max(mean / (2.0 * radius), 2.0 * radius / mean)
-    if ratio > SIZES_REFUSED and size == "none" and not knows:
-        raise Fault(f"the tests have a mean diameter of {1e3 * mean:.4g} mm, the sphere of {2e3 * radius:.4g} mm, and no "
-                    'size law: test spheres of this size, or take fit = "weibull"', "diameter")  # fmt: skip
-    if ratio > SIZES_TOLD:
-        reader.warn((*place, "diameter"), f"the tests have a mean diameter of {1e3 * mean:.4g} mm, the sphere of "
-                    f"{2e3 * radius:.4g} mm: {'the weakest link' if size != 'none' else 'nothing'} carries the strength")  # fmt: skip
+    compare_sizes(mean, radius, size != "none", knows, reader, (*place, "diameter"))
     state = _state(force, sphere, 0.5 * diameter, platens, rate)
     growth = 0.0 if rate is None else float(np.median(rate / force))
     if quick and "rate_0" not in demand.parameters:
@@ -396,6 +385,16 @@ def tested_strength(
         size=size,
     )  # fmt: skip
     return Number(value=law, synthetic=table.synthetic, tested=tested)
+
+
+def compare_sizes(tested: float, radius: float, carries: bool, knows: bool, reader: Reader, place: Place) -> None:
+    """Warn of tests of another diameter [m] than the sphere's; raises Fault where no size law carries them so far."""
+    ratio = max(tested / (2.0 * radius), 2.0 * radius / tested)
+    sizes = f"the tests have a mean diameter of {1e3 * tested:.4g} mm, the sphere of {2e3 * radius:.4g} mm"
+    if ratio > SIZES_REFUSED and not carries and not knows:
+        raise Fault(f'{sizes}, and no size law: test spheres of this size, or take fit = "weibull"', str(place[-1]))
+    if ratio > SIZES_TOLD:
+        reader.warn(place, f"{sizes}: {'the weakest link' if carries else 'nothing'} carries the strength")
 
 
 def _of_demand(
@@ -419,7 +418,7 @@ def _of_demand(
     raise Fault("no modulus agrees with itself: give it by the key modulus of the limit")
 
 
-# --- whether the numbers of a file are plausible -------------------------------------------------------------------------
+# --- whether the numbers of a file are plausible -------------------------------------------------------------------
 
 
 def _warn(found: Table, file: str, data: Array, stopped: Flags, law: Law | None, reader: Reader, place: Place) -> None:
@@ -492,5 +491,6 @@ def _warn_of_tests(
     off = diameter / (2.0 * radius)
     wrong = np.flatnonzero((off > 3.0) | (off < 1.0 / 3.0))
     if 0 < len(wrong) < len(off):
-        reader.warn((*place, "diameter"), f"{table.file}: {len(wrong)} of {len(off)} diameters are more than three times "
+        reader.warn((*place, "diameter"), f"{table.file}: {len(wrong)} of {len(off)} diameters are more than "
+                                          "three times "
                     f"off the sphere's, the first {1e3 * diameter[wrong[0]]:.4g} mm")  # fmt: skip

@@ -39,7 +39,8 @@ class Tested:
 
     diameter: the mean one [m], to which `law` belongs; growth: of the force over the force [1/s], if it was measured.
     forces [N], diameters [m], suspended: of every test.  platens: E [Pa], infinite if rigid, and nu.  sphere: E, nu,
-    density, the share of `uqsphere.study.strength`, and onset_pressure and hardness where poles yield.  law: of the force at failure of a sphere of `diameter`.
+    density, the share of `uqsphere.study.strength`, and onset_pressure and hardness where poles yield.  law: of the
+    force at failure of a sphere of `diameter`.
     exponent: that force goes with the diameter to this power; size: the law that says so, "weakest link" or "none".
     """
 
@@ -287,7 +288,7 @@ def _limit_json(limit: Limit) -> dict[str, Json]:
     }  # fmt: skip
 
 
-# --- failure modes: the ways in which a rock sphere can break --------------------------------------------------------------
+# --- failure modes: the ways in which a rock sphere can break ------------------------------------------------------
 
 
 #: the ways, by the place in the sphere where each begins, and the criterion that is assumed for it
@@ -336,7 +337,7 @@ def means_fracture(limit: Limit) -> bool:
 
 
 def ways_of(study: Study) -> Ways:
-    """The failure modes that the limits of a study leave out, with assumed strengths; none for what is no rock, and where ``[analysis] failure_modes = "given"``."""
+    """The failure modes that have no limit, with assumed strengths; none for what is no rock, or is not to be."""
     rock = library()["sphere"].get(study.materials.get("sphere", ""))
     given = {breaks_by(limit) for limit in study.limits if means_fracture(limit)}
     if study.black_box or study.analysis.failure_modes == "given" or rock is None or not rock.rock or not given:
@@ -387,7 +388,7 @@ def _law(place: str, entry: Property, value: float, own: Mapping[str, float], di
     return make_law("lognormal", {"mean": value, "cov": entry.cov})
 
 
-# --- the free number of an inverse question: where it may lie, and what of a study it moves ------------
+# --- the free number of an inverse question: where it may lie, and what of a study it moves ------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -495,7 +496,7 @@ def with_number(study: Study, path: str, value: float) -> Study:
     if path not in study.random:
         return replace(study, fixed={**study.fixed, path: value})
     law = study.random[path].with_mean(value, study.given[path])
-    if (entry := INPUTS.get(path)) is not None and law.lower < entry.lower:
-        if float(law.cdf(np.array([entry.lower]))[0]) > _NOTABLE:
-            law = replace(law, lower=entry.lower)
+    low = INPUTS[path].lower if path in INPUTS else -math.inf
+    if law.lower < low and float(law.cdf(np.array([low]))[0]) > _NOTABLE:
+        law = replace(law, lower=low)
     return replace(study, random={**study.random, path: law})

@@ -36,11 +36,11 @@ from uqsphere.uq.limit_state import (
 )
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.roots import root
-from uqsphere.uq.sample import Sample, without
+from uqsphere.uq.sample import Sample
 
 __all__ = [
     "NORMAL", "REPLICATES", "Dependence", "Estimate", "Joint", "Law", "LawError", "LimitState", "Sample", "absent",
     "complement", "exact", "exceedance", "finite", "from_replicates", "make_joint", "make_law", "margin_quantiles",
     "miss", "random_generator", "reliability_index", "root", "score_of", "sobol_points", "spread", "student", "tails",
-    "target_met", "widest", "without",
+    "target_met", "widest",
 ]  # fmt: skip

@@ -134,7 +134,7 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
     if sd.low is not None and sd.high is not None and sd.std_error is not None:
         # A sample that lacks the rare large values has too small a deviation and too narrow an interval at once.  The
         # upper end is moved up by the term of the third moment in Johnson's t (J. Am. Stat. Assoc. 73, 1978, 536),
-        # g (1 + 2 t²)/(6 sqrt(R)), with g the larger of the replicates' own skewness and of that of independent squares.
+        # g (1 + 2 t²)/(6 sqrt(R)), g the larger of the replicates' own skewness and of that of independent squares.
         variance = two - one * one
         bent = (three - 3.0 * one * two + 2.0 * one**3) / variance**1.5 if variance > 1e-12 * two else 0.0
         g = max(_skewness(deviations), bent / math.sqrt(total / replicates), 0.0)

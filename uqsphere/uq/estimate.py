@@ -54,12 +54,6 @@ class Estimate:
         """Half the length of the interval; inf where an end is absent."""
         return math.inf if self.low is None or self.high is None else 0.5 * (self.high - self.low)
 
-    def apart(self, other: Estimate) -> bool:
-        """Whether the two intervals have nothing in common."""
-        if self.low is None or self.high is None or other.low is None or other.high is None:
-            return False
-        return self.low > other.high or self.high < other.low
-
     def spanning(self, low: float, high: float) -> Estimate:
         """The same from one end to another, which its standard error follows; the value stays inside."""
         if self.value is not None:
@@ -70,12 +64,6 @@ class Estimate:
         """The same with an interval that holds both."""
         ends = [end for end in (self.low, self.high, other.low, other.high) if end is not None]
         return self.spanning(min(ends), max(ends))
-
-    def as_dict(self) -> dict[str, float | int | str | None]:
-        """Ready for JSON: value, low, high, std_error, method, evaluations, and reason where there is one."""
-        keys = ("value", "low", "high", "std_error", "method", "evaluations")
-        table: dict[str, float | int | str | None] = {key: getattr(self, key) for key in keys}
-        return table if self.reason is None else {**table, "reason": self.reason}
 
 
 def finite(value: float) -> float | None:

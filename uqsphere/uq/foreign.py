@@ -130,8 +130,10 @@ def as_law(given: LawLike) -> Law:
         return _of_scipy(given, kind)
     if origin == "chaospy" and hasattr(given, "inv") and hasattr(given, "pdf"):
         if len(given) != 1:
-            raise LawError("a joint distribution of chaospy: give each of its distributions a name, as "
-                           "{name: one for name, one in zip(names, joint)}, and their rank correlations to `joint`")  # fmt: skip
+            raise LawError(
+                "a joint distribution of chaospy: give each of its distributions a name, "
+                "{name: one for name, one in zip(names, joint)}, and their rank correlations to `joint`"
+            )
         return _of_chaospy(given)
     try:
         values = np.asarray(given, dtype=float)
@@ -257,8 +259,8 @@ def _functions(law: Any) -> SimpleNamespace:
         heavy = max(far[1] / far[0], far[3] / far[2]) > 10.0
         return float(weights @ values), math.inf if heavy else float(weights @ (values - weights @ values) ** 2)
 
-    return SimpleNamespace(cdf=cdf, sf=lambda values: 1.0 - cdf(values), ppf=ppf,
-                           isf=lambda shares: ppf(1.0 - np.asarray(shares)), pdf=shaped(law.pdf), stats=stats)  # fmt: skip
+    sf, isf = (lambda values: 1.0 - cdf(values)), (lambda shares: ppf(1.0 - np.asarray(shares)))
+    return SimpleNamespace(cdf=cdf, sf=sf, ppf=ppf, isf=isf, pdf=shaped(law.pdf), stats=stats)
 
 
 def joint_of(laws: Joint | Mapping[str, LawLike], dependence: Sequence[Dependence] = ()) -> Joint:

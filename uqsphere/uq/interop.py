@@ -180,7 +180,8 @@ def salib_measures(
     if method == "delta":
         from SALib.analyze import delta
 
-        found = delta.analyze(problem, uniforms, y, num_resamples=2, seed=seed)["delta"]
+        answers = delta.analyze(problem, uniforms, y, num_resamples=2, seed=seed)
+        found = answers["delta"] if "delta" in answers else answers["delta_balanced"]
     elif method == "pawn":
         from SALib.analyze import pawn
 

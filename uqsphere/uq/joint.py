@@ -255,8 +255,8 @@ class Joint:
                     known = ", ".join(self.names) or "none"
                     raise LawError(f"{name!r} is not a random input; random are: {known}", "of")
                 if name in taken:
-                    raise LawError(f"{name} is in more than one dependence, and one of them is not Gaussian: name all "
-                                   "that depend on each other in one dependence, or take Gaussian copulas", "of")  # fmt: skip
+                    raise LawError(f"{name} is in more than one dependence, and one of them is not Gaussian: name "
+                                   "all of them in one dependence, or take Gaussian copulas", "of")  # fmt: skip
                 taken.add(name)
 
     def __repr__(self) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -223,7 +224,10 @@ def target_met(missed: Estimate, target: float) -> bool | None:
     return None
 
 
-# --- margin ---------------------------------------------------------------------------------------
+# --- safety factor -----------------------------------------------------------------------------------
+
+#: logarithm of a margin beyond which there is none: the median lies where the demand changes its sign
+FAR: Final = 600.0
 
 
 def margin_quantiles(state: LimitState, probabilities: Sequence[float] = (0.05, 0.5, 0.95)) -> dict[str, Estimate]:
@@ -232,8 +236,7 @@ def margin_quantiles(state: LimitState, probabilities: Sequence[float] = (0.05, 
     Absent where the strength may be zero or negative.
     """
     keys = {p: "median" if p == 0.5 else f"{p:g}" for p in probabilities}
-    total = int(state.demands.size)
-    strength = state.strength
+    strength, total = state.strength, int(state.demands.size)
     doubtful = float(strength.cdf(np.zeros(1))[0]) if isinstance(strength, Law) else float(strength <= 0.0)
     reason = ""
     if doubtful > 1e-6:
@@ -242,109 +245,76 @@ def margin_quantiles(state: LimitState, probabilities: Sequence[float] = (0.05, 
         reason = "too few successful samples in a replicate"
     if reason:
         return {key: absent(reason, state.method, total) for key in keys.values()}
-    if not isinstance(strength, Law):
-        return _margin_of_fixed(state, float(strength), keys)
-    return {key: _margin(state, strength, p) for p, key in keys.items()}
-
-
-def _margin_of_fixed(state: LimitState, strength: float, keys: dict[float, str]) -> dict[str, Estimate]:
-    """Margins of a fixed strength are the strength over the demand's quantiles at 1 - p."""
+    if isinstance(strength, Law):
+        return {key: _margin(state, strength, p) for p, key in keys.items()}
+    # those of a fixed strength are the strength over the demand's quantiles at 1 - p
     demands, _ = quantile_estimates(
-        np.where(state.broken, 0.0, state.demands),
-        censored=state.late,
-        failed=state.broken,
-        on_failure=state.on_failure,
-        quantiles=[1.0 - p for p in keys],
-        method="randomised quasi-Monte Carlo",
-    )
+        np.where(state.broken, 0.0, state.demands), censored=state.late, failed=state.broken,
+        on_failure=state.on_failure, quantiles=[1.0 - p for p in keys], method="randomised quasi-Monte Carlo",
+    )  # fmt: skip
     answer = {}
     for p, key in keys.items():
-        demand = demands[1.0 - p]
-        if demand.value is None or demand.low is None or demand.high is None:
-            answer[key] = demand
-        elif demand.low <= 0.0:
-            answer[key] = absent("the demand may be zero: the margin is unbounded", demand.method,
-                                 demand.evaluations)  # fmt: skip
+        d = answer[key] = demands[1.0 - p]
+        if d.value is None or d.low is None or d.high is None:
+            continue
+        if d.low <= 0.0:
+            answer[key] = absent("the demand may be zero: the margin is unbounded", d.method, d.evaluations)
         else:
-            value, low, high = (strength / end for end in (demand.value, demand.high, demand.low))
-            answer[key] = between(value, low, high, len(state.demands), demand.method, demand.evaluations)
+            value, low, high = (strength / end for end in (d.value, d.high, d.low))
+            answer[key] = between(value, low, high, len(state.demands), d.method, d.evaluations)
     return answer
 
 
 def _margin(state: LimitState, strength: Law, p: float) -> Estimate:
     """One quantile of the margin, its interval read off where the replicates' probabilities could lie."""
-    broken, late = state.broken, state.late
+    broken, late, total = state.broken, state.late, int(state.demands.size)
     counts = (~broken).sum(axis=1).astype(float)
-    total = int(state.demands.size)
     positive = state.demands[~broken & (state.demands > 0.0)]
     if positive.size <= p * counts.sum():
         return absent("the demand may be zero: the margin is unbounded", state.method, total)
     typical = float(strength.ppf(np.array([p]))[0]) / float(np.median(positive))
 
     @np.errstate(over="ignore")  # a demand beyond all numbers exceeds
-    def replicate_probabilities(margin: float) -> Array:
-        if state.shift is None and state.tie is None and not strength.is_steps:
-            # A root needs one tail only, and there are many evaluations.
-            below = strength.cdf(np.where(broken, 0.0, state.demands) * margin)
-            return np.asarray(np.where(broken, 0.0, below).sum(axis=1) / counts)
+    def replicates(margin: float) -> Array:
         return np.asarray(tails(state, margin)[0].sum(axis=1) / counts)
 
     def pooled(margin: float) -> float:
-        return float(replicate_probabilities(margin) @ counts / counts.sum())
+        return float(replicates(margin) @ counts / counts.sum())
 
     value = _root(pooled, p, typical)
     if value is None:
         return absent("no margin has this probability", state.method, total)
     unsure = float(late.sum()) / counts.sum()
     lost = float(broken.sum()) / total if state.on_failure == "bound" else 0.0
-    lowest, highest, _ = probability_ends(p, 1.0 - p, spread(replicate_probabilities(value)), counts.size, total)
+    lowest, highest, _ = probability_ends(p, 1.0 - p, spread(replicates(value)), counts.size, total)
     lowest, highest = lowest - unsure - lost, highest + lost
-    if lowest <= 0.0 or highest >= 1.0:
-        reason = "beyond the censored share" if unsure else "beyond what the samples can tell"
+    ends = [_root(pooled, end, value) if 0.0 < end < 1.0 else None for end in (lowest, highest)]
+    if ends[0] is None or ends[1] is None:
+        reason = "beyond the censored share" if unsure else "beyond what the samples can show"
         return absent(reason, state.method, total)
-    low, high = _ends(pooled, value, p, (lowest, highest))
-    if low is None or high is None:
-        return absent("beyond what the samples can tell", state.method, total)
-    return between(value, min(low, value), max(high, value), counts.size, state.method, total)
-
-
-#: logarithm of a margin beyond which there is none: the median lies where the demand changes its sign
-_FAR = 600.0
-
-
-def _ends(
-    probability_at: Callable[[float], float], value: float, p: float, ends: tuple[float, float]
-) -> tuple[float | None, float | None]:
-    """Margins at two probabilities around p: along the slope where they are close, else solved for."""
-    scores = [float(special.ndtri(end)) - float(special.ndtri(p)) for end in ends]
-    if max(abs(score) for score in scores) < 0.05:
-        slope = (float(special.ndtri(probability_at(value * 1.01))) - float(special.ndtri(p))) / math.log(1.01)
-        # a slope of next to nothing leads nowhere: the median lies where the demand changes its sign
-        if math.isfinite(slope) and slope > 0.0 and max(map(abs, scores)) < _FAR * slope:
-            return value * math.exp(scores[0] / slope), value * math.exp(scores[1] / slope)
-    return _root(probability_at, ends[0], value), _root(probability_at, ends[1], value)
+    return between(value, min(ends[0], value), max(ends[1], value), counts.size, state.method, total)
 
 
 def _root(probability_at: Callable[[float], float], probability: float, near: float) -> float | None:
-    """Margin at which an increasing probability takes a value: bracketed in ln m, then by Brent's method."""
-    target = float(special.ndtri(probability))
-    known: dict[float, float] = {}
+    """Margin at which an increasing probability takes a value: bracketed in ln m, then by Brent's method.
 
+    In normal scores the distribution of a margin is almost straight, and a few steps suffice.
+    """
+    target = float(special.ndtri(probability))
+
+    @cache
     def gap(u: float) -> float:
-        # In normal scores the distribution of a margin is almost straight, and a few steps suffice.
-        if u not in known:
-            share = probability_at(math.exp(u))
-            known[u] = float(special.ndtri(min(max(share, 1e-300), 1.0 - 1e-16))) - target
-        return known[u]
+        share = min(max(probability_at(math.exp(u)), 1e-300), 1.0 - 1e-16)
+        return float(special.ndtri(share)) - target
 
     low = high = math.log(near)
     step = 0.05
     while gap(low) > 0.0:
         high, low, step = low, low - step, 2.0 * step
-        if low < -_FAR:
+        if low < -FAR:
             return None
     while gap(high) < 0.0:
         low, high, step = high, high + step, 2.0 * step
-        if high > _FAR:
+        if high > FAR:
             return None
     return math.exp(low if low == high else root(gap, low, high, xtol=1e-9, rtol=1e-12))

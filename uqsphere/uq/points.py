@@ -69,7 +69,8 @@ def sobol_points(*, dimension: int, count: int, start: int = 0, seed: int, task:
         block[1 << k : 2 << k] = block[: 1 << k][::-1] ^ directions[k]
     begins = range(start - start % size, start + count, size)
     points = np.concatenate([block ^ _at(directions, shift, begin) for begin in begins])
-    return points[start - begins[0] :][:count] * 0.5**bits + 0.5 ** (bits + 1)
+    found: Array = points[start - begins[0] :][:count] * 0.5**bits + 0.5 ** (bits + 1)
+    return found
 
 
 def _at(directions: _Words, shift: _Words, number: int) -> _Words:

@@ -192,7 +192,8 @@ def answered(
     rows, n = points.reshape(*shape, -1), response.count
     many = np.array([predict(response.fits[r % FOLDS], rows[r]) for r in range(shape[0])])
     outputs, levels = response.outputs, response.levels
-    plain = describe(with_residuals(response, many, rng), quantiles=(), method=METHOD)
+    values = with_residuals(response, many, rng)
+    plain = describe(values, quantiles=(), method=METHOD)
     note = f"{METHOD}; {unseen(n)}"
     scale, t = float(many.std()), student(shape[0]) / math.sqrt(shape[0])
     mean = float(many.mean() + response.residuals.mean())
@@ -205,7 +206,7 @@ def answered(
     ends = [scale * math.sqrt(max(variance + side * loose, 0.0)) for side in (-1.0, 1.0)]
     found = {p: _quantile(response, np.sort(many, axis=None), many, p, note) for p in quantiles}
     return Answered(
-        values=with_residuals(response, many, rng),
+        values=values,
         description=replace(
             plain, quantiles=found, censored_share=none_of(n), scale=sd or plain.scale,
             mean=around(mean, half, half / 1.96, note, n),

@@ -111,19 +111,7 @@ class Sample:
         """The first rows of every replicate."""
         return self._each(lambda own, _: own[:, :count], self)
 
-    def whole(self) -> Sample:
-        """The same number of rows without a failure from every replicate."""
-        return self._each(lambda own, _: without(own, self.failed), self)
-
     def _each(self, change: Callable[[Cells, Cells], Cells], other: Sample) -> Sample:
         rows = ("scores", "inputs", "answers", "censored", "status", "failed")
         changed: dict[str, Any] = {name: change(getattr(self, name), getattr(other, name)) for name in rows}
         return replace(self, **changed)
-
-
-def without(rows: Cells, failed: Flags) -> Cells:
-    """The same number of rows that have not failed from every replicate: rows (R, n, ...) become (R, n', ...)."""
-    if not failed.any():
-        return rows
-    least = int((~failed).sum(axis=1).min())
-    return np.stack([row[~bad][:least] for row, bad in zip(rows, failed, strict=True)])

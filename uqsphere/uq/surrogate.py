@@ -5,8 +5,8 @@ and s(x) the standard error of a new answer by least squares, in units of the no
 
     |y - value| <= q s(x),      s(x)² = slope(x)² (1 + p(x)' (P'P)⁻¹ p(x))
 
-with q the ceil(level (n + 1))-th of the |r_i|/s_i (J. Lei et al., J. Am. Stat. Assoc. 113, 2018, 1094).  The slope is 1,
-or |value| where ln y was expanded: half-widths scale with the output.  It holds for points drawn as the rows were.
+with q the ceil(level (n + 1))-th of the |r_i|/s_i (J. Lei et al., J. Am. Stat. Assoc. 113, 2018, 1094).  The slope is
+1, or |value| where ln y was expanded: half-widths scale with the output.  It holds for points drawn as the rows were.
 """
 
 from __future__ import annotations
@@ -21,7 +21,18 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.errors import UsageError
-from uqsphere.uq.chaos import Chaos, ChaospyObjects, Germ, fit_chaos, germ_points, germs_of, integrals, predict, rows_of
+from uqsphere.uq.chaos import (
+    Chaos,
+    ChaospyObjects,
+    Germ,
+    GermLike,
+    fit_chaos,
+    germ_points,
+    germs_of,
+    integrals,
+    predict,
+    rows_of,
+)  # fmt: skip
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.points import random_generator
@@ -67,6 +78,16 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
     return x
 
 
+def _points(joint: Joint, germs: Sequence[GermLike], x: Array) -> Array:
+    """Germ points (n, d) at rows (n, d)."""
+    scores = np.empty_like(x)
+    for k, law in enumerate(joint.laws):
+        below, above = law.cdf(x[:, k]), law.sf(x[:, k])
+        with np.errstate(divide="ignore"):
+            scores[:, k] = np.where(below < 0.5, special.ndtri(below), -special.ndtri(above))
+    return germ_points(np.clip(scores, -FARTHEST, FARTHEST), germs)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Expansion:
     """The polynomial chaos of one output.
@@ -96,17 +117,9 @@ class Expansion:
         return np.asarray(np.all([(law.cdf(c) > 0.0) & (law.sf(c) > 0.0)
                                   for law, c in zip(self.joint.laws, x.T, strict=True)], axis=0))  # fmt: skip
 
-    def _points(self, x: Array) -> Array:
-        scores = []
-        for law, column in zip(self.joint.laws, x.T, strict=True):
-            below, above = law.cdf(column), law.sf(column)
-            with np.errstate(divide="ignore"):
-                scores.append(np.where(below < 0.5, special.ndtri(below), -special.ndtri(above)))
-        return germ_points(np.clip(np.array(scores).T, -FARTHEST, FARTHEST), self.fit.germs)
-
     def germs_at(self, rows: Any) -> Array:
         """Values (n, d) of the germs at rows, at which the polynomial of `chaospy` gives the output (or ln of it)."""
-        points = self._points(columns_of(rows, self.names))
+        points = _points(self.joint, self.fit.germs, columns_of(rows, self.names))
         return np.column_stack([germ.values(p) if isinstance(germ, Germ) else p
                                 for germ, p in zip(self.fit.germs, points.T, strict=True)])  # fmt: skip
 
@@ -126,9 +139,9 @@ class Expansion:
         x = columns_of(rows, self.names)
         inside = self.inside(x)
         if outside == "raise" and not inside.all():
-            raise UsageError(f"{int((~inside).sum())} of {len(x)} rows lie beyond the laws of the inputs: outside='nan' "
-                             "gives no value there")  # fmt: skip
-        points = self._points(x)
+            beyond = int((~inside).sum())
+            raise UsageError(f"{beyond} of {len(x)} rows lie beyond the laws of the inputs: see outside = 'nan'")
+        points = _points(self.joint, self.fit.germs, x)
         value = predict(self.fit, points)
         half = np.full(len(x), math.inf)
         if self.response is not None:
@@ -143,11 +156,11 @@ class Expansion:
     def _inverse(self) -> Array:
         assert self.response is not None
         rows = rows_of(self.fit.germs, self.response.points, self.fit.multi_indices)
-        return np.linalg.pinv(rows @ rows.T)
+        return np.asarray(np.linalg.pinv(rows @ rows.T), dtype=np.float64)
 
     def _leverage(self, points: Array) -> Array:
         rows = rows_of(self.fit.germs, points, self.fit.multi_indices)
-        return np.einsum("pn,pq,qn->n", rows, self._inverse, rows)
+        return np.asarray(np.einsum("pn,pq,qn->n", rows, self._inverse, rows))
 
     def _std_error(self, points: Array, value: Array) -> Array:
         slope = np.abs(value) if self.fit.log else 1.0
@@ -180,7 +193,7 @@ class Expansion:
 
     def quantiles(self, probabilities: Sequence[float], *, count: int = 65_536, seed: int = 0) -> Array:
         """Quantiles of the expansion, of so many rows of a sample."""
-        return np.quantile(self.sample(count, seed=seed)["value"].to_numpy(), probabilities)
+        return np.asarray(np.quantile(self.sample(count, seed=seed)["value"].to_numpy(), probabilities))
 
     def indices(self) -> dict[str, dict[str, Estimate]]:
         """{"first", "total"} by input, with intervals; Kucherenko's, and {"shapley"}, where inputs are tied."""
@@ -203,8 +216,6 @@ def fit_expansion(x: Array, y: Array, joint: Joint, *, plain: bool = False, seed
     """The expansion of y (n,) at rows x (n, d) drawn by the joint law; `seed` of the order in which rows are dealt."""
     order = random_generator(seed=seed, task="chaos rows").permutation(len(y))
     x, y, germs = x[order], y[order], germs_of(joint.laws)
-    bare = Expansion(joint=joint, fit=Chaos(coefficients=np.zeros(1), multi_indices=np.zeros((1, len(germs)), dtype=int),
-                                            germs=germs, cross_validation_error=1.0, samples=0))  # fmt: skip
-    points = bare._points(x)
+    points = _points(joint, germs, x)
     return Expansion(joint=joint, fit=fit_chaos(points, y, germs, plain=plain),
                      response=cross_fit(points, y, germs, plain=plain)[0])  # fmt: skip

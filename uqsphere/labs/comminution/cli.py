@@ -10,10 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from uqsphere.errors import UqsphereError
 from uqsphere.labs.comminution.document import ComminutionDocument
-from uqsphere.labs.shpb.cli import show, table, write_files
-from uqsphere.labs.shpb.document import load_document
+from uqsphere.labs.files import load_document, run_command, show, table, write_files
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -28,19 +26,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         one.add_argument("file", type=Path, help="input file (TOML)")
         one.add_argument("--out", type=Path, help="folder for the files (default: FILE-fit, FILE-feed)")
         one.add_argument("--json", action="store_true", help="one JSON document on stdout")
-    try:
-        chosen = parser.parse_args(argv)
-    except SystemExit as ended:
-        return int(ended.code or 0)
-    try:
-        return _run(chosen)
-    except UqsphereError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    return run_command(argv, parser, {"fit": _run, "feed": _run})
 
 
 def _run(chosen: argparse.Namespace) -> int:
-    from uqsphere.labs.comminution.feed import answer_feed, figures
+    from uqsphere.labs.comminution.feed import answer_feed
     from uqsphere.labs.comminution.fit import fit
     from uqsphere.labs.comminution.tests import load_tests
 
@@ -52,22 +42,26 @@ def _run(chosen: argparse.Namespace) -> int:
     at = asked.strength_at or math.sqrt(low * high)
     content = {**fitted.content, "strength_at": at}
     files = {"draws.csv": fitted.posterior.strength_csv(at), "fit.json": _json(content)}
-    text = _fit_text(content)
+    text, warnings = _fit_text(content), fitted.content["warnings"]
     if chosen.command == "feed":
         answer = answer_feed(fitted.posterior, asked, folder)
-        content = {"fit": content, "feed": answer.content}
-        files |= {"feed.json": _json(answer.content), "classes.csv": answer.class_csv(),
-                  "feed.svg": figures(answer, fitted.content)}  # fmt: skip
-        if asked.product is not None:
-            files["product.csv"] = answer.product_csv()
-        text = _feed_text(answer.content)
-        warnings = dict.fromkeys((*fitted.warnings, *answer.warnings))
-    else:
-        warnings = dict.fromkeys(fitted.warnings)
-    for warning in warnings:
+        classes = [(c["upper"], c["size"], c["mass"], *c["broken"].values()) for c in answer.content["classes"]]
+        files |= {
+            "feed.json": _json(answer.content),
+            "classes.csv": _csv("upper [m],size [m],mass,broken,low,high", classes),
+        }
+        if product := [tuple(one.values()) for one in answer.content["product"]]:
+            files["product.csv"] = _csv("sieve [m],feed,passing,low,high", product)
+        content, text = {"fit": content, "feed": answer.content}, _feed_text(answer.content)
+        warnings = [*warnings, *answer.content["warnings"]]
+    for warning in dict.fromkeys(warnings):
         print(f"note: {warning}", file=sys.stderr)
     show(chosen, content, text, write_files(out, files))
     return 0
+
+
+def _csv(head: str, rows: Sequence[Sequence[float]]) -> str:
+    return "\n".join([head, *(",".join(f"{v:.6g}" for v in row) for row in rows)]) + "\n"
 
 
 def _json(content: Any) -> str:
@@ -84,9 +78,8 @@ def _fit_text(content: dict[str, Any]) -> str:
     head = f"{content['title'] or 'tests'}: {tests['particles']} particles, {tests['broke']} broke"
     rows = [("size", "tests", "E50 of the law", "95 %", "breaks half", "95 %", "breaks 1 %", "95 %")]
     for one in content["sizes"]:
-        rows.append((f"{one['diameter'] * 1e3:.4g} mm", str(one["tests"]), *_interval(one["E50"], 1.0, "J/kg"),
-                     *_interval(one["breaks_half"], 1.0, "J/kg"),
-                     *_interval(one["breaks_1_percent"], 1.0, "J/kg")))  # fmt: skip
+        energies = [_interval(one[key], 1.0, "J/kg") for key in ("E50", "breaks_half", "breaks_1_percent")]
+        rows.append((f"{one['diameter'] * 1e3:.4g} mm", str(one["tests"]), *sum(energies, ())))
     laws = [("law", "weight", "log likelihood", "log score (leave one out)")]
     laws += [(law, f"{one['weight']:.0%}", f"{one['log_likelihood']:.2f}", f"{one['loo']:.2f}")
              for law, one in content["laws"].items()]  # fmt: skip
@@ -114,13 +107,6 @@ def _feed_text(content: dict[str, Any]) -> str:
         rows.append((f"broken of a lot of {one['mass']:.4g} kg", value, spread))
     classes = [("size", "mass", "broken", "95 %", "")]
     for one in content["classes"]:
-        mark = "extrapolated" if one["extrapolated"] else ""
-        classes.append(
-            (f"{one['size'] * 1e3:.4g} mm", f"{one['mass']:.1%}", *_interval(one["broken"], 100.0, "%"), mark)
-        )
-    blocks = [content["title"] or "feed", table(rows), table(classes)]
-    if "goal" in content:
-        goal = content["goal"]
-        blocks.append(f"{goal['broken']:.0%} broken with {goal['at_least']:.0%}: {goal['verdict']} "
-                      f"(probability {goal['probability']:.1%} +- {goal['error']:.1%})")  # fmt: skip
-    return "\n\n".join(blocks)
+        size, mark = f"{one['size'] * 1e3:.4g} mm", "extrapolated" if one["extrapolated"] else ""
+        classes.append((size, f"{one['mass']:.1%}", *_interval(one["broken"], 100.0, "%"), mark))
+    return "\n\n".join([content["title"] or "feed", table(rows), table(classes)])

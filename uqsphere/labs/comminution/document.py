@@ -6,24 +6,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from uqsphere.labs.shpb.document import Density, Length, Pressure, Section, Speed, _in
-from uqsphere.materials import library
+from uqsphere.labs.files import Density, Length, Pressure, Section, Speed, from_library, in_unit
+from uqsphere.units import parse_value
 
-SpecificEnergy = Annotated[float, _in("specific_energy"), Field(gt=0.0)]
-Energy = Annotated[float, _in("energy"), Field(gt=0.0)]
-Mass = Annotated[float, _in("mass"), Field(gt=0.0)]
+SpecificEnergy = Annotated[float, in_unit("specific_energy"), Field(gt=0.0)]
+Energy = Annotated[float, in_unit("energy"), Field(gt=0.0)]
+Mass = Annotated[float, in_unit("mass"), Field(gt=0.0)]
 Share = Annotated[
-    float, BeforeValidator(lambda v: v if isinstance(v, (int, float)) else _share(v)), Field(gt=0.0, le=1.0)
+    float, BeforeValidator(lambda v: parse_value(v, "share") if isinstance(v, str) else v), Field(gt=0.0, le=1.0)
 ]
-
-
-def _share(text: Any) -> float:
-    from uqsphere.units import UnitError, parse_value
-
-    try:
-        return parse_value(text, "share")
-    except UnitError as error:
-        raise ValueError(str(error)) from None
 
 
 class Elastic(Section):
@@ -37,18 +28,7 @@ class Elastic(Section):
     @model_validator(mode="before")
     @classmethod
     def _from_library(cls, data: Any) -> Any:
-        if not isinstance(data, dict) or data.get("material") is None:
-            return data
-        known = {name: m for kind in library().values() for name, m in kind.items()}
-        name = data["material"]
-        if name not in known:
-            raise ValueError(f"material {name!r} is not known: {', '.join(known)}")
-        own = known[name].properties
-        units = {"E": " Pa", "nu": "", "density": " kg/m3"}
-        taken = {
-            key: f"{own[key].value!r}{unit}" if unit else own[key].value for key, unit in units.items() if key in own
-        }
-        return {**taken, **data}
+        return from_library(data, "sphere", "plates", "bars")
 
 
 class Lognormal(Section):
@@ -113,8 +93,7 @@ class TestsTable(Section):
             raise ValueError("outcome is required, or broken with particles")
         if given[0] == "force" and self.stiffness is None and not self.assume_intact:
             raise ValueError(
-                "a force needs the stiffness of each particle (stiffness = COLUMN): broken rock is often several times "
-                "softer than intact rock; assume_intact = true takes E and nu of the material"
+                "a force needs the stiffness of each particle (stiffness = COLUMN), or assume_intact = true"
             )
         if given[0] in ("specific_energy", "energy") and self.energy_is is None:
             raise ValueError('energy_is is required: "sphere", "contact" or "input"')
@@ -156,9 +135,8 @@ class FeedTable(Section):
     """A feed under blows.
 
     specific_energy, energy, speed : of one blow, exactly one; the same J/kg for all sizes, J a blow, closing speed.
-    cov : coefficient of variation of the energy from blow to blow.  impact_surface : what the particles hit.
+    impact_surface : what the particles hit.
     undersize : whether what is below the last sieve breaks too.  lot : mass over which numbers scatter.
-    goal : broken share that is to be reached with the probability `at_least`.
     """
 
     sizes: SizesTable
@@ -166,13 +144,10 @@ class FeedTable(Section):
     specific_energy: SpecificEnergy | None = None
     energy: Energy | None = None
     speed: Speed | None = None
-    cov: float = Field(default=0.0, ge=0.0, le=3.0)
     impact_surface: Elastic | None = None
     undersize: Literal["stays", "breaks"] = "stays"
     lot: Mass | None = None
     fines: Length | None = None
-    goal: Share | None = None
-    at_least: Share = 0.95
 
     @model_validator(mode="after")
     def _one_energy(self) -> FeedTable:
@@ -185,7 +160,7 @@ class ProductTable(Section):
     """t10 = A (1 - exp(-b E)) and the curve of t_n; alpha a number, or its scatter."""
 
     A: Share
-    b: Annotated[float, _in("mass_per_energy"), Field(gt=0.0)]
+    b: Annotated[float, in_unit("mass_per_energy"), Field(gt=0.0)]
     curve: Literal["trr", "milin"] = "trr"
     alpha: float | Lognormal = Lognormal(log_mean=-0.5108, log_sd=0.25)
 

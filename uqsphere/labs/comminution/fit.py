@@ -133,7 +133,6 @@ class Fit:
 
     posterior: Posterior
     content: dict[str, Any]
-    warnings: tuple[str, ...]
 
 
 # --- likelihood ---------------------------------------------------------------------------------------------------
@@ -159,13 +158,31 @@ def log_likelihoods(model: Model, tests: Specimens, gamma: float | None) -> Call
         at = np.clip((x - _GAMMAS[0]) / step, 0.0, len(_GAMMAS) - 1.001)
         k = at.astype(int)
         part = (at - k)[..., None]
-        first, second = y[k], y[k + 1]
         with np.errstate(invalid="ignore"):
-            return np.where(np.isfinite(first), np.exp(first + part * (second - first)), np.exp(first))
+            return np.where(np.isfinite(y[k]), np.exp(y[k] + part * (y[k + 1] - y[k])), np.exp(y[k]))
 
     def log_rest(h: Array) -> Array:
-        with np.errstate(divide="ignore"):
-            return np.where(h < 1.0, np.log(-np.expm1(-h)), np.log1p(-np.exp(-np.maximum(h, 1.0))))
+        return np.where(h < 1.0, np.log(-np.expm1(-h)), np.log1p(-np.exp(-np.maximum(h, 1.0))))
+
+    def known(e: Array, median: Array, p: Mapping[str, Array]) -> Array:
+        """ln f(e)."""
+        if model.law == "weibull":
+            last = laws.hazard(e, median, p["modulus"])
+            return np.asarray(np.log(0.6 * p["modulus"] * last / e) - last)
+        z, top = laws.standard(e, median, p["sigma"], model.ratio), model.ratio * median
+        found = -0.5 * z * z - np.log(p["sigma"] * math.sqrt(2.0 * math.pi) * e) - np.log1p(-e / top)
+        return np.where(e < top, found, -np.inf)
+
+    def inside(lo: Array, hi: Array, median: Array, p: Mapping[str, Array]) -> Array:
+        """ln(P(hi) - P(lo))."""
+        if model.law == "weibull":
+            first, last = (laws.hazard(e, median, p["modulus"]) for e in (lo, hi))
+            return np.where(np.isposinf(first), -np.inf, -first + log_rest(np.maximum(last - first, 0.0)))
+        a, z = (laws.standard(e, median, p["sigma"], model.ratio) for e in (lo, hi))
+        # the normal law is even: both ends in the lower tail
+        upper = a + z > 0.0
+        larger, smaller = log_ndtr(np.where(upper, -a, z)), log_ndtr(np.where(upper, -z, a))
+        return np.where(np.isneginf(larger), -np.inf, larger + log_rest(np.maximum(larger - smaller, 0.0)))
 
     def value(x: Array) -> Array:
         p = {name: np.exp(x[..., k, None]) for k, name in enumerate(model.names)}
@@ -174,23 +191,13 @@ def log_likelihoods(model: Model, tests: Specimens, gamma: float | None) -> Call
         if low.ndim > 1:
             g = x[..., model.names.index("gamma")]
             lo, hi = between(g, log_low), between(g, log_high)
+        found = np.empty(median.shape)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            if model.law == "lognormal":
-                sigma, top = p["sigma"], model.ratio * median
-                z = laws.standard(hi, median, sigma, model.ratio)
-                density = -0.5 * z * z - np.log(sigma * math.sqrt(2.0 * math.pi)) - np.log(hi) - np.log1p(-hi / top)
-                density = np.where(hi < top, density, -np.inf)
-                a = laws.standard(lo, median, sigma, model.ratio)
-                # the normal law is even: both ends in the lower tail
-                upper = a + z > 0.0
-                larger, smaller = log_ndtr(np.where(upper, -a, z)), log_ndtr(np.where(upper, -z, a))
-                inside = np.where(np.isneginf(larger), -np.inf, larger + log_rest(np.maximum(larger - smaller, 0.0)))
-            else:
-                s = 0.6 * p["modulus"]
-                first, last = laws.hazard(lo, median, p["modulus"]), laws.hazard(hi, median, p["modulus"])
-                density = np.log(s * last / hi) - last
-                inside = np.where(np.isposinf(first), -np.inf, -first + log_rest(np.maximum(last - first, 0.0)))
-        return np.asarray(tests.weight * np.where(exact, density, inside))
+            if exact.any():
+                found[..., exact] = known(hi[..., exact], median[..., exact], p)
+            if not exact.all():
+                found[..., ~exact] = inside(lo[..., ~exact], hi[..., ~exact], median[..., ~exact], p)
+        return np.asarray(tests.weight * found)
 
     return value
 
@@ -219,7 +226,9 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> Model:
 # --- sampling -----------------------------------------------------------------------------------------------------
 
 
-def sample(model: Model, tests: Specimens, gamma: float | None, rng: np.random.Generator) -> dict[str, Any]:
+def sample(
+    model: Model, tests: Specimens, gamma: float | None, rng: np.random.Generator, enough: float = 4000.0
+) -> dict[str, Any]:
     """Chains (steps, R, W, d) of the posterior until they settle, its mode, and how they settled."""
     each = log_likelihoods(model, tests, gamma)
     centre = np.array([mean for mean, _ in model.priors.values()])
@@ -242,7 +251,7 @@ def sample(model: Model, tests: Specimens, gamma: float | None, rng: np.random.G
         last = kept[-1] if len(kept) else chain[-1]
         kept = np.concatenate([kept, _stretch(value, last, _BLOCK, rng)])
         r_hat, effective = _settled(kept)
-        if r_hat.max() < R_HAT and effective.min() > 4.0 * EFFECTIVE:
+        if r_hat.max() < R_HAT and effective.min() > max(enough, EFFECTIVE):
             break
     return {"chain": kept, "mode": mode, "log_likelihood": float(each(mode).sum()), "each": each, "value": value,
             "r_hat": float(r_hat.max()), "effective": float(effective.min())}  # fmt: skip
@@ -264,9 +273,13 @@ def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> Ar
         x[k] = float(np.median(gap))
     tried = x + np.linspace(-3.0, 4.0, 57)[:, None] * np.isin(np.arange(len(x)), lead)
     x = tried[int(np.argmax(value(tried)))]
+
+    def loss(y: Array) -> float:
+        return min(-float(value(y)), 1e15)
+
     for _ in range(3):
-        x = fmin(lambda y: min(-float(value(y)), 1e15), x, xtol=1e-9, ftol=1e-10, maxiter=4000, disp=False)
-    return np.asarray(x)
+        x = np.asarray(fmin(loss, x, xtol=1e-9, ftol=1e-10, maxiter=4000, disp=False))
+    return x
 
 
 def _stretch(value: Callable[[Array], Array], x: Array, steps: int, rng: np.random.Generator) -> Array:
@@ -318,27 +331,23 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
     want = asked.tests
     names = ("lognormal", "weibull") if want.law == "average" else (want.law,)
     gamma = want.gamma if isinstance(want.gamma, float) else None
-    models, chains, scores, content_laws = [], [], [], {}
-    for k, law in enumerate(names):
-        model = model_of(law, asked, tests)
+    models = [model_of(law, asked, tests) for law in names]
+    chains, scores, about = [], [], {}
+    for k, (law, model) in enumerate(zip(names, models, strict=True)):
         rng = np.random.default_rng([asked.seed, 731, k])
-        done = sample(model, tests, gamma, rng)
+        done = sample(model, tests, gamma, rng, float(asked.draws))
         chain = done["chain"].reshape(-1, len(model.names))
-        rows = chain[rng.permutation(len(chain))[: asked.draws]]  # even strides would meet the same walkers again
-        each = done["each"](rows)
+        chains.append(chain[rng.permutation(len(chain))[: asked.draws]])  # even strides meet the same walkers again
         # leave-one-out by importance: 1/mean(1/p) of every specimen
-        loo = float(-np.log(np.mean(np.exp(np.minimum(-each / tests.weight, 600.0)), axis=0)) @ tests.weight)
-        models.append(model)
-        chains.append(rows)
-        scores.append(loo)
-        content_laws[law] = {"log_likelihood": done["log_likelihood"], "loo": loo, "r_hat": done["r_hat"],
-                             "effective": done["effective"],
-                             "settled": done["r_hat"] < R_HAT and done["effective"] > EFFECTIVE}  # fmt: skip
+        each = np.exp(np.minimum(-done["each"](chains[k]) / tests.weight, 600.0))
+        scores.append(float(-np.log(np.mean(each, axis=0)) @ tests.weight))
+        about[law] = {"log_likelihood": done["log_likelihood"], "loo": scores[k], "r_hat": done["r_hat"],
+                      "effective": done["effective"],
+                      "settled": done["r_hat"] < R_HAT and done["effective"] > EFFECTIVE}  # fmt: skip
     weights = np.exp(np.array(scores) - max(scores))
     weights /= weights.sum()
-    counts = np.round(np.cumsum(weights) * asked.draws).astype(int)
-    counts = np.diff(np.concatenate([[0], counts]))
-    law_of = np.repeat(np.arange(len(names)), counts)
+    ends = np.round(np.cumsum(weights) * asked.draws).astype(int)
+    law_of = np.repeat(np.arange(len(names)), np.diff(ends, prepend=0))
     rng = np.random.default_rng([asked.seed, 733])
     order = rng.permutation(len(law_of))
     every = dict.fromkeys(name for model in models for name in model.names)
@@ -355,7 +364,7 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
         models=tuple(models), law=law_of[order], tested=(float(tests.diameter.min()), float(tests.diameter.max())),
         parameters={name: v[order] for name, v in parameters.items()}, tests=int(tests.weight.sum()),
     )  # fmt: skip
-    return _described(posterior, models, content_laws, dict(zip(names, weights.tolist(), strict=True)), tests, asked)
+    return _described(posterior, about, dict(zip(names, weights.tolist(), strict=True)), tests, asked)
 
 
 def quantiles(values: Array) -> dict[str, float]:
@@ -365,11 +374,10 @@ def quantiles(values: Array) -> dict[str, float]:
 
 
 def _described(
-    posterior: Posterior, models: list[Model], about: dict[str, Any], weights: dict[str, float], tests: Specimens,
-    asked: ComminutionDocument,
-) -> Fit:  # fmt: skip
+    posterior: Posterior, about: dict[str, Any], weights: dict[str, float], tests: Specimens, asked: ComminutionDocument
+) -> Fit:
     warnings = list(tests.notes)
-    parameters, priors = {}, {name: prior for model in models for name, prior in model.priors.items()}
+    parameters, priors = {}, {name: prior for model in posterior.models for name, prior in model.priors.items()}
     for name, values in posterior.parameters.items():
         sd = priors.get(name, PRIORS.get(name, _FLAT))[1]
         own = float(np.nanstd(np.log(values)))
@@ -380,9 +388,7 @@ def _described(
     for size in tests.sizes[:200]:
         near = np.abs(np.log(tests.diameter / size)) < 0.006
         half, hundredth = posterior.energy_at(0.5, size)[:, 0], posterior.energy_at(0.01, size)[:, 0]
-        step = np.log(posterior.median(size * 1.01)[:, 0] / posterior.median(size / 1.01)[:, 0]) / (
-            2.0 * math.log(1.01)
-        )
+        step = np.log(posterior.median(size * 1.01) / posterior.median(size / 1.01))[:, 0] / 0.0199
         sizes.append({"diameter": size, "tests": int(tests.weight[near].sum()),
                       "broke": int(tests.weight[near & tests.broke].sum()), "breaks_half": quantiles(half),
                       "E50": quantiles(posterior.median(size)[:, 0]), "breaks_1_percent": quantiles(hundredth),
@@ -393,18 +399,14 @@ def _described(
             better = "lognormal" if gap > 0.0 else "weibull"
             warnings.append(f"the {better} law predicts these tests better (log score by {abs(gap):.1f})")
         elif tests.weight.sum() < FEW:
-            warnings.append(
-                "too few tests to choose between lognormal and Weibull: both are averaged; small shares differ"
-            )
+            warnings.append("too few tests to choose between lognormal and Weibull: both are averaged")
     for law, one in about.items():
         if not one["settled"]:
-            warnings.append(
-                f"{law}: the draws did not settle (R-hat {one['r_hat']:.3f}, {one['effective']:.0f} effective)"
-            )
+            warnings.append(f"{law}: the draws did not settle (R-hat {one['r_hat']:.3f})")
     if asked.tests.synthetic:
         warnings.append("the tests are synthetic data: no number here is of a rock")
     content = {
-        "title": asked.title, "seed": asked.seed, "law": asked.tests.law, "size": models[0].size,
+        "title": asked.title, "seed": asked.seed, "law": asked.tests.law, "size": posterior.models[0].size,
         "ratio": asked.tests.ratio if math.isfinite(asked.tests.ratio) else None,
         "tests": {"specimens": len(tests.weight), "particles": int(tests.weight.sum()),
                   "broke": int(tests.weight[tests.broke].sum()),
@@ -413,4 +415,4 @@ def _described(
         "laws": {law: {**one, "weight": weights[law]} for law, one in about.items()},
         "parameters": parameters, "sizes": sizes, "warnings": warnings,
     }  # fmt: skip
-    return Fit(posterior=posterior, content=content, warnings=tuple(warnings))
+    return Fit(posterior=posterior, content=content)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -69,51 +69,42 @@ class Specimens:
 def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
     """The specimens of the table of an input file; UsageError with the lines of rows that cannot be."""
     table, want = read_table(folder / asked.tests.file), asked.tests
-    rows = np.ones(len(table.values), dtype=bool)
     for column, value in want.where.items():
-        cells = table.values.iloc[:, table.place(column)].map(decode_cell)
-        rows &= (cells == decode_cell(value)).to_numpy()
-    if not rows.any():
+        table = replace(table, values=table.values[(table.words(column) == decode_cell(value)).to_numpy()])
+    if not len(table.values):
         raise UsageError(f"{table.path.name}: no row is left (tests.where)")
     if want.diameter is not None:
-        diameter = table.in_si(want.diameter, "length", want.diameter_unit)[rows]
+        diameter = table.in_si(want.diameter, "length", want.diameter_unit)
     else:
-        assert want.mesh_lower is not None
-        assert want.mesh_upper is not None
-        low, high = (table.in_si(c, "length", want.diameter_unit)[rows] for c in (want.mesh_lower, want.mesh_upper))
+        low, high = (table.in_si(str(c), "length", want.diameter_unit) for c in (want.mesh_lower, want.mesh_upper))
         diameter = np.sqrt(low * high)
-
-    def whole(column: str | None) -> Array:
-        return np.ones(int(rows.sum())) if column is None else table.numbers(column)[rows]
-
-    particles, count = whole(want.particles), whole(want.blows)
+    one = np.ones(len(diameter))
+    particles = one if want.particles is None else table.numbers(want.particles)
+    count = one if want.blows is None else table.numbers(want.blows)
     if want.broken is not None:
-        broken = whole(want.broken)
+        broken = table.numbers(want.broken)
     else:
-        assert want.outcome is not None
-        words = table.values.iloc[:, table.place(want.outcome)].map(decode_cell)[rows]
-        _refuse(table, rows, ~words.str.lower().isin(_BROKE).to_numpy(), f"outcome: one of {', '.join(_BROKE)}")
-        broken = words.str.lower().map(_BROKE).to_numpy(dtype=float) * particles
-    rig = np.full(len(diameter), want.rig, dtype=object)
-    if want.rig_column is not None:
-        rig = table.values.iloc[:, table.place(want.rig_column)].map(decode_cell)[rows].to_numpy()
-        known = (*AT_FAILURE, "drop_weight", "impact", "drop")
-        _refuse(table, rows, ~np.isin(rig.astype(str), known), f"rig: one of {', '.join(known)}")
+        words = table.words(str(want.outcome)).str.lower()
+        _refuse(table, ~words.isin(_BROKE).to_numpy(), f"outcome: one of {', '.join(_BROKE)}")
+        broken = words.map(_BROKE).to_numpy(dtype=float) * particles
+    rig = np.full(len(diameter), want.rig) if want.rig_column is None else table.words(want.rig_column).to_numpy(str)
+    known = (*AT_FAILURE, "drop_weight", "impact", "drop")
     for wrong, text in (
+        (~np.isin(rig, known), f"rig: one of {', '.join(known)}"),
         (~(np.isfinite(diameter) & (diameter > 0.0)), "the size must be above 0"),
         (~((particles >= 1) & (particles == np.round(particles))), "particles: a whole number of 1 or more"),
         (~((broken >= 0) & (broken <= particles)), "broken lies from 0 to particles"),
         (~((count >= 1) & (count <= 10_000)), "blows lie from 1 to 10,000"),
-        (np.isin(rig.astype(str), AT_FAILURE) & (count > 1), "a press tests once: blows belong to weights and throws"),
+        (np.isin(rig, AT_FAILURE) & (count > 1), "a press tests once: blows belong to weights and throws"),
     ):
-        _refuse(table, rows, np.asarray(wrong), text)
-    energy, notes = _energies(asked, table, rows, diameter, rig)
-    _refuse(table, rows, ~(np.isfinite(energy) & (energy > 0.0)), "the energy must be above 0")
-    notes = [*table.notes, *notes, *_odd_rows(table, rows, diameter, energy)]
-    names = np.arange(len(energy)).astype(str)
-    if want.specimen is not None:
-        names = table.values.iloc[:, table.place(want.specimen)].map(decode_cell)[rows].to_numpy().astype(str)
-    return _specimens(table, rows, names, diameter, energy, rig, particles, broken, count.astype(int), notes)
+        _refuse(table, np.asarray(wrong), text)
+    energy, notes = _energies(asked, table, diameter, rig)
+    _refuse(table, ~(np.isfinite(energy) & (energy > 0.0)), "the energy must be above 0")
+    notes = [*table.notes, *notes, *_odd_rows(table, diameter, energy)]
+    names = np.arange(len(energy)).astype(str) if want.specimen is None else table.words(want.specimen).to_numpy(str)
+    return _specimens(
+        table, names, diameter, energy, np.isin(rig, AT_FAILURE), particles, broken, count.astype(int), notes
+    )
 
 
 def stiffness(body: Elastic) -> float:
@@ -123,20 +114,18 @@ def stiffness(body: Elastic) -> float:
     return body.E / (1.0 - body.nu**2)
 
 
-def _refuse(table: Table, rows: Flags, wrong: Flags, text: str) -> None:
+def _refuse(table: Table, wrong: Flags, text: str) -> None:
     if wrong.any():
-        lines = table.values.index[rows][wrong]
+        lines = table.values.index[wrong]
         more = f" and {len(lines) - 8} more" if len(lines) > 8 else ""
         raise UsageError(f"{table.path.name}: line {', '.join(map(str, lines[:8]))}{more}: {text}")
 
 
-def _energies(
-    asked: ComminutionDocument, table: Table, rows: Flags, diameter: Array, rig: np.ndarray
-) -> tuple[Array, list[str]]:
+def _energies(asked: ComminutionDocument, table: Table, diameter: Array, rig: np.ndarray) -> tuple[Array, list[str]]:
     """The particle's own energy per mass [J/kg] of every row."""
     want, own, notes = asked.tests, asked.material, []
     if want.mass is not None:
-        mass = table.in_si(want.mass, "mass", want.mass_unit)[rows]
+        mass = table.in_si(want.mass, "mass", want.mass_unit)
     else:
         if own.density is None:
             raise UsageError("material.density is required, or a column tests.mass")
@@ -147,16 +136,16 @@ def _energies(
         share = laws.particle_share(stiffness(own), stiffness(partner))
     meaning = want.energy_is
     if want.specific_energy is not None:
-        found = table.in_si(want.specific_energy, "specific_energy", want.unit)[rows]
+        found = table.in_si(want.specific_energy, "specific_energy", want.unit)
     elif want.energy is not None:
-        found = table.in_si(want.energy, "energy", want.unit)[rows] / mass
+        found = table.in_si(want.energy, "energy", want.unit) / mass
     elif want.speed is not None:
-        found, meaning = 0.5 * table.in_si(want.speed, "speed", want.unit)[rows] ** 2, "input"
+        found, meaning = 0.5 * table.in_si(want.speed, "speed", want.unit) ** 2, "input"
     else:
         assert want.force is not None
-        force, meaning = table.in_si(want.force, "force", want.unit)[rows], "contact"
+        force, meaning = table.in_si(want.force, "force", want.unit), "contact"
         if want.stiffness is not None:
-            modulus = table.in_si(want.stiffness, "pressure", want.stiffness_unit)[rows]
+            modulus = table.in_si(want.stiffness, "pressure", want.stiffness_unit)
         else:
             compliance = 1.0 / stiffness(own) + (1.0 / stiffness(partner) if partner is not None else 0.0)
             modulus = np.full(len(force), 1.0 / compliance)
@@ -167,11 +156,11 @@ def _energies(
     if partner is None and meaning == "contact":
         notes.append("no tests.partner: the whole energy of the contacts is taken as the particle's own")
     # a falling weight's energy is credited to the particle whole, as the drop-weight test does
-    taken = np.where((meaning == "input") & (rig.astype(str) == "drop_weight"), 1.0, share)
+    taken = np.where((meaning == "input") & (rig == "drop_weight"), 1.0, share)
     return found * taken, notes
 
 
-def _odd_rows(table: Table, rows: Flags, diameter: Array, energy: Array) -> list[str]:
+def _odd_rows(table: Table, diameter: Array, energy: Array) -> list[str]:
     """Rows that lie 5 robust deviations from a line of ln e over ln d."""
     if len(energy) < 8:
         return []
@@ -180,15 +169,16 @@ def _odd_rows(table: Table, rows: Flags, diameter: Array, energy: Array) -> list
     left = y - middle - slope * x
     scale = 1.4826 * float(np.median(np.abs(left - np.median(left))))
     odd = np.abs(left - np.median(left)) > 5.0 * max(scale, 0.05)
-    lines = ", ".join(map(str, table.values.index[rows][odd][:8]))
+    lines = ", ".join(map(str, table.values.index[odd][:8]))
     return [f"line {lines}: the energy lies far from the others: is its unit right?"] if odd.any() else []
 
 
 def _specimens(
-    table: Table, rows: Flags, names: np.ndarray, diameter: Array, energy: Array, rig: np.ndarray, particles: Array,
-    broken: Array, count: np.ndarray, notes: list[str],
+    table: Table, names: np.ndarray, diameter: Array, energy: Array, known: Flags, particles: Array, broken: Array,
+    count: np.ndarray, notes: list[str],
 ) -> Specimens:  # fmt: skip
-    lines = table.values.index[rows]
+    """Rows of one name as the series of blows on one particle; groups as those that broke and those that did not."""
+    lines = table.values.index
     order: dict[str, list[int]] = {}
     for k, name in enumerate(names):
         order.setdefault(name, []).append(k)
@@ -197,14 +187,12 @@ def _specimens(
         if len(group) > 1:
             early = [k for k in group[:-1] if broken[k] > 0]
             if early:
-                raise UsageError(
-                    f"{table.path.name}: line {lines[early[0]]}: this specimen is hit again after it broke"
-                )
+                raise UsageError(f"{table.path.name}: line {lines[early[0]]}: a specimen is hit again after it broke")
             if (particles[group] > 1).any():
                 raise UsageError(f"{table.path.name}: line {lines[group[0]]}: a specimen hit again is one particle")
         series = [float(energy[k]) for k in group for _ in range(int(count[k]))]
         last = group[-1]
-        exact = str(rig[last]) in AT_FAILURE and len(series) == 1
+        exact = bool(known[last]) and len(series) == 1
         if broken[last] > 0:
             found.append((float(diameter[last]), series, True, exact, float(broken[last])))
         if broken[last] < particles[last]:
@@ -217,11 +205,7 @@ def _specimens(
         exact=np.array([one[3] for one in found]), weight=np.array([one[4] for one in found]), notes=tuple(notes),
     )  # fmt: skip
     if not made.broke.any():
-        raise UsageError(
-            "every particle survived: nothing bounds the fracture energy from above; test at higher energies"
-        )
+        raise UsageError("every particle survived: nothing bounds its energy from above; test at higher energies")
     if made.broke.all() and not made.exact.any() and not made.repeated.any():
-        raise UsageError(
-            "every particle broke at what it was offered: nothing bounds it from below; test at lower ones"
-        )
+        raise UsageError("every particle broke at its first blow: nothing bounds it from below; test at lower energies")
     return made

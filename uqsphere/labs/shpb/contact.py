@@ -24,7 +24,7 @@ from scipy.special import stdtrit
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.document import Length, Section, _in
+from uqsphere.labs.files import Length, Section, in_unit
 from uqsphere.labs.tables import read_table
 from uqsphere.materials import library
 from uqsphere.mechanics.contact import hertz_constant, pressure_at_force
@@ -40,7 +40,7 @@ _RATIO, _PILE_UP = (1.2, 50.0), (1.0, 3.0)
 #: upper over lower end of an interval beyond which a number is not determined
 _OPEN: Final = 30.0
 
-Stiffness = Annotated[float, _in("stiffness"), Field(gt=0.0)]
+Stiffness = Annotated[float, in_unit("stiffness"), Field(gt=0.0)]
 
 
 class ContactDocument(Section):
@@ -64,15 +64,6 @@ class ContactDocument(Section):
     nu: float = Field(default=0.25, ge=0.0, lt=0.5)
     pile_up: float | None = Field(default=None, ge=1.0, le=3.0)
     compression: Literal["positive", "negative"] = "positive"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Loading:
-    """A slow test: displacement of the platens [m] and force [N] in the order in which they were taken, (n,)."""
-
-    displacement: Array
-    force: Array
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,14 +91,12 @@ class ContactFit:
 
     def lines(self) -> str:
         """The lines of a study."""
-        values = (self.onset_pressure, self.hardness)
-        names = ("onset_pressure", "hardness")
         numbers = [
             f'{name} = "{v.value * 1e-9:.4g} GPa"    # {v.low * 1e-9:.4g} to {v.high * 1e-9:.4g} GPa'
-            for name, v in zip(names, values, strict=True)
+            for name, v in (("onset_pressure", self.onset_pressure), ("hardness", self.hardness))
         ]
-        end = f"    # {self.pile_up.low:.3g} to {self.pile_up.high:.3g}"
-        return "\n".join(["[contact]", 'law = "plastic"', *numbers, f"pile_up = {self.pile_up.value:.4g}{end}", ""])
+        pile_up = f"pile_up = {self.pile_up.value:.4g}    # {self.pile_up.low:.3g} to {self.pile_up.high:.3g}"
+        return "\n".join(["[contact]", 'law = "plastic"', *numbers, pile_up, ""])
 
     def rows(self) -> list[tuple[str, str, str]]:
         """Name, value and 95 % interval."""
@@ -126,16 +115,17 @@ class ContactFit:
         return found
 
 
-def load_loading(asked: ContactDocument, folder: Path) -> Loading:
-    """Displacement and force of a file; UsageError for columns, units or cells that are none."""
+def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, list[str]]:
+    """Displacement [m] and force [N] in the order in which they were taken, (n,), and notes; UsageError for others."""
     table = read_table(folder / asked.file, (asked.displacement, asked.force))
-    displacement = table.in_si(asked.displacement, "length", asked.displacement_unit)
-    force = table.in_si(asked.force, "force", asked.force_unit)
-    if not np.isfinite(displacement).all() or not np.isfinite(force).all():
-        at = int(np.argmin(np.isfinite(displacement) & np.isfinite(force)))
-        raise UsageError(f"{table.path.name}: line {table.values.index[at]} has no number: take it out")
     sign = 1.0 if asked.compression == "positive" else -1.0
-    return Loading(displacement=sign * displacement, force=sign * force, notes=table.notes)
+    displacement = sign * table.in_si(asked.displacement, "length", asked.displacement_unit)
+    force = sign * table.in_si(asked.force, "force", asked.force_unit)
+    whole = np.isfinite(displacement) & np.isfinite(force)
+    if not whole.all():
+        line = table.values.index[int(np.argmin(whole))]
+        raise UsageError(f"{table.path.name}: line {line} has no number: take it out")
+    return displacement, force, list(table.notes)
 
 
 def _bend(t: Array) -> Array:
@@ -194,21 +184,19 @@ def face_approach(
     return np.asarray(pressed * alpha_y)
 
 
-def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
+def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> ContactFit:
     """Onset, hardness and pile-up of the faces of a sphere.
 
     Raises UsageError for a record that was not pressed, not unloaded, too short, or elastic throughout.
     """
     compliance = 1.0 / asked.machine_stiffness if asked.machine_stiffness else 0.0
-    force, displacement = loading.force, loading.displacement - compliance * loading.force
+    displacement = displacement - compliance * force
     top, radius = int(np.argmax(force)), 0.5 * asked.diameter
     if not force[top] > 0.0:
         raise UsageError('the force is never positive: is compression negative in the file (compression = "negative")?')
     pressed = displacement[: top + 1]
     if len(pressed) < 3 or not (pressed - pressed.mean()) @ force[: top + 1] > 0.0:
-        raise UsageError(
-            "the displacement does not grow with the force: turn its sign, or machine_stiffness is too low"
-        )
+        raise UsageError("the displacement does not grow with the force: turn it, or machine_stiffness is too low")
     if np.median(np.abs(np.diff(displacement))) > 0.2 * np.ptp(displacement):
         raise UsageError("the displacement jumps back and forth: put the samples in the order in which they were taken")
     if asked.pile_up is None and force[top:].min() > _UNLOADED * force[top]:
@@ -249,9 +237,6 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
     pile_up = float(x[4]) if known is None else known
     deepest = face_approach(force.max()[None], force.max()[None], radius, modulus, onset, onset * ratio, pile_up)
     depth = float(deepest[0]) / alpha_y
-    if depth < 1.5:
-        reached = float(pressure_at_force(force.max(), modulus, radius))
-        raise UsageError(f"hardly beyond Hertz, whose pressure reaches {reached / 1e9:.3g} GPa: press harder")
     # residuals that follow each other count for fewer
     alike = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
     alike = alike if alike > 2.0 / math.sqrt(len(left)) else 0.0
@@ -272,17 +257,20 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
     hard = interval(onset * ratio, [0.0, 1.0, 1.0])
     if hard.high > _OPEN * hard.low:
         notes.append("the record does not determine the hardness: press harder")
-    if (onset_range := interval(onset, [0.0, 1.0])).high > _OPEN * onset_range.low:
+    onset_range = interval(onset, [0.0, 1.0])
+    undetermined, misfit = onset_range.high > _OPEN * onset_range.low, float(np.sqrt(np.mean(np.square(left))))
+    if undetermined and misfit > 0.01:
         raise UsageError("no law of a contact follows this record: is the force free of offset, steps, clipping?")
+    if undetermined or depth < 1.5:
+        reached = float(pressure_at_force(force.max(), modulus, radius))
+        raise UsageError(f"hardly beyond Hertz, whose pressure reaches {reached / 1e9:.3g} GPa: press harder")
     if alike > 0.0:
-        notes.append(
-            f"neighbouring residuals are correlated ({alike:.2g}): drift or a hold in the record; intervals widened"
-        )
+        notes.append(f"neighbouring residuals are correlated ({alike:.2g}), as by a drift; intervals are widened")
     return ContactFit(
         onset_pressure=onset_range, hardness=hard, modulus=fitted,
         pile_up=Fitted(value=pile_up, low=max(pile_up - half, 1.0), high=min(pile_up + half, 3.0)),
         sphere_modulus=_sphere_modulus(fitted, asked, notes, onset_range), depth=depth,
-        misfit=scale * float(np.sqrt(np.mean(np.square(left)))), samples=len(left), notes=tuple(notes),
+        misfit=scale * misfit, samples=len(left), notes=tuple(notes),
     )  # fmt: skip
 
 
@@ -295,9 +283,8 @@ def _sphere_modulus(reduced: Fitted, asked: ContactDocument, notes: list[str], o
             raise UsageError(f"platens = {asked.platens!r}: allowed are rigid, {', '.join(known)}")
         plate = {key: entry.value for key, entry in known[asked.platens].properties.items()}
         soft = (1.0 - plate["nu"] ** 2) / plate["E"]
-        limit = 1.61 * plate.get("yield_strength", math.inf)
-        if onset.high > limit / 1.3:
-            notes.append(f"the platens yield from about {limit / 1e9:.3g} GPa on: what was fitted may be theirs")
+        if onset.high > 1.2 * plate.get("yield_strength", math.inf):
+            notes.append("the platens yield near this onset too: what was fitted may be theirs")
     rest = [1.0 / m - soft for m in (reduced.value, reduced.low, reduced.high)]
     if min(rest) <= 0.0:
         return None

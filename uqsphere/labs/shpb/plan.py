@@ -7,11 +7,9 @@ a share of 4 % or 0.01 % comes from the law and not from counting rows.
 
 from __future__ import annotations
 
-import io
 import math
 import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,13 +17,14 @@ import numpy as np
 from pydantic import Field
 
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.document import Section
+from uqsphere.labs.files import Section, table
 from uqsphere.quantities import display_unit, format_value, lookup
 from uqsphere.units import UnitError, parse_value
 
 if TYPE_CHECKING:
     from uqsphere.arrays import Array
     from uqsphere.study import Study
+    from uqsphere.uq import Law
 
 #: randomisations of the Sobol' points, and Student's 97.5 % point of one less
 _SPLITS, _REACH = 8, 2.364624
@@ -53,87 +52,12 @@ class PlanDocument(Section):
     points: int = Field(default=25, ge=2, le=200)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Plan:
-    """Shares of broken spheres over the free number.
+def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
+    """Shares broken over the free number of a study, as plain JSON in SI.
 
-    values (m,) [SI]; force : (m, 3) 5, 50 and 95 % of the largest force [N]; shares : by limit (m, 3) value, low, high
-    of the 95 % interval of the computation; failed : (m,) share of rows without an answer; reached : by limit and share
+    values (m,); force (m, 3) 5, 50 and 95 % of the largest force [N]; shares : by limit (m, 3) value, low, high of the
+    95 % interval of the computation; failed (m,) share of rows without an answer; reached : by limit, for every share
     the value with its interval, None beyond the range.
-    """
-
-    title: str
-    free: str
-    values: Array
-    force: Array
-    shares: Mapping[str, Array]
-    failed: Array
-    reached: Mapping[str, Sequence[tuple[float, tuple[float, float, float] | None]]]
-    notes: tuple[str, ...]
-
-    def text(self) -> str:
-        """Tables for the terminal."""
-        from uqsphere.labs.shpb.cli import table
-
-        rows = [(self.free, "largest force, 5 to 95 %", *(f"broken: {name}" for name in self.shares))]
-        for k in range(0, len(self.values), max(1, len(self.values) // 13)):
-            low, middle, high = (v * 1e-3 for v in self.force[k])
-            cells = [_percent(*share[k]) for share in self.shares.values()]
-            rows.append(
-                (format_value(float(self.values[k]), self.free), f"{middle:.4g} kN ({low:.4g} to {high:.4g})", *cells)
-            )
-        wanted = [("share broken", *self.shares)]
-        for j, (share, _) in enumerate(next(iter(self.reached.values()))):
-            cells = [_value(self.reached[name][j][1], self.free) for name in self.shares]
-            wanted.append((_short(share), *cells))
-        return "\n\n".join([self.title, table(rows), f"{self.free} that breaks", table(wanted), *self.notes])
-
-    def content(self) -> dict[str, Any]:
-        """Plain JSON, SI."""
-        return {
-            "title": self.title, "free": self.free, "values": self.values.tolist(), "force": self.force.tolist(),
-            "shares": {name: share.tolist() for name, share in self.shares.items()}, "failed": self.failed.tolist(),
-            "reached": {name: [{"share": s, "value": v} for s, v in own] for name, own in self.reached.items()},
-            "notes": list(self.notes),
-        }  # fmt: skip
-
-    def csv(self) -> str:
-        """One row a value."""
-        import pandas as pd
-
-        columns = {f"{self.free} [{lookup(self.free).unit}]": self.values}
-        columns |= {f"P_max {name} [N]": self.force[:, k] for k, name in enumerate(("5 %", "50 %", "95 %"))}
-        for name, share in self.shares.items():
-            columns |= {f"{name}{end} [1]": share[:, k] for k, end in enumerate(("", " low", " high"))}
-        text = io.StringIO()
-        pd.DataFrame({**columns, "failed [1]": self.failed}).to_csv(text, index=False)
-        return text.getvalue()
-
-
-def _short(share: float) -> str:
-    """A share in percent that is never rounded to 0 or 100 %.
-
-    >>> _short(0.04), _short(3e-7), _short(0.0)
-    ('4 %', '3e-05 %', '0 %')
-    """
-    if share > 0.999:
-        return f"100 - {100.0 * (1.0 - share):.2g} %" if share < 1.0 else "100 %"
-    return f"{100.0 * share:.2g} %"
-
-
-def _percent(value: float, low: float, high: float) -> str:
-    return f"{_short(value)} ({_short(low)} to {_short(high)})"
-
-
-def _value(value: tuple[float, float, float] | None, free: str) -> str:
-    if value is None:
-        return "beyond the range"
-    unit, factor = display_unit(free)
-    return f"{value[0] * factor:.4g} {unit} ({value[1] * factor:.4g} to {value[2] * factor:.4g})"
-
-
-def plan_test(asked: PlanDocument, folder: Path) -> Plan:
-    """Shares broken over the free number of a study.
 
     Raises UsageError for a study without a limit that means fracture or without the number, StudyError as `load_study`.
     """
@@ -143,54 +67,98 @@ def plan_test(asked: PlanDocument, folder: Path) -> Plan:
     study = uqsphere.load_study(folder / asked.study)
     if study.black_box:
         raise UsageError("a plan needs a sphere in a rig; this study is a black box")
-    limits = [
-        one for one in study.limits if one.fracture is not False and (not asked.limits or one.name in asked.limits)
-    ]
+    limits = [one for one in study.limits if one.fracture is not False and one.name in (asked.limits or [one.name])]
     if not limits:
         raise UsageError("no limit of the study means fracture: a plan needs a strength, [limits.NAME]")
     free, low, high = _range(asked, study)
-    names = [name for name in study.random if name != free]
-    factors = [f"limits.{one.name}.model_factor" for one in limits if isinstance(one.model_factor, Law)]
     moved = study.random.get(free)
-    columns = [*names, *([free] if moved is not None else []), *factors]
+    factors = [f"limits.{one.name}.model_factor" for one in limits if isinstance(one.model_factor, Law)]
+    columns = [*(name for name in study.random if name != free), *([free] if moved is not None else []), *factors]
     samples = _samples(study, columns, asked.rows)
-    rows = len(samples)
+    shape = (asked.points, len(samples))
     values = np.geomspace(low, high, asked.points) if low > 0.0 else np.linspace(low, high, asked.points)
     frame = {name: np.tile(samples[:, k], asked.points) for k, name in enumerate(columns) if name not in factors}
-    level = np.repeat(values, rows)
-    frame[free] = level * (frame[free] / moved.nominal_mean() if moved is not None else 1.0)
-    quantities = tuple(dict.fromkeys(["P_max", *(one.quantity for one in limits)]))
-    answers = uqsphere.evaluate(study, frame, quantities)
-    force = answers["P_max"].to_numpy(dtype=float).reshape(asked.points, rows)
-    good = np.isfinite(force)
-    shares, reached, notes = {}, {}, []
+    scale = frame[free] / moved.nominal_mean() if moved is not None else 1.0
+    frame[free] = np.repeat(values, len(samples)) * scale
+    answers = uqsphere.evaluate(study, frame, tuple(dict.fromkeys(["P_max", *(one.quantity for one in limits)])))
+    force = answers["P_max"].to_numpy(dtype=float).reshape(shape)
+    lost = np.isnan(force)
+    shares: dict[str, Any] = {}
+    reached: dict[str, Any] = {}
     for one in limits:
-        demand = answers[one.quantity].to_numpy(dtype=float).reshape(asked.points, rows)
         name = f"limits.{one.name}.model_factor"
         factor = samples[:, columns.index(name)] if name in columns else one.model_factor
-        demand = demand * factor
-        good &= np.isfinite(demand)
-        broken = one.strength.cdf(demand) if isinstance(one.strength, Law) else (demand > one.strength).astype(float)
+        demand = answers[one.quantity].to_numpy(dtype=float).reshape(shape) * factor
+        if isinstance(one.strength, Law):
+            broken = _below(one.strength, demand, study, f"limits.{one.name}.strength", columns, samples)
+        else:
+            broken = (demand > one.strength).astype(float)
         # a row without an answer may break or not
-        lost = np.isnan(demand)
-        each = np.where(lost, 0.5, broken).reshape(asked.points, _SPLITS, -1).mean(axis=2)
-        gone = lost.mean(axis=1)
+        gone = np.isnan(demand)
+        each = np.where(gone, 0.5, broken).reshape(asked.points, _SPLITS, -1).mean(axis=2)
         mean, half = each.mean(axis=1), _REACH * each.std(axis=1, ddof=1) / math.sqrt(_SPLITS)
         spread = np.exp(np.minimum(half / np.maximum(mean, 1e-300), 50.0))
-        lower, upper = np.maximum(mean / spread - 0.5 * gone, 0.0), np.minimum(mean + half + 0.5 * gone, 1.0)
-        shares[one.name] = np.stack([mean, lower, upper], axis=1)
-        reached[one.name] = [(share, _reach(values, each, share)) for share in asked.shares]
-        tied = any(f"limits.{one.name}.strength" in getattr(group, "of", ()) for group in study.dependence)
-        if tied:
-            notes.append(
-                f"note: the strength of {one.name} is tied to inputs in the study; here it is independent of them"
-            )
-        if isinstance(one.strength, Law) and one.aim == "break":
-            notes.append(f"note: {one.name} is to break: 1 minus its share is the probability of not breaking")
-    if len(limits) > 1:
-        notes.append("note: each failure mode by itself; at least one breaks at least as many")
-    return Plan(title=study.title, free=free, values=values, force=np.nanquantile(force, [0.05, 0.5, 0.95], axis=1).T,
-                shares=shares, failed=1.0 - good.mean(axis=1), reached=reached, notes=tuple(notes))  # fmt: skip
+        open_part = 0.5 * gone.mean(axis=1)
+        ends = np.maximum(mean / spread - open_part, 0.0), np.minimum(mean + half + open_part, 1.0)
+        shares[one.name] = np.stack([mean, *ends], axis=1).tolist()
+        reached[one.name] = [{"share": share, "value": _reach(values, each, share)} for share in asked.shares]
+        lost = lost | gone
+    notes = ["each failure mode by itself; at least one of them breaks at least as many"] if len(limits) > 1 else []
+    notes += [f"{one.name} is to break: 1 minus its share does not" for one in limits if one.aim == "break"]
+    return {"title": study.title, "free": free, "unit": lookup(free).unit, "values": values.tolist(),
+            "force": np.nanquantile(force, [0.05, 0.5, 0.95], axis=1).T.tolist(), "shares": shares, "reached": reached,
+            "failed": lost.mean(axis=1).tolist(), "notes": notes}  # fmt: skip
+
+
+def plan_text(plan: dict[str, Any]) -> str:
+    """Tables for the terminal."""
+    free, unit, factor = plan["free"], *display_unit(plan["free"])
+    rows = [(free, "largest force, 5 to 95 %", *(f"broken: {name}" for name in plan["shares"]))]
+    for k in range(0, len(plan["values"]), max(1, len(plan["values"]) // 13)):
+        low, middle, high = (v * 1e-3 for v in plan["force"][k])
+        cells = ["{} ({} to {})".format(*map(percent, share[k])) for share in plan["shares"].values()]
+        rows.append((format_value(plan["values"][k], free), f"{middle:.4g} kN ({low:.4g} to {high:.4g})", *cells))
+    wanted = [("share broken", *plan["reached"])]
+    for one in zip(*plan["reached"].values(), strict=True):
+        ends = ([v * factor for v in cell["value"]] if cell["value"] else None for cell in one)
+        cells = [f"{e[0]:.4g} {unit} ({e[1]:.4g} to {e[2]:.4g})" if e else "beyond the range" for e in ends]
+        wanted.append((percent(one[0]["share"]), *cells))
+    notes = [f"note: {note}" for note in plan["notes"]]
+    return "\n\n".join([plan["title"], table(rows), f"{free} that breaks", table(wanted), *notes])
+
+
+def plan_csv(plan: dict[str, Any]) -> str:
+    """One row a value."""
+    rows = [[f"{plan['free']} [{plan['unit']}]", "P_max 5 % [N]", "P_max 50 % [N]", "P_max 95 % [N]",
+             *(f"{name}{end} [1]" for name in plan["shares"] for end in ("", " low", " high")),
+             "failed [1]"]]  # fmt: skip
+    for k, value in enumerate(plan["values"]):
+        numbers = [value, *plan["force"][k], *(v for share in plan["shares"].values() for v in share[k])]
+        rows.append([f"{v:.9g}" for v in (*numbers, plan["failed"][k])])
+    return "\n".join(map(",".join, rows)) + "\n"
+
+
+def percent(share: float) -> str:
+    """A share in percent that is never rounded to 0 or 100 %.
+
+    >>> percent(0.04), percent(3e-7), percent(1.0 - 2e-6)
+    ('4 %', '3e-05 %', '100 - 0.0002 %')
+    """
+    return f"{100.0 * share:.2g} %" if not 0.999 < share < 1.0 else f"100 - {100.0 * (1.0 - share):.2g} %"
+
+
+def _below(law: Law, demand: Array, study: Study, name: str, columns: Sequence[str], samples: Array) -> Array:
+    """P(strength < demand) (m, n), given the inputs (n, d) that the strength is correlated with."""
+    from scipy.special import ndtr, ndtri
+
+    share, correlation = law.cdf(demand), study.inputs().only((*columns, name)).correlation
+    if correlation is None:
+        return np.asarray(share)
+    laws = study.laws()
+    scores = np.stack([ndtri(laws[one].cdf(samples[:, k])) for k, one in enumerate(columns)], axis=1)
+    weight = np.linalg.solve(correlation[:-1, :-1], correlation[:-1, -1])
+    rest = math.sqrt(max(1.0 - float(weight @ correlation[:-1, -1]), 1e-12))
+    return np.asarray(ndtr((ndtri(share) - scores @ weight) / rest))
 
 
 def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
@@ -200,6 +168,7 @@ def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
     free = free or next((name for name in _FREE if name in own), "")
     if free not in own:
         raise UsageError(f"free = {free!r} is no number of the study; it has {', '.join(sorted(own))}")
+    low, high = own[free] / 3.0, 3.0 * own[free]
     if asked.between is not None:
         try:
             low, high = (parse_value(text, lookup(free).dimension) for text in asked.between)
@@ -207,8 +176,6 @@ def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
             raise UsageError(f"between: {error}") from None
     elif axis is not None and axis.path == free:
         low, high = axis.low, axis.high
-    else:
-        low, high = own[free] / 3.0, 3.0 * own[free]
     if not low < high:
         raise UsageError("between: two values are required, the lower first")
     return free, low, high
@@ -219,33 +186,28 @@ def _samples(study: Study, names: Sequence[str], rows: int) -> Array:
     from scipy.special import ndtri
     from scipy.stats import qmc
 
-    each = 1 << max(3, math.ceil(math.log2(rows / _SPLITS)))
     if not names:
         return np.zeros((_SPLITS, 0))
-    blocks = []
-    for split in range(_SPLITS):
-        stream = np.random.default_rng([study.seed, zlib.crc32(b"shpb plan"), split])
-        blocks.append(qmc.Sobol(len(names), rng=stream).random(each))
-    uniform = np.clip(np.concatenate(blocks), 1e-12, 1.0 - 1e-12)
-    return study.inputs().only(tuple(names)).physical(ndtri(uniform))
+    each = 1 << max(3, math.ceil(math.log2(rows / _SPLITS)))
+    streams = [np.random.default_rng([study.seed, zlib.crc32(b"shpb plan"), split]) for split in range(_SPLITS)]
+    uniform = np.concatenate([qmc.Sobol(len(names), rng=stream).random(each) for stream in streams])
+    return study.inputs().only(tuple(names)).physical(ndtri(np.clip(uniform, 1e-12, 1.0 - 1e-12)))
 
 
 def _reach(values: Array, each: Array, share: float) -> tuple[float, float, float] | None:
     """The value at which a share breaks, with its interval from the randomisations (m, R); None beyond the range."""
 
     def at(course: Array) -> float | None:
-        rising = np.maximum.accumulate(course)
+        rising = np.clip(np.maximum.accumulate(course), 1e-300, 1.0 - 1e-16)
         if not rising[0] <= share <= rising[-1]:
             return None
-        logit = np.log(np.maximum(rising, 1e-300)) - np.log(np.maximum(1.0 - rising, 1e-300))
-        wanted = math.log(share) - math.log1p(-share)
+        logit = np.log(rising) - np.log1p(-rising)
         kept = np.concatenate([[True], np.diff(logit) > 0.0])
-        return float(np.exp(np.interp(wanted, logit[kept], np.log(values[kept]))))
+        return float(np.exp(np.interp(math.log(share) - math.log1p(-share), logit[kept], np.log(values[kept]))))
 
     middle = at(each.mean(axis=1))
-    ends = [at(each[:, k]) for k in range(each.shape[1])]
     if middle is None:
         return None
-    known = np.log([end if end is not None else middle for end in ends])
+    known = np.log([end if (end := at(each[:, k])) is not None else middle for k in range(each.shape[1])])
     half = _REACH * float(known.std(ddof=1)) / math.sqrt(len(known))
     return middle, middle * math.exp(-half), middle * math.exp(half)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -23,8 +23,6 @@ from uqsphere.units import UNITS
 
 #: missing samples in a row that a line fills; samples of a record and of a baseline, at the least
 _SHORT_GAP, _FEWEST, _BASELINE = 10, 20, 10
-#: samples beyond which a record is thinned, and about how many are left
-_LARGE, _LEFT = 1_000_000, 400_000
 #: more strain is no strain of an elastic bar; a longer record [s] is no test
 _MOST_STRAIN, _LONGEST = 0.05, 10.0
 #: no wave of a bar is shorter [s]
@@ -33,6 +31,8 @@ _SHORTEST: Final = 1e-6
 _ODD, _ROBUST, _SPIKE_SHARE = 8.0, 1.4826, 0.02
 #: part of the longest excursion that a first wave lasts: bursts of a trigger do not
 _LASTS: Final = 0.25
+#: passes of the incident bar that no pulse lasts
+_PASSES: Final = 12.0
 #: a gauge that shows less of what its partner shows is dead
 _DEAD: Final = 0.2
 
@@ -45,6 +45,14 @@ class Change:
     signal: str
     text: str
     size: float | None = None
+
+
+class Changes(list[Change]):
+    """The steps of mending in their order."""
+
+    def add(self, step: str, signal: str, text: str, size: float | None = None) -> None:
+        """One more; a text without the name of the signal gets it in front."""
+        self.append(Change(step=step, signal=signal, text=f"{signal}: {text}" if signal else text, size=size))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +101,7 @@ class Record:
     incident: Signal
     reflected: Signal | None
     receiving: Signal
-    changes: list[Change] = field(default_factory=list)
+    changes: Changes
 
 
 def load_record(document: RecordDocument, folder: Path) -> Record:
@@ -101,10 +109,11 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
 
     Raises UsageError for columns, units or a clock that cannot be, and for a signal without a wave or a rest.
     """
-    changes: list[Change] = []
+    changes = Changes()
     tables = [read_table(folder / name) for name in (document.record.file, *document.record.more_files)]
     for table in tables:
-        changes += [Change(step="read", signal=table.path.name, text=f"{table.path.name}: {n}") for n in table.notes]
+        for text in table.notes:
+            changes.add("read", table.path.name, text)
     time, groups = _columns(document, tables, changes)
     start, step, columns = _even(time, groups, changes)
     for name, values, known in columns:
@@ -112,8 +121,11 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
         _mark_clipped(name, values, known, changes)
     by_name = {name: (values, known) for name, values, known in columns}
     names = {role: [name for name, _ in signals] for role, signals in groups.items()}
-    first, rough = _incident_foot([by_name[n][0] for n in names["incident"]], step)
+    first, rough, lasts = _incident_foot([by_name[n][0] for n in names["incident"]], step)
     bar, behind = document.incident_bar, document.receiving_bar
+    if bar.length is not None and lasts * step * bar.wave_speed > _PASSES * bar.length:
+        passes = lasts * step * bar.wave_speed / bar.length
+        raise UsageError(f"the pulse lasts {passes:.0f} passes of the incident bar: another unit (record.time_unit)?")
     # the first wave of a signal stands before the first echo of a far end
     limits = {"incident": math.inf, "reflected": math.inf, "receiving": math.inf}
     if not document.record.aligned and bar.length is not None:
@@ -139,16 +151,19 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
             signs = [sign or -gauge.wave.sign for gauge in gauges]
         turned = [g.name for g, s in zip(gauges, signs, strict=True) if s < 0.0 and not sign]
         if turned:
-            text = f"{', '.join(turned)}: compression is positive in the file; the sign is turned"
-            changes.append(Change(step="sign", signal=", ".join(turned), text=text))
-        gauges = [_turned(g, s) for g, s in zip(gauges, signs, strict=True)]
+            changes.add("sign", ", ".join(turned), "compression is positive in the file; the sign is turned")
+        gauges = [replace(g, strain=g.strain * s, wave=replace(g.wave, sign=g.wave.sign * s))
+                  for g, s in zip(gauges, signs, strict=True)]  # fmt: skip
         joined[role] = (_joined(gauges, step, limits[role], changes), -signs[0])
     if document.record.window is not None:
-        signal = joined["incident"][0]
+        signal, turned_by = joined["incident"]
         begin, end = (round((t - start) / step) for t in document.record.window)
         if not 0 <= begin < end < len(signal.strain):
             raise UsageError("record.window lies outside the record, or is empty")
-        joined["incident"] = (_windowed(signal, begin, end), joined["incident"][1])
+        inside = np.zeros(len(signal.strain))
+        inside[begin : end + 1] = signal.strain[begin : end + 1]
+        wave = replace(first_wave(inside, step, signal.noise, signal.name), foot=begin, end=end)
+        joined["incident"] = replace(signal, wave=wave), turned_by
     reflected = joined["reflected"][0] if "reflected" in joined else None
     return Record(start=start, step=step, incident=joined["incident"][0], reflected=reflected,
                     receiving=joined["receiving"][0], changes=changes)  # fmt: skip
@@ -158,33 +173,26 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
 
 
 def _columns(
-    document: RecordDocument, tables: Sequence[Table], changes: list[Change]
+    document: RecordDocument, tables: Sequence[Table], changes: Changes
 ) -> tuple[Array, dict[str, list[tuple[str, Array]]]]:
     """Time (n,) [s] and strains of every gauge by role."""
     asked, main = document.record, tables[0]
-    untimed = asked.sample_interval is not None or (
-        asked.time is None and main.interval > 0.0 and not _rises(main, 0) and len(tables) == 1
-    )
-    if untimed and asked.time is None:
-        interval = asked.sample_interval or main.interval
-        time = np.asarray(interval * np.arange(len(main.values)), dtype=float)
-        text = f"no column of time: a sample every {interval * 1e6:.6g} us"
-        changes.append(Change(step="read", signal="time", text=text))
-        clock = -1
+    guessed = asked.time is None
+    interval = asked.sample_interval or (main.interval if not _rises(main, 0) and len(tables) == 1 else 0.0)
+    if guessed and interval > 0.0:
+        clock, time = -1, np.asarray(interval * np.arange(len(main.values)), dtype=float)
+        changes.add("read", "", f"no column of time: a sample every {interval * 1e6:.6g} us")
     else:
-        clock = main.place(asked.time if asked.time is not None else 1)
+        clock = main.place(1 if asked.time is None else asked.time)
         unit = asked.time_unit or main.units[clock]
-        if not unit:
-            text = f"{main.names[clock]}: no unit in the heading, seconds are taken"
-            changes.append(Change(step="read", signal="time", text=text))
-        else:
-            text = f"{main.names[clock]} is in {unit}" + (" by the input file" if asked.time_unit else "")
-            changes.append(Change(step="read", signal="time", text=text))
+        several = len(main.names) < 3 or len(tables) > 1
+        if guessed and (unit in {*STRAIN_UNITS, *VOLT_UNITS} or (several and not _rises(main, clock))):
+            raise UsageError(_no_time(main, clock))
+        changes.add("read", main.names[clock], f"is in {unit}" if unit else "has no unit: seconds are taken")
         if (unit or "s") not in UNITS["time"]:
             raise UsageError(f"the time is in {unit!r}: allowed are {', '.join(UNITS['time'])} (record.time_unit)")
         time = main.numbers(clock + 1) * UNITS["time"][unit or "s"]
-        if asked.time is None and len(tables) > 1 and not _rises(main, clock):
-            raise UsageError(_no_time(main, clock))
+        _check_clock(time, main, clock, guessed)
     # every file in the layout of the first: the clock of the others must be the same
     pool: list[tuple[Table, int]] = [(main, k) for k in range(len(main.names)) if k != clock]
     count = len(time)
@@ -194,9 +202,7 @@ def _columns(
         if np.nanmax(np.abs(own[:both] - time[:both])) > 0.5 * float(np.median(np.abs(np.diff(time)))):
             raise UsageError(f"{other.path.name}: its clock is not that of {main.path.name}; bring them to one first")
         if len(own) != len(time):
-            changes.append(
-                Change(step="read", signal=other.path.name, text="files of unlike length: the longer is cut")
-            )
+            changes.add("read", other.path.name, "files of unlike length: the longer is cut")
         count = both
         pool += [(other, k) for k in range(len(other.names)) if k != clock]
     roles = {"incident": asked.incident, "reflected": asked.reflected, "receiving": asked.receiving}
@@ -205,19 +211,14 @@ def _columns(
         free = [one for one in pool if one[0].values.iloc[:, one[1]].dtype != object]
         each = {2: 1, 4: 2}.get(len(free))
         if each is None or asked.reflected:
-            if not untimed and not _rises(main, clock):
-                raise UsageError(_no_time(main, clock))
             names = ", ".join(f"{t.names[k]!r}" for t, k in pool)
-            raise UsageError(
-                f"{main.path.name}: {len(pool)} signals ({names}); name them by record.incident, record.receiving "
-                "and, where the waves stand apart, record.reflected"
-            )
+            ask = "name them by record.incident, record.receiving (and record.reflected)"
+            raise UsageError(f"{main.path.name}: {len(pool)} signals ({names}); {ask}")
         picked = {"incident": free[:each], "receiving": free[each:]}
     else:
         picked = {role: [_pick(pool, main, name) for name in names] for role, names in roles.items() if names}
         if not {"incident", "receiving"} <= set(picked):
             raise UsageError("record.incident and record.receiving are both required")
-    _check_clock(time, main, asked.time is None, untimed)
     groups: dict[str, list[tuple[str, Array]]] = {}
     for role, places in picked.items():
         bar = document.receiving_bar if role == "receiving" else document.incident_bar
@@ -225,8 +226,7 @@ def _columns(
         for table, k in places:
             name = table.names[k] if len(tables) == 1 else f"{table.path.stem} {table.names[k]}"
             groups[role].append((name, _strain(table, k, name, bar, changes)[:count]))
-    order = ("incident", "reflected", "receiving")
-    return time[:count], {role: groups[role] for role in order if role in groups}
+    return time[:count], groups
 
 
 def _pick(pool: Sequence[tuple[Table, int]], main: Table, name: str | int) -> tuple[Table, int]:
@@ -239,20 +239,17 @@ def _pick(pool: Sequence[tuple[Table, int]], main: Table, name: str | int) -> tu
     return main, main.place(name)
 
 
-def _strain(table: Table, k: int, name: str, bar: BarTable, changes: list[Change]) -> Array:
+def _strain(table: Table, k: int, name: str, bar: BarTable, changes: Changes) -> Array:
     """A column as strain."""
     unit = bar.unit or table.units[k]
     if unit in STRAIN_UNITS or not unit:
         factor = STRAIN_UNITS.get(unit, 1.0)
-        said = f"{name} is in {unit}" if unit else f"{name}: no unit in the heading, strain is taken"
+        text = f"is in {unit}" if unit else "has no unit: strain is taken"
     elif unit in VOLT_UNITS:
         if bar.excitation is None:
             raise UsageError(f"{name} is in {unit}: the bridge is required too, such as excitation = 5.0 (volts)")
-        assert bar.gauge_factor is not None
-        assert bar.active_arms is not None
-        assert bar.amplification is not None
-        factor = VOLT_UNITS[unit] * 4.0 / (bar.gauge_factor * bar.active_arms * bar.excitation * bar.amplification)
-        said = f"{name} is in {unit}: {factor / VOLT_UNITS[unit] * 1e6:.5g} microstrain a volt"
+        factor = VOLT_UNITS[unit] * bar.strain_per_volt
+        text = f"is in {unit}: {bar.strain_per_volt * 1e6:.5g} microstrain a volt"
     else:
         raise UsageError(f"{name} is in {unit!r}: allowed are {', '.join([*STRAIN_UNITS, *VOLT_UNITS])}")
     values = table.numbers(k + 1) * factor
@@ -263,11 +260,8 @@ def _strain(table: Table, k: int, name: str, bar: BarTable, changes: list[Change
     if away.max() == 0.0:
         raise UsageError(f"{name}: every sample is the same; there is no wave in it")
     if (size := float(np.quantile(away, 0.98))) > _MOST_STRAIN:
-        raise UsageError(
-            f"{name} reaches a strain of {size:.3g}, which no elastic bar bears; is it in microstrain or volts "
-            '(unit = "microstrain")?'
-        )
-    changes.append(Change(step="read", signal=name, text=said))
+        raise UsageError(f"{name}: a strain of {size:.3g}, which no elastic bar bears; another unit (BAR.unit)?")
+    changes.add("read", name, text)
     return values
 
 
@@ -287,39 +281,29 @@ def _rises(table: Table, k: int) -> bool:
     return bool(len(steps) and (steps >= 0.0).mean() > 0.99 and steps.max() > 0.0)
 
 
-def _check_clock(time: Array, table: Table, guessed: bool, untimed: bool) -> None:
-    if untimed:
-        return
+def _check_clock(time: Array, table: Table, clock: int, guessed: bool) -> None:
     good = time[np.isfinite(time)]
+    falls = np.diff(good) < 0.0
     if len(good) < _FEWEST:
         raise UsageError(f"{table.path.name}: {len(good)} samples with a time; a record has {_FEWEST} at least")
-    if (np.diff(good) < 0.0).any():
-        at = int(np.argmax(np.diff(good) < 0.0)) + 2
-        if not guessed or (np.diff(good) < 0.0).mean() < 0.01:
-            raise UsageError(
-                f"{table.path.name}: the time falls at sample {at}; are there several records in the file?"
-            )
-        raise UsageError(_no_time(table, table.place(1)))
+    if guessed and falls.mean() > 0.01:
+        raise UsageError(_no_time(table, clock))
+    if falls.any():
+        raise UsageError(f"{table.path.name}: the time falls at sample {int(np.argmax(falls)) + 2}; several records?")
     if good[-1] - good[0] > _LONGEST:
-        raise UsageError(
-            f"{table.path.name}: the record lasts {good[-1] - good[0]:.4g} s, longer than any test; is its time in "
-            'another unit (record.time_unit = "us")?'
-        )
+        lasts = float(good[-1] - good[0])
+        raise UsageError(f"{table.path.name}: lasts {lasts:.4g} s: is its time in another unit (record.time_unit)?")
 
 
 def _even(
-    time: Array, groups: dict[str, list[tuple[str, Array]]], changes: list[Change]
+    time: Array, groups: dict[str, list[tuple[str, Array]]], changes: Changes
 ) -> tuple[float, float, list[tuple[str, Array, Flags]]]:
     """Start and step [s], and every gauge as name, strain and known samples, on even steps."""
     names = [name for signals in groups.values() for name, _ in signals]
     raw = np.stack([values for signals in groups.values() for _, values in signals], axis=1)
-
-    def note(text: str) -> None:
-        changes.append(Change(step="read", signal="time", text=text))
-
     there = np.isfinite(time)
     if not there.all():
-        note(f"{int((~there).sum())} rows without a time are left out")
+        changes.add("read", "", f"{int((~there).sum())} rows without a time are left out")
         time, raw = time[there], raw[there]
     steps = np.diff(time)
     if (steps == 0.0).any():
@@ -329,7 +313,7 @@ def _even(
         # the last time is rounded like the others: the mean step comes from a line
         slope = float(np.polyfit(np.arange(len(time), dtype=float), time - time[0], 1)[0])
         time = time[0] + slope * np.arange(len(time))
-        note("the time has too few digits to tell its samples apart: even steps are assumed")
+        changes.add("read", "", "the time has too few digits to tell its samples apart: even steps are assumed")
         steps = np.diff(time)
     step = float(np.median(steps))
     grid = time
@@ -338,7 +322,9 @@ def _even(
         if count > 4 * len(time) + 1000:
             raise UsageError("the steps of time differ too much: most of the record is missing")
         grid = time[0] + step * np.arange(count)
-        note(f"the steps of time are uneven: brought to {step * 1e6:.6g} us by lines between samples")
+        changes.add(
+            "read", "", f"the steps of time are uneven: brought to {step * 1e6:.6g} us by lines between samples"
+        )
     else:
         step = float((time[-1] - time[0]) / (len(time) - 1))
     strain, known, filled = np.empty((len(grid), len(names))), np.ones((len(grid), len(names)), dtype=bool), 0
@@ -354,18 +340,11 @@ def _even(
         known[:, k] = ~(inside & (wide > (_SHORT_GAP + 1.5) * step))
         known[:, k] &= (grid >= own[0] - 1e-6 * step) & (grid <= own[-1] + 1e-6 * step)
     if filled:
-        note(f"{filled} missing samples are filled by lines between their neighbours")
+        changes.add("read", "", f"{filled} missing samples are filled by lines between their neighbours")
     if not known.all():
-        note(f"{int((~known).sum())} samples lie in gaps of more than {_SHORT_GAP}, and are not used")
-    if len(grid) > _LARGE:
-        block = -(-len(grid) // _LEFT)
-        whole = len(grid) // block * block
-        strain = strain[:whole].reshape(-1, block, len(names)).mean(axis=1)
-        known = np.asarray(known[:whole].reshape(-1, block, len(names)).all(axis=1))
-        note(f"{len(grid):,} samples are thinned to {len(strain):,}, means of {block}")
-        return float(grid[0] + 0.5 * (block - 1) * step), step * block, [
-            (name, strain[:, k].copy(), known[:, k].copy()) for k, name in enumerate(names)
-        ]  # fmt: skip
+        changes.add(
+            "read", "", f"{int((~known).sum())} samples lie in gaps of more than {_SHORT_GAP}, and are not used"
+        )
     return float(grid[0]), step, [(name, strain[:, k].copy(), known[:, k].copy()) for k, name in enumerate(names)]
 
 
@@ -378,7 +357,7 @@ def _runs(same: Flags) -> tuple[Places, Places]:
     return edges[::2], edges[1::2] - edges[::2]
 
 
-def _despike(name: str, values: Array, step: float, changes: list[Change]) -> None:
+def _despike(name: str, values: Array, step: float, changes: Changes) -> None:
     """Samples that jump up and down within less than any wave of a bar lasts, replaced by lines (in place)."""
     most = min(max(5, math.ceil(_SHORTEST / step)), 40)
     width = 4 * most + 1
@@ -414,14 +393,14 @@ def _despike(name: str, values: Array, step: float, changes: list[Change]) -> No
         samples = sum(last - first + 1 for first, last, _ in removed)
         worst = max(removed, key=lambda one: abs(one[2]))
         text = (
-            f"{name}: {len(removed)} spike{'s' * (len(removed) > 1)} ({samples} samples) taken out, the largest of "
+            f"{len(removed)} spike{'s' * (len(removed) > 1)} ({samples} samples) taken out, the largest of "
             f"{worst[2] * 1e6:.4g} microstrain at sample {worst[0]}"
         )
-        changes.append(Change(step="spikes", signal=name, size=worst[2], text=text))
+        changes.add("spikes", name, text, worst[2])
 
 
-def _mark_clipped(name: str, values: Array, known: Flags, changes: list[Change]) -> None:
-    """Stretches at the end of the recorder's range, which writes one number again and again (marked in place)."""
+def _mark_clipped(name: str, values: Array, known: Flags, changes: Changes) -> None:
+    """Stretches at the end of the recorder's range, where it writes one number again and again (marked in place)."""
     head = values[: max(len(values) // 20, _FEWEST)]
     if np.ptp(head) == 0.0:  # without noise a flat top may be one
         return
@@ -431,10 +410,8 @@ def _mark_clipped(name: str, values: Array, known: Flags, changes: list[Change])
         lengths = _runs(same)[1]
         if lengths.max() >= 8 and lengths.max() > 2 * (quiet + 1):
             known[same] = False
-            text = (
-                f"{name}: clipped at {extreme * 1e6:.5g} microstrain, {int(same.sum())} samples; its peak is not known"
-            )
-            changes.append(Change(step="clipped", signal=name, size=float(extreme), text=text))
+            text = f"clipped at {extreme * 1e6:.5g} microstrain, {int(same.sum())} samples; its peak is not known"
+            changes.add("clipped", name, text, float(extreme))
 
 
 # --- the first wave, and the rest before it -----------------------------------------------------------------------
@@ -473,21 +450,23 @@ def first_wave(values: Array, step: float, noise: float, name: str) -> Wave:
                 peak=top, sign=sign, ended=len(behind) > 0)  # fmt: skip
 
 
-def _incident_foot(gauges: Sequence[Array], step: float) -> tuple[int, int]:
+def _incident_foot(gauges: Sequence[Array], step: float) -> tuple[int, int, int]:
     """The earliest foot of the incident gauges, before which every gauge of the rig is at rest, and about when the
-    wave is there: the first stay above a fifth of the largest, however large echoes grow later."""
-    feet, places = [], []
+    wave is there and how long: the first stay above a fifth of the largest, however large echoes grow later."""
+    feet, places, lasts = [], [], []
     for values in gauges:
         about = np.abs(values - float(np.median(values[: max(2 * _BASELINE, len(values) // 50)])))
         calm = smooth(median_filter(about, 2 * min(3 * round(_SHORTEST / step), 40) + 1, mode="nearest"),
                       max(1, round(2.0 * _SHORTEST / step)))  # fmt: skip
         begins, lengths = _runs(calm > 0.2 * float(calm.max()))
-        half = int(begins[int(np.argmax(lengths >= max(3.0, _LASTS * lengths.max())))])
+        k = int(np.argmax(lengths >= max(3.0, _LASTS * lengths.max(initial=0))))
+        half = int(begins[k])
         low = np.flatnonzero(calm[:half] < 0.05 * float(calm.max()))
         rising = half - (int(low[-1]) if len(low) else 0)
         feet.append(half - 2 * rising)
         places.append(half)
-    return max(min(feet), 0), min(places)
+        lasts.append(int(lengths[k]))
+    return max(min(feet), 0), min(places), min(lasts)
 
 
 def _line(quiet: Array, place: Array) -> tuple[float, float, float, float, float]:
@@ -508,13 +487,13 @@ def _line(quiet: Array, place: Array) -> tuple[float, float, float, float, float
 
 
 def _rested(name: str, values: Array, known: Flags, step: float, rest_end: int | None, limit: float,
-            changes: list[Change]) -> Signal:  # fmt: skip
+            changes: Changes) -> Signal:  # fmt: skip
     """A gauge about its rest: baseline and drift from the samples before its first wave.
 
     rest_end : sample before which it is at rest whatever it shows itself, where another gauge settles that.
     limit : sample before which its first wave stands.
     """
-    seen = slice(int(limit) if limit < len(values) else None)
+    seen = slice(int(min(limit, len(values))))
     head = values[: max(2 * _BASELINE, len(values) // 50)]
     middle = float(np.median(head))
     wave = first_wave((values - middle)[seen], step, 0.0, name)
@@ -530,9 +509,6 @@ def _rested(name: str, values: Array, known: Flags, step: float, rest_end: int |
         drifts = abs(climb) * 2.0 * third > 7.0 * scatter / math.sqrt(third)
         level = float(np.median(left)) + (climb * np.arange(len(values)) if drifts else 0.0)
         wave = first_wave((values - level)[seen], step, scatter, name)
-    elif early >= _BASELINE:
-        scatter = _ROBUST * float(np.median(np.abs(values[:early] - middle)))
-        wave = first_wave((values - middle)[seen], step, scatter, name)
     count = max(wave.foot - max(3, wave.rising // 5), 0)
     if rest_end is not None and rest_end >= _BASELINE:
         count = max(min(count, len(values)), min(rest_end, wave.half))
@@ -544,100 +520,67 @@ def _rested(name: str, values: Array, known: Flags, step: float, rest_end: int |
         if abs(float(np.median(values[:5])) - float(last.mean())) > 0.1 * wave.peak:
             raise UsageError(f"{name}: the record begins inside the wave; its beginning is missing")
         quiet, place = last, np.arange(len(values) - len(last), len(values), dtype=float)
-        changes.append(Change(step="baseline", signal=name, text=f"{name}: baseline from the end of the record"))
+        changes.add("baseline", name, "taken from the end of the record")
         wave = first_wave(values - float(last.mean()), step, 0.0, name)
     away = np.abs(quiet - np.median(quiet))
     burst = away > max(_ODD * _ROBUST * float(np.median(away)), 0.02 * wave.peak)
     if 0 < burst.sum() < len(quiet) // 3:
-        text = (
-            f"{name}: {int(burst.sum())} samples of trigger noise before the wave, up to {away.max() * 1e6:.4g} "
-            "microstrain, are no rest"
-        )
-        changes.append(Change(step="baseline", signal=name, size=float(away.max()), text=text))
+        size = float(away.max())
+        text = f"{int(burst.sum())} samples of trigger noise, up to {size * 1e6:.4g} microstrain, are no rest"
+        changes.add("baseline", name, text, size)
         quiet, place = quiet[~burst], place[~burst]
     mean, slope, noise, memory, slope_sd = _line(quiet, place)
     unsure = noise * math.sqrt(min(1.0, memory / len(quiet)))
     line, reach = np.full(len(values), mean), wave.end - float(place.mean())
     if abs(mean) > 0.005 * wave.peak:
-        text = (
-            f"{name}: a baseline of {mean * 1e6:.4g} microstrain is taken off ({abs(mean) / wave.peak:.1%} of the wave)"
-        )
-        changes.append(Change(step="baseline", signal=name, size=mean, text=text))
+        text = f"a baseline of {mean * 1e6:.4g} microstrain is taken off ({abs(mean) / wave.peak:.1%} of the wave)"
+        changes.add("baseline", name, text, mean)
     if abs(slope) > 5.0 * slope_sd and abs(slope * reach) > 0.01 * wave.peak:
         line += slope * (np.arange(len(values)) - float(place.mean()))
         unsure = math.hypot(unsure, slope_sd * reach)
-        text = (
-            f"{name}: a drift of {slope / step * 1e3:.4g} microstrain/ms is taken off, {slope * reach * 1e6:.3g} "
-            "microstrain up to the end of the wave"
-        )
-        changes.append(Change(step="drift", signal=name, size=slope * reach, text=text))
+        size = slope * reach
+        text = f"a drift of {slope / step * 1e3:.4g} microstrain/ms is taken off, {size * 1e6:.3g} microstrain in all"
+        changes.add("drift", name, text, size)
     return Signal(name=name, strain=values - line, known=known, noise=noise, memory=memory, offset=unsure,
                   spread=np.zeros(len(values)), single=False, wave=wave)  # fmt: skip
 
 
-def _cut_out(name: str, values: Array, known: Flags, step: float, changes: list[Change]) -> Signal:
-    """A wave that was cut out at its foot: it has no rest of its own, and zero is that of the file."""
+def _cut_out(name: str, values: Array, known: Flags, step: float, changes: Changes) -> Signal:
+    """A wave that was cut out at its foot: it has no rest of its own, its first samples are its zero."""
+    start = float(np.median(values[:3]))
+    values = values - start
     noise = _ROBUST * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2.0)
     wave = first_wave(values, step, noise, name)
-    text = f"{name}: cut out at its foot, no rest: the zero of the file is taken"
-    changes.append(Change(step="baseline", signal=name, text=text))
+    changes.add(
+        "baseline", name, f"cut out at its foot: its first samples, {start * 1e6:.4g} microstrain, are its zero", start
+    )
     return Signal(name=name, strain=values, known=known, noise=noise, memory=1.0, offset=0.01 * wave.peak,
                   spread=np.zeros(len(values)), single=False, wave=wave)  # fmt: skip
 
 
-def _turned(signal: Signal, sign: float) -> Signal:
-    wave = replace(signal.wave, sign=signal.wave.sign * sign)
-    return replace(signal, strain=signal.strain * sign, wave=wave)
-
-
-def _windowed(signal: Signal, begin: int, end: int) -> Signal:
-    """The incident wave where the input file says that it stands."""
-    inner = -signal.strain[begin : end + 1]
-    peak = float(inner.max())
-    if not peak > 0.0:
-        raise UsageError("record.window: nothing presses in it")
-    half = begin + int(np.argmax(inner > 0.5 * peak))
-    falling = begin + int(np.flatnonzero(inner > 0.5 * peak)[-1])
-    low = np.flatnonzero(inner[: half - begin] < 0.1 * peak)
-    rising = half - begin - (int(low[-1]) if len(low) else 0)
-    wave = Wave(foot=begin, half=half, falling=falling, end=end, rising=rising, peak=peak, sign=-1.0, ended=True)
-    return replace(signal, wave=wave)
-
-
-def _joined(gauges: Sequence[Signal], step: float, limit: float, changes: list[Change]) -> Signal:
+def _joined(gauges: Sequence[Signal], step: float, limit: float, changes: Changes) -> Signal:
     """The gauges of a bar as one signal: dead ones left out, the others averaged, with the bending that they show."""
     peaks = [float(np.abs(g.strain[g.known]).max(initial=0.0)) if not g.known.all() else g.wave.peak for g in gauges]
     alive = [g for g, peak in zip(gauges, peaks, strict=True) if peak >= _DEAD * max(peaks)]
     for gauge, peak in zip(gauges, peaks, strict=True):
         if peak < _DEAD * max(peaks):
-            text = f"{gauge.name}: shows {peak / max(peaks):.1%} of what its partner shows, left out"
-            changes.append(Change(step="gauges", signal=gauge.name, text=text))
+            changes.add("gauges", gauge.name, f"shows {peak / max(peaks):.1%} of what its partner shows, left out")
     if len(alive) == 1:
         return replace(alive[0], single=len(gauges) > 1)
     first = min(g.wave.foot for g in alive)
     known = np.stack([g.known for g in alive], axis=1)
     strains = np.stack([g.strain for g in alive], axis=1)
     both = np.asarray(known.all(axis=1))
-    if not both.all():
-        # where one is not known the other stands for the mean, with the difference that they had before
-        place = np.arange(len(both))
-        for k in range(len(alive)):
-            others = np.delete(np.arange(len(alive)), k)
-            rest = strains[:, others].mean(axis=1)
-            gap = ~known[:, k] & known[:, others].all(axis=1)
-            if both.any():
-                strains[gap, k] = (rest + np.interp(place, place[both], (strains[:, k] - rest)[both]))[gap]
-    mean = strains.mean(axis=1)
+    # where one is not known the others stand for the mean, and the difference stays what it was at the most
+    mean = (strains * known).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     spread = 0.5 * np.ptp(strains, axis=1)
     spread[~both] = max(float(spread[first:][both[first:]].max(initial=0.0)), 0.0)
     count = max(first - 3, _BASELINE)
     _, _, noise, memory, _ = _line(mean[:count], np.arange(count, dtype=float))
-    seen = slice(int(limit) if limit < len(mean) else None)
-    wave = first_wave(mean[seen], step, noise, " and ".join(g.name for g in alive))
-    bent = float(spread[wave.foot : wave.end + 1].max()) / wave.peak
     name = " and ".join(g.name for g in alive)
-    text = f"{name} are averaged; they differ by up to {2.0 * bent:.1%} of the wave"
-    changes.append(Change(step="gauges", signal=name, size=bent * wave.peak, text=text))
+    wave = first_wave(mean[: int(min(limit, len(mean)))], step, noise, name)
+    bent = float(spread[wave.foot : wave.end + 1].max())
+    changes.add("gauges", name, f"averaged; they differ by up to {2.0 * bent / wave.peak:.1%} of the wave", bent)
     offset = math.hypot(*(g.offset for g in alive)) / len(alive)
-    return Signal(name=name, strain=mean, known=np.asarray(known.any(axis=1)), noise=noise, memory=memory, offset=offset,
-                  spread=spread, single=len(alive) < len(gauges), wave=wave)  # fmt: skip
+    return Signal(name=name, strain=mean, known=np.asarray(known.any(axis=1)), noise=noise, memory=memory,
+                  offset=offset, spread=spread, single=len(alive) < len(gauges), wave=wave)  # fmt: skip

@@ -5,13 +5,14 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from uqsphere.labs.shpb.document import RecordDocument
-from uqsphere.labs.shpb.waves import NORMAL, Peak, Test
+from uqsphere.labs.shpb.waves import NORMAL, Peak, Reading
 
 if TYPE_CHECKING:
     from uqsphere.arrays import Array
@@ -25,7 +26,7 @@ def interval(peak: Peak) -> str:
     return f"{peak.low * 1e-3:.4g} to {high} kN"
 
 
-def rows(test: Test) -> list[tuple[str, str, str]]:
+def rows(test: Reading) -> list[tuple[str, str, str]]:
     """What a test shows: name, value, interval or remark; a doubt stands at its number."""
     found = []
     for face, peak in test.peaks.items():
@@ -46,22 +47,15 @@ def rows(test: Test) -> list[tuple[str, str, str]]:
     return found
 
 
-def document(test: Test) -> dict[str, Any]:
+def document(test: Reading) -> dict[str, Any]:
     """A test as plain JSON, SI."""
+    energy = test.energies
     return {
-        "forces": {
-            face: {"value": p.value, "low": p.low, "high": p.high if math.isfinite(p.high) else None, "time": p.time,
-                   "doubts": list(p.doubts), "sound": not p.doubts}
-            for face, p in test.peaks.items()
-        },
-        "withheld": list(test.withheld),
-        "energy": None if test.energies is None else {
-            "incident": test.energies.incident, "reflected": test.energies.reflected,
-            "transmitted": test.energies.transmitted, "absorbed": test.energies.absorbed,
-        },
-        "balanced_share": test.balanced, "loading_rate": test.loading_rate, "first_touch": test.touch,
-        "step": test.step,
-        "mending": [{"step": c.step, "signal": c.signal, "size": c.size, "text": c.text} for c in test.changes],
+        "forces": {face: {**asdict(peak), "high": peak.high if math.isfinite(peak.high) else None,
+                          "sound": not peak.doubts} for face, peak in test.peaks.items()},
+        "energy": None if energy is None else {**asdict(energy), "absorbed": energy.absorbed},
+        "withheld": list(test.withheld), "balanced_share": test.balanced, "loading_rate": test.loading_rate,
+        "first_touch": test.touch, "step": test.step, "mending": [asdict(change) for change in test.changes],
     }  # fmt: skip
 
 
@@ -74,7 +68,7 @@ def write_csv(header: Sequence[str], columns: Sequence[Array]) -> str:
     return text.getvalue()
 
 
-def forces_csv(test: Test) -> str:
+def forces_csv(test: Reading) -> str:
     """Time and forces with the ends of their 95 % intervals."""
     header, columns = ["time [us]"], [test.time * 1e6]
     for name, force, sd in (("A", test.force_a, test.sd_a), ("B", test.force_b, test.sd_b)):
@@ -84,14 +78,13 @@ def forces_csv(test: Test) -> str:
     return write_csv(header, columns)
 
 
-def pulse_csv(test: Test, end: int) -> str:
-    """The incident pulse as a study takes it: compression positive, from its foot to its end."""
-    strain = -test.incident[: max(end, 2)]
-    strain[[0, -1]] = np.maximum(strain[[0, -1]], 0.0)
-    return write_csv(["time [us]", "strain [microstrain]"], [test.time[: len(strain)] * 1e6, strain * 1e6])
+def pulse_csv(test: Reading) -> str:
+    """The incident pulse as a study takes it: compression positive, from rest to rest."""
+    time: Array = np.asarray(test.step * np.arange(len(test.pulse)), dtype=float)
+    return write_csv(["time [us]", "strain [microstrain]"], [time * 1e6, test.pulse * 1e6])
 
 
-def figure(test: Test) -> str:
+def figure(test: Reading) -> str:
     """Forces over time as SVG text."""
     from matplotlib.figure import Figure
 
@@ -117,19 +110,18 @@ def figure(test: Test) -> str:
     return text.getvalue()[text.getvalue().index("<svg") :]
 
 
-def page(test: Test, asked: RecordDocument, source: str) -> str:
+def page(test: Reading, asked: RecordDocument, source: str) -> str:
     """The sheet as one self-contained page."""
     from jinja2 import Environment
 
     template = files("uqsphere.labs.shpb").joinpath("sheet.html").read_text(encoding="utf-8")
     drawn = figure(test)
     environment = Environment(autoescape=True)
-    bars = [
-        (name, f"E {b.E * 1e-9:.4g} GPa, {b.density:.5g} kg/m3, diameter {b.diameter * 1e3:.4g} mm, "
-               f"c0 {b.wave_speed:.5g} m/s, gauge at {b.gauge:.4g} m, gain known to {100.0 * (b.gain_sd or 0.0):.2g} %")
-        for name, b in (("incident bar", asked.incident_bar), ("receiving bar", asked.receiving_bar))
-        if b.E is not None and b.density is not None and b.diameter is not None
-    ]  # fmt: skip
+    bars = {
+        name: ", ".join(f"{key} {value:.5g}" if isinstance(value, float) else f"{key} {value}"
+                        for key, value in bar.model_dump(exclude_none=True).items() if value != "")
+        for name, bar in (("incident bar", asked.incident_bar), ("receiving bar", asked.receiving_bar))
+    }  # fmt: skip
     return environment.from_string(template).render(
         title=asked.title or source, source=source, rows=rows(test), figure=drawn, bars=bars, changes=test.changes,
         doubted=any(p.doubts for p in test.peaks.values()), specimen=asked.specimen.name,

@@ -23,17 +23,13 @@ from scipy.special import ndtri
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.document import BarTable, RecordDocument
-from uqsphere.labs.shpb.record import Change, Record, Signal, smooth
+from uqsphere.labs.shpb.record import Change, Changes, Record, Signal, Wave, smooth
 
 NORMAL: Final = 1.959964
 #: samples at the faces, at the least
 _FEWEST: Final = 50
-#: passes of the incident bar that no pulse lasts
-_PASSES: Final = 6.0
 #: shares of the peak at which an arrival is read, on means over so long [s]: to doubt distances; to shift a steep wave
 _SURE, _FINE = (0.15, 8e-6), (0.05, 2e-6)
-#: share of its peak that the tail of the incident wave may have where the reflected one comes
-_TAIL: Final = 0.10
 #: shares of the predicted delay by which a wave may come early, and late, before distances are doubted
 _EARLY, _LATE = 0.02, 0.10
 #: bending over the wave (sd) that a single gauge of a pair may hide: pairs of real tests show 0.02 to 0.05
@@ -73,10 +69,11 @@ class Energies:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Test:
+class Reading:
     """One test.
 
     time, force_a, force_b (n,) [s], [N] with their standard deviations; `force_a` is None where it is not known.
+    pulse : the incident wave at its gauge, compression positive, from rest to rest.
     peaks : by face, "A", "B" and "mean"; only faces that are known.
     withheld : why a number is not given; changes : what mending changed, the shift of time included.
     balanced : share of the rise from half the largest force in which both forces agree within 5 %.
@@ -89,7 +86,7 @@ class Test:
     force_b: Array
     sd_a: Array
     sd_b: Array
-    incident: Array
+    pulse: Array
     peaks: Mapping[str, Peak]
     energies: Energies | None
     balanced: float | None
@@ -98,17 +95,7 @@ class Test:
     changes: tuple[Change, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Arrivals:
-    """Delays behind the incident wave in samples: as predicted by the distances, and shifts that the record shows."""
-
-    reflected: float
-    transmitted: float
-    doubt_a: str = ""
-    doubt_b: str = ""
-
-
-def read_test(record: Record, document: RecordDocument) -> Test:
+def read_test(record: Record, document: RecordDocument) -> Reading:
     """Forces, energies and equilibrium of a test.
 
     Raises UsageError where the pulse cannot be one of these bars, where no force rises above the noise, or where
@@ -116,120 +103,96 @@ def read_test(record: Record, document: RecordDocument) -> Test:
     """
     inc, rec, step = record.incident, record.receiving, record.step
     bar, behind = document.incident_bar, document.receiving_bar
-    wave = inc.wave
+    wave, aligned = inc.wave, document.record.aligned
     shared = record.reflected is None
+    signal = record.reflected if record.reflected is not None else inc
     delay = 2.0 * bar.gauge / bar.wave_speed / step if shared else math.inf
-    lasts = (wave.falling - wave.half) * step
-    if bar.length is not None and lasts > _PASSES * 2.0 * bar.length / bar.wave_speed:
-        raise UsageError(
-            f"the pulse lasts {lasts * 1e6:.4g} us, {lasts * bar.wave_speed / bar.length:.0f} passes of the incident "
-            "bar: is the time in another unit (record.time_unit)?"
-        )
     if wave.sign > 0.0:
         raise UsageError("the first wave of the incident bar does not press (record.polarity)")
-    changes = list(record.changes)
+    changes = Changes(record.changes)
     withheld: list[str] = []
-    arrivals = _arrivals(record, document, changes)
-    lead = max(2, round(0.2 * wave.rising))
-    start = max(wave.foot - lead, 0)
-    aligned = document.record.aligned
+    reflects, transmits, doubt_a, doubt_b = _arrivals(record, document, changes)
+    start, lead = max(wave.foot - _lead(wave), 0), _lead(wave)
 
-    # places of first touch in the three signals
-    to_b = start + arrivals.transmitted
-    foot_b = rec.wave.foot - max(2, round(0.2 * rec.wave.rising))
-    if arrivals.doubt_b:  # the distances are wrong: the transmitted wave begins at its own foot
-        to_b = float(foot_b)
-    count = len(rec.strain) - 3 - int(to_b)
-    if math.isfinite(behind.echo):
-        count = min(count, int(behind.echo / step))
-    if aligned:
-        count = len(rec.strain) - int(to_b) - 3
-    count = _until_unknown(rec, int(to_b), count)
-    to_a = start + arrivals.reflected
-    a_signal = record.reflected if record.reflected is not None else inc
-    count_a = len(a_signal.strain) - 3 - int(to_a)
-    if math.isfinite(bar.echo) and not aligned:
-        count_a = min(count_a, int(bar.echo / step))
-    count_a = _until_unknown(a_signal, int(to_a), count_a)
-    if inc.known[start : wave.end].all():
-        overlap = _overlap(inc, start, delay, withheld)
-    else:
-        overlap = None
-        withheld.append("force at A: samples of the incident wave are not known")
-    if arrivals.doubt_a:
-        withheld.append(f"force at A: {arrivals.doubt_a}")
-        overlap = None
+    # first touch in the receiving and the reflected signal; where distances are wrong a wave begins at its own foot
+    to_b = float(rec.wave.foot - _lead(rec.wave)) if doubt_b else start + transmits
+    to_a = start + reflects
+    count = min(len(rec.strain) - 3 - int(to_b), math.inf if aligned else behind.echo / step)
+    count = _until_unknown(rec, int(to_b), int(count))
     if count < _FEWEST:
-        raise UsageError(
-            f"{max(count, 0)} samples of the transmitted wave are left, {_FEWEST} are required: the record ends too "
-            "early, or an echo or a gap comes before"
-        )
-    if overlap is not None and count_a < _FEWEST:
-        withheld.append("force at A: the record ends before the reflected wave")
-        overlap = None
-    if overlap is not None:
+        ends = "the record ends too early, or an echo or a gap comes before"
+        raise UsageError(f"{max(count, 0)} samples of the transmitted wave, {_FEWEST} are required: {ends}")
+    count_a = min(len(signal.strain) - 3 - int(to_a), math.inf if aligned else bar.echo / step)
+    count_a = _until_unknown(signal, int(to_a), int(count_a))
+    first, last = _clean(wave, start, delay)
+    for wrong, reason in (
+        (not inc.known[start : wave.end].all(), "samples of the incident wave are not known"),
+        (bool(doubt_a), doubt_a),
+        (count_a < _FEWEST, "the record ends before the reflected wave"),
+        (shared and (not wave.ended or last - first < 0.5 * delay), "incident and reflected wave overlap at the "
+         "incident gauge; shorten the pulse, move the gauge back, or say where it stands (record.window)"),
+    ):  # fmt: skip
+        if wrong:
+            withheld.append(f"force at A: {reason}")
+    if not withheld:
         count = min(count, count_a)
+    last = min(last, count)
 
     transmitted = _at(rec.strain, to_b, count)
-    spread = _at(rec.spread, to_b, count)
     force_b = -behind.stiffness * transmitted
-    assert behind.gain_sd is not None
-    assert bar.gain_sd is not None
     gain_b = math.hypot(behind.gain_sd, _BENT if rec.single else 0.0)
     sd_b = np.sqrt(behind.stiffness**2 * (rec.noise**2 + rec.offset**2) + (gain_b * force_b) ** 2)
+    time = np.asarray(step * np.arange(count), dtype=float)
+    found = {"B": _peak(time, force_b, sd_b, behind.stiffness * rec.noise, rec.memory)}
+    lasting = max(1.0, (rec.wave.falling - rec.wave.half) / rec.memory)
+    if not found["B"].low > 0.0 or found["B"].value < 3.0 * behind.stiffness * rec.noise / math.sqrt(lasting):
+        raise UsageError("no force at the receiving face rises above the noise of the record")
+    if doubt_b:
+        found["B"] = _doubted(found["B"], doubt_b)
 
     incident = np.zeros(count)
-    last = int(min(count, delay, len(inc.strain) - start))
-    incident[:last] = inc.strain[start : start + last]
-    force_a, sd_a, reflected = None, np.full(count, np.inf), np.zeros(count)
-    if overlap is not None:
-        reflected = _at(a_signal.strain, to_a, count)
-        turned = _sign_of_reflected(record, document, incident, reflected, force_b, bar, changes)
-        reflected = reflected * turned[0]
+    there = int(min(count, delay, len(inc.strain) - start))
+    incident[:there] = inc.strain[start : start + there]
+    force_a, sd_a, energies = None, np.full(count, np.inf), None
+    if not withheld:
+        turned, doubt = _sign_of_reflected(record, document, incident, _at(signal.strain, to_a, count), bar, changes)
+        reflected = turned * _at(signal.strain, to_a, count)
         force_a = -bar.stiffness * (incident + reflected)
-        alive = np.arange(count) < last
-        noise = a_signal.noise**2 + np.where(alive, inc.noise**2, 0.0)
-        rest = np.where(alive, (inc.offset + a_signal.offset) ** 2, a_signal.offset**2)
-        tail = np.zeros(count)
-        if overlap and delay < count:
-            tail[last : last + round(0.25 * delay)] = overlap
-            tail[: round(0.25 * delay)] = np.maximum(tail[: round(0.25 * delay)], overlap)
+        alive = np.arange(count) < there
+        noise = signal.noise**2 + np.where(alive, inc.noise**2, 0.0)
+        rest = np.where(alive, (inc.offset + signal.offset) ** 2, signal.offset**2)
         both = incident**2 + reflected**2
         gained = (bar.gain_sd * force_a) ** 2 if shared else (bar.gain_sd * bar.stiffness) ** 2 * both
-        gained = gained + (_BENT * bar.stiffness) ** 2 * both * (inc.single or a_signal.single)
-        sd_a = np.sqrt(bar.stiffness**2 * (noise + rest + tail**2) + gained)
-    else:
-        turned = (1.0, "")
-
-    time = np.asarray(step * np.arange(count), dtype=float)
-    peaks = {"B": _peak(time, force_b, sd_b, behind.stiffness * rec.noise, rec.memory)}
-    if not peaks["B"].low > 0.0 or peaks["B"].value < 3.0 * behind.stiffness * rec.noise / math.sqrt(
-        max(1.0, (rec.wave.falling - rec.wave.half) / rec.memory)
-    ):
-        raise UsageError("no force at the receiving face rises above the noise of the record")
-    if arrivals.doubt_b:
-        peaks["B"] = _doubted(peaks["B"], arrivals.doubt_b)
-    energies = None
-    if force_a is not None:
-        peaks["A"] = _peak(time, force_a, sd_a, bar.stiffness * math.hypot(inc.noise, a_signal.noise), inc.memory)
+        gained = gained + (_BENT * bar.stiffness) ** 2 * both * (inc.single or signal.single)
+        sd_a = np.sqrt(bar.stiffness**2 * (noise + rest) + gained)
+        zone = slice(first, last)
+        if (first, last) != (0, count):
+            ends = f"from {first * step * 1e6:.4g} to {last * step * 1e6:.4g} us"
+            changes.add(
+                "overlap", inc.name, f"the pulse is longer than the way to the face and back: A is known {ends}"
+            )
+        noise_a = bar.stiffness * math.hypot(inc.noise, signal.noise)
+        found["A"] = _peak(time[zone], force_a[zone], sd_a[zone], noise_a, inc.memory)
         mean, sd_mean = 0.5 * (force_a + force_b), 0.5 * np.hypot(sd_a, sd_b)
-        peaks["mean"] = _peak(time, mean, sd_mean, 0.5 * bar.stiffness * math.hypot(inc.noise, rec.noise), inc.memory)
-        for doubt in filter(None, (turned[1], arrivals.doubt_b)):
-            peaks["A"] = _doubted(peaks["A"], doubt)
-        energies = Energies(
-            incident=bar.stiffness * bar.wave_speed * step * float(np.square(incident).sum()),
-            reflected=bar.stiffness * bar.wave_speed * step * float(np.square(reflected).sum()),
-            transmitted=behind.stiffness * behind.wave_speed * step * float(np.square(transmitted).sum()),
-        )
-    pressed = math.inf if overlap is None and not wave.ended else bar.stiffness * wave.peak
-    peaks = _held_together(peaks, energies, pressed, document)
+        found["mean"] = _peak(time[zone], mean[zone], sd_mean[zone], 0.5 * noise_a, inc.memory)
+        if first > 0 and found["A"].time < time[min(first + lead, count - 1)]:
+            found["A"] = _doubted(found["A"], "its largest value lies where incident and reflected wave overlap")
+        for text in filter(None, (doubt, doubt_b)):
+            found["A"] = _doubted(found["A"], text)
+        if (first, last) == (0, count):
+            energies = Energies(
+                incident=bar.stiffness * bar.wave_speed * step * float(np.square(incident).sum()),
+                reflected=bar.stiffness * bar.wave_speed * step * float(np.square(reflected).sum()),
+                transmitted=behind.stiffness * behind.wave_speed * step * float(np.square(transmitted).sum()),
+            )
+        force_a[:first] = force_a[last:] = np.nan
+    peaks = _held_together(found, energies, bar.stiffness * wave.peak if wave.ended else math.inf, document)
     at = int(np.searchsorted(time, peaks["B"].time))
-    peaks["B"] = _bent(peaks["B"], behind.stiffness * spread, at, peaks["B"].value, "receiving")
+    peaks["B"] = _bent(peaks["B"], behind.stiffness * _at(rec.spread, to_b, count), at, peaks["B"].value, "receiving")
     if "A" in peaks:
         at = int(np.searchsorted(time, peaks["A"].time))
-        both = np.maximum(_at(inc.spread, float(start), count), _at(a_signal.spread, to_a, count))
+        both = np.maximum(_at(inc.spread, float(start), count), _at(signal.spread, to_a, count))
         peaks["A"] = _bent(peaks["A"], bar.stiffness * both, at, bar.stiffness * wave.peak, "incident")
-    peaks = _at_the_striker(peaks, wave.peak, document)
     if "mean" in peaks:
         every = dict.fromkeys((*peaks["mean"].doubts, *peaks["A"].doubts, *peaks["B"].doubts))
         peaks["mean"] = replace(peaks["mean"], doubts=tuple(every))
@@ -237,9 +200,14 @@ def read_test(record: Record, document: RecordDocument) -> Test:
         peaks["B"] = _doubted(peaks["B"], "the force at A is not known: gauge and gain of B are not checked by it")
     balanced, rate = _balance(time, force_a, force_b, peaks["B"])
     order = ("A", "B", "mean")
-    return Test(
+    # parabolas over half the rise follow the pulse and leave most of the noise
+    pulse = -inc.strain[start : wave.end + lead]
+    pulse = savgol_filter(pulse, 2 * (wave.rising // 4) + 1, 2) if 8 <= wave.rising < len(pulse) else pulse
+    pulse[[0, -1]] = 0.0
+    return Reading(
         step=step, touch=record.start + step * start + (0.0 if aligned else bar.gauge / bar.wave_speed), time=time,
-        force_a=force_a, force_b=force_b, sd_a=sd_a, sd_b=sd_b, incident=incident,
+        force_a=force_a, force_b=force_b, sd_a=sd_a, sd_b=sd_b,
+        pulse=pulse,
         peaks={face: peaks[face] for face in order if face in peaks}, energies=energies, balanced=balanced,
         loading_rate=rate, withheld=tuple(withheld), changes=tuple(changes),
     )  # fmt: skip
@@ -248,33 +216,28 @@ def read_test(record: Record, document: RecordDocument) -> Test:
 # --- arrivals ---------------------------------------------------------------------------------------------------
 
 
-def _crossing(values: Array, level: float, begin: int, end: int) -> float | None:
-    """First place in [begin, end) at which values rise through a level and stay there for three samples."""
+def _crossing(values: Array, level: float, begin: int, end: int) -> int | None:
+    """First place in [begin, end) from which three values lie above a level."""
     above = values[begin:end] > level
-    runs = above[:-2] & above[1:-1] & above[2:] if len(above) > 2 else above
-    if not runs.any():
-        return None
-    k = begin + int(np.argmax(runs))
-    if k == 0 or k == begin:
-        return float(k)
-    low, high = values[k - 1], values[k]
-    return k - 1 + float((level - low) / (high - low)) if high > low else float(k)
+    runs = np.flatnonzero(above[:-2] & above[1:-1] & above[2:])
+    return begin + int(runs[0]) if len(runs) else None
 
 
-def _arrivals(record: Record, document: RecordDocument, changes: list[Change]) -> _Arrivals:
-    """The three arrivals held against distances and wave speeds; a wave that comes a little early is shifted."""
+def _arrivals(record: Record, document: RecordDocument, changes: Changes) -> tuple[float, float, str, str]:
+    """The three arrivals held against distances and wave speeds: delays of the reflected and the transmitted wave in
+    samples, shifted where a wave comes a little early, and why the distances to A and B are doubted."""
     step, inc, rec = record.step, record.incident, record.receiving
     bar, behind = document.incident_bar, document.receiving_bar
     wave = inc.wave
     if document.record.aligned:
-        own = [s.wave.foot - max(2, round(0.2 * s.wave.rising)) for s in (record.reflected or inc, rec)]
-        start = max(wave.foot - max(2, round(0.2 * wave.rising)), 0)
-        return _Arrivals(reflected=max(own[0], 0) - start, transmitted=max(own[1], 0) - start)
+        own = [s.wave.foot - _lead(s.wave) for s in (record.reflected or inc, rec)]
+        start = max(wave.foot - _lead(wave), 0)
+        return max(own[0], 0) - start, max(own[1], 0) - start, "", ""
     reflected = 2.0 * bar.gauge / bar.wave_speed / step
     transmitted = (bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed) / step
     steep, doubt_a, doubt_b = float(wave.rising), "", ""
 
-    def lags(share: float, window: float) -> tuple[float | None, float | None]:
+    def lags(share: float, window: float) -> tuple[int | None, int | None]:
         """Samples by which reflected and transmitted wave come behind the incident one; None where that is not seen."""
         width = max(1, round(window / step))
         calm = smooth(inc.strain, width)
@@ -295,22 +258,18 @@ def _arrivals(record: Record, document: RecordDocument, changes: list[Change]) -
     if back is not None:
         off = back - reflected
         if not -(_EARLY * reflected + 0.5 * steep + 3.0) <= off <= _LATE * reflected + 2.0 * steep + 5.0:
-            doubt_a = (
-                f"the reflected wave comes {abs(off) * step * 1e6:.4g} us too {'early' if off < 0 else 'late'} for a "
-                f"gauge at {bar.gauge:.4g} m; {0.5 * back * step * bar.wave_speed:.4g} m would fit (or another E or "
-                "density)"
-            )
+            late_by = f"{abs(off) * step * 1e6:.4g} us too {'early' if off < 0 else 'late'}"
+            would = f"{0.5 * back * step * bar.wave_speed:.4g} m would fit (or another E or density)"
+            doubt_a = f"the reflected wave comes {late_by} for a gauge at {bar.gauge:.4g} m; {would}"
     # the transmitted wave may be late, by the transit and the softness of the specimen, but not early
     if there is not None:
         off = there - transmitted
         late = _LATE * transmitted + 2.0 * steep + 0.5 * (wave.falling - wave.half) + 50e-6 / step
         if not -(_EARLY * transmitted + 0.5 * steep + 3.0) <= off <= late:
             fits = there * step * behind.wave_speed - bar.gauge * behind.wave_speed / bar.wave_speed
-            would = f"{fits:.4g} m would fit" if fits > 0.0 else "no distance fits"
-            doubt_b = (
-                f"the transmitted wave comes {abs(off) * step * 1e6:.4g} us too {'early' if off < 0 else 'late'} for a "
-                f"gauge at {behind.gauge:.4g} m; {would} if the incident gauge is right"
-            )
+            would = f"{fits:.4g} m would fit" if fits > 0.0 else "no distance of this gauge fits"
+            late_by = f"{abs(off) * step * 1e6:.4g} us too {'early' if off < 0 else 'late'}"
+            doubt_b = f"the transmitted wave comes {late_by} for a gauge at {behind.gauge:.4g} m; {would}"
             if off < 0.0:  # no force before first touch: the incident wave itself is not where it seems
                 doubt_a = doubt_a or doubt_b
     if steep < 0.05 * reflected and not doubt_a and not doubt_b:
@@ -319,37 +278,27 @@ def _arrivals(record: Record, document: RecordDocument, changes: list[Change]) -
             off = 0.0 if lag is None else lag - predicted
             if -_EARLY * predicted - 3.0 <= off < -max(1.0, 1e-6 / step):
                 signal = rec.name if name == "transmitted" else (record.reflected or inc).name
-                text = f"{name} wave: taken {-off * step * 1e6:.3g} us earlier than the gauges' distances predict"
-                changes.append(Change(step="time shift", signal=signal, size=off * step, text=text))
+                text = f"the {name} wave is taken {-off * step * 1e6:.3g} us earlier than the gauges' distances predict"
+                changes.add("time shift", signal, text, off * step)
                 reflected += off * (name == "reflected")
                 transmitted += off * (name == "transmitted")
-    return _Arrivals(reflected=reflected, transmitted=transmitted, doubt_a=doubt_a, doubt_b=doubt_b)
+    return reflected, transmitted, doubt_a, doubt_b
 
 
-def _overlap(inc: Signal, start: int, delay: float, withheld: list[str]) -> float | None:
-    """Strain of the incident wave's tail where the reflected one comes; None where the two overlap by more."""
-    wave = inc.wave
-    if not math.isfinite(delay):
-        return 0.0
-    split = start + int(delay)
-    if wave.end <= split:
-        return 0.0
-    if split >= len(inc.strain):
-        withheld.append("force at A: the record ends before the reflected wave")
-        return None
-    tail = float(np.abs(inc.strain[max(split - 3, 0) : split + 3]).max())
-    if wave.falling >= split or tail > _TAIL * wave.peak:
-        withheld.append(
-            f"force at A: incident and reflected wave overlap at the incident gauge ({tail / wave.peak:.0%} of the "
-            "peak is left where the reflected wave is due); shorten the pulse or move the gauge back"
-        )
-        return None
-    return tail
+def _lead(wave: Wave) -> int:
+    """Samples before the foot of a wave that belong to it."""
+    return max(2, round(0.2 * wave.rising))
+
+
+def _clean(wave: Wave, start: int, delay: float) -> tuple[int, int]:
+    """Samples after first touch between which the incident gauge shows incident and reflected wave one by one."""
+    if not math.isfinite(delay) or wave.end - start <= delay:
+        return 0, 1 << 60
+    return math.ceil(wave.end - start - delay + 0.05 * delay), int(delay)
 
 
 def _sign_of_reflected(
-    record: Record, document: RecordDocument, incident: Array, reflected: Array, force_b: Array, bar: BarTable,
-    changes: list[Change],
+    record: Record, document: RecordDocument, incident: Array, reflected: Array, bar: BarTable, changes: Changes
 ) -> tuple[float, str]:  # fmt: skip
     """+1 or -1 for a reflected wave in a column of its own, with a doubt where its sign had to be taken.
 
@@ -361,8 +310,7 @@ def _sign_of_reflected(
     body = np.abs(reflected) > 0.5 * float(np.abs(reflected).max())
     if not document.record.aligned or float(reflected[body].mean()) > 0.0:
         return 1.0, ""
-    changes.append(Change(step="sign", signal=record.reflected.name, text=(
-        f"{record.reflected.name}: has the sign of the incident wave; taken as a size, tension")))  # fmt: skip
+    changes.add("sign", record.reflected.name, "has the sign of the incident wave; taken as a size, tension")
     other = bar.stiffness * float(-(incident + reflected).min())
     return -1.0, f"the reflected wave is taken as tension; as it stands in the file A would be {other * 1e-3:.4g} kN"
 
@@ -395,9 +343,8 @@ def _peak(time: Array, force: Array, sd: Array, noise: float, memory: float) -> 
     calm = median_filter(force, 5, mode="nearest")
     at = int(np.argmax(calm))
     low = np.flatnonzero(calm < 0.8 * calm[at])
-    top = (int(low[low > at][0]) if (low > at).any() else len(calm)) - (
-        int(low[low < at][-1]) if (low < at).any() else 0
-    )
+    before, behind = low[low < at], low[low > at]
+    top = int(behind[0] if len(behind) else len(calm)) - int(before[-1] if len(before) else 0)
     width = min(max(5, 2 * (top // 6) + 1), len(calm) - 1 + len(calm) % 2)
     curve = savgol_filter(savgol_filter(calm, width, 2), width, 2)
     at = int(np.argmax(curve))
@@ -451,10 +398,8 @@ def _held_together(
             doubt = f"the specimen bears at most {strongest * 1e-3:.4g} kN"
             found[face] = _doubted(found[face], doubt, strongest)
     if energies is not None and energies.absorbed < -0.05 * energies.incident:
-        doubt = (
-            f"reflected and transmitted wave carry {energies.reflected + energies.transmitted:.4g} J, the incident one "
-            f"{energies.incident:.4g} J: a gain is wrong"
-        )
+        away = energies.reflected + energies.transmitted
+        doubt = f"a gain is wrong: {energies.incident:.4g} J come with the incident wave, {away:.4g} J go"
         for face in found:
             found[face] = _doubted(found[face], doubt)
     if "A" in peaks:
@@ -469,25 +414,13 @@ def _held_together(
     return found
 
 
-def _at_the_striker(peaks: dict[str, Peak], strain: float, document: RecordDocument) -> dict[str, Peak]:
-    """The incident wave held against v/(2 c0) of a striker of the bar's own section and material."""
-    speed = document.striker_speed
-    if speed is None:
-        return peaks
-    due = 0.5 * speed / document.incident_bar.wave_speed
-    if abs(strain / due - 1.0) < 0.1:
-        return peaks
-    doubt = f"the incident wave reaches {strain * 1e6:.4g} microstrain, the striker's speed gives {due * 1e6:.4g}"
-    return {face: _doubted(peak, doubt) if face != "B" else peak for face, peak in peaks.items()}
-
-
 def _balance(time: Array, force_a: Array | None, force_b: Array, peak: Peak) -> tuple[float | None, float]:
     """Share of the rise in which both forces agree within 5 % of their mean, and the loading rate [N/s]."""
     top = max(int(np.searchsorted(time, peak.time)), 3)
     calm = smooth(force_b, 5)
     half = min(int(np.argmax(calm > 0.5 * peak.value)), top - 2)
     rate = 0.5 * peak.value / float(time[top] - time[half])
-    if force_a is None:
+    if force_a is None or np.isnan(force_a).any():
         return None, rate
     mean = 0.5 * (smooth(force_a, 5) + calm)
     even = np.abs(smooth(force_a, 5) - calm) <= 2.0 * _BALANCE * np.abs(mean)

@@ -13,19 +13,7 @@ import math
 from uqsphere.mechanics.integrator import searches
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import ARMED
-from uqsphere.mechanics.integrator.tracked import (
-    BREAKS,
-    DENT,
-    GAMMA,
-    INNER,
-    LANES,
-    LARGEST,
-    ORDER,
-    PAIR,
-    POINTS,
-    SPRING,
-    TERMS,
-)
+from uqsphere.mechanics.integrator.tracked import DENT, INNER, LANES, LARGEST, ORDER, PAIR, POINTS, SPRING, TERMS
 from uqsphere.mechanics.integrator.vectors import apart, curves_at, elementwise, larger, row, size_of, smaller, where
 
 #: change of a place, as a share of the trial step, after which the next one would be rounding
@@ -139,31 +127,14 @@ def _virgin_end(piece, face, m, rate, bow, theta):
 
 
 @compiled(**INNER)
-def _breaks(piece, face, m, law, at, rate, theta):
-    """theta at which a face that takes damage reaches its largest force, or NaN."""
-    apart()
-    width = theta / POINTS
-    for i in range(POINTS):
-        top = searches.highest_between(at[i, m], width * rate[i, m], at[i + 1, m], width * rate[i + 1, m])
-        if top >= law[BREAKS, m]:
-            return searches.passage(piece, face, law[BREAKS, m], 1.0, 0.0, theta)
-    return math.nan
-
-
-@compiled(**INNER)
 def _end(face, m, x, at, rate, bow, theta, law, piece, room):
-    """theta at which a face changes its branch, or NaN, and whether it breaks there; looked at part by part."""
+    """theta at which a face changes its branch, or NaN; looked at part by part."""
     apart()
     for k in range(TERMS):
         piece[face, k] = x[k, m]
     if law[SPRING, m] > 0.0:
-        return _spring_end(piece, face, m, room[0, m], at, rate, theta), False
-    found = _virgin_end(piece, face, m, rate, bow, theta)
-    if law[GAMMA, m] > 0.0:
-        broken = _breaks(piece, face, m, law, at, rate, theta)
-        if not math.isnan(broken) and not broken > found:
-            return broken, True
-    return found, False
+        return _spring_end(piece, face, m, room[0, m], at, rate, theta)
+    return _virgin_end(piece, face, m, rate, bow, theta)
 
 
 @compiled(**INNER)
@@ -207,12 +178,12 @@ def _settle(live, x, at, rate, bow, theta, law, room):
 
 
 @compiled(part=True, **INNER)
-def branch_ends(live, touching, x, at, rate, bow, theta, law, softens, piece, room, meets):
+def branch_ends(live, touching, x, at, rate, bow, theta, law, piece, room, meets):
     """End every lane's step where a face first changes its branch; whether any step is cut.
 
-    theta (LANES,) receives where; meets (LANES,): what ends the step, 0 nothing, 1 a face that breaks, face + 4 one
-    that changes its branch.  at, rate, bow (POINTS + 1, PAIR): values, derivatives and half the second ones at equal
-    distances over [0, theta].  room (11, PAIR), piece (2, TERMS): working space.  softens: whether faces take damage.
+    theta (LANES,) receives where; meets (LANES,): what ends the step, 0 nothing, face + 4 one that changes its branch.
+    at, rate, bow (POINTS + 1, PAIR): values, derivatives and half the second ones at equal distances over [0, theta].
+    room (11, PAIR), piece (2, TERMS): working space.
     """
     apart()
     _settle(live, x, at, rate, bow, theta, law, room)
@@ -223,13 +194,12 @@ def branch_ends(live, touching, x, at, rate, bow, theta, law, softens, piece, ro
             continue
         first = theta[j]
         for face in range(2):
-            m, found, breaks = face * LANES + j, math.nan, False
-            if room[1, m] == 1.0 and room[3, m] < _SETTLED and not softens:
+            m, found = face * LANES + j, math.nan
+            if room[1, m] == 1.0 and room[3, m] < _SETTLED:
                 found = room[7, m]
-            elif room[1, m] > 0.0 or softens:
-                found, breaks = _end(face, m, x, at, rate, bow, theta[j], law, piece, room)
+            elif room[1, m] > 0.0:
+                found = _end(face, m, x, at, rate, bow, theta[j], law, piece, room)
             if found < first or (found == first and meets[j] == 0):
-                first, cut = found, True
-                meets[j] = 1 if breaks else face + 4
+                first, cut, meets[j] = found, True, face + 4
         theta[j] = first
     return cut

@@ -45,8 +45,7 @@ def begin(track, lane):
     track[tracked.LOST, lane] = math.nan
     track[tracked.ENDED, lane] = math.nan
     track[tracked.PARTED, lane] = math.nan
-    track[tracked.DEPTH, lane] = math.inf
-    track[tracked.NEAREST, lane] = math.inf
+    track[tracked.DURATION, lane] = math.nan
 
 
 @compiled(**INNER)
@@ -67,50 +66,6 @@ def _both_below(piece, level, theta):
 
 
 @compiled(**INNER)
-def _lowest(piece, face, end, grid):
-    """Smallest local minimum of a pressed face's approach in [0, end] and its theta, or infinity."""
-    apart()
-    width = end / tracked.POINTS
-    least, place = math.inf, 0.0
-    for i in range(tracked.POINTS):
-        left, right = grid[face, 1, i], grid[face, 1, i + 1]
-        if left < 0.0 < right:
-            found = searches.bend(piece, face, i * width, (i + 1) * width, left, right, searches.BROAD)
-            at = searches.value(piece, face, found)
-            if 0.0 < at < least:
-                least, place = at, found
-    return least, place
-
-
-@compiled(**INNER)
-def _near_loss(track, lane, piece, face, grid, theta, ends, near, hover, graze):
-    """Note how near to leaving a pressed face comes in a step; theta at which that counts as a loss, or NaN."""
-    apart()
-    if not near > 0.0:
-        return math.nan
-    least, place = _lowest(piece, face, theta, grid)
-    if least < near and place < ends:
-        track[tracked.NEAREST, lane] = min(track[tracked.NEAREST, lane], least)
-        return place if least < graze else math.nan
-    if max(piece[face, 0], grid[face, 0, tracked.POINTS]) < hover:
-        track[tracked.NEAREST, lane] = min(track[tracked.NEAREST, lane], grid[face, 0, tracked.POINTS])
-        if graze > 0.0:
-            return searches.passage(piece, face, graze, -1.0, 0.0, ends)
-    return math.nan
-
-
-@compiled(**INNER)
-def _depth(piece, face, theta):
-    """How deep a face that leaves at theta goes, moving freely: it turns after rate²/(2 acceleration)."""
-    apart()
-    _, rate = searches.both(piece, face, theta)
-    bend = 0.0
-    for k in range(ORDER, 1, -1):
-        bend = bend * theta + k * (k - 1.0) * piece[face, k]
-    return 0.5 * rate * rate / bend if bend > 0.0 else math.inf
-
-
-@compiled(**INNER)
 def _note_loss(track, lane, piece, lost, ends, before, h):
     """The first loss of contact of a row."""
     apart()
@@ -118,18 +73,6 @@ def _note_loss(track, lane, piece, lost, ends, before, h):
         track[tracked.LOST, lane] = before + ends * h
         _, rate = searches.both(piece, lost, ends)
         track[tracked.LOSS_RATE, lane] = abs(rate) / h
-
-
-@compiled(**INNER)
-def _parts(track, lane, piece, face, ends, graze):
-    """Whether a face that passes zero leaves, and goes deep enough for that to be a loss of contact."""
-    apart()
-    if not piece[face, 0] > 0.0:
-        return False
-    depth = _depth(piece, face, ends)
-    if depth >= -graze and math.isnan(track[tracked.LOST, lane]):
-        track[tracked.DEPTH, lane] = depth
-    return depth >= -graze
 
 
 @compiled(**INNER)
@@ -141,15 +84,13 @@ def _touching_just_now(track, lane, piece, face):
 
 
 @compiled(**INNER)
-def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
+def _faces(track, lane, piece, grid, theta, before, h, near):
     """Loss of contact or touch of either face in a step: theta at which the step ends, 2 + face or 0, and loss.
 
-    A pressed face whose approach lingers below `hover` is as near to leaving as one that turns there.
-    graze > 0: an approach that falls below it counts as a loss; graze < 0: an excursion that stays shallower than
-    -graze does not.  The third result says whether a loss was counted, -1 no, else the face.
+    near: approach above zero from which on a face is looked at.  The third result: the face that is lost, or -1.
     """
     apart()
-    ends, why, lost = theta, 0, -1
+    ends, why = theta, 0
     for face in range(2):
         pressed = piece[face, 0] > 0.0
         if _touching_just_now(track, lane, piece, face):
@@ -162,15 +103,10 @@ def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
         found = searches.passage(piece, face, 0.0, -1.0 if pressed else 1.0, clear, ends)
         if not math.isnan(found):
             ends, why = found, 2 + face
-            continue
-        found = _near_loss(track, lane, piece, face, grid, theta, ends, near, hover, graze) if pressed else math.nan
-        if not math.isnan(found):
-            ends, why, lost = found, 1, face
-    if why > 1 and _parts(track, lane, piece, why - 2, ends, graze):
-        lost = why - 2
-    if lost >= 0:
-        _note_loss(track, lane, piece, lost, ends, before, h)
-    return ends, why, lost
+    if why > 1 and piece[why - 2, 0] > 0.0:
+        _note_loss(track, lane, piece, why - 2, ends, before, h)
+        return ends, why, why - 2
+    return ends, why, -1
 
 
 @compiled(**INNER)
@@ -208,37 +144,33 @@ def _note_touch(track, lane, grid, least, first):
 
 @compiled(part=True, **INNER)
 def after_step(
-    mode, flags, track, lane, piece, grid, places, theta, before, h, echo, low, tiny, near, hover, graze, stop_at_loss,
-    yielding, law,
+    mode, flags, track, lane, piece, grid, places, theta, before, h, echo, low, least, near, stop_at_loss, yielding,
+    law,
 ):  # fmt: skip
     """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
 
     What ends the step: 0 nothing, 1 the record, 2 a face that lost contact or touched again while the motion goes on
-    (face + 2).  `echo` is the time of the first reflected wave, `tiny` the error allowed in an approach, `low` > 0 the
-    share of the largest approach below which the record ends; for the others see `_faces`.  grid (face, 2, POINTS + 1):
-    values and slopes over [0, theta]; room.  places (2,) receive the theta of a face's largest approach so far, or -1:
-    one that has yielded is at its deepest on virgin loading.
+    (face + 2).  `echo` is the time of the first reflected wave, `least` the approach above which a face has touched,
+    `low` > 0 the share of the largest approach below which the record ends; near: see `_faces`.
+    grid (face, 2, POINTS + 1): values and slopes over [0, theta]; room.  places (2,) receive the theta of a face's
+    largest approach so far, or -1: one that has yielded is at its deepest on virgin loading.
     """
     apart()
     ends, why = theta, 0
     if flags & tracked.SOMETHING:
-        ends, met, lost = _faces(track, lane, piece, grid, theta, before, h, near, hover, graze)
+        ends, why, lost = _faces(track, lane, piece, grid, theta, before, h, near)
         if lost >= 0 and stop_at_loss:
             why = 1
-        elif met == 1:
-            ends = theta
-        elif met != 0:
-            why = met
     if ends < theta:
         searches.survey(piece, ends, grid)
     known = _largest(mode, flags, track, lane, piece, grid, places, ends, yielding, law)
-    _note_touch(track, lane, grid, max(50.0 * tiny, 2.0 * hover), before < echo * (1.0 - 1e-12))
+    _note_touch(track, lane, grid, least, before < echo * (1.0 - 1e-12))
     if low > 0.0:
         found = _both_below(piece, low * known, ends)
         if not math.isnan(found):
             ends, why = found, 1
             if track[tracked.LOST, lane] > before + ends * h:  # a loss after the record's end is none
-                track[tracked.LOST, lane], track[tracked.DEPTH, lane] = math.nan, math.inf
+                track[tracked.LOST, lane] = math.nan
     if why == 1:
         track[tracked.ENDED, lane] = before + ends * h
     return ends, why
@@ -308,7 +240,7 @@ _sign = elementwise(LANES, 2, _signs)
 #: functions of both faces whose largest values are searched for
 _SEARCHED = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SHARE | tracked.WANT_MEAN
 #: what the end of the record decides
-_TO_THE_END = tracked.WANT_CONTACT | tracked.WANT_IMPULSE
+_TO_THE_END = tracked.WANT_CONTACT | tracked.WANT_DURATION
 
 
 @compiled(**INNER)
@@ -443,7 +375,7 @@ def decided(mode, wanted, track, lane, a, b, w, mu, level, tolerance):
     above the one at rest can be exceeded whose phi is not below V.
     """
     apart()
-    if wanted & _TO_THE_END or (level > 0.0 and wanted & (_SEARCHED | tracked.WANT_WIDTH)):
+    if wanted & _TO_THE_END or (level > 0.0 and wanted & _SEARCHED):
         return False
     a, b = max(a, 0.0), max(b, 0.0)
     known = track[tracked.FACE_A, lane]
@@ -451,7 +383,7 @@ def decided(mode, wanted, track, lane, a, b, w, mu, level, tolerance):
         rest = level
         stored = 0.5 * ((a - rest) ** 2 + (b - rest) ** 2) + 0.5 * mu * (w - level) ** 2
         reach = rest + math.sqrt(2.0 * stored)
-        force, width = reach - rest, 0.5 * known
+        force = reach - rest
         energy = 0.5 * (a * a + b * b) + 0.5 * mu * w * w
     else:
         energy = 0.4 * (a * a * math.sqrt(a) + b * b * math.sqrt(b)) + 0.5 * mu * w * w
@@ -461,16 +393,14 @@ def decided(mode, wanted, track, lane, a, b, w, mu, level, tolerance):
             top = known * (1.0 + 0.1 * tolerance)
             return known >= rest and 0.4 * top**2.5 - level * top + 0.6 * level * rest >= stored
         reach = (2.5 * energy) ** 0.4
-        force, width = reach * math.sqrt(reach), 0.5 ** (2.0 / 3.0) * known
+        force = reach * math.sqrt(reach)
     if reach > known * (1.0 + 0.1 * tolerance):
         return False
     if wanted & tracked.WANT_DIFFERENCE and force > track[tracked.DIFFERENCE, lane] * (1.0 + 0.1 * tolerance):
         return False
     if wanted & tracked.WANT_ENERGY and energy > track[tracked.ENERGY, lane] * (1.0 + 0.1 * tolerance):
         return False
-    if wanted & tracked.WANT_MEAN and force > track[tracked.MEAN, lane] * (1.0 + 0.1 * tolerance):
-        return False
-    return not (wanted & tracked.WANT_WIDTH and reach > width)
+    return not (wanted & tracked.WANT_MEAN and force > track[tracked.MEAN, lane] * (1.0 + 0.1 * tolerance))
 
 
 @compiled(**INNER)
@@ -489,7 +419,7 @@ def _may_grow(wanted, track, lane, force, energy, slack):
 def decided_own(wanted, track, lane, x, w, mu, level, tolerance, law):
     """The same of faces with laws of their own, all springs now: what yields takes energy and brings none back."""
     apart()
-    if wanted & _TO_THE_END or (level > 0.0 and wanted & (_SEARCHED | tracked.WANT_WIDTH)):
+    if wanted & _TO_THE_END or (level > 0.0 and wanted & _SEARCHED):
         return False
     slack = 1.0 + 0.1 * tolerance
     stored, energy, least, stiffest = 0.5 * mu * (w - level) ** 2, 0.5 * mu * w * w, math.inf, 0.0
@@ -509,10 +439,7 @@ def decided_own(wanted, track, lane, x, w, mu, level, tolerance, law):
     if least < stored:
         return False
     force = stiffest**0.4 * (2.5 * energy) ** 0.6
-    known = largest_force(law, lane, track[tracked.FACE_A, lane], track[tracked.FACE_B, lane])
-    return not _may_grow(wanted, track, lane, force, energy, slack) and not (
-        wanted & tracked.WANT_WIDTH and force > 0.5 * known
-    )
+    return not _may_grow(wanted, track, lane, force, energy, slack)
 
 
 # --- Answers of a row whose record has ended: what was tracked, and the times at which thresholds were passed.
@@ -525,8 +452,8 @@ _ANSWER_OF = (
 
 
 @compiled(**INNER)
-def _outermost(level, backward, ended, path, branches, made, count, lane, yielding, law):
-    """Time at which the larger approach first reaches `level`, or last on the way back; arrays of one lane.
+def _first_at(level, ended, path, branches, made, count, lane, yielding, law):
+    """Time at which the larger approach first reaches `level`; arrays of one lane.
 
     Of faces with laws of their own `level` is a force: what approach that is follows from the branch of a step, its
     spring (0 on virgin loading) and dent, branches (steps, 2, 2).
@@ -534,45 +461,22 @@ def _outermost(level, backward, ended, path, branches, made, count, lane, yieldi
     apart()
     virgin_a = approach_at(law, lane, level) if yielding else level
     virgin_b = approach_at(law, LANES + lane, level) if yielding else level
-    for i in range(count):
-        n = count - 1 - i if backward else i
+    for n in range(count):
         if made[n, tracked.CREST] < level:
             continue
         began, unit = made[n, tracked.BEGAN], made[n, tracked.UNIT_OF]
-        end = min(made[n, tracked.HOLDS], ended - began) / unit
-        a, b = (end, 0.0) if backward else (0.0, end)
-        best = math.nan
+        end, best = min(made[n, tracked.HOLDS], ended - began) / unit, math.nan
         for face in range(2):
             height = virgin_b if face == 1 else virgin_a
             if yielding:
                 spring, dent = branches[n, face, 0], branches[n, face, 1]
                 height = (level / spring) ** (2.0 / 3.0) if spring > 0.0 else height - dent
-            found = searches.passage(path[n], face, height, 1.0, a, b)
-            if math.isnan(best) or (found > best if backward else found < best):
+            found = searches.passage(path[n], face, height, 1.0, 0.0, end)
+            if math.isnan(best) or found < best:
                 best = found
         if not math.isnan(best):
             return began + best * unit
     return math.nan
-
-
-@compiled(**INNER)
-def _passages(power, wanted, ended, largest, shift, steps):
-    """Width, whether it is censored, and rise of the larger force, its thresholds times `shift`; NaN if not wanted.
-
-    power: that of the force in what the thresholds are shares of: 2/3 for approaches, 1 for the forces themselves.
-    """
-    apart()
-    width, censored, rise = math.nan, 0.0, math.nan
-    if wanted & tracked.WANT_WIDTH:
-        half = largest * 0.5**power * shift
-        above, below = _outermost(half, False, ended, *steps), _outermost(half, True, ended, *steps)
-        # the last crossing is the record's end itself where the force is still above
-        width, censored = below - above, 1.0 if below >= ended * (1.0 - 1e-14) else 0.0
-    if wanted & tracked.WANT_RISE:
-        tenth = _outermost(largest * 0.1**power * shift, False, ended, *steps)
-        nine = _outermost(largest * 0.9**power * shift, False, ended, *steps)
-        rise = nine - tenth
-    return width, censored, rise
 
 
 @compiled(**INNER)
@@ -597,12 +501,33 @@ def _finish_faces(track, lane, out, yielding, law):
     return out[tracked.ANSWER_X_MAX]
 
 
-@compiled(part=True, **INNER)
-def finish(mode, wanted, track, lane, path, branches, made, count, unsure, out, yielding, law):
-    """Answers of a row that has ended, in scaled variables; path, branches and what was made of its lane's steps.
+@compiled(**INNER)
+def note_duration(track, lane, x, law, yielding, settled):
+    """Impulse over peak of the mean force up to now: adding (3), I = integral of (f - h) less the mean approach.
 
-    unsure: share by which a threshold may be off.
+    x (TERMS, PAIR): approaches now above their dents; settled: what is still pressed dies out and counts, dents stay.
     """
+    apart()
+    impulse = 0.5 * track[tracked.PUSHED, lane]
+    for m in range(lane, PAIR, LANES):
+        impulse -= 0.5 * ((0.0 if settled else x[0, m]) + (law[tracked.DENT, m] if yielding else 0.0))
+    track[tracked.DURATION, lane] = impulse / track[tracked.MEAN, lane]
+
+
+@compiled(**INNER)
+def note_momentum(track, lane, u, free, rig, mass, speed, rigs):
+    """The same of any other rig from the speeds, (R9): what A has given and the sphere has not kept went to B."""
+    apart()
+    given = 0.0
+    if rig[tracked.RIG_LIGHTNESS, lane] > 0.0:
+        given = (rigs[tracked.RIG_SPEED, 0] - free[0, lane]) / rig[tracked.RIG_LIGHTNESS, lane]
+    impulse = given - 0.5 * mass * (u[0, lane] - speed)
+    track[tracked.DURATION, lane] = impulse / track[tracked.MEAN, lane]
+
+
+@compiled(part=True, **INNER)
+def finish(mode, wanted, track, lane, path, branches, made, count, out, yielding, law):
+    """Answers of a row that has ended, in scaled variables; path, branches and what was made of its lane's steps."""
     apart()
     ended = track[tracked.ENDED, lane]
     power = 1.0 if mode == 1 or yielding else 2.0 / 3.0
@@ -614,29 +539,17 @@ def finish(mode, wanted, track, lane, path, branches, made, count, unsure, out, 
     out[tracked.ANSWER_LOSS_RATE] = track[tracked.LOSS_RATE, lane] if lost else math.nan
     parted = not math.isnan(track[tracked.PARTED, lane])
     out[tracked.ANSWER_PARTING] = track[tracked.PARTED, lane] if parted else ended
+    out[tracked.ANSWER_DURATION] = track[tracked.DURATION, lane]
     for kind in range(tracked.DIFFERENCE, tracked.KINDS):
         if wanted & (1 << (kind - 1)):
             out[_ANSWER_OF[kind]] = track[kind, lane]
-    if wanted & tracked.WANT_IMPULSE and wanted & tracked.WANT_MEAN:
-        out[tracked.ANSWER_IMPULSE] = track[tracked.IMPULSE, lane] / track[tracked.MEAN, lane]
     if wanted & tracked.WANT_CARRIED:
         for face in range(2):
             out[tracked.ANSWER_CARRIED + face] = track[tracked.CARRIED + face, lane]
-    out[tracked.ANSWER_DEPTH], out[tracked.ANSWER_NEAREST] = track[tracked.DEPTH, lane], track[tracked.NEAREST, lane]
-    if wanted & (tracked.WANT_WIDTH | tracked.WANT_RISE) == 0:
-        return
-    steps = path, branches, made, count, lane, yielding, law
-    for k in range(3):
-        # each threshold is also taken a little lower and higher: where it is then passed one oscillation sooner or
-        # later, the answer is a jump
-        shift = 1.0 + (k - 1.0) * unsure
-        width, censored, rise = _passages(power, wanted, ended, top, shift, steps)
-        if k == 1:
-            out[tracked.ANSWER_WIDTH], out[tracked.ANSWER_WIDTH_CENSORED] = width, censored
-            out[tracked.ANSWER_RISE] = rise
-        else:
-            side = k // 2
-            out[tracked.ANSWER_WIDTHS + side], out[tracked.ANSWER_RISES + side] = width, rise
+    if wanted & tracked.WANT_RISE:
+        tenth = _first_at(top * 0.1**power, ended, path, branches, made, count, lane, yielding, law)
+        nine = _first_at(top * 0.9**power, ended, path, branches, made, count, lane, yielding, law)
+        out[tracked.ANSWER_RISE] = nine - tenth
 
 
 # --- What is known of the faces of a row whose faces have laws of their own, and the end of a rig without bars.
@@ -688,14 +601,3 @@ def next_touch(lane, x, u, free, rig):
         if rate > 0.0:
             closing = min(closing, -x[0, m] / rate)
     return closing
-
-
-@compiled(**INNER)
-def note_impulse(track, lane, force, length, ends):
-    """Add the integral of the mean force over a step up to `ends`, term by term of its series."""
-    apart()
-    total, power = 0.0, ends * length
-    for k in range(tracked.TERMS):
-        total += 0.5 * (force[k, lane] + force[k, LANES + lane]) * power / (k + 1.0)
-        power *= ends
-    track[tracked.IMPULSE, lane] += total

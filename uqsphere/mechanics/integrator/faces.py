@@ -13,11 +13,6 @@ l = ln((y + base)/...), so that its series costs one recurrence more:
 
     q = constant + by_x x + by_root y + by_log l        l' (y + base) = y'        base = (b - 1) sqrt(x_y)
 
-A face that takes damage (`uqsphere.mechanics.yielding`) is on virgin loading from first touch, has no dent, and its
-spring is the secant.  Its virgin loading needs the series of x^(gamma + 3/2), one recurrence as well:
-
-    virgin   q = hertz x^(3/2) + by_log x^(gamma + 3/2)         until x reaches `breaks`, where q is largest
-
 `law` holds these numbers of every lane and face, (NUMBERS, PAIR); scaled variables.
 """
 
@@ -28,14 +23,12 @@ import math
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.tracked import (
     BASE,
-    BREAKS,
     BY_LOG,
     BY_ROOT,
     BY_X,
     CHI,
     CONSTANT,
     DENT,
-    GAMMA,
     HERTZ,
     INNER,
     LANES,
@@ -109,13 +102,7 @@ def new_faces(law, lane, given):
         law[ONSET, m], law[SOFTENING, m], law[PILE_UP, m] = onset, given[LAW_SOFTENING, face], given[LAW_PILE_UP, face]
         law[STIFFNESS, m], law[SPRING, m], law[LARGEST, m] = stiffness, stiffness, onset
         law[UNIT, m], law[HERTZ, m] = stiffness * onset**1.5, stiffness
-        law[PEAK, m], law[CHI, m], law[BREAKS, m] = law[UNIT, m], given[LAW_SHARE, face], math.inf
-        if law[PILE_UP, m] == 0.0:
-            gamma = law[SOFTENING, m]
-            law[GAMMA, m], law[BREAKS, m] = gamma, onset * (3.0 / (3.0 + 2.0 * gamma)) ** (1.0 / gamma)
-            law[ONSET, m], law[LARGEST, m], law[PEAK, m] = 0.0, 0.0, 0.0
-            law[BASE, m] = -stiffness * onset**-gamma
-            press_on(law, m)
+        law[PEAK, m], law[CHI, m] = law[UNIT, m], given[LAW_SHARE, face]
 
 
 @compiled(**INNER)
@@ -123,9 +110,6 @@ def press_on(law, m):
     """A spring whose approach rises through the largest so far: virgin loading."""
     apart()
     law[SPRING, m] = 0.0
-    if law[GAMMA, m] > 0.0:
-        law[HERTZ, m], law[BY_LOG, m] = law[STIFFNESS, m], law[BASE, m]
-        return
     onset, b = law[ONSET, m], law[SOFTENING, m]
     force, side = law[UNIT, m], math.sqrt(onset)
     law[SHIFT, m], law[HERTZ, m] = law[DENT, m], 0.0
@@ -142,11 +126,6 @@ def let_go(law, m, above):
     apart()
     approach, onset = above + law[DENT, m], law[ONSET, m]
     largest = max(approach, law[LARGEST, m])
-    if law[GAMMA, m] > 0.0:
-        force, _ = face_force(law, m, largest)
-        law[LARGEST, m], law[PEAK, m], law[SPRING, m] = largest, force, force / largest**1.5
-        law[HERTZ, m], law[BY_LOG, m] = law[SPRING, m], 0.0
-        return approach
     force = _virgin_force(largest / onset, law[SOFTENING, m])
     area = _virgin_area(largest / onset, law[SOFTENING, m], law[PILE_UP, m])
     recovered = onset * force / math.sqrt(area)
@@ -213,11 +192,6 @@ def face_force(law, m, above):
             return 0.0, 0.0
         side = law[SPRING, m] * math.sqrt(above)
         return side * above, 1.5 * side
-    if law[GAMMA, m] > 0.0:
-        side = math.sqrt(max(above, 0.0))
-        lost = law[BY_LOG, m] * max(above, 0.0) ** law[GAMMA, m]
-        hertz = law[HERTZ, m]
-        return (hertz + lost) * side * above, (1.5 * hertz + (1.5 + law[GAMMA, m]) * lost) * side
     root = math.sqrt(max(above + law[SHIFT, m], 1e-300))
     force, slope = law[CONSTANT, m] + law[BY_X, m] * above + law[BY_ROOT, m] * root, law[BY_ROOT, m]
     if law[BY_LOG, m] != 0.0:
@@ -229,13 +203,10 @@ def face_force(law, m, above):
 @compiled(**INNER)
 def _virgin(law, m, approach):
     """Force of a face at its largest approach so far, and its derivative; elastic below the onset."""
-    onset, z = law[ONSET, m], approach / law[ONSET, m] if law[ONSET, m] > 0.0 else 0.0
+    onset, z = law[ONSET, m], approach / law[ONSET, m]
     if z <= 1.0:
-        lost = law[BASE, m] * approach ** law[GAMMA, m] if law[GAMMA, m] > 0.0 else 0.0
-        side = math.sqrt(approach)
-        return (law[STIFFNESS, m] + lost) * side * approach, (
-            1.5 * law[STIFFNESS, m] + (1.5 + law[GAMMA, m]) * lost
-        ) * side
+        side = law[STIFFNESS, m] * math.sqrt(approach)
+        return side * approach, 1.5 * side
     b, y = law[SOFTENING, m], math.sqrt(z)
     # (C4)
     slope = 1.5 * ((1.0 + b) * y - 1.0) / (y + b - 1.0) if b > 0.0 else 1.5
@@ -246,13 +217,13 @@ def _virgin(law, m, approach):
 def approach_at(law, m, force):
     """Approach at which virgin loading reaches a force, by Newton's method from that of Hertz, which lies below.
 
-    Hertz and what follows the onset are convex.  What takes damage bends down before `breaks`, where it is largest.
+    Hertz and what follows the onset are convex.
     """
     apart()
-    found, breaks = (force / law[STIFFNESS, m]) ** (2.0 / 3.0), law[BREAKS, m]
+    found = (force / law[STIFFNESS, m]) ** (2.0 / 3.0)
     for _ in range(60):
-        reached, slope = _virgin(law, m, min(found, breaks))
-        following = min(found - (reached - force) / slope, 0.5 * (found + breaks))
+        reached, slope = _virgin(law, m, found)
+        following = found - (reached - force) / slope
         if abs(following - found) <= 1e-15 * found:
             break
         found = following
@@ -265,8 +236,6 @@ def stored_energy(law, m, above):
     force, slope = face_force(law, m, above)
     if law[SPRING, m] > 0.0:
         return 0.4 * force * max(above, 0.0), force
-    if law[GAMMA, m] > 0.0:
-        return 0.4 * force * max(above, 0.0), 0.4 * (force + slope * above)
     onset, b = law[ONSET, m], law[SOFTENING, m]
     z = max((above + law[SHIFT, m]) / onset, 1.0)
     area = _virgin_area(z, b, law[PILE_UP, m])
@@ -346,7 +315,7 @@ def most_force(law, lane, top):
     """The larger force of a lane at most, while its approaches stay below `top` (PAIR,)."""
     found = 0.0
     for m in range(lane, 2 * LANES, LANES):
-        found = max(found, face_force(law, m, min(top[m], law[BREAKS, m]))[0])
+        found = max(found, face_force(law, m, top[m])[0])
     return found * (1.0 + 1e-9)
 
 
@@ -355,7 +324,7 @@ def most_stored(law, lane, top):
     """Elastic energy that a lane stores at most while its approaches stay below `top` (PAIR,)."""
     found = 0.0
     for m in range(lane, 2 * LANES, LANES):
-        found += stored_energy(law, m, min(top[m], law[BREAKS, m]))[0]
+        found += stored_energy(law, m, top[m])[0]
     return found
 
 

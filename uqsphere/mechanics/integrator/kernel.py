@@ -103,21 +103,20 @@ def wrong_root(lane, length, branch, mass, local, rig, law, size):
 
 @compiled()
 def march(
-    mode, wanted, mass, ends, round_trips, breaks, coefficients, frequencies, horizon, pulse_end, level, graze, laws,
-    rigs, speed, local, closer, asked, stop_at_loss, capacity, out, status, order, steps, kept_start, kept_length, kept,
+    mode, wanted, mass, ends, round_trips, breaks, coefficients, frequencies, horizon, pulse_end, level, laws, rigs,
+    speed, local, closer, asked, stop_at_loss, capacity, out, status, order, steps, kept_start, kept_length, kept,
 ):  # fmt: skip
     """Integrate rows `order` of a batch; answers go to `out` (rows, tracked.ANSWERS) and `status` (rows).
 
     mode: 0 full, 1 linear contact, 2 massless.  wanted: sum of tracked.WANT_*.  mass (n,): mu.  ends,
     round_trips (n, 2): R and T of the two bars (T infinite: no reflection).  breaks, coefficients, frequencies:
     the pulse in scaled time.  horizon (n,): end of the record, inf for the rule of infinite bars, which needs
-    pulse_end (n,).  level (n,): scale of x that is expected at least.  graze (n,): see events.after_step; 0 for
-    the rule itself.  local: error allowed in one step, asked: in the answers; closer: share of the first once a face
-    has yielded.  capacity: steps kept of one row.
-    kept* (len(order), steps, ...) receive the series (x1, x2, u, q1, q2) of every row where they have room for steps.
-    laws (n, tracked.LAWS, 2): of faces that yield or differ; (n, 0, 2): both forces are x^(3/2).
-    rigs (n, tracked.RIGS, 2), speed (n,): what stands at the poles where it is not two bars, with `laws`, and u at the
-    start; such a record ends when the bodies part.  (n, 0, 2): bars.
+    pulse_end (n,).  level (n,): scale of x that is expected at least.  local: error allowed in one step, asked: in the
+    answers; closer: share of the first once a face has yielded.  capacity: steps kept of one row.  kept* (len(order),
+    steps, ...) receive the series (x1, x2, u, q1, q2) of every row where they have room for steps.  laws (n,
+    tracked.LAWS, 2): of faces that yield or differ; (n, 0, 2): both forces are x^(3/2). rigs (n, tracked.RIGS, 2),
+    speed (n,): what stands at the poles where it is not two bars, with `laws`, and u at the start; such a record ends
+    when the bodies part.  (n, 0, 2): bars.
     """
     lanes, last_point = LANES, tracked.POINTS
     keeping = kept_start.shape[1] > 0
@@ -129,7 +128,7 @@ def march(
         np.zeros((4, lanes)), np.zeros((2, lanes, incoming.QUEUE)), np.zeros((2, lanes), dtype=np.int64),
         np.zeros((2, lanes), dtype=np.int64), np.zeros((2, lanes), dtype=np.int64),
         np.zeros((2, lanes), dtype=np.int64), np.zeros((tracked.TRACKS, lanes)), np.ones((SCALES, lanes)),
-        np.zeros((4, 2, tracked.POINTS + 1)), np.zeros((3, PAIR)), np.zeros((29, lanes)),
+        np.zeros((4, 2, tracked.POINTS + 1)), np.zeros((3, PAIR)), np.zeros((28, lanes)),
         np.zeros((4, lanes), dtype=np.int64), np.zeros((tracked.NUMBERS, PAIR)), np.zeros((TERMS, PAIR)),
         np.zeros((1, PAIR)), np.zeros((tracked.RIGS, PAIR)), np.zeros((TERMS, PAIR)), np.full(2, -1.0),
         np.zeros((TERMS, PAIR)), np.zeros((3, TERMS)), np.zeros((tracked.POINTS + 1, PAIR)),
@@ -137,9 +136,6 @@ def march(
     # faces that yield: their law, the series of the logarithm in it, a divisor; see `faces`
     law, log, inverse_root, sloped = bare(owned[23]), bare(owned[24]), bare(owned[25][0]), bare(owned[29])
     carried_room, bow = bare(owned[30]), bare(owned[31])
-    softens = False
-    for r in range(laws.shape[0] if laws.shape[1] > 0 else 0):
-        softens |= laws[r, tracked.LAW_PILE_UP, 0] == 0.0 or laws[r, tracked.LAW_PILE_UP, 1] == 0.0
     yielding, switched, own, turned = (
         laws.shape[1] > 0,
         np.zeros(lanes, dtype=np.bool_),
@@ -174,7 +170,7 @@ def march(
     crosses, unfit = bare(numbers[22]), bare(numbers[23])
     # of a lane's row: mu, inf where the sphere has no mass; the first echo; when it can be heard, the pulse is over
     inertia, back, heard = bare(numbers[24]), bare(numbers[25]), bare(numbers[26])
-    fades, grazing = bare(numbers[27]), bare(numbers[28])
+    fades = bare(numbers[27])
     row, count, attempts, flags = bare(counts[0]), bare(counts[1]), bare(counts[2]), bare(counts[3])
     place, meets = np.zeros(lanes, dtype=np.int64), np.zeros(lanes, np.int64)
     # time before which the fast oscillation cannot have died out
@@ -193,7 +189,8 @@ def march(
     made = bare(kept_steps[0])
     # series of the approaches; of faces with laws of their own the spring and the dent of a step beside them
     path, wave, branches = bare(kept_steps[1]), bare(kept_steps[2]), bare(kept_steps[3])
-    store = wanted & (tracked.WANT_RISE | tracked.WANT_WIDTH) != 0
+    store = wanted & tracked.WANT_RISE != 0
+    timed = wanted & tracked.WANT_DURATION != 0
     share = tracked.TAIL_SHARE if mode == 1 else tracked.TAIL_SHARE ** (2.0 / 3.0)
     taken, live = 0, 0
     # how many steps are read again: all that there is room for, or the last one alone
@@ -216,7 +213,7 @@ def march(
                 reflect[bar, j], trips[bar, j] = ends[r, bar], round_trips[r, bar]
                 head[bar, j], tail[bar, j], first[bar, j] = 0, 0, 0
             back[j] = min(trips[0, j], trips[1, j])
-            heard[j], inertia[j], grazing[j] = back[j] * (1.0 - 1e-12), mass[r] if mode == 0 else math.inf, graze[r]
+            heard[j], inertia[j] = back[j] * (1.0 - 1e-12), mass[r] if mode == 0 else math.inf
             fades[j] = pulse_end[r] * (1.0 - 1e-12) if not rigged and end[j] == math.inf else math.inf
             size[0, j], size[1, j], size[2, j] = level[r], 0.1 * level[r], level[r]
             quickest[j] = inverse_mu[j]
@@ -253,15 +250,14 @@ def march(
                 # the wave that presses has to be followed as well
                 smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * error[j], 1e-2))) * (stop[j] - time[j])
                 proposed[j] = min(proposed[j], min(brief, smooth))
-        try_step(h, low, near, misfit, proposed, stop, time, back, busy, fades, share, track, error, asked, size,
-                 grazing)  # fmt: skip
+        try_step(h, low, near, misfit, proposed, stop, time, back, busy, fades, share, track, error, asked, size)
         for j in range(lanes if yielding else 0):
             if own[j] and time[j] >= fades[j]:
                 low[j] = tail_level(law, j, track[tracked.FACE_A, j], track[tracked.FACE_B, j], tracked.TAIL_SHARE)
             if rigged:  # only the first loss of contact is an answer of its own
                 lost = not math.isnan(track[tracked.LOST, j])
                 closest = max(100.0 * error[j], asked) * min(size[0, j], size[2, j])
-                near[j] = 0.0 if lost else max(closest, grazing[j])
+                near[j] = 0.0 if lost else closest
         incoming.incident(time, h, cubic, frequency, offset, push)
         for j in range(lanes):
             if row[j] >= 0 and time[j] >= heard[j]:
@@ -285,15 +281,15 @@ def march(
                 if own[j] and row[j] >= 0:
                     apart = True
                     virgin |= on_virgin_loading(law, j)
-        if virgin and not softens:
-            expand_virgin(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
-               rigged, rig, free, softens, sloped)  # fmt: skip
+        if virgin:
+            expand_virgin(mode, h, inverse_mu, push, x, u, root, force, half, apart, law, log, inverse_root, rigged,
+                          rig, free, sloped)  # fmt: skip
         elif apart or rigged:
-            expand(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
-               rigged, rig, free, softens, sloped)  # fmt: skip
+            expand(mode, h, inverse_mu, push, x, u, root, force, half, apart, law, log, inverse_root, rigged, rig, free,
+                   sloped)  # fmt: skip
         else:
-            expand_plain(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
-               rigged, rig, free, softens, sloped)  # fmt: skip
+            expand_plain(mode, h, inverse_mu, push, x, u, root, force, half, apart, law, log, inverse_root, rigged,
+                         rig, free, sloped)  # fmt: skip
         longest(x, u, free, size, rigged, error, theta)
         for j in range(lanes):
             if row[j] < 0:
@@ -356,7 +352,7 @@ def march(
                               row_of(bow, i, 0))  # fmt: skip
             else:
                 evaluate(x, theta, i / tracked.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0))
-        if yielding and branch_ends(row, touching, x, at, rate, bow, theta, law, softens, piece, room, meets):
+        if yielding and branch_ends(row, touching, x, at, rate, bow, theta, law, piece, room, meets):
             for i in range(1, tracked.POINTS + 1):
                 evaluate(x, theta, i / tracked.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0))
         evaluate(u, theta, 1.0, half, at_u, rate_u)
@@ -414,13 +410,11 @@ def march(
                     )
                 ending, why = events.after_step(
                     mode, flags[j], track, j, piece, grid, places, theta[j], before, h[j],
-                    back[j], quiet, error[j] * size[0, j], near[j], asked * size[0, j], graze[r],
+                    back[j], quiet, max(50.0 * error[j], 2.0 * asked) * size[0, j], near[j],
                     stop_at_loss and not rigged, yielding, law,
                 )  # fmt: skip
             if why == 0 and ending == theta[j]:
                 why = meets[j]
-                if why == 1:
-                    track[tracked.ENDED, j] = before + ending * h[j]
             if flags[j] & (1 << tracked.FACE_A) == 0:
                 track[tracked.FACE_A, j] = known[0, j]
                 if before < heard[j]:
@@ -437,8 +431,11 @@ def march(
             if wanted & tracked.WANT_CARRIED:
                 events.note_carried(track, j, force, h[j], ending, carried_room)
             n = count[j] & (ring - 1)
-            if wanted & tracked.WANT_IMPULSE:
-                events.note_impulse(track, j, force, h[j], ending)
+            if timed and not rigged:
+                power = ending * h[j]
+                for k in range(TERMS):
+                    track[tracked.PUSHED, j] += (push[k, j] + push[k, LANES + j]) * power / (k + 1.0)
+                    power *= ending
             count[j] += 1
             if own[j] and count[j] > FREE_STEPS:  # errors to one side add up: of so many steps no more than a logarithm
                 error[j] *= 1.0 - 1.0 / count[j]
@@ -478,11 +475,10 @@ def march(
                     kept[at_row, n, 0, 0] += law[tracked.DENT, j]
                     kept[at_row, n, 1, 0] += law[tracked.DENT, LANES + j]
             touching[j], alone[j] = 0.0, False
-            if ending < theta[j] and (why >= 2 or own[j]):
+            if ending < theta[j]:
                 at_u[j] = value_of(u, j, ending)
-                for face in range(2):  # where a face leaves, the search has come by
-                    m = face * LANES + j
-                    at[last_point, m] = grid[face, 0, last_point] if why >= 2 else value_of(x, m, ending)
+                for m in range(j, PAIR, LANES):
+                    at[last_point, m] = value_of(x, m, ending)
             if why >= 2:  # the motion goes on from where a face left or touched
                 at_stop = False
                 touching[j] = 1.0 if why < 4 and x[0, (why - 2) * LANES + j] <= 0.0 else 0.0
@@ -562,9 +558,14 @@ def march(
                     )
             if done and math.isnan(track[tracked.ENDED, j]):
                 track[tracked.ENDED, j] = before + made[j, n, tracked.HOLDS]
+            never_lost = math.isnan(track[tracked.LOST, j])
+            if timed and not rigged and math.isnan(track[tracked.DURATION, j]) and (done or not never_lost):
+                # the duration's record ends at the first loss; the tail between infinite bars belongs to it
+                events.note_duration(track, j, x, law, yielding, never_lost and end[j] == math.inf)
+            if timed and rigged and done:
+                events.note_momentum(track, j, u, free, rig, mass[r], speed[r], rigs[r])
             if done:
-                events.finish(mode, wanted, track, j, path[j], branches[j], made[j], count[j], error[j], out[r],
-                              yielding, law)  # fmt: skip
+                events.finish(mode, wanted, track, j, path[j], branches[j], made[j], count[j], out[r], yielding, law)
                 out[r, tracked.ANSWER_SPEED] = u[0, j]
                 out[r, tracked.ANSWER_SPEEDS], out[r, tracked.ANSWER_SPEEDS + 1] = free[0, j], -free[0, LANES + j]
                 status[r] = tracked.OK
@@ -587,8 +588,8 @@ def march(
 #: parts that `compiled.Beside` compiles, as `march` comes upon them, with their arguments: i, f, b numbers, n an array
 #: of integers, 1 to 3 arrays of so many dimensions
 PARTS: tuple[tuple[Any, str], ...] = (
-    (branch_ends, "n1222212b22n"),
+    (branch_ends, "n122221222n"),
     (events.look, "ii2222111nn212b2"),
-    (events.after_step, "ii2i231fffffffffbb2"),
-    (events.finish, "ii2i332if1b2"),
+    (events.after_step, "ii2i231fffffffbb2"),
+    (events.finish, "ii2i332i1b2"),
 )

@@ -13,7 +13,7 @@ the sphere, theory (4) and (5); between bars zeta = 1 and U = 0.  Faces that dif
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Final
@@ -21,19 +21,19 @@ from typing import Final
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, Flags, Places, Values
+from uqsphere.arrays import Array, Places, Values
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.tracked import empty_answers
 from uqsphere.mechanics.outputs import OUTPUTS, Answers, answers_from, wishes
-from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
+from uqsphere.mechanics.scene import STATUS, Scene
 
 #: fidelities the integrator knows, and the number it knows them by
 MODES: Final[dict[str, int]] = {"full": 0, "linear": 1, "massless": 2}
 #: what `scaled_arguments` gives, in the order in which the kernel takes it
 _ARGUMENTS: Final = (
-    "mass", "ends", "round_trips", "breaks", "coefficients", "frequencies", "horizon", "pulse_end", "level", "graze",
-    "laws", "rigs", "speed",
+    "mass", "ends", "round_trips", "breaks", "coefficients", "frequencies", "horizon", "pulse_end", "level", "laws",
+    "rigs", "speed",
 )  # fmt: skip
 #: rows that one call of the kernel takes: enough to fill its lanes, few enough to share between threads
 _BLOCK = 512
@@ -65,7 +65,6 @@ class Motion:
     end: float
     fidelity: str = "full"
     forces: Array | None = None
-    returning: Callable[[Array], Array] | None = None
 
     @property
     def unit(self) -> float:
@@ -103,12 +102,12 @@ class Motion:
         return float(self.scene.round_trips[self.row, bar])
 
     def reflection(self, bar: int) -> float:
-        """Velocity reflection coefficient of a bar's far end, where it is a number."""
+        """Velocity reflection coefficient of a bar's far end."""
         return float(self.scene.reflections[self.row, bar])
 
     def echoes(self, bar: int) -> bool:
         """Whether anything comes back from a bar's far end."""
-        return self.reflection(bar) != 0.0 or (bar == 1 and self.returning is not None)
+        return self.reflection(bar) != 0.0
 
     def _at(self, series: Array, times: Array) -> Array:
         """Series (m, k, terms) of the steps at `times` [s], (n, k), scaled; 0 before first touch."""
@@ -186,7 +185,6 @@ def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
         "horizon": scene.record_end[rows] / time,
         "pulse_end": breaks[:, -1].copy(),
         "level": 0.1 * np.minimum(1.0, duration),
-        "graze": np.zeros(len(rows)),
         "laws": _laws(scene, rows),
         "rigs": _rigs(scene, rows),
         "speed": scene.start[rows, 0] / scene.scales.speed[rows],
@@ -237,12 +235,11 @@ def _yielded_share(arguments: Mapping[str, Array]) -> float:
 class Scaled:
     """Scaled answers (n, ANSWERS) of `uqsphere.mechanics.integrator.tracked`, status (n,) and steps (n,) of n rows.
 
-    What was not asked for may be NaN.  `others` (n, ANSWERS): the other answer where the status is 7.  `paths`: start,
-    length and states (as of `Motion`) of every row's steps, where they were kept.
+    What was not asked for may be NaN.  `paths`: start, length and states (as of `Motion`) of every row's steps, where
+    they were kept.
     """
 
     answers: Array
-    others: Array
     status: Places
     steps: Places
     paths: tuple[tuple[Array, Array, Array], ...] = ()
@@ -268,7 +265,7 @@ def march_rows(
     bars_only = arguments["rigs"].shape[1] == 0
     if (
         bars_only
-        and wanted & (tracked.WANT_WIDTH | tracked.WANT_CONTACT)
+        and wanted & (tracked.WANT_DURATION | tracked.WANT_CONTACT)
         and not np.isfinite(arguments["horizon"]).all()
     ):
         share = min(share, _LOCAL_TAIL)
@@ -294,7 +291,7 @@ def march_rows(
         if len(order) == 0:
             break
     kept_paths = tuple(path for _, path in sorted(paths.items()))
-    return Scaled(answers=answers, others=empty_answers(n), status=status, steps=steps, paths=kept_paths)
+    return Scaled(answers=answers, status=status, steps=steps, paths=kept_paths)
 
 
 def integrate(
@@ -307,28 +304,30 @@ def integrate(
 ) -> Scaled:
     """Integrate a batch in scaled variables; what `quantities` does not name is not followed."""
     n = len(scene)
-    found = Scaled(
-        answers=empty_answers(n), others=empty_answers(n), status=scene.status.copy(),
-        steps=np.zeros(n, dtype=np.int64),
-    )  # fmt: skip
+    found = Scaled(answers=empty_answers(n), status=scene.status.copy(), steps=np.zeros(n, dtype=np.int64))
     rows = np.flatnonzero(found.status == 0)
     if len(rows) == 0:
         return found
     wanted, mode = wishes(quantities, scene.demands), MODES[fidelity]
     arguments = scaled_arguments(scene, rows)
 
+    timed, yielded = wanted & tracked.WANT_CONTACT != 0, _yielded_share(arguments)
+
     def run(block: slice) -> None:
-        def march(picked: Places, closer: float, graze: Array | None) -> Scaled:
+        def march(picked: Places, closer: float) -> Scaled:
             given = {name: column[block][picked] for name, column in arguments.items()}
-            if graze is not None:
-                given["graze"] = graze
-            return march_rows(given, mode, closer, wanted=wanted, asked=tolerance)
+            return march_rows(given, mode, closer, wanted=wanted, asked=tolerance, stop_at_loss=not scene.whole_record)
 
         here = rows[block]
-        part = march(np.arange(len(here)), tolerance, None)
-        _repeat_undecided(march, part, tolerance, peak_only=wanted == 0, yielded=_yielded_share(arguments))
-        found.answers[here], found.others[here] = part.answers, part.others
-        found.status[here], found.steps[here] = part.status, part.steps
+        part = march(np.arange(len(here)), tolerance)
+        if wanted != 0:  # the largest approach needs no second look
+            shares = _repeated_with(part, tolerance, timed, yielded)
+            for share in np.unique(shares[shares < 1.0]):
+                picked = np.flatnonzero(shares == share)
+                again = march(picked, share * tolerance)
+                part.answers[picked], part.status[picked] = again.answers, again.status
+                part.steps[picked] = again.steps
+        found.answers[here], found.status[here], found.steps[here] = part.answers, part.status, part.steps
 
     blocks = [slice(begin, begin + _BLOCK) for begin in range(0, len(rows), _BLOCK)]
     workers = min(thread_count(threads), len(blocks))
@@ -364,14 +363,15 @@ def motions(
     fidelity: str = "full",
     tolerance: float = 1e-6,
     threads: int | None = None,
-    stop_at_loss: bool = True,
+    stop_at_loss: bool | None = None,
     quantities: Collection[str] | None = None,
 ) -> list[Motion | int]:
     """The motions of some rows inside the domain, or the status of those that cannot be integrated.
 
-    With `stop_at_loss` they end with the record: at the first loss of contact, or once none of the `quantities` can
-    change any more.
+    They end with the record of the scene, or once none of the `quantities` can change any more; stop_at_loss: whether
+    at the first loss of contact, in place of what the scene says.
     """
+    stop_at_loss = not scene.whole_record if stop_at_loss is None else stop_at_loss
     arguments = scaled_arguments(scene, rows)
     wanted = wishes(quantities, scene.demands)
 
@@ -432,159 +432,50 @@ def solve(
         raise ValueError(f"unknown quantities {', '.join(sorted(unknown))} (allowed: {', '.join(OUTPUTS)})")
     found = integrate(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
 
-    def answers(scaled: Array) -> Answers:
-        columns = {name: scaled[:, column] for name, (column, _) in tracked.SCALED.items()}
-        linear = fidelity == "linear"
-        return answers_from(scene, columns, found.status, found.steps, linear=linear, quantities=quantities)
-
-    solved = answers(found.answers)
-    if not (found.status == UNDECIDED).any():
-        return solved
-    other = answers(found.others)
-    undecided = (solved.status == UNDECIDED) & (other.status == UNDECIDED)
-    # one of the two answers alone is no answer
-    status = np.where((solved.status == UNDECIDED) & ~undecided, tracked.NOT_FINITE, solved.status)
-    values = {name: np.where(answered(status), value, np.nan) for name, value in solved.values.items()}
-    others = {name: np.where(undecided, value, np.nan) for name, value in other.values.items()}
-    return replace(solved, values=values, others=others, status=status)
+    columns = {name: found.answers[:, column] for name, (column, _) in tracked.SCALED.items()}
+    return answers_from(scene, columns, found.status, found.steps, linear=fidelity == "linear", quantities=quantities)
 
 
-# --- rows that the tolerance does not decide ----------------------------------------------------------
+def later_loading(
+    scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-4, threads: int | None = None
+) -> Array:
+    """Largest pressure up to the horizon over that up to the first loss of contact, (n,): above 1 an echo loads harder.
 
-#: integrates rows to a tolerance, with what `graze` of the kernel is for them
-March = Callable[[Places, float, Array | None], Scaled]
+    For bars whose record ends at the first loss; NaN where a row has no answer, 1 where the record ends otherwise.  The
+    same rows with `whole_record` cost some six to fifteen times as much: a run looks at its first 512.
+    """
+    if scene.rig != "bars" or scene.infinite or scene.first_loading_only:
+        return np.where(scene.status == 0, 1.0, np.nan)
+    peaks = [
+        solve(replace(scene, whole_record=whole, demands={}), fidelity=fidelity, tolerance=tolerance, threads=threads,
+              quantities=("p_max",)).values["p_max"]
+        for whole in (False, True)
+    ]  # fmt: skip
+    return np.asarray(np.maximum(peaks[1] / peaks[0], 1.0))
+
+
+# --- rows whose time of loss is worse than the tolerance ------------------------------------------------
 
 #: steps after which the errors of single steps may have added up; the largest approach alone they leave within a
-#: twentieth of the tolerance after up to 18,000 steps (`tests/test_hard_cases.py`)
+#: twentieth of the tolerance after up to 18,000 steps (`tests/mechanics/test_hard_cases.py`)
 _MANY_STEPS: Final = 1_000
-#: change of a time over that of its threshold, both relative, that is no longer smooth: one below it
-#: moves the answer by less than a hundred tolerances
-_JUMP: Final = 100.0
-#: sharpness of a loss of contact from which on 1e-4 of the tolerance is close enough: the error of the approach moves
-#: the time by tolerance/sharpness, a fiftieth of what is asked
-_CLEAN: Final = 5e-3
 #: smallest share of the tolerance that a row is repeated with, and the smallest tolerance: 450 roundings of a double
 _CLOSEST, _FINEST = 1e-6, 1e-13
-#: a hundred times closer, an answer may change by this many tolerances: what is left is below one
-_REPEATED: Final = 30.0
-#: width and rise time: their columns, and those of the same with thresholds a little lower and higher
-_TIMES: Final = ((tracked.ANSWER_WIDTH, tracked.ANSWER_WIDTHS), (tracked.ANSWER_RISE, tracked.ANSWER_RISES))
 
 
-def _jumping(answers: Array, tolerance: float) -> Flags:
-    """Whether width or rise time of rows change by far more than a threshold does that is moved a little."""
-    jumps = np.zeros(len(answers), dtype=bool)
-    for main, sides in _TIMES:
-        for side in (sides, sides + 1):
-            with np.errstate(invalid="ignore"):
-                change = np.abs(answers[:, side] - answers[:, main])
-                jumps |= change > _JUMP * tolerance * np.abs(answers[:, main])
-    return jumps
+def _repeated_with(found: Scaled, tolerance: float, timed: bool, yielded: float) -> Array:
+    """Share of the tolerance that each row is integrated again with, (n,): 1 where once is enough.
 
-
-def _other_times(answers: Array) -> Array:
-    """The answers with width and rise time as they are on the other side of the jump, (n, ANSWERS)."""
-    others = answers.copy()
-    for main, sides in _TIMES:
-        change = np.abs(answers[:, sides : sides + 2] - answers[:, [main]])
-        side = np.where(change[:, 0] > change[:, 1], sides, sides + 1)
-        others[:, main] = answers[np.arange(len(answers)), side]
-    return others
-
-
-def _to_repeat(found: Scaled, tolerance: float, peak_only: bool, yielded: float = _LOCAL) -> list[tuple[float, Places]]:
-    """Rows whose end of contact needs closer integration: (share of the tolerance, rows).
-
-    An error of tolerance x_max in the approach moves the end of contact by that over the rate at which the
-    face leaves; where this is more than the tolerance of the time itself, or where a face nearly left, the row is
-    integrated again.  yielded: share of the tolerance that rows have whose faces have yielded.
+    An error of tolerance x_max in the approach moves the end of contact by that over the rate at which the face leaves.
+    yielded: share of the tolerance that rows have whose faces have yielded.
     """
     answers = found.answers
-    with np.errstate(all="ignore"):
-        sharpness = (
-            answers[:, tracked.ANSWER_LOSS_RATE] * answers[:, tracked.ANSWER_CONTACT] / answers[:, tracked.ANSWER_X_MAX]
-        )
-    sharpness = np.where(answers[:, tracked.ANSWER_UNLOADINGS] > 0.0, sharpness / yielded, sharpness)
-    # the same for a face that nearly left, a threshold that is nearly missed, a long motion
-    long = (found.steps > _MANY_STEPS) & (not peak_only)
-    near = np.isfinite(answers[:, tracked.ANSWER_NEAREST]) | long | _jumping(answers, tolerance)
-    sharpness = np.where(near, np.fmin(sharpness, 0.5), sharpness)
-    # where no tolerance can decide, one that is close enough for a clean loss will do
-    hovering = answers[:, tracked.ANSWER_NEAREST] <= tolerance * answers[:, tracked.ANSWER_X_MAX]
-    sharpness = np.where(hovering, np.fmax(sharpness, _CLEAN), sharpness)
-    groups = []
-    for low, high, factor in ((1e-2, 3.0, 1e-2), (1e-4, 1e-2, 1e-4), (0.0, 1e-4, _CLOSEST)):
-        rows = np.flatnonzero((found.status == 0) & (sharpness >= low) & (sharpness < high))
-        if len(rows):
-            groups.append((factor, rows))
-    return groups
-
-
-def _changed(before: Array, after: Array, tolerance: float) -> Flags:
-    """Rows whose largest approach or end of contact has changed by so much that they take another repetition."""
-    changed = np.zeros(len(after), dtype=bool)
-    for column in (tracked.ANSWER_X_MAX, tracked.ANSWER_CONTACT):
-        with np.errstate(invalid="ignore"):
-            change = np.abs(after[:, column] - before[:, column])
-            changed |= change > _REPEATED * tolerance * np.abs(after[:, column])
-    return changed
-
-
-def _other_ends(answers: Array, tolerance: float) -> Array:
-    """What `graze` of the kernel gives the other answers of rows that the tolerance does not decide, else 0; (n, 2).
-
-    Undecided is a row in which a face leaves by less than the tolerance of the largest approach (contact may go on:
-    second column), or comes as close to leaving or lingers there (contact may be lost sooner: first column).
-    """
-    bound = tolerance * answers[:, tracked.ANSWER_X_MAX] * (1.0 + 1e-9)
-    with np.errstate(invalid="ignore"):
-        nearly, barely = answers[:, tracked.ANSWER_NEAREST] <= bound, answers[:, tracked.ANSWER_DEPTH] <= bound
-    return np.stack([np.where(nearly, bound, 0.0), np.where(barely, -bound, 0.0)], axis=1)
-
-
-def _farther(answers: Array, one: Array, other: Array) -> Flags:
-    """Rows (n,) whose end of contact is farther from that of `answers` in `other` than in `one`, or only there."""
-    with np.errstate(invalid="ignore"):
-        ends = [np.abs(side[:, tracked.ANSWER_CONTACT] - answers[:, tracked.ANSWER_CONTACT]) for side in (one, other)]
-    return np.asarray(np.nan_to_num(ends[1], nan=-1.0) > np.nan_to_num(ends[0], nan=-1.0))
-
-
-def _repeat_undecided(
-    march: March, found: Scaled, tolerance: float, *, peak_only: bool, yielded: float = _LOCAL
-) -> None:
-    """Integrate rows of a block more closely until their end of contact is certain or has two answers.
-
-    `found` is brought up to date; undecided rows get the status for it.  With `peak_only` nothing beyond the largest
-    approach is asked for.
-    """
-    repetitions = _to_repeat(found, tolerance, peak_only, yielded)
-    while repetitions:
-        factor, rows = repetitions.pop(0)
-        closer = max(_FINEST, factor * tolerance)
-        before = found.answers[rows].copy()
-        again = march(rows, closer, None)
-        found.answers[rows], found.status[rows], found.steps[rows] = again.answers, again.status, again.steps
-        grazes = _other_ends(again.answers, tolerance)
-        # a row with two answers stays one, however closely it is integrated
-        still = _changed(before, again.answers, tolerance) & (again.status == 0) & (grazes == 0.0).all(axis=1)
-        if closer > _FINEST and factor > _CLOSEST and still.any():
-            repetitions.append((max(0.01 * factor, _CLOSEST), rows[still]))
-            rows, grazes = rows[~still], grazes[~still]
-        for graze in grazes.T:
-            _answer_otherwise(march, found, rows, closer, graze)
-        jumps = rows[_jumping(found.answers[rows], closer) & (found.status[rows] == 0)]
-        found.others[jumps] = _other_times(found.answers[jumps])
-        found.status[jumps] = UNDECIDED
-
-
-def _answer_otherwise(march: March, found: Scaled, rows: Places, closer: float, graze: Array) -> None:
-    """Integrate rows whose `graze` is not 0 with it, and keep what differs most from their answers."""
-    status = found.status
-    chosen = (graze != 0.0) & ((status[rows] == 0) | (status[rows] == UNDECIDED))
-    rows = rows[chosen]
-    if len(rows) == 0:
-        return
-    other = march(rows, closer, graze[chosen])
-    kept = (status[rows] == 0) | _farther(found.answers[rows], found.others[rows], other.answers)
-    found.others[rows[kept]] = other.answers[kept]
-    status[rows] = np.where(other.status == 0, UNDECIDED, other.status)
+    share = np.where(found.steps > _MANY_STEPS, 1e-2, 1.0)
+    if timed:
+        with np.errstate(all="ignore"):
+            lost = answers[:, tracked.ANSWER_LOSS_RATE] * answers[:, tracked.ANSWER_CONTACT]
+            sharpness = lost / answers[:, tracked.ANSWER_X_MAX]
+            sharpness = np.where(answers[:, tracked.ANSWER_UNLOADINGS] > 0.0, sharpness / yielded, sharpness)
+        for most, closer in ((3.0, 1e-2), (1e-2, 1e-4), (1e-4, _CLOSEST)):
+            share = np.where(sharpness < most, np.minimum(share, closer), share)
+    return np.where(found.status == tracked.OK, np.maximum(share, _FINEST / tolerance), 1.0)

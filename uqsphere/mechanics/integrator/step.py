@@ -29,7 +29,6 @@ from uqsphere.mechanics.integrator.tracked import (
     CONSTANT,
     FACE_A,
     FACE_B,
-    GAMMA,
     HERTZ,
     INNER,
     LANES,
@@ -95,13 +94,6 @@ _virgin_start = elementwise(
         hertz * product + by_x * x + by_root * root + by_log * log + constant
     ),
 )
-_any_softened = elementwise(PAIR, 1, lambda force, hertz, by_power, power: hertz * force + by_power * power)
-_first_power = elementwise(PAIR, 1, lambda x: where(x > 0.0, 1.0 / larger(x, 1e-300), 0.0))
-_slope_term = elementwise(PAIR, 1, lambda x, k: k * x)
-# k x_0 P_k = sum of ((p + 1) j - k) x_j P_(k-j), 0 < j <= k, of P = x^p with p = gamma + 3/2
-_power_term = elementwise(
-    PAIR, 1, lambda total, sloped, gamma, k, inverse, share: ((gamma + 2.5) * sloped - k * total) * inverse * share
-)
 _stiffer = elementwise(PAIR, 1, lambda force, spring: spring * force)
 _odd_root = elementwise(PAIR, 1, lambda x, total, half: (x - 2.0 * total) * half)
 _even_root = elementwise(PAIR, 1, lambda x, total, middle, half: (x - 2.0 * total - middle * middle) * half)
@@ -154,41 +146,20 @@ def _branches(k, x, root, force_k, law, log, inverse, start):
                   row(law, BY_LOG, 0), row(start, 0, 0), row(law, CONSTANT, 0))  # fmt: skip
 
 
-@compiled(**INNER)
-def _softened(k, x, force_k, law, power, inverse, sloped):
-    """The same where a face may take damage."""
-    apart()
-    power_k, x_k = row(power, k, 0), row(x, k, 0)
-    if k == 0:
-        _first_power(inverse, x_k)
-        for m in range(PAIR):
-            power[0, m] = x[0, m] ** (law[GAMMA, m] + 1.5) if law[BY_LOG, m] != 0.0 and x[0, m] > 0.0 else 0.0
-    else:
-        sloped_k, scale = row(sloped, k, 0), 1.0 * k
-        _slope_term(sloped_k, x_k, scale)
-        products(x, power, k, 1, k + 1, power_k)
-        products(sloped, power, k, 1, k + 1, row(sloped, 0, 0))
-        _power_term(power_k, power_k, row(sloped, 0, 0), row(law, GAMMA, 0), scale, inverse, 1.0 / scale)
-    _any_softened(force_k, force_k, row(law, HERTZ, 0), row(law, BY_LOG, 0), power_k)
-
-
-# push (TERMS, PAIR): 2 f and -2 h_B.  A face whose approach is not positive carries no force.  yielding, virgin:
-# whether faces have a law of their own, and whether one of them is on virgin loading; law: see
-# `uqsphere.mechanics.integrator.faces`; log (TERMS, PAIR): k times the k-th term of l on virgin loading, else of x;
-# inverse (PAIR,): room.  softens: whether faces take damage; log then has the terms of x^(gamma + 3/2); sloped
-# (TERMS, PAIR): room.  rigged, rig (RIGS, PAIR): whether something else than a bar stands at a pole, and what; free
-# (TERMS, PAIR): the series of U_A and -U_B.
+# push (TERMS, PAIR): 2 f and -2 h_B.  A face whose approach is not positive carries no force.  yielding: whether faces
+# have a law of their own; law: see `uqsphere.mechanics.integrator.faces`; log (TERMS, PAIR): k times the k-th term of l
+# on virgin loading, else of x; inverse (PAIR,), start (TERMS, PAIR): room.  rigged, rig (RIGS, PAIR): whether something
+# else than a bar stands at a pole, and what; free (TERMS, PAIR): the series of U_A and -U_B.
 def _expand_of(plain, on_law):
     """The function that fills the series of x (TERMS, PAIR), u (TERMS, LANES), root = sqrt(x) and force = q(x).
 
     From their first terms.  plain: in steps in which no face has a law of its own, between bars; on_law: in those in
-    which faces that do not soften are on virgin loading.
+    which faces are on virgin loading.
     """
 
     @compiled(**INNER)
     def expand(
-        mode, h, inverse_mu, push, x, u, root, force, half, yielding, virgin, law, log, inverse, rigged, rig, free,
-        softens, sloped,
+        mode, h, inverse_mu, push, x, u, root, force, half, yielding, law, log, inverse, rigged, rig, free, start,
     ):  # fmt: skip
         apart()
         if yielding and not plain:
@@ -209,12 +180,10 @@ def _expand_of(plain, on_law):
                     else:
                         _odd_root(root_k, x_k, root_k, half)
                 if on_law:
-                    _branches(k, x, root, force_k, law, log, inverse, sloped)
+                    _branches(k, x, root, force_k, law, log, inverse, start)
                 else:
                     products(x, root, k, 0, k + 1, force_k)
-                    if virgin and not plain:
-                        _softened(k, x, force_k, law, log, inverse, sloped)
-                    elif yielding and not plain:
+                    if yielding and not plain:
                         _stiffer(force_k, force_k, row(law, SPRING, 0))
             if k == ORDER:
                 break
@@ -318,10 +287,10 @@ def longest(x, u, free, scale, rigged, local, theta):
 _tried = elementwise(
     LANES,
     4,
-    lambda proposed, stop, time, back, busy, fades, share, face_a, face_b, error, asked, scale, graze: (
+    lambda proposed, stop, time, back, busy, fades, share, face_a, face_b, error, asked, scale: (
         where(busy > 0.0, smaller(smaller(proposed, stop - time), back), 0.0),
         where(time >= fades, share * larger(face_a, face_b), -math.inf),
-        larger(larger(100.0 * error, asked) * scale, graze),
+        larger(100.0 * error, asked) * scale,
         0.0 * busy,
     ),
 )
@@ -353,10 +322,10 @@ _same = elementwise(PAIR, 3, lambda x, rate, bow: (x, rate, bow))
 
 
 @compiled(**INNER)
-def try_step(h, low, near, misfit, proposed, stop, time, back, busy, fades, share, track, error, asked, size, grazing):
+def try_step(h, low, near, misfit, proposed, stop, time, back, busy, fades, share, track, error, asked, size):
     """The steps h that are tried, 0 where a lane has no row; where a record may end, a contact count as lost."""
     _tried(h, low, near, misfit, proposed, stop, time, back, busy, fades, share, row(track, FACE_A, 0),
-           row(track, FACE_B, 0), error, asked, row(size, 0, 0), grazing)  # fmt: skip
+           row(track, FACE_B, 0), error, asked, row(size, 0, 0))  # fmt: skip
 
 
 @compiled(**INNER)

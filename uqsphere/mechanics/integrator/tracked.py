@@ -25,31 +25,30 @@ OK, DOMAIN, TOO_LONG_PULSE, STUCK, CROWDED, FULL, NOT_FINITE = range(7)
 NEVER_CLOSES, STILL_PRESSED = 11, 12
 
 # what the caller wants beside the largest approaches, as bits; that of a largest value is 1 << (its tracker - 1)
-(WANT_RISE, WANT_DIFFERENCE, WANT_ENERGY, WANT_SHARE, WANT_MEAN, WANT_WIDTH, WANT_CONTACT,
- WANT_CARRIED, WANT_IMPULSE) = (1 << k for k in range(9))  # fmt: skip
-WANT_ALL = (1 << 9) - 1
+(WANT_RISE, WANT_DIFFERENCE, WANT_ENERGY, WANT_SHARE, WANT_MEAN, WANT_DURATION, WANT_CONTACT,
+ WANT_CARRIED) = (1 << k for k in range(8))  # fmt: skip
+WANT_ALL = (1 << 8) - 1
 
 # trackers of a lane while its row runs: the first KINDS are the largest values found so far, of each face's approach
 # (of both where faces are alike), of the difference of the forces, of the stored energy, of the sphere's share of it
 # and of the mean force; then what the other face's force was at a face's peak
-(FACE_A, FACE_B, DIFFERENCE, ENERGY, SHARE, MEAN, TOUCHED_A, TOUCHED_B, LOST, X_FIRST, _, ENDED, LOSS_RATE, DEPTH,
- NEAREST, UNLOADINGS, OTHER, _, PARTED, TOUCHES, CHATTER, CARRIED, _, IMPULSE,
- TRACKS) = range(25)  # fmt: skip
+(FACE_A, FACE_B, DIFFERENCE, ENERGY, SHARE, MEAN, TOUCHED_A, TOUCHED_B, LOST, X_FIRST, _, ENDED, LOSS_RATE,
+ UNLOADINGS, OTHER, _, PARTED, TOUCHES, CHATTER, CARRIED, _, PUSHED, DURATION,
+ TRACKS) = range(24)  # fmt: skip
 KINDS = MEAN + 1
 #: flag of a step in which a contact may be lost or found, or the record may end; the others are 1 << kind
 SOMETHING = 1 << KINDS
 
-# answers of a row, scaled: approach, force difference, energy, times; width and rise with their thresholds a little
-# lower, then a little higher; of faces A and B each: largest approach, that before the first echo, force of the other
-# face at the peak of this one, integral of its squared force; largest mean force and sphere's share of the stored
-# energy; last parting; speeds of sphere, A and B at the end; how often a face that yields was unloaded, and how often
-# contact was found again before the largest approach; impulse of the mean force over its peak
+# answers of a row, scaled: approach, force difference, energy, times; of faces A and B each: largest approach, that
+# before the first echo, force of the other face at the peak of this one, integral of its squared force; largest mean
+# force and sphere's share of the stored energy; last parting; speeds of sphere, A and B at the end; how often a face
+# that yields was unloaded, and how often contact was regained before the largest approach; impulse over peak of the
+# mean force
 (ANSWER_X_MAX, ANSWER_X_FIRST, ANSWER_DIFFERENCE, ANSWER_ENERGY, ANSWER_CONTACT, ANSWER_CONTACT_CENSORED,
- ANSWER_WIDTH, ANSWER_WIDTH_CENSORED, ANSWER_RISE, ANSWER_END, ANSWER_LOSS_RATE, ANSWER_DEPTH,
- ANSWER_NEAREST, ANSWER_WIDTHS, _, ANSWER_RISES, _, ANSWER_FACES, _, ANSWER_FIRSTS, _, ANSWER_OTHERS, _,
+ ANSWER_RISE, ANSWER_END, ANSWER_LOSS_RATE, ANSWER_FACES, _, ANSWER_FIRSTS, _, ANSWER_OTHERS, _,
  ANSWER_CARRIED, _, ANSWER_MEAN, ANSWER_SHARE, ANSWER_PARTING, ANSWER_SPEED, ANSWER_SPEEDS, _,
- ANSWER_UNLOADINGS, ANSWER_TOUCHES, ANSWER_IMPULSE,
- ANSWERS) = range(35)  # fmt: skip
+ ANSWER_UNLOADINGS, ANSWER_TOUCHES, ANSWER_DURATION,
+ ANSWERS) = range(27)  # fmt: skip
 #: what formulas of quantities read of a row's answers, scaled: name -> column, and what has to be wanted for it
 SCALED = {
     "x_max": (ANSWER_X_MAX, 0),
@@ -58,8 +57,6 @@ SCALED = {
     "stored": (ANSWER_ENERGY, WANT_ENERGY),
     "contact": (ANSWER_CONTACT, WANT_CONTACT),
     "contact_censored": (ANSWER_CONTACT_CENSORED, WANT_CONTACT),
-    "width": (ANSWER_WIDTH, WANT_WIDTH),
-    "width_censored": (ANSWER_WIDTH_CENSORED, WANT_WIDTH),
     "rise": (ANSWER_RISE, WANT_RISE),
     "ended": (ANSWER_END, 0),
     "x_a": (ANSWER_FACES, 0),
@@ -78,14 +75,13 @@ SCALED = {
     "end_speed_b": (ANSWER_SPEEDS + 1, 0),
     "unloadings": (ANSWER_UNLOADINGS, 0),
     "touches": (ANSWER_TOUCHES, 0),
-    "impulse": (ANSWER_IMPULSE, WANT_IMPULSE | WANT_MEAN),
+    "duration": (ANSWER_DURATION, WANT_DURATION | WANT_MEAN),
 }
 
 # the law of a face of its own, see `uqsphere.mechanics.integrator.faces`: numbers of a lane's face
 (DENT, SHIFT, SPRING, BY_X, BY_ROOT, BY_LOG, CONSTANT, BASE, LARGEST, PEAK, ONSET, SOFTENING, PILE_UP,
- STIFFNESS, CHI, UNIT, HERTZ, GAMMA, BREAKS, NUMBERS) = range(20)  # fmt: skip
-# ... and of a row, for both faces: onset x_y, softening b, pile-up C, factor of x^(3/2), sphere's share of the energy;
-# of a face that takes damage its critical approach, gamma and 0 stand in the place of the first three
+ STIFFNESS, CHI, UNIT, HERTZ, NUMBERS) = range(18)  # fmt: skip
+# ... and of a row, for both faces: onset x_y, softening b, pile-up C, factor of x^(3/2), sphere's share of the energy
 LAW_ONSET, LAW_SOFTENING, LAW_PILE_UP, LAW_STIFFNESS, LAW_SHARE, LAWS = range(6)
 # what stands at a row's poles: zeta, 1/mu_i, U_A and -U_B at the start, 1 or 0 where nothing stands
 RIG_GIVES, RIG_LIGHTNESS, RIG_SPEED, RIG_THERE, RIGS = range(5)

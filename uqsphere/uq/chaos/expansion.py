@@ -63,7 +63,7 @@ class Chaos:
     multi_indices : (P, d) degrees of each product; row 0 is the constant
     germs : what it is in
     log, sign, bounds : whether it is that of ln(sign · y), which is held between the bounds
-    cross_validation_error : K-fold mean square error and a standard error of it, over the variance of the output, in the
+    cross_validation_error : K-fold mean square error and its standard error, over the variance of the output, in the
         units of the output; at most 1, and 1 for a constant
     samples : how many it was fitted to
     """
@@ -153,7 +153,8 @@ def _germ_of_chaospy(chaospy: Any, germ: GermLike) -> Any:
     if law.family.name == "beta":
         return chaospy.Beta(law.parameters["alpha"], law.parameters["beta"], -1.0, 1.0)
     return chaospy.UserDistribution(
-        cdf=lambda x: law.cdf(centre + half * np.asarray(x)), pdf=lambda x: law.pdf(centre + half * np.asarray(x)) * half,
+        cdf=lambda x: law.cdf(centre + half * np.asarray(x)),
+        pdf=lambda x: law.pdf(centre + half * np.asarray(x)) * half,
         lower=lambda: -1.0, upper=lambda: 1.0,
         ppf=lambda p: np.clip((law.ppf(np.asarray(p)) - centre) / half, -1.0, 1.0),
     )  # fmt: skip
@@ -272,57 +273,66 @@ def integrals(fit: Chaos, tolerance: float = 0.002) -> Integrals:
         unit = float(np.abs(varying).max())  # squares of large ones stay finite
         squares = (varying / unit) ** 2
         shares = squares / squares.sum()
-        return Integrals(mean=float(fit.coefficients[0]), sd=unit * math.sqrt(float(squares.sum())),
-                         first=shares @ (active & (active.sum(axis=1) == 1)[:, None]), total=shares @ active)  # fmt: skip
+        first = shares @ (active & (active.sum(axis=1) == 1)[:, None])
+        sd = unit * math.sqrt(float(squares.sum()))
+        return Integrals(mean=float(fit.coefficients[0]), sd=sd, first=first, total=shares @ active)
     known = fit._cache.get("integrals")
     if known is None or known[0] > tolerance:
         known = tolerance, _integrated(fit, tolerance)
         fit._cache["integrals"] = known
-    return known[1]  # type: ignore[no-any-return]
+    found: Integrals = known[1]
+    return found
 
 
 def _integrated(fit: Chaos, tolerance: float) -> Integrals:
     control = fit._additive
     inputs = np.flatnonzero((fit.multi_indices > 0).any(axis=0))
-    whole = float(np.prod(control.squares))
-    single = control.squares[inputs]
-    known = np.concatenate([[whole - 1.0], single - 1.0, whole / single * (single - 1.0)])
-    slope: float | None = None
-    sums = np.zeros((REPLICATES, 2 + 2 + 4 * inputs.size))
-    count, start = FIRST_POINTS, 0
+    whole, single = float(np.prod(control.squares)), control.squares[inputs]
+    ones = np.ones(inputs.size)
+    # of the control about its mean: variance, then `_sums` of every input
+    known = np.stack([single - 1.0, whole / single * (single - 1.0), single - 1.0, (whole - 1.0) * ones,
+                      (whole - 1.0) * ones])  # fmt: skip
+    slope = _slope(fit, control)
+    bases, mixes = np.zeros((REPLICATES, 2, 2)), np.zeros((REPLICATES, 2, 7, inputs.size))
+    count, start, t = FIRST_POINTS, 0, student(REPLICATES) / math.sqrt(REPLICATES)
     while True:
         for r in range(REPLICATES):
             for k in range(start, start + count, BLOCK):
-                sums[r] += _sums(fit, control, inputs, min(BLOCK, start + count - k), r, k)
+                base, mixed = _sums(fit, control, inputs, min(BLOCK, start + count - k), r, k)
+                bases[r] += base
+                mixes[r] += mixed
         start += count
-        means = sums / start
-        # f = slope · c + rest, with the mean of c one: the slope is that of the first points, and fixed from there on
-        f1, c1, parts = means[:, 0], means[:, 1], means[:, 2:]
-        ff, cc = parts[:, 0], parts[:, 1]
-        if slope is None:
-            slope = float(_slope(fit, control))
-        centre = f1 - slope * (c1 - 1.0)
-        mu = float(centre.mean())
-        m = inputs.size
-        f_parts = np.column_stack([ff - 2.0 * mu * f1 + mu * mu, parts[:, 2 : 2 + m], parts[:, 2 + m : 2 + 2 * m]])
-        c_parts = np.column_stack([cc - 2.0 * c1 + 1.0, parts[:, 2 + 2 * m : 2 + 3 * m], parts[:, 2 + 3 * m :]])
-        corrected = f_parts - slope**2 * (c_parts - known)
-        t = student(REPLICATES) / math.sqrt(REPLICATES)
-        variance = corrected[:, :1]
-        values, off = ratio_of_means(corrected[:, 1:], variance)
+        means = bases[:, :, 0] / start
+        # f = slope · c + rest, with the mean of c one
+        level = means[:, 0] - slope * (means[:, 1] - 1.0)
+        mu = float(level.mean())
+        about = [_about(bases[:, k] / start, mixes[:, k] / start, mean) for k, mean in ((0, mu), (1, 1.0))]
+        variance = about[0][0] - slope**2 * (about[1][0] - (whole - 1.0))
+        small, total, pairs, square, other = np.moveaxis(about[0][1] - slope**2 * (about[1][1] - known), 1, 0)
         v = float(variance.mean())
+        # what is large has its noise in common with the variance of its own pairs
+        large = total.mean(axis=0) > 0.5 * v
+        first = ratio_of_means(np.where(large, pairs, small), np.where(large, square, variance[:, None]))
+        rest = ratio_of_means(total, np.where(large, other, variance[:, None]))
         sd = math.sqrt(v) if v > 0.0 else 0.0
-        half = t * off.std(axis=0, ddof=1).max()
-        mean_half = t * float(centre.std(ddof=1)) / (sd or 1.0)
+        half = t * float(max(off.std(axis=0, ddof=1).max() for _, off in (first, rest)))
+        mean_half = t * float(level.std(ddof=1)) / (sd or 1.0)
         sd_half = 0.5 * t * float(variance.std(ddof=1)) / (v or 1.0)
         if max(half, mean_half, sd_half) <= tolerance or start >= MOST_POINTS:
             break
         count = start
-    scale = fit.sign * math.exp(control.level)
-    first, total = np.zeros(len(fit.germs)), np.zeros(len(fit.germs))
-    first[inputs], total[inputs] = values[:m], values[m:]
-    return Integrals(mean=scale * mu, sd=abs(scale) * sd, first=first, total=total, error=float(half),
+    scale, found = fit.sign * math.exp(control.level), np.zeros((2, len(fit.germs)))
+    found[:, inputs] = first[0], rest[0]
+    return Integrals(mean=scale * mu, sd=abs(scale) * sd, first=found[0], total=found[1], error=half,
                      mean_error=mean_half * sd * abs(scale), sd_error=sd_half * sd * abs(scale))  # fmt: skip
+
+
+def _about(base: Array, mixed: Array, mu: float) -> tuple[Array, Array]:
+    """Means of replicates about mu: the variance (R,), and small, total, pairs and the two squares (R, 5, m)."""
+    variance = base[:, 1] - 2.0 * mu * base[:, 0] + mu * mu
+    small, total, pairs, square, other, middle, centre = np.moveaxis(mixed, 1, 0)
+    shift, turn = mu * mu - 2.0 * mu * middle, mu * mu - 2.0 * mu * centre
+    return variance, np.stack([small, total, pairs + shift, square + shift, other + turn], axis=1)
 
 
 def _slope(fit: Chaos, control: _Additive) -> float:
@@ -334,20 +344,27 @@ def _slope(fit: Chaos, control: _Additive) -> float:
     return float(off @ f) / square if square > 0.0 else 0.0
 
 
-def _sums(fit: Chaos, control: _Additive, inputs: Indices, count: int, replicate: int, start: int) -> Array:
-    """Sums over points: f, c, f², c²; <b (ab - a)> and (a - ab)²/2 of f for every input, and of c."""
+def _sums(
+    fit: Chaos, control: _Additive, inputs: Indices, count: int, replicate: int, start: int
+) -> tuple[Array, Array]:
+    """Sums over points, of the expansion over its level and of its control.
+
+    (2, 2): (a + b)/2 and (a² + b²)/2.  (2, 7, m), for every input with its mix ab: b (ab - a), (a - ab)²/2, b ab,
+    (b² + ab²)/2, (a² + ab²)/2, (b + ab)/2, (a + ab)/2.
+    """
     one, other = (_tables(fit, points) for points in law_points(fit.germs, count, replicate, start))
     unit = fit.sign * math.exp(-control.level)
-    a, b = _values(fit, one) * unit, _values(fit, other) * unit
     e_a, e_b = control.factors(one), control.factors(other)
-    c_a, c_b = e_a.prod(axis=0), e_b.prod(axis=0)
-    found = [0.5 * (a + b).sum(), 0.5 * (c_a + c_b).sum(), 0.5 * (a @ a + b @ b), 0.5 * (c_a @ c_a + c_b @ c_b)]
-    mixed = [(_values(fit, [other[k] if k == j else one[k] for k in range(len(one))]) * unit,
-              np.delete(e_a, j, axis=0).prod(axis=0) * e_b[j]) for j in inputs]  # fmt: skip
-    for b_of, a_of, ab in ((b, a, [f for f, _ in mixed]), (c_b, c_a, [c for _, c in mixed])):
-        found += [float(b_of @ (m - a_of)) for m in ab]
-        found += [0.5 * float((a_of - m) @ (a_of - m)) for m in ab]
-    return np.array(found)
+    ends = ((_values(fit, one) * unit, _values(fit, other) * unit), (e_a.prod(axis=0), e_b.prod(axis=0)))
+    mixes = (
+        [_values(fit, [other[k] if k == j else one[k] for k in range(len(one))]) * unit for j in inputs],
+        [np.delete(e_a, j, axis=0).prod(axis=0) * e_b[j] for j in inputs],
+    )
+    bases = np.array([[0.5 * (a + b).sum(), 0.5 * (a @ a + b @ b)] for a, b in ends])
+    rows = [[[b @ (m - a), 0.5 * (a - m) @ (a - m), b @ m, 0.5 * (b @ b + m @ m), 0.5 * (a @ a + m @ m),
+              0.5 * (b + m).sum(), 0.5 * (a + m).sum()] for m in own]
+            for (a, b), own in zip(ends, mixes, strict=True)]  # fmt: skip
+    return bases, np.moveaxis(np.array(rows), 1, 2)
 
 
 def projections(fit: Chaos, points: Array, which: Sequence[Flags] | None = None) -> tuple[Array, Array]:
@@ -373,7 +390,8 @@ def _plain_of(fit: Chaos) -> Chaos:
         points = law_points(fit.germs, 4096, 0)[0]
         rows, values = rows_of(fit.germs, points, terms), predict(fit, points)
         unit = float(np.abs(values).max())
-        coefficients = np.linalg.lstsq(rows.T, values / unit, rcond=None)[0] * unit
+        coefficients = np.asarray(np.linalg.lstsq(rows.T, values / unit, rcond=None)[0] * unit, dtype=np.float64)
         fit._cache["plain"] = Chaos(coefficients=coefficients, multi_indices=terms, germs=fit.germs,
                                     cross_validation_error=0.0, samples=4096)  # fmt: skip
-    return fit._cache["plain"]  # type: ignore[no-any-return]
+    plain: Chaos = fit._cache["plain"]
+    return plain

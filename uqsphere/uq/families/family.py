@@ -46,26 +46,21 @@ class Strength:
     terms : (z, failed) -> log-likelihood of every test without ln(1/s), and its first and second derivative by z
     from_hazard : cumulative hazards -> z
     below : z -> P(Z <= z)
-    height : share that has failed -> z, the ordinate of the probability paper
     parameters : (location, shape) -> canonical parameters
     inverse : the shape is 1/s (a modulus), else s itself
     moved : (parameters, location*/s*, 1/s*) -> parameters that the tests allow, by pivots
     unbiased : (1/s* of simulated series, failures) -> factor that takes the bias out of the shape
     complete : tests -> the same in closed form, where every test ended with a failure
-    shape_words, scale_words : what shape and exp(location) are called
     """
 
     terms: Callable[[Array, Flags], tuple[Array, Array, Array]]
     from_hazard: Callable[[Array], Array]
     below: Callable[[Array], Array]
-    height: Callable[[Array], Array]
     parameters: Callable[[float, float], dict[str, float]]
     inverse: bool
     moved: Callable[[Parameters, Array, Array], Columns]
     unbiased: Callable[[Array, int], float]
     complete: Callable[[int], float] | None = None
-    shape_words: str
-    scale_words: str
 
     def shape(self, s: float) -> float:
         """Shape of the law with the scale s of the logarithm, and the other way round."""

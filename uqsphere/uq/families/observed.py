@@ -127,6 +127,10 @@ def _kernel_table(shapes: Shapes) -> CubicHermiteSpline:
 
 
 def _kernel_both(y: Array, shapes: Shapes) -> tuple[Array, Array]:
+    """(P, 1 - P): of few values by the kernels themselves, of more by the table."""
+    if y.size * len(shapes) <= 1_000_000:
+        z = (y[..., None] - np.asarray(shapes[1:])) / shapes[0]
+        return np.asarray(special.ndtr(z).mean(axis=-1)), np.asarray(special.ndtr(-z).mean(axis=-1))
     score = _score_at(_kernel_table(shapes), y)
     return special.ndtr(score), special.ndtr(-score)
 
@@ -205,7 +209,7 @@ def _drawn_table(shapes: Shapes) -> CubicHermiteSpline:
 
 def _logs(y: Array) -> Array:
     with np.errstate(divide="ignore"):
-        return np.maximum(np.log(np.maximum(y, 0.0)), -_LEAST)
+        return np.asarray(np.maximum(np.log(np.maximum(y, 0.0)), -_LEAST))
 
 
 def _drawn_both(y: Array, shapes: Shapes) -> tuple[Array, Array]:
@@ -219,7 +223,8 @@ def _drawn_both(y: Array, shapes: Shapes) -> tuple[Array, Array]:
 
 def _drawn_pdf(y: Array, shapes: Shapes) -> Array:
     if len(shapes) == WIDTH:
-        return np.asarray(_scores(y, shapes)[2][..., 0])
+        density: Array = _scores(y, shapes)[2][..., 0]
+        return density
     return np.where(y > 0.0, _density_at(_drawn_table(shapes), _logs(y)) / np.where(y > 0.0, y, 1.0), 0.0)
 
 

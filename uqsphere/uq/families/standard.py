@@ -111,15 +111,12 @@ LOGNORMAL: Final = replace(
         terms=_normal_terms,
         from_hazard=lambda hazards: -special.ndtri(np.exp(-hazards)),
         below=lambda z: special.ndtr(z),
-        height=lambda z: special.ndtri(z),
         parameters=lambda location, shape: {"log_mean": location, "log_sd": shape},
         inverse=False,
         moved=_lognormal_moved,
         # it makes the variance right on average
         unbiased=lambda inverse, failures: 1.0 / math.sqrt(float(np.mean(inverse**-2.0))),
         complete=lambda n: math.sqrt(n / (n - 1.0)),
-        shape_words="standard deviation of the logarithm",
-        scale_words="median",
     ),
 )
 
@@ -201,14 +198,11 @@ WEIBULL: Final = Family(
         terms=_extreme_terms,
         from_hazard=np.log,
         below=lambda z: -np.expm1(-np.exp(np.minimum(z, 700.0))),
-        height=lambda share: np.log(-np.log1p(-share)),
         parameters=lambda location, shape: {"modulus": shape, "scale": math.exp(location), "threshold": 0.0},
         inverse=True,
         moved=_weibull_moved,
         # E[m*/m] has no bound for two failures; there the median takes its place
         unbiased=lambda inverse, failures: 1.0 / float(np.mean(inverse) if failures > 3 else np.median(inverse)),
-        shape_words="modulus",
-        scale_words="scale (63.2 %)",
     ),
 )
 

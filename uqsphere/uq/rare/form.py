@@ -121,7 +121,7 @@ def _search(
     active, penalties = np.arange(len(points)), np.zeros(len(points))
     for _ in range(40):
         # the starts come in the order of their promise
-        active = active[: max(int((last - evaluator.count) // (2 * size + 6)), 0)]
+        active = active[: max(int(min((last - evaluator.count) / (2 * size + 6), active.size)), 0)]
         if not active.size:
             break
         values, plain, slopes = _gradients(function, points[active])

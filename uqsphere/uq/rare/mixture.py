@@ -303,11 +303,11 @@ class ImportanceAnswer:
 
 
 def importance_sampling(
-    evaluator: Evaluator, mixture: Mixture, *, seed: int, accuracy: float = 0.02, block: int = 256, most: float = math.inf,
+    evaluator: Evaluator, mixture: Mixture, *, seed: int, accuracy: float = 0.02, block: int = 256,
     replicates: int = REPLICATES,
 ) -> ImportanceAnswer:  # fmt: skip
     """Probability of failure from `block` points of each replicate at first, doubled until the half-width over the
-    value is at most `accuracy` or the next step would pass `most` evaluations.
+    value is at most `accuracy` or the budget is spent.
 
     >>> from uqsphere.uq.rare.form import find_design_points
     >>> from uqsphere.uq.rare.problem import LimitFunction
@@ -323,7 +323,7 @@ def importance_sampling(
     weights, lost = np.empty((replicates, 0)), np.empty((replicates, 0))
     done, more = 0, 1
     while True:
-        room = min(evaluator.left, most - (evaluator.count - begun)) // (replicates * block)
+        room = evaluator.left // (replicates * block)
         more = int(min(more, room))
         if more < 1:
             break

@@ -1,0 +1,381 @@
+"""Laws of single particles, their posterior, and a feed under blows against closed forms and `feed_cases.json`."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from uqsphere.errors import UsageError
+from uqsphere.labs.comminution import laws
+from uqsphere.labs.comminution.cli import main
+from uqsphere.labs.comminution.document import ComminutionDocument, SizesTable
+from uqsphere.labs.comminution.feed import answer_feed, broken_by_blow, load_classes
+from uqsphere.labs.comminution.fit import Fit, Model, Posterior, fit, log_likelihoods
+from uqsphere.labs.comminution.tests import Specimens, load_tests
+
+ROOT = Path(__file__).parents[2]
+CASES = json.loads((ROOT / "tests/data/feed_cases.json").read_text())
+PUBLIC = Path("/work/shared/public")
+EXACT = 1e-12
+
+
+def document(**changes: Any) -> ComminutionDocument:
+    tests = {"file": "tests.csv", "diameter": "d [mm]", "specific_energy": "e [J/kg]", "energy_is": "sphere",
+             "outcome": "outcome", **changes.pop("tests", {})}  # fmt: skip
+    tests = {key: value for key, value in tests.items() if value is not None}
+    return ComminutionDocument(**{"material": {"material": "limestone"}, "tests": tests, **changes})
+
+
+def specimens(diameter: Any, energy: Any, broke: Any = True, exact: Any = True) -> Specimens:
+    d, e, b, x = np.broadcast_arrays(np.asarray(diameter, dtype=float), np.asarray(energy, dtype=float), broke, exact)
+    return Specimens(diameter=d.copy(), blows=e[:, None].copy(), broke=b.copy(), exact=x.copy(), weight=np.ones(len(d)))
+
+
+def one_draw(**parameters: float) -> Posterior:
+    """A posterior of one known truth."""
+    size = "tavares" if "e_inf" in parameters else "power"
+    model = Model(
+        law="lognormal", size=size, ratio=parameters.pop("ratio", 4.0), priors=dict.fromkeys(parameters, (0.0, 1.0))
+    )
+    values = {name: np.array([value]) for name, value in parameters.items()}
+    return Posterior(models=(model,), law=np.zeros(1, dtype=int), parameters={"gamma": np.array([4.0]), **values},
+                     tested=(0.001, 0.1), tests=40)  # fmt: skip
+
+
+# --- laws ---------------------------------------------------------------------------------------------------------
+
+
+def test_energy_of_a_force_and_the_share_of_the_particle() -> None:
+    h = CASES["hertz"]
+    own, other = h["E"] / (1 - h["nu"] ** 2), h["Es"] / (1 - h["nus"] ** 2)
+    modulus = 1.0 / (1.0 / own + 1.0 / other)
+    assert modulus == pytest.approx(h["Estar"], rel=EXACT)
+    mass = laws.mass_of(h["d"], h["density"])
+    assert float(laws.energy_of_force(h["force"], h["d"], modulus, mass)) == pytest.approx(h["specific"], rel=EXACT)
+    assert laws.particle_share(own, other) == pytest.approx(h["particle_share"], rel=EXACT)
+
+
+@pytest.mark.parametrize("case", CASES["damage"], ids=lambda c: f"{c['gamma']}-{c['q']}")
+def test_damage_of_a_blow(case: dict[str, float]) -> None:
+    assert float(laws.damage(case["q"], case["gamma"])) == pytest.approx(case["D"], rel=1e-10)
+
+
+@pytest.mark.parametrize("gamma", CASES["thresholds"])
+def test_thresholds_of_equal_blows(gamma: str) -> None:
+    found = laws.thresholds(float(gamma), 20)
+    np.testing.assert_allclose(found, CASES["thresholds"][gamma], rtol=1e-11)
+    equal = [float(laws.survivor_bound(np.ones(n), float(gamma))) for n in range(1, 6)]
+    np.testing.assert_allclose(equal, found[1:6], rtol=1e-11)
+    # blow by blow: what is just below the bound breaks at the last blow, what is just above does not
+    for wide, breaks in ((1.0 - 1e-6, True), (1.0 + 1e-6, False)):
+        left = wide * found[5]
+        for _ in range(4):
+            left = left * (1.0 - float(laws.damage(1.0 / left, float(gamma))))
+        assert bool(left <= 1.0) is breaks
+
+
+@pytest.mark.parametrize("case", CASES["law"], ids=str)
+def test_broken_share_and_its_inverse(case: dict[str, float]) -> None:
+    ratio = case["ratio"] or math.inf
+    share = laws.broken_share("lognormal", case["e"], case["E50"], case["sigma"], ratio)
+    assert float(share) == pytest.approx(case["cdf"], rel=EXACT)
+    if 0.0 < case["cdf"] < 1.0 - 1e-9:
+        back = laws.energy_at("lognormal", share, case["E50"], case["sigma"], ratio)
+        assert float(back) == pytest.approx(case["e"], rel=1e-9)
+    weibull = laws.broken_share("weibull", case["e"], case["E50"], 3.0)
+    assert float(laws.energy_at("weibull", weibull, case["E50"], 3.0)) == pytest.approx(case["e"], rel=1e-9)
+
+
+@pytest.mark.parametrize("case", CASES["size_laws"], ids=str)
+def test_size_laws_are_not_interchangeable(case: dict[str, float]) -> None:
+    for size in ("tavares", "king"):
+        found = laws.median_energy(size, case["d"], *SIZED)
+        assert float(found) == pytest.approx(case[size], rel=EXACT)
+
+
+SIZED = (213.5, 1.22, 8.07e-3)
+
+
+@pytest.mark.parametrize("case", CASES["tn"], ids=lambda c: f"{c['n']}-{c['t10']}")
+def test_other_finenesses_from_t10(case: dict[str, float]) -> None:
+    for key, curve, alpha in (("trr08", "trr", 0.8), ("trr1", "trr", 1.0), ("milin", "milin", 1.0)):
+        assert float(laws.t_n(case["n"], case["t10"], curve, alpha)) == pytest.approx(case[key], rel=1e-11)
+    assert float(laws.t_n(0.5, case["t10"])) == 1.0
+
+
+# --- tests to a posterior -----------------------------------------------------------------------------------------
+
+
+def test_thirty_tests_of_one_size_have_the_exact_intervals() -> None:
+    case = CASES["G1"]
+    tests = specimens(0.02, case["energy"])
+    found = fit(tests, document(tests={"law": "lognormal", "ratio": math.inf}))
+    for name, key in (("e50_1", "E50"), ("sigma", "sigma")):
+        one = found.content["parameters"][name]
+        low, middle, high = case["exact95"][key]
+        assert [one["low"], one["value"], one["high"]] == pytest.approx([low, middle, high], rel=0.02)
+    assert found.content["laws"]["lognormal"]["log_likelihood"] == pytest.approx(case["loglik"], abs=1e-6)
+    value = log_likelihoods(found.posterior.models[0], tests, None)
+    best = np.log([case["mle"]["E50"], case["mle"]["sigma"]])
+    assert float(value(best).sum()) == pytest.approx(case["loglik"], abs=1e-9)
+
+
+def test_intervals_of_go_no_go_come_from_the_tail_that_both_ends_lie_in() -> None:
+    tests = Specimens(diameter=np.full(3, 0.01), blows=np.array([[100.0], [1e-9], [380.0]]), weight=np.ones(3),
+                      broke=np.array([True, True, False]), exact=np.zeros(3, dtype=bool))  # fmt: skip
+    model = Model(law="lognormal", size="power", ratio=4.0, priors={"C": (0, 1), "phi": (0, 1), "sigma": (0, 1)})
+    x = np.log([100.0 * 0.01**0.5, 0.5, 0.6])
+    found = log_likelihoods(model, tests, 4.0)(x)
+    z = np.array([math.log(100.0 / 0.75 / 100.0), 0.0, math.log(380.0 / 0.05 / 100.0)]) / 0.6
+    assert found[0] == pytest.approx(math.log(ndtr(z[0])), rel=1e-9)
+    assert -2000.0 < found[1] < -500.0  # the far tail, not minus infinity
+    assert found[2] == pytest.approx(math.log(ndtr(-z[2])), rel=1e-9)
+
+
+def made_up(rng: np.random.Generator, each: int = 12) -> Specimens:
+    """Energies at failure of 2 to 20 mm, of E_inf 60 J/kg, d0 6 mm, phi 1.1, sigma 0.55, E_max/E50 4."""
+    d = np.repeat([0.002, 0.005, 0.01, 0.02], each)
+    median = laws.median_energy("tavares", d, 60.0, 1.1, 0.006)
+    return specimens(d, laws.energy_at("lognormal", rng.random(len(d)), median, 0.55, 4.0))
+
+
+@pytest.fixture(scope="module")
+def fitted() -> Fit:
+    return fit(made_up(np.random.default_rng(5)), document())
+
+
+def test_the_size_law_holds_the_truth_and_its_diagnostics_settle(fitted: Fit) -> None:
+    content = fitted.content
+    for one in content["sizes"]:
+        truth = float(laws.median_energy("tavares", one["diameter"], 60.0, 1.1, 0.006)) * 0.8
+        assert one["breaks_half"]["low"] < truth < one["breaks_half"]["high"]
+    assert all(one["settled"] for one in content["laws"].values())
+    assert sum(one["weight"] for one in content["laws"].values()) == pytest.approx(1.0)
+    # the family decides how little breaks 1 %: both are in the average
+    assert set(np.unique(fitted.posterior.law)) == {0, 1}
+
+
+def test_draws_as_a_strength_are_the_law_at_its_size(fitted: Fit) -> None:
+    lines = fitted.posterior.strength_csv(0.01).splitlines()
+    assert lines[0] == "distribution,scale [J/kg],shape,bound,tests,diameter [mm]"
+    assert len(lines) == 4001
+    energy = 60.0
+    from_law = fitted.posterior.broken(energy, 0.01)[:, 0]
+    for k in (0, 17, 4000 - 1):
+        name, scale, shape, bound, tests, size = lines[k + 1].split(",")
+        assert (tests, float(size)) == ("48", pytest.approx(10.0))
+        x = energy / (1.0 - float(bound) * energy / float(scale)) / float(scale)
+        share = ndtr(math.log(x) / float(shape)) if name == "lognormal" else -math.expm1(-(x ** float(shape)))
+        assert share == pytest.approx(from_law[k], rel=1e-6)
+
+
+def test_coverage_of_the_median_over_series() -> None:
+    inside = 0
+    for seed in range(12):
+        tests = made_up(np.random.default_rng(100 + seed), each=6)
+        found = fit(tests, document(seed=seed, draws=500, tests={"law": "lognormal"}))
+        low, high = np.quantile(found.posterior.median(0.01)[:, 0], [0.025, 0.975])
+        inside += low < float(laws.median_energy("tavares", 0.01, 60.0, 1.1, 0.006)) < high
+    assert inside >= 9  # 11.4 expected
+
+
+def test_repeated_blows_determine_gamma() -> None:
+    rng = np.random.default_rng(11)
+    n, blows = 60, 12
+    e = laws.energy_at("lognormal", rng.random(n), 100.0, 0.5, 4.0)
+    u = laws.thresholds(3.0, blows)
+    series = np.zeros((n, blows))
+    broke = np.zeros(n, dtype=bool)
+    for k in range(n):
+        offered = 60.0 + 40.0 * rng.random()
+        count = int(np.searchsorted(u * offered, e[k]))
+        broke[k] = count <= blows
+        series[k, : min(max(count, 1), blows)] = offered
+    tests = Specimens(
+        diameter=np.full(n, 0.02), blows=series, broke=broke, exact=np.zeros(n, dtype=bool), weight=np.ones(n)
+    )
+    found = fit(tests, document(tests={"law": "lognormal"})).content["parameters"]
+    assert found["gamma"]["low"] < 3.0 < found["gamma"]["high"]
+    assert found["gamma"]["sd"] < 0.35
+    assert found["e50_1"]["low"] < 100.0 < found["e50_1"]["high"]
+
+
+def table(folder: Path, text: str, **tests: Any) -> Specimens:
+    (folder / "tests.csv").write_text(text)
+    return load_tests(document(tests=tests), folder)
+
+
+def test_tables_of_tests(tmp_path: Path) -> None:
+    plain = "d [mm];e [J/kg];outcome\n10;80,5;broke\n10;120,5;survived\n20;60,5;1\n"
+    tests = table(tmp_path, plain)
+    np.testing.assert_allclose(tests.last, [80.5, 120.5, 60.5])
+    assert tests.broke.tolist() == [True, False, True]
+    low, high = tests.bounds(np.array(4.0))
+    np.testing.assert_allclose(low, [80.5, 120.5, 60.5])
+    assert high[1] == math.inf
+    dropped = table(tmp_path, plain, rig="drop_weight", energy_is="input")
+    assert dropped.bounds(np.array(4.0))[0].tolist() == [0.0, 120.5, 0.0]
+    grouped = table(tmp_path, "d [mm],e [J/kg],n,b\n10,50,20,3\n10,100,20,15\n", rig="drop_weight", energy_is="input",
+                    outcome=None, particles="n", broken="b")  # fmt: skip
+    assert grouped.weight.tolist() == [3.0, 17.0, 15.0, 5.0]
+    hit = table(tmp_path, "d [mm],e [J/kg],outcome,s\n10,50,0,a\n10,60,0,a\n10,70,1,a\n10,80,1,b\n", rig="drop_weight",
+                energy_is="input", specimen="s")  # fmt: skip
+    assert hit.blows[0].tolist() == [50.0, 60.0, 70.0]
+    low, high = hit.bounds(np.array(4.0))
+    assert low[0] == pytest.approx(float(laws.survivor_bound([50.0, 60.0], 4.0)))
+    assert high[0] == pytest.approx(float(laws.survivor_bound([50.0, 60.0, 70.0], 4.0)))
+
+
+def test_a_force_needs_a_stiffness(tmp_path: Path) -> None:
+    text = "d [mm],F [kN],K [GPa],outcome\n20,20,44.71836,broke\n20,20,22.35918,broke\n"
+    with pytest.raises(ValueError, match="stiffness of each particle"):
+        table(tmp_path, text, specific_energy=None, energy_is=None, force="F")
+    tests = table(tmp_path, text, specific_energy=None, energy_is=None, force="F", stiffness="K",
+                  partner={"E": "210 GPa", "nu": 0.3, "density": "7850 kg/m3"})  # fmt: skip
+    assert tests.last[1] / tests.last[0] == pytest.approx(2.0 ** (2.0 / 3.0), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [("10,-5,broke", "line 2: the energy must be above 0"), ("0,5,broke", "line 2: the size"),
+     ("10,5,perhaps", "line 2: outcome"), ("10,5,survived", "every particle survived"),
+     ("10,x,broke\n10,5,broke", "line 2")],
+)  # fmt: skip
+def test_faults_of_tables_name_their_lines(text: str, match: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=match):
+        table(tmp_path, f"d [mm],e [J/kg],outcome\n{text}\n")
+
+
+def test_only_breaks_of_go_no_go_bound_nothing_and_odd_rows_are_named(tmp_path: Path) -> None:
+    head = "d [mm],e [J/kg],outcome\n"
+    with pytest.raises(UsageError, match="nothing bounds it from below"):
+        table(tmp_path, head + "10,5,1\n20,5,1\n", rig="drop_weight", energy_is="input")
+    rows = "".join(f"10,{80 + k},1\n" for k in range(12))
+    assert any("line 14: the energy lies far" in note for note in table(tmp_path, head + rows + "10,80000,1\n").notes)
+    with pytest.raises(UsageError, match="hit again after it broke"):
+        table(tmp_path, head.replace("outcome", "outcome,s") + "10,5,1,a\n10,5,1,a\n", specimen="s")
+
+
+# --- feed ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("blows", "key"), [(1, "blows1"), (3, "blows3"), (10, "blows10")])
+def test_a_rosin_rammler_feed_of_a_known_truth(blows: int, key: str, tmp_path: Path) -> None:
+    case = CASES["F2"]
+    sizes = SizesTable(law="rosin_rammler", d63="30 mm", n=1.2, top="71.5 mm")
+    classes = load_classes(sizes, tmp_path)
+    np.testing.assert_allclose(classes.edges, case["edges"], rtol=1e-12)
+    np.testing.assert_allclose(classes.mass, case["mass"], rtol=1e-9)
+    np.testing.assert_allclose(classes.sizes, case["mid"], rtol=1e-9)
+    assert "0.059 of the mass" in classes.notes[0]
+    truth = one_draw(e_inf=60.0, d0=0.006, phi=1.1, sigma=0.55)
+    broken = broken_by_blow(truth, np.full(15, case["energy"]), classes.sizes, blows)[0, :, -1]
+    np.testing.assert_allclose(broken, case[key]["truth_class"], rtol=1e-8)
+    assert float(broken @ classes.mass) == pytest.approx(case[key]["truth_total"], rel=1e-9)
+
+
+@pytest.mark.parametrize(("blows", "key"), [(1, "closed"), (5, "n5_gamma4")])
+def test_a_lognormal_feed_of_a_power_law_in_closed_form(blows: int, key: str, tmp_path: Path) -> None:
+    case = CASES["F1"]
+    fine = load_classes(SizesTable(law="lognormal", d50="30 mm", sd=0.7, top="3 m", ratio=1.06, classes=190), tmp_path)
+    truth = one_draw(C=case["C"], phi=case["phi"], sigma=case["sigma"], ratio=math.inf)
+    broken = broken_by_blow(truth, np.full(len(fine.mass), case["energy"]), fine.sizes, blows)[0, :, -1]
+    assert float(broken @ fine.mass) == pytest.approx(case[key], abs=2e-4)
+
+
+def test_vogel_and_peukert_in_closed_form() -> None:
+    case = CASES["F3"]
+    x = np.linspace(1e-12, 40.0, 200_001)
+    share = laws.vogel_peukert(np.full((len(x), case["k"]), case["W"]), x * case["d63"], case["f_mat"], 0.0)
+    assert float(np.trapezoid(share * np.exp(-x), x)) == pytest.approx(case["closed"], rel=1e-6)
+
+
+def feed_document(**feed: Any) -> ComminutionDocument:
+    sizes = {"law": "rosin_rammler", "d63": "15 mm", "n": 1.2, "top": "40 mm"}
+    return document(
+        feed={"sizes": sizes, "specific_energy": "100 J/kg", **feed}, product={"A": "55 %", "b": "0.8 t/kWh"}
+    )
+
+
+def test_mass_is_kept_and_the_product_is_finer_after_more_blows(fitted: Fit, tmp_path: Path) -> None:
+    one, five = (answer_feed(fitted.posterior, feed_document(blows=n), tmp_path) for n in (1, 5))
+    assert one.classes.mass.sum() == pytest.approx(1.0, abs=EXACT)
+    assert (np.diff(one.passing, axis=1) >= -EXACT).all()
+    assert one.passing[:, -1] == pytest.approx(1.0, abs=1e-9)
+    assert (five.total > one.total).all()
+    assert five.content["numbers"]["P80 [m]"]["value"] < one.content["numbers"]["P80 [m]"]["value"]
+    finer = answer_feed(fitted.posterior, document(
+        feed={"sizes": {"law": "rosin_rammler", "d63": "15 mm", "n": 1.2, "top": "40 mm", "ratio": 2**0.25,
+                        "classes": 28},
+              "specific_energy": "100 J/kg"}, product={"A": "55 %", "b": "0.8 t/kWh"}), tmp_path)  # fmt: skip
+    assert finer.content["numbers"]["P80 [m]"]["value"] == pytest.approx(
+        one.content["numbers"]["P80 [m]"]["value"], rel=0.01
+    )
+
+
+def test_a_lot_scatters_beside_what_the_tests_leave_open(fitted: Fit, tmp_path: Path) -> None:
+    small = answer_feed(fitted.posterior, feed_document(lot="0.2 kg"), tmp_path).content["lot"]
+    large = answer_feed(fitted.posterior, feed_document(lot="2 t"), tmp_path).content["lot"]
+    assert small["lot_sd"] > 5.0 * large["lot_sd"]
+    assert small["epistemic_sd"] == large["epistemic_sd"]
+
+
+def sieved(folder: Path, text: str, **sizes: Any) -> Any:
+    (folder / "psd.csv").write_text(text)
+    return load_classes(
+        SizesTable(law="table", file="psd.csv", sieve="sieve [um]", passing="passing_percent", **sizes), folder
+    )
+
+
+def test_a_sieve_table_that_ends_early(tmp_path: Path) -> None:
+    text = "sieve [um],passing_percent\n100,10\n150,50\n"
+    with pytest.raises(UsageError, match=r"passes 50.0%.*add top"):
+        sieved(tmp_path, text)
+    made = sieved(tmp_path, text, top="200 um")
+    assert made.edges[0] == pytest.approx(200e-6)
+    assert "0.5 of the mass" in made.notes[0]
+    # the next class ends at 141 um, where 44 % pass on a line in the logarithm of the size
+    assert made.mass[0] == pytest.approx(1.0 - 0.4419, abs=1e-3)
+    with pytest.raises(UsageError, match="headed as percent and reaches"):
+        sieved(tmp_path, "sieve [um],passing_percent\n100,0.1\n150,0.986\n")
+    near = sieved(tmp_path, "sieve [um],passing_percent\n100,10\n150,98\n")
+    assert "0.02 of the mass" in near.notes[0]
+
+
+@pytest.mark.skipif(not PUBLIC.is_dir(), reason="the public cases are not here")
+def test_the_public_sieve_case(tmp_path: Path) -> None:
+    folder = PUBLIC / "feed-sieve-table-that-ends-early"
+    asked = document(
+        tests={"file": "tests.csv", "diameter": "diameter_mm", "specific_energy": "energy_J_kg", "law": "lognormal"},
+        feed={"sizes": {"law": "table", "file": "psd.csv", "sieve": "sieve_um", "passing": "passing_percent",
+                        "top": "200 um"}, "specific_energy": "1000 J/kg"},
+        product={"A": "55 %", "b": "0.8 t/kWh"},
+    )  # fmt: skip
+    answer = answer_feed(fit(load_tests(asked, folder), asked).posterior, asked, folder)
+    assert answer.content["numbers"]["P80 [m]"]["value"] == pytest.approx(0.172e-3, rel=0.03)
+    assert answer.content["numbers"]["broken"]["low"] < 0.151 < answer.content["numbers"]["broken"]["high"]
+
+
+def test_the_shipped_feed_and_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(ROOT / "studies/lab_limestone_feed.toml")
+    assert main(["feed", path, "--out", str(tmp_path / "out"), "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {
+        "draws.csv", "fit.json", "feed.json", "classes.csv", "product.csv"}  # fmt: skip
+    truth = laws.median_energy("tavares", 0.016, 60.0, 0.9, 0.012)  # what the shipped tests were made with
+    half = next(one for one in content["fit"]["sizes"] if abs(one["diameter"] - 0.016) < 1e-4)["E50"]
+    assert half["low"] < float(truth) < half["high"]
+    assert "synthetic" in content["feed"]["warnings"][0]
+    assert main(["fit", path, "--out", str(tmp_path / "fit")]) == 0
+    assert "synthetic" in capsys.readouterr().err
+    bad = tmp_path / "bad.toml"
+    bad.write_text('[material]\nmaterial = "cheese"\n[tests]\nfile = "x.csv"\n')
+    assert main(["fit", str(bad)]) == 2
+    assert "material 'cheese'" in capsys.readouterr().err
+    assert main(["fit", str(tmp_path / "none.toml")]) == 6

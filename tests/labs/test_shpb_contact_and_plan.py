@@ -1,0 +1,172 @@
+"""The contact law from a slow record, and the design of a test."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import weibull_min
+
+from uqsphere.errors import UsageError
+from uqsphere.labs.shpb.cli import main
+from uqsphere.labs.shpb.contact import (
+    ContactDocument,
+    contact_area,
+    face_approach,
+    fit_contact,
+    load_loading,
+    virgin_force,
+)
+from uqsphere.mechanics.contact import hertz_constant
+
+TRUTH = {"modulus": 40e9, "onset": 1.0e9, "hardness": 2.5e9, "pile_up": 2.0}
+RADIUS = 5e-3
+
+
+def loading(noise: float = 2e-8, top: float = 3000.0, unload: bool = True, compliance: float = 0.0) -> pd.DataFrame:
+    force = np.concatenate([np.linspace(0.0, top, 400), *([np.linspace(top, 0.0, 300)] if unload else [])])
+    largest = np.maximum(np.maximum.accumulate(force), 1e-9)
+    approach = face_approach(force, largest, RADIUS, *TRUTH.values())
+    rng = np.random.default_rng(1)
+    path = 2.0 * approach + compliance * force + 1e-5 + noise * rng.standard_normal(len(force))
+    return pd.DataFrame({"u [um]": path * 1e6, "F [N]": force})
+
+
+def fit(frame: pd.DataFrame, folder: Path, **keys: Any) -> Any:
+    frame.to_csv(folder / "slow.csv", index=False)
+    asked = ContactDocument(file="slow.csv", diameter="10 mm", **keys)
+    displacement, force, _ = load_loading(asked, folder)
+    return fit_contact(displacement, force, asked)
+
+
+def test_the_law_is_hertz_below_its_onset_smooth_at_it_and_full_flow_far_out() -> None:
+    b = 4.0
+    z = np.array([0.25, 1.0 - 1e-6, 1.0 + 1e-6])
+    np.testing.assert_allclose(virgin_force(z, b), z**1.5, rtol=1e-10)
+    far = np.array([1e6, 1.0001e6])
+    slope = float(np.diff(virgin_force(far, b))[0] / np.diff(far)[0])
+    assert slope == pytest.approx(1.5 * (1.0 + b), rel=1e-2)  # pi r C H over P_y/alpha_y
+    assert float(contact_area(far[:1], b, 2.0)[0] / far[0]) == pytest.approx(2.0, rel=1e-2)
+    force = np.array([5.0, 20.0])
+    elastic = face_approach(force, force, RADIUS, 40e9, 50e9, 100e9, 2.0)
+    np.testing.assert_allclose(elastic, np.cbrt(np.square(force / hertz_constant(40e9, RADIUS))), rtol=1e-9)
+
+
+def test_a_slow_test_gives_back_its_law(tmp_path: Path) -> None:
+    found = fit(loading(), tmp_path)
+    for name, value in (("modulus", 40e9), ("onset_pressure", 1e9), ("hardness", 2.5e9), ("pile_up", 2.0)):
+        one = getattr(found, name)
+        assert one.low < value < one.high
+        assert one.value == pytest.approx(value, rel=0.03)
+    assert found.misfit == pytest.approx(2e-8, rel=0.1)
+    lines = tomllib.loads(found.lines())["contact"]
+    assert lines["law"] == "plastic"
+    assert lines["onset_pressure"].endswith("GPa")
+
+
+def test_machine_and_platens_are_taken_off(tmp_path: Path) -> None:
+    found = fit(
+        loading(compliance=1.0 / 50e6), tmp_path, machine_stiffness="50 N/um", platens="maraging_steel", nu=0.25
+    )
+    assert found.modulus.value == pytest.approx(40e9, rel=0.02)
+    assert found.sphere_modulus.value > 40e9 * (1.0 - 0.25**2)
+
+
+@pytest.mark.parametrize(
+    ("frame", "keys", "match"),
+    [(loading(unload=False), {}, "not unloaded"), (loading(top=60.0, noise=1e-10), {}, "hardly beyond Hertz"),
+     (loading().iloc[::50], {}, "samples above 1%"), (loading() * [1.0, -1.0], {}, "never positive"),
+     (loading() * [-1.0, 1.0], {}, "does not grow"), (loading().sample(frac=1.0, random_state=1), {}, "jumps|grow"),
+     (loading().rename(columns={"F [N]": "F"}), {}, "has no unit")],
+)  # fmt: skip
+def test_what_is_no_such_test_is_refused(frame: pd.DataFrame, keys: Any, match: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=match):
+        fit(frame, tmp_path, **keys)
+
+
+def test_fit_contact_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loading().to_csv(tmp_path / "slow.csv", index=False)
+    (tmp_path / "slow.toml").write_text('file = "slow.csv"\ndiameter = "10 mm"\n')
+    assert main(["fit-contact", str(tmp_path / "slow.toml"), "--out", str(tmp_path / "out")]) == 0
+    assert 'law = "plastic"' in capsys.readouterr().out
+    assert tomllib.loads((tmp_path / "out/contact.toml").read_text())["contact"]["pile_up"] == pytest.approx(
+        2.0, rel=0.03
+    )
+    (tmp_path / "slow.toml").write_text('file = "slow.csv"\n')
+    assert main(["fit-contact", str(tmp_path / "slow.toml")]) == 2
+    assert "diameter" in capsys.readouterr().err
+
+
+# --- plan ---------------------------------------------------------------------------------------------------------
+
+STUDY = """
+title = "A ball between bars"
+seed = 1
+[sphere]
+E = {E}
+nu = 0.25
+density = "2650 kg/m3"
+radius = "5 mm"
+[bars]
+material = "maraging_steel"
+diameter = "20 mm"
+incident_length = "1.5 m"
+receiving_length = "1.5 m"
+[striker]
+speed = "1 m/s"
+length = "0.3 m"
+[limits.crushing]
+quantity = "P_max"
+strength = {{ dist = "weibull", mean = "12 kN", modulus = 6 }}
+aim = "survive"
+"""
+
+
+def plan(folder: Path, capsys: pytest.CaptureFixture[str], E: str, *more: str) -> dict[str, Any]:
+    (folder / "ball.toml").write_text(STUDY.format(E=E))
+    lines = ['study = "ball.toml"', "shares = [1e-4, 0.04, 0.5]", "points = 9", 'between = ["0.3 m/s", "6 m/s"]', *more]
+    (folder / "plan.toml").write_text("\n".join(lines))
+    assert main(["plan", str(folder / "plan.toml"), "--json", "--out", str(folder / "out")]) == 0
+    return json.loads(capsys.readouterr().out)  # type: ignore[no-any-return]
+
+
+def test_small_shares_come_from_the_law_of_the_strength(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = plan(tmp_path, capsys, '"60 GPa"')
+    force = np.array(found["force"])[:, 1]
+    from math import gamma
+
+    truth = weibull_min.cdf(force, 6.0, scale=12e3 / gamma(1.0 + 1.0 / 6.0))
+    np.testing.assert_allclose(np.array(found["shares"]["crushing"])[:, 0], truth, rtol=1e-6)
+    assert 0.0 < truth[0] < 1e-4
+    reached = {one["share"]: one["value"][0] for one in found["reached"]["crushing"]}
+    assert reached[1e-4] < reached[0.04] < reached[0.5]
+    assert np.interp(np.log(reached[0.04]), np.log(found["values"]), np.log(truth)) == pytest.approx(
+        np.log(0.04), abs=0.2
+    )
+    assert pd.read_csv(tmp_path / "out/plan.csv").shape[0] == 9
+
+
+def test_scatter_widens_the_shares_and_intervals_hold_finer_ones(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    E = '{ dist = "lognormal", mean = "60 GPa", cov = 0.2 }'
+    coarse, fine = (plan(tmp_path, capsys, E, f"rows = {rows}")["shares"]["crushing"] for rows in (64, 2048))
+    held = [low <= there[0] <= high for (_, low, high), there in zip(coarse, fine, strict=True)]
+    assert sum(held) >= 7
+    assert all(low < value < high for value, low, high in fine[:6])
+
+
+def test_what_a_plan_cannot_use_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "ball.toml").write_text(STUDY.format(E='"60 GPa"'))
+    for line, match in (('free = "striker.mass"', "is no number of the study"),
+                        ('between = ["1 kg", "2 kg"]', "between"),
+                        ('limits = ["none"]', "no limit of the study means fracture"),
+                        ("rows = 3", "rows")):  # fmt: skip
+        (tmp_path / "plan.toml").write_text(f'study = "ball.toml"\n{line}\n')
+        assert main(["plan", str(tmp_path / "plan.toml")]) == 2
+        assert match in capsys.readouterr().err

@@ -1,0 +1,136 @@
+"""The equivalent contact duration: against quadrature of dense histories, and its limits (theory, contact duration)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.campaigns.durations import compare, rig_scenes, scenes
+from tests.scenes import ENDLESS, EXAMPLE, example
+from uqsphere.mechanics.as_printed import compare as beside_the_paper
+from uqsphere.mechanics.closed_form import loading_approach, solve_blow, solve_closed
+from uqsphere.mechanics.integrator.solve import later_loading, motion, solve
+from uqsphere.mechanics.scene import Scene
+
+
+def scaled(scene: Scene, mu: float, theta: float) -> Scene:
+    """A scene with mass number mu and pulse number theta: by the sphere's density and the pulse's duration."""
+    columns = dict(scene.columns)
+    columns["sphere.density"] = columns["sphere.density"] * mu / scene.scales.mass_number
+    columns["pulse.duration"] = theta * scene.scales.time
+    return Scene(columns=columns, shape=scene.shape, infinite=True)
+
+
+@pytest.mark.parametrize("law", ["hertz", "plastic"])
+def test_it_is_the_quadrature_of_a_dense_history(law: str) -> None:
+    errors = compare(scenes(11, 4, law), tolerance=1e-8)
+    assert len(errors) >= 9
+    assert errors.max() < 5.0
+
+
+def test_so_it_is_on_every_rig() -> None:
+    errors = compare(rig_scenes(2, 1), tolerance=1e-8)
+    assert len(errors) >= 8
+    assert errors.max() < 5.0
+
+
+def test_a_massless_sphere_keeps_the_impulse_of_the_pulse() -> None:
+    """Integral of P = Z v_0 t_i/2: t_eq = t_i P_0/P_max, closed form and integrator alike."""
+    scene = example(numbers=ENDLESS, infinite=True)
+    theta = scene.scales.pulse_number[0]
+    expected = scene.scales.duration[0] / loading_approach(theta) ** 1.5
+    closed = solve_closed(scene, quantities=("contact_duration",)).values["contact_duration"][0]
+    found = solve(scene, fidelity="massless", tolerance=1e-10, quantities=("contact_duration",))
+    assert closed == pytest.approx(expected, rel=1e-12)
+    assert found.values["contact_duration"][0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_light_sphere_is_lost_late_and_its_duration_is_finite() -> None:
+    scene = scaled(example(numbers=ENDLESS, infinite=True), mu=1e-3, theta=3.0)
+    found = solve(scene, tolerance=1e-9, quantities=("contact_duration",)).values["contact_duration"][0]
+    assert found / scene.scales.time[0] == pytest.approx(3.071, abs=5e-4)
+
+
+def test_a_long_pulse_is_its_own_duration() -> None:
+    scene = scaled(example(numbers=ENDLESS, infinite=True), mu=1e-3, theta=1000.0)
+    found = solve(scene, tolerance=1e-8, quantities=("contact_duration",)).values["contact_duration"][0]
+    assert found / scene.scales.duration[0] == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_short_pulse_leaves_the_sphere_to_die_out() -> None:
+    """theta -> 0: the approach is the pulse's impulse, alpha_c theta, and t_eq = t_c theta^(-1/2)."""
+    scene = scaled(example(numbers=ENDLESS, infinite=True), mu=1e-3, theta=1e-3)
+    found = solve_closed(scene, quantities=("contact_duration",)).values["contact_duration"][0]
+    assert found / scene.scales.time[0] == pytest.approx(1e-3**-0.5, rel=1e-3)
+
+
+def test_a_free_blow_has_half_of_its_contact() -> None:
+    """Hertz: 0.5436 of 2.943 alpha/v, equally M* v (1 + e)/P_max."""
+    columns = {
+        "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0, "rig.speed": 3.0,
+        "target.E": 210e9, "target.nu": 0.3,
+    }  # fmt: skip
+    scene = Scene(columns={name: np.array([value]) for name, value in columns.items()}, rig="impact")
+    found = solve_blow(scene).values
+    assert found["contact_duration"][0] / found["loaded_time"][0] == pytest.approx(0.5436, abs=5e-5)
+    momentum = 2.0 * scene.scales.mass[0] * 3.0 / found["P_max"][0]
+    assert found["contact_duration"][0] == pytest.approx(momentum, rel=1e-12)
+
+
+def test_all_three_columns_of_the_paper_s_table_have_it() -> None:
+    rows = {row.quantity: row for row in beside_the_paper(example())}
+    duration, lost = rows["contact_duration"], rows["time_to_first_loss"]
+    assert None not in (duration.as_printed, duration.corrected, duration.full)
+    assert duration.as_printed == pytest.approx(0.5564 * lost.as_printed, rel=1e-4)
+
+
+def test_it_ends_at_the_first_loss_whatever_comes_later() -> None:
+    """The whole record counts larger forces; what rattles after the first loss is no part of the duration."""
+    kept = ("p_max", "contact_duration", "time_to_first_loss", "energy")
+    scene = example(rows=3, striker_speed=[0.5, 1.0, 2.0])
+    first = solve(scene, tolerance=1e-9, quantities=kept)
+    whole = solve(example(rows=3, striker_speed=[0.5, 1.0, 2.0], whole_record=True), tolerance=1e-9, quantities=kept)
+    for name in ("contact_duration", "time_to_first_loss"):
+        assert whole.values[name] == pytest.approx(first.values[name], rel=1e-8)
+    assert (whole.values["p_max"] >= first.values["p_max"] * (1.0 - 1e-8)).all()
+    assert (whole.record > 2.0 * first.record).all()
+
+
+def short_striker(**changes: object) -> Scene:
+    """A striker of 30 mm: the sphere rattles, and is pressed harder by a later echo than before the first loss."""
+    return example(
+        "trapezoid", striker_length=0.03, pulse_rise=3e-6, pulse_fall=3e-6, striker_speed=8.0, bars_yield_strength=2e9,
+        **changes,
+    )  # fmt: skip
+
+
+def test_a_later_loading_that_is_larger_is_counted_and_found() -> None:
+    scene = short_striker()
+    ratio = later_loading(scene)[0]
+    assert ratio > 1.1
+    whole, first = (
+        solve(one, tolerance=1e-8, quantities=("p_max",)).values["p_max"][0]
+        for one in (short_striker(whole_record=True), scene)
+    )
+    assert whole / first == pytest.approx(ratio, rel=1e-3)
+    # the history says the same
+    course = motion(scene, 0, tolerance=1e-8)
+    times = np.linspace(0.0, course.horizon, 400_000)
+    largest = course.pressure_at(course.forces_at(times).max(axis=1)).max()
+    assert whole == pytest.approx(largest, rel=1e-5)
+
+
+def test_scenes_whose_record_ends_otherwise_have_no_later_loading() -> None:
+    assert later_loading(example(numbers=ENDLESS, infinite=True)).tolist() == [1.0]
+    assert later_loading(example(first_loading_only=True)).tolist() == [1.0]
+    assert math.isnan(later_loading(example(sphere_nu=0.7))[0])
+
+
+def test_the_unit_of_a_record_changes_nothing() -> None:
+    """All lengths and times by k: the duration by k."""
+    one = solve(example(), tolerance=1e-9, quantities=("contact_duration",)).values["contact_duration"][0]
+    lengths = {name: 2.0 * EXAMPLE[name] for name in EXAMPLE if name.endswith(("radius", "diameter", "length"))}
+    two = solve(example(numbers=EXAMPLE | lengths), tolerance=1e-9, quantities=("contact_duration",))
+    assert two.values["contact_duration"][0] == pytest.approx(2.0 * one, rel=1e-9)

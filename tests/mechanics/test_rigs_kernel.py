@@ -1,0 +1,249 @@
+"""The integrator for every rig, (R3): a second integrator, balances, limits and symmetries, on scaled scenes."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.independent.rigs import Pole, strike, strike_rod
+from tests.independent.yielding import Law
+from tests.scenes import EXAMPLE, example
+from uqsphere.mechanics.closed_form import solve_blow
+from uqsphere.mechanics.integrator import tracked
+from uqsphere.mechanics.integrator.solve import Scaled, march_rows, motion, solve
+from uqsphere.mechanics.scene import Scene
+
+#: (R3) of one scene: mu, speed of the sphere, and of both poles zeta, mu_i, speed V_i, kappa, onset, b, C; a pole
+#: that is not named is free
+RIGID: dict[str, float] = {"zeta": 0.0, "mu": math.inf, "V": 0.0, "kappa": 1.0, "onset": math.inf, "b": 1.0, "C": 1.0}
+Row = dict[str, Any]
+
+
+def rig(mu: float = 1.0, speed: float = 0.0, A: Row | None = None, B: Row | None = None) -> Row:
+    return {"mu": mu, "speed": speed, "poles": [None if pole is None else {**RIGID, **pole} for pole in (A, B)]}
+
+
+def arguments(rows: list[Row]) -> dict[str, Any]:
+    """What the kernel takes, of scaled rigs without incoming waves and echoes."""
+    n = len(rows)
+    laws, rigs = np.ones((n, tracked.LAWS, 2)), np.zeros((n, tracked.RIGS, 2))
+    laws[:, tracked.LAW_ONSET] = math.inf
+    for i, row in enumerate(rows):
+        for k, pole in enumerate(row["poles"]):
+            if pole is None:
+                continue
+            laws[i, :, k] = pole["onset"], pole["b"], pole["C"], pole["kappa"], 0.5
+            rigs[i, :, k] = pole["zeta"], 1.0 / pole["mu"], (1 - 2 * k) * pole["V"], 1.0
+    return {
+        "mass": np.array([row["mu"] for row in rows]), "ends": np.zeros((n, 2)),
+        "round_trips": np.full((n, 2), np.inf), "breaks": np.zeros((n, 1)), "coefficients": np.zeros((n, 0, 4)),
+        "frequencies": np.zeros(n), "horizon": np.full(n, np.inf), "pulse_end": np.full(n, np.inf),
+        "level": np.full(n, 0.1), "laws": laws, "rigs": rigs,
+        "speed": np.array([row["speed"] for row in rows]),
+    }  # fmt: skip
+
+
+def march(rows: list[Row], tolerance: float = 1e-8) -> Scaled:
+    return march_rows(arguments(rows), 0, tolerance, asked=tolerance)
+
+
+def second(row: Row, rtol: float = 1e-12) -> Any:
+    poles = [
+        Pole()
+        if pole is None
+        else Pole(
+            gives=pole["zeta"], mass=pole["mu"], speed=pole["V"],
+            law=Law(onset=pole["onset"], b=pole["b"], pile_up=pole["C"], stiffness=pole["kappa"]),
+        )
+        for pole in row["poles"]
+    ]  # fmt: skip
+    return strike(row["mu"], row["speed"], poles, rtol=rtol), poles
+
+
+SCENES = {
+    "thick": rig(speed=1.0, B={}),
+    "plate": rig(speed=1.0, B={"zeta": 0.5}),
+    "mass": rig(mu=1.5, speed=1.0, B={"mu": 3.0}),
+    "chatter": rig(mu=1 / 7, A={"mu": 1.0, "V": 1.0}, B={"kappa": 0.072}),
+    "load cell": rig(mu=0.0206, A={"mu": 1.0, "V": 1.0}, B={"zeta": 0.14, "kappa": 1.18}),
+    "anvil": rig(mu=0.3, A={"mu": 1.0, "V": 1.0}, B={"mu": 5.0, "kappa": 3.0}),
+    "plate yields": rig(speed=1.0, B={"zeta": 0.2, "onset": 0.15, "b": 3.0, "C": 2.0}),
+    "one face yields": rig(mu=0.05, A={"mu": 1.0, "V": 1.0, "onset": 0.1, "b": 2.0, "C": 8 / 3}, B={"zeta": 0.1}),
+    "both yield": rig(
+        mu=0.2, A={"mu": 1.0, "V": 1.0, "onset": 0.2, "b": 0.0, "C": 1.0},
+        B={"kappa": 0.5, "onset": 0.3, "b": 3.69, "C": 8 / 3},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("row", SCENES.values(), ids=SCENES)
+def test_a_second_integrator_of_another_method_agrees(row: Row) -> None:
+    found, (other, poles) = march([row]), second(row)
+    answers = found.answers[0]
+    assert found.status[0] == 0
+    for k, pole in enumerate(poles):
+        assert answers[tracked.ANSWER_FACES + k] == pytest.approx(other.largest[k], rel=1e-7)
+        assert answers[tracked.ANSWER_OTHERS + k] == pytest.approx(other.other[k], abs=1e-6)
+        if pole.law is not None:
+            assert answers[tracked.ANSWER_CARRIED + k] * pole.gives == pytest.approx(other.carried[k], rel=1e-7)
+    assert answers[tracked.ANSWER_MEAN] == pytest.approx(other.mean, rel=1e-7)
+    assert answers[tracked.ANSWER_DURATION] == pytest.approx(other.impulse.mean() / other.mean, rel=1e-7)
+    assert answers[tracked.ANSWER_DIFFERENCE] == pytest.approx(other.difference, rel=1e-7)
+    assert answers[tracked.ANSWER_CONTACT] == pytest.approx(other.first_loss, rel=1e-7)
+    assert answers[tracked.ANSWER_PARTING] == pytest.approx(other.parting, rel=2e-7)
+    speeds = answers[[tracked.ANSWER_SPEED, tracked.ANSWER_SPEEDS, tracked.ANSWER_SPEEDS + 1]]
+    assert speeds == pytest.approx(other.speeds, abs=1e-7)
+
+
+#: three scenes of the theory (R...): spheres of 10 mm (5 mm: quartz) of granite or limestone; and what a converged
+#: integration with another code gives: peak forces at A and B, first loss, parting, energy, the sphere's, end speeds
+STEEL = {"E": 210e9, "nu": 0.3, "density": 7850.0}
+
+
+@pytest.mark.parametrize("end", [1.0, -1.0, 0.4])
+@pytest.mark.parametrize("kind", ["impact", "load_cell"])
+def test_echoes_of_a_rod_agree_with_a_second_integrator(kind: str, end: float) -> None:
+    """Waves that come back while the sphere is pressed, many times: (R3) as an equation with delay."""
+    table = "target" if kind == "impact" else "rod"
+    numbers = {"sphere.E": 60e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2600.0}
+    numbers |= {
+        f"{table}.{key}": value for key, value in (STEEL | {"diameter": 0.02, "length": 0.04, "end": end}).items()
+    }
+    if kind == "impact":
+        numbers |= {"rig.speed": 3.0}
+    else:
+        numbers |= {f"hammer.{key}": value for key, value in (STEEL | {"mass": 0.05, "speed": 2.0}).items()}
+    scene = Scene(columns={key: np.array([value]) for key, value in numbers.items()}, rig=kind,
+                  options={"target.kind": "bar"} if kind == "impact" else {}, horizon=4e-4)  # fmt: skip
+    found = motion(scene, 0, tolerance=1e-10)
+    scales, rod = scene.scales, scene.partners[1]
+    behind, unit = scene.partners[0], float(scales.time[0])
+    light = math.inf if behind is None else float(behind.mass[0] * scales.speed[0] / (scales.force[0] * unit))
+    zeta = float(scales.force[0] / (rod.impedance[0] * scales.speed[0]))
+    start = (1.0, 0.0) if behind is None else (0.0, 1.0)
+    kappa = float(rod.hertz_constant[0] / scales.hertz_constant[0])
+    echo = (float(rod.round_trip[0]) / unit, end)
+    largest, first, state = strike_rod(float(scales.mass_number[0]), start, light, zeta, kappa, echo, found.end)
+    times = np.linspace(0.0, found.horizon, 20_001)
+    pushes = found.forces_at(times).max(axis=0) / scales.force[0]
+    assert pushes == pytest.approx(np.array(largest) * (0.0 if behind is None else 1.0, 1.0), rel=2e-6)
+    at_end = found.states_at(np.array([found.horizon]))[0]
+    units = np.array([scales.approach[0], scales.approach[0], scales.speed[0]])
+    kept = slice(1 if behind is None else 0, 3)
+    assert (at_end / units)[kept] == pytest.approx(state[:3][kept], abs=2e-7)
+    answers = solve(scene, tolerance=1e-9, quantities=("time_to_first_loss", "P_max"))
+    assert answers.values["time_to_first_loss"][0] == pytest.approx(first * unit, rel=1e-7)
+    assert answers.values["P_max"][0] == pytest.approx(
+        max(largest[0 if behind else 1], largest[1]) * scales.force[0], rel=2e-6
+    )
+
+
+def test_the_bodies_never_close() -> None:
+    found = march([rig(speed=-1.0, B={}), rig(A={"mu": 1.0}, B={}), rig(speed=1.0, B={"V": 2.0})])
+    assert found.status.tolist() == [tracked.NEVER_CLOSES] * 3
+
+
+def test_a_record_that_ends_while_pressed_has_no_answer() -> None:
+    given = arguments([rig(speed=1.0, B={})])
+    given["horizon"][:] = 1.0
+    assert march_rows(given, 0, 1e-6).status[0] == tracked.STILL_PRESSED
+
+
+def random_rigs(count: int, seed: int) -> list[Row]:
+    """Weights, free spheres and yielding faces of every kind, without order."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for _ in range(count):
+        poles = []
+        for _ in range(2):
+            pole = {**RIGID, "kappa": 10.0 ** rng.uniform(-1, 1)}
+            if rng.random() < 0.5:
+                ratio = rng.uniform(1.3, 4.0)
+                pole |= {"onset": 10.0 ** rng.uniform(-2, 0), "C": 2.0, "b": 2.0 * ratio - 1.0}
+            pole |= [{}, {"zeta": 10.0 ** rng.uniform(-2, 0)}, {"mu": 10.0 ** rng.uniform(-0.5, 2)}][rng.integers(3)]
+            poles.append(pole)
+        if rng.random() < 0.3:
+            rows.append(rig(speed=1.0, mu=1.0, B=poles[1]))
+        else:
+            rows.append(
+                rig(mu=10.0 ** rng.uniform(-2, 1), A={**poles[0], "mu": 1.0, "zeta": 0.0, "V": 1.0}, B=poles[1])
+            )
+    return rows
+
+
+def test_energy_and_momentum_of_random_rigs() -> None:
+    """(R8) and (R9): what the bodies lose is carried off or is plastic; nothing is stored after parting."""
+    rows, tolerance = random_rigs(500, 3), 1e-7
+    found = march(rows, tolerance)
+    assert (found.status == 0).all()
+    for row, answers in zip(rows, found.answers, strict=True):
+        speeds = answers[[tracked.ANSWER_SPEED, tracked.ANSWER_SPEEDS, tracked.ANSWER_SPEEDS + 1]]
+        before = np.array([row["speed"], *(0.0 if pole is None else pole["V"] for pole in row["poles"])])
+        masses = [row["mu"], *(math.inf if pole is None else pole["mu"] for pole in row["poles"])]
+        lost, change = 0.0, 0.0
+        for mass, old, new in zip(masses, before, speeds, strict=True):
+            if mass < math.inf:
+                lost += 0.5 * mass * (old * old - new * new)
+                change += mass * (new - old)
+        for k, pole in enumerate(row["poles"]):
+            if pole is not None:
+                law = Law(onset=pole["onset"], b=pole["b"], pile_up=pole["C"], stiffness=pole["kappa"])
+                lost -= pole["zeta"] * answers[tracked.ANSWER_CARRIED + k]
+                deepest = answers[tracked.ANSWER_FACES + k]
+                if deepest > pole["onset"]:
+                    law.unload(deepest)
+                    lost -= law.energy(law.dent)
+        assert abs(lost) < 10.0 * tolerance
+        if all(pole is None or (pole["mu"] < math.inf and pole["zeta"] == 0.0) for pole in row["poles"]):
+            assert abs(change) < 10.0 * tolerance
+
+
+def test_mirrored_rigs_have_mirrored_answers() -> None:
+    for row in random_rigs(12, 5):
+        mirror = {**row, "speed": -row["speed"], "poles": [pole and {**pole, "V": -pole["V"]} for pole in row["poles"]]}
+        mirror["poles"].reverse()
+        one, other = march([row, mirror], 1e-7).answers
+        for column in (tracked.ANSWER_FACES, tracked.ANSWER_CARRIED, tracked.ANSWER_OTHERS):
+            assert one[[column, column + 1]] == pytest.approx(other[[column + 1, column]], rel=1e-9, abs=1e-12)
+        for column in (tracked.ANSWER_CONTACT, tracked.ANSWER_PARTING, tracked.ANSWER_ENERGY, tracked.ANSWER_MEAN):
+            assert one[column] == pytest.approx(other[column], rel=1e-8)
+        assert one[tracked.ANSWER_SPEED] == pytest.approx(-other[tracked.ANSWER_SPEED], abs=1e-9)
+
+
+def test_blows_that_yield_agree_with_their_closed_form() -> None:
+    """300 spheres on thick metals, most of them far beyond yield, against (R23) with its own quadrature of times."""
+    draw = np.random.default_rng(7)
+    columns = {
+        "sphere.E": 10.0 ** draw.uniform(9.5, 11.6, 300), "sphere.nu": draw.uniform(0.05, 0.4, 300),
+        "sphere.radius": 10.0 ** draw.uniform(-3.5, -1.3, 300), "sphere.density": draw.uniform(1e3, 8e3, 300),
+        "target.E": 10.0 ** draw.uniform(9.5, 11.7, 300), "target.nu": draw.uniform(0.1, 0.4, 300),
+        "target.yield_strength": 10.0 ** draw.uniform(8.0, 9.7, 300), "rig.speed": 10.0 ** draw.uniform(-2.0, 2.0, 300),
+    }  # fmt: skip
+    scene = Scene(columns=columns, rig="impact", contact_law="plastic")
+    asked = ("P_max", "p_max", "time_to_first_loss", "rise_time", "energy", "restitution", "a_max",
+             "contact_duration")  # fmt: skip
+    closed, found = solve_blow(scene, asked), solve(scene, tolerance=1e-6, quantities=asked)
+    assert (closed.status == 0).all()
+    assert (found.status == 0).all()
+    for name in asked:
+        np.testing.assert_allclose(found.values[name], closed.values[name], rtol=3e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("speed", [0.3, 0.8, 2.0])
+def test_rise_of_faces_that_yield_are_those_of_their_forces(speed: float) -> None:
+    numbers = EXAMPLE | {
+        "bars.E": 205e9, "bars.nu": 0.29, "bars.receiving_end": 0.0, "striker.length": 0.5, "striker.speed": speed,
+        "pulse.rise": 25e-6, "pulse.fall": 25e-6,
+        "contact.onset_pressure": 0.75e9, "contact.hardness": 1.5e9, "contact.pile_up": 2.0,
+    }  # fmt: skip
+    scene = example("trapezoid", numbers=numbers, contact_law="plastic", contact_dynamics="path")
+    asked = ("P_max", "rise_time")
+    found = solve(scene, quantities=asked)
+    whole = motion(scene, 0, tolerance=1e-9)
+    times = np.linspace(0.0, min(whole.horizon, float(found.record[0])), 40_001)
+    share = whole.forces_at(times).max(axis=1) / found.values["P_max"][0]
+    rise = times[np.argmax(share >= 0.9)] - times[np.argmax(share >= 0.1)]
+    assert found.values["rise_time"][0] == pytest.approx(rise, rel=1e-3)

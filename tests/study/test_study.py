@@ -1,0 +1,292 @@
+"""What a study means: shipped studies, defaults, hash, overrides, moved means, Python's form, schema and page."""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+from study_base import BASE, BLACK_BOX
+from test_broken import CASES
+
+from uqsphere.errors import AccessError, StudyError, UsageError
+from uqsphere.study import Limit, Study, json_schema, load_study, reference, shipped_studies, ways_of, with_number
+from uqsphere.study.reference import count_keys
+
+Load = Callable[..., Study]
+TRAPEZOID = 'shape = "trapezoid"\nrise = "25 us"\nfall = "25 us"'
+
+
+@pytest.fixture
+def load(tmp_path: Path) -> Load:
+    def changed(text: str = BASE, *edits: tuple[str, str], overrides: tuple[str, ...] = ()) -> Study:
+        for old, new in edits:
+            assert text.count(old) == 1, old
+            text = text.replace(old, new)
+        (tmp_path / "study.toml").write_text(text)
+        return load_study(tmp_path / "study.toml", overrides)
+
+    return changed
+
+
+@pytest.mark.parametrize("name", sorted(shipped_studies()))
+def test_shipped_study(name: str) -> None:
+    path = shipped_studies()[name]
+    study = load_study(path)
+    usual = ("source not checked", "A rock is no sphere", "slow tests, quick rig", "inserts enter")
+    assert [text for text in study.warnings if not any(part in text for part in usual)] == []
+    assert json.loads(json.dumps(study.resolved(), allow_nan=False))["order"] == list(study.inputs().names)
+    assert set(study.at_means()) == set(study.fixed) | set(study.random)
+    assert pickle.loads(pickle.dumps(study)).hash == study.hash
+    assert study.black_box or {"p_max", "contact_duration"} <= set(study.analysis.quantities)
+    jsonschema.validate(tomllib.loads(path.read_text()), json_schema())
+
+
+def test_granite_in_si() -> None:
+    study = load_study(shipped_studies()["granite"])
+    assert list(study.random) == ["sphere.E", "sphere.nu", "sphere.radius", "striker.speed"]
+    assert study.random["sphere.E"].sd() == pytest.approx(0.12 * 52e9, rel=1e-12)
+    assert study.random["striker.speed"].parameters["sd"] == pytest.approx(0.01, rel=1e-12)
+    expected = {"sphere.density": 2650.0, "bars.diameter": 0.04, "bars.incident_end": 1.0, "bars.receiving_end": 0.0,
+                "striker.length": 0.8, "pulse.rise": 25e-6, "sphere.onset_pressure": 3.2e9}  # fmt: skip
+    assert {name: study.fixed[name] for name in expected} == pytest.approx(expected, rel=1e-12)
+    assert study.limits[0].quantity == "p_hertz"
+    assert (study.model.fidelity, study.model.first_loading_only) == ("full", False)
+    assert [way.called for way in ways_of(study).assumed] == ["ring crack", "core tension", "fracture energy"]
+    assert ways_of(load_study(study.path, ["analysis.failure_modes=given"])).assumed == ()
+
+
+def test_one_rig_with_three_limits_on_the_same_tests() -> None:
+    for name, aim in (("limestone_chute", "survive"), ("limestone_rotor", "break")):
+        study = load_study(shipped_studies()[name])
+        assert study.rig == "impact"
+        assert {limit.aim for limit in study.limits} == {aim}
+        quantities = ["p_hertz", "specific_energy_sphere", "centre_tension"]
+        assert [limit.quantity for limit in study.limits] == quantities
+        tests = [limit.tested for limit in study.limits]
+        assert len({test.forces for test in tests if test is not None}) == 1
+        assert set(study.made_up) == {f"limits.{limit.name}.strength" for limit in study.limits}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "same"),
+    [
+        ('title = "granite"', 'title = "another" # and a comment', True),
+        ('diameter = "40 mm"', "diameter   =  '0.04 m'", True),
+        ('incident_end = "free"', "incident_end = 1.0", True),
+        ("[model]\ntolerance = 1e-6\n", "", True),
+        ("target = 0.01", 'target = "1 %"', True),
+        ("seed = 7", "seed = 8", False),
+        ("cov = 0.12", "cov = 0.13", False),
+        ('lower = "9 mm"', 'lower = "9.1 mm"', False),
+        ('incident_end = "free"', "infinite = true", False),
+        ('rise = "25 us"', 'rise = "26 us"', False),
+        ("tolerance = 1e-6", "tolerance = 1e-7", False),
+        ("modulus = 12", "modulus = 13", False),
+        ("target = 0.01", 'aim = "break"', False),
+        ("spearman = 0.6", "spearman = 0.5", False),
+        ('"20 m/s"', '"21 m/s"', False),
+        # the same number from the library: its source is part of what is reported
+        ("nu = 0.25\n", "", False),
+    ],
+)
+def test_hash_sees_the_meaning_alone(load: Load, old: str, new: str, same: bool) -> None:
+    assert (load().hash == load(BASE, (old, new)).hash) is same
+
+
+def test_random_inputs_keep_the_order_of_the_file(load: Load) -> None:
+    sphere, rest = BASE.split("[bars]")
+    bars, rest = rest.split("[striker]")
+    head, sphere = sphere.split("[sphere]")
+    study = load(f"{head}[striker]{rest}[bars]{bars}[sphere]{sphere}")
+    assert list(study.random) == ["striker.speed", "sphere.E", "sphere.radius"]
+
+
+def test_inputs_carry_strengths_and_the_dependence(load: Load) -> None:
+    inputs = load(BASE, ("target = 0.01", 'model_factor = { dist = "lognormal", mean = 1.0, cov = "5 %" }')).inputs()
+    assert inputs.names[3:] == ("limits.crushing.strength", "limits.crushing.model_factor")
+    assert inputs.correlation is not None
+    assert inputs.correlation[0, 3] == pytest.approx(2.0 * math.sin(math.pi * 0.6 / 6.0), rel=1e-12)
+
+
+def test_defaults(load: Load) -> None:
+    study = load(BASE.split("[pulse]")[0].replace('incident_end = "free"\n', "").replace('title = "granite"\n', ""))
+    assert study.title == "study"
+    assert (study.fixed["bars.incident_end"], study.fixed["bars.receiving_end"]) == (1.0, 0.0)
+    assert study.options["pulse.shape"] == "rectangular"
+    assert study.analysis.quantities == ("p_max", "contact_duration")
+    accuracy = study.analysis.accuracy
+    assert (accuracy.mean, accuracy.quantile, accuracy.sobol, accuracy.probability) == (0.005, 0.02, 0.02, 0.05)
+    assert (study.limits, study.margins, study.analysis.methods) == ((), None, ("auto",))
+
+
+def test_quantities_of_limits_are_added(load: Load) -> None:
+    study = load(BASE, ("[analysis]", '[limits.b]\nquantity = "energy"\nstrength = "2 mJ"\n[analysis]'))
+    assert study.analysis.quantities == ("p_max", "energy")
+    assert study.limits[1] == Limit(name="b", quantity="energy", strength=2e-3)
+
+
+def test_pulses_and_inserts(load: Load) -> None:
+    peaks = 'shape = "two_peak"\nt1 = "50 us"\nlevel1 = 1.2\nt2 = "120 us"\nlevel2 = 0.8\nduration = "200 us"'
+    study = load(BASE, (TRAPEZOID, peaks), ('length = "0.8 m"', ""))
+    assert study.fixed["pulse.valley"] == pytest.approx(0.6, rel=1e-12)
+    assert "striker.length" not in study.fixed
+    step = load(BASE, ('incident_end = "free"', "infinite = true"), (TRAPEZOID, 'shape = "step"'),
+                ("tolerance = 1e-6", 'horizon = "3 ms"'), ('length = "0.8 m"', ""))  # fmt: skip
+    assert step.model.horizon == pytest.approx(3e-3, rel=1e-12)
+    insert = load(BASE, ("[pulse]",
+                         '[insert]\nE = { dist = "normal", mean = "600 GPa", cov = 0.1 }\nnu = 0.2\n[pulse]'),
+                  ('["0.05 m/s", "20 m/s"]', '["500 GPa", "700 GPa"]'), ('"striker.speed"', '"insert.E"'))  # fmt: skip
+    assert insert.fixed["bars.insert_nu"] == 0.2
+    assert insert.margins is not None and insert.margins.axis.path == "bars.insert_E"  # noqa: PT018
+    assert with_number(insert, "bars.insert_E", 550e9).random["bars.insert_E"].nominal_mean() == 550e9
+
+
+def test_a_measured_pulse(load: Load, tmp_path: Path) -> None:
+    t = np.arange(0.0, 260.0, 0.5)
+    strain = np.where((t > 20) & (t < 220), 150.0 * np.sin(np.pi * (t - 20) / 200) ** 2, 0.0)
+    rows = "\n".join(f"{a:g};{-b:.6f}".replace(".", ",") for a, b in zip(t, strain, strict=True))
+    (tmp_path / "p.csv").write_text(f"time [us];gauge [microstrain]\n{rows}\n")
+    striker = '[striker]\nspeed = { dist = "normal", mean = "0.5 m/s", cov = 0.02 }\nlength = "0.8 m"\n'
+    edits = (
+        (striker, ""),
+        (TRAPEZOID, 'shape = "measured"\nfile = "p.csv"\ngain = { dist = "normal", mean = 1, cov = 0.02 }'),
+    )
+    text = BASE.split("[margins]")[0]
+    study = load(text, *edits)
+    assert study.record is not None
+    assert study.record.peak == pytest.approx(150e-6, rel=2e-3)
+    assert study.record.duration == pytest.approx(200e-6, rel=0.05)
+    assert any("compression is taken as positive" in warning for warning in study.warnings)
+    assert list(study.random)[-1] == "pulse.gain"
+    volts = (edits[1][0], edits[1][1].replace('"p.csv"', '"p.csv"\nunits = ["us", "mV"]'))
+    (tmp_path / "p.csv").write_text(f"time;gauge\n{rows}\n")
+    with pytest.raises(StudyError, match="factor is missing"):
+        load(text, edits[0], volts)
+
+
+def test_warnings_of_laws(load: Load) -> None:
+    (warning,) = load(BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.4, sd = 0.05 }')).warnings
+    assert warning.startswith("sphere.nu: a share of 0.023 ")
+    assert load(BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.4, sd = 0.05, upper = 0.49 }')).warnings == ()
+    (warning,) = load(BASE, ('lower = "9 mm"', 'lower = "11 mm"')).warnings
+    assert warning.startswith("sphere.radius.lower: the mean 10 mm lies below the bound 11 mm: ")
+
+
+def test_moving_the_mean_keeps_what_was_given(load: Load) -> None:
+    by_cov, by_sd = load(), load(BASE, ('"0.5 m/s", cov = 0.02', '"0.5 m/s", sd = "0.01 m/s"'))
+    assert with_number(by_cov, "striker.speed", 2.0).random["striker.speed"].sd() == pytest.approx(0.04, rel=1e-12)
+    assert with_number(by_sd, "striker.speed", 2.0).random["striker.speed"].sd() == pytest.approx(0.01, rel=1e-12)
+    law = '{ dist = "normal", mean = "0.5 m/s", cov = 0.02 }'
+    beta = '{ dist = "beta", mean = "0.5 m/s", sd = "0.01 m/s", lower = "0.4 m/s", upper = "0.6 m/s" }'
+    with pytest.raises(StudyError, match=r"between\[1\]: with this mean striker.speed has no law"):
+        load(BASE, (law, beta))
+    with pytest.raises(StudyError, match="not given by its mean"):
+        load(BASE, (law, '{ dist = "uniform", lower = "0.4 m/s", upper = "0.6 m/s" }'))
+
+
+def test_overrides(load: Load) -> None:
+    sets = ("striker.speed.mean=0.6 m/s", "bars.infinite=true", "dependence[0].spearman=0.1",
+            "bars.receiving_end=fixed", "analysis.quantiles=[0.5]",
+            'limits."crushing".target = 0.2', "seed=9", "margins=null")  # fmt: skip
+    study = load(BASE, overrides=sets)
+    assert study.random["striker.speed"].nominal_mean() == 0.6
+    assert (study.dependence[0].spearman, study.analysis.quantiles, study.seed) == (0.1, (0.5,), 9)
+    assert (study.limits[0].target, study.fixed["bars.receiving_end"], study.margins) == (0.2, -1.0, None)
+    assert study.overrides == sets
+    with pytest.raises(StudyError) as caught:
+        load(BASE, overrides=("striker.speed.mean=0.6 s",))
+    (problem,) = caught.value.problems
+    assert problem.line == BASE[: BASE.index("speed = ")].count("\n") + 1
+    assert problem.message.endswith("(set by --set)")
+    with pytest.raises(StudyError, match=r"limits.crush: no limit .* known: crushing; did you mean 'crushing'"):
+        load(BASE, overrides=("limits.crush.strength=3",))
+    assert len(load(BASE, overrides=("limits.b.strength=5 GPa", "limits.b.quantity=p_max")).limits) == 2
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["", "x", "=1", "a..b=1", "a.=1", ".a=1", "striker.length.mean=1 m", "dependence[7].spearman=0", "sphere[0]=1",
+     "a.b.c.d.e.f.g.h.i.j=1", "margins.sove=null", "limit=null", "dependence[7]=null", "seed.a=null"],
+)  # fmt: skip
+def test_override_that_is_none(load: Load, override: str) -> None:
+    with pytest.raises(UsageError):
+        load(BASE, overrides=(override,))
+
+
+def test_python_dict_and_text_are_one_study(tmp_path: Path) -> None:
+    from scipy import stats
+
+    text = load_study(tmp_path / "study.toml", text=BLACK_BOX.replace("[outputs]", '[limits.g]\nquantity = "y"\n'
+                      'strength = 0\n[outputs]'))  # fmt: skip
+    python = Study(inputs={"x1": stats.uniform(-1, 2), "x2": 2.0}, outputs="y",
+                   limits={"g": {"quantity": "y", "strength": 0}})  # fmt: skip
+    tables = load_study(tomllib.loads(python.text))
+    assert python.hash == text.hash == tables.hash
+    assert python.outputs == ("y",)
+    with pytest.raises(StudyError, match=r"study.toml:2: inputs.x: .* did you mean 'dist'"):
+        Study(inputs={"x": {"dits": "normal"}}, outputs="y")
+    with pytest.raises(UsageError, match=r"inputs\.x: found object"):
+        Study(inputs={"x": object()}, outputs="y")
+
+
+def test_schema_and_page() -> None:
+    schema = json_schema()
+    jsonschema.Draft202012Validator.check_schema(schema)
+    assert len(json.dumps(schema)) < 60_000
+    names = {"a unit of something else", "an unknown key", "an unknown shape", "a word for a flag", "a target of one",
+             "an unknown fidelity", "another copula", "a method of later", "a negative seed", "a length without its "
+             "unit"}  # fmt: skip
+    for case in (case for case in CASES if case.name in names):
+        assert not jsonschema.Draft202012Validator(schema).is_valid(tomllib.loads(case.content().decode())), case.name
+    page = Path(__file__).parents[2] / "docs" / "study-file.md"
+    assert page.read_text(encoding="utf-8") == reference(), "python -m uqsphere.study.reference docs/study-file.md"
+    assert len(page.read_text(encoding="utf-8").split()) <= 3_500
+    assert count_keys() <= 120
+
+
+def test_what_cannot_be_read(tmp_path: Path) -> None:
+    (tmp_path / "mark.toml").write_bytes(b"\xef\xbb\xbf" + BASE.encode())
+    assert load_study(tmp_path / "mark.toml").title == "granite"
+    with pytest.raises(UsageError, match="this is a folder"):
+        load_study(tmp_path)
+    (tmp_path / "loop.toml").symlink_to(tmp_path / "loop.toml")
+    for path in (tmp_path / "none.toml", tmp_path / "a\0b", tmp_path / "loop.toml"):
+        with pytest.raises(AccessError):
+            load_study(path)
+
+
+def test_broken_bytes_are_refused_or_read(tmp_path: Path) -> None:
+    """Letters taken out, doubled and changed anywhere: a study or a StudyError, never anything else."""
+    rng = np.random.default_rng(11)
+    granite = shipped_studies()["granite"].read_text(encoding="utf-8")
+    for base in (BASE, granite):
+        for _ in range(60):
+            text = base
+            for _ in range(rng.integers(1, 4)):
+                at = int(rng.integers(len(text)))
+                width = int(rng.integers(1, 12))
+                text = (
+                    text[:at]
+                    + str(rng.choice(["", "0", '"', "[", "=", "x", "\n", text[at - 9 : at + 9]]))
+                    + text[at + width :]
+                )
+            try:
+                load_study(tmp_path / "study.toml", text=text)
+            except StudyError as error:
+                assert error.problems  # noqa: PT017
+
+
+def test_reading_a_study_imports_nothing_heavy() -> None:
+    code = f"import sys, uqsphere.study as s; s.load_study({str(shipped_studies()['granite'])!r}); " \
+           "print({'pandas', 'scipy.stats', 'chaospy', 'SALib', 'matplotlib', 'numba'} & set(sys.modules))"  # fmt: skip
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"

@@ -1,0 +1,205 @@
+"""Analyses of arrays and tables: names count, units cancel, one engine, laws of every origin, results as tables."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from uqsphere import analysis
+from uqsphere.errors import UsageError
+from uqsphere.uq.foreign import as_law
+from uqsphere.uq.interop import joint_to_chaospy, load_chaospy
+
+LAWS = {"a": stats.norm(), "b": stats.uniform(-1.0, 2.0), "c": stats.norm()}
+RNG = np.random.default_rng(3)
+FRAME = pd.DataFrame({"a": RNG.normal(size=200), "b": RNG.uniform(-1.0, 1.0, 200), "c": RNG.normal(size=200)})
+OUTPUT = FRAME["a"] + 3.0 * FRAME["b"] ** 2
+
+
+def values(found: analysis.Answers) -> dict[str, float]:
+    return {f"{order} {name}": e.value for order, row in found.items() for name, e in row.items()}
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.permutations("abc"), st.permutations(range(200)))
+def test_columns_and_rows_go_by_their_names(columns: list[str], rows: list[int]) -> None:
+    truth = values(analysis.sobol_indices(FRAME, OUTPUT, LAWS))
+    assert values(analysis.sobol_indices(FRAME[list(columns)], OUTPUT.iloc[rows], LAWS)) == truth
+    assert values(analysis.sobol_indices(FRAME.to_numpy(), OUTPUT.to_numpy(), LAWS)) == truth
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "says"),
+    [
+        (FRAME[["a", "b"]], OUTPUT, "'c' is missing"),
+        (FRAME.assign(d=1.0), OUTPUT, "'d' is no input"),
+        (pd.concat([FRAME, FRAME[["a"]]], axis=1), OUTPUT, "'a' is there twice"),
+        (FRAME, OUTPUT.iloc[:100], "index of y is not that"),
+        (FRAME, OUTPUT.set_axis(range(1, 201)), "index of y is not that"),
+        (FRAME.to_numpy()[:, :2], OUTPUT.to_numpy(), r"rows of shape \(n, 3\)"),
+        (FRAME, OUTPUT.where(OUTPUT < 2.0), "finite"),
+        (FRAME.astype(str) + "x", OUTPUT, "no columns of numbers"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(x: Any, y: Any, says: str) -> None:
+    with pytest.raises(UsageError, match=says):
+        analysis.sobol_indices(x, y, LAWS)
+
+
+def noisy(unit: float, n: int = 96) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(5)
+    x = rng.normal(size=(n, 3))
+    return x, unit * np.exp(0.3 * x[:, 0] + 0.2 * x[:, 1] * x[:, 2] + 0.05 * rng.normal(size=n))
+
+
+NORMALS = {name: stats.norm() for name in "abc"}
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e-3, 1e9])
+def test_half_widths_of_predictions_scale_with_the_output(unit: float) -> None:
+    one, other = (analysis.chaos(*noisy(k), NORMALS).predict(RNG_ROWS) for k in (1.0, unit))
+    assert other.value == pytest.approx(unit * one.value, rel=1e-8)
+    assert other.high - other.low == pytest.approx(unit * (one.high - one.low), rel=1e-6)
+
+
+RNG_ROWS = np.random.default_rng(9).normal(size=(400, 3))
+
+
+def test_predictions_cover_and_say_what_lies_beyond_the_laws() -> None:
+    x, y = noisy(1.0, 128)
+    made = analysis.chaos(x, y, NORMALS)
+    fresh, truth = noisy(1.0, 4000)
+    low, high = made.predict(fresh)[1:]
+    assert 0.9 <= np.mean((low <= truth) & (truth <= high)) <= 0.995
+    bounded = analysis.chaos(FRAME, OUTPUT, LAWS)
+    rows = {"a": [0.0, 0.0], "b": [0.5, 1.5], "c": [0.0, 0.0]}
+    with pytest.raises(UsageError, match="1 of 2 rows lie beyond"):
+        bounded.predict(rows)
+    value = bounded.predict(rows, outside="nan").value
+    assert value[0] == pytest.approx(0.75)
+    assert math.isnan(value[1])
+
+
+@pytest.mark.filterwarnings("ignore:`newshape`:DeprecationWarning")
+def test_an_expansion_is_a_table_a_sample_and_chaospys() -> None:
+    made = analysis.chaos(FRAME, OUTPUT, LAWS, plain=True)
+    assert made.to_frame().columns.tolist() == ["a", "b", "c", "coefficient"]
+    mean, sd = made.moments()
+    assert (mean, sd) == pytest.approx((1.0, math.sqrt(1.0 + 9.0 * 4.0 / 45.0)), rel=1e-9)
+    drawn = made.sample(20_000, seed=1)
+    assert drawn["value"].mean() == pytest.approx(1.0, abs=0.05)
+    assert made.quantiles([0.5])[0] == pytest.approx(np.median(drawn["value"]), abs=0.05)
+    theirs = made.chaospy()
+    assert theirs.polynomial(*made.germs_at(FRAME).T) == pytest.approx(made.predict(FRAME).value, rel=1e-9)
+    assert "terms" in repr(made)
+
+
+def test_tied_inputs_have_shapley_effects_and_kucherenkos_indices() -> None:
+    tied = analysis.joint({"u": stats.norm(), "v": stats.norm()}, {("u", "v"): 0.6})
+    x = tied.physical(np.random.default_rng(3).normal(size=(200, 2)))
+    rho = 2.0 * math.sin(math.pi * 0.1)
+    found = analysis.sobol_indices(x, x.sum(axis=1), tied)
+    assert found["first"]["u"].value == pytest.approx((1.0 + rho) / 2.0, abs=0.02)
+    assert found["total"]["u"].value == pytest.approx((1.0 - rho) / 2.0, abs=0.02)
+    assert [e.value for e in found["shapley"].values()] == pytest.approx([0.5, 0.5], abs=0.02)
+    assert found.to_frame().shape == (6, 9)
+
+
+def test_rough_outputs_are_refused_with_the_way_out() -> None:
+    with pytest.raises(UsageError, match="give more rows, or call the model"):
+        analysis.sobol_indices(FRAME, RNG.normal(size=200), LAWS)
+
+
+def test_failure_probability_of_tied_inputs_that_fail_and_raise() -> None:
+    tied = analysis.joint({"r": stats.norm(7.0, 1.0), "s": stats.norm(2.0, 1.0)}, {("r", "s"): 0.5})
+    rho = 2.0 * math.sin(math.pi * 0.5 / 6.0)
+    truth = stats.norm.sf(5.0 / math.sqrt(2.0 - 2.0 * rho))
+    found = analysis.failure_probability(lambda row: {"g": row["r"] - row["s"]}, tied, seed=1)
+    assert found.probability.low <= truth <= found.probability.high
+    assert found.sure
+    assert found.to_frame().loc[0, "value"] == found.probability.value
+
+    def strict(row: dict[str, np.ndarray]) -> np.ndarray:
+        if (row["r"] < 0.0).any():
+            raise RuntimeError("no such radius")
+        return row["r"] - 1.4
+
+    radius = analysis.failure_probability(strict, {"r": stats.norm(2.0, 0.3)}, evaluations=6000)
+    assert radius.probability.low <= stats.norm.cdf(-2.0) <= radius.probability.high
+    with pytest.raises(UsageError, match="nan at"):
+        analysis.failure_probability(strict, {"r": stats.norm(2.0, 0.3)}, evaluations=6000, on_failure="refuse")
+    with pytest.raises(UsageError, match="one output is required"):
+        analysis.failure_probability(lambda row: {"a": row["r"], "b": row["r"]}, tied)
+
+
+def test_a_fragility_curve_with_its_levels() -> None:
+    found = analysis.fragility(lambda row: row["v"] * np.exp(0.2 * row["z"]), {"z": stats.norm()}, free="v",
+                               levels=np.geomspace(0.5, 3.0, 13), strength=stats.lognorm(0.15, scale=1.5),
+                               probabilities=(0.1, 0.5))  # fmt: skip
+    assert found.values[0.5].value == pytest.approx(1.5, rel=1e-3)
+    assert found.values[0.1].value == pytest.approx(1.5 * math.exp(-0.25 * stats.norm.ppf(0.9)), rel=1e-3)
+    assert found.to_frame().shape == (13, 4)
+    with pytest.raises(UsageError, match="z is free"):
+        analysis.fragility(lambda row: row["z"], {"z": stats.norm()}, free="z", levels=[1.0, 2.0], strength=1.0)
+
+
+def test_moments_and_quantiles_of_observations_cover() -> None:
+    rng, hits = np.random.default_rng(1), []
+    for _ in range(150):
+        x = rng.gamma(4.0, size=40)
+        found = analysis.moments(x) | analysis.quantiles(x, [0.25, 0.5])
+        truths = {"mean": 4.0, "sd": 2.0, 0.25: stats.gamma(4.0).ppf(0.25), 0.5: stats.gamma(4.0).ppf(0.5)}
+        hits.append([found[key].low <= truth <= found[key].high for key, truth in truths.items()])
+    assert (np.mean(hits, axis=0) >= [0.9, 0.85, 0.9, 0.9]).all()
+    few = analysis.quantiles([1.0, 2.0, 3.0], [0.01]).to_frame()
+    assert "too few" in few.loc[0, "reason"]
+    assert analysis.weibull_fit([0.62, 0.81, 0.93, 1.02, 1.1, 1.21]).failures == 6
+    assert analysis.lognormal_fit([0.62, 0.81, 0.93], [False, False, False]).tests == 3
+
+
+# --- distributions that people have ----------------------------------------------------------------------------
+
+
+def test_new_distributions_of_scipy_kernels_histograms_and_observations_are_laws() -> None:
+    x = np.random.default_rng(2).normal(3.0, 0.5, 300)
+    p = np.array([0.01, 0.5, 0.99])
+    kde, histogram = stats.gaussian_kde(x), stats.rv_histogram(np.histogram(x, 30))
+    assert as_law(stats.Normal(mu=3.0, sigma=0.5)).ppf(p) == pytest.approx(stats.norm(3.0, 0.5).ppf(p), rel=1e-9)
+    mixture = stats.Mixture([stats.Normal(mu=0.0), stats.Normal(mu=4.0)], weights=[0.5, 0.5])
+    assert as_law(mixture).cdf(as_law(mixture).ppf(p)) == pytest.approx(p, rel=1e-6)
+    law = as_law(kde)
+    assert law.cdf(np.array([3.0]))[0] == pytest.approx(kde.integrate_box_1d(-np.inf, 3.0), abs=1e-6)
+    assert as_law(histogram).ppf(p) == pytest.approx(histogram.ppf(p), rel=1e-9)
+    assert as_law(x.tolist()).mean() == pytest.approx(x.mean())
+    for wrong, says in ((stats.norm, "freeze it"), (np.zeros((3, 3)), "observations"), (3.0, "give a law"),
+                        ({"dist": "empirical", "values": [1, 2, 3]}, "must be a number")):  # fmt: skip
+        with pytest.raises(ValueError, match=says):
+            as_law(wrong)
+
+
+def test_a_problem_of_salib_is_a_set_of_inputs() -> None:
+    problem = {"num_vars": 2, "names": ["a", "b"], "bounds": [[0.0, 2.0], [1.0, 0.1]], "dists": ["unif", "norm"]}
+    made = analysis.joint(problem)
+    assert made.names == ("a", "b")
+    assert [law.mean() for law in made.laws] == pytest.approx([1.0, 1.0])
+    with pytest.raises(UsageError, match="known: unif"):
+        analysis.joint(problem | {"dists": ["unif", "cauchy"]})
+
+
+def test_a_joint_law_goes_over_to_chaospy_and_its_parts_come_back() -> None:
+    chaospy = load_chaospy()
+    laws = {"x": stats.norm(1.0, 2.0), "y": stats.gumbel_r(0.0, 1.0), "z": stats.beta(2, 3)}
+    theirs = joint_to_chaospy(analysis.joint(laws, {("x", "y"): 0.6}))
+    drawn = theirs.sample(4000, seed=1)
+    assert stats.spearmanr(drawn[0], drawn[1]).statistic == pytest.approx(0.6, abs=0.05)
+    with pytest.raises(UsageError, match="give each of its distributions a name"):
+        analysis.joint({"a": chaospy.J(chaospy.Normal(), chaospy.Uniform())})
+    with pytest.raises(UsageError, match="no Student t copula"):
+        joint_to_chaospy(analysis.joint(laws, {("x", "y"): 0.6}, copula="student_t", dof=4.0))

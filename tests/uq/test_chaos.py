@@ -1,0 +1,245 @@
+"""Expansions: exact on polynomials and products, chaospy's numbers, errors that are told, intervals that scale."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import ndtri
+
+from tests.campaigns.chaos import MODELS, checked, design, relative_error
+from tests.campaigns.coverage import coverage_models, far_event_model
+from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, germs_of, integrals, predict, rows_of
+from uqsphere.uq.chaos.basis import grown, hyperbolic_indices, nested
+from uqsphere.uq.interop import load_chaospy
+from uqsphere.uq.law import Law, make_law
+from uqsphere.uq.points import sobol_points
+from uqsphere.uq.response import answered, corrected_indices, cross_fit, half_width, index_shares, unseen
+
+LAWS = {
+    "normal": make_law("normal", {"mean": 1.0, "sd": 2.0}),
+    "uniform": make_law("uniform", {}, 0.0, 3.0),
+    "lognormal": make_law("lognormal", {"mean": 2.0, "cov": 0.2}),
+    "beta": make_law("beta", {"alpha": 2.0, "beta": 3.0}, 0.0, 1.0),
+    "gumbel": make_law("gumbel", {"mean": 5.0, "sd": 1.0}),
+    "truncated": make_law("normal", {"mean": 0.0, "sd": 1.0}, -1.0, 2.0),
+    "triangular": make_law("triangular", {"mode": 0.3}, 0.0, 1.0),
+}
+
+
+def drawn(laws: list[Law], n: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Germ points and physical rows (n, d)."""
+    z = ndtri(sobol_points(dimension=len(laws), count=n, seed=seed, task="test chaos", replicate=0))
+    return germ_points(z, germs_of(laws)), np.column_stack([law.from_normal(z[:, k]) for k, law in enumerate(laws)])
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_polynomials_of_a_germ_are_orthonormal(name: str) -> None:
+    germs = germs_of([LAWS[name]])
+    z = np.linspace(-8.0, 8.0, 4001)
+    weights = np.exp(-0.5 * z * z)
+    rows = rows_of(germs, germ_points(z[:, None], germs), np.arange(5)[:, None])
+    assert np.allclose(rows * (weights / weights.sum()) @ rows.T, np.eye(5), atol=2e-5)
+
+
+def test_sets_are_nested_and_growth_keeps_them_whole() -> None:
+    terms, sizes = nested(3, 0.75, 5, 400) or (None, None)
+    assert len(terms) == sizes[-1]
+    for k, size in enumerate(sizes, start=1):
+        assert set(map(tuple, terms[:size])) == set(map(tuple, hyperbolic_indices(3, k, 0.75, 400)))
+    assert hyperbolic_indices(10, 6, 1.0, 100) is None
+    more = grown(np.array([[0, 0], [2, 1]]), np.array([1.0, 1.0]), 15, 50)
+    held = set(map(tuple, more))
+    assert {(1, 0), (0, 1), (1, 1), (2, 0)} <= held
+    assert all(tuple(np.subtract(row, np.eye(2, dtype=int)[j])) in held for row in held for j in range(2) if row[j])
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_polynomial_of_a_law_is_exact_from_few_rows(name: str) -> None:
+    points, x = drawn([LAWS[name]] * 2, 60)
+    germs = germs_of([LAWS[name]] * 2)
+    s = np.log(x) if name == "lognormal" else x
+    y = 1.0 + s[:, 0] - 2.0 * s[:, 1] ** 2 + 0.5 * s[:, 0] * s[:, 1]
+    fit = fit_chaos(points, y, germs)
+    assert fit.cross_validation_error < 1e-12
+    assert not fit.log
+    mean, sd = integrals(fit).mean, integrals(fit).sd
+    many, rows = drawn([LAWS[name]] * 2, 1 << 14, seed=7)
+    t = np.log(rows) if name == "lognormal" else rows
+    truth = 1.0 + t[:, 0] - 2.0 * t[:, 1] ** 2 + 0.5 * t[:, 0] * t[:, 1]
+    assert np.allclose(predict(fit, many), truth, atol=1e-6 * sd)
+    assert mean == pytest.approx(truth.mean(), abs=5e-3 * sd)
+    assert sd == pytest.approx(truth.std(), rel=0.01)
+
+
+def test_a_product_of_lognormals_is_exact_with_its_moments_and_indices() -> None:
+    """Sulfur-like: nine factors, 256 rows; (exp(s²) - 1)/(exp(S) - 1) and its total."""
+    s = 2.0 * np.array([0.14, 0.14, 0.04, 0.2, 0.2, 0.26, 0.14, 0.2, 0.06])
+    laws = [make_law("lognormal", {"log_mean": 0.0, "log_sd": float(one)}) for one in s]
+    points, x = drawn(laws, 256)
+    fit = fit_chaos(points, x.prod(axis=1), germs_of(laws))
+    found, whole = integrals(fit), float((s**2).sum())
+    assert fit.log
+    assert found.first == pytest.approx(np.expm1(s**2) / math.expm1(whole), abs=1e-9)
+    assert found.total == pytest.approx(np.expm1(s**2) * np.exp(whole - s**2) / math.expm1(whole), abs=1e-9)
+    assert found.mean == pytest.approx(math.exp(0.5 * whole), rel=1e-9)
+    assert found.sd == pytest.approx(math.exp(0.5 * whole) * math.sqrt(math.expm1(whole)), rel=1e-9)
+    for row in index_shares(cross_fit(points, x.prod(axis=1), germs_of(laws))[0]).values():
+        assert max(e.half_width for e in row) < 1e-3
+
+
+def test_a_logarithm_with_interactions_is_integrated_to_what_is_asked() -> None:
+    # ln y = 0.5 z1 - 0.2 z2 + 0.1 z1 z2
+    terms = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
+    fit = Chaos(coefficients=np.array([0.0, 0.5, -0.2, 0.1]), multi_indices=terms, germs=("normal", "normal"), log=True,
+                bounds=(-20.0, 20.0), cross_validation_error=0.0, samples=9)  # fmt: skip
+    found = integrals(fit, 1e-3)
+    z, w = np.polynomial.hermite_e.hermegauss(60)
+    w = w / w.sum()
+    y = np.exp(0.5 * z[:, None] - 0.2 * z[None, :] + 0.1 * np.outer(z, z))
+    mean = w @ y @ w
+    variance = w @ y**2 @ w - mean**2
+    first = [(w @ (y @ w) ** 2 - mean**2) / variance, (w @ (w @ y) ** 2 - mean**2) / variance]
+    assert found.error <= 2e-3
+    assert found.first == pytest.approx(first, abs=3e-3)
+    assert found.total == pytest.approx([1.0 - first[1], 1.0 - first[0]], abs=3e-3)
+    assert (found.mean, found.sd) == pytest.approx((mean, math.sqrt(variance)), rel=3e-3)
+
+
+@pytest.mark.parametrize("name", ["borehole", "Ishigami", "flood", "cantilever", "wing weight"])
+def test_benchmarks_keep_their_errors_and_report_them(name: str) -> None:
+    most = {"borehole": 1e-6, "Ishigami": 1e-9, "flood": 3e-4, "cantilever": 1e-6, "wing weight": 1e-5}[name]
+    model = MODELS[name]
+    points, (unseen_points, truth) = design(model, 128, 1), checked(model)
+    fit = fit_chaos(points, model(points), model.germs)
+    error = relative_error(predict(fit, unseen_points), truth)
+    assert error < most
+    assert error < 30.0 * max(fit.cross_validation_error, 1e-24)
+
+
+def test_what_no_polynomial_fits_says_so() -> None:
+    rng = np.random.default_rng(1)
+    fit = fit_chaos(rng.standard_normal((64, 3)), rng.standard_normal(64), ("normal",) * 3)
+    assert fit.cross_validation_error > 0.5
+    constant = fit_chaos(rng.standard_normal((16, 2)), np.full(16, 7.0), ("normal", "normal"))
+    assert constant.constant
+    assert integrals(constant).mean == 7.0
+    with pytest.raises(ValueError, match="not finite"):
+        fit_chaos(np.zeros((8, 1)), np.array([1.0] * 7 + [np.nan]), ("normal",))
+    with pytest.raises(ValueError, match="need points"):
+        fit_chaos(np.zeros((3, 1)), np.zeros(3), ("normal",))
+
+
+@pytest.mark.parametrize("size", [1e-280, 1e280])
+def test_units_cancel(size: float) -> None:
+    points, x = drawn([LAWS["normal"], LAWS["uniform"]], 64)
+    y = x[:, 0] + x[:, 1] ** 2 * x[:, 0]
+    one, other = (fit_chaos(points, k * y, germs_of([LAWS["normal"], LAWS["uniform"]])) for k in (1.0, size))
+    assert other.coefficients / size == pytest.approx(one.coefficients, rel=1e-9, abs=1e-12)
+    assert integrals(other).total == pytest.approx(integrals(one).total, rel=1e-9)
+
+
+# --- chaospy --------------------------------------------------------------------------------------------------
+
+
+#: numpoly 1.2 on numpy 2.1 and later
+OLD = pytest.mark.filterwarnings("ignore:`newshape`:DeprecationWarning")
+
+
+@OLD
+@pytest.mark.parametrize("log", [False, True])
+def test_chaospy_has_the_same_values_moments_and_indices(log: bool) -> None:
+    chaospy = load_chaospy()
+    laws = [LAWS["normal"], LAWS["uniform"], LAWS["normal"]]
+    points, x = drawn(laws, 80)
+    y = 3.0 + x[:, 0] + x[:, 1] ** 2 * x[:, 2] + 0.1 * x[:, 2] ** 3
+    fit = fit_chaos(points, np.exp(0.02 * y) if log else y, germs_of(laws), plain=not log)
+    made = fit.chaospy()
+    assert made.of_logarithm == fit.log == log
+    values = made.polynomial(*points.T)
+    truth = np.log(predict(fit, points)) if log else predict(fit, points)
+    assert values == pytest.approx(truth, rel=1e-10)
+    assert sum(c * p for c, p in zip(made.coefficients, made.expansion, strict=True))(*points.T) == pytest.approx(
+        values
+    )
+    plain = Chaos(coefficients=fit.coefficients, multi_indices=fit.multi_indices, germs=fit.germs,
+                  cross_validation_error=0.0, samples=80)  # fmt: skip
+    own = integrals(plain)
+    assert float(chaospy.E(made.polynomial, made.germs)) == pytest.approx(own.mean, rel=1e-12)
+    assert float(chaospy.Std(made.polynomial, made.germs)) == pytest.approx(own.sd, rel=1e-12)
+    assert chaospy.FirstOrderSobol(made.expansion, made.coefficients) == pytest.approx(own.first, abs=2e-15)
+    assert chaospy.TotalOrderSobol(made.expansion, made.coefficients) == pytest.approx(own.total, abs=2e-15)
+
+
+@OLD
+def test_forty_inputs_go_over_to_chaospy() -> None:
+    terms = np.concatenate([np.zeros((1, 40), dtype=int), np.eye(40, dtype=int), 2 * np.eye(40, dtype=int)])
+    fit = Chaos(coefficients=np.arange(81.0), multi_indices=terms, germs=("normal",) * 40, cross_validation_error=0.0,
+                samples=200)  # fmt: skip
+    made = fit.chaospy()
+    x = np.random.default_rng(1).standard_normal((5, 40))
+    assert made.polynomial(*x.T) == pytest.approx(predict(fit, x), rel=1e-12)
+    assert fit.to_frame().shape == (81, 41)
+
+
+# --- corrected by rows ------------------------------------------------------------------------------------------
+
+
+def test_half_widths_know_a_lone_row_from_many() -> None:
+    even = np.tile([1.0, -1.0], 50)
+    lone = np.zeros(100)
+    lone[0] = 10.0
+    assert half_width(even) == pytest.approx(1.98 / math.sqrt(100.0), rel=0.02)
+    assert half_width(lone) > 2.0 * half_width(even) * lone.std() / even.std()
+    assert half_width(np.zeros(1)) == math.inf
+
+
+@pytest.mark.parametrize("model", coverage_models(), ids=lambda model: model.name)
+def test_few_rows_answer_with_intervals_that_hold(model) -> None:
+    hits, n = [], 128
+    for seed in range(4):
+        u = sobol_points(dimension=model.dimension, count=n, seed=seed, task="few", replicate=0)
+        response = cross_fit(germ_points(ndtri(u), model.germs), model.function(u), model.germs)[0]
+        if not response.usable:
+            continue
+        many = np.concatenate([sobol_points(dimension=model.dimension, count=512, seed=seed, task="many", replicate=r)
+                               for r in range(16)])  # fmt: skip
+        found = answered(response, germ_points(ndtri(many), model.germs), (16, 512), np.random.default_rng(seed),
+                         tuple(model.quantiles)).description  # fmt: skip
+        assert unseen(n) in found.mean.method
+        pairs = [(found.mean, model.mean), (found.sd, model.sd), *((found.quantiles[p], q) for p, q in
+                                                                   model.quantiles.items())]  # fmt: skip
+        shares = index_shares(response)
+        pairs += [
+            (e, t) for order in ("first", "total") for e, t in zip(shares[order], getattr(model, order), strict=True)
+        ]
+        hits += [e.value is None or e.low - 1e-9 * model.sd <= t <= e.high + 1e-9 * model.sd for e, t in pairs]
+    assert not hits or np.mean(hits) >= 0.9
+
+
+def test_a_far_event_that_no_row_shows_is_said_and_not_held() -> None:
+    model = far_event_model()
+    rng, says = np.random.default_rng(0), 0
+    while not says:
+        u = rng.random((128, 2))
+        if u[:, 0].max() < 0.9976:
+            response = cross_fit(germ_points(ndtri(u), model.germs), model.function(u), model.germs)[0]
+            found = index_shares(response)["first"][0]
+            says += 1
+    assert response.usable
+    assert "rarer than about 0.023 (3 in 128 runs) is not in it" in found.method
+    assert found.high < model.first[0] or found.low > model.first[0]
+
+
+def test_an_expansion_of_ln_y_corrects_sampled_indices() -> None:
+    model = next(one for one in coverage_models() if one.name == "lognormal")
+    u = np.stack([sobol_points(dimension=5, count=128, seed=1, task="rows", replicate=r) for r in range(9)])
+    points = np.stack([germ_points(ndtri(one), model.germs) for one in u])
+    fit = fit_chaos(points[0], model.function(u[0]), model.germs)
+    assert fit.log
+    found = corrected_indices(fit, points[1:], model.function(u[1:]))
+    for order in ("first", "total"):
+        for e, truth in zip(found[order], getattr(model, order), strict=True):
+            assert e.low - 1e-9 <= truth <= e.high + 1e-9
+            assert e.half_width < 2e-3

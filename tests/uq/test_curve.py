@@ -1,0 +1,97 @@
+"""Fragility curves: known curves in both directions, covering values, and absent answers with their reason."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import ndtr, ndtri
+
+from uqsphere.uq.curve import fragility
+
+TARGETS = (0.01, 0.1, 0.5, 0.9, 0.99)
+MEDIAN, SCATTER = 1.2, 0.25
+GRID = np.geomspace(0.4, 4.0, 13)
+
+
+def lognormal(value: np.ndarray | float) -> np.ndarray:
+    return np.asarray(ndtr(np.log(np.asarray(value) / MEDIAN) / SCATTER))
+
+
+def test_values_of_a_known_curve() -> None:
+    exact = np.repeat(lognormal(GRID)[:, None], 4, axis=1)
+    found = fragility(GRID, exact, TARGETS, samples=1000, evaluations=1)
+    for target, estimate in found.values.items():
+        assert estimate.value == pytest.approx(MEDIAN * math.exp(SCATTER * ndtri(target)), rel=1e-9)
+    assert [row[0] for row in found.curve] == GRID.tolist()
+    for row, p in zip(found.curve, lognormal(GRID), strict=True):
+        assert row[1] == pytest.approx(p, rel=1e-12)
+        assert row[2] <= row[1] <= row[3]
+
+
+def test_falling_curves_answer_the_same_questions() -> None:
+    exact = np.repeat(lognormal(GRID)[:, None], 4, axis=1)
+    found = fragility(GRID, 1.0 - exact, TARGETS, samples=1000, evaluations=1)
+    for target, estimate in found.values.items():
+        assert estimate.value == pytest.approx(MEDIAN * math.exp(SCATTER * ndtri(1.0 - target)), rel=1e-6)
+
+
+def test_no_root_between_the_bounds_is_said() -> None:
+    part = np.geomspace(0.9, 1.5, 7)
+    exact = np.repeat(lognormal(part)[:, None], 4, axis=1)
+    found = fragility(part, exact, (0.01, 0.5, 0.99), samples=1000, evaluations=1)
+    assert found.values[0.5].value == pytest.approx(MEDIAN, rel=1e-6)
+    for target in (0.01, 0.99):
+        assert "no value between 0.9 and 1.5" in found.values[target].reason
+
+
+def test_curves_that_turn_back_are_refused_and_noise_is_not() -> None:
+    hump = np.repeat((0.9 * np.exp(-(np.log(GRID / 1.2) ** 2) / 0.1))[:, None], 4, axis=1)
+    found = fragility(GRID, hump, (0.5,), samples=1000, evaluations=1)
+    assert "not monotone" in found.values[0.5].reason
+    # a curve that dips where it is low still says once and for all where it passes through a half
+    dip = np.repeat((lognormal(GRID) + 0.05 * np.exp(-(np.log(GRID / GRID[1]) ** 2) / 0.01))[:, None], 4, axis=1)
+    found = fragility(GRID, np.clip(dip, 0.0, 1.0), (0.03, 0.5), samples=1000, evaluations=1)
+    assert "not monotone" in found.values[0.03].reason
+    assert found.values[0.5].value == pytest.approx(MEDIAN, rel=1e-3)
+    noise = 0.004 * np.random.default_rng(1).standard_normal((GRID.size, 8))
+    noisy = np.clip(lognormal(GRID)[:, None] + noise, 0.0, 1.0)
+    found = fragility(GRID, noisy, (0.5,), samples=1000, evaluations=1)
+    assert found.values[0.5].value == pytest.approx(MEDIAN, rel=0.02)
+    # what the noise is smoothed to knows no direction: read from the other end it is the same
+    grid = np.geomspace(0.5, 2.0, 21)
+    noisy = ndtr(np.log(grid) / 0.5)[:, None] + 0.15 * np.random.default_rng(2).standard_normal((21, 4))
+    both = ((grid, noisy), (1.0 / grid[::-1], noisy[::-1]))
+    found = [fragility(g, p.clip(0.01, 0.99), (0.5,), samples=1000, evaluations=1) for g, p in both]
+    ways = [one.values[0.5].value for one in found]
+    assert ways[0] * ways[1] == pytest.approx(1.0, rel=1e-9)
+
+
+def test_a_scalar_that_crosses_zero_is_taken_as_it_is() -> None:
+    grid = np.linspace(-3.0, 3.0, 13)
+    exact = np.repeat(np.asarray(ndtr(grid))[:, None], 3, axis=1)
+    found = fragility(grid, exact, (0.1, 0.5), samples=1000, evaluations=1)
+    assert found.values[0.1].value == pytest.approx(ndtri(0.1), abs=1e-9)
+    assert found.values[0.5].value == pytest.approx(0.0, abs=1e-9)
+    # noise is smoothed alike from both sides
+    grid = np.linspace(-3.0, 3.0, 121)
+    noisy = np.clip(ndtr(grid)[:, None] + 0.05 * np.random.default_rng(1).standard_normal((121, 8)), 0.0, 1.0)
+    one, other = (fragility(grid, p, (0.5,), samples=1000, evaluations=1) for p in (noisy, 1.0 - noisy[::-1]))
+    assert other.values[0.5].value == pytest.approx(-one.values[0.5].value, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("grid", "probabilities"),
+    [
+        (np.array([1.0, 1.0]), np.zeros((2, 3))),
+        (np.array([1.0]), np.zeros((1, 3))),
+        (np.array([1.0, 2.0]), np.zeros((3, 3))),
+        (np.array([1.0, 2.0]), np.zeros((2, 1))),
+        (np.array([1.0, 2.0]), np.full((2, 3), 1.5)),
+        (np.array([1.0, 2.0]), np.full((2, 3), np.nan)),
+    ],
+)
+def test_what_goes_not_together_is_refused(grid: np.ndarray, probabilities: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"must"):
+        fragility(grid, probabilities, (0.5,), samples=10, evaluations=1)

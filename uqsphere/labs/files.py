@@ -1,0 +1,114 @@
+"""What both labs share: input files, units of their keys, tables of the terminal, files that are written."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from uqsphere.errors import AccessError, UqsphereError, UsageError
+from uqsphere.materials import library
+from uqsphere.units import parse_value
+
+
+def in_unit(dimension: str) -> BeforeValidator:
+    """A key whose text has a unit of a dimension."""
+    return BeforeValidator(lambda text: parse_value(text, dimension))
+
+
+Length = Annotated[float, in_unit("length"), Field(gt=0.0)]
+Pressure = Annotated[float, in_unit("pressure"), Field(gt=0.0)]
+Density = Annotated[float, in_unit("density"), Field(gt=0.0)]
+Force = Annotated[float, in_unit("force"), Field(gt=0.0)]
+Speed = Annotated[float, in_unit("speed"), Field(gt=0.0)]
+Time = Annotated[float, in_unit("time")]
+
+
+class Section(BaseModel):
+    """A table of the file: no key that is not known, nothing changes after reading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def from_library(table: Any, *kinds: str) -> Any:
+    """A table with E, nu and density of its `material` where it does not give its own."""
+    if not isinstance(table, dict) or table.get("material") is None:
+        return table
+    known = {name: one for kind in kinds for name, one in library()[kind].items()}
+    if table["material"] not in known:
+        raise ValueError(f"material {table['material']!r} is not known: {', '.join(known)}")
+    own, units = known[table["material"]].properties, {"E": "Pa", "density": "kg/m3"}
+    taken = {key: f"{own[key].value!r} {unit}" for key, unit in units.items() if key in own}
+    return {**taken, **({"nu": own["nu"].value} if "nu" in own else {}), **table}
+
+
+Document = TypeVar("Document", bound=BaseModel)
+
+
+def load_document(path: Path, kind: Callable[..., Document]) -> Document:
+    """An input file as its document; UsageError with every fault, AccessError where it cannot be read."""
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise AccessError(f"{path}: {error.strerror or error}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        raise UsageError(f"{path}: {error}") from None
+    try:
+        return kind(**data)
+    except ValidationError as error:
+        faults = []
+        for one in error.errors():
+            place = ".".join(str(part) for part in one["loc"]) or "file"
+            faults.append(f"{path}: {place}: {one['msg'].removeprefix('Value error, ')}")
+        raise UsageError("\n".join(faults)) from None
+
+
+def table(rows: Sequence[Sequence[str]]) -> str:
+    """Aligned columns; the last one is not padded."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]) - 1)]
+    lines = ["  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[-1]]).rstrip() for row in rows]
+    return "\n".join("".join(c if c.isprintable() else "?" for c in line) for line in lines)
+
+
+def write_files(folder: Path, texts: Mapping[str, str]) -> list[str]:
+    """Files of a folder, each written whole."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            part = folder / f".{name}.part"
+            part.write_text(text, encoding="utf-8", newline="")
+            part.replace(folder / name)
+    except OSError as error:
+        raise AccessError(f"{folder}: {error.strerror or error}") from None
+    return [str(folder / name) for name in texts]
+
+
+def show(chosen: argparse.Namespace, content: Any, text: str, written: Sequence[str]) -> None:
+    """The answer on stdout."""
+    if chosen.json:
+        print(json.dumps({**content, "written": list(written)}, indent=1, allow_nan=False))
+    else:
+        print("\n".join([text, *(f"wrote {path}" for path in written)]))
+
+
+def run_command(
+    argv: Sequence[str] | None,
+    parser: argparse.ArgumentParser,
+    commands: Mapping[str, Callable[[argparse.Namespace], int]],
+) -> int:
+    """Parse and run; exit codes 0, 2 (usage, or a file that cannot be used so), 6 (files)."""
+    try:
+        chosen = parser.parse_args(argv)
+    except SystemExit as ended:
+        return int(ended.code or 0)
+    try:
+        return commands[chosen.command](chosen)
+    except UqsphereError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
