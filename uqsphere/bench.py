@@ -213,7 +213,7 @@ def run_history(study: Study | None = None, **options: Any) -> pd.DataFrame:
     from uqsphere.study import load_study, shipped_studies
 
     study = load_study(shipped_studies()["granite"]) if study is None else study
-    reached: Sequence[dict[str, float]] = uqsphere.run(study, **options).results["accuracy"]["reached"]  # type: ignore[index]
+    reached: Sequence[dict[str, float]] = uqsphere.run(study, **options).results["accuracy"]["reached"]
     return pd.DataFrame(
         {"model_runs": [int(r["runs"]) for r in reached], "error": [float(r["error"]) for r in reached]}
     )

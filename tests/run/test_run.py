@@ -99,8 +99,8 @@ def test_the_same_study_gives_the_same_numbers(plain: Run) -> None:
 
 
 def test_nothing_random_is_answered_by_one_run() -> None:
-    run = uqsphere.run(Study(inputs={"a": 1.0, "b": 2.0}, outputs="y",
-                             limits={"high": {"quantity": "y", "strength": 8.0, "aim": "survive"}}), linear)  # fmt: skip
+    high = {"high": {"quantity": "y", "strength": 8.0, "aim": "survive"}}
+    run = uqsphere.run(Study(inputs={"a": 1.0, "b": 2.0}, outputs="y", limits=high), linear)
     table = run.answers
     assert run.results["accuracy"]["runs"] == 1
     assert table[(table.subject == "y") & (table.answer == "mean")]["value"].item() == 11.0

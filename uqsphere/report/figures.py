@@ -153,7 +153,8 @@ def draw_sobol(axes: Axes, results: Results, quantity: str, most: int = 12) -> N
         axes.barh(np.arange(len(names)) + shift, v, 0.36, xerr=np.maximum(np.nan_to_num(ends), 0.0), color=colour,
                   error_kw={"lw": 0.9, "capsize": 2}, label="first-order" if order == "first" else "total")  # fmt: skip
     axes.set_yticks(range(len(names)), [meaning(str(name), results["inputs"]) for name in names])
-    axes.set(xlabel=f"Sobol’ index, {short(results['study']['quantities'][quantity]['meaning'])}", xlim=(0.0, 1.05))
+    axes.set(xlabel="Sobol’ index", xlim=(0.0, 1.05))
+    axes.set_title(short(results["study"]["quantities"][quantity]["meaning"]), fontsize=9, loc="right")
     axes.legend(fontsize=8, loc="lower right")
 
 

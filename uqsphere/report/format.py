@@ -27,7 +27,12 @@ def value(number: float | None, name: str, digits: int = 3) -> str:
     >>> value(2.5541e9, "p_max"), value(None, "p_max")
     ('2.55 GPa', '–')
     """
-    return "–" if number is None else format_value(number, name, digits)
+    if number is None:
+        return "–"
+    scaled = abs(number * display_unit(name)[1])
+    # no power of ten where the digits before the point say it
+    digits = max(digits, math.floor(math.log10(scaled)) + 1) if 1.0 <= scaled < 1e6 else digits
+    return format_value(number, name, digits)
 
 
 def estimate(row: Row | None, name: str = "", most: int = 4) -> str:

@@ -73,13 +73,19 @@ def _figures(results: Results) -> list[tuple[str, str]]:
         drawn.append(("fragility", figures.svg(lambda axes: figures.draw_fragility(axes, results), height=3.6)))
     for number, name in enumerate(list(results["study"]["quantities"])[:MOST_FIGURES]):
         drawn.append(
-            (f"density-{number + 1}", figures.svg(partial(figures.draw_density, results=results, quantity=name), 3.25, 2.3))
+            (
+                f"density-{number + 1}",
+                figures.svg(partial(figures.draw_density, results=results, quantity=name), 3.25, 2.3),
+            )
         )
         known = [row for row in of(results["answers"], name, "sobol_total") if row["value"] is not None]
         if known:
             height = 1.0 + 0.32 * min(len(known), 12)
             drawn.append(
-                (f"sobol-{number + 1}", figures.svg(partial(figures.draw_sobol, results=results, quantity=name), 3.25, height))
+                (
+                    f"sobol-{number + 1}",
+                    figures.svg(partial(figures.draw_sobol, results=results, quantity=name), 3.25, height),
+                )
             )
     if len([row for row in results["accuracy"]["reached"] if row["error"]]) > 1:
         drawn.append(("convergence", figures.svg(lambda axes: figures.draw_convergence(axes, results), 3.25, 2.0)))

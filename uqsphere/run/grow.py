@@ -280,9 +280,9 @@ def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
             continue  # left to the search for rare events
         hold(f"limits.{limit.name}", "failure_probability", estimate.half_width / estimate.value, accuracy.probability)
     for limit in design.limits if tables.line else ():
-        margin, scale = margin_and_scale(design, tables, limit)
-        if margin.value is not None and scale is not None:
-            hold(f"limits.{limit.name}", "margin", margin.half_width / scale, accuracy.probability)
+        margin, width = margin_and_scale(design, tables, limit)
+        if margin.value is not None and width is not None:
+            hold(f"limits.{limit.name}", "margin", margin.half_width / width, accuracy.probability)
     return found
 
 
