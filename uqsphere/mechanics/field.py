@@ -143,8 +143,8 @@ def field_at(motion: Motion, bar: str, position: Values, times: Values, *, sides
     reflection.
 
     >>> from uqsphere.mechanics.integrator.solve import motion
-    >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0, "bars.E": 190e9,
-    ...            "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04, "bars.incident_length": 1.5,
+    >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
+    ...            "bars.E": 190e9, "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04, "bars.incident_length": 1.5,
     ...            "bars.receiving_length": 1.5, "bars.incident_end": 1.0, "bars.receiving_end": 0.0,
     ...            "striker.speed": 0.5, "striker.length": 0.4}
     >>> found = motion(Scene(columns={name: np.array([number]) for name, number in numbers.items()}), 0)
@@ -237,8 +237,8 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
     None where the bar sees none up to the horizon.
 
     >>> from uqsphere.mechanics.integrator.solve import motion
-    >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0, "bars.E": 190e9,
-    ...            "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04, "bars.incident_length": 1.5,
+    >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
+    ...            "bars.E": 190e9, "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04, "bars.incident_length": 1.5,
     ...            "bars.receiving_length": 1.5, "bars.incident_end": 1.0, "bars.receiving_end": 0.0,
     ...            "striker.speed": 0.5, "striker.length": 0.4}
     >>> found = motion(Scene(columns={name: np.array([number]) for name, number in numbers.items()}), 0)
@@ -361,8 +361,8 @@ def gauge_strain(motion: Motion, bar: str, position: float, times: Values, *, si
     as well.  W. K. Nowacki, Engng. Trans. 42(3), 1994, (3.17), re-derived (docs/errata.md).
 
     >>> from uqsphere.mechanics.integrator.solve import motion
-    >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0, "bars.E": 190e9,
-    ...            "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04, "bars.incident_length": 1.5,
+    >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
+    ...            "bars.E": 190e9, "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04, "bars.incident_length": 1.5,
     ...            "bars.receiving_length": 1.5, "bars.incident_end": 1.0, "bars.receiving_end": 0.0,
     ...            "striker.speed": 0.5, "striker.length": 0.4}
     >>> found = motion(Scene(columns={name: np.array([number]) for name, number in numbers.items()}), 0)
