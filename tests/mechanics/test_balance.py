@@ -143,7 +143,7 @@ def test_a_face_that_yields_keeps_its_dent_and_its_work() -> None:
     scene = scene_with("trapezoid", pulse_rise=25e-6, pulse_fall=25e-6, striker_speed=0.5)
     columns = {**scene.columns, "contact.onset_pressure": np.array([1.35e9]), "contact.hardness": np.array([2.4e9])}
     columns["contact.pile_up"] = np.array([8.0 / 3.0])
-    law = {"contact_law": "plastic", "contact_dynamics": "path"}
+    law = {"contact_law": "plastic"}
     found = dynamics.motion(Scene(columns=columns, shape="trapezoid", **law), 0, tolerance=1e-9)
     balance = balance_of(found, np.linspace(0.0, found.horizon, 40_001))
     assert (np.diff(balance.dent, axis=1) >= 0.0).all()

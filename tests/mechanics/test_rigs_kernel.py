@@ -239,7 +239,7 @@ def test_rise_of_faces_that_yield_are_those_of_their_forces(speed: float) -> Non
         "pulse.rise": 25e-6, "pulse.fall": 25e-6,
         "contact.onset_pressure": 0.75e9, "contact.hardness": 1.5e9, "contact.pile_up": 2.0,
     }  # fmt: skip
-    scene = example("trapezoid", numbers=numbers, contact_law="plastic", contact_dynamics="path")
+    scene = example("trapezoid", numbers=numbers, contact_law="plastic")
     asked = ("P_max", "rise_time")
     found = solve(scene, quantities=asked)
     whole = motion(scene, 0, tolerance=1e-9)

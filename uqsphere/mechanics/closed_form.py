@@ -173,8 +173,7 @@ def closed_form_applies(scene: Scene, fidelity: str) -> bool:
     The `linear` contact has its history in closed form, but its peaks are roots of transcendental equations.
     """
     plain = scene.shape in ("rectangular", "step") and scene.striker_ratio is None
-    yields = scene.contact_law == "plastic" and scene.contact_dynamics == "path"
-    return fidelity == "massless" and scene.infinite and plain and not yields
+    return fidelity == "massless" and scene.infinite and plain and scene.contact_law == "hertz"
 
 
 def solve_closed(scene: Scene, fidelity: str = "massless", quantities: Collection[str] | None = None) -> Answers:
@@ -311,7 +310,7 @@ def closed_form_rows(scene: Scene) -> Flags:
         return np.ones(len(scene), dtype=bool)
     if behind is not None or ahead is None or scene.horizon is not None:
         return np.zeros(len(scene), dtype=bool)
-    if _path_of(ahead, scene) is not None:
+    if ahead.face is not None:
         # a face that yields and a partner that carries waves off have no closed form together
         return np.zeros(len(scene), dtype=bool)
     if ahead.kind != "bar" or not np.any(ahead.reflection):
@@ -336,7 +335,7 @@ def solve_blow(scene: Scene, quantities: Collection[str] | None = None) -> Answe
         else:
             ahead = scene.partners[1]
             assert ahead is not None
-            face = _path_of(ahead, scene)
+            face = ahead.face
             tracked = _blown(scene, ahead) if face is None else _yielded(scene, face, ahead)
     return _answers(scene, tracked, quantities)
 
@@ -352,7 +351,7 @@ def light_sphere_applies(scene: Scene) -> bool:
     there = behind is not None and ahead is not None and behind.kind == "mass" and scene.horizon is None
     if not there or ahead is None or np.any(ahead.reflection):
         return False
-    return all(_path_of(partner, scene) is None for partner in scene.there)
+    return all(partner.face is None for partner in scene.there)
 
 
 def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answers:
@@ -397,11 +396,6 @@ def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answ
 _DURATIONS: Final = {
     "contact": "duration", "parting": "duration", "ended": "duration", "rise": "rise",
 }  # fmt: skip
-
-
-def _path_of(partner: Partner, scene: Scene) -> Face | None:
-    """The law that moves the bodies at a face; None: Hertz."""
-    return partner.face if scene.contact_dynamics == "path" else None
 
 
 def _blown(scene: Scene, ahead: Partner) -> dict[str, Array]:

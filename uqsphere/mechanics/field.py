@@ -142,9 +142,13 @@ def field_at(motion: Motion, bar: str, position: Values, times: Values, *, sides
     Engng. Trans. 42(3), 1994, (2.1), (2.2), (3.13), (3.14), re-derived (docs/errata.md), and carried on through every
     reflection.
 
-    >>> from uqsphere import history, load_study
-    >>> found = history(load_study("studies/granite.toml"))
-    >>> field_at(found.motion, "incident", 0.75, [-100e-6]).velocity.tolist()    # v0/2 behind the front of the pulse
+    >>> from uqsphere.mechanics.integrator.solve import motion
+    >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
+    ...            "bars.E": 190e9, "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04, "bars.incident_length": 1.5,
+    ...            "bars.receiving_length": 1.5, "bars.incident_end": 1.0, "bars.receiving_end": 0.0,
+    ...            "striker.speed": 0.5, "striker.length": 0.4}
+    >>> found = motion(Scene(columns={name: np.array([number]) for name, number in numbers.items()}), 0)
+    >>> field_at(found, "incident", 0.75, [-100e-6]).velocity.tolist()    # v0/2 behind the front of the pulse
     [0.25]
     """
     times = np.asarray(times, dtype=float)
@@ -232,9 +236,13 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
     w = t + d/c0: the least u + w among those with 0 <= w - u <= 2 l/c0 is sought, on a grid and by zooming in.
     None where the bar sees none up to the horizon.
 
-    >>> from uqsphere import history, load_study
-    >>> found = history(load_study("studies/granite.toml"))
-    >>> first_tension(found.motion, "receiving") is None       # its end absorbs: nothing comes back to pull
+    >>> from uqsphere.mechanics.integrator.solve import motion
+    >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
+    ...            "bars.E": 190e9, "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04, "bars.incident_length": 1.5,
+    ...            "bars.receiving_length": 1.5, "bars.incident_end": 1.0, "bars.receiving_end": 0.0,
+    ...            "striker.speed": 0.5, "striker.length": 0.4}
+    >>> found = motion(Scene(columns={name: np.array([number]) for name, number in numbers.items()}), 0)
+    >>> first_tension(found, "receiving") is None       # its end absorbs: nothing comes back to pull
     True
     """
     number = check_position(motion, bar, 0.0)
@@ -352,9 +360,13 @@ def gauge_strain(motion: Motion, bar: str, position: float, times: Values, *, si
     One-dimensional waves: no dispersion, and a gauge closer to the sphere than a few bar diameters sees the local field
     as well.  W. K. Nowacki, Engng. Trans. 42(3), 1994, (3.17), re-derived (docs/errata.md).
 
-    >>> from uqsphere import history, load_study
-    >>> found = history(load_study("studies/granite.toml"))
-    >>> float(gauge_strain(found.motion, "incident", 0.75, [-100e-6])[0]) * 1e6    # -v0/(2 c0)
+    >>> from uqsphere.mechanics.integrator.solve import motion
+    >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
+    ...            "bars.E": 190e9, "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04, "bars.incident_length": 1.5,
+    ...            "bars.receiving_length": 1.5, "bars.incident_end": 1.0, "bars.receiving_end": 0.0,
+    ...            "striker.speed": 0.5, "striker.length": 0.4}
+    >>> found = motion(Scene(columns={name: np.array([number]) for name, number in numbers.items()}), 0)
+    >>> float(gauge_strain(found, "incident", 0.75, [-100e-6])[0]) * 1e6    # -v0/(2 c0)
     -51.2989...
     """
     check_position(motion, bar, position)

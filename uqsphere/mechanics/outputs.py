@@ -18,16 +18,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.criteria import (
-    CARRIED,
-    CRITERIA,
-    Criterion,
-    Demands,
-    demand,
-    in_the_test,
-    needs_of,
-    product_fineness,
-)
+from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, demand
 from uqsphere.mechanics.integrator.tracked import DOMAIN, NOT_FINITE, SCALED
 from uqsphere.mechanics.rigs import RIGS, Partner, loss_to_waves
 from uqsphere.mechanics.scene import Scales, Scene, answered
@@ -39,12 +30,6 @@ _Kind = TypeVar("_Kind", bound=np.generic)
 Known: TypeAlias = "float | Array | Callable[[], Values] | list[Columns]"
 #: scale factors of a scene that formulas read beside its own columns
 _SCALES: Final = ("modulus", "effective_radius", "hertz_constant", "mass", "force", "approach", "time", "speed")
-
-
-def offered_energy(columns: Mapping[str, Values]) -> Array:
-    """Ecs of (31) [J/kg]: what a blow offers, and where nothing strikes what both contacts have taken up."""
-    strikes = "offered" in columns or "specific_impact_energy" in columns
-    return np.asarray(columns["specific_impact_energy" if strikes else "specific_energy"])
 
 
 def _of_criterion(entry: Criterion) -> Quantity:
@@ -139,10 +124,6 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              meaning="energy that the partners carry off as waves", needs=("carried_off", "carried_a", "carried_b")),
     Quantity(name="plastic_work", symbol="D", dimension="energy", display="J", closed=True,
              meaning="work that both faces have dissipated by yielding", needs=("dissipated",)),
-    Quantity(name="t10", symbol="t10", dimension="share", display="%", upper=1.0, follows="energy",
-             meaning="share of the product finer than a tenth of the sphere, if it breaks (needs [product])",
-             needs=("specific_energy", "product.A", "product.b"),
-             formula=lambda c: product_fineness(offered_energy(c), c["product.A"], c["product.b"])),
 )}  # fmt: skip
 OUTPUTS.update(
     (entry.quantity, _of_criterion(entry))
@@ -192,10 +173,7 @@ def _roots(name: str, demands: Demands) -> set[str]:
     """What the integrator has to know for a quantity: names of `SCALED`, and inputs that may be absent."""
     if name in demands:
         key, parameters = demands[name]
-        if "carrier" in parameters:
-            needs: tuple[str, ...] = needs_of(parameters)
-        else:
-            needs = CRITERIA[key].needs_with(parameters)
+        needs = CRITERIA[key].needs_with(parameters)
     elif name in OUTPUTS:
         needs = OUTPUTS[name].needs
     else:
@@ -228,7 +206,7 @@ def follows_force(quantity: str) -> bool:
     >>> follows_force("core_tension"), follows_force("contact_duration")
     (True, False)
     """
-    return quantity in OUTPUTS and OUTPUTS[quantity].follows != "" and "product.A" not in _roots(quantity, {})
+    return quantity in OUTPUTS and OUTPUTS[quantity].follows != ""
 
 
 def at_force(force: Values, known: Mapping[str, Values]) -> Columns:
@@ -293,15 +271,14 @@ def _side(scene: Scene, pole: int, x: Array) -> dict[str, Known]:
             "p_mean": lambda: 2.0 / 3.0 * elastic["p"],
             **dict.fromkeys(("p_max", "p_hertz", "p_field", "p_rim"), lambda: elastic["p"]),
             **dict.fromkeys(("dent_left", "dissipated"), lambda: np.zeros(len(scene))),
-            **dict.fromkeys(("stored", "elastic"), lambda: contact.contact_energy(approach, beta)),
+            "stored": lambda: contact.contact_energy(approach, beta),
         }  # fmt: skip
-    path = scene.contact_dynamics == "path" or scene.rig == "platens"
-    state = face.pressed(approach / face.onset_approach if path else face.depth_at(force))
+    state = face.pressed(approach / face.onset_approach)
     return {
         **_pressures(state, modulus, radius, partner.takes), "P_max": state.force, "alpha_max": state.approach,
         "p_hertz": contact.pressure_at_force(state.force, modulus, radius), "dent_left": state.dent,
         "dissipated": state.plastic,
-        "stored": state.stored, "elastic": contact.contact_energy(approach, beta),
+        "stored": state.stored,
     }  # fmt: skip
 
 
@@ -361,22 +338,14 @@ def _energies(scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Column
     unit = scene.scales.force * scene.scales.approach
 
     def energy() -> Values:
-        if not _is_static(scene):
-            return unit * tracked["stored"]
-        # the faces are not at their largest together: of what they would hold by Hertz this is what they held
-        at_most, elastic = (sum(side[name] for side in sides) for name in ("stored", "elastic"))
-        return unit * tracked["stored"] * (at_most / elastic) if "stored" in tracked else at_most
+        # platens press both faces to their largest together
+        return unit * tracked["stored"] if "stored" in tracked else sum(side["stored"] for side in sides)
 
     return {
         "energy": energy,
         "energy_sphere": lambda: _energy_of_sphere(scene, tracked, sides, energy),
         "dissipated": lambda: sum(side["dissipated"] for side in sides),
     }
-
-
-def _is_static(scene: Scene) -> bool:
-    """Whether the struck face yields by its largest force alone, outside the equations of motion."""
-    return scene.contact_dynamics == "elastic" and scene.struck.face is not None and scene.rig != "platens"
 
 
 def _energy_of_sphere(
@@ -386,7 +355,7 @@ def _energy_of_sphere(
     faces = list(zip(scene.there, sides, strict=True))
     if len(sides) == 1 or scene.rig == "bars":
         own = scene.struck.share * energy()
-    elif _is_static(scene) or "stored_sphere" not in tracked:
+    elif "stored_sphere" not in tracked:
         own = sum(partner.share * side["stored"] for partner, side in faces)
     else:
         own = scene.scales.force * scene.scales.approach * tracked["stored_sphere"]
@@ -451,12 +420,7 @@ _LACKING: Final[tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...]
 
 
 def absent_in(scene: Scene, quantity: str) -> str:
-    """Why a scene does not have a quantity of interest, in words; empty where it has it.
-
-    >>> from uqsphere.bench import scattered_scene
-    >>> absent_in(scattered_scene(1), "p_max"), absent_in(scattered_scene(1), "loaded_time")[:18]
-    ('', 'the record of bars')
-    """
+    """Why a scene does not have a quantity of interest, in words; empty where it has it."""
     roots = _roots(quantity, scene.demands)
     if missing := sorted({name for name in roots if "." in name} - scene.columns.keys()):
         tables = " and ".join(sorted({f"[{name.partition('.')[0]}]" for name in missing}))
@@ -499,21 +463,7 @@ def _value(scene: Scene, columns: Columns, quantity: str) -> Array:
     if quantity not in scene.demands:
         return np.asarray(columns[quantity])
     key, parameters = scene.demands[quantity]
-    if "carrier" in parameters:
-        return _carried(columns, key, parameters, yields=scene.contact_law == "plastic")
     return demand(CRITERIA[key], columns, parameters)
-
-
-def _carried(columns: Columns, key: str, parameters: Mapping[str, float], *, yields: bool) -> Array:
-    """The demand of a criterion, or a quantity, in the test that is as hard on the sphere as what it meets here."""
-    force, known = in_the_test(columns, parameters, yields=yields)
-    state = at_force(force, known)
-    # a slow press offers what it stores, and what is lost
-    offered = state["energy"] + state["dissipated"]
-    state = Columns({**state, "specific_energy_sphere": state["energy_sphere"] / known["mass"],
-                     "specific_impact_energy": offered / known["mass"]})  # fmt: skip
-    rest = {name: value for name, value in parameters.items() if name not in CARRIED}
-    return demand(CRITERIA[key], state, rest) if key in CRITERIA else np.asarray(state[key])
 
 
 def answers_from(

@@ -179,10 +179,6 @@ INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              meaning="level half-way between the peaks of a two-peak pulse"),
     Quantity(name="pulse.gain", symbol="G", dimension="number", plausible=(0.5, 2.0),
              meaning="true strain over that of a measured pulse"),
-    Quantity(name="product.A", symbol="A", dimension="share", display="%", lower=1e-3, upper=1.0, closed=True,
-             plausible=(0.2, 1.0), meaning="largest product fineness t10"),
-    Quantity(name="product.b", symbol="b", dimension="mass_per_energy", display="t/kWh",
-             plausible=(0.1 / 3600.0, 10.0 / 3600.0), meaning="how fast the product fineness rises with the energy"),
     Quantity(name="contact.onset_pressure", symbol="p_y", dimension="pressure", display="GPa", plausible=(1e8, 2e10),
              meaning="centre pressure at which a face begins to yield or to crush"),
     Quantity(name="contact.hardness", symbol="H", dimension="pressure", display="GPa", plausible=(1e8, 5e10),
@@ -295,8 +291,7 @@ class Scene:
     1/E* = (1 - nu²)/E.  first_loading_only: the record ends when the first reflected wave returns; whole_record: that
     of bars goes on after the first loss of contact, to the horizon, contacts regained included.  horizon: its end
     [s]; None: the rule of docs/theory.md.  demands: further quantities, name -> criterion and its parameters.
-    contact_dynamics: of a law that yields, `path`, inside the equations of motion, or `elastic`, from the largest force
-    alone.  hardness_at_onset: the hardness is the onset, row by row (Thornton's law).  record: the pulse of `measured`,
+    hardness_at_onset: the hardness is the onset, row by row (Thornton's law).  record: the pulse of `measured`,
     the same in every row but for noise and gain; `striker.speed` is then 2 c0 times its peak strain and gain.  rig: of
     `rigs.RIGS`; shape, infinite, first_loading_only and record belong to `bars`.  options: words of the study,
     ``target.kind``, ``anvil.kind``, ``hammer.shape``.  ValueError for a missing or misshapen column, an unknown word,
@@ -312,7 +307,6 @@ class Scene:
     horizon: float | None = None
     demands: Mapping[str, tuple[str, Mapping[str, float]]] = field(default_factory=dict)
     contact_law: str = "hertz"
-    contact_dynamics: str = "path"
     hardness_at_onset: bool = False
     record: MeasuredPulse | None = None
     rig: str = "bars"

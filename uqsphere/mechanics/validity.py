@@ -14,8 +14,8 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.criteria import CRITERIA, DIAMETERS, ENERGIES, Criterion, Demands, in_range, ranges_of
-from uqsphere.mechanics.outputs import Answers, offered_energy
+from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, in_range, ranges_of
+from uqsphere.mechanics.outputs import Answers
 from uqsphere.mechanics.rigs import (
     GRAVITY,
     RIGS,
@@ -585,7 +585,7 @@ def check_ranges(
     for name in dict.fromkeys(quantities):
         if name in known and CRITERIA[known[name][0]].ranges:
             found.append(_check_range(name, CRITERIA[known[name][0]], known[name][1], columns))
-    return [*found, *([_check_product(columns)] if "t10" in quantities else [])]
+    return found
 
 
 def _check_range(
@@ -616,22 +616,3 @@ def _farthest(key: str, values: Array, low: float, high: float) -> tuple[float, 
     worst = least if below > max(above, 0.0) else most
     found = f"{least:.3g} to {most:.3g}" if min(below, above) > 0.0 else f"{worst:.3g}"
     return max(below, above) / (high - low), worst, f"{_WORDS.get(key, key)} reaches {found}"
-
-
-def _check_product(columns: Mapping[str, Array]) -> Check:
-    """The fineness against the energies and sizes that its A and b are fitted to."""
-    energy, size = offered_energy(columns), 2.0 * columns["sphere.radius"]
-    allowed = "0.1 to 2.5 kWh/t, 13 to 63 mm"
-    if len(energy) == 0:
-        return _result("range_of_t10", np.zeros(3), None, _NO_ROW)
-    outside = [(energy < ENERGIES[0]) | (energy > ENERGIES[1]), (size < DIAMETERS[0]) | (size > DIAMETERS[1])]
-    share = float((outside[0] | outside[1]).sum() / len(energy))
-    lowest, highest = float(energy.min()), float(energy.max())
-    worst = lowest if ENERGIES[0] / lowest > highest / ENERGIES[1] else highest
-    text = f"t10 is used where A and b are measured ({allowed})"
-    if share > 0.0:
-        spans = (f"{lowest / 3600.0:.3g} to {highest / 3600.0:.3g} kWh/t",
-                 f"{1e3 * size.min():.3g} to {1e3 * size.max():.3g} mm")  # fmt: skip
-        left = " and ".join(span for span, which in zip(spans, outside, strict=True) if which.any())
-        text = f"in {_percent(share)} rows t10 is outside the range of the drop-weight tests ({allowed}): found {left}"
-    return _result("range_of_t10", np.array([0.0, share, 0.0]), worst, text)

@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places
-from uqsphere.mechanics.roots import ROUNDS, newton
+from uqsphere.mechanics.roots import newton
 
 #: terms of the series of G and of its integrals below `_NEAR`, where the closed forms cancel: 0.3^40/40 < 1e-22
 _TERMS: Final = 40
@@ -204,21 +204,6 @@ class Face:
         start = 1.0 + (np.sqrt(np.maximum(1.0 + 3.0 * (work - 0.4), 1.0)) - 1.0) / 1.5
         depth = newton(lambda z: (self.work(z) - np.maximum(work, 0.4)) / self.force(z), start, 1.0)
         return np.where(work > 0.4, depth, (work / 0.4) ** 0.4)
-
-    def depth_of_share(self, energy: Array, share: Array) -> Array:
-        """z at which a share of what is stored and all plastic work make an energy [J].
-
-        It goes with z to a power between 2 and 2.6, so that a step with 2.4 leaves a sixth of the logarithm's error.
-        """
-        wanted = np.asarray(energy / (self.onset_force * self.onset_approach))
-        depth = np.where(wanted > 0.4 * share, self.depth_of_work(wanted), (wanted / (0.4 * share)) ** 0.4)
-        for _ in range(ROUNDS):
-            spent = self.work(depth) - (1.0 - share) * 0.4 * self.force(depth) * self.recovery(depth)
-            step = np.where(wanted > 0.4 * share, np.log(wanted / spent) / 2.4, 0.0)
-            depth = depth * np.exp(step)
-            if not np.any(np.abs(step) > 1e-14):
-                break
-        return depth
 
     def recovery(self, depth: Array) -> Array:
         """alpha_e/alpha_y: the approach that unloading from z gives back, (C8)."""

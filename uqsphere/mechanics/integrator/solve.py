@@ -193,7 +193,7 @@ def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
 
 def _laws(scene: Scene, rows: Places) -> Array:
     """Laws of both faces in scaled variables, (n, LAWS, 2): see `tracked`; (n, 0, 2): both forces are x^(3/2)."""
-    faces = [partner.face if partner and scene.contact_dynamics == "path" else None for partner in scene.partners]
+    faces = [partner.face if partner else None for partner in scene.partners]
     if scene.rig == "bars" and faces == [None, None]:
         return np.zeros((len(rows), 0, 2))
     laws = np.ones((len(rows), tracked.LAWS, 2))
@@ -439,16 +439,16 @@ def solve(
 def later_loading(
     scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-4, threads: int | None = None
 ) -> Array:
-    """Largest pressure up to the horizon over that up to the first loss of contact, (n,): above 1 an echo loads harder.
+    """Largest force up to the horizon over that up to the first loss of contact, (n,): above 1 an echo loads harder.
 
-    For bars whose record ends at the first loss; NaN where a row has no answer, 1 where the record ends otherwise.  The
-    same rows with `whole_record` cost some six to fifteen times as much: a run looks at its first 512.
+    For bars whose record ends at the first loss; NaN where a row has no answer, 1 where the record ends otherwise.  A
+    row of the whole record costs some four times as much: a run looks at its first 512.
     """
     if scene.rig != "bars" or scene.infinite or scene.first_loading_only:
         return np.where(scene.status == 0, 1.0, np.nan)
     peaks = [
         solve(replace(scene, whole_record=whole, demands={}), fidelity=fidelity, tolerance=tolerance, threads=threads,
-              quantities=("p_max",)).values["p_max"]
+              quantities=("P_max",)).values["P_max"]
         for whole in (False, True)
     ]  # fmt: skip
     return np.asarray(np.maximum(peaks[1] / peaks[0], 1.0))
