@@ -177,6 +177,8 @@ def _new(given: argparse.Namespace) -> int:
     from uqsphere.study import shipped_studies
 
     shipped = shipped_studies()
+    folder = next(iter(shipped.values())).parent
+    shipped |= {path.stem: path for path in sorted(folder.glob("lab_*.toml"))}
     if given.template is None:
         print("\n".join(shipped))
         return 0

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ndtri
 
 from tests.campaigns.chaos import MODELS, checked, design, relative_error
-from tests.campaigns.coverage import coverage_models, far_event_model
+from tests.campaigns.intervals import coverage_models, far_event_model
 from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, germs_of, integrals, predict, rows_of
 from uqsphere.uq.chaos.basis import grown, hyperbolic_indices, nested
 from uqsphere.uq.interop import load_chaospy

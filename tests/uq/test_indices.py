@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from tests.campaigns.coverage import CoverageModel, coverage_models
+from tests.campaigns.intervals import CoverageModel, coverage_models
 from uqsphere.uq.chaos import germ_points, germs_of
 from uqsphere.uq.failure_indices import score_gradients, sway_estimates
 from uqsphere.uq.indices import ESTIMATORS, Blocks, sampled_indices, uniform_halves

@@ -52,6 +52,13 @@ def rows_under_plastic_contact(
     return evaluate_scene(yielding, names, rows, columns)
 
 
+def later_loading(study: Study, names: Sequence[str], rows: Array) -> Array:
+    """Largest force on to the horizon over that of the record, (n,): above 1 a later loading is harder."""
+    from uqsphere.mechanics.integrator.solve import later_loading as loaded_later
+
+    return loaded_later(_scene(study, names, rows), tolerance=max(study.model.tolerance, 1e-4))
+
+
 def fractures_of(
     study: Study, names: Sequence[str], rows: Array, quantities: Sequence[str], shares: Array
 ) -> Fractures:

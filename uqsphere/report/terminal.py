@@ -26,6 +26,8 @@ def summary(results: Mapping[str, Any], width: int = 79) -> str:
             lines += textwrap.wrap(f"Next: {verdict['next']}", width)
     if modes := _modes(results):
         lines += ["", *_table(("failure mode", "probability", "beta", "at the target"), modes[:ROWS], width)]
+        if any(row[0].endswith("*") for row in modes):
+            lines.append("* by a strength of the library, not of this rock")
     lines += ["", *_table(("quantity", "mean", "5-95 % range"), _quantities(results)[:ROWS], width)]
     if indices := _indices(results):
         lines += ["", *_table(("Sobol' index, total", *results_names(results)), indices[:ROWS], width)]
@@ -57,7 +59,7 @@ def _modes(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
                 wanted = target if entry["aim"] == "survive" else 1.0 - target
                 at = next((r for r in of(results["answers"], subject, "margin")
                            if isinstance(r["at"], float) and abs(r["at"] - wanted) < 1e-9), None)  # fmt: skip
-            rows.append((label(subject), probability(find(results["answers"], subject, "exceedance_probability")),
+            rows.append((label(subject).replace(" (assumed)", "*"), probability(find(results["answers"], subject, "exceedance_probability")),
                          "–" if index is None else f"{index['value']:.2f}",
                          "–" if at is None or at["value"] is None else value(at["value"], free["path"])))  # fmt: skip
     return rows

@@ -100,16 +100,17 @@ class Run:
         return self._one(limit, "margin", float(probability))
 
     def expansion(self, quantity: str) -> Any:
-        """The polynomial chaos of a quantity (`uqsphere.uq`): coefficients, multi-indices, germs, `predict(x)`,
-        `to_chaospy()`.
+        """The polynomial chaos of a quantity: `predict(rows)` with intervals, `to_frame()` (coefficients and
+        multi-indices), `moments()`, `quantiles(p)`, `sample(n)`, `indices()`, and `chaospy()` with chaospy's objects.
 
-        Raises UsageError where there is none: the quantity does not vary, or the run was read from a folder.
+        It is fitted to up to 512 model runs of this run, when it is asked for.  Raises UsageError where there is none: the quantity does not vary, or the run was read from a folder.
         """
-        found = self.live.get("expansions", {}).get(quantity)
-        if found is None:
-            why = "the run was read from a folder: run the study again" if not self.live else "it has none"
-            raise UsageError(f"no expansion of {quantity!r}: {why}")
-        return found
+        if not self.live:
+            raise UsageError(f"no expansion of {quantity!r}: the run was read from a folder, run the study again")
+        made = self.live["fit"](quantity)
+        if made is None:
+            raise UsageError(f"no expansion of {quantity!r}: it does not vary, or has no plain value in every row")
+        return made
 
     @property
     def plot(self) -> Plots:

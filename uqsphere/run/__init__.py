@@ -14,12 +14,15 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from uqsphere.errors import UsageError
 from uqsphere.models import check_quantities, check_range, open_model
 from uqsphere.results import Answers, Run
 from uqsphere.results.folder import Log, clear, locked, read_results
 from uqsphere.run import surrogate
 from uqsphere.run.assumptions import assumptions
+from uqsphere.run.chaos import MOST_ROWS
 from uqsphere.run.checks import checks
 from uqsphere.run.design import Design
 from uqsphere.run.distributions import distributions
@@ -114,10 +117,20 @@ def _run(
 
 def _live(design: Design, tables: Tables) -> dict[str, Any]:
     """What only this process keeps: expansions and pairs of runs."""
-    expansions = {name: e.fit for name, e in tables.expansions.items()}
-    if tables.slow is not None:
-        expansions = {name: response.fits[0] for name, response in tables.slow.responses.items()}
-    return {"expansions": expansions, "pairs": dict(tables.pairs), "design": design}
+
+    def fit(quantity: str) -> Any:
+        from uqsphere.uq.surrogate import fit_expansion
+
+        sample = tables.sample if tables.slow is None else tables.slow.rows
+        if quantity not in sample.quantities or not design.inputs or not sample.knows(quantity):
+            return None
+        joint = design.joint.only(design.inputs)
+        count = min(sample.count, MOST_ROWS)
+        x = np.stack([sample.input(name)[0, :count] for name in design.inputs], axis=1)
+        y = sample.answer(quantity)[0, :count]
+        return fit_expansion(x, y, joint, seed=design.study.seed) if np.ptp(y) > 0.0 else None
+
+    return {"fit": fit, "pairs": dict(tables.pairs), "design": design}
 
 
 def _check_owner(folder: Path, study: Study, *, fresh: bool) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.models import checked_rows
+from uqsphere.models import checked_rows, later_loading
 from uqsphere.run.design import Design
 from uqsphere.run.limits import chances, state_of
 
@@ -61,6 +61,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
             effect = f"{100.0 * worst:.2g} % of the failures lie in such rows" if worst > 0.0 else "bias not quantified"
             found.append(Check(name=result.check, text=result.text, share=float(result.share),
                                grade=GRADES[result.grade], effect=effect, failures=failures))  # fmt: skip
+        found += _later_loading(design, rows)
     failed = float(sample.failed.mean())
     if failed > 0.0:
         policy = design.study.analysis.on_failure
@@ -74,6 +75,30 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
                            effect=f"failure probabilities below {3.0 / n:.2g} are bounds"))  # fmt: skip
     found += _heavy_tails(design, tables)
     return found
+
+
+def _later_loading(design: Design, rows: np.ndarray) -> list[Check]:
+    """Whether bars load the sphere harder after the record, which ends at the first loss of contact."""
+    with np.errstate(all="ignore"):
+        ratio = later_loading(design.study, design.inputs, rows)
+    known = ratio[np.isfinite(ratio)]
+    harder = known > 1.001
+    if not harder.any():
+        return []
+    share, median = float(harder.mean()), float(np.median(known[harder]))
+    whole = {limit.name: share for limit in design.fracture if limit.aim == "survive"}
+    return [
+        Check(
+            name="later_loading",
+            share=share,
+            grade="failure",
+            failures=whole,
+            text=f"in {100.0 * share:.3g} % of the rows a later echo loads the sphere {median:.3g} times as hard as the "
+            "record, which ends at the first loss of contact",
+            effect="forces, pressures and fracture probabilities are too small",
+            remedy="set model.first_loading_only = true to ask for the first loading, or absorb the echoes",
+        )
+    ]
 
 
 def _heavy_tails(design: Design, tables: Tables) -> list[Check]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -131,6 +131,7 @@ def grow(design: Design, model: Model, *, seconds: float, progress: Progress | N
     Raises KeyboardInterrupt where the user stops before there is anything, TooManyFailures, ModelError.
     """
     end, budget = time.monotonic() + seconds, design.study.analysis.budget.evaluations
+    history: list[dict[tuple[str, str], float]] = []
     tables, count = None, first_count(design.study)
     while True:
         started = time.monotonic()
@@ -144,12 +145,15 @@ def grow(design: Design, model: Model, *, seconds: float, progress: Progress | N
         took = time.monotonic() - started
         errors = accuracies(design, tables)
         tables.missed = [error for error in errors if error.reached > error.required]
+        history.append({(error.subject, error.answer): error.reached for error in errors})
         worst = max((error.reached / error.required for error in errors), default=0.0)
         tables.reached.append((model.evaluations + model.reused, worst))
         if progress is not None:
             progress(model.evaluations + model.reused, worst, f"{count:,} points in {REPLICATES} randomisations")
         if not tables.missed or not design.drawn.names:
             tables.stopped = "accurate"
+        elif all(_is_stuck(history, miss) for miss in tables.missed):
+            tables.stopped = "no gain"
         elif count >= MOST or model.evaluations + model.reused + _rows(design, tables, count) > budget:
             tables.stopped = "budget"
         elif time.monotonic() + took > end:
@@ -157,6 +161,12 @@ def grow(design: Design, model: Model, *, seconds: float, progress: Progress | N
         if tables.stopped:
             return _search_rare(design, model, tables, end)
         count *= 2
+
+
+def _is_stuck(history: Sequence[Mapping[tuple[str, str], float]], miss: Accuracy) -> bool:
+    """Whether two doublings have left the error of an answer where it was: no number of rows would lower it."""
+    before = history[-3].get((miss.subject, miss.answer)) if len(history) > 2 else None
+    return before is not None and miss.reached > 0.95 * before
 
 
 def first_count(study: Study) -> int:
