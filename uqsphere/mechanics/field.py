@@ -144,9 +144,9 @@ def field_at(motion: Motion, bar: str, position: Values, times: Values, *, sides
 
     >>> from uqsphere.mechanics.integrator.solve import motion
     >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
-    ...            "bars.E": 190e9, "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04, "bars.incident_length": 1.5,
-    ...            "bars.receiving_length": 1.5, "bars.incident_end": 1.0, "bars.receiving_end": 0.0,
-    ...            "striker.speed": 0.5, "striker.length": 0.4}
+    ...            "bars.E": 190e9, "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04,
+    ...            "bars.incident_length": 1.5, "bars.receiving_length": 1.5, "bars.incident_end": 1.0,
+    ...            "bars.receiving_end": 0.0, "striker.speed": 0.5, "striker.length": 0.4}
     >>> found = motion(Scene(columns={name: np.array([number]) for name, number in numbers.items()}), 0)
     >>> field_at(found, "incident", 0.75, [-100e-6]).velocity.tolist()    # v0/2 behind the front of the pulse
     [0.25]
@@ -238,9 +238,9 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
 
     >>> from uqsphere.mechanics.integrator.solve import motion
     >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
-    ...            "bars.E": 190e9, "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04, "bars.incident_length": 1.5,
-    ...            "bars.receiving_length": 1.5, "bars.incident_end": 1.0, "bars.receiving_end": 0.0,
-    ...            "striker.speed": 0.5, "striker.length": 0.4}
+    ...            "bars.E": 190e9, "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04,
+    ...            "bars.incident_length": 1.5, "bars.receiving_length": 1.5, "bars.incident_end": 1.0,
+    ...            "bars.receiving_end": 0.0, "striker.speed": 0.5, "striker.length": 0.4}
     >>> found = motion(Scene(columns={name: np.array([number]) for name, number in numbers.items()}), 0)
     >>> first_tension(found, "receiving") is None       # its end absorbs: nothing comes back to pull
     True
@@ -362,9 +362,9 @@ def gauge_strain(motion: Motion, bar: str, position: float, times: Values, *, si
 
     >>> from uqsphere.mechanics.integrator.solve import motion
     >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
-    ...            "bars.E": 190e9, "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04, "bars.incident_length": 1.5,
-    ...            "bars.receiving_length": 1.5, "bars.incident_end": 1.0, "bars.receiving_end": 0.0,
-    ...            "striker.speed": 0.5, "striker.length": 0.4}
+    ...            "bars.E": 190e9, "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04,
+    ...            "bars.incident_length": 1.5, "bars.receiving_length": 1.5, "bars.incident_end": 1.0,
+    ...            "bars.receiving_end": 0.0, "striker.speed": 0.5, "striker.length": 0.4}
     >>> found = motion(Scene(columns={name: np.array([number]) for name, number in numbers.items()}), 0)
     >>> float(gauge_strain(found, "incident", 0.75, [-100e-6])[0]) * 1e6    # -v0/(2 c0)
     -51.2989...
