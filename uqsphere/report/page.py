@@ -260,7 +260,8 @@ def _fracture(results: Results) -> list[tuple[str, str]]:
 def _accuracy(results: Results) -> dict[str, Any]:
     accuracy = results["accuracy"]
     stopped = {"accurate": "as accurate as required", "budget": "the budget of model runs ended it",
-               "time": "the time budget ended it", "no gain": "more runs would not have made it more accurate", "interrupted": "it was interrupted"}  # fmt: skip
+               "time": "the time budget ended it", "no gain": "more runs would not have made it more accurate",
+               "interrupted": "it was interrupted"}  # fmt: skip
     return {
         "runs": f"{accuracy['runs']:,}", "reused": accuracy["reused"], "seconds": f"{accuracy['seconds']:.3g}",
         "stopped": stopped.get(accuracy["stopped"], accuracy["stopped"]),

@@ -59,7 +59,8 @@ def _modes(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
                 wanted = target if entry["aim"] == "survive" else 1.0 - target
                 at = next((r for r in of(results["answers"], subject, "margin")
                            if isinstance(r["at"], float) and abs(r["at"] - wanted) < 1e-9), None)  # fmt: skip
-            rows.append((label(subject).replace(" (assumed)", "*"), probability(find(results["answers"], subject, "exceedance_probability")),
+            chance = find(results["answers"], subject, "exceedance_probability")
+            rows.append((label(subject).replace(" (assumed)", "*"), probability(chance),
                          "–" if index is None else f"{index['value']:.2f}",
                          "–" if at is None or at["value"] is None else value(at["value"], free["path"])))  # fmt: skip
     return rows

@@ -103,7 +103,8 @@ class Run:
         """The polynomial chaos of a quantity: `predict(rows)` with intervals, `to_frame()` (coefficients and
         multi-indices), `moments()`, `quantiles(p)`, `sample(n)`, `indices()`, and `chaospy()` with chaospy's objects.
 
-        It is fitted to up to 512 model runs of this run, when it is asked for.  Raises UsageError where there is none: the quantity does not vary, or the run was read from a folder.
+        It is fitted to up to 512 model runs of this run, when it is asked for.  Raises UsageError where there is none:
+        the quantity does not vary, or the run was read from a folder.
         """
         if not self.live:
             raise UsageError(f"no expansion of {quantity!r}: the run was read from a folder, run the study again")

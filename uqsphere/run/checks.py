@@ -93,7 +93,8 @@ def _later_loading(design: Design, rows: np.ndarray) -> list[Check]:
             share=share,
             grade="failure",
             failures=whole,
-            text=f"in {100.0 * share:.3g} % of the rows a later echo loads the sphere {median:.3g} times as hard as the "
+            text=f"in {100.0 * share:.3g} % of the rows a later echo loads the sphere {median:.3g} times as hard as "
+            "the "
             "record, which ends at the first loss of contact",
             effect="forces, pressures and fracture probabilities are too small",
             remedy="set model.first_loading_only = true to ask for the first loading, or absorb the echoes",

@@ -111,6 +111,21 @@ class Expansion:
     def names(self) -> tuple[str, ...]:
         return self.joint.names
 
+    @property
+    def coefficients(self) -> Array:
+        """Coefficients (P,) of the terms; of ln y where `fit.log`."""
+        return self.fit.coefficients
+
+    @property
+    def multi_indices(self) -> Any:
+        """Degrees (P, d) of the terms in each germ."""
+        return self.fit.multi_indices
+
+    @property
+    def germs(self) -> tuple[GermLike, ...]:
+        """The germs of the inputs."""
+        return self.fit.germs
+
     def inside(self, rows: Any) -> Flags:
         """Which rows (n,) lie where the laws of the inputs do."""
         x = columns_of(rows, self.names)
