@@ -21,7 +21,6 @@ from uqsphere.labs.comminution.tests import Specimens, load_tests
 
 ROOT = Path(__file__).parents[2]
 CASES = json.loads((ROOT / "tests/data/feed_cases.json").read_text())
-PUBLIC = Path("/work/shared/public")
 EXACT = 1e-12
 
 
@@ -346,20 +345,6 @@ def test_a_sieve_table_that_ends_early(tmp_path: Path) -> None:
         sieved(tmp_path, "sieve [um],passing_percent\n100,0.1\n150,0.986\n")
     near = sieved(tmp_path, "sieve [um],passing_percent\n100,10\n150,98\n")
     assert "0.02 of the mass" in near.notes[0]
-
-
-@pytest.mark.skipif(not PUBLIC.is_dir(), reason="the public cases are not here")
-def test_the_public_sieve_case(tmp_path: Path) -> None:
-    folder = PUBLIC / "feed-sieve-table-that-ends-early"
-    asked = document(
-        tests={"file": "tests.csv", "diameter": "diameter_mm", "specific_energy": "energy_J_kg", "law": "lognormal"},
-        feed={"sizes": {"law": "table", "file": "psd.csv", "sieve": "sieve_um", "passing": "passing_percent",
-                        "top": "200 um"}, "specific_energy": "1000 J/kg"},
-        product={"A": "55 %", "b": "0.8 t/kWh"},
-    )  # fmt: skip
-    answer = answer_feed(fit(load_tests(asked, folder), asked).posterior, asked, folder)
-    assert answer.content["numbers"]["P80 [m]"]["value"] == pytest.approx(0.172e-3, rel=0.03)
-    assert answer.content["numbers"]["broken"]["low"] < 0.151 < answer.content["numbers"]["broken"]["high"]
 
 
 def test_the_shipped_feed_and_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
