@@ -101,6 +101,8 @@ def change(a: Row, b: Row) -> str:
         both = isinstance(a[0], float) and isinstance(b[0], float)
         fine = abs(a[0] - b[0]) <= EXACT * abs(a[0]) if both else a[0] == b[0]
         return "" if fine else "changed"
+    if a[0] is None or b[0] is None:
+        return "" if a[0] is b[0] is None else "absent"
     slack = EXACT * max(abs(a[0]), abs(b[0]))
     if max(a[1], b[1]) > min(a[2], b[2]) + slack:
         return "moved"

@@ -27,8 +27,9 @@ from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, germs_of, predict, 
 MOST_ROWS: Final = 512
 #: rows of a replicate that correct its indices at most
 MOST_TERMS: Final = 2048
-#: share of the variance that an expansion may leave and still serve as a control
-MOST_LEFT: Final = 0.05
+#: share of the variance that an expansion may leave and still have a design point searched on it, and serve as control
+#: variate: what it leaves more than that costs the tails as much as it gains (granite, p_max against contact_duration)
+MOST_LEFT, CONTROL = 0.05, 1e-3
 #: share below which more rows are not worth a second fit
 GOOD: Final = 0.01
 

@@ -63,7 +63,7 @@ def _described(design: Design, tables: Tables, name: str) -> Description:
     if tables.slow is not None:
         return surrogate.described(design, tables.slow, sample, name)
     expansion = tables.expansions.get(name)
-    if expansion is not None and expansion.left < chaos.MOST_LEFT:
+    if expansion is not None and expansion.left < chaos.CONTROL:
         many = many_values(design, expansion, sample.count)
         return describe_controlled(sample.answer(name)[1:], expansion.values, many[1:], quantiles=analysis.quantiles,
                                    method=CONTROLLED)  # fmt: skip

@@ -8,13 +8,13 @@ passes, the second about the mean of all samples: no cancellation, whatever the 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, special
+from uqsphere.arrays import Array, Flags
 from uqsphere.uq.estimate import (
     CELL,
     Estimate,
@@ -33,8 +33,6 @@ from uqsphere.uq.estimate import (
 LEAST_BEYOND: Final = 5
 #: share of the variance that one of so many samples may make: one that makes more means no convergence
 DOMINANT, CONVERGES = 0.4, 1000
-#: probabilities on either side of a quantile, over the smaller side up to a tenth, where differences are counted
-RANGE: Final = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,39 +227,41 @@ def describe_controlled(
     variance, error_of_it = corrected(squares[0], squares[1] - squares[2])
     scale = math.sqrt(variance) if variance > 0.0 else float(expensive.std())
     loose = 0.5 * error_of_it / scale if scale > 0.0 else 0.0
-    many, factor = np.sort(cheap_many, axis=None), student(replicates)
+    read, factor = _corrected_reader(expensive, cheap, cheap_many), student(replicates)
     sd = around(scale, factor * loose, loose, method, total)
     return Description(
         mean=around(mean, factor * error, error, method, total),
         sd=sd if sd.low is None else replace(sd, low=max(0.0, sd.low)),
-        quantiles={p: _controlled_quantile(p, (expensive, cheap, cheap_many), many, method) for p in quantiles},
+        quantiles={p: _controlled_quantile(p, (expensive, cheap, cheap_many), read, method) for p in quantiles},
         censored_share=share(np.zeros(expensive.shape, dtype=bool), "share of the samples"),
         scale=scale,
     )
 
 
-def _controlled_quantile(p: float, rows: tuple[Array, Array, Array], many: Array, method: str) -> Estimate:
-    """A quantile off the corrected distribution function, its interval after Woodruff (1952); `many` in order.
-
-    Where the cheap model is close, steps of both would hardly meet between the same rows; counted over a range of
-    values, as a kernel of that width does, what the model lies above the cheap one counts by how far, and a row in
-    which they disagree altogether counts whole.  Half of the probability beyond the quantile, on either side, is a
-    range that leaves the difference as it is: its density hardly bends there.
+def _corrected_reader(expensive: Array, cheap: Array, more: Array) -> Callable[[float], float]:
+    """Reads the corrected distribution function at a probability: the cheap model's at many points, and at the rows the
+    steps of the expensive one up and of the cheap one down.  Unbiased wherever they differ, at kinks of the model too.
     """
+    places = np.concatenate([part.ravel() for part in (more, expensive, cheap)])
+    weights = ((more.size, 1.0), (expensive.size, 1.0), (cheap.size, -1.0))
+    steps = np.concatenate([np.full(size, sign / size) for size, sign in weights])
+    order = np.argsort(places, kind="stable")
+    below = np.cumsum(steps[order])
+    # a distribution function never falls: half-way between the running maximum and the running minimum from the right
+    below = 0.5 * (np.maximum.accumulate(below) + np.minimum.accumulate(below[::-1])[::-1])
+    ordered = places[order]
+    return lambda p: float(ordered[min(int(np.searchsorted(below, p)), len(ordered) - 1)])
+
+
+def _controlled_quantile(
+    p: float, rows: tuple[Array, Array, Array], read: Callable[[float], float], method: str
+) -> Estimate:
+    """A quantile off the corrected distribution function, its interval after Woodruff (1952)."""
     expensive, cheap, more = rows
-    replicates, side = len(expensive), min(p, 1.0 - p)
-    if side * expensive.size < LEAST_BEYOND:
+    if min(p, 1.0 - p) * expensive.size < LEAST_BEYOND:
         return absent(f"too few samples beyond the {p:g} quantile", method, expensive.size)
-
-    def read(probability: float) -> float:
-        return hazen(many, probability)
-
     at = read(p)
-    width = 0.5 * (read(p + RANGE * min(side, 0.1)) - read(p - RANGE * min(side, 0.1)))
-    if width > 0.0:
-        moved = (special.ndtr((at - expensive) / width) - special.ndtr((at - cheap) / width)).mean(axis=1)
-    else:
-        moved = (expensive <= at).mean(axis=1) - (cheap <= at).mean(axis=1)
-    _, error = corrected(moved, -(more <= at).mean(axis=1))
-    error = math.hypot(error, CELL / more.shape[1] / math.sqrt(replicates))
-    return quantile(read, p - float(moved.mean()), error, replicates, method, expensive.size)
+    below = (expensive <= at).mean(axis=1) - (cheap <= at).mean(axis=1) + (more <= at).mean(axis=1)
+    # a cell of the many, and one row in which the models may disagree
+    error = math.hypot(spread(below), CELL / more.shape[1] / math.sqrt(len(expensive)), CELL / expensive.size)
+    return quantile(read, p, error, len(expensive), method, expensive.size)
