@@ -96,16 +96,16 @@ def _dents(course: Motion, times: Array, width: float) -> Array:
     return np.where(course.forces_at(np.array([course.end * course.unit]))[0] < np.array(tops), dents, 0.0)
 
 
-def compare(found: list[Scene], tolerance: float) -> Array:
+def compare(found: list[Scene], tolerance: float, fidelity: str = "full") -> Array:
     """Errors over the tolerance of all rows that have an answer: of t_eq, or of t_c where t_eq is shorter.
 
     The integrator keeps approaches to a share of alpha_c: what a record of a hundredth of t_c has of impulse is less.
     """
-    errors = []
+    errors, kept, finer = [], ("contact_duration",), max(1e-2 * tolerance, 1e-12)
     for scene in found:
-        answers = solve(scene, tolerance=tolerance, quantities=("contact_duration",))
+        answers = solve(scene, fidelity=fidelity, tolerance=tolerance, quantities=kept)
         rows = np.flatnonzero(answers.status == 0)
-        for course in motions(scene, rows, tolerance=max(1e-2 * tolerance, 1e-12), quantities=("contact_duration",)):
+        for course in motions(scene, rows, fidelity=fidelity, tolerance=finer, quantities=kept):
             if isinstance(course, Motion):
                 expected = quadrature(course) * course.unit
                 answer = answers.values["contact_duration"][course.row]

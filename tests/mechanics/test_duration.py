@@ -30,6 +30,13 @@ def test_it_is_the_quadrature_of_a_dense_history(law: str) -> None:
     assert errors.max() < 5.0
 
 
+@pytest.mark.parametrize("fidelity", ["linear", "massless"])
+def test_so_it_is_of_the_models_of_the_paper(fidelity: str) -> None:
+    errors = compare(scenes(12, 3), tolerance=1e-8, fidelity=fidelity)
+    assert len(errors) >= 10
+    assert errors.max() < 5.0
+
+
 def test_so_it_is_on_every_rig() -> None:
     errors = compare(rig_scenes(2, 1), tolerance=1e-8)
     assert len(errors) >= 8

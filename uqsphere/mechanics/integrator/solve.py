@@ -52,9 +52,7 @@ class Motion:
 
     start, length (m,): of the steps, over t_c; states (m, 3, k): x_1, x_2 and u on every step, coefficients in
     ascending powers of the share of the step that has passed; forces (m, 2, k): the same of both forces over P_c, where
-    they do not follow from the approach alone.  end: over t_c, may lie inside the last step.  returning: velocity [m/s]
-    at times [s] of the wave that comes back to face B, where its end is more than a number
-    (`uqsphere.mechanics.damper`).
+    they do not follow from the approach alone.  end: over t_c, may lie inside the last step.
     """
 
     scene: Scene
