@@ -14,7 +14,7 @@ from pathlib import Path
 
 STUDIES = (
     "granite", "granite_10mm_test", "granite_three_ways", "glass_bead_small_bar", "limestone_margin",
-    "limestone_three_ways", "limestone_drop_weight", "limestone_ball_slow", "quartz_load_cell", "granite_force",
+    "limestone_three_ways", "limestone_drop_weight", "limestone_ball_slow", "quartz_load_cell",
     "blackbox", "ishigami",
 )  # fmt: skip
 MODELS = {"blackbox": "blackbox.py:model", "ishigami": "ishigami.py:ishigami"}
