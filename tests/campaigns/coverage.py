@@ -9,10 +9,10 @@ function as a slow model of 128 runs).  Printed by kind of answer: intervals tha
 from __future__ import annotations
 
 import argparse
-import sys
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +62,7 @@ def truth_of(name: str) -> dict[tuple[str, str, Any], float]:
     run of sixteen times the points."""
     if name in ("granite", "limestone"):
         study, model = case(name, 987_654)
-        modules = sys.modules["uqsphere.run.grow"], sys.modules["uqsphere.run.chaos"]
+        modules = import_module("uqsphere.run.grow"), import_module("uqsphere.run.chaos")
         before = modules[0].FIRST, modules[1].MOST_ROWS, modules[1].MOST_TERMS
         modules[0].FIRST, modules[1].MOST_ROWS, modules[1].MOST_TERMS = 4096, 2048, 4096
         try:
