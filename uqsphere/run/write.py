@@ -30,7 +30,7 @@ from uqsphere.uq.fitting import count_tests, is_fitted
 
 #: rows of samples.csv
 MOST_ROWS: Final = 16_384
-PACKAGES: Final = ("uqsphere", "numpy", "scipy", "numba", "pandas", "chaospy", "SALib", "pydantic", "matplotlib")
+PACKAGES: Final = ("numpy", "scipy", "numba", "pandas", "chaospy", "SALib", "pydantic", "matplotlib")
 
 
 def results_of(
@@ -180,7 +180,9 @@ def _input(design: Design, name: str) -> Any:
 
 
 def _versions() -> dict[str, str]:
-    found = {"python": ".".join(str(part) for part in sys.version_info[:3])}
+    from uqsphere import __version__
+
+    found = {"python": ".".join(str(part) for part in sys.version_info[:3]), "uqsphere": __version__}
     for name in PACKAGES:
         try:
             found[name] = version(name)
