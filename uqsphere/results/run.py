@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -25,13 +24,13 @@ class Run:
 
     results : what results.json holds
     folder : where it lies; None for a run that was not given a folder
-    samples_csv : the table of samples as written
+    table : the samples, for a run of this process
     live : what only a run of this process has: expansions and pairs, by quantity
     """
 
     results: dict[str, Any]
     folder: Path | None = None
-    samples_csv: str = ""
+    table: pd.DataFrame | None = field(default=None, repr=False)
     live: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
@@ -49,13 +48,13 @@ class Run:
         """Inputs, strengths and columns of up to 16,384 rows, SI units."""
         import pandas as pd
 
-        text = self.samples_csv
-        if not text and self.folder is not None:
-            path = self.folder / "samples.csv"
-            if path.is_symlink() or not path.is_file():
-                raise FolderError(f"{self.folder} holds no samples.csv")
-            text = path.read_text(encoding="utf-8")
-        return pd.read_csv(io.StringIO(text))
+        if self.table is not None:
+            return self.table.copy()
+        assert self.folder is not None
+        path = self.folder / "samples.csv"
+        if path.is_symlink() or not path.is_file():
+            raise FolderError(f"{self.folder} holds no samples.csv")
+        return pd.read_csv(path)
 
     @property
     def verdicts(self) -> dict[str, Any]:

@@ -107,7 +107,7 @@ def _heavy_tails(design: Design, tables: Tables) -> list[Check]:
     from uqsphere.uq.describe import hill
 
     found = []
-    for name in design.study.analysis.quantities:
+    for name in design.described:
         values = tables.sample.outputs(name)
         values = values[np.isfinite(values)]
         if values.size < 1000 or not values.std() > 0.0:

@@ -69,6 +69,11 @@ class Design:
         return self.joint.only([name for name in self.joint.names if not name.endswith(".strength")])
 
     @cached_property
+    def described(self) -> tuple[str, ...]:
+        """The quantities whose distributions and indices are answered: those asked for, and those of limits."""
+        return tuple(dict.fromkeys([*self.study.analysis.quantities, *(limit.quantity for limit in self.limits)]))
+
+    @cached_property
     def fracture(self) -> tuple[Limit, ...]:
         """The limits of the file that mean fracture of the sphere."""
         return tuple(limit for limit in self.limits if means_fracture(limit))
@@ -81,14 +86,18 @@ class Design:
     def points(self, count: int, start: int = 0, task: str = "sample", joint: Joint | None = None) -> Sample:
         """`count` points of every replicate, from the `start`-th of its sequence on; `joint` replaces the variables."""
         drawn = self.drawn if joint is None else joint
-        size = len(drawn.names)
-        if not self.inputs and not size:
+        if not drawn.names:
             return Sample.at((), np.zeros((REPLICATES, count, 0)), np.zeros((REPLICATES, count, 0)))
+        return at_normals(drawn, self.normals(count, start, task))
+
+    def normals(self, count: int, start: int = 0, task: str = "sample") -> Array:
+        """The points as independent standard normals (R, count, D)."""
         uniforms = [
-            sobol_points(dimension=size, count=count, start=start, seed=self.study.seed, task=task, replicate=replicate)
+            sobol_points(dimension=len(self.drawn.names), count=count, start=start, seed=self.study.seed, task=task,
+                         replicate=replicate)
             for replicate in range(REPLICATES)
-        ]
-        return at_normals(drawn, normal_scores(np.stack(uniforms)))
+        ]  # fmt: skip
+        return normal_scores(np.stack(uniforms))
 
 
 def _with_limits(study: Study, further: Sequence[Limit]) -> Study:

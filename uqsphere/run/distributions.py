@@ -25,10 +25,10 @@ CONTROLLED = "sample, chaos as control variate"
 
 
 def distributions(design: Design, tables: Tables) -> Answers:
-    """Mean, standard deviation, quantiles and censored share of every quantity asked for."""
+    """Mean, standard deviation, quantiles and censored share of every quantity."""
     answers = Answers()
     runs = tables.sample.size if design.drawn.names else 1
-    for name in design.study.analysis.quantities:
+    for name in design.described:
         found = described(design, tables, name)
         unit = lookup(name).unit
         answers.add(name, "mean", "", found.mean, unit=unit, runs=runs)
@@ -79,7 +79,7 @@ def many_values(design: Design, expansion: chaos.Expansion, count: int) -> Array
 
 @lru_cache(maxsize=2)
 def _many_points(design: Design, count: int) -> Array:
-    return design.points(count).scores
+    return design.normals(count)
 
 
 def density(values: Array) -> list[list[float]] | None:

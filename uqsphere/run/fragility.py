@@ -105,9 +105,9 @@ def curve_of(
 
     grid, table = table_along(design, tables, exceeded)
     wanted = targets or tuple(sorted({*margins.for_probability, allowable_probability(design, limit)}))
-    count = next((sample.count for sample in tables.line.values()), tables.sample.count)
     table = np.clip(table, 0.0, 1.0)
-    return fragility_of(grid, table, wanted, samples=count, evaluations=table.size * count)
+    counts = [sample.count for sample in tables.line.values()] or [tables.sample.count]
+    return fragility_of(grid, table, wanted, samples=min(counts), evaluations=table.shape[1] * sum(counts))
 
 
 def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Estimate, float | None]:

@@ -1,9 +1,10 @@
 """The loop of a run: one size n, doubled until every answer is accurate enough, or the budget, the time or the user
 ends it.
 
-Three tables grow together: `sample`, n points in each of `REPLICATES` randomisations; `line`, n/16 of the same points
-at each of 25 values of the free number; and `pairs`, n/4 points of the design of Sobol' indices, only for quantities
-whose polynomial chaos is not accurate enough.  A probability too small for n is left to one search for rare events.
+Three tables grow together: `sample`, n points in each of `REPLICATES` randomisations; `line`, a sixteenth of the same
+points at each of 25 values of the free number, and more where a margin needs them; and `pairs`, n/4 points of the
+design of Sobol' indices, only for quantities whose polynomial chaos is not accurate enough.  A probability too small
+for n is left to one search for rare events.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -160,13 +162,14 @@ def grow(design: Design, model: Model, *, seconds: float, progress: Progress | N
             tables.stopped = "time"
         if tables.stopped:
             return _search_rare(design, model, tables, end)
-        count *= 2
+        if not tables.line or any(miss.answer != "margin" for miss in tables.missed):
+            count *= 2
 
 
 def _is_stuck(history: Sequence[Mapping[tuple[str, str], float]], miss: Accuracy) -> bool:
-    """Whether two doublings have left the error of an answer where it was: no number of rows would lower it."""
-    before = history[-3].get((miss.subject, miss.answer)) if len(history) > 2 else None
-    return before is not None and miss.reached > 0.95 * before
+    """Whether two doublings have left the error of an answer where it had been: no number of rows would lower it."""
+    before = max((errors.get((miss.subject, miss.answer), 0.0) for errors in history[:-2]), default=math.inf)
+    return miss.reached > 0.95 * before > 0.0
 
 
 def first_count(study: Study) -> int:
@@ -193,11 +196,10 @@ def _rows(design: Design, tables: Tables, count: int) -> int:
 def _grown(design: Design, model: Model, before: Tables | None, count: int) -> Tables:
     """Tables of `count` points that continue those before; a line that is accurate enough stays as it is."""
     known = 0 if before is None else before.sample.count
-    more = evaluate(design, model, design.points(count - known, known))
-    sample = more if before is None else before.sample.join(more)
-    line = before.line if before is not None else {}
-    if before is None or any(miss.answer == "margin" for miss in before.missed):
-        line = along(design, model, max(count // LINE_SHARE, 2), line)
+    more = evaluate(design, model, design.points(count - known, known)) if count > known else None
+    sample = more if before is None else before.sample if more is None else before.sample.join(more)
+    assert sample is not None
+    line = along(design, model, before)
     tables = Tables(sample=sample, line=line, reached=[] if before is None else before.reached)
     names = design.study.analysis.quantities if design.inputs else ()
     needed = tuple(dict.fromkeys([*names, *(limit.quantity for limit in design.limits)])) if design.inputs else ()
@@ -207,35 +209,60 @@ def _grown(design: Design, model: Model, before: Tables | None, count: int) -> T
     return tables
 
 
-def along(design: Design, model: Model, count: int, before: Mapping[float, Sample]) -> dict[float, Sample]:
-    """The first points of the sample at each value of the free number, all values in one evaluation."""
+def along(design: Design, model: Model, before: Tables | None) -> Mapping[float, Sample]:
+    """The first points of the sample at each value of the free number, all values in one evaluation.
+
+    Where a margin is too inaccurate the values draw closer together about it, and have twice the points there.
+    """
     margins = design.study.margins
     if margins is None or not margins.axis.moves_rows:
         return {}
-    axis = margins.axis
-    values = axis.grid(VALUES)
-    known = next((sample.count for sample in before.values()), 0)
-    if known >= count:
-        return dict(before)
-    place = axis.path
+    axis, known = margins.axis, {} if before is None else before.line
+    if before is None:
+        counts = dict.fromkeys(axis.grid(VALUES), max(first_count(design.study) // LINE_SHARE, 2))
+    else:
+        twice = 2 * max(part.count for part in known.values())
+        counts = dict.fromkeys(_about_missed_margins(design, before), twice)
     parts, moving = [], []
-    for value in values:
-        moved = axis.move(design.study, value)
-        points = design.points(count - known, known, joint=moved.inputs().only(design.drawn.names))
-        names, columns = axis.place(moved, points.inputs[:, :, : len(design.inputs)], value)
-        shape = points.scores.shape[:2]
+    for value, count in counts.items():
+        start = known[value].count if value in known else 0
+        points = design.points(count - start, start,
+                               joint=axis.move(design.study, value).inputs().only(design.drawn.names))  # fmt: skip
         parts.append(points)
-        moving.append(columns[:, :, names.index(place)] if place in names else np.full(shape, value))
+        moving.append(points.input(axis.path) if axis.path in points.names
+                      else np.full(points.scores.shape[:2], value))  # fmt: skip
+    if not parts:
+        return known
     whole = Sample.at(design.drawn.names, np.concatenate([p.scores for p in parts], axis=1),
                       np.concatenate([p.inputs for p in parts], axis=1))  # fmt: skip
-    answered = evaluate(design, model, whole, {place: np.concatenate(moving, axis=1)})
-    each = {value: _part(answered, k, count - known) for k, value in enumerate(values)}
-    return {value: before[value].join(new) if value in before else new for value, new in each.items()}
+    answered = evaluate(design, model, whole, {axis.path: np.concatenate(moving, axis=1)})
+    ends = np.cumsum([part.count for part in parts])
+    new = {value: _part(answered, int(end) - part.count, int(end))
+           for value, part, end in zip(counts, parts, ends, strict=True)}  # fmt: skip
+    return {value: new[value] if value not in known else known[value].join(new[value]) if value in new else known[value]
+            for value in sorted({*known, *new})}  # fmt: skip
 
 
-def _part(sample: Sample, number: int, count: int) -> Sample:
-    """The `number`-th block of `count` points of every replicate."""
-    cut = slice(number * count, (number + 1) * count)
+def _about_missed_margins(design: Design, tables: Tables) -> set[float]:
+    """The four values about each margin that is too inaccurate, and those half-way between them."""
+    margins, found = design.study.margins, set()
+    missed = {miss.subject for miss in tables.missed if miss.answer == "margin"}
+    values = sorted(tables.line)
+    for limit in design.limits:
+        margin, _ = margin_and_scale(design, tables, limit)
+        if margins is None or f"limits.{limit.name}" not in missed or margin.value is None:
+            continue
+        at = int(np.searchsorted(values, margin.value))
+        near = values[max(at - 2, 0) : at + 2]
+        half = [math.sqrt(a * b) if margins.axis.logarithmic else 0.5 * (a + b)
+                for a, b in pairwise(near)]  # fmt: skip
+        found |= {*near, *half}
+    return found
+
+
+def _part(sample: Sample, start: int, end: int) -> Sample:
+    """Points `start` to `end` of every replicate."""
+    cut = slice(start, end)
     names = ("scores", "inputs", "answers", "censored", "status", "failed")
     return replace(sample, **{name: getattr(sample, name)[:, cut] for name in names})
 

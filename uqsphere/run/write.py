@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import json
 import sys
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -28,6 +27,9 @@ from uqsphere.study import Limit, Study, breaks_by, means_fracture
 from uqsphere.uq import Law, random_generator
 from uqsphere.uq.fitting import count_tests, is_fitted
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 #: rows of samples.csv
 MOST_ROWS: Final = 16_384
 PACKAGES: Final = ("numpy", "scipy", "numba", "pandas", "chaospy", "SALib", "pydantic", "matplotlib")
@@ -46,7 +48,7 @@ def results_of(
             "title": study.title, "hash": study.hash, "kind": "black box" if study.black_box else study.rig,
             "seed": study.seed, "description": _description(design), "free": _free(design),
             "overrides": list(study.overrides), "warnings": list(study.warnings),
-            "quantities": {name: _quantity(design, tables, name) for name in study.analysis.quantities},
+            "quantities": {name: _quantity(design, tables, name) for name in design.described},
             "limits": {limit.name: _limit(design, limit) for limit in design.limits},
             "modes": {mode.called: {**_limit(design, mode.limit), "assumed": True, "source": mode.source,
                                     "source_checked": mode.seen} for mode in design.modes},
@@ -191,8 +193,8 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def samples_of(design: Design, tables: Tables) -> str:
-    """samples.csv: inputs, columns, and a strength of every row, of up to `MOST_ROWS` rows; SI units."""
+def samples_of(design: Design, tables: Tables) -> pd.DataFrame:
+    """Inputs, columns, and a strength of every row, of up to `MOST_ROWS` rows; SI units."""
     import pandas as pd
 
     sample = tables.sample
@@ -208,21 +210,21 @@ def samples_of(design: Design, tables: Tables) -> str:
     table |= {name: np.where(head.lost(name), np.nan, head.answer(name)).ravel() for name in head.quantities}
     if head.censored.any():
         table["censored"] = head.censored.any(axis=2).ravel()
-    text = io.StringIO()
-    pd.DataFrame(table).to_csv(text, index=False)
-    return text.getvalue()
+    return pd.DataFrame(table)
 
 
-def written(folder: Path | None, study: Study, results: dict[str, Any], samples: str, live: dict[str, Any]) -> Run:
+def written(
+    folder: Path | None, study: Study, results: dict[str, Any], samples: pd.DataFrame, live: dict[str, Any]
+) -> Run:
     """The run, kept in its folder with its page where it has one."""
-    found = Run(results=results, folder=folder, samples_csv=samples, live=live)
+    found = Run(results=results, folder=folder, table=samples, live=live)
     if folder is None:
         return found
     files: dict[str, str | bytes] = {
         "study.toml": study.text,
         "results.json": json.dumps(results, indent=1, allow_nan=False, ensure_ascii=False) + "\n",
         "answers.csv": frame_of(results["answers"]).to_csv(index=False),
-        "samples.csv": samples,
+        "samples.csv": samples.to_csv(index=False),
     }
     write_files(folder, files)
     from uqsphere.report import write_page

@@ -793,10 +793,8 @@ def _analysis(draft: Draft) -> Faults:
     for key in ("cost", "time_limit") if not draft.box else ():
         if getattr(analysis, key) is not None:
             yield ("analysis", key), f"{key} is for a black box ([inputs], [outputs]): leave it out"
-    needed = [limit.quantity for limit in draft.limits.values()]
     usual = known if draft.box else ["p_max", *(["contact_duration"] if draft.rig != "platens" else [])]
-    asked = dict.fromkeys([*(analysis.quantities or usual), *needed])
-    draft.analysis = replace(analysis, quantities=tuple(asked))
+    draft.analysis = replace(analysis, quantities=tuple(dict.fromkeys(analysis.quantities or usual)))
 
 
 def _faulty(draft: Draft, name: str) -> bool:

@@ -648,7 +648,7 @@ class Analysis:
     """What is asked, how precisely, and at what cost; `cost` and `time_limit` [s] of one black-box evaluation."""
 
     quantities: Names = key(
-        "what is answered; quantities of limits are added", (),
+        "what is answered to the accuracy below; quantities of limits are described beside", (),
         usual='`["p_max", "contact_duration"]`; outputs of a black box')  # fmt: skip
     accuracy: Accuracy = key(
         "half-widths of 95 % intervals: mean and quantile over the standard deviation, sobol absolute, probability "
