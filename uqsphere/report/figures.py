@@ -18,6 +18,7 @@ from uqsphere.report.format import find, label, meaning, of, short, unit_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
 
 Results = Mapping[str, Any]
 #: colours that people with any colour vision tell apart (Okabe and Ito 2008)
@@ -90,15 +91,20 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
                       color="#333333")  # fmt: skip
     if free["low"] > 0.0:
         axes.set_xscale("log")
-        from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
-        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axes.xaxis.set_minor_formatter(NullFormatter())
+        _plain_logarithms(axes.xaxis)
     axes.set_yticks(ndtri(np.array(TICKS)), [format_probability(t) for t in TICKS])
     axes.set(xlabel=f"{free['meaning']} [{unit}]" if unit else free["meaning"], ylim=(ndtri(least), ndtri(1.0 - least)),
              ylabel=_probability_name(results), xlim=(free["low"] * factor, free["high"] * factor))  # fmt: skip
     axes.legend(loc="upper left", fontsize=8)
+
+
+def _plain_logarithms(axis: Axis) -> None:
+    """Ticks of a logarithmic axis at 1, 2 and 5, as plain numbers."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
+    axis.set_minor_locator(NullLocator())
 
 
 def _probability_name(results: Results) -> str:
@@ -168,6 +174,8 @@ def draw_convergence(axes: Axes, results: Results) -> None:
     axes.axhline(1.0, color="#555555", lw=0.8, ls=":")
     axes.annotate("as accurate as required", (1.0, 1.0), xycoords=("axes fraction", "data"), ha="right", va="bottom",
                   fontsize=8)  # fmt: skip
+    for axis in (axes.xaxis, axes.yaxis):
+        _plain_logarithms(axis)
     axes.set(xlabel="model runs", ylabel="largest error / tolerance")
 
 
