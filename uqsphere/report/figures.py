@@ -66,12 +66,14 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
         rows = of(results["answers"], subject, "curve")
         x = np.array([float(r["at"]) for r in rows]) * factor
         p = np.array([[r["value"], r["low"], r["high"]] for r in rows], dtype=float)
-        middle, low, high = ndtri(np.clip(p, least, 1.0 - least)).T
+        inside = (p[:, 0] > least) & (p[:, 0] < 1.0 - least)
+        # one value on either side of those drawn, so that a curve reaches the frame
+        near = inside | np.append(inside[1:], False) | np.insert(inside[:-1], 0, False)
+        middle, low, high = np.where(near, ndtri(np.clip(p, least, 1.0 - least)).T, np.nan)
         assumed = subject.startswith("modes.")
         colour = COLOURS[k % len(COLOURS)]
         axes.plot(x, middle, "--" if assumed else "-", color=colour, lw=1.2 if assumed else 2.0, label=label(subject))
         if not assumed:
-            inside = (p[:, 0] > least) & (p[:, 0] < 1.0 - least)
             axes.fill_between(x, low, high, where=inside, color=colour, alpha=0.25, lw=0)
         entry = results["study"]["limits"].get(subject.removeprefix("limits."))
         if entry and entry.get("test_points"):
@@ -86,23 +88,24 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
                       ha="right", va="bottom", fontsize=8, color="#333333")  # fmt: skip
     if free["planned"] is not None:
         axes.axvline(free["planned"] * factor, color="#555555", lw=0.8)
-        axes.annotate(f"planned {format_value(free['planned'], free['path'], 3)}", (free["planned"] * factor, 0.02),
-                      xycoords=("data", "axes fraction"), rotation=90, ha="right", va="bottom", fontsize=8,
-                      color="#333333")  # fmt: skip
+        axes.annotate(f"planned {format_value(free['planned'], free['path'], 3)}", (free["planned"] * factor, 0.97),
+                      xycoords=("data", "axes fraction"), ha="left", va="top", fontsize=8, color="#333333",
+                      xytext=(3, 0), textcoords="offset points",
+                      bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5})  # fmt: skip
     if free["low"] > 0.0:
         axes.set_xscale("log")
-        _plain_logarithms(axes.xaxis)
+        _plain_logarithms(axes.xaxis, free["high"] / free["low"])
     axes.set_yticks(ndtri(np.array(TICKS)), [format_probability(t) for t in TICKS])
     axes.set(xlabel=f"{free['meaning']} [{unit}]" if unit else free["meaning"], ylim=(ndtri(least), ndtri(1.0 - least)),
              ylabel=_probability_name(results), xlim=(free["low"] * factor, free["high"] * factor))  # fmt: skip
-    axes.legend(loc="upper left", fontsize=8)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8)
 
 
-def _plain_logarithms(axis: Axis) -> None:
-    """Ticks of a logarithmic axis at 1, 2 and 5, as plain numbers."""
+def _plain_logarithms(axis: Axis, ratio: float) -> None:
+    """Ticks of a logarithmic axis over a ratio, in digits: powers of ten, and 2 and 5 times these where there is room."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 1e3 else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
     axis.set_minor_locator(NullLocator())
 
@@ -172,10 +175,10 @@ def draw_convergence(axes: Axes, results: Results) -> None:
     runs, error = np.array(rows, dtype=float).T
     axes.loglog(runs, error, "o-", color=COLOURS[0])
     axes.axhline(1.0, color="#555555", lw=0.8, ls=":")
-    axes.annotate("as accurate as required", (1.0, 1.0), xycoords=("axes fraction", "data"), ha="right", va="bottom",
+    axes.annotate("as required", (0.0, 1.0), xycoords=("axes fraction", "data"), ha="left", va="bottom",
                   fontsize=8)  # fmt: skip
-    for axis in (axes.xaxis, axes.yaxis):
-        _plain_logarithms(axis)
+    for axis, shown in ((axes.xaxis, runs), (axes.yaxis, error)):
+        _plain_logarithms(axis, shown.max() / shown.min())
     axes.set(xlabel="model runs", ylabel="largest error / tolerance")
 
 

@@ -5,15 +5,19 @@ The page computes nothing: every number and every word of judgement is in the re
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from uqsphere.report import figures
 from uqsphere.report.format import estimate, find, label, meaning, of, probability, short, value
 from uqsphere.results.folder import read_results, write_files
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 Results = Mapping[str, Any]
 #: limits and quantities that get figures of their own; the tables have all of them
@@ -46,6 +50,7 @@ def _rendered(results: Results) -> tuple[str, dict[str, str]]:
     drawn = dict(_figures(results))
     template = resources.files("uqsphere.report").joinpath("page.html").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["stacked"] = _stacked
     html = environment.from_string(template).render(
         study=results["study"], verdicts=_verdicts(results), modes=_modes(results), quantities=_quantities(results),
         indices=_indices(results), margins=_margins(results), checks=results["checks"], accuracy=_accuracy(results),
@@ -56,10 +61,18 @@ def _rendered(results: Results) -> tuple[str, dict[str, str]]:
     return html, drawn
 
 
+def _stacked(text: str) -> Markup:
+    """An estimate with its interval below it, none of them broken in the middle."""
+    from markupsafe import Markup
+
+    found = re.fullmatch(r"(.*?) \((.+ to .+?)\)(.*)", text)
+    if found is None:
+        return Markup('<span class="v">{}</span>').format(text) if len(text) < 20 else Markup("{}").format(text)
+    return Markup('<span class="v">{}</span><br><small class="v soft">{}</small>').format(found[1] + found[3], found[2])
+
+
 def _own_ids(text: str, name: str) -> str:
     """An SVG whose ids are of its own: several stand in one page."""
-    import re
-
     text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', text)
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", text)
     text = re.sub(r'(xlink:)?href="#([^"]+)"', rf'\1href="#{name}-\2"', text)
@@ -150,38 +163,34 @@ def _quantities(results: Results) -> list[dict[str, Any]]:
     for number, (name, entry) in enumerate(results["study"]["quantities"].items()):
         quantiles = {row["at"]: row for row in of(answers, name, "quantile")}
         unknown = [row["note"] for row in quantiles.values() if row["value"] is None and row["note"]]
-        low, _, high = entry["range"]
         rows.append({
             "name": name, "meaning": short(entry["meaning"]), "definition": entry["meaning"].partition(": ")[2],
             "number": number + 1, "mean": estimate(find(answers, name, "mean"), name),
             "sd": estimate(find(answers, name, "sd"), name, 3),
-            "range": "–" if low is None else f"{value(low, name)} to {value(high, name)}",
-            "median": estimate(quantiles.get(0.5), name),
-            "quantiles": [(f"{100.0 * p:g} %", estimate(row, name)) for p, row in quantiles.items() if p != 0.5],
+            "quantiles": {p: estimate(row, name) for p, row in quantiles.items()},
             "caution": unknown[0] if unknown else "",
             "strengths": [n for n, e in results["study"]["limits"].items() if e["quantity"] == name],
         })  # fmt: skip
     return rows
 
 
-def _indices(results: Results) -> list[dict[str, Any]]:
-    """Sobol' indices of every quantity, the largest total first."""
-    tables = []
+def _indices(results: Results) -> dict[str, Any]:
+    """First-order and total Sobol' indices: a row an input, the largest total first, and two columns a quantity."""
+    answers, columns, largest = results["answers"], [], dict[str, float]()
+    methods = {"chaos": "from polynomial chaos, corrected by model runs", "pairs": "from pairs of model runs"}
     for number, (name, entry) in enumerate(results["study"]["quantities"].items()):
-        total = of(results["answers"], name, "sobol_total")
-        if not total:
-            continue
-        ranked = sorted(total, key=lambda row: -(row["value"] if row["value"] is not None else -1.0))
-        note = next((row["note"] for row in total if row["value"] is None), "")
-        method = {"chaos": "from polynomial chaos, corrected by model runs", "pairs": "from pairs of model runs"}
-        tables.append({
-            "name": name, "number": number + 1, "meaning": short(entry["meaning"]), "note": note,
-            "method": method.get(entry["method_of_indices"], ""), "more": max(len(ranked) - MOST_ROWS, 0),
-            "rows": [(meaning(row["at"], results["inputs"]),
-                      estimate(find(results["answers"], name, "sobol_first", row["at"]), "", 3), estimate(row, "", 3))
-                     for row in ranked[:MOST_ROWS] if row["value"] is not None],
-        })  # fmt: skip
-    return tables
+        total = of(answers, name, "sobol_total")
+        if total:
+            columns.append({"name": name, "number": number + 1, "meaning": short(entry["meaning"]),
+                            "method": methods.get(entry["method_of_indices"], ""),
+                            "note": next((row["note"] for row in total if row["value"] is None), "")})  # fmt: skip
+        for row in total:
+            largest[row["at"]] = max(largest.get(row["at"], -1.0), row["value"] if row["value"] is not None else -1.0)
+    ranked = sorted(largest, key=lambda at: -largest[at])
+    rows = [(meaning(at, results["inputs"]), [estimate(find(answers, column["name"], f"sobol_{order}", at), "", 3)
+                                              for column in columns for order in ("first", "total")])
+            for at in ranked[:MOST_ROWS]]  # fmt: skip
+    return {"columns": columns, "rows": rows, "more": max(len(ranked) - MOST_ROWS, 0)}
 
 
 def _margins(results: Results) -> list[dict[str, Any]]:

@@ -322,19 +322,28 @@ def _headline(
         what += f", target at most {format_probability(limit.target)}"
     first, rest = [], []
     if number is not None:
-        path, planned = number["path"], planned_value(design)
-        assumed = next((m.called for m in design.modes if m.limit.name == number["governing"].name), None)
-        by = f" ({assumed}, by an assumed strength)" if assumed else ""
+        path, planned, governing = number["path"], planned_value(design), number["governing"]
+        assumed = next((mode.called for mode in design.modes if mode.limit.name == governing.name), None)
         verb = "Use at most" if number["safe_end"] == "largest" else "Use at least"
-        first.append(f"{verb} {_rounded(number['value'], path, number['safe_end'])}{by}.")
+        first.append(f"{verb} {_rounded(number['value'], path, number['safe_end'])}.")
         if planned is not None:
             factor = number["factor"]
             margin = "no margin" if factor is None or factor < 1.0 else f"safety factor {factor:.3g}"
             first.append(f"Planned {format_value(planned, path, 3)}: {margin}.")
-        own = answers.get(design.subject(limit), "margin", allowable_probability(design, limit))
-        if assumed and own is not None and own["value"] is not None:
-            rest.append(f"By the limit of the study alone: {format_value(own['value'], path, 2)}.")
-        rest.insert(0, what + ".")
+        wanted = allowable_probability(design, limit)
+        best = answers.get(design.subject(governing), "margin", wanted)
+        by = f"{assumed}, by an assumed strength" if assumed else governing.name
+        if best is not None and best["value"] is not None:
+            rest.append(f"That is the conservative value; best estimate {format_value(best['value'], path, 2)} ({by}).")
+        own = answers.get(design.subject(limit), "margin", wanted)
+        if assumed:
+            theirs = answers.get(design.subject(governing), "exceedance_probability")
+            more = theirs["value"] if theirs is not None else None
+            what = f"At the plan: {what[:1].lower()}{what[1:]}, by the limit of the study" + (
+                "" if more is None else f", but {100.0 * more:.3g} % by {assumed}")  # fmt: skip
+            if own is not None and own["value"] is not None:
+                rest.append(f"By the limit of the study alone: {format_value(own['value'], path, 2)}.")
+        rest.append(what + ".")
     else:
         first.append(what + ".")
     if word == "not established":
