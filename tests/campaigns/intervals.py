@@ -25,8 +25,8 @@ from uqsphere.uq.chaos import germ_points
 from uqsphere.uq.describe import describe
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.indices import Blocks, sampled_indices, uniform_halves
-from uqsphere.uq.points import random_generator, sobol_points
-from uqsphere.uq.response import answered, cross_fit, index_shares, unseen
+from uqsphere.uq.points import sobol_points
+from uqsphere.uq.response import cross_fit, describe_corrected, index_shares, unseen
 
 QUANTILES: Final = (0.05, 0.5, 0.95)
 #: quantiles and the numbers of the borehole: converged to the digits shown, by `reference` with 2^20 points each of 16
@@ -273,7 +273,6 @@ def pairs(model: CoverageModel, seed: int, n: int) -> Iterator[Hit]:
 
 def response(model: CoverageModel, seed: int, n: int) -> Iterator[Hit]:
     """What an expansion corrected by its n rows says, where it may be used."""
-    rng = random_generator(seed=seed, task=f"coverage of {model.name}")
     u = sobol_points(dimension=model.dimension, count=n, seed=seed, task="few", replicate=0)
     made = cross_fit(germ_points(ndtri(u), model.germs), model.function(u), model.germs)[0]
     if not made.usable:
@@ -281,7 +280,8 @@ def response(model: CoverageModel, seed: int, n: int) -> Iterator[Hit]:
     assert unseen(n) in made.reason
     many = np.concatenate([sobol_points(dimension=model.dimension, count=1024, seed=seed, task="many", replicate=r)
                            for r in range(16)])  # fmt: skip
-    found = answered(made, germ_points(ndtri(many), model.germs), (16, 1024), rng, tuple(model.quantiles)).description
+    table = made.table(germ_points(ndtri(many), model.germs).reshape(16, 1024, -1))
+    found = describe_corrected(table, made.outputs, made.levels, tuple(model.quantiles))
     yield hit(model.name, "mean", n, found.mean, model.mean, model.sd)
     yield hit(model.name, "sd", n, found.sd, model.sd, model.sd)
     for p, truth in model.quantiles.items():

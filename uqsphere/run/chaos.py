@@ -6,7 +6,8 @@ onto the terms of a set of inputs u, every variance of y is
     |P_u y|² = |P_u f|² + 2 <P_u f, r> + |P_u r|²,    0 <= |P_u r|² <= |r|².
 
 The first part is a sum of squared coefficients, the second a mean over rows, and the third is bounded by the error of
-the expansion, which the same rows measure.  So an index from chaos has an interval that holds whatever the fit.
+the expansion, which the same rows measure.  So an index from chaos has an interval that holds whatever the fit; its
+value has of the third what the terms of the residual say (`uqsphere.uq.chaos.remainder`).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.run.design import Design
 from uqsphere.uq import Sample
-from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, germs_of, predict, rows_of
+from uqsphere.uq.chaos import Chaos, Remainder, fit_chaos, germ_points, germs_of, predict, remainder, rows_of
 
 #: rows that an expansion is fitted to at most: more buy nothing on outputs with kinks, and smooth ones need fewer
 MOST_ROWS: Final = 512
@@ -44,6 +45,7 @@ class Expansion:
     terms : values (R-1, m, T) of its terms at the first m of these rows; the first term is 1
     residuals : (R-1, m) what it leaves of those
     left : share of the variance that it leaves, of all rows it was not fitted to
+    rest : how that is made up
     """
 
     fit: Chaos
@@ -52,6 +54,7 @@ class Expansion:
     terms: Array
     residuals: Array
     left: float
+    rest: Remainder
 
     def projection(self, which: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
         """Numerators (R-1,) of the index of some terms (T,) and variances (R-1,), before what is left is added."""
@@ -91,9 +94,10 @@ def expansions(
         few = min(count, MOST_TERMS)
         terms = rows_of(fit.germs, points[1:, :few].reshape(-1, size), fit.multi_indices)
         rest = outputs[1:] - values
+        some = points[1:, : min(count, MOST_ROWS)].reshape(-1, size), rest[:, : min(count, MOST_ROWS)].ravel()
         found[name] = Expansion(
             fit=fit, rows=rows, values=values, terms=terms.T.reshape(len(values), few, -1), residuals=rest[:, :few],
-            left=float(rest.var() / outputs[1:].var()),
+            left=float(rest.var() / outputs[1:].var()), rest=remainder(fit.germs, *some),
         )  # fmt: skip
     return found
 

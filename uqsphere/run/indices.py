@@ -62,29 +62,32 @@ def method_of(design: Design, tables: Tables, name: str) -> str:
 
 def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Estimate, ...]]:
     """Indices of an expansion, corrected by the rows that it was not fitted to."""
-    powers = expansion.fit.multi_indices > 0
+    powers, rest = expansion.fit.multi_indices > 0, expansion.rest.active
     rows: dict[str, tuple[Estimate, ...]] = {}
     for k, name in enumerate(design.inputs):
-        single = powers[:, k] & (powers.sum(axis=1) == 1)
-        first, total = _index(expansion, single), _index(expansion, powers[:, k])
+        first = _index(expansion, powers[:, k] & (powers.sum(axis=1) == 1), expansion.rest.single[:, k])
+        total = _index(expansion, powers[:, k], rest[:, k])
         if first.value is not None and total.value is not None and total.value < first.value:
             # a total index is no smaller: the difference is noise of the correction
             total = replace(total, value=min(first.value, total.high or 1.0))
         rows[name] = first, total
     if design.study.analysis.second_order:
         for i, j in combinations(range(len(design.inputs)), 2):
-            pair = powers[:, i] & powers[:, j] & (powers.sum(axis=1) == 2)
-            rows[f"{design.inputs[i]},{design.inputs[j]}"] = (_index(expansion, pair),)
+            own, left = (active[:, i] & active[:, j] & (active.sum(axis=1) == 2) for active in (powers, rest))
+            rows[f"{design.inputs[i]},{design.inputs[j]}"] = (_index(expansion, own, left),)
     return rows
 
 
-def _index(expansion: chaos.Expansion, which: np.ndarray) -> Estimate:
-    """One index; what no term of the expansion holds, between nothing and all that is left, widens it upwards."""
+def _index(expansion: chaos.Expansion, which: np.ndarray, rest: np.ndarray) -> Estimate:
+    """One index of the terms `which`: what no term of the expansion holds, between nothing and all that is left, widens
+    it upwards, and the value has of it the share of the terms `rest` of the residual."""
     value, off = ratio_of_means(*expansion.projection(which))
     estimate = from_replicates(value + off, CHAOS, expansion.residuals.size, float(value))
     if estimate.value is None or estimate.low is None or estimate.high is None:
         return estimate
-    return estimate.spanning(max(estimate.low, 0.0), min(estimate.high + expansion.left, 1.0))
+    best = max(estimate.value, 0.0) + expansion.left * expansion.rest.share(rest, min(max(float(value), 0.0), 1.0))
+    low, high = max(estimate.low, 0.0), min(estimate.high + expansion.left, 1.0)
+    return replace(estimate, value=min(best, 1.0)).spanning(low, high)
 
 
 def by_chaos_accurate(design: Design, tables: Tables, name: str) -> bool:

@@ -8,7 +8,7 @@ fitted to corrects every answer,
     E[T(y)] = E[T(f)] + E[T(y) - T(f)],
 
 the first over the table, the second over the N rows, whose spread is the interval.  An event rarer than about 3/N is
-not in N rows: the run says so.
+not in N rows: every answer says so.
 """
 
 from __future__ import annotations
@@ -21,16 +21,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.models import Interrupted, Model
 from uqsphere.run.design import REPLICATES, VALUES, Design, at_normals, normal_scores
 from uqsphere.study import Axis
 from uqsphere.uq import Estimate, Sample, absent, sobol_points
-from uqsphere.uq.chaos import germ_points, germs_of, predict
+from uqsphere.uq.chaos import germ_points, germs_of
 from uqsphere.uq.describe import Description, describe
-from uqsphere.uq.estimate import around, between
-from uqsphere.uq.response import Response, cross_fit, half_width, index_shares
+from uqsphere.uq.response import METHOD, Response, cross_fit, describe_corrected, half_width, index_shares, unseen
 
 if TYPE_CHECKING:
     from uqsphere.run.grow import Progress, Tables
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
 PROBE, MOST_ROWS, LEAST_ROWS, POINTS = 8, 1024, 16, 4096
 #: share of the budget that rows along the free number take
 LINE_SHARE: Final = 0.4
-METHOD: Final = "polynomial chaos, corrected by runs"
 ROUGH: Final = "runs of the model"
 
 
@@ -164,7 +162,7 @@ def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:
         return Slow(rows=rows, left_out=rows, responses={}), kept
     table = design.points(POINTS)
     flat = germ_points(table.scores[:, :, order].reshape(-1, size), germs).reshape(REPLICATES, POINTS, size)
-    values = np.stack([_by_folds(responses[name], flat) for name in rows.quantities], axis=2)
+    values = np.stack([responses[name].table(flat) for name in rows.quantities], axis=2)
     left_out = rows.with_answers(
         rows.quantities, np.stack([responses[name].levels for name in rows.quantities], axis=1)[None]
     )
@@ -180,13 +178,6 @@ def _blocks(rows: Sample, count: int) -> Sample:
         own = getattr(rows, name)[0, : each * count]
         cut[name] = own.reshape(count, each, *own.shape[1:])
     return replace(rows, **cut)
-
-
-def _by_folds(response: Response, points: Array) -> Array:
-    """Values (R, n) at germ points (R, n, d), each replicate by an expansion of its own, with a residual of a row."""
-    generator = np.random.default_rng(0)
-    values = [predict(response.fits[r % len(response.fits)], own) for r, own in enumerate(points)]
-    return np.stack([own + generator.choice(response.residuals, own.shape) for own in values])
 
 
 def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[float, Sample]:
@@ -220,7 +211,7 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
     for value in axis.grid(VALUES):
         place = np.full((*flat.shape[:2], 1), _germ_of(axis, value))
         at = np.concatenate([flat, place], axis=2)
-        answers = np.stack([_by_folds(response, at) for response in responses], axis=2)
+        answers = np.stack([one.table(at) for one in responses], axis=2)
         found[value] = table.with_answers(rows.quantities, answers)
     return found
 
@@ -242,49 +233,10 @@ def described(design: Design, slow: Slow, sample: Sample, name: str) -> Descript
     if name not in slow.responses:
         return describe(sample.answer(name), censored=sample.late(name), failed=sample.lost(name),
                         on_failure="bound" if analysis.on_failure == "bound" else "drop", quantiles=analysis.quantiles,
-                        method=f"{slow.count} {ROUGH}")  # fmt: skip
-    table, rows, left = sample.answer(name), slow.rows.answer(name)[0], slow.left_out.answer(name)[0]
-    known = np.isfinite(rows) & np.isfinite(left)
-    rows, left = rows[known], left[known]
-    base = describe(table, quantiles=analysis.quantiles, method=METHOD)
-    # the table holds residuals of its own, whose mean is that of the rows: what it adds is taken off
-    mean = float(table.mean())
-    half = half_width(rows - left)
-    spread = (rows - mean) ** 2
-    variance = float(table.var()) + float((spread - (left - mean) ** 2).mean()) - float(np.var(rows - left))
-    scale = math.sqrt(variance) if variance > 0.0 else float(table.std())
-    half_sd = 0.5 * half_width(spread - (left - mean) ** 2) / scale if scale > 0.0 else 0.0
-    many = np.sort(table, axis=None)
-    return Description(
-        mean=_widened(base.mean, mean, half, slow.count), sd=_widened(base.sd, scale, half_sd, slow.count),
-        quantiles={p: _quantile(p, e, many, rows, left, slow.count) for p, e in base.quantiles.items()},
-        censored_share=base.censored_share, scale=scale,
-    )  # fmt: skip
-
-
-def _widened(base: Estimate, value: float, half: float, count: int) -> Estimate:
-    """A value with the interval of the table and of the rows together."""
-    whole = math.hypot(half, base.half_width if math.isfinite(base.half_width) else 0.0)
-    return around(value, whole, 0.5 * whole, METHOD, count)
-
-
-def _quantile(p: float, base: Estimate, many: Array, rows: Array, left: Array, count: int) -> Estimate:
-    """A quantile of the table, its probability corrected by the rows over a range of values about it."""
-    if min(p, 1.0 - p) * count < 1.0:
-        return absent(f"{count} runs show nothing of the {p:g} quantile: an event rarer than 3/{count} is not in them",
-                      METHOD, count)  # fmt: skip
-    places = (np.arange(many.size) + 0.5) / many.size
-
-    def read(probability: float) -> float:
-        return float(np.interp(probability, places, many))
-
-    width = 0.5 * (read(min(p + 0.05, 1.0)) - read(max(p - 0.05, 0.0))) or 1e-300
-    at = read(p)
-    moved = special.ndtr((at - rows) / width) - special.ndtr((at - left) / width)
-    half = math.hypot(half_width(moved), 0.5 * (p * (1.0 - p)) ** 0.5 * 0.1 if base.value is None else 0.0)
-    value, low, high = read(p), read(max(p - half, 0.0)), read(min(p + half, 1.0))
-    found = between(value, low, high, REPLICATES, METHOD, count)
-    return found if base.value is None else found.holding(base)
+                        method=f"{slow.count} {ROUGH}; {unseen(slow.count)}")  # fmt: skip
+    rows, levels = slow.rows.answer(name)[0], slow.left_out.answer(name)[0]
+    known = np.isfinite(rows) & np.isfinite(levels)
+    return describe_corrected(sample.answer(name), rows[known], levels[known], analysis.quantiles)
 
 
 def failure(slow: Slow, table: Estimate, rows: Array, left: Array) -> Estimate:
@@ -296,13 +248,11 @@ def failure(slow: Slow, table: Estimate, rows: Array, left: Array) -> Estimate:
     half = math.hypot(half_width(off), table.half_width)
     low, high = max(table.value - half, 0.0), min(table.value + half, 1.0)
     if high * slow.count < 3.0 and (rows.sum() < 1e-3 or not 0.0 < value < 1.0):
-        none = absent(
-            f"too small for {slow.count} runs: an event rarer than 3/{slow.count} is not in them", METHOD, slow.count
-        )
+        none = absent(f"too small for {slow.count} runs: {unseen(slow.count)}", METHOD, slow.count)
         return replace(none, low=0.0, high=min(max(high, 3.0 / slow.count), 1.0))
     value = min(max(table.value, 0.0), 1.0)
-    return Estimate(value=value, low=min(low, value), high=max(high, value), std_error=0.5 * half, method=METHOD,
-                    evaluations=slow.count)  # fmt: skip
+    return Estimate(value=value, low=min(low, value), high=max(high, value), std_error=0.5 * half,
+                    method=f"{METHOD}; {unseen(slow.count)}", evaluations=slow.count)  # fmt: skip
 
 
 def shares(design: Design, slow: Slow, name: str) -> dict[str, tuple[Estimate, ...]]:

@@ -20,34 +20,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.chaos import Chaos, GermLike, fit_chaos, integrals, predict, projections
+from uqsphere.uq.chaos import Chaos, GermLike, fit_chaos, integrals, predict, projections, remainder
 from uqsphere.uq.chaos.select import Order, folds_of
 from uqsphere.uq.describe import Description, describe, hazen
-from uqsphere.uq.estimate import (
-    CELL,
-    Estimate,
-    absent,
-    around,
-    from_replicates,
-    none_of,
-    quantile,
-    ratio_of_means,
-    student,
-)
+from uqsphere.uq.estimate import Estimate, absent, around, between, student
 
 METHOD: Final = "polynomial chaos, corrected by its residuals"
 #: largest share of the variance that a response may leave and still be used: above, rows by themselves know as much
 MOST: Final = 0.05
 #: folds that rows are dealt into: seven eighths of them fit each time
 FOLDS: Final = 8
-#: rows whose residuals a level of the response shares, at least: a local mean of fewer is noise
-LEAST_NEAR: Final = 12
 
 
 def unseen(runs: int) -> str:
@@ -129,9 +117,14 @@ class Response:
             return f"it leaves {self.error:.2g} of the variance ({terms}); {unseen(self.count)}"
         return f"refused: it leaves {self.error:.2g} of the variance unexplained, more than {MOST:g} ({terms})"
 
-    def at(self, points: Array) -> Array:
-        """The mean of the folds (m,) at germ points (m, d)."""
-        return np.asarray(np.mean([predict(fit, points) for fit in self.fits], axis=0))
+    def table(self, points: Array) -> Array:
+        """Values (R, m) of an output at germ points (R, m, d) of its law, each with a residual of a row.
+
+        The folds take turns: each replicate has the response of one, and their differences are in its spread.
+        """
+        rng = np.random.default_rng(0)
+        values = [predict(self.fits[r % len(self.fits)], own) for r, own in enumerate(points)]
+        return np.stack([own + rng.choice(self.residuals, own.shape) for own in values])
 
 
 def cross_fit(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False) -> list[Response]:
@@ -160,94 +153,63 @@ def cross_fit(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain
     return made
 
 
-# --- the law of the output ---------------------------------------------------------------------------
+# --- the output and its parts --------------------------------------------------------------------------
 
 
-def with_residuals(response: Response, values: Array, rng: np.random.Generator) -> Array:
-    """Values S(x) of any shape with a residual each, of one of the rows that lie nearest in S."""
-    order = np.argsort(response.levels, kind="stable")
-    levels, residuals = response.levels[order], response.residuals[order]
-    size = min(max(LEAST_NEAR, len(levels) // FOLDS), len(levels))
-    first = np.clip(np.searchsorted(levels, values) - size // 2, 0, len(levels) - size)
-    return np.asarray(values + residuals[first + rng.integers(0, size, size=values.shape)])
+def describe_corrected(table: Array, rows: Array, levels: Array, quantiles: Sequence[float]) -> Description:
+    """The description of an output on a table (R, m) of `Response.table`, corrected by n rows and their levels.
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Answered:
-    """Values (R, m) of an output on a design of its law, with a residual each, and the description of the output."""
-
-    values: Array
-    description: Description
-
-
-def answered(
-    response: Response, points: Array, shape: tuple[int, int], rng: np.random.Generator, quantiles: Sequence[float]
-) -> Answered:
-    """What the response says at germ points (R m, d) of the law, in R replicates of m points: `shape`.
-
-    The folds take turns: each replicate has the response of one, and their differences are in its spread.  A row's
-    influence on the mean is its residual, on the standard deviation s about the mean c ((Y - c)² - (S - c)²)/(2 s), on
-    the distribution function at t 1(Y <= t) - 1(S <= t), counted over a range of values.
+    A row's influence on the mean is its residual, on the standard deviation s about the mean c
+    ((Y - c)² - (S - c)²)/(2 s), on the distribution function at t 1(Y <= t) - 1(S <= t), over a range of values.
     """
-    rows, n = points.reshape(*shape, -1), response.count
-    many = np.array([predict(response.fits[r % FOLDS], rows[r]) for r in range(shape[0])])
-    outputs, levels = response.outputs, response.levels
-    values = with_residuals(response, many, rng)
-    plain = describe(values, quantiles=(), method=METHOD)
+    n, scale = len(rows), float(table.std())
     note = f"{METHOD}; {unseen(n)}"
-    scale, t = float(many.std()), student(shape[0]) / math.sqrt(shape[0])
-    mean = float(many.mean() + response.residuals.mean())
-    half = math.hypot(t * float(many.mean(axis=1).std(ddof=1)), half_width(response.residuals))
-    squares = ((many - mean) / (scale or 1.0)) ** 2
-    changes = ((outputs - mean) / (scale or 1.0)) ** 2 - ((levels - mean) / (scale or 1.0)) ** 2
-    variance = max(float(squares.mean() + changes.mean()), 0.0)
-    sd = scale * math.sqrt(variance)
-    loose = math.hypot(t * float(squares.mean(axis=1).std(ddof=1)), half_width(changes))
-    ends = [scale * math.sqrt(max(variance + side * loose, 0.0)) for side in (-1.0, 1.0)]
-    found = {p: _quantile(response, np.sort(many, axis=None), many, p, note) for p in quantiles}
-    return Answered(
-        values=values,
-        description=replace(
-            plain, quantiles=found, censored_share=none_of(n), scale=sd or plain.scale,
-            mean=around(mean, half, half / 1.96, note, n),
-            sd=around(sd, 0.0, 0.0, note, n).spanning(*ends),
-        ),
-    )  # fmt: skip
+    base = describe(table, quantiles=quantiles, method=note)
+    # residuals are dealt out at random: what they add to the scatter of the mean is taken off again
+    mean = float(table.mean())
+    own, left = (rows - mean) ** 2, (levels - mean) ** 2
+    variance = scale**2 + float((own - left).mean()) - float(np.var(rows - levels))
+    sd = math.sqrt(variance) if variance > 0.0 else scale
+    halves = half_width(rows - levels), 0.5 * half_width(own - left) / sd if sd > 0.0 else 0.0
+    found = []
+    for estimate, value, half in zip((base.mean, base.sd), (mean, sd), halves, strict=True):
+        whole = math.hypot(half, estimate.half_width if math.isfinite(estimate.half_width) else 0.0)
+        found.append(around(value, whole, 0.5 * whole, note, n))
+    ordered = np.sort(table, axis=None)
+    return Description(mean=found[0], sd=found[1], censored_share=base.censored_share, scale=sd,
+                       quantiles={p: _quantile(p, e, ordered, rows, levels, note)
+                                  for p, e in base.quantiles.items()})  # fmt: skip
 
 
-def _quantile(response: Response, ordered: Array, many: Array, p: float, method: str) -> Estimate:
-    """A quantile off the corrected distribution function, its interval after Woodruff (1952)."""
-    n, replicates = response.count, len(many)
+def _quantile(p: float, base: Estimate, ordered: Array, rows: Array, levels: Array, note: str) -> Estimate:
+    """A quantile of the table, whose interval has room for what the rows say of its probability (Woodruff 1952)."""
+    n, side = len(rows), 0.5 * min(p, 1.0 - p, 0.1)
     if min(p, 1.0 - p) * n < 1.0:
-        return absent(f"too few runs beyond the {p:g} quantile", method, n)
-    side = 0.5 * min(p, 1.0 - p, 0.1)
+        return absent(f"{n} runs show nothing of the {p:g} quantile: {unseen(n)}", METHOD, n)
     at = hazen(ordered, p)
     width = 0.5 * (hazen(ordered, p + side) - hazen(ordered, p - side)) or 1e-300
-    moved = special.ndtr((at - response.outputs) / width) - special.ndtr((at - response.levels) / width)
-    own = math.hypot(float((many <= at).mean(axis=1).std(ddof=1)), CELL / many.shape[1]) / math.sqrt(replicates)
-    error = math.hypot(own, half_width(moved) / student(n))
-    return quantile(lambda x: hazen(ordered, x), p - float(moved.mean()), error, min(n, replicates), method, n)
+    half = half_width(special.ndtr((at - rows) / width) - special.ndtr((at - levels) / width))
+    low, high = (hazen(ordered, min(max(p + s * half, 0.0), 1.0)) for s in (-1.0, 1.0))
+    found = between(at, low, high, n, note, n)
+    return found if base.value is None else found.holding(base)
 
 
-# --- shares of the variance ---------------------------------------------------------------------------
-
-
-def index_shares(response: Response, tolerance: float = 0.01) -> dict[str, list[Estimate]]:
+def index_shares(response: Response) -> dict[str, list[Estimate]]:
     """First and total indices {"first": [...], "total": [...]} of the model, one for each input.
 
     With P the part of S that belongs to a set of inputs, r = Y - S and m the mean, an index is N/V,
 
         N = E_many[P²] + 2 E_rows[r P] + |P r|²,    V = Var_many(S) + E_rows[(Y - m)² - (S - m)²]
 
-    and a row's influence on it (2 r P - N/V ((Y - m)² - (S - m)²))/V.  Folds whose responses differ count besides, and
-    the part of r itself, which is between none and all of what the response leaves, above.  Integrals of an expansion
-    of ln y are refined to a tenth of the tolerance.
+    and a row's influence on it (2 r P - N/V ((Y - m)² - (S - m)²))/V.  Folds whose responses differ count besides.  The
+    part of r itself is between none and all of what the response leaves, which the interval holds; the value has what
+    the terms of r say (`uq.chaos.remainder`).
     """
     n, d = response.count, len(response.germs)
     if response.constant:
         nothing = [absent("the output does not vary with the inputs, or the expansion is a constant", METHOD, n)] * d
         return {"first": nothing, "total": list(nothing)}
-    folds = [integrals(fit, 0.1 * tolerance) for fit in response.fits]
+    folds = [integrals(fit) for fit in response.fits]
     unit = max(one.sd for one in folds)
     centre = float(np.mean([one.mean / unit for one in folds]))
     residuals, levels = response.residuals / unit, response.levels / unit - centre
@@ -258,57 +220,20 @@ def index_shares(response: Response, tolerance: float = 0.01) -> dict[str, list[
     for k, fit in enumerate(response.fits):
         there = response.folds == k
         parts[:, :, there] = np.array(projections(fit, response.points[there])) / unit
+    rest, note = remainder(response.germs, response.points, residuals), f"{METHOD}; {unseen(n)}"
     found: dict[str, list[Estimate]] = {}
     for row, order in enumerate(("first", "total")):
         tops = np.array([getattr(one, order) for one in folds]) * variances[:, None]  # (K, d)
         moved = 2.0 * residuals * parts[row]
         values = (tops.mean(axis=0) + moved.mean(axis=1)) / whole
         # replicates differ in what seven eighths of the rows left open, which the folds have in common
-        between = student(FOLDS) * np.std(tops / whole, axis=0, ddof=1) / math.sqrt(FOLDS)
+        between_folds = student(FOLDS) * np.std(tops / whole, axis=0, ddof=1) / math.sqrt(FOLDS)
         found[order] = []
-        for j in range(d):
-            half = math.hypot(half_width((moved[j] - values[j] * changed) / whole), float(between[j]))
+        for j, value in enumerate(np.clip(values, 0.0, 1.0).tolist()):
+            half = math.hypot(half_width((moved[j] - values[j] * changed) / whole), float(between_folds[j]))
             half += max(one.error for one in folds) + 1e-15
-            value = min(max(float(values[j]), 0.0), 1.0)
-            estimate = Estimate(value=value, low=value, high=value, std_error=0.0, evaluations=n,
-                                method=f"{METHOD}; {unseen(n)}")  # fmt: skip
+            which = rest.active[:, j] if order == "total" else rest.single[:, j]
+            best = min(value + response.error * rest.share(which, value), 1.0)
+            estimate = Estimate(value=best, low=best, high=best, std_error=0.0, evaluations=n, method=note)
             found[order].append(estimate.spanning(max(0.0, value - half), min(1.0, value + half + response.error)))
-    return found
-
-
-def corrected_indices(fit: Chaos, points: Array, outputs: Array, tolerance: float = 0.01) -> dict[str, list[Estimate]]:
-    """First and total indices of the model from an expansion and rows (R, n) of R randomisations that it has not seen.
-
-    The same identity with the spread of the replicates in place of rows' influences; an expansion of ln y serves as
-    one of y does.
-
-    Parameters
-    ----------
-    fit : fitted to other rows
-    points, outputs : (R, n, d) germ points and (R, n) answers
-    tolerance : the integration of an expansion of ln y ends at a tenth of it
-    """
-    known, size = integrals(fit, 0.1 * tolerance), outputs.size
-    d = points.shape[2]
-    if fit.constant or not known.sd > 0.0:
-        nothing = [absent("the output does not vary with the inputs, or the expansion is a constant", METHOD, size)] * d
-        return {"first": nothing, "total": list(nothing)}
-    flat = points.reshape(-1, d)
-    levels = predict(fit, flat).reshape(outputs.shape)
-    residuals, off = (outputs - levels) / known.sd, (levels - known.mean) / known.sd
-    rest = residuals - residuals.mean()
-    left = float((rest**2).mean())
-    whole = 1.0 + (2.0 * off * rest + rest**2).mean(axis=1)
-    found: dict[str, list[Estimate]] = {}
-    for order, parts in zip(("first", "total"), projections(fit, flat), strict=True):
-        rows = parts.reshape(d, *outputs.shape) / known.sd
-        tops = getattr(known, order)[:, None] + 2.0 * (residuals * rows).mean(axis=2)
-        found[order] = []
-        for top in tops:
-            value, deviations = ratio_of_means(top, whole)
-            estimate = from_replicates(value + deviations, METHOD, size, float(value), known.error / 1.96)
-            if estimate.low is not None and estimate.high is not None:
-                share = left / max(float(whole.mean()), 1e-300)
-                estimate = estimate.spanning(max(estimate.low, 0.0), min(estimate.high + share, 1.0))
-            found[order].append(estimate)
     return found

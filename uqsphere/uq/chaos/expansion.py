@@ -1,43 +1,35 @@
 """The fitted expansion: its values, moments, Sobol' indices, and the same as an object of chaospy.
 
-Moments and indices of an expansion of the output itself are those of its coefficients.  That of ln y is integrated by
-randomised Sobol' points with what its terms of single inputs say as control variate: the exponential of these is a
-product of functions of one input each, whose moments and indices are known by quadrature.  A product of powers, as
-engineering models are made of, is thereby exact; points double until the error is what is asked for.
+Moments and indices are those of the coefficients.  An expansion of ln y has a plain form by least squares at points of
+the law, which is the control variate of the pairs of points that integrate it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
-from uqsphere.uq.chaos.basis import (
-    Germ,
-    GermLike,
-    Indices,
-    germ_points,
-    nested,
-    orthonormal_values,
-    products,
-    recurrence_of,
-    rows_of,
-)
+from uqsphere.uq.chaos.basis import HIGHEST_DEGREE, Germ, GermLike, Indices, germ_points, nested, recurrence_of, rows_of
+from uqsphere.uq.chaos.select import solve_rows
 from uqsphere.uq.estimate import ratio_of_means, student
+from uqsphere.uq.indices import Blocks, jansen_total, saltelli_first, uniform_halves
 from uqsphere.uq.points import sobol_points
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 #: rows whose values stay in the processor's cache
-BLOCK = 4096
-#: randomisations of an integral, and the points of each at first and at most
-REPLICATES, FIRST_POINTS, MOST_POINTS = 8, 512, 1 << 14
+BLOCK: Final = 4096
+#: terms of the plain form of an expansion of ln y, and terms that a residual is looked at by
+PLAIN, REMAINDER = 250, 120
+#: randomisations of the pairs that integrate ln y, and the base points of each
+PAIRS_REPLICATES, PAIRS = 8, 256
 
 
 class ChaospyObjects(NamedTuple):
@@ -76,16 +68,10 @@ class Chaos:
     bounds: tuple[float, float] = (-math.inf, math.inf)
     cross_validation_error: float
     samples: int
-    _cache: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
         what = "ln y" if self.log else "y"
         return f"<Chaos of {what}: {len(self.coefficients)} terms of degree {self.degree} in {len(self.germs)} inputs>"
-
-    @property
-    def plain(self) -> bool:
-        """Whether the coefficients are those of the output itself."""
-        return not self.log
 
     @property
     def degree(self) -> int:
@@ -142,8 +128,21 @@ class Chaos:
         return ChaospyObjects(polynomial, expansion, self.coefficients, joint, self.log)
 
     @cached_property
-    def _additive(self) -> _Additive:
-        return _Additive(self)
+    def plain_form(self) -> Chaos:
+        """The expansion of the output itself: of one of ln y by least squares, in the inputs that it has."""
+        if not self.log:
+            return self
+        inputs = np.flatnonzero((self.multi_indices > 0).any(axis=0))
+        found = nested(len(inputs), 0.75, 10, PLAIN)
+        small = np.zeros((1, len(inputs)), dtype=np.int64) if found is None else found[0]
+        terms = np.zeros((len(small), len(self.germs)), dtype=np.int64)
+        terms[:, inputs] = small
+        points = law_points(self.germs, BLOCK)
+        values = predict(self, points)
+        unit = float(np.abs(values).max())
+        coefficients = solve_rows(rows_of(self.germs, points, terms), values / unit) * unit
+        return Chaos(coefficients=coefficients, multi_indices=terms, germs=self.germs, cross_validation_error=0.0,
+                     samples=len(points))  # fmt: skip
 
 
 def _germ_of_chaospy(chaospy: Any, germ: GermLike) -> Any:
@@ -174,88 +173,41 @@ def _powers(germ: GermLike, degree: int) -> Array:
     return table
 
 
-def _tables(fit: Chaos, points: Array) -> list[Array]:
-    highest = fit.multi_indices.max(axis=0)
-    return [orthonormal_values(germ, points[:, j], int(highest[j])) for j, germ in enumerate(fit.germs)]
-
-
-def _values(fit: Chaos, tables: Sequence[Array]) -> Array:
-    values = fit.coefficients @ products(tables, fit.multi_indices)
-    return np.asarray(fit.sign * np.exp(np.clip(values, *fit.bounds)) if fit.log else values)
-
-
 def predict(fit: Chaos, points: Array) -> Array:
     """Values (n,) of the expansion at germ points (n, d)."""
     points = np.asarray(points, dtype=float)
-    if not fit.germs:
-        return np.full(len(points), fit.sign * math.exp(fit.coefficients[0]) if fit.log else fit.coefficients[0])
-    return np.concatenate([_values(fit, _tables(fit, points[k : k + BLOCK]))
-                           for k in range(0, max(len(points), 1), BLOCK)])  # fmt: skip
+    rows = [fit.coefficients @ rows_of(fit.germs, points[k : k + BLOCK], fit.multi_indices)
+            for k in range(0, max(len(points), 1), BLOCK)]  # fmt: skip
+    values = np.concatenate(rows)
+    return np.asarray(fit.sign * np.exp(np.clip(values, *fit.bounds)) if fit.log else values)
 
 
-def law_points(germs: Sequence[GermLike], count: int, replicate: int, start: int = 0) -> tuple[Array, Array]:
-    """Two independent designs of germ points (count, d), the same every time for a replicate."""
-    d = len(germs)
-    normals = special.ndtri(sobol_points(dimension=2 * d, count=count, start=start, seed=0, task="polynomial chaos",
-                                         replicate=replicate))  # fmt: skip
-    return germ_points(normals[:, :d], germs), germ_points(normals[:, d:], germs)
+def law_points(germs: Sequence[GermLike], count: int) -> Array:
+    """Germ points (count, d), the same every time."""
+    return germ_points(special.ndtri(sobol_points(dimension=len(germs), count=count, seed=0, task="polynomial chaos",
+                                                  replicate=0)), germs)  # fmt: skip
 
 
 # --- moments and indices ------------------------------------------------------------------------------------
 
 
-class _Additive:
-    """The terms of single inputs of an expansion of ln y: exp(Σ g_j), each factor of mean 1.
-
-    `factors(tables)` (d, n), `squares` (d,) the mean square of each factor; `level` is ln of the mean of the product.
-    """
-
-    def __init__(self, fit: Chaos) -> None:
-        active = fit.multi_indices > 0
-        single = active.sum(axis=1) == 1
-        self.inputs = [np.flatnonzero(single & active[:, j]) for j in range(len(fit.germs))]
-        self.fit, base = fit, float(fit.coefficients[0])
-        self.room = fit.bounds[0] - base, fit.bounds[1] - base
-        self.shift = np.zeros(len(fit.germs))
-        z = np.linspace(-8.5, 8.5, 1701)
-        weights = np.exp(-0.5 * z * z)
-        weights /= weights.sum()
-        normals = np.repeat(z[:, None], len(fit.germs), axis=1)
-        logs = self._logs(_tables(fit, germ_points(normals, fit.germs)))
-        self.shift = np.log(np.exp(logs) @ weights)
-        self.squares = np.exp(2.0 * (logs - self.shift[:, None])) @ weights
-        self.level = base + float(self.shift.sum())
-
-    def _logs(self, tables: Sequence[Array]) -> Array:
-        fit, rows = self.fit, []
-        for j, terms in enumerate(self.inputs):
-            own = fit.coefficients[terms] @ tables[j][fit.multi_indices[terms, j]]
-            rows.append(np.clip(own, *self.room) if terms.size else np.zeros(tables[j].shape[1]))
-        return np.array(rows)
-
-    def factors(self, tables: Sequence[Array]) -> Array:
-        """exp(g_j) over its mean, (d, n)."""
-        return np.exp(self._logs(tables) - self.shift[:, None])
-
-
 @dataclass(frozen=True, kw_only=True)
 class Integrals:
-    """Mean, sd, first and total indices (d,) of an expansion; `error` is the half-width of the integration of the
-    indices, `mean_error` and `sd_error` those of the others."""
+    """Mean, sd, first and total indices (d,) of an expansion; `error` is the half-width of the indices."""
 
     mean: float
     sd: float
     first: Array
     total: Array
     error: float = 0.0
-    mean_error: float = 0.0
-    sd_error: float = 0.0
 
 
-def integrals(fit: Chaos, tolerance: float = 0.002) -> Integrals:
-    """Moments and indices of an expansion, by its coefficients or integrated to half-widths below `tolerance`.
+def integrals(fit: Chaos) -> Integrals:
+    """Moments and indices of an expansion: of its coefficients.
 
-    The half-width of the mean is over the standard deviation, that of the latter over itself.
+    An expansion S of ln y without interactions is a product, whose moments and indices are known by quadrature.  Any
+    other one has those of its plain form S', and what pairs of points (`uq.indices`) show of S less what they show of
+    S': their noise is that of S - S'.
 
     >>> chaos = Chaos(coefficients=np.array([5.0, 3.0, 1.0]), multi_indices=np.array([[0, 0], [1, 0], [1, 1]]),
     ...               germs=("normal", "normal"), cross_validation_error=0.0, samples=9)
@@ -263,135 +215,99 @@ def integrals(fit: Chaos, tolerance: float = 0.002) -> Integrals:
     >>> found.mean, round(found.sd**2, 12), found.first.round(12).tolist(), found.total.round(12).tolist()
     (5.0, 10.0, [0.9, 0.0], [1.0, 0.1])
     """
-    active = fit.multi_indices > 0
     d = len(fit.germs)
     if fit.constant or not d:
         level = float(predict(fit, np.zeros((1, d)))[0])
         return Integrals(mean=level, sd=0.0, first=np.zeros(d), total=np.zeros(d))
-    if not fit.log:
-        varying = np.where(active.any(axis=1), fit.coefficients, 0.0)
-        unit = float(np.abs(varying).max())  # squares of large ones stay finite
-        squares = (varying / unit) ** 2
-        shares = squares / squares.sum()
-        first = shares @ (active & (active.sum(axis=1) == 1)[:, None])
-        sd = unit * math.sqrt(float(squares.sum()))
-        return Integrals(mean=float(fit.coefficients[0]), sd=sd, first=first, total=shares @ active)
-    known = fit._cache.get("integrals")
-    if known is None or known[0] > tolerance:
-        known = tolerance, _integrated(fit, tolerance)
-        fit._cache["integrals"] = known
-    found: Integrals = known[1]
-    return found
-
-
-def _integrated(fit: Chaos, tolerance: float) -> Integrals:
-    control = fit._additive
-    inputs = np.flatnonzero((fit.multi_indices > 0).any(axis=0))
-    whole, single = float(np.prod(control.squares)), control.squares[inputs]
-    ones = np.ones(inputs.size)
-    # of the control about its mean: variance, then `_sums` of every input
-    known = np.stack([single - 1.0, whole / single * (single - 1.0), single - 1.0, (whole - 1.0) * ones,
-                      (whole - 1.0) * ones])  # fmt: skip
-    slope = _slope(fit, control)
-    bases, mixes = np.zeros((REPLICATES, 2, 2)), np.zeros((REPLICATES, 2, 7, inputs.size))
-    count, start, t = FIRST_POINTS, 0, student(REPLICATES) / math.sqrt(REPLICATES)
-    while True:
-        for r in range(REPLICATES):
-            for k in range(start, start + count, BLOCK):
-                base, mixed = _sums(fit, control, inputs, min(BLOCK, start + count - k), r, k)
-                bases[r] += base
-                mixes[r] += mixed
-        start += count
-        means = bases[:, :, 0] / start
-        # f = slope · c + rest, with the mean of c one
-        level = means[:, 0] - slope * (means[:, 1] - 1.0)
-        mu = float(level.mean())
-        about = [_about(bases[:, k] / start, mixes[:, k] / start, mean) for k, mean in ((0, mu), (1, 1.0))]
-        variance = about[0][0] - slope**2 * (about[1][0] - (whole - 1.0))
-        small, total, pairs, square, other = np.moveaxis(about[0][1] - slope**2 * (about[1][1] - known), 1, 0)
-        v = float(variance.mean())
-        # what is large has its noise in common with the variance of its own pairs
-        large = total.mean(axis=0) > 0.5 * v
-        first = ratio_of_means(np.where(large, pairs, small), np.where(large, square, variance[:, None]))
-        rest = ratio_of_means(total, np.where(large, other, variance[:, None]))
-        sd = math.sqrt(v) if v > 0.0 else 0.0
-        half = t * float(max(off.std(axis=0, ddof=1).max() for _, off in (first, rest)))
-        mean_half = t * float(level.std(ddof=1)) / (sd or 1.0)
-        sd_half = 0.5 * t * float(variance.std(ddof=1)) / (v or 1.0)
-        if max(half, mean_half, sd_half) <= tolerance or start >= MOST_POINTS:
-            break
-        count = start
-    scale, found = fit.sign * math.exp(control.level), np.zeros((2, len(fit.germs)))
-    found[:, inputs] = first[0], rest[0]
-    return Integrals(mean=scale * mu, sd=abs(scale) * sd, first=found[0], total=found[1], error=half,
-                     mean_error=mean_half * sd * abs(scale), sd_error=sd_half * sd * abs(scale))  # fmt: skip
-
-
-def _about(base: Array, mixed: Array, mu: float) -> tuple[Array, Array]:
-    """Means of replicates about mu: the variance (R,), and small, total, pairs and the two squares (R, 5, m)."""
-    variance = base[:, 1] - 2.0 * mu * base[:, 0] + mu * mu
-    small, total, pairs, square, other, middle, centre = np.moveaxis(mixed, 1, 0)
-    shift, turn = mu * mu - 2.0 * mu * middle, mu * mu - 2.0 * mu * centre
-    return variance, np.stack([small, total, pairs + shift, square + shift, other + turn], axis=1)
-
-
-def _slope(fit: Chaos, control: _Additive) -> float:
-    """Regression of the expansion, over its level, on its factors, at points of a replicate of their own."""
-    tables = _tables(fit, law_points(fit.germs, 4 * FIRST_POINTS, REPLICATES)[0])
-    f, c = _values(fit, tables) * fit.sign * math.exp(-control.level), control.factors(tables).prod(axis=0)
-    off = c - c.mean()
-    square = float(off @ off)
-    return float(off @ f) / square if square > 0.0 else 0.0
-
-
-def _sums(
-    fit: Chaos, control: _Additive, inputs: Indices, count: int, replicate: int, start: int
-) -> tuple[Array, Array]:
-    """Sums over points, of the expansion over its level and of its control.
-
-    (2, 2): (a + b)/2 and (a² + b²)/2.  (2, 7, m), for every input with its mix ab: b (ab - a), (a - ab)²/2, b ab,
-    (b² + ab²)/2, (a² + ab²)/2, (b + ab)/2, (a + ab)/2.
-    """
-    one, other = (_tables(fit, points) for points in law_points(fit.germs, count, replicate, start))
-    unit = fit.sign * math.exp(-control.level)
-    e_a, e_b = control.factors(one), control.factors(other)
-    ends = ((_values(fit, one) * unit, _values(fit, other) * unit), (e_a.prod(axis=0), e_b.prod(axis=0)))
-    mixes = (
-        [_values(fit, [other[k] if k == j else one[k] for k in range(len(one))]) * unit for j in inputs],
-        [np.delete(e_a, j, axis=0).prod(axis=0) * e_b[j] for j in inputs],
-    )
-    bases = np.array([[0.5 * (a + b).sum(), 0.5 * (a @ a + b @ b)] for a, b in ends])
-    rows = [[[b @ (m - a), 0.5 * (a - m) @ (a - m), b @ m, 0.5 * (b @ b + m @ m), 0.5 * (a @ a + m @ m),
-              0.5 * (b + m).sum(), 0.5 * (a + m).sum()] for m in own]
-            for (a, b), own in zip(ends, mixes, strict=True)]  # fmt: skip
-    return bases, np.moveaxis(np.array(rows), 1, 2)
-
-
-def projections(fit: Chaos, points: Array, which: Sequence[Flags] | None = None) -> tuple[Array, Array]:
-    """What the terms of single inputs, (d, n), and all terms with an input, (d, n), say at germ points (n, d).
-
-    Of an expansion of ln y those of a plain expansion of it, by least squares at points of the law.
-    """
-    plain = _plain_of(fit) if fit.log else fit
+    if fit.log and (fit.multi_indices > 0).sum(axis=1).max() == 1:
+        return _product(fit)
+    plain = fit.plain_form
     active = plain.multi_indices > 0
-    single = active & (active.sum(axis=1) == 1)[:, None]
+    varying = np.where(active.any(axis=1), plain.coefficients, 0.0)
+    unit = float(np.abs(varying).max())  # squares of large ones stay finite
+    squares, mean = (varying / unit) ** 2, float(plain.coefficients[0])
+    whole, first, total = float(squares.sum()), squares @ _single(active), squares @ active
+    if not fit.log:
+        return Integrals(mean=mean, sd=unit * math.sqrt(whole), first=first / whole, total=total / whole)
+    blocks = Blocks(inputs_count=d)
+    points = np.stack([blocks.mix(*uniform_halves(blocks, count=PAIRS, seed=0, task="polynomial chaos", replicate=r))
+                       for r in range(PAIRS_REPLICATES)])  # fmt: skip
+    rows = germ_points(special.ndtri(points.reshape(-1, d)), fit.germs)
+    # about the mean of the plain form: what the two means differ by is no scatter
+    pairs = [(predict(one, rows).reshape(points.shape[:3]) - mean) / unit for one in (fit, plain)]
+    (first_s, v), (total_s, _), (first_p, w), (total_p, _) = (
+        ratio(y[:, :, :1], y[:, :, -1:], y[:, :, 1:-1]) for y in pairs for ratio in (saltelli_first, jansen_total)
+    )
+    middle = (pairs[0] - pairs[1])[:, :, [0, -1]].mean(axis=(1, 2))
+    scale = whole + v - w - (middle**2)[:, None]
+    shares = [ratio_of_means(first + first_s - first_p, scale), ratio_of_means(total + total_s - total_p, scale)]
+    half = student(PAIRS_REPLICATES) * max(float(off.std(axis=0, ddof=1).max()) for _, off in shares)
+    return Integrals(mean=mean + unit * float(middle.mean()), sd=unit * math.sqrt(max(float(scale.mean()), 0.0)),
+                     first=shares[0][0], total=shares[1][0], error=half / math.sqrt(PAIRS_REPLICATES))  # fmt: skip
+
+
+def _product(fit: Chaos) -> Integrals:
+    """Those of exp(Σ g_j(x_j)), by the trapezoidal rule in normal scores, which converges geometrically."""
+    z = np.linspace(-8.5, 8.5, 1701)
+    weights = np.exp(-0.5 * z * z) / np.exp(-0.5 * z * z).sum()
+    rows = rows_of(fit.germs, germ_points(np.repeat(z[:, None], len(fit.germs), axis=1), fit.germs), fit.multi_indices)
+    factors = np.exp((fit.multi_indices > 0).T * fit.coefficients @ rows)
+    means = factors @ weights
+    more = (factors / means[:, None] - 1.0) ** 2 @ weights  # variances of factors of mean 1
+    whole = math.expm1(float(np.log1p(more).sum()))
+    mean = fit.sign * math.exp(fit.coefficients[0]) * float(np.prod(means))
+    return Integrals(mean=mean, sd=abs(mean) * math.sqrt(whole), first=more / whole,
+                     total=more / (1.0 + more) * (1.0 + whole) / whole)  # fmt: skip
+
+
+def _single(active: Flags) -> Flags:
+    """Which terms (P, d) have the one input alone."""
+    single: Flags = active & (active.sum(axis=1) == 1)[:, None]
+    return single
+
+
+def projections(fit: Chaos, points: Array) -> tuple[Array, Array]:
+    """What the terms of single inputs, (d, n), and all terms with an input, (d, n), say at germ points (n, d)."""
+    plain = fit.plain_form
+    active = plain.multi_indices > 0
     rows = rows_of(plain.germs, points, plain.multi_indices) * plain.coefficients[:, None]
-    return single.T.astype(float) @ rows, active.T.astype(float) @ rows
+    return _single(active).T.astype(float) @ rows, active.T.astype(float) @ rows
 
 
-def _plain_of(fit: Chaos) -> Chaos:
-    """A plain expansion of an expansion of ln y, in the inputs that it has."""
-    if "plain" not in fit._cache:
-        inputs = np.flatnonzero((fit.multi_indices > 0).any(axis=0))
-        found = nested(len(inputs), 0.75, 10, 250)
-        small = np.zeros((1, len(inputs)), dtype=np.int64) if found is None else found[0]
-        terms = np.zeros((len(small), len(fit.germs)), dtype=np.int64)
-        terms[:, inputs] = small
-        points = law_points(fit.germs, 4096, 0)[0]
-        rows, values = rows_of(fit.germs, points, terms), predict(fit, points)
-        unit = float(np.abs(values).max())
-        coefficients = np.asarray(np.linalg.lstsq(rows.T, values / unit, rcond=None)[0] * unit, dtype=np.float64)
-        fit._cache["plain"] = Chaos(coefficients=coefficients, multi_indices=terms, germs=fit.germs,
-                                    cross_validation_error=0.0, samples=4096)  # fmt: skip
-    plain: Chaos = fit._cache["plain"]
-    return plain
+# --- what an expansion leaves -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Remainder:
+    """How the residual of an expansion is made up: `energies` (Q,) of terms with the inputs `active` (Q, d).
+
+    Each is the mean of r_i r_j p(x_i) p(x_j) over pairs of different rows, which has no bias; their sum has the
+    standard error `noise` where there is nothing but noise.
+    """
+
+    active: Flags
+    energies: Array
+    noise: float
+
+    @property
+    def single(self) -> Flags:
+        """Which terms (Q, d) have the one input alone."""
+        return _single(self.active)
+
+    def share(self, which: Flags, prior: float) -> float:
+        """The share of the residual's variance that belongs to some terms (Q,), drawn to `prior` by the noise."""
+        own, every = max(float(self.energies[which].sum()), 0.0), max(float(self.energies.sum()), 0.0)
+        return min((own + self.noise * prior) / max(every + self.noise, own + self.noise * prior, 1e-300), 1.0)
+
+
+def remainder(germs: Sequence[GermLike], points: Array, residuals: Array) -> Remainder:
+    """The residual (n,) of an expansion at germ points (n, d) that it was not fitted to, by terms."""
+    n, d = points.shape
+    found = nested(d, 0.75, HIGHEST_DEGREE, max(REMAINDER, d + 1)) if d else None
+    terms = np.zeros((0, d), dtype=np.int64) if found is None else found[0][1:]
+    unit = float(np.abs(residuals).max(initial=0.0)) or 1.0
+    r = (residuals - residuals.mean()) / unit
+    rows = rows_of(germs, points, terms) if len(terms) else np.zeros((0, n))
+    energies = ((rows @ r) ** 2 - rows**2 @ r**2) / (n * (n - 1.0))
+    return Remainder(active=terms > 0, energies=energies,
+                     noise=float(r @ r) / n * math.sqrt(2.0 * max(len(terms), 1)) / n)  # fmt: skip

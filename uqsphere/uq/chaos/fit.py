@@ -244,7 +244,7 @@ def _excess(fit: Chaos, scaled: Array, unit: float) -> float:
     z = (scaled - scaled.mean()) / math.sqrt(variance)
     allowed = 1.0 + 2.0 * math.sqrt(max(float(np.mean(z**4)) - 1.0, 0.0) / z.size)
     if fit.log:
-        values = predict(fit, law_points(fit.germs, 2048, 0)[0]) / unit
+        values = predict(fit, law_points(fit.germs, 2048)) / unit
         return float(np.mean((values - scaled.mean()) ** 2)) / variance - allowed
     return float(np.sum((fit.coefficients[1:] / unit) ** 2)) / variance - allowed
 
