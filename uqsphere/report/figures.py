@@ -102,7 +102,7 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
 
 
 def _plain_logarithms(axis: Axis, ratio: float) -> None:
-    """Ticks of a logarithmic axis over a ratio, in digits: powers of ten, and 2 and 5 times these where there is room."""
+    """Plain ticks of a logarithmic axis over a ratio: powers of ten, 2 and 5 times these where there is room."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 1e3 else (1.0,)))
