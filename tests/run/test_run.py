@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -91,6 +92,25 @@ def test_a_margin_is_where_the_curve_takes_the_probability() -> None:
     use = run.verdicts["high"]["use"]
     assert use["safe_end"] == "largest"
     assert use["value"] == pytest.approx((8.0 + 5.0 * float(stats.norm.ppf(0.1))) / 3.0, abs=0.15)
+
+
+@pytest.mark.parametrize("between", [[-90.0, -60.0], [40.0, 80.0]])
+def test_a_range_that_misses_the_target_is_told_and_drawn(between: list[float], tmp_path: Path) -> None:
+    run = uqsphere.run(study(margins={"solve": "a", "between": between}), linear, out=tmp_path / "out")
+    verdict = run.verdicts["high"]
+    assert verdict["use"] is None
+    assert "widen margins.between" in verdict["detail"]
+    assert (tmp_path / "out" / "figures" / "fragility.svg").exists()
+
+
+def test_a_margin_draws_values_and_points_about_it() -> None:
+    margins = {"solve": "a", "between": [-200.0, 200.0], "for_probability": [0.1]}
+    run = uqsphere.run(study(margins=margins, analysis={"accuracy": {"probability": 0.02}}), linear)
+    truth, row = (8.0 + 5.0 * float(stats.norm.ppf(0.1))) / 3.0, run.margin("high", 0.1)
+    assert row["low"] <= truth <= row["high"]
+    values = run.curve("high").index.to_numpy()
+    assert len(values) > 25
+    assert np.diff(values).min() < 0.6 * 400.0 / 24.0
 
 
 def test_the_same_study_gives_the_same_numbers(plain: Run) -> None:

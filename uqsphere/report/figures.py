@@ -86,7 +86,7 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
         axes.axhline(ndtri(target), color="#555555", lw=0.8, ls=":")
         axes.annotate(f"target {format_probability(target)}", (1.0, ndtri(target)), xycoords=("axes fraction", "data"),
                       ha="right", va="bottom", fontsize=8, color="#333333")  # fmt: skip
-    if free["planned"] is not None:
+    if free["planned"] is not None and free["low"] <= free["planned"] <= free["high"]:
         axes.axvline(free["planned"] * factor, color="#555555", lw=0.8)
         axes.annotate(f"planned {format_value(free['planned'], free['path'], 3)}", (free["planned"] * factor, 0.97),
                       xycoords=("data", "axes fraction"), ha="left", va="top", fontsize=8, color="#333333",

@@ -346,6 +346,13 @@ def _headline(
         rest.append(what + ".")
     else:
         first.append(what + ".")
+        curve = answers.where(design.subject(limit), "curve")
+        if curve and design.study.margins is not None:
+            path = design.study.margins.axis.path
+            (low, p_low), (high, p_high) = ((end["at"], end["value"]) for end in (curve[0], curve[-1]))
+            rest.append(f"No value to use: between {format_value(low, path, 3)} and {format_value(high, path, 3)} the "
+                        f"probability of exceedance runs from {format_probability(p_low)} to "
+                        f"{format_probability(p_high)}; widen margins.between.")  # fmt: skip
     if word == "not established":
         rest.append("Not established: " + "; ".join(reason.text for reason in reasons) + ".")
     elif word == "undecided":
