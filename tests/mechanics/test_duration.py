@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from tests.campaigns.durations import compare, rig_scenes, scenes
+from tests.campaigns.durations import compare, quadrature, rig_scenes, scenes
 from tests.scenes import ENDLESS, EXAMPLE, example
 from uqsphere.mechanics.as_printed import compare as beside_the_paper
 from uqsphere.mechanics.closed_form import loading_approach, solve_blow, solve_closed
-from uqsphere.mechanics.integrator.solve import later_loading, motion, solve
+from uqsphere.mechanics.integrator.solve import later_loading, motion, motions, solve
 from uqsphere.mechanics.scene import Scene
 
 
@@ -93,16 +93,17 @@ def test_all_three_columns_of_the_paper_s_table_have_it() -> None:
     assert duration.as_printed == pytest.approx(0.5564 * lost.as_printed, rel=1e-4)
 
 
-def test_it_ends_at_the_first_loss_whatever_comes_later() -> None:
-    """The whole record counts larger forces; what rattles after the first loss is no part of the duration."""
+def test_the_whole_record_counts_what_comes_after_the_first_loss() -> None:
+    """Forces, energies and duration are over the same record: the duration is the quadrature up to the horizon."""
     kept = ("p_max", "contact_duration", "time_to_first_loss", "energy")
-    scene = example(rows=3, striker_speed=[0.5, 1.0, 2.0])
-    first = solve(scene, tolerance=1e-9, quantities=kept)
-    whole = solve(example(rows=3, striker_speed=[0.5, 1.0, 2.0], whole_record=True), tolerance=1e-9, quantities=kept)
-    for name in ("contact_duration", "time_to_first_loss"):
-        assert whole.values[name] == pytest.approx(first.values[name], rel=1e-8)
-    assert (whole.values["p_max"] >= first.values["p_max"] * (1.0 - 1e-8)).all()
-    assert (whole.record > 2.0 * first.record).all()
+    first, whole = (example(rows=3, striker_speed=[0.5, 1.0, 2.0], whole_record=followed) for followed in (False, True))
+    early, late = (solve(scene, tolerance=1e-9, quantities=kept) for scene in (first, whole))
+    assert late.values["time_to_first_loss"] == pytest.approx(early.values["time_to_first_loss"], rel=1e-8)
+    for name in ("p_max", "contact_duration", "energy"):
+        assert (late.values[name] >= early.values[name] * (1.0 - 1e-8)).all()
+    assert (late.record > 2.0 * early.record).all()
+    for course in motions(whole, np.arange(3), tolerance=1e-10, quantities=kept):
+        assert quadrature(course) * course.unit == pytest.approx(late.values["contact_duration"][course.row], rel=1e-6)
 
 
 def short_striker(**changes: object) -> Scene:
@@ -130,7 +131,8 @@ def test_a_later_loading_that_is_larger_is_counted_and_found() -> None:
 
 def test_scenes_whose_record_ends_otherwise_have_no_later_loading() -> None:
     assert later_loading(example(numbers=ENDLESS, infinite=True)).tolist() == [1.0]
-    assert later_loading(example(first_loading_only=True)).tolist() == [1.0]
+    for changes in ({"first_loading_only": True}, {"whole_record": True}):
+        assert later_loading(example(**changes)).tolist() == [1.0]
     assert math.isnan(later_loading(example(sphere_nu=0.7))[0])
 
 

@@ -15,6 +15,8 @@ from scipy import stats
 import uqsphere
 from uqsphere import Study
 from uqsphere.errors import FolderError, TooManyFailures, UsageError
+from uqsphere.mechanics.history import trace
+from uqsphere.models.scene import scene_of
 from uqsphere.results import COLUMNS, Run
 from uqsphere.results.folder import damaged_files
 
@@ -132,6 +134,24 @@ def test_limits_that_no_sample_reaches_are_bounds() -> None:
     p = run.probability("high")
     assert p["high"] < 1e-3
     assert run.verdicts["high"]["verdict"] == "met"
+
+
+def test_a_later_echo_that_is_harder_is_counted_or_leaves_the_verdict_open() -> None:
+    """A striker of 30 mm: the run of the whole record has the peak of the history, the other says what it misses."""
+    fixed = ("striker.length=30 mm", "striker.speed=8 m/s", "pulse.rise=3 us", "pulse.fall=3 us", "sphere.E=52 GPa",
+             "sphere.nu=0.25", "sphere.radius=10 mm", "dependence=[]", "analysis.failure_modes=given",
+             "limits.crushing.target=0.05")  # fmt: skip
+    verdicts = []
+    for whole, peak in (("false", "first_peak"), ("true", "later_peak")):
+        short = uqsphere.load_study("studies/granite.toml", (*fixed, f"model.whole_record={whole}"))
+        run, history = uqsphere.run(short), trace(scene_of(short, {}, 1))
+        pressure = run.answers.query("subject == 'p_max' and answer == 'mean'")["value"].item()
+        assert pressure == pytest.approx(getattr(history, peak).pressure, rel=1e-3)
+        verdicts.append(run.verdicts["crushing"])
+        later = [check for check in run.results["checks"] if check["name"] == "later_loading"]
+        assert len(later) == (whole == "false")
+    assert [verdict["verdict"] for verdict in verdicts] == ["not established", "not met"]
+    assert "model.whole_record" in verdicts[0]["next"]
 
 
 # --- accuracy, budget, interruption --------------------------------------------------------------------------------

@@ -111,6 +111,8 @@ CASES = [
         at='"p.csv"', count=2),
     one("a key of another shape", SHAPE, 'rise = "1 us"', "does not belong to a rectangular pulse"),
     one("a word for a flag", "tolerance = 1e-6", 'first_loading_only = "yes"', "true or false"),
+    one("two ends of the record", "tolerance = 1e-6", "first_loading_only = true\nwhole_record = true",
+        "leave first_loading_only out", at="whole_record"),
     one("an unknown fidelity", "tolerance = 1e-6", 'fidelity = "fast"',
         "allowed: full, massless or linear"),
     # distributions

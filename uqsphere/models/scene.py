@@ -54,6 +54,7 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
         infinite=bool(options.get("bars.infinite")),
         rigid_contact=bool(options.get("bars.rigid_contact")),
         first_loading_only=study.model.first_loading_only,
+        whole_record=study.model.whole_record,
         horizon=study.model.horizon,
         demands=study.demands,
         contact_law=str(options.get("contact.law", "hertz")),

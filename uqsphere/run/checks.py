@@ -93,11 +93,11 @@ def _later_loading(design: Design, rows: np.ndarray) -> list[Check]:
             share=share,
             grade="failure",
             failures=whole,
-            text=f"in {100.0 * share:.3g} % of the rows a later echo loads the sphere {median:.3g} times as hard as "
-            "the "
-            "record, which ends at the first loss of contact",
-            effect="forces, pressures and fracture probabilities are too small",
-            remedy="set model.first_loading_only = true to ask for the first loading, or absorb the echoes",
+            text=f"in {100.0 * share:.3g} % of the rows a later echo loads the sphere with {median:.3g} times the "
+            "force of the record, which ends at the first loss of contact",
+            effect="forces, pressures and fracture probabilities are too small: set model.whole_record = true",
+            remedy="set model.whole_record = true to count every loading up to the horizon, or "
+            "model.first_loading_only = true to ask for the first alone",
         )
     ]
 

@@ -166,10 +166,9 @@ def _reasons(
                         remedy=f"test the strength of {one.name} in its lower tail",
                     )
                 )
-    missed = float(_missed(design, sample, limit, judged).mean())
     for check in checks:
         share = check.share_of_failures(limit.name)
-        if missed > 0.0 and share is not None and share > target and check.grade == "failure":
+        if share is not None and share > target and check.grade == "failure":
             found.append(
                 Reason(
                     code="model",

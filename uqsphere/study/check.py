@@ -401,8 +401,10 @@ def _rig(draft: Draft) -> Faults:
                     ("model", key),
                     'the linear model and the paper know Hertz only, contact.law is "plastic": leave one out',
                 )
+        if model.whole_record and model.first_loading_only:
+            yield "model.whole_record", "the whole record goes on after the first loading: leave first_loading_only out"
         return
-    for key in ("first_loading_only", "compare_with_paper"):
+    for key in ("first_loading_only", "whole_record", "compare_with_paper"):
         if getattr(model, key):
             yield ("model", key), f'{key} belongs to the rig "bars": leave it out'
     anvil = draft.document.anvil

@@ -496,7 +496,9 @@ class Contact:
     law: Literal["hertz", "plastic"] = key('`"hertz"`, or `"plastic"`: the softer body yields or crushes', "hertz")
     onset_pressure: Num = key("centre pressure at which a face begins to yield", usual="of the softer body")
     hardness: Num = key('mean pressure of a face that flows fully, or `"onset"`', usual="of the softer body")
-    pile_up: Num = key("pile-up far beyond yield, 1 to 3", usual="8/3 where a metal yields, else 2")
+    pile_up: Num = key(
+        "`a²` over `r` times the approach far beyond yield, 1 to 3", usual="8/3 where a metal yields, else 2"
+    )
 
 
 @dataclass(frozen=True, kw_only=True, config=table("rig"))
@@ -552,6 +554,9 @@ class ModelChoice:
     fidelity: Literal["full", "massless", "linear"] = key('`"full"`; of the paper: `"massless"`, `"linear"`', "full")
     tolerance: Annotated[float, *_real(1e-12, 1e-2, closed=True)] = key("relative error of the integration", 1e-6)
     first_loading_only: Flag = key("end the record when the first reflected wave is back", False)
+    whole_record: Flag = key(
+        "go on after the first loss of contact, to the horizon (bars; 3 to 75 times the time)", False
+    )
     horizon: Seconds | None = key("latest end of the record", usual="eight round trips of the longer bar")
     compare_with_paper: Flag = key("adds the paper's printed massless formulas and the corrected ones", False)
 

@@ -559,8 +559,13 @@ def march(
             if done and math.isnan(track[tracked.ENDED, j]):
                 track[tracked.ENDED, j] = before + made[j, n, tracked.HOLDS]
             never_lost = math.isnan(track[tracked.LOST, j])
-            if timed and not rigged and math.isnan(track[tracked.DURATION, j]) and (done or not never_lost):
-                # the duration's record ends at the first loss; the tail between infinite bars belongs to it
+            if (
+                timed
+                and not rigged
+                and math.isnan(track[tracked.DURATION, j])
+                and (done or (stop_at_loss and not never_lost))
+            ):
+                # the tail between infinite bars belongs to the record
                 events.note_duration(track, j, x, law, yielding, never_lost and end[j] == math.inf)
             if timed and rigged and done:
                 events.note_momentum(track, j, u, free, rig, mass[r], speed[r], rigs[r])
