@@ -21,7 +21,7 @@ from pydantic.dataclasses import dataclass
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.units import UNITS, Quantity, UnitError, bare_number, parse_value
-from uqsphere.uq import Law, LawError, make_law
+from uqsphere.uq import Law, LawError, discrete_law, make_law
 from uqsphere.uq.families import FAMILIES, family_named
 
 if TYPE_CHECKING:
@@ -207,6 +207,8 @@ def number_of(raw: object, quantity: Quantity, reader: Reader, place: Place) -> 
         from uqsphere.study.strength import observed_law
 
         found = observed_law(raw, quantity, reader, place)
+    elif raw.get("dist") == "discrete":
+        found = _discrete(raw, quantity)
     else:
         found = _law_of(raw, quantity)
     warn_unusual(found.mean, quantity, reader, place)
@@ -258,6 +260,28 @@ def _law_of(raw: Mapping[str, Any], quantity: Quantity) -> Number:
         unit = f" (numbers in {quantity.unit})" if spoken and quantity.unit else ""
         raise Fault(f"{error.message}{unit}", error.key if error.key in raw else "") from None
     return Number(value=law, given=given)
+
+
+def _discrete(raw: Mapping[str, Any], quantity: Quantity) -> Number:
+    if quantity.name.startswith("limits."):
+        raise Fault("a strength has a density, or is a column of observations: discrete is for inputs", "dist")
+    for key in raw:
+        if key not in ("dist", "values", "weights"):
+            raise Fault(f"{shown(key)} is unknown to the distribution discrete, which takes values and weights", key)
+    for key in ("values", "weights"):
+        if not isinstance(raw.get(key, []), list | tuple):
+            raise Fault(f"found {shown(raw[key])}, where a list is required, such as [1, 2, 3]", key)
+    try:
+        values = [value_of(one, quantity) for one in raw.get("values", [])]
+    except Fault as error:
+        raise Fault(str(error), "values") from None
+    try:
+        weights = raw.get("weights")
+        if weights is not None and not all(type(one) in (int, float) for one in weights):
+            raise LawError("weights are whole numbers, one for each of the values", "weights")
+        return Number(value=discrete_law(values, weights))
+    except LawError as error:
+        raise Fault(error.message, error.key if error.key in raw else "") from None
 
 
 def _check_law(number: Number, raw: object, quantity: Quantity, reader: Reader, place: Place) -> None:

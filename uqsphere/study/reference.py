@@ -75,6 +75,7 @@ def build_schema() -> dict[str, Any]:
     law |= parts.pop("Observations", {}).get("properties", {}) | {
         key: {"type": ["number", "string"]} for key in ("lower", "upper")
     }
+    law |= {key: {"type": "array", "items": {"type": ["number", "string"]}} for key in ("values", "weights")}
     law["dist"] = {"anyOf": [{"enum": list(FAMILIES)}, {"type": "string", "pattern": r"^scipy\.\w+$"}]}
     observed = TypeAdapter(tables.Observations).json_schema()["properties"]
     law |= {key: _plain(node) for key, node in observed.items() if key not in ("dist", "lower", "upper")}

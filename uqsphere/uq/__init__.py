@@ -22,7 +22,7 @@ from uqsphere.uq.estimate import (
 )
 from uqsphere.uq.families import LawError
 from uqsphere.uq.joint import Dependence, Joint, make_joint
-from uqsphere.uq.law import Law, make_law
+from uqsphere.uq.law import Law, discrete_law, make_law
 from uqsphere.uq.limit_state import (
     LimitState,
     complement,
@@ -40,7 +40,7 @@ from uqsphere.uq.sample import Sample
 
 __all__ = [
     "NORMAL", "REPLICATES", "Dependence", "Estimate", "Joint", "Law", "LawError", "LimitState", "Sample", "absent",
-    "complement", "exact", "exceedance", "finite", "from_replicates", "make_joint", "make_law", "margin_quantiles",
+    "complement", "discrete_law", "exact", "exceedance", "finite", "from_replicates", "make_joint", "make_law", "margin_quantiles",
     "miss", "random_generator", "reliability_index", "root", "score_of", "sobol_points", "spread", "student", "tails",
     "target_met", "widest",
 ]  # fmt: skip

@@ -325,7 +325,8 @@ def _strength(
 
 def is_fitted(law: object) -> bool:
     """Whether a strength or an input is a law that was made from observations."""
-    return isinstance(law, Law) and (len(law.data) > 0 or len(law.draws) > 0)
+    given = not isinstance(law, Law) or law.family.name == "discrete"
+    return not given and (len(law.data) > 0 or len(law.draws) > 0)
 
 
 def count_tests(law: Law) -> int:

@@ -17,12 +17,12 @@ from uqsphere.uq.families import LawError
 from uqsphere.uq.families.family import PREFIX, named_family, wrapped
 from uqsphere.uq.fitting import fitted_law
 from uqsphere.uq.joint import Dependence, Joint, make_joint
-from uqsphere.uq.law import Law, checked, make_law
+from uqsphere.uq.law import Law, checked, discrete_law, make_law
 
 #: a law, its table as in a study, a distribution of scipy.stats or chaospy, or observations (n,)
 LawLike: TypeAlias = Any
 #: the keys of a law in a study: `dist`, parameters and bounds
-Table: TypeAlias = dict[str, str | float]
+Table: TypeAlias = dict[str, Any]
 
 #: probabilities at which a law is compared with what it was made from, and what both may differ by, over the scatter:
 #: chaospy iterates some of its quantiles to 1e-8
@@ -87,6 +87,8 @@ def law_table(given: LawLike) -> Table:
     if isinstance(given, Mapping):
         return dict(given)
     law = as_law(given)
+    if law.family.name == "discrete":
+        return {"dist": "discrete", "values": list(law.data)}
     if law.data or law.draws or (named_family(law.family.name) is None and law.family.name not in _names()):
         raise LawError("a law of observations, or one that is wrapped, has no table: give it to the analyses")
     ends = {"lower": law.lower, "upper": law.upper}
@@ -118,6 +120,8 @@ def as_law(given: LawLike) -> Law:
         return given
     if isinstance(given, Mapping):
         numbers = {key: value for key, value in given.items() if key != "dist"}
+        if given.get("dist") == "discrete" and set(numbers) <= {"values", "weights"}:
+            return discrete_law(given.get("values", ()), given.get("weights"))
         if wrong := [key for key, value in numbers.items() if not isinstance(value, int | float | np.number)]:
             raise LawError(
                 f"{wrong[0]} of a law must be a number; observations are given as an array in its place", wrong[0]
@@ -157,7 +161,7 @@ def _of_scipy(given: Any, kind: str) -> Law:
         return _wrapped("scipy histogram", given)
     if hasattr(given, "dist") and hasattr(given, "kwds"):
         if not hasattr(given.dist, "pdf"):
-            raise LawError(f"{given.dist.name} of SciPy is discrete: expansions and tails need a density")
+            return _steps(f"{given.dist.name} of SciPy", given.support(), given.pmf)
         if type(given.dist).__name__ == "rv_histogram":
             return _wrapped("scipy histogram", given)
         shapes, loc, scale = given.dist._parse_args(*given.args, **given.kwds)
@@ -175,6 +179,17 @@ def _of_scipy(given: Any, kind: str) -> Law:
         )  # fmt: skip
         return _wrapped(f"scipy {kind}", functions)
     raise LawError(f"{kind} of SciPy: freeze it with its parameters, as scipy.stats.norm(1.0, 0.1)")
+
+
+def _steps(name: str, ends: Sequence[npt.ArrayLike], share: Callable[[Array], Array]) -> Law:
+    """A discrete law whose whole numbers are all as probable as each other."""
+    low, high = (_number(end) for end in ends)
+    if 1.0 <= high - low < 1e4:
+        values = np.arange(math.ceil(low), math.floor(high) + 1.0)
+        if np.ptp(shares := np.ravel(share(values))) <= 1e-9 * shares.max():
+            return discrete_law(values.tolist())
+    table = '{"dist": "discrete", "values": [1, 2, 3], "weights": [2, 3, 5]}'
+    raise LawError(f"{name} is discrete, and its values are not equally probable: give them as {table}")
 
 
 def _wrapped(name: str, functions: Any) -> Law:
@@ -205,6 +220,8 @@ def _compared(law: Law, quantile: Callable[[Array], Array]) -> Law:
 
 def _of_chaospy(given: Any) -> Law:
     """The law of chaospy by its parameters where these are known here, else by its functions."""
+    if given.interpret_as_integer:
+        return _steps(f"{type(given).__name__} of chaospy", (given.lower, given.upper), given.pdf)
     law = _unrolled(given)
     if law is not None:
         return _compared(law, given.inv)

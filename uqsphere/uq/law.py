@@ -7,15 +7,19 @@ standard deviations out keeps all its digits.  Nothing imports scipy.stats.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, special
 from uqsphere.uq.families import FAMILIES, Family, LawError, family_named, family_stored
 from uqsphere.uq.families.observed import steps_ppf, steps_share_below
+
+#: sum of the weights of a discrete law
+_MOST_STEPS: Final = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,7 +212,7 @@ class Law:
         """Density of the law in force; a step law has none and raises LawError.  Any shape."""
         values = np.asarray(x, dtype=float)
         if self._steps is not None:
-            raise LawError('a law with fit = "steps" has no density', "fit")
+            raise LawError('a step function has no density', "fit")
         family, (location, scale, shapes) = self.family, self._form
         with np.errstate(divide="ignore", over="ignore"):
             known = np.isfinite(values) & (values > 0.0) if family.logarithmic else np.isfinite(values)
@@ -349,6 +353,25 @@ def bounds_of(lower: float | None, upper: float | None) -> tuple[float, float]:
     if not a < b:
         raise LawError(f"lower ({a:g}) must be below upper ({b:g})", "lower")
     return a, b
+
+
+def discrete_law(values: Sequence[float], weights: Sequence[float] | None = None) -> Law:
+    """The law of a number that takes some values only, each by its weight, a whole number; 1 where none are given.
+
+    Raises LawError for weights that are no whole numbers, are not as many as the values, or are above 10,000 in all.
+
+    >>> discrete_law([2.0, 1.0], [1, 3]).cdf(np.array([1.0, 1.5, 2.0])).tolist()
+    [0.75, 0.75, 1.0]
+    """
+    numbers, counts = np.asarray(values, dtype=float), np.asarray([1] * len(values) if weights is None else weights)
+    if numbers.ndim != 1 or not np.isfinite(numbers).all():
+        raise LawError("values of a discrete distribution are finite numbers in a list", "values")
+    if counts.shape != numbers.shape or not (np.mod(counts, 1) == 0).all() or (counts < 0).any():
+        raise LawError("weights are whole numbers, one for each of the values: 2, 3 and 5 for 20, 30 and 50 %", "weights")
+    if not 2 <= counts.sum() <= _MOST_STEPS:
+        raise LawError(f"the weights have the sum {counts.sum():g}: between 2 and {_MOST_STEPS} is allowed", "weights")
+    data = np.sort(np.repeat(numbers, counts.astype(int)))
+    return checked(Law(family=FAMILIES["discrete"], parameters={"bandwidth": 0.0}, data=tuple(data.tolist())))
 
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what is beyond floating point is refused

@@ -79,7 +79,9 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
 
 
 def _points(joint: Joint, germs: Sequence[GermLike], x: Array) -> Array:
-    """Germ points (n, d) at rows (n, d)."""
+    """Germ points (n, d) at rows (n, d).  Raises UsageError for a law that is a step function: its germ is not known."""
+    if steps := [name for name, law in zip(joint.names, joint.laws, strict=True) if law.is_steps]:
+        raise UsageError(f"{steps[0]} is discrete: an expansion needs a density; run a study, which calls the model")
     scores = np.empty_like(x)
     for k, law in enumerate(joint.laws):
         below, above = law.cdf(x[:, k]), law.sf(x[:, k])

@@ -10,6 +10,7 @@ import atexit
 import contextlib
 import hashlib
 import os
+import pickle
 import stat
 import subprocess
 import sys
@@ -24,6 +25,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 #: files with compiled code, or with numbers that it takes in
 _SOURCES = ("branches", "compiled", "events", "faces", "incoming", "kernel", "searches", "step", "tracked", "vectors")
+#: may be written by others
+_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 #: what a process beside this one does at the first run ever
 _PARTS = "from uqsphere.mechanics.integrator import compiled, kernel; compiled.compile_parts(kernel.PARTS)"
 
@@ -38,10 +41,10 @@ def _sources() -> str:
 
 
 def cache_folder() -> Path | None:
-    """A folder for compiled code that belongs to this user and to nobody else, or None."""
+    """A folder for compiled code that belongs to this user and to nobody else, or that they named; None without."""
     if "NUMBA_CACHE_DIR" in os.environ:
-        return Path(os.environ["NUMBA_CACHE_DIR"])
-    if sys.platform == "win32":
+        base = Path(os.environ["NUMBA_CACHE_DIR"])
+    elif sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
     elif sys.platform == "darwin":
         base = Path.home() / "Library" / "Caches"
@@ -51,7 +54,8 @@ def cache_folder() -> Path | None:
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         status = folder.stat()
-        if hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)):
+        foreign = hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & _BY_OTHERS)
+        if foreign and "NUMBA_CACHE_DIR" not in os.environ:
             return None
         probe = folder / f".probe-{os.getpid()}"
         probe.touch()
@@ -59,6 +63,41 @@ def cache_folder() -> Path | None:
     except OSError:
         return None
     return folder
+
+
+def _keep(folder: Path, function: Any) -> None:
+    """Keep what numba compiles in files that begin with a checksum of their name and content.
+
+    What is damaged or foreign is compiled anew; what cannot be written, by the next process.  The folder goes by the
+    sources, so that no file is out of date.
+    """
+    from numba.core.caching import IndexDataCacheFile
+    from numba.core.serialize import dumps
+
+    class Kept(IndexDataCacheFile):
+        def place(self, key: object) -> Path:
+            return folder / f"{function.__name__}-{hashlib.sha256(repr((base, key)).encode()).hexdigest()[:16]}.nbc"
+
+        def load(self, key: object) -> Any:
+            path = self.place(key)
+            with contextlib.suppress(Exception):  # what is not ours raises as it likes
+                content = path.read_bytes()
+                if hashlib.sha256(path.name.encode() + content[32:]).digest() == content[:32]:
+                    return pickle.loads(content[32:])
+            return None
+
+        def save(self, key: object, data: object) -> None:
+            path, content = self.place(key), dumps(data)
+            beside = path.with_suffix(f".{os.getpid()}")
+            try:
+                beside.write_bytes(hashlib.sha256(path.name.encode() + content).digest() + content)
+                os.replace(beside, path)
+            except OSError:
+                with contextlib.suppress(OSError):
+                    beside.unlink()
+
+    base = function._cache._impl.filename_base
+    function._cache._cache_file = Kept(str(folder), base, None)
 
 
 class Beside:
@@ -147,6 +186,8 @@ def compiled(part: bool = False, **options: Any) -> Callable[[Function], Functio
     def once(function: Function) -> Function:
         """The function, compiled once for all numbers of a kind: numba would compile it anew for every constant."""
         found = decorate(function)
+        if folder is not None:
+            _keep(folder, found)
         ask = found.get_call_template
 
         def answer(given: Iterable[Any], named: Any) -> Any:

@@ -12,6 +12,7 @@ of its own, (kind, least, scale, shape, bound), one of those that the tests allo
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
@@ -157,6 +158,9 @@ EMPIRICAL: Final = Family(
     sd=lambda shapes: math.nan,
     fit=_not_fitted,
 )
+
+#: numbers that are given, each with a whole number as its weight: a step function that no test is behind
+DISCRETE: Final = replace(EMPIRICAL, name="discrete", label="discrete", optional={"bandwidth": 0.0})
 
 
 # --- draws of a posterior -----------------------------------------------------------------------------------

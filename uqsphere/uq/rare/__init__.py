@@ -119,6 +119,8 @@ def find_probability(limit: LimitFunction, *, seed: int, accuracy: float = 0.015
     estimate, sure = subset.estimate, False
     if mixture is None:
         estimate = _bound(subset.estimate)
+        if evaluator.failed:
+            estimate = _with_failed(limit, evaluator, estimate, seed=seed, accuracy=accuracy)
     else:
         per_stage = int(max(min(2048, evaluator.left / 6), 256))
         mixture = adapt(evaluator, pool, mixture, seed=seed, per_stage=per_stage)
@@ -222,7 +224,26 @@ def _flipped(limit: LimitFunction, evaluator: Evaluator, *, seed: int, accuracy:
     e, spent = found.estimate, found.evaluations + evaluator.count
     low, high = (0.0 if e.high is None else 1.0 - e.high), (1.0 if e.low is None else 1.0 - e.low)
     value = None if e.value is None else 1.0 - e.value
-    return replace(found, estimate=replace(e, value=value, low=low, high=high, evaluations=spent), evaluations=spent)
+    reason = e.reason and f"of survival: {e.reason.replace('failure', 'survival')}"
+    flipped = replace(e, value=value, low=low, high=high, evaluations=spent, reason=reason)
+    return replace(found, estimate=flipped, evaluations=spent)
+
+
+def _with_failed(
+    limit: LimitFunction, evaluator: Evaluator, estimate: Estimate, *, seed: int, accuracy: float
+) -> Estimate:
+    """Where nothing failed but rows had no answer: the upper end is that of a search that takes them for failures."""
+
+    def hiding(points: Array) -> Array:
+        values = limit.function(points)
+        return np.where(np.isnan(values), -1.0, values)
+
+    found = find_probability(replace(limit, function=hiding), seed=seed, accuracy=accuracy,
+                             budget=int(max(evaluator.left, FEW)))  # fmt: skip
+    evaluator.count += found.evaluations
+    high = max(estimate.high or 0.0, found.estimate.high or 1.0)
+    reason = f"no failure was found, but rows without an answer may be failures; the probability is below {high:.2g}"
+    return replace(estimate, low=0.0, high=high, std_error=None, reason=reason)
 
 
 def _with_few(evaluator: Evaluator, seed: int, accuracy: float) -> RareAnswer:
