@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -30,7 +31,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array, special
-from uqsphere.errors import UsageError
+from uqsphere.errors import UsageError, told
 from uqsphere.uq import Dependence, Estimate, Joint, LimitState, absent, curve, rare, sobol_points, student, tails
 from uqsphere.uq.estimate import REPLICATES, around, between
 from uqsphere.uq.fitting import STRENGTHS, StrengthFit, fit_strength, make_tests
@@ -109,6 +110,11 @@ def _arrays(x: Any, y: Any, given: Joint) -> tuple[Array, Array]:
         raise UsageError(f"x (n, d) and y (n,) are required, found {rows.shape} and {values.shape}")
     if not np.isfinite(values).all():
         raise UsageError("y must be finite: leave rows without an answer out")
+    different, place, counts = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
+    if (n := len(different)) < len(rows):
+        text = f"each of the {n} different rows counts once, with the mean of its answers"
+        warnings.warn(f"{len(rows) - n} of {len(rows)} rows repeat another: {text}", stacklevel=3)
+        return different, np.bincount(place.ravel(), values) / counts
     return rows, values
 
 
@@ -152,19 +158,29 @@ def sobol_indices(x: Any, y: Any, inputs: Inputs, *, seed: int = 0) -> Answers:
 
 
 def _called(model: Model, columns: dict[str, Array]) -> Array:
-    """The model's answers (n,); rows at which it raises when it is called with all, and by themselves, are nan."""
+    """The model's answers (n,); rows at which it raises when it is called with all, and by themselves, are nan.
+
+    Raises UsageError for what is no model, answers in another form, or raises at each of several rows.
+    """
     n = len(next(iter(columns.values())))
+    if not callable(model):
+        raise UsageError(f"a model is a function of a dict of name -> (n,), not {type(model).__name__}")
     try:
         found = model(columns)
-    except Exception:
+    except Exception as error:
         if n == 1:
             return np.array([np.nan])
         single = [{name: column[k : k + 1] for name, column in columns.items()} for k in range(n)]
-        return np.concatenate([_called(model, row) for row in single])
+        rows = np.concatenate([_called(model, row) for row in single])
+        if np.isnan(rows).all():
+            raise UsageError(f"the model raises at each of {n} rows: {type(error).__name__}: {told(error)}") from error
+        return rows
     if isinstance(found, Mapping):
         if len(found) != 1:
             raise UsageError(f"the model answers {', '.join(found)}: one output is required")
         found = next(iter(found.values()))
+    if np.asarray(found).dtype.kind not in "fiub":
+        raise UsageError(f"the model must answer with real numbers, found {np.asarray(found).dtype}")
     values = np.asarray(found, dtype=float)
     if values.shape != (n,):
         raise UsageError(f"the model must answer {n} rows with ({n},) values, found {values.shape}")
@@ -207,6 +223,8 @@ def failure_probability(
     accuracy : half-width of the 95 % interval over the probability at which it ends
     on_failure : rows that are nan, or raise, count into the ends ("bound") or raise UsageError ("refuse")
     """
+    if not (accuracy > 0.0 and evaluations >= 1):
+        raise UsageError(f"accuracy and evaluations must be positive, found {accuracy} and {evaluations}")
     with _refusing():
         given = joint_of(inputs)
 
@@ -254,6 +272,9 @@ def fragility(
         if free in given.names:
             raise UsageError(f"{free} is free and cannot scatter besides")
         law = float(strength) if isinstance(strength, int | float) else as_law(strength)
+        if isinstance(law, float) and not math.isfinite(law):
+            raise UsageError(f"the strength must be a finite number or a law, found {law}")
+        _shares(probabilities)
         count = max(evaluations // (REPLICATES * max(grid.size, 1)), 8)
         d = len(given.names)
         points = [sobol_points(dimension=d, count=count, seed=seed, task="fragility", replicate=r)
@@ -270,6 +291,11 @@ def fragility(
     return Fragility(curve=np.array(found.curve), values=found.values)
 
 
+def _shares(probabilities: Sequence[float]) -> None:
+    if wrong := [p for p in probabilities if not 0.0 < p < 1.0]:
+        raise UsageError(f"a probability lies between 0 and 1, found {wrong[0]}")
+
+
 # --- observations -----------------------------------------------------------------------------------------------
 
 
@@ -277,14 +303,15 @@ def _observations(values: npt.ArrayLike) -> Array:
     with _refusing():
         found = np.asarray(values, dtype=float)
     if found.ndim != 1 or found.size < 3 or not np.isfinite(found).all():
-        raise UsageError(f"at least three finite values (n,) are required, found an array of shape {found.shape}")
+        lost = f", {int((~np.isfinite(found)).sum())} of them not finite"
+        raise UsageError(f"at least three finite values (n,) are required, found an array of shape {found.shape}{lost}")
     return found
 
 
 def moments(values: npt.ArrayLike) -> Answers:
     """{"mean", "sd"} of independent values (n,): Student's interval, and that of ln(sd) by the jackknife."""
     x, method = _observations(values), "independent values"
-    n, s = x.size, float(x.std(ddof=1))
+    n, s = x.size, float(x.std(ddof=1)) if np.ptp(x) else 0.0
     mean = around(float(x.mean()), student(n) * s / math.sqrt(n), s / math.sqrt(n), method, n)
     off = (x - x.mean()) ** 2
     # sums of squares without one value, in closed form
@@ -299,6 +326,7 @@ def quantiles(values: npt.ArrayLike, probabilities: Sequence[float] = (0.05, 0.5
     from scipy.stats import binom
 
     x, found = np.sort(_observations(values)), Answers()
+    _shares(probabilities)
     for p in probabilities:
         low, high = int(binom.ppf(0.025, x.size, p)) - 1, int(binom.ppf(0.975, x.size, p))
         if low < 0 or high >= x.size:

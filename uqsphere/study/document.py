@@ -208,7 +208,7 @@ def number_of(raw: object, quantity: Quantity, reader: Reader, place: Place) -> 
 
         found = observed_law(raw, quantity, reader, place)
     elif raw.get("dist") == "discrete":
-        found = _discrete(raw, quantity)
+        found = _discrete(raw, quantity, place[0] == "limits")
     else:
         found = _law_of(raw, quantity)
     warn_unusual(found.mean, quantity, reader, place)
@@ -262,8 +262,8 @@ def _law_of(raw: Mapping[str, Any], quantity: Quantity) -> Number:
     return Number(value=law, given=given)
 
 
-def _discrete(raw: Mapping[str, Any], quantity: Quantity) -> Number:
-    if quantity.name.startswith("limits."):
+def _discrete(raw: Mapping[str, Any], quantity: Quantity, limit: bool) -> Number:
+    if limit:
         raise Fault("a strength has a density, or is a column of observations: discrete is for inputs", "dist")
     for key in raw:
         if key not in ("dist", "values", "weights"):

@@ -40,7 +40,7 @@ from uqsphere.uq.sample import Sample
 
 __all__ = [
     "NORMAL", "REPLICATES", "Dependence", "Estimate", "Joint", "Law", "LawError", "LimitState", "Sample", "absent",
-    "complement", "discrete_law", "exact", "exceedance", "finite", "from_replicates", "make_joint", "make_law", "margin_quantiles",
-    "miss", "random_generator", "reliability_index", "root", "score_of", "sobol_points", "spread", "student", "tails",
-    "target_met", "widest",
+    "complement", "discrete_law", "exact", "exceedance", "finite", "from_replicates", "make_joint", "make_law",
+    "margin_quantiles", "miss", "random_generator", "reliability_index", "root", "score_of", "sobol_points", "spread",
+    "student", "tails", "target_met", "widest",
 ]  # fmt: skip

@@ -127,6 +127,8 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
         deviations = np.sqrt(np.maximum(squares.sum(axis=1) / counts - ((means - centre) * root) ** 2, 0.0)) / root
         one, two, three = (float((squares**k).sum()) / total for k in (1, 2, 3))
         deviation = math.sqrt(one) / root if one >= 0.0 else math.nan
+        if not np.ptp(samples[kept]):  # nothing but the rounding of a sum
+            deviations, deviation = np.zeros(replicates), 0.0
     mean = from_replicates(means, method, evaluations, centre)
     sd = from_replicates(deviations, method, evaluations, deviation)
     if sd.low is not None and sd.high is not None and sd.std_error is not None:

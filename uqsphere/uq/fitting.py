@@ -325,8 +325,7 @@ def _strength(
 
 def is_fitted(law: object) -> bool:
     """Whether a strength or an input is a law that was made from observations."""
-    given = not isinstance(law, Law) or law.family.name == "discrete"
-    return not given and (len(law.data) > 0 or len(law.draws) > 0)
+    return isinstance(law, Law) and law.family.name != "discrete" and bool(law.data or law.draws)
 
 
 def count_tests(law: Law) -> int:

@@ -185,7 +185,7 @@ def _steps(name: str, ends: Sequence[npt.ArrayLike], share: Callable[[Array], Ar
     """A discrete law whose whole numbers are all as probable as each other."""
     low, high = (_number(end) for end in ends)
     if 1.0 <= high - low < 1e4:
-        values = np.arange(math.ceil(low), math.floor(high) + 1.0)
+        values: Array = np.arange(math.ceil(low), math.floor(high) + 1, dtype=float)
         if np.ptp(shares := np.ravel(share(values))) <= 1e-9 * shares.max():
             return discrete_law(values.tolist())
     table = '{"dist": "discrete", "values": [1, 2, 3], "weights": [2, 3, 5]}'
@@ -295,6 +295,10 @@ def _of_salib(problem: Mapping[str, Any]) -> dict[str, Table]:
     count = int(problem["num_vars"])
     names = list(problem.get("names") or [f"x{k + 1}" for k in range(count)])
     found: dict[str, Table] = {}
+    if len(set(names)) < count or not count == len(names) == len(problem["bounds"]):
+        raise LawError(f"num_vars is {count}: as many different names and bounds are required, found {names}", "names")
+    if len(set(problem.get("groups") or names)) < count:
+        raise LawError("groups of SALib have no place here: leave them out, and read the indices by input", "groups")
     for name, kind, numbers in zip(names, problem.get("dists") or ["unif"] * count, problem["bounds"], strict=True):
         if kind not in SALIB:
             raise LawError(f"distribution {kind!r} of SALib; known: {', '.join(SALIB)}", "dists")

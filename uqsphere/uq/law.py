@@ -212,7 +212,7 @@ class Law:
         """Density of the law in force; a step law has none and raises LawError.  Any shape."""
         values = np.asarray(x, dtype=float)
         if self._steps is not None:
-            raise LawError('a step function has no density', "fit")
+            raise LawError("a step function has no density", "fit")
         family, (location, scale, shapes) = self.family, self._form
         with np.errstate(divide="ignore", over="ignore"):
             known = np.isfinite(values) & (values > 0.0) if family.logarithmic else np.isfinite(values)
@@ -367,7 +367,7 @@ def discrete_law(values: Sequence[float], weights: Sequence[float] | None = None
     if numbers.ndim != 1 or not np.isfinite(numbers).all():
         raise LawError("values of a discrete distribution are finite numbers in a list", "values")
     if counts.shape != numbers.shape or not (np.mod(counts, 1) == 0).all() or (counts < 0).any():
-        raise LawError("weights are whole numbers, one for each of the values: 2, 3 and 5 for 20, 30 and 50 %", "weights")
+        raise LawError("weights are whole numbers, one for each value: 2, 3 and 5 for 20, 30 and 50 %", "weights")
     if not 2 <= counts.sum() <= _MOST_STEPS:
         raise LawError(f"the weights have the sum {counts.sum():g}: between 2 and {_MOST_STEPS} is allowed", "weights")
     data = np.sort(np.repeat(numbers, counts.astype(int)))

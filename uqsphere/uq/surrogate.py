@@ -79,7 +79,7 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
 
 
 def _points(joint: Joint, germs: Sequence[GermLike], x: Array) -> Array:
-    """Germ points (n, d) at rows (n, d).  Raises UsageError for a law that is a step function: its germ is not known."""
+    """Germ points (n, d) at rows (n, d).  Raises UsageError for a step function, whose germ is not known."""
     if steps := [name for name, law in zip(joint.names, joint.laws, strict=True) if law.is_steps]:
         raise UsageError(f"{steps[0]} is discrete: an expansion needs a density; run a study, which calls the model")
     scores = np.empty_like(x)
