@@ -32,11 +32,12 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, special
 from uqsphere.errors import UsageError, told
+from uqsphere.models.black_box import by_index
 from uqsphere.uq import Dependence, Estimate, Joint, LimitState, absent, curve, rare, sobol_points, student, tails
 from uqsphere.uq.estimate import REPLICATES, around, between
 from uqsphere.uq.fitting import STRENGTHS, StrengthFit, fit_strength, make_tests
 from uqsphere.uq.foreign import LawLike, as_law, joint_of
-from uqsphere.uq.surrogate import Expansion, columns_of, fit_expansion
+from uqsphere.uq.surrogate import Expansion, columns_of, fit_expansion, in_order_of, index_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -66,6 +67,9 @@ def _refusing() -> Iterator[None]:
 
 class Answers(dict[Any, Any]):
     """Estimates by name or probability; indices by order, then input."""
+
+    def __repr__(self) -> str:
+        return self.to_frame()[["order", "name", "value", "low", "high"]].to_string(index=False)
 
     def to_frame(self) -> DataFrame:
         """One row for each estimate: order and name, value, low, high, std_error, evaluations, method, reason."""
@@ -97,13 +101,13 @@ def joint(
 def _arrays(x: Any, y: Any, given: Joint) -> tuple[Array, Array]:
     """x (n, d) in the order of the inputs and y (n,), matched by names and by index."""
     rows = columns_of(x, given.names)
-    index = getattr(y, "index", None)
-    if index is not None and not callable(index):
-        wanted = getattr(x, "index", None)
-        wanted = list(range(len(rows))) if wanted is None or callable(wanted) else list(wanted)
-        if len(set(wanted)) != len(wanted) or sorted(map(str, wanted)) != sorted(map(str, index)):
-            raise UsageError("the index of y is not that of the rows of x: give y.to_numpy() where the order is right")
-        y = y.loc[wanted]
+    if hasattr(y, "columns") and y.shape[1] == 1:
+        y = y.iloc[:, 0]
+    if hasattr(y, "reindex"):
+        from pandas import RangeIndex
+
+        index = index_of(x)
+        y = in_order_of(y, RangeIndex(len(rows)) if index is None else index, "y")
     with _refusing():
         values = np.asarray(y, dtype=float)
     if values.shape != rows.shape[:1]:
@@ -175,16 +179,22 @@ def _called(model: Model, columns: dict[str, Array]) -> Array:
         if np.isnan(rows).all():
             raise UsageError(f"the model raises at each of {n} rows: {type(error).__name__}: {told(error)}") from error
         return rows
-    if isinstance(found, Mapping):
-        if len(found) != 1:
-            raise UsageError(f"the model answers {', '.join(found)}: one output is required")
-        found = next(iter(found.values()))
-    if np.asarray(found).dtype.kind not in "fiub":
-        raise UsageError(f"the model must answer with real numbers, found {np.asarray(found).dtype}")
-    values = np.asarray(found, dtype=float)
+    if isinstance(found, Mapping) or hasattr(found, "columns"):
+        if len(names := list(found)) != 1:
+            raise UsageError(f"the model answers {', '.join(map(str, names))}: one output is required")
+        found = found[names[0]]
+    given = np.asarray(by_index(found, n))
+    if given.dtype.kind not in "fiub":
+        raise UsageError(f"the model must answer with real numbers, found {given.dtype}")
+    values = given.astype(float)
     if values.shape != (n,):
         raise UsageError(f"the model must answer {n} rows with ({n},) values, found {values.shape}")
     return values
+
+
+def _shown(e: Estimate) -> str:
+    ends = "" if e.low is None or e.high is None else f" ({e.low:.4g} to {e.high:.4g})"
+    return f"{'no value' if e.value is None else format(e.value, '.4g')}{ends}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,10 +210,15 @@ class Failure:
     warning: str
     design_point: Mapping[str, float]
 
+    def __repr__(self) -> str:
+        p = self.probability
+        return f"<Failure: {_shown(p)}, {'sure' if self.sure else 'not sure'}, {p.evaluations:,} model runs>"
+
     def to_frame(self) -> DataFrame:
         """One row: the probability, whether it is sure, the warning, and the design point by input."""
         frame = Answers(failure_probability=self.probability).to_frame()
-        return frame.assign(sure=self.sure, warning=self.warning, **self.design_point)
+        point = {f"design_point.{name}": value for name, value in self.design_point.items()}
+        return frame.assign(sure=self.sure, warning=self.warning, **point)
 
 
 def failure_probability(
@@ -244,6 +259,10 @@ class Fragility:
 
     curve: Array
     values: Mapping[float, Estimate]
+
+    def __repr__(self) -> str:
+        levels = "; ".join(f"{100.0 * p:g} % at {_shown(level)}" for p, level in self.values.items())
+        return f"<Fragility at {len(self.curve)} levels: {levels}>"
 
     def to_frame(self) -> DataFrame:
         """The curve: level, value, low, high."""
@@ -344,11 +363,16 @@ def weibull_fit(values: npt.ArrayLike, stopped: npt.ArrayLike | None = None) -> 
     Largest likelihood, the factor that takes its bias out, and intervals of 95 % that hold for any n (D. R. Thoman,
     L. J. Bain, C. E. Antle, Technometrics 11, 1969, 445): `shape` the modulus, `scale` in the values' unit.
     """
-    with _refusing():
-        return fit_strength(make_tests(values, stopped), STRENGTHS["weibull"])
+    return _fitted(values, stopped, "weibull")
 
 
 def lognormal_fit(values: npt.ArrayLike, stopped: npt.ArrayLike | None = None) -> StrengthFit:
     """The lognormal law of strengths (n,), as `weibull_fit`: `shape` is the sd of the logarithm, `scale` the median."""
+    return _fitted(values, stopped, "lognormal")
+
+
+def _fitted(values: Any, stopped: Any, family: str) -> StrengthFit:
+    if hasattr(values, "reindex") and hasattr(stopped, "reindex"):
+        stopped = in_order_of(stopped, values.index, "stopped")
     with _refusing():
-        return fit_strength(make_tests(values, stopped), STRENGTHS["lognormal"])
+        return fit_strength(make_tests(values, stopped), STRENGTHS[family])

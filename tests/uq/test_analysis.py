@@ -199,7 +199,7 @@ def test_a_joint_law_goes_over_to_chaospy_and_its_parts_come_back() -> None:
     theirs = joint_to_chaospy(analysis.joint(laws, {("x", "y"): 0.6}))
     drawn = theirs.sample(4000, seed=1)
     assert stats.spearmanr(drawn[0], drawn[1]).statistic == pytest.approx(0.6, abs=0.05)
-    with pytest.raises(UsageError, match="give each of its distributions a name"):
+    with pytest.raises(UsageError, match="give each number its own law"):
         analysis.joint({"a": chaospy.J(chaospy.Normal(), chaospy.Uniform())})
     with pytest.raises(UsageError, match="no Student t copula"):
         joint_to_chaospy(analysis.joint(laws, {("x", "y"): 0.6}, copula="student_t", dof=4.0))

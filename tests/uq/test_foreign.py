@@ -90,7 +90,7 @@ def test_converted_tails_are_our_own_where_chaospy_cuts_them_off() -> None:
     [
         (lambda: stats.poisson(3), "discrete"),
         (lambda: 3.0, "found float"),
-        (lambda: chaospy.J(chaospy.Normal(), chaospy.Normal()), "give each of its distributions a name"),
+        (lambda: chaospy.J(chaospy.Normal(), chaospy.Normal()), "give each number its own law"),
         (lambda: chaospy.Pareto1(1.2), "heavy tail"),
         (lambda: _Broken(name="broken")(), "has no law 'broken'"),
         (lambda: {"dist": "scipy.johnsonsu", "a": 1.0}, r"takes \(a, b\)"),

@@ -100,7 +100,7 @@ def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Se
 
 def _table(returned: Any, outputs: Sequence[str], count: int) -> Array:
     """What a model returned, as numbers (n, q)."""
-    returned = _by_index(returned, count)
+    returned = by_index(returned, count)
     if hasattr(returned, "iloc") and hasattr(returned, "columns"):  # a DataFrame, without importing pandas
         names = list(returned.columns)
         if repeated := [name for name in names if names.count(name) > 1]:
@@ -110,7 +110,7 @@ def _table(returned: Any, outputs: Sequence[str], count: int) -> Array:
         if missing := [name for name in outputs if name not in returned]:
             keys = ", ".join(repr(told(key, 60)) for key in list(returned)[:6]) or "nothing"
             raise ModelError(f"the model returned no {missing[0]!r} (it returned {keys})")
-        return np.stack([_column(_by_index(returned[name], count), name, count) for name in outputs], axis=1)
+        return np.stack([_column(by_index(returned[name], count), name, count) for name in outputs], axis=1)
     if returned is None:
         raise ModelError("the model returned nothing: it must return a dict of output name -> array")
     shape = np.shape(returned)
@@ -125,7 +125,7 @@ def _table(returned: Any, outputs: Sequence[str], count: int) -> Array:
     )
 
 
-def _by_index(value: Any, count: int) -> Any:
+def by_index(value: Any, count: int) -> Any:
     """A Series or DataFrame in the order of the rows, if its index numbers them; anything else as it is."""
     if hasattr(value, "iloc") and len(value) == count:
         labels = np.asarray(value.index)

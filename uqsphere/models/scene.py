@@ -249,6 +249,8 @@ def evaluate(
         if name not in allowed:
             kind = "output" if study.black_box else "quantity"
             raise UsageError(f"unknown {kind} {told(name, 60)!r} (allowed: {', '.join(allowed)})")
+        if list(names).count(name) > 1:
+            raise UsageError(f"{name!r} is asked for twice")
     if tolerance is not None and not 1e-12 <= tolerance <= 1e-2:
         raise UsageError(f"tolerance must lie between 1e-12 and 1e-2, not {tolerance!r}")
     columns, index = _columns_of(study, frame)

@@ -452,6 +452,4 @@ def _value(value: Any, place: str) -> str:
     try:
         return _value(law_table(value), place)
     except LawError as error:
-        raise UsageError(
-            f"{place}: {error}; a study has texts, numbers, true or false, lists, tables and laws"
-        ) from None
+        raise UsageError(f"{place} ({type(value).__name__}): {error}") from None

@@ -150,10 +150,13 @@ class Study:
     def __init__(self, **given: Any) -> None:
         if "path" not in given:
             from uqsphere.study.load import load_study
+            from uqsphere.uq.foreign import of_salib
 
             outputs = given.get("outputs")
             if isinstance(outputs, str | list | tuple):
                 given["outputs"] = {"names": [outputs] if isinstance(outputs, str) else list(outputs)}
+            if isinstance(given.get("inputs"), Mapping):
+                given["inputs"] = of_salib(given["inputs"])
             given = vars(load_study(given))
         names = [entry.name for entry in fields(self)]
         if strange := given.keys() - set(names):

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from uqsphere.uq.families import FAMILIES, Family, LawError
 from uqsphere.uq.families.family import Strength
 from uqsphere.uq.families.observed import DRAWN, MOST_KERNELS, bandwidth
 from uqsphere.uq.law import Law, bounds_of, checked
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 #: laws that can be fitted with stopped tests among them
 STRENGTHS: Final = {name: family.strength for name, family in FAMILIES.items() if family.strength is not None}
@@ -146,7 +149,7 @@ class StrengthFit:
         law were right.
     """
 
-    law: Strength
+    law: Strength = field(repr=False)
     tests: int
     failures: int
     shape: float
@@ -157,6 +160,13 @@ class StrengthFit:
     log_likelihood: float
     distance: float
     p_value: float
+
+    def to_frame(self) -> DataFrame:
+        """Two rows, shape and scale: value, low, high."""
+        from pandas import DataFrame
+
+        rows = {"shape": (self.shape, *self.shape_interval), "scale": (self.scale, *self.scale_interval)}
+        return DataFrame.from_dict(rows, orient="index", columns=["value", "low", "high"]).rename_axis("parameter")
 
     def parameters(self, *, unbiased: bool = False) -> dict[str, float]:
         """Canonical parameters of the law."""

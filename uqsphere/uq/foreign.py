@@ -68,6 +68,9 @@ CHAOSPY: Final[Mapping[str, Callable[..., tuple[str | float, ...]]]] = {
     "trunc_normal": lambda a, b, mu, sigma: ("truncnorm", (a - mu) / sigma, (b - mu) / sigma, mu, sigma),
 }
 
+#: the way out for laws of several numbers
+EACH: Final = "give each number its own law by name, and their rank correlations by uqsphere.analysis.joint"
+
 #: SALib's distributions by their names, from the two to four numbers that it calls bounds
 SALIB: Final[Mapping[str, Callable[..., Table]]] = {
     "unif": lambda a, b: {"dist": "uniform", "lower": a, "upper": b},
@@ -90,7 +93,8 @@ def law_table(given: LawLike) -> Table:
     if law.family.name == "discrete":
         return {"dist": "discrete", "values": list(law.data)}
     if law.data or law.draws or (named_family(law.family.name) is None and law.family.name not in _names()):
-        raise LawError("a law of observations, or one that is wrapped, has no table: give it to the analyses")
+        raise LawError("a study file has no table for it: write a sample or the observations to a CSV and name that, "
+                       '{ file = "rows.csv", column = "x" }, or give it to uqsphere.analysis')  # fmt: skip
     ends = {"lower": law.lower, "upper": law.upper}
     return {"dist": law.family.name, **law.parameters, **{key: end for key, end in ends.items() if math.isfinite(end)}}
 
@@ -133,11 +137,6 @@ def as_law(given: LawLike) -> Law:
     if origin == "scipy":
         return _of_scipy(given, kind)
     if origin == "chaospy" and hasattr(given, "inv") and hasattr(given, "pdf"):
-        if len(given) != 1:
-            raise LawError(
-                "a joint distribution of chaospy: give each of its distributions a name, "
-                "{name: one for name, one in zip(names, joint)}, and their rank correlations to `joint`"
-            )
         return _of_chaospy(given)
     try:
         values = np.asarray(given, dtype=float)
@@ -153,10 +152,12 @@ def as_law(given: LawLike) -> Law:
 def _of_scipy(given: Any, kind: str) -> Law:
     if kind == "gaussian_kde":
         if given.d != 1:
-            raise LawError("a gaussian_kde of several numbers: give each its own law, and their dependence")
+            raise LawError(f"a gaussian_kde of several numbers: {EACH}")
         law = fitted_law(given.dataset[0].tolist())
         width = float(np.sqrt(given.covariance[0, 0]))
         return checked(Law(family=law.family, parameters={"bandwidth": width}, data=law.data))
+    if any(base.__name__ == "DiscreteDistribution" for base in type(given).__mro__):
+        return _steps(f"{kind} of SciPy", given.support(), given.pmf)
     if kind == "rv_histogram":
         return _wrapped("scipy histogram", given)
     if hasattr(given, "dist") and hasattr(given, "kwds"):
@@ -178,6 +179,8 @@ def _of_scipy(given: Any, kind: str) -> Law:
             stats=lambda moments: (float(given.mean()), float(given.variance())),
         )  # fmt: skip
         return _wrapped(f"scipy {kind}", functions)
+    if hasattr(given, "rvs") and hasattr(given, "dim"):
+        raise LawError(f"{kind} of several numbers: {EACH}")
     raise LawError(f"{kind} of SciPy: freeze it with its parameters, as scipy.stats.norm(1.0, 0.1)")
 
 
@@ -220,12 +223,19 @@ def _compared(law: Law, quantile: Callable[[Array], Array]) -> Law:
 
 def _of_chaospy(given: Any) -> Law:
     """The law of chaospy by its parameters where these are known here, else by its functions."""
+    if len(given) != 1:
+        raise LawError(f"a joint distribution of chaospy: {EACH}")
+    if type(given).__name__ == "Trunc" and given.lower > given._dist.lower and given.upper < given._dist.upper:
+        raise LawError("chaospy's Trunc with two ends has wrong quantiles: write Trunc(Trunc(d, lower=a), upper=b)")
     if given.interpret_as_integer:
         return _steps(f"{type(given).__name__} of chaospy", (given.lower, given.upper), given.pdf)
     law = _unrolled(given)
     if law is not None:
         return _compared(law, given.inv)
-    law = _wrapped("chaospy", _functions(given))
+    try:
+        law = _wrapped("chaospy", _functions(given))
+    except LawError as error:
+        raise LawError(f"{error}: give the distribution of scipy.stats, or observations") from None
     if not all(map(math.isinf, law.tail_orders())):
         raise LawError(f"{given} has a heavy tail, which chaospy cuts off: give the law of scipy.stats")
     return law
@@ -285,13 +295,17 @@ def joint_of(laws: Joint | Mapping[str, LawLike], dependence: Sequence[Dependenc
     if isinstance(laws, Joint):
         return laws
     if not isinstance(laws, Mapping):
+        if type(laws).__module__.startswith("chaospy"):
+            as_law(laws)
         raise LawError(f"give a mapping of name to law, a problem of SALib, or a Joint; found {type(laws).__name__}")
-    if {"num_vars", "bounds"} <= set(laws):
-        laws = _of_salib(laws)
+    laws = of_salib(laws)
     return make_joint(tuple(laws), tuple(as_law(law) for law in laws.values()), dependence)
 
 
-def _of_salib(problem: Mapping[str, Any]) -> dict[str, Table]:
+def of_salib(problem: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The inputs that a problem dict of SALib is about, by name; any other mapping as it is."""
+    if not {"num_vars", "bounds"} <= set(problem):
+        return problem
     count = int(problem["num_vars"])
     names = list(problem.get("names") or [f"x{k + 1}" for k in range(count)])
     found: dict[str, Table] = {}

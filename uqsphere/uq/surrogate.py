@@ -66,7 +66,17 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
                             ("is there twice", [n for n in given if given.count(n) > 1])):  # fmt: skip
             if wrong:
                 raise UsageError(f"column {wrong[0]!r} {what}; the inputs are {', '.join(names)}")
-        rows = np.stack(np.broadcast_arrays(*(np.atleast_1d(np.asarray(rows[n])) for n in names)), axis=-1)
+        columns = [rows[n] for n in names]
+        index = index_of(rows)
+        for k, column in enumerate(columns):
+            if index is not None and hasattr(column, "reindex") and not column.index.equals(index):
+                columns[k] = in_order_of(column, index, f"the column {names[k]!r}")
+        try:
+            rows = np.stack(np.broadcast_arrays(*(np.atleast_1d(np.asarray(c)) for c in columns)), axis=-1)
+        except ValueError as error:
+            raise UsageError(f"the columns differ in length: {', '.join(str(np.size(c)) for c in columns)}") from error
+    elif hasattr(rows, "index") and hasattr(rows, "to_frame"):  # a Series: one row, its index the names
+        return columns_of(rows.to_frame().T, names)
     try:
         x = np.asarray(rows, dtype=float)
     except (TypeError, ValueError) as error:
@@ -76,6 +86,21 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
     if not np.isfinite(x).all():
         raise UsageError("the rows hold what is no finite number")
     return x
+
+
+def index_of(rows: Any) -> Any:
+    """The index of a table of pandas, or that of the first Series of a mapping; None without one."""
+    tables = [rows, *(rows.values() if isinstance(rows, Mapping) else ())]
+    return next((one.index for one in tables if hasattr(one, "reindex")), None)
+
+
+def in_order_of(column: Any, index: Any, name: str) -> Any:
+    """A Series in the order of an index that has the same labels, each once.  Raises UsageError for any other."""
+    if not (
+        column.index.is_unique and index.is_unique and len(index) == len(column) and set(index) == set(column.index)
+    ):
+        raise UsageError(f"the index of {name} is not that of the rows: give it by to_numpy() where the order is right")
+    return column.reindex(index)
 
 
 def _points(joint: Joint, germs: Sequence[GermLike], x: Array) -> Array:
@@ -231,8 +256,12 @@ class Expansion:
 
 def fit_expansion(x: Array, y: Array, joint: Joint, *, plain: bool = False, seed: int = 0) -> Expansion:
     """The expansion of y (n,) at rows x (n, d) drawn by the joint law; `seed` of the order in which rows are dealt."""
+    from threadpoolctl import threadpool_limits
+
     order = random_generator(seed=seed, task="chaos rows").permutation(len(y))
     x, y, germs = x[order], y[order], germs_of(joint.laws)
     points = _points(joint, germs, x)
-    return Expansion(joint=joint, fit=fit_chaos(points, y, germs, plain=plain),
-                     response=cross_fit(points, y, germs, plain=plain)[0])  # fmt: skip
+    # many small products: threads of linear algebra that wait for each other cost 20 times as much
+    with threadpool_limits(limits=1, user_api="blas"):
+        return Expansion(joint=joint, fit=fit_chaos(points, y, germs, plain=plain),
+                         response=cross_fit(points, y, germs, plain=plain)[0])  # fmt: skip
