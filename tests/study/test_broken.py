@@ -109,7 +109,7 @@ CASES = [
         "length = \"0.8 m\"\n\n[pulse]\n" + SHAPE,
         '[pulse]\nshape = "measured"\nfile = "p.csv"', 'there is no file "p.csv" beside the study',
         at='"p.csv"', count=2),
-    one("a key of another shape", SHAPE, 'rise = "1 us"', "does not belong to a rectangular pulse"),
+    one("a key of another shape", SHAPE, 'rise = "1 us"', "does not belong to [pulse] with shape = \"rectangular\""),
     one("a word for a flag", "tolerance = 1e-6", 'first_loading_only = "yes"', "true or false"),
     one("two ends of the record", "tolerance = 1e-6", "first_loading_only = true\nwhole_record = true",
         "leave first_loading_only out", at="whole_record"),
@@ -196,7 +196,7 @@ CASES = [
     Broken(name="a unit in a black box", text=BLACK_BOX.replace("2.0", '"2 mm"'), at="x2",
         says=("plain number",)),
     Broken(name="no outputs", text=BLACK_BOX.replace('names = ["y"]', ""), at="[outputs]",
-        says=("outputs are missing",)),
+        says=("names of the outputs",)),
     Broken(name="no inputs", text='[outputs]\nnames = ["y"]\n', says=("[inputs] is missing",)),
     Broken(
         name="an output that is not one",
@@ -309,7 +309,7 @@ limits = { one = { criterion = "specific_energy", energy_is = "contact", strengt
         ('energy_is = "contact", ', "", "5: limits.one.energy_is: energy_is is missing"),
         ('drop_height = "0.2 m"', 'drop_height = "0.2 m", speed = "1 m/s"', "3: hammer.drop_height: speed is "
                                                                             "given too"),
-        ('shape = "ball"', 'shape = "ball", mass = "1 kg"', "3: hammer.mass: mass of a ball follows"),
+        ('shape = "ball"', 'shape = "ball", mass = "1 kg"', "3: hammer.mass: mass does not belong to [hammer]"),
         ('radius = "5 mm" }', 'radius = "5 mm" }\nanvil = { material = "steel" }', '2: anvil: [anvil] belongs to '
                                                                                    'the rig'),
         ('length = "1.5 m", ', "", "4: rod.length: length is missing"),

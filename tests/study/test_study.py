@@ -128,9 +128,9 @@ def test_defaults(load: Load) -> None:
     assert (study.limits, study.margins, study.analysis.methods) == ((), None, ("auto",))
 
 
-def test_quantities_of_limits_are_added(load: Load) -> None:
+def test_quantities_of_limits_are_not_asked_for(load: Load) -> None:
     study = load(BASE, ("[analysis]", '[limits.b]\nquantity = "energy"\nstrength = "2 mJ"\n[analysis]'))
-    assert study.analysis.quantities == ("p_max", "energy")
+    assert study.analysis.quantities == ("p_max",)
     assert study.limits[1] == Limit(name="b", quantity="energy", strength=2e-3)
 
 

@@ -5,22 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from uqsphere.study.document import Accuracy, Analysis, Budget, Dependence, Gauge, ModelChoice
 from uqsphere.study.study import (
     Axis,
     Limit,
-    Margins,
-    Source,
     Study,
-    Tested,
     Way,
-    Ways,
     breaks_by,
-    law_json,
     limit_of,
     means_fracture,
-    quantity_of,
-    spaced,
     strength_name,
     ways_of,
     with_number,
@@ -29,10 +21,8 @@ from uqsphere.study.study import (
 from uqsphere.study.load import load_study  # isort: skip
 
 __all__ = [
-    "Accuracy", "Analysis", "Axis", "Budget", "Dependence", "Gauge", "Limit", "Margins", "ModelChoice", "Source",
-    "Study", "Tested", "Way", "Ways", "breaks_by", "json_schema", "law_json", "limit_of", "load_study",
-    "means_fracture",
-    "quantity_of", "reference", "shipped_studies", "spaced", "strength_name", "ways_of", "with_number",
+    "Axis", "Limit", "Study", "Way", "breaks_by", "json_schema", "limit_of", "load_study", "means_fracture",
+    "reference", "shipped_studies", "strength_name", "ways_of", "with_number",
 ]  # fmt: skip
 
 

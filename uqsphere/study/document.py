@@ -1,22 +1,31 @@
-"""The tables of a study file as pydantic dataclasses: what can stand there, what it means, and its value in SI.
+"""The tables of a study file as pydantic models: what can stand there, what it means, and its value in SI.
 
 A number knows its quantity by its table and key.  What the tables say of each other is looked at in
-`uqsphere.study.check`; the JSON schema and docs/study-file.md are made from these declarations.
+`uqsphere.study.check`; the JSON schema and docs/study-file.md are made from these models.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass as plain
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 
-from pydantic import BeforeValidator, ConfigDict, Field, Strict, ValidationInfo, WithJsonSchema
-from pydantic.dataclasses import dataclass
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    Strict,
+    ValidationInfo,
+    WithJsonSchema,
+    field_validator,
+    model_validator,
+)
 
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.quantities import INPUTS, format_value
@@ -39,11 +48,8 @@ RIG_TABLES: Final[dict[str, tuple[str, ...]]] = {
 }
 #: tables whose numbers are entries of `uqsphere.quantities.INPUTS`
 SCENE: Final = ("sphere", "contact", "rig", *dict.fromkeys(t for tables in RIG_TABLES.values() for t in tables))
+_FACE: Final = "density yield_strength onset_pressure hardness pile_up"
 BAR_ENDS: Final = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
-#: which energy a strength in J/kg means, and the quantity that is held against it
-ENERGY_OF: Final = {
-    "contact": "specific_energy", "sphere": "specific_energy_sphere", "input": "specific_impact_energy",
-}  # fmt: skip
 #: a standard deviation over the mean that is worth a warning, and that is refused
 _WIDE, _TOO_WIDE = 1.0, 1000.0
 #: a share of a law outside what has a meaning that is worth a warning
@@ -61,11 +67,12 @@ class Fault(ValueError):
         self.at: Place = tuple(part for part in at if part != "")
 
 
-@plain(kw_only=True)
+@dataclass(kw_only=True)
 class Reader:
-    """The folder of a study, outside of which no file is read, and the warnings met while it is read."""
+    """The folder of a study, outside of which no file is read; the table being read, and the warnings met."""
 
     folder: Path = Path()
+    table: str = ""
     warnings: list[str] = field(default_factory=list)
 
     def warn(self, place: Place, message: str) -> None:
@@ -86,10 +93,8 @@ def path_of(place: Place) -> str:
 
 def shown(value: object, longest: int = 60) -> str:
     """A value of a file as its message shows it."""
-    if isinstance(value, Mapping):
-        return "a table"
-    if isinstance(value, list | tuple):
-        return "an array"
+    if isinstance(value, Mapping | list | tuple):
+        return "a table" if isinstance(value, Mapping) else "an array"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int | float):
@@ -125,7 +130,7 @@ def unknown(what: str, word: object, known: Iterable[str], most: int = 40) -> st
 # --- numbers -------------------------------------------------------------------------------------------------------
 
 
-@plain(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Number:
     """A number in SI: value or law, the law's parameters as given, whether its data are synthetic, tests behind it."""
 
@@ -156,7 +161,7 @@ def number_place(path: str) -> Place:
     >>> number_place("bars.insert_E"), number_place("sphere.E")
     (('insert', 'E'), ('sphere', 'E'))
     """
-    return ("insert", path.removeprefix("bars.insert_")) if path.startswith("bars.insert_") else tuple(path.split("."))
+    return tuple(path.replace("bars.insert_", "insert.").split("."))
 
 
 def bounds_in_words(quantity: Quantity) -> str:
@@ -171,11 +176,10 @@ def bounds_in_words(quantity: Quantity) -> str:
 def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
     """SI value of a fixed number; raises Fault where it is none, or outside the bounds of its meaning."""
     if isinstance(raw, str) and quantity.name.endswith(("_end", ".end")):
-        if raw in BAR_ENDS:
-            return BAR_ENDS[raw]
-        raise Fault(
-            f"found {shown(raw)}, allowed: {one_of(BAR_ENDS)}, or a number in [-1, 1]{suggestion(raw, BAR_ENDS)}"
-        )
+        if raw not in BAR_ENDS:
+            found = f"found {shown(raw)}, allowed: {one_of(BAR_ENDS)}, or a number in [-1, 1]"
+            raise Fault(found + suggestion(raw, BAR_ENDS))
+        return BAR_ENDS[raw]
     if isinstance(raw, bool) or not isinstance(raw, int | float | str) or len(str(raw)) > 200:
         unit = "" if quantity.dimension == "number" else " with its unit in quotes"
         raise Fault(f"found {shown(raw)}, where a number{unit} is required")
@@ -188,10 +192,10 @@ def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
     return value
 
 
-def _likely_unit(raw: object, quantity: Quantity) -> str:
+def _likely_unit(raw: float | str, quantity: Quantity) -> str:
     """The unit to suggest for a number without one: that people read, or the first that makes it usual."""
     try:
-        bare = float(raw)  # type: ignore[arg-type]
+        bare = float(raw)
     except (ValueError, OverflowError):
         return quantity.display
     (low, high), factors = quantity.plausible, UNITS[quantity.dimension]
@@ -213,63 +217,58 @@ def number_of(raw: object, quantity: Quantity, reader: Reader, place: Place) -> 
         found = _law_of(raw, quantity)
     warn_unusual(found.mean, quantity, reader, place)
     if isinstance(found.value, Law):
-        _check_law(found, raw, quantity, reader, place)
+        _check_law(found.value, found.given, quantity, reader, place)
     return found
 
 
 def warn_unusual(value: float, quantity: Quantity, reader: Reader, place: Place) -> None:
     """Warn of a value (SI) outside the usual range of its quantity."""
     if not quantity.plausible[0] <= value <= quantity.plausible[1]:
-        said, *usual = (format_value(v, quantity.name) for v in (value, *quantity.plausible))
-        reader.warn(place, f"{said} is unusual (usual: {usual[0]} to {usual[1]}); is the unit right?")
+        said, low, high = (format_value(v, quantity.name) for v in (value, *quantity.plausible))
+        reader.warn(place, f"{said} is unusual (usual: {low} to {high}); is the unit right?")
 
 
 def _law_of(raw: Mapping[str, Any], quantity: Quantity) -> Number:
-    kind = raw.get("dist")
-    family = family_named(kind) if isinstance(kind, str) else None
-    if family is None and "dist" in raw:
-        raise Fault(f"found {shown(kind)}, known distributions: {one_of(FAMILIES)}{suggestion(kind, FAMILIES)}", "dist")
-    if family is None:
+    kind, ends = raw.get("dist"), ("mean", "mode", "lower", "upper")
+    if kind is None:
         near = suggestion(next(iter(raw), ""), ["dist"])
         raise Fault(f'a distribution is required, such as {{ dist = "normal", … }}: the table has no dist{near}')
+    if (family := family_named(kind) if isinstance(kind, str) else None) is None:
+        raise Fault(f"found {shown(kind)}, known distributions: {one_of(FAMILIES)}{suggestion(kind, FAMILIES)}", "dist")
     keys = (*family.keys, "lower", "upper")
-    for key in raw:
-        if key not in ("dist", *keys):
-            others = {k for other in FAMILIES.values() for k in other.keys}
-            strange = "does not belong to" if key in others else "is unknown to"
-            hint = "" if key in others else suggestion(key, keys)
-            raise Fault(f"{shown(key)} {strange} the distribution {family.name}, which takes {one_of(keys)}{hint}", key)
+    if (strange := next((key for key in raw if key not in ("dist", *keys)), None)) is not None:
+        said = f"{shown(strange)} does not belong to the distribution {family.name}, which takes {one_of(keys)}"
+        raise Fault(said + suggestion(strange, keys), strange)
+    # a scatter is suggested in the unit that stands beside it
+    words = [word for key in ends for word in str(raw.get(key)).split()[-1:]]
+    beside = next((word for word in words if word in UNITS[quantity.dimension]), quantity.display)
     given: dict[str, float] = {}
-    unit = next((v.split()[-1] for k in ("mean", "mode", "lower", "upper")
-                 if isinstance(v := raw.get(k), str) and v.split()[-1:] and v.split()[-1] in UNITS[quantity.dimension]),
-                quantity.display)  # fmt: skip
     for key in keys:
-        if key in raw:
-            entry = quantity if key in family.dimensional else plain_quantity(quantity.name)
-            if key not in ("mean", "mode", "lower", "upper") and entry.dimension != "number":
-                entry = replace(entry, plausible=(0.0, math.inf), display=unit)
-            try:
-                given[key] = value_of(raw[key], entry, bounded=False)
-            except Fault as error:
-                raise Fault(str(error), key) from None
+        if key not in raw:
+            continue
+        entry = quantity if key in family.dimensional else plain_quantity(quantity.name)
+        if key not in ends and entry.dimension != "number":
+            entry = replace(entry, plausible=(0.0, math.inf), display=beside)
+        try:
+            given[key] = value_of(raw[key], entry, bounded=False)
+        except Fault as error:
+            raise Fault(str(error), key) from None
     bounds = given.pop("lower", None), given.pop("upper", None)
     try:
-        law = make_law(family.name, given, *bounds)
+        return Number(value=make_law(family.name, given, *bounds), given=given)
     except LawError as error:
         spoken = (error.key == "" or error.key in family.dimensional) and any(map(str.isdigit, error.message))
-        unit = f" (numbers in {quantity.unit})" if spoken and quantity.unit else ""
-        raise Fault(f"{error.message}{unit}", error.key if error.key in raw else "") from None
-    return Number(value=law, given=given)
+        said = f" (numbers in {quantity.unit})" if spoken and quantity.unit else ""
+        raise Fault(f"{error.message}{said}", error.key if error.key in raw else "") from None
 
 
 def _discrete(raw: Mapping[str, Any], quantity: Quantity, limit: bool) -> Number:
     if limit:
         raise Fault("a strength has a density, or is a column of observations: discrete is for inputs", "dist")
-    for key in raw:
-        if key not in ("dist", "values", "weights"):
-            raise Fault(f"{shown(key)} is unknown to the distribution discrete, which takes values and weights", key)
+    if (strange := next((key for key in raw if key not in ("dist", "values", "weights")), None)) is not None:
+        raise Fault(f"{shown(strange)} does not belong to the distribution discrete: values and weights do", strange)
     for key in ("values", "weights"):
-        if not isinstance(raw.get(key, []), list | tuple):
+        if not isinstance(raw.get(key, []), list):
             raise Fault(f"found {shown(raw[key])}, where a list is required, such as [1, 2, 3]", key)
     try:
         values = [value_of(one, quantity) for one in raw.get("values", [])]
@@ -277,44 +276,36 @@ def _discrete(raw: Mapping[str, Any], quantity: Quantity, limit: bool) -> Number
         raise Fault(str(error), "values") from None
     try:
         weights = raw.get("weights")
-        if weights is not None and not all(type(one) in (int, float) for one in weights):
+        if not all(type(one) in (int, float) for one in weights or ()):
             raise LawError("weights are whole numbers, one for each of the values", "weights")
         return Number(value=discrete_law(values, weights))
     except LawError as error:
         raise Fault(error.message, error.key if error.key in raw else "") from None
 
 
-def _check_law(number: Number, raw: object, quantity: Quantity, reader: Reader, place: Place) -> None:
+def _check_law(law: Law, given: Mapping[str, float], quantity: Quantity, reader: Reader, place: Place) -> None:
     """Refuse a law outside what has a meaning, or too wide to compute with; warn of tails, wide and cut-off laws."""
-    law = number.value
-    assert isinstance(law, Law)
-    assert isinstance(raw, Mapping)
-    centre, name = law.nominal_mean(), quantity.name
+    name, centre, middle, scatter = quantity.name, law.nominal_mean(), law.mean(), law.sd()
     if not quantity.allows(centre):
         raise Fault(f"the distribution has its mean at {format_value(centre, name)}: {bounds_in_words(quantity)}")
-    ends = (("lower", law.lower), ("upper", law.upper)) if law.family.bounded else ()
-    for key, end in ends:
+    ends = {"lower": law.lower, "upper": law.upper}
+    for key, end in ends.items() if law.family.bounded else ():
         if not quantity.lower <= end <= quantity.upper:
             raise Fault(f"{format_value(end, name)}: {bounds_in_words(quantity)}", key)
-    middle, scatter = law.mean(), law.sd()
-    cov = scatter / abs(middle) if middle and scatter is not None else 0.0
-    cov = max(cov, number.given.get("cov", 0.0))
-    truncated = math.isfinite(law.lower) or math.isfinite(law.upper)
-    if cov > _TOO_WIDE and not truncated:
-        key = next((key for key in ("cov", "sd", "log_sd", "shape", "modulus") if key in raw), "")
-        raise Fault(f"the standard deviation is {cov:.3g} times the mean, at most {_TOO_WIDE:g} can be computed with; "
-                    'write a share, such as cov = 0.12 or "12 %"', key)  # fmt: skip
+    cov = max(scatter / abs(middle) if middle and scatter is not None else 0.0, given.get("cov", 0.0))
+    if cov > _TOO_WIDE and not any(map(math.isfinite, ends.values())):
+        said = f"the standard deviation is {cov:.3g} times the mean, at most {_TOO_WIDE:g} can be computed with"
+        at = next((key for key in ("cov", "sd", "log_sd", "shape", "modulus") if key in given), "")
+        raise Fault(f'{said}; write a share, such as cov = 0.12 or "12 %"', at)
     if cov > _WIDE:
-        share = next((f'; 15 % is written 0.15 or "15 %", so {bare_number(cov)} % is {cov / 100:g}' for _ in "1"
-                      if "cov" in raw), "")  # fmt: skip
+        share = f'; 15 % is written 0.15 or "15 %", so {bare_number(cov)} % is {cov / 100:g}' * ("cov" in given)
         reader.warn(place, f"the standard deviation is {cov:.3g} times the mean: is that meant?{share}")
-    mean = number.given.get("mean")
-    if mean is not None and not law.lower <= mean <= law.upper:
-        key = "lower" if mean < law.lower else "upper"
-        reader.warn((*place, key), f"the mean {format_value(mean, name)} lies {'below' if key == 'lower' else 'above'} "
-                    f"the bound {format_value(getattr(law, key), name)}: only a tail of the distribution is "
-                    "sampled")  # fmt: skip
-    if ends or not law.mass:
+    if (mean := given.get("mean")) is not None and not law.lower <= mean <= law.upper:
+        key, side = ("lower", "below") if mean < law.lower else ("upper", "above")
+        bound = format_value(ends[key], name)
+        said = f"the mean {format_value(mean, name)} lies {side} the bound {bound}"
+        reader.warn((*place, key), f"{said}: only a tail of the distribution is sampled")
+    if law.family.bounded or not law.mass:
         return
     import numpy as np
 
@@ -324,31 +315,24 @@ def _check_law(number: Number, raw: object, quantity: Quantity, reader: Reader, 
     if law.upper > quantity.upper:
         outside += float(law.sf(np.array([quantity.upper]))[0])
     if outside > NOTABLE:
+        said = (
+            f"a share of {outside:.2g} of the distribution lies where it has no meaning ({bounds_in_words(quantity)})"
+        )
         effect = "these samples count as failed evaluations; " if name in INPUTS else ""
-        reader.warn(place, f"a share of {outside:.2g} of the distribution lies where it has no meaning "
-                    f"({bounds_in_words(quantity)}); {effect}truncate it with lower or upper")  # fmt: skip
+        reader.warn(place, f"{said}; {effect}truncate it with lower or upper")
 
 
 # --- what a key can hold -------------------------------------------------------------------------------------------
 
 
 def _number(raw: Any, info: ValidationInfo) -> Any:
-    """A number of the scene, by its table (a partner knows its own) and key; None for a flat face."""
-    if info.context is None or raw is None:
+    """A number of the scene, by its table and key; None for a flat face, raw where the table has no such number."""
+    reader, key = info.context, str(info.field_name)
+    if reader is None or (path := number_path(reader.table, key)) not in INPUTS:
         return raw
-    name, key = info.data.get("table") or str((info.config or {})["title"]), str(info.field_name)
-    path, start = number_path(name, key), number_path(name, "")
-    if path not in INPUTS:
-        keys = [known.removeprefix(start) for known in INPUTS if known.startswith(start)]
-        raise Fault(f"{key} does not belong to [{name}], which takes {one_of(['material', *keys])}")
-    if (key == "face_radius" and raw == "flat") or (path == "contact.hardness" and raw == "onset"):
+    if (key, raw) == ("face_radius", "flat") or (path, raw) == ("contact.hardness", "onset"):
         return None if raw == "flat" else raw
-    return number_of(raw, INPUTS[path], info.context, (name, key))
-
-
-def _partner(raw: Any, info: ValidationInfo) -> Any:
-    """The table of a partner, which is told its name."""
-    return {**raw, "\0table": info.field_name} if isinstance(raw, dict) else raw
+    return number_of(raw, INPUTS[path], reader, (reader.table, key))
 
 
 def _fixed(quantity: Quantity) -> Any:
@@ -363,12 +347,9 @@ def _fixed(quantity: Quantity) -> Any:
 def _real(low: float, high: float = math.inf, *, closed: bool = False, whole: bool = False) -> Any:
     """The mark of a plain number between two bounds, which are excluded unless `closed`; shares also in percent."""
     what = "a whole number" if whole else "a number"
+    allowed = f"from {low:g} to {high:g}" if closed else f"between {low:g} and {high:g}, both excluded,"
     if high == math.inf:
-        allowed = f"{what} from {low:g} upwards" if closed else f"{what} above {low:g}"
-    else:
-        allowed = (
-            f"{what} from {low:g} to {high:g}" if closed else f"{what} between {low:g} and {high:g}, both excluded,"
-        )
+        allowed = f"from {low:g} upwards" if closed else f"above {low:g}"
 
     def read(raw: Any) -> Any:
         percent = isinstance(raw, str) and raw.rstrip().endswith("%") and not whole
@@ -376,7 +357,7 @@ def _real(low: float, high: float = math.inf, *, closed: bool = False, whole: bo
         if isinstance(value, bool) or not isinstance(value, int if whole else int | float):
             raise Fault(f"found {shown(raw)}, where {what} is required")
         if not (low <= value <= high if closed else low < value < high):
-            raise Fault(f"found {shown(raw)}, {allowed} is required")
+            raise Fault(f"found {shown(raw)}, {what} {allowed} is required")
         return value
 
     least, most = ("minimum", "maximum") if closed else ("exclusiveMinimum", "exclusiveMaximum")
@@ -388,10 +369,11 @@ def _several(least: int, what: str, most: int = 200) -> BeforeValidator:
     """The mark of a list with so many entries, each once."""
 
     def read(raw: Any, info: ValidationInfo) -> Any:
-        for index, value in enumerate(raw) if isinstance(raw, list | tuple) and info.context is not None else ():
-            if value in raw[:index]:
-                raise Fault(f"{shown(value)} is named twice", index)
-        if isinstance(raw, list | tuple) and info.context is not None and not least <= len(raw) <= most:
+        if not isinstance(raw, list) or info.context is None:
+            return raw
+        if (twice := next((k for k, value in enumerate(raw) if value in raw[:k]), None)) is not None:
+            raise Fault(f"{shown(raw[twice])} is named twice", twice)
+        if not least <= len(raw) <= most:
             required = f"{least} or more are required" if len(raw) < least else f"at most {most:,} are allowed"
             raise Fault(f"found {len(raw)} {what}, {required}")
         return raw
@@ -405,9 +387,9 @@ def key(meaning: str | None, default: Any = None, *, usual: str = "") -> Any:
     return Field(**held, description=meaning, json_schema_extra={"usual": usual})
 
 
-def table(title: str = "") -> ConfigDict:
-    """The settings of a table of a study: no key beyond those declared."""
-    return ConfigDict(extra="forbid", title=title, defer_build=True)
+def due(meaning: str) -> Any:
+    """A key that must be given."""
+    return Field(description=meaning, json_schema_extra={"usual": "required"})
 
 
 def _parameter(name: str) -> Any:
@@ -434,11 +416,16 @@ Methods = Annotated[tuple[_Method, ...], _several(1, "methods"),
                     BeforeValidator(lambda raw: (raw,) if isinstance(raw, str) else raw)]  # fmt: skip
 
 
+class Table(BaseModel):
+    """A table of a study: no key beyond those declared."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True, protected_namespaces=())
+
+
 # --- the scene -----------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, config=table("sphere"))
-class Sphere:
+class Sphere(Table):
     """The sphere."""
 
     material: str | None = key("name from `uqsphere list materials`: fills `E`, `nu`, `density` that are not given")
@@ -450,11 +437,9 @@ class Sphere:
     hardness: Num = key(None, usual="from the material")
 
 
-@dataclass(frozen=True, kw_only=True, config=table("partner"))
-class Face:
+class Face(Table):
     """What every body has that the sphere touches."""
 
-    table: str = Field("", alias="\0table")  # told by what holds it, and no key of a file
     material: str | None = key("fills `E`, `nu`, `density`, `yield_strength` that are not given")
     E: Num = None
     nu: Num = None
@@ -465,7 +450,6 @@ class Face:
     pile_up: Num = key("`a²` over `r` times the approach far beyond yield, 1 to 3", usual="8/3")
 
 
-@dataclass(frozen=True, kw_only=True, config=table("bars"))
 class Bars(Face):
     """Both bars, alike in material and diameter."""
 
@@ -479,8 +463,7 @@ class Bars(Face):
     rigid_contact: Flag = key("leaves the bars out of the contact stiffness, `1/E* = (1 - nu²)/E`", False)
 
 
-@dataclass(frozen=True, kw_only=True, config=table("striker"))
-class Striker:
+class Striker(Table):
     """The striker; `E`, `density` and `diameter` of one that is no piece of the bars."""
 
     material: str | None = key("a material of bars, for `E` and `density`", usual="that of the bars")
@@ -491,8 +474,7 @@ class Striker:
     diameter: Num = None
 
 
-@dataclass(frozen=True, kw_only=True, config=table("pulse"))
-class Pulse:
+class Pulse(Table):
     """The incident pulse; each shape has keys of its own."""
 
     preset: Literal["very_short", "short", "long"] | None = key("a pulse of the paper's Fig. 2, in place of `shape`")
@@ -513,20 +495,17 @@ class Pulse:
     gain: Num = key("`measured`: true strain over that of the record")
 
 
-@dataclass(frozen=True, kw_only=True, config=table("contact"))
-class Contact:
+class Contact(Table):
     """The law of the contacts."""
 
     law: Literal["hertz", "plastic"] = key('`"hertz"`, or `"plastic"`: the softer body yields or crushes', "hertz")
     onset_pressure: Num = key("centre pressure at which a face begins to yield", usual="of the softer body")
     hardness: Num = key('mean pressure of a face that flows fully, or `"onset"`', usual="of the softer body")
-    pile_up: Num = key(
-        "`a²` over `r` times the approach far beyond yield, 1 to 3", usual="8/3 where a metal yields, else 2"
-    )
+    pile_up: Num = key("`a²` over `r` times the approach far beyond yield, 1 to 3", usual="8/3 where a metal yields, "
+                                                                                    "else 2")  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True, config=table("rig"))
-class Rig:
+class Rig(Table):
     """What loads the sphere; `speed` or `drop_height` where the sphere itself moves."""
 
     kind: Literal["bars", "impact", "sphere_on_sphere", "drop_weight", "load_cell", "platens"] = key(
@@ -536,7 +515,6 @@ class Rig:
     angle: Num = key("between path and surface, above 5 deg", usual='`"90 deg"`, square on')
 
 
-@dataclass(frozen=True, kw_only=True, config=table("partner"))
 class Partner(Face):
     """A body that touches the sphere: [target] or [anvil], [other], [hammer], [rod], [platens] or [insert]."""
 
@@ -560,27 +538,42 @@ class Partner(Face):
     machine_stiffness: Num = key("platens: stiffness of the machine in series", usual="rigid")
 
 
-OnePartner = Annotated[Partner | None, BeforeValidator(_partner)]
+#: by table and kind: what it needs (one of both, where a bar stands between), and what else it takes (* anything)
+FORMS: Final[dict[str, tuple[str, str]]] = {
+    "sphere": ("E nu density radius", "*"), "insert": ("E", "nu yield_strength thickness"),
+    "bars": ("E nu density diameter incident_length receiving_length", "*"),
+    "bars infinite": ("E nu density diameter", "*"),
+    "striker": ("speed", "*"), "striker timed": ("speed length", "*"), "striker measured": ("", "E density diameter"),
+    "pulse rectangular": ("", "duration"), "pulse half_sine": ("", "duration"), "pulse step": ("", ""),
+    "pulse trapezoid": ("rise fall", "duration"), "pulse ramp": ("rise", "duration"),
+    "pulse two_peak": ("t1 level1 t2 level2", "duration valley"),
+    "pulse measured": ("file", "columns units factor gain"),
+    "rig impact": ("speed|drop_height", "angle"), "rig sphere_on_sphere": ("speed|drop_height", "angle"),
+    "target thick": ("E nu", f"{_FACE} face_radius"),
+    "target plate": ("E nu density thickness", f"{_FACE} width face_radius"),
+    "target bar": ("E nu density diameter", f"{_FACE} length end face_radius"),
+    "target mass": ("E nu mass", f"{_FACE} face_radius"),
+    "hammer": ("E nu mass speed|drop_height", f"{_FACE} face_radius"),
+    "hammer ball": ("E nu density diameter speed|drop_height", _FACE),
+    "other": ("E nu density radius", _FACE), "rod": ("E nu density diameter length", f"{_FACE} end gauge"),
+    "platens": ("E nu force|displacement", f"{_FACE} speed loading_rate machine_stiffness"),
+}  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True, config=table())
-class Gauge:
+class Gauge(Table):
     """A strain gauge: its bar, and its distance from the sphere [m]."""
 
-    bar: Literal["incident", "receiving", "rod"] = key('`"rod"` in a load cell', "incident", usual="required")
-    position: Length = key("distance from the sphere", 0.0, usual="required")
+    bar: Literal["incident", "receiving", "rod"] = due('`"rod"` in a load cell')
+    position: Length = due("distance from the sphere")
 
 
-@dataclass(frozen=True, kw_only=True, config=table())
-class ModelChoice:
+class ModelChoice(Table):
     """Which mechanics, and how precisely; `horizon` [s]."""
 
     fidelity: Literal["full", "massless", "linear"] = key('`"full"`; of the paper: `"massless"`, `"linear"`', "full")
     tolerance: Annotated[float, *_real(1e-12, 1e-2, closed=True)] = key("relative error of the integration", 1e-6)
     first_loading_only: Flag = key("end the record when the first reflected wave is back", False)
-    whole_record: Flag = key(
-        "go on after the first loss of contact, to the horizon (bars; 3 to 75 times the time)", False
-    )
+    whole_record: Flag = key("go on after the first loss of contact, to the horizon (bars; 3 to 75 times the time)", False)
     horizon: Seconds | None = key("latest end of the record", usual="eight round trips of the longer bar")
     compare_with_paper: Flag = key("adds the paper's printed massless formulas and the corrected ones", False)
 
@@ -588,13 +581,12 @@ class ModelChoice:
 # --- limits and what is asked --------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, config=table())
-class LimitTable:
+class LimitTable(Table):
     """A strength, and the quantity or criterion that is held against it."""
 
     quantity: str | None = key("a quantity of `uqsphere list quantities`", usual="required, or `criterion`")
     criterion: Literal[*CRITERIA] | None = key("in place of `quantity`: one of `uqsphere list criteria`")  # type: ignore[valid-type]
-    strength: Any = key("value, distribution, or a file with tests or draws, see below", usual="required")
+    strength: Any = due("value, distribution, or a file with tests or draws")
     strength_is: Literal["hertz", "pressure"] | None = key(
         '`"hertz"`: computed from a force by Hertz; `"pressure"`: the true one', usual="required if "
                                                                                        "`plastic`")  # fmt: skip
@@ -614,8 +606,7 @@ class LimitTable:
     platens: Any = key('what it was measured between: `"bars"`, `"rigid"`, a material, or `E` and `nu`', usual="rigid")
 
 
-@dataclass(frozen=True, kw_only=True, config=table())
-class Observations:
+class Observations(Table):
     """A distribution from a file beside the study: a column, crushing tests of spheres, or the draws of a fit."""
 
     dist: Literal["empirical"] | None = key("may be left out where a file is named")
@@ -641,21 +632,29 @@ class Observations:
     upper: Any = None
 
 
-@dataclass(frozen=True, kw_only=True, config=table())
-class Dependence:
+class Dependence(Table):
     """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a Student t copula."""
 
-    of: Annotated[tuple[str, ...], _several(2, "names", 1_000)] = key(
-        "random numbers, two or more", (), usual="required"
-    )
+    of: Annotated[tuple[str, ...], _several(2, "names", 1_000)] = due("random numbers, two or more")
     spearman: Correlation | None = key("Spearman's rank correlation; or `kendall`", usual="required")
     kendall: Correlation | None = key("Kendall's rank correlation, in its place")
     copula: Literal["gaussian", "student_t"] = key('`"gaussian"`, or `"student_t"` with `dof`', "gaussian")
     dof: Annotated[float, *_real(1.0, 1000.0, closed=True)] | None = key("degrees of freedom of a `student_t`")
 
+    @model_validator(mode="after")
+    def _one_strength(self) -> Dependence:
+        if self.spearman is not None and self.kendall is not None:
+            raise Fault("spearman is given too: one of them says how strong the dependence is", "kendall")
+        if self.spearman is None and self.kendall is None:
+            raise Fault("spearman is missing: add a rank correlation between -1 and 1, or kendall in its place")
+        if self.copula == "student_t" and self.dof is None:
+            raise Fault("dof is missing: a Student t copula needs its degrees of freedom, 4 say")
+        if self.copula != "student_t" and self.dof is not None:
+            raise Fault(f'dof belongs to copula = "student_t", the copula here is {shown(self.copula)}', "dof")
+        return self
 
-@dataclass(frozen=True, kw_only=True, config=table())
-class Accuracy:
+
+class Accuracy(Table):
     """Half-widths of the 95 % intervals: mean and quantile over sd, sobol absolute, probability relative."""
 
     mean: Positive = 0.005
@@ -664,16 +663,14 @@ class Accuracy:
     probability: Positive = 0.05
 
 
-@dataclass(frozen=True, kw_only=True, config=table())
-class Budget:
+class Budget(Table):
     """Where a run stops at the latest; `time` [s]."""
 
     evaluations: Annotated[int, *_real(0, whole=True)] = 2_000_000
     time: Seconds = 600.0
 
 
-@dataclass(frozen=True, kw_only=True, config=table())
-class Analysis:
+class Analysis(Table):
     """What is asked, how precisely, and at what cost; `cost` and `time_limit` [s] of one black-box evaluation."""
 
     quantities: Names = key(
@@ -694,32 +691,22 @@ class Analysis:
     cost: Seconds | None = key("time of one evaluation of a black box", usual="measured")
     time_limit: Seconds | None = key("longest time of one evaluation of a black box; a longer one has failed")
 
-    @property
-    def affordable(self) -> float:
-        """Evaluations that the budget has room for, in its time too where an evaluation's is given."""
-        return min(self.budget.evaluations, self.budget.time / self.cost if self.cost else math.inf)
 
-
-@dataclass(frozen=True, kw_only=True, config=table())
-class MarginsTable:
+class MarginsTable(Table):
     """The inverse question: at which value of one number is a failure probability reached?"""
 
-    solve: str | None = key('the free number: `"striker.speed"`, `"limits.NAME.strength"`', usual="required")
-    between: Annotated[tuple[Any, ...], _several(2, "values", 2)] = key(
-        "lowest and highest value", (), usual="required"
-    )
+    solve: str = due('the free number: `"striker.speed"`, `"limits.NAME.strength"`')
+    between: Annotated[tuple[Any, ...], _several(2, "values", 2)] = due("lowest and highest value")
     for_probability: Shares = key("probabilities that the quantity exceeds the strength", (0.01, 0.1, 0.5, 0.9, 0.99))
 
 
-@dataclass(frozen=True, kw_only=True, config=table())
-class Outputs:
+class Outputs(Table):
     """What a black box answers."""
 
-    names: tuple[str, ...] = key("names of the outputs", (), usual="required")
+    names: Names = due('names of the outputs, `["y"]`')
 
 
-@dataclass(frozen=True, kw_only=True, config=table())
-class Document:
+class Document(Table):
     """A study file."""
 
     title: str = key("heading of the report; not part of the study's hash", "", usual="the file's name")
@@ -730,13 +717,13 @@ class Document:
     pulse: Pulse | None = None
     contact: Contact | None = None
     rig: Rig | None = None
-    target: OnePartner = None
-    anvil: OnePartner = None
-    other: OnePartner = None
-    hammer: OnePartner = None
-    rod: OnePartner = None
-    platens: OnePartner = None
-    insert: OnePartner = None
+    target: Partner | None = None
+    anvil: Partner | None = None
+    other: Partner | None = None
+    hammer: Partner | None = None
+    rod: Partner | None = None
+    platens: Partner | None = None
+    insert: Partner | None = None
     model: ModelChoice | None = None
     inputs: dict[str, Any] | None = None
     outputs: Outputs | None = None
@@ -745,3 +732,47 @@ class Document:
     gauges: tuple[Gauge, ...] = ()
     analysis: Analysis = Field(default_factory=Analysis)
     margins: MarginsTable | None = None
+
+    @field_validator(*SCENE, mode="before")
+    @classmethod
+    def _enter(cls, raw: Any, info: ValidationInfo) -> Any:
+        """Tell the numbers of a table whose they are."""
+        if info.context is not None:
+            info.context.table = info.field_name
+        return raw
+
+
+# --- what pydantic finds, in the words of a study ------------------------------------------------------------------
+
+_REQUIRED: Final = {
+    "string_type": "a text in quotes", "bool_type": "true or false", "int_type": "a whole number",
+    "float_type": "a number", "float_parsing": "a number", "tuple_type": "an array", "dict_type": "a table",
+    "model_type": "a table",
+}  # fmt: skip
+
+
+def fault_text(fault: Any, place: Place, table: Any = Document) -> tuple[str, str]:
+    """What to say of one fault that pydantic reports, and the key that was meant where one is unknown."""
+    for part in place[:-1]:
+        table = _table_in(table.model_fields[part].annotation) or table if part in table.model_fields else table
+    kind, name, found = fault["type"], str(place[-1]) if place else "", shown(fault["input"])
+    if kind == "value_error":
+        return str(fault["ctx"]["error"]), ""
+    if kind == "missing":
+        return f"{name} is missing: {table.model_fields[name].description.replace('`', '')}", ""
+    if kind == "extra_forbidden":
+        near = suggestion(name, table.model_fields)
+        known = near or f"; known here: {one_of(table.model_fields)}"
+        return f"unknown key {shown(name)}{known}", near.split("'")[1] if near else ""
+    if kind == "literal_error":
+        words = re.findall(r"'([^']*)'", fault["ctx"]["expected"])
+        return f"found {found}, allowed: {one_of(words)}{suggestion(fault['input'], words)}", ""
+    due = f"where {_REQUIRED[kind]} is required" if kind in _REQUIRED else "which cannot stand here"
+    return f"found {found}, {due}", ""
+
+
+def _table_in(annotation: Any) -> Any:
+    """The table that a key holds, one or several; None for a value."""
+    if isinstance(annotation, type) and issubclass(annotation, Table):
+        return annotation
+    return next((found for part in get_args(annotation) if (found := _table_in(part))), None)

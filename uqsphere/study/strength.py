@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from uqsphere.arrays import Array, Flags, Values
 from uqsphere.errors import AccessError, UsageError
@@ -26,7 +26,18 @@ from uqsphere.mechanics.criteria import CRITERIA, pole_of
 from uqsphere.mechanics.criteria import demand as demand_of
 from uqsphere.mechanics.outputs import OUTPUTS, at_force, follows_force
 from uqsphere.quantities import INPUTS, format_value, reading_units, unit_that_reads
-from uqsphere.study.document import Fault, Number, Observations, Place, Reader, one_of, shown, suggestion, value_of
+from uqsphere.study.document import (
+    Fault,
+    Number,
+    Observations,
+    Place,
+    Reader,
+    fault_text,
+    one_of,
+    shown,
+    suggestion,
+    value_of,
+)
 from uqsphere.study.study import Limit, Tested
 from uqsphere.tables import Table, TableError, read_table
 from uqsphere.units import UNITS, Quantity
@@ -218,16 +229,10 @@ def platens_of(raw: Any, bars: tuple[float, float] | None, *at: str) -> tuple[fl
 def _declared(raw: Mapping[str, Any]) -> Observations:
     """The keys of a distribution from a file; raises Fault for the first that is none."""
     try:
-        return TypeAdapter(Observations).validate_python(dict(raw), context=None)
+        return Observations.model_validate(dict(raw))
     except ValidationError as error:
         fault = error.errors(include_url=False)[0]
-        at = str(fault["loc"][0])
-        if fault["type"] == "unexpected_keyword_argument":
-            keys = [entry.name for entry in fields(Observations)]
-            raise Fault(
-                f"unknown key {shown(at)}{suggestion(at, keys) or f'; known here: {one_of(keys)}'}", at
-            ) from None
-        raise Fault(f"found {shown(fault['input'])}, which cannot stand here", at) from None
+        raise Fault(fault_text(fault, fault["loc"], Observations)[0], str(fault["loc"][0])) from None
 
 
 def is_tests(raw: Any) -> bool:

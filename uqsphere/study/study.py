@@ -14,12 +14,12 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.files import Json
-from uqsphere.materials import Material, Property, library
+from uqsphere.materials import Material, library
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.outputs import OUTPUTS, PATHS
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.quantities import INPUTS
-from uqsphere.study.document import Analysis, Dependence, Gauge, ModelChoice
+from uqsphere.study.document import NOTABLE, Analysis, Dependence, Gauge, ModelChoice
 from uqsphere.uq import Law, make_law
 
 if TYPE_CHECKING:
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from uqsphere.uq import Dependence as Tie
     from uqsphere.uq import Joint
     from uqsphere.uq.interop import SalibDesign
-
-#: a share of a law outside what has a meaning that is worth a warning
-_NOTABLE: Final = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,23 +223,23 @@ class Study:
             "seed": self.seed,
             "kind": "black box" if self.black_box else "scene",
             "fixed": dict(self.fixed),
-            "random": {name: law_json(law, self.given.get(name, {})) for name, law in laws.items()},
+            "random": {name: _law_json(law, self.given.get(name, {})) for name, law in laws.items()},
             # the order of the random variables decides which point of a sequence goes to which of them
             "order": list(laws),
             "options": dict(self.options),
             "materials": dict(self.materials),
             "sources": {name: asdict(source) for name, source in self.sources.items()},
-            "model": None if self.black_box else asdict(self.model),
+            "model": None if self.black_box else self.model.model_dump(),
             "limits": {limit.name: _limit_json(limit) for limit in self.limits},
-            "dependence": [asdict(group) for group in self.dependence],
-            "analysis": asdict(self.analysis),
+            "dependence": [group.model_dump() for group in self.dependence],
+            "analysis": self.analysis.model_dump(),
             "margins": None if margins is None else {
                 "solve": margins.axis.path, "between": [margins.axis.low, margins.axis.high],
                 "for_probability": margins.for_probability,
             },
             "outputs": self.outputs,
             "record": None if self.record is None else asdict(self.record),
-            "gauges": [asdict(gauge) for gauge in self.gauges],
+            "gauges": [gauge.model_dump() for gauge in self.gauges],
             "made_up": self.made_up,
         }  # fmt: skip
         plain: dict[str, Json] = json.loads(json.dumps(meaning))
@@ -260,7 +257,7 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def law_json(law: Law, given: Mapping[str, float]) -> dict[str, Json]:
+def _law_json(law: Law, given: Mapping[str, float]) -> dict[str, Json]:
     """A law as plain JSON values, with its parameters as the file gives them."""
     return {
         "dist": law.family.name,
@@ -294,12 +291,14 @@ def _limit_json(limit: Limit) -> dict[str, Json]:
 # --- failure modes: the ways in which a rock sphere can break ------------------------------------------------------
 
 
-#: the ways, by the place in the sphere where each begins, and the criterion that is assumed for it
-_WAYS: Final = {"contact": "contact_pressure", "rim": "ring_crack", "core": "weakest_link_volume",
-                "energy": "specific_energy"}  # fmt: skip
-#: what the ways are called
-_CALLED: Final = {"contact": "contact pressure", "rim": "ring crack", "core": "core tension",
-                  "energy": "fracture energy"}  # fmt: skip
+#: by the place in the sphere where each begins: what it is called, the criterion that is assumed for it, and the
+#: library's strength
+_WAYS: Final = {
+    "contact": ("contact pressure", "contact_pressure", "contact_strength"),
+    "rim": ("ring crack", "ring_crack", "fracture_toughness"),
+    "core": ("core tension", "weakest_link_volume", "tensile_strength"),
+    "energy": ("fracture energy", "specific_energy", "fracture_energy"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -346,49 +345,45 @@ def ways_of(study: Study) -> Ways:
     if study.black_box or study.analysis.failure_modes == "given" or rock is None or not rock.rock or not given:
         return Ways()
     assumed, not_judged = [], {}
-    for place, called in _CALLED.items():
-        if place in given:
-            continue
-        found = _assumed(rock, place, 2.0 * study.at_means()["sphere.radius"])
-        if isinstance(found, str):
-            not_judged[called] = found
-        else:
-            assumed.append(found)
+    for place, (called, *_) in _WAYS.items():
+        if place not in given:
+            found = _assumed(rock, place, 2.0 * study.at_means()["sphere.radius"])
+            if isinstance(found, Way):
+                assumed.append(found)
+            else:
+                not_judged[called] = f"no strength: {found}"
     return Ways(assumed=tuple(assumed), not_judged=not_judged)
 
 
 def _assumed(rock: Material, place: str, diameter: float) -> Way | str:
     """The way with the strength of the library for particles of a diameter [m], or why there is none."""
-    key = {"contact": "contact_strength", "rim": "fracture_toughness", "core": "tensile_strength",
-           "energy": "fracture_energy"}[place]  # fmt: skip
-    entry, own = rock.properties.get(key), {}
+    called, assumed, key = _WAYS[place]
+    entry, modulus, own = rock.properties.get(key), rock.properties.get("weibull_modulus"), {}
     if entry is None or entry.range is None:
         if place == "core" and entry is not None:
-            return "no strength: the library's tensile strength is of no known volume"
-        return f"no strength: neither the study nor the library has one for {rock.title.lower()}"
+            return "the library's tensile strength is of no known volume"
+        return f"neither the study nor the library has one for {rock.title.lower()}"
     if place == "core":
         # the strength of a specimen says nothing of a volume that is a million times smaller, but by the size law
-        modulus = rock.properties.get("weibull_modulus")
         if "volume" not in entry.further or modulus is None:
-            return "no strength: a tensile strength needs its volume and a Weibull modulus to be carried to the core"
+            return "a tensile strength needs its volume and a Weibull modulus to be carried to the core"
         own = {"modulus": modulus.value, "reference_volume": entry.further["volume"]}
-    laws = [_law(place, entry, value, own, diameter) for value in (entry.range[0], entry.value, entry.range[1])]
-    name, criterion = f"{_CALLED[place]} (assumed)", CRITERIA[_WAYS[place]]
+
+    def law(value: float) -> Law:
+        """Specimens whose typical strength is a value: Weibull's by its modulus, else lognormal."""
+        if place == "core":
+            return make_law("weibull", {"mean": value, "modulus": own["modulus"]})
+        if place == "energy":
+            # the median of particles of this size (Tavares and King 1998, equation 15)
+            median = value * (1.0 + (entry.further["size"] / diameter) ** entry.further["exponent"])
+            return make_law("lognormal", {"log_mean": math.log(median), "log_sd": entry.cov})
+        return make_law("lognormal", {"mean": value, "cov": entry.cov})
+
+    name, criterion, (low, high) = f"{called} (assumed)", CRITERIA[assumed], entry.range
     quantity = criterion.quantity if criterion.quantity and not own else f"{criterion.name}.{name}"
-    limit = Limit(name=name, quantity=quantity, strength=laws[1], criterion=criterion.name if own else None,
+    limit = Limit(name=name, quantity=quantity, strength=law(entry.value), criterion=criterion.name if own else None,
                   parameters=own)  # fmt: skip
-    return Way(called=_CALLED[place], limit=limit, weak=laws[0], strong=laws[2], source=entry.source, seen=entry.seen)
-
-
-def _law(place: str, entry: Property, value: float, own: Mapping[str, float], diameter: float) -> Law:
-    """The law of specimens whose typical strength is a value: Weibull's by its modulus, else lognormal."""
-    if place == "core":
-        return make_law("weibull", {"mean": value, "modulus": own["modulus"]})
-    if place == "energy":
-        # the median of particles of this size (Tavares and King 1998, equation 15)
-        median = value * (1.0 + (entry.further["size"] / diameter) ** entry.further["exponent"])
-        return make_law("lognormal", {"log_mean": math.log(median), "log_sd": entry.cov})
-    return make_law("lognormal", {"mean": value, "cov": entry.cov})
+    return Way(called=called, limit=limit, weak=law(low), strong=law(high), source=entry.source, seen=entry.seen)
 
 
 # --- the free number of an inverse question: where it may lie, and what of a study it moves ------------------------
@@ -424,7 +419,10 @@ class Axis:
 
     def grid(self, count: int) -> list[float]:
         """`count` values from one end to the other, in equal ratios or steps."""
-        return spaced(self.low, self.high, count)
+        inner = (
+            np.geomspace(self.low, self.high, count) if self.logarithmic else np.linspace(self.low, self.high, count)
+        )
+        return [self.low, *map(float, inner[1:-1]), self.high]
 
     def value(self, share: Array | float) -> Array:
         """The value a share of the way from one end to the other, in ratios or steps."""
@@ -439,26 +437,12 @@ class Axis:
         """
         return with_number(study, self.path, value) if self.moves_rows else study
 
-    def place(self, study: Study, physical: Array, value: float) -> tuple[tuple[str, ...], Array]:
-        """Names and values (R, n, d) of the random inputs, sampled from the moved study, at a value of the number."""
-        return tuple(study.random), physical
-
     def demand_factor(self, limit: Limit, value: float) -> float:
         """What the demands of a limit are multiplied by where the number has a value, in place of its free strength."""
         if self.limit != limit.name:
             return 1.0
         nominal = limit.strength.nominal_mean() if isinstance(limit.strength, Law) else limit.strength
         return nominal / value
-
-    def fix(self, study: Study, limit: Limit, value: float) -> tuple[Study, Limit] | str:
-        """The study and a limit with the number at a value; or why there is none.  Raises LawError as `move`."""
-        if self.moves_rows:
-            return self.move(study, value), limit
-        if self.limit == limit.name:
-            if isinstance(limit.model_factor, Law):
-                return "the strength is the free number and the model factor is random"
-            limit = replace(limit, model_factor=limit.model_factor * self.demand_factor(limit, value))
-        return study, limit
 
 
 def strength_name(limit: str) -> str:
@@ -475,21 +459,6 @@ def limit_of(path: str) -> str | None:
     return path.removeprefix("limits.").rpartition(".")[0] if path.startswith("limits.") else None
 
 
-def quantity_of(path: str, limits: Mapping[str, str]) -> str:
-    """The name whose unit a number has: a strength that of its limit's quantity, by the limits' names.
-
-    >>> quantity_of("limits.crushing.strength", {"crushing": "p_max"}), quantity_of("striker.speed", {})
-    ('p_max', 'striker.speed')
-    """
-    return limits.get(limit_of(path) or "", path) if path.endswith(".strength") else path
-
-
-def spaced(low: float, high: float, count: int) -> list[float]:
-    """`count` values from low to high in equal ratios, or in equal steps where they are not positive."""
-    inner = np.geomspace(low, high, count) if low > 0.0 else np.linspace(low, high, count)
-    return [low, *(float(value) for value in inner[1:-1]), high]
-
-
 def with_number(study: Study, path: str, value: float) -> Study:
     """The study with a number at `value`: the mean of its law, or the number itself.
 
@@ -500,6 +469,6 @@ def with_number(study: Study, path: str, value: float) -> Study:
         return replace(study, fixed={**study.fixed, path: value})
     law = study.random[path].with_mean(value, study.given[path])
     low = INPUTS[path].lower if path in INPUTS else -math.inf
-    if law.lower < low and float(law.cdf(np.array([low]))[0]) > _NOTABLE:
+    if law.lower < low and float(law.cdf(np.array([low]))[0]) > NOTABLE:
         law = replace(law, lower=low)
     return replace(study, random={**study.random, path: law})
