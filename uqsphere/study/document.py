@@ -573,7 +573,9 @@ class ModelChoice(Table):
     fidelity: Literal["full", "massless", "linear"] = key('`"full"`; of the paper: `"massless"`, `"linear"`', "full")
     tolerance: Annotated[float, *_real(1e-12, 1e-2, closed=True)] = key("relative error of the integration", 1e-6)
     first_loading_only: Flag = key("end the record when the first reflected wave is back", False)
-    whole_record: Flag = key("go on after the first loss of contact, to the horizon (bars; 3 to 75 times the time)", False)
+    whole_record: Flag = key(
+        "go on after the first loss of contact, to the horizon (bars; 3 to 75 times the time)", False
+    )
     horizon: Seconds | None = key("latest end of the record", usual="eight round trips of the longer bar")
     compare_with_paper: Flag = key("adds the paper's printed massless formulas and the corrected ones", False)
 
