@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ndtr
 
 from tests.campaigns.rare import PROBLEMS, integrate_plane, problem
-from uqsphere.uq.rare import REACH, Evaluator, FailedEvaluation, LimitFunction, failure_probability, find_design_points
+from uqsphere.uq.rare import REACH, Evaluator, FailedEvaluation, failure_probability, find_design_points
 
 
 def holds(estimate, truth: float, room: float = 0.0) -> bool:
@@ -96,8 +96,8 @@ def test_rows_that_fail_widen_the_interval() -> None:
 
 
 def test_design_points_of_two_planes_and_their_order() -> None:
-    limit = LimitFunction(function=lambda u: np.minimum(3.0 - u[:, 0], 3.5 + u[:, 1]), dimension=2)
-    found = find_design_points(Evaluator(limit=limit), seed=1)
+    limit = Evaluator(function=lambda u: np.minimum(3.0 - u[:, 0], 3.5 + u[:, 1]), dimension=2)
+    found = find_design_points(limit, seed=1)
     assert found.converged
     assert [p.beta for p in found.points[:2]] == pytest.approx([3.0, 3.5], abs=1e-3)
     assert found.points[0].point == pytest.approx([3.0, 0.0], abs=1e-3)

@@ -21,7 +21,7 @@ from uqsphere.uq import Estimate, Law, LimitState, Sample
 from uqsphere.uq.limit_state import CERTAIN, score_of, tails
 from uqsphere.uq.rare import find_probability
 from uqsphere.uq.rare.form import find_design_points
-from uqsphere.uq.rare.problem import Evaluator, LimitFunction
+from uqsphere.uq.rare.problem import Evaluator
 
 if TYPE_CHECKING:
     from uqsphere.run.grow import Tables
@@ -53,7 +53,7 @@ def search(design: Design, model: Model, limit: Limit, *, accuracy: float, budge
     def state(points: Sample) -> LimitState:
         return state_of(design, limit, evaluate(design, model, points))
 
-    found = find_probability(_problem(design, limit, state), seed=design.study.seed, accuracy=accuracy, budget=budget)
+    found = find_probability(_problem(design, limit, state, budget), seed=design.study.seed, accuracy=accuracy)
     point = found.design.points[0].point if found.design.converged else None
     return RareAnswer(estimate=found.estimate, design_point=_physical(design, limit, state, point), regions=found.modes)
 
@@ -73,12 +73,11 @@ def design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, f
         answered = points.with_answers((limit.quantity,), predicted(points.scores)[:, :, None])
         return state_of(design, limit, with_test_forces(design, answered, {}, [limit]))
 
-    evaluator = Evaluator(limit=_problem(design, limit, state), budget=MOST_VALUES)
-    found = find_design_points(evaluator, seed=design.study.seed, most=MOST_VALUES)
+    found = find_design_points(_problem(design, limit, state, MOST_VALUES), seed=design.study.seed, most=MOST_VALUES)
     return _physical(design, limit, state, found.points[0].point if found.converged else None)
 
 
-def _problem(design: Design, limit: Limit, state: State) -> LimitFunction:
+def _problem(design: Design, limit: Limit, state: State, budget: int) -> Evaluator:
     """A limit in standard normal variables: what is left to failure, the score of a random strength integrated."""
     random = isinstance(strength_of(limit), Law)
     sign = -1.0 if limit.aim == "break" else 1.0
@@ -93,7 +92,7 @@ def _problem(design: Design, limit: Limit, state: State) -> LimitFunction:
             left = sign * (strength - known.demands) / abs(strength or 1.0)
         return np.asarray(np.where(known.broken, np.nan, left)[: len(normals), 0])
 
-    return LimitFunction(function=distance, dimension=len(design.drawn.names), integrated=random, on_failure="bound")
+    return Evaluator(function=distance, dimension=len(design.drawn.names), integrated=random, budget=budget)
 
 
 def _physical(design: Design, limit: Limit, state: State, point: Array | None) -> dict[str, float]:

@@ -1,9 +1,9 @@
 """Small probabilities: failure where a function of independent standard normal variables is negative.
 
-One door, `failure_probability`: design points, a look at the wide surroundings and subset simulation tell where the
-failure domain lies; a Gaussian mixture fitted to what they show is improved by cross-entropy; importance sampling from
-it gives the answer.  Subset simulation, which shares nothing with the weights, certifies it: where the two disagree the
-interval holds both, and that is said.
+One door, `failure_probability`: design points and subset simulation tell where the failure domain lies; a Gaussian
+mixture fitted to what they show is improved by cross-entropy; importance sampling from it gives the answer.  Subset
+simulation, which shares nothing with the weights, certifies it: where the two disagree the interval holds both, and
+that is said.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
-from uqsphere.uq.estimate import REPLICATES, Estimate, count_bound
-from uqsphere.uq.points import random_generator
+from uqsphere.arrays import Array, special
+from uqsphere.uq.estimate import REPLICATES, Estimate, count_bound, none_of, probability_ends, spread
+from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
 from uqsphere.uq.rare.mixture import (
+    MOST_DIMENSIONS,
     ImportanceAnswer,
     Mixture,
     Pool,
@@ -32,22 +33,18 @@ from uqsphere.uq.rare.mixture import (
     wide_mixture,
     worth_of,
 )
-from uqsphere.uq.rare.problem import REACH, Evaluator, FailedEvaluation, LimitFunction, Spent
+from uqsphere.uq.rare.problem import REACH, Evaluator, FailedEvaluation, Spent
 from uqsphere.uq.rare.subset import SubsetAnswer, subset_simulation
 
 __all__ = [
-    "REACH", "DesignPoint", "Evaluator", "FailedEvaluation", "FormAnswer", "LimitFunction", "RareAnswer", "Spent",
+    "REACH", "DesignPoint", "Evaluator", "FailedEvaluation", "FormAnswer", "RareAnswer", "Spent",
     "failure_probability", "find_design_points", "find_probability", "subset_simulation",
 ]  # fmt: skip
 
 #: evaluations below which subset simulation misses too often to certify anything (4 of 14 cases with 5,000)
 FEW: Final = 5000
-#: share of the standard normal density itself where evaluations are few
-NOMINAL: Final = 0.5
 #: factor on the upper end of subset simulation with no second method: of 5,000 rows its intervals missed by up to 10
 UNCERTIFIED: Final = 10.0
-#: dimensions up to which the wide surroundings can be looked at
-MOST_WIDE: Final = 12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,8 +87,7 @@ def failure_probability(
     integrated : failure has the probability Phi(-function) given the variables: a strength integrated exactly
     on_failure : rows that are nan are carried to the bounds of the answer ("bound") or raise ("refuse")
     accuracy : half-width of the 95 % interval over the probability at which it ends
-    budget : the most evaluations that may be spent; below 5,000 half of them are a plain sample, whose rule of three
-        bounds what no search has seen, and nothing is sure
+    budget : the most evaluations that may be spent; below 5,000 they are a plain sample, and nothing is sure
 
     The function is not evaluated beyond 9 standard deviations.
 
@@ -99,29 +95,28 @@ def failure_probability(
     >>> found.modes, found.sure, found.estimate.low < 6.334248e-05 < found.estimate.high
     (2, True, True)
     """
-    limit = LimitFunction(function=function, dimension=dimension, integrated=integrated, on_failure=on_failure)
-    return find_probability(limit, seed=seed, accuracy=accuracy, budget=budget)
+    evaluator = Evaluator(function=function, dimension=dimension, integrated=integrated, on_failure=on_failure,
+                          budget=budget)  # fmt: skip
+    return find_probability(evaluator, seed=seed, accuracy=accuracy)
 
 
-def find_probability(limit: LimitFunction, *, seed: int, accuracy: float = 0.015, budget: int = 30_000) -> RareAnswer:
+def find_probability(evaluator: Evaluator, *, seed: int, accuracy: float = 0.015) -> RareAnswer:
     """`failure_probability` of a limit function that is made already."""
-    evaluator = Evaluator(limit=limit, budget=budget)
+    budget = evaluator.budget
     if budget < FEW:
-        return _with_few(evaluator, seed, accuracy)
+        return _sampled(evaluator, seed)
     pool = Pool()
     starts = _look_around(evaluator, pool, seed)
     design = find_design_points(evaluator, seed=seed, starts=starts, most=0.06 * budget)
     subset = subset_simulation(evaluator, seed=seed, per_level=int(min(max(budget // 75, 100), 500)))
     if subset.levels == 0 and subset.estimate.value is not None and subset.estimate.value > 0.5:
-        return _flipped(limit, evaluator, seed=seed, accuracy=accuracy, budget=budget)
+        return _flipped(evaluator, seed, accuracy)
     checks = [f"design points: {design.text}"] if design.text else []
     mixture = _first_mixture(evaluator, pool, design, subset, seed)
-    estimate, sure = subset.estimate, False
-    if mixture is None:
-        estimate = _bound(subset.estimate)
-        if evaluator.failed:
-            estimate = _with_failed(limit, evaluator, estimate, seed=seed, accuracy=accuracy)
-    else:
+    estimate, sure = _bound(subset.estimate), False
+    if mixture is None and evaluator.failed:
+        estimate = _with_failed(evaluator, estimate, seed, accuracy)
+    elif mixture is not None:
         per_stage = int(max(min(2048, evaluator.left / 6), 256))
         mixture = adapt(evaluator, pool, mixture, seed=seed, per_stage=per_stage)
         block = 256 if evaluator.left > 10_000 else 128
@@ -129,10 +124,6 @@ def find_probability(limit: LimitFunction, *, seed: int, accuracy: float = 0.015
             block //= 2
         answer = importance_sampling(evaluator, defended(mixture), seed=seed, accuracy=accuracy, block=block)
         estimate, sure = _certify(answer, subset, checks)
-    return _answer(estimate, sure, checks, design, evaluator)
-
-
-def _answer(estimate: Estimate, sure: bool, checks: list[str], design: FormAnswer, evaluator: Evaluator) -> RareAnswer:
     known = [point.beta for point in design.points if point.converged]
     # Phi(-beta) falls a hundredfold where beta² rises by 2 ln 100
     modes = sum(beta**2 <= known[0] ** 2 + 2.0 * math.log(100.0) for beta in known)
@@ -143,21 +134,18 @@ def _answer(estimate: Estimate, sure: bool, checks: list[str], design: FormAnswe
 def _look_around(evaluator: Evaluator, pool: Pool, seed: int) -> Array | None:
     """Points far out in all directions, into the pool; the most probable failures among them as starts."""
     d = evaluator.dimension
-    if d > MOST_WIDE:
+    if d > MOST_DIMENSIONS:
         return None
-    values = pool.collect(
-        evaluator, wide_mixture(d), int(min(1024, evaluator.budget // 20)), seed=seed, task="wide look"
-    )
+    count = int(min(1024, evaluator.budget // 20))
+    values = pool.collect(evaluator, wide_mixture(d), count, seed=seed, task="wide look")
     points = pool.points[-1]
-    failing = np.flatnonzero((values if not evaluator.limit.integrated else values - 2.0) < 0.0)
+    failing = np.flatnonzero(values < (2.0 if evaluator.integrated else 0.0))
     chosen: list[int] = []
     for k in failing[np.argsort((points[failing] ** 2).sum(axis=1), kind="stable")]:
         if len(chosen) < 3 and all(float(np.linalg.norm(points[k] - points[j])) > 2.0 for j in chosen):
             chosen.append(int(k))
-    if not chosen:
-        return None
     starts = points[chosen]
-    return np.column_stack([starts, np.full(len(starts), -1.0)]) if evaluator.limit.integrated else starts
+    return np.column_stack([starts, np.full(len(starts), -1.0)]) if evaluator.integrated else starts
 
 
 def _first_mixture(
@@ -167,11 +155,10 @@ def _first_mixture(
     d = evaluator.dimension
     rng = random_generator(seed=seed, task="first mixture")
     parts: list[tuple[float, Mixture]] = []
-    if len(subset.failures):
+    if len(subset.failures) and d <= MOST_DIMENSIONS:
         inner = subset.failures[:, :d]
-        # points of a chain that are worth one
-        correlated = 10.0 if d > 10 else 4.0
-        parts.append((0.6, fit_mixture(inner, np.ones(len(inner)), rng=rng, correlated=correlated)))
+        # four points of a chain are worth one
+        parts.append((0.6, fit_mixture(inner, np.ones(len(inner)), rng=rng, correlated=4.0)))
     known = [point for point in design.points if point.converged and point.beta > 0.0]
     if known:
         parts.append((0.25, around_design_points(known[:6], d)))
@@ -188,23 +175,18 @@ def _certify(answer: ImportanceAnswer, subset: SubsetAnswer, checks: list[str]) 
     if own.value is None or own.low is None or own.high is None:
         checks.append(f"importance sampling: {own.reason}; subset simulation has no second method")
         return _bound(other), False
-    if other.value is None or other.low is None or other.high is None:
+    if other.value is None or other.high is None:
         checks.append(f"subset simulation: {other.reason}; importance sampling has no second method")
-        return own, answer.trusted and (other.high is None or own.low <= other.high)
-    ratio = own.value / other.value
+        return own, answer.trusted and own.low <= (1.0 if other.high is None else other.high)
     # 95 % intervals of four repetitions, half as wide again: a disagreement should mean something
-    slack = 1.5 * math.log(other.high / other.value)
-    agreed = abs(math.log(ratio)) <= slack + math.log(own.high / own.low)
-    if agreed and answer.trusted:
-        checks.append(f"subset simulation agrees: {other.value:.3g} within a factor {math.exp(slack):.3g}")
-        return own, True
-    if answer.trusted and ratio > 1.0:
+    slack = 1.5 * math.log(other.high / other.value) + math.log(own.high / own.low)
+    if answer.trusted and math.log(own.value / other.value) >= -slack:
+        agreed = own.value <= other.value * math.exp(slack)
         # what trusted weights show is there; chains may well have missed it
-        checks.append(f"subset simulation shows less, {other.value:.3g}: its chains missed a part of the failures")
-        return own, False
-    what = (f"importance sampling ({own.value:.3g}) and subset simulation ({other.value:.3g}) disagree" if not agreed
-            else f"the weights of importance sampling are uneven (largest {answer.heaviest:.0%})")  # fmt: skip
-    checks.append(f"{what}: the interval holds both")
+        checks.append(f"subset simulation {'agrees' if agreed else 'missed a part of the failures'}: {other.value:.3g}")
+        return own, agreed
+    checks.append(f"importance sampling ({own.value:.3g}, largest weight {answer.heaviest:.0%}) and subset simulation "
+                  f"({other.value:.3g}) disagree, or weights are uneven: the interval holds both")  # fmt: skip
     return replace(own.holding(other), method=f"{own.method}, widened to hold subset simulation"), False
 
 
@@ -217,10 +199,10 @@ def _bound(single: Estimate) -> Estimate:
     return replace(single, value=None, low=0.0, high=high, std_error=None, reason=reason)
 
 
-def _flipped(limit: LimitFunction, evaluator: Evaluator, *, seed: int, accuracy: float, budget: int) -> RareAnswer:
+def _flipped(evaluator: Evaluator, seed: int, accuracy: float) -> RareAnswer:
     """Failure is the rule: the probability of the complement is estimated, and taken from one."""
-    other = replace(limit, function=lambda points: -limit.function(points))
-    found = find_probability(other, seed=seed, accuracy=accuracy, budget=max(budget - evaluator.count, FEW))
+    other = replace(evaluator, function=lambda points: -evaluator.function(points), budget=max(evaluator.left, FEW))
+    found = find_probability(other, seed=seed, accuracy=accuracy)
     e, spent = found.estimate, found.evaluations + evaluator.count
     low, high = (0.0 if e.high is None else 1.0 - e.high), (1.0 if e.low is None else 1.0 - e.low)
     value = None if e.value is None else 1.0 - e.value
@@ -229,48 +211,34 @@ def _flipped(limit: LimitFunction, evaluator: Evaluator, *, seed: int, accuracy:
     return replace(found, estimate=flipped, evaluations=spent)
 
 
-def _with_failed(
-    limit: LimitFunction, evaluator: Evaluator, estimate: Estimate, *, seed: int, accuracy: float
-) -> Estimate:
+def _with_failed(evaluator: Evaluator, estimate: Estimate, seed: int, accuracy: float) -> Estimate:
     """Where nothing failed but rows had no answer: the upper end is that of a search that takes them for failures."""
-
-    def hiding(points: Array) -> Array:
-        values = limit.function(points)
-        return np.where(np.isnan(values), -1.0, values)
-
-    found = find_probability(replace(limit, function=hiding), seed=seed, accuracy=accuracy,
-                             budget=int(max(evaluator.left, FEW)))  # fmt: skip
+    other = replace(evaluator, function=lambda points: np.nan_to_num(evaluator.function(points), nan=-1.0),
+                    budget=max(evaluator.left, FEW))  # fmt: skip
+    found = find_probability(other, seed=seed, accuracy=accuracy)
     evaluator.count += found.evaluations
     high = max(estimate.high or 0.0, found.estimate.high or 1.0)
     reason = f"no failure was found, but rows without an answer may be failures; the probability is below {high:.2g}"
     return replace(estimate, low=0.0, high=high, std_error=None, reason=reason)
 
 
-def _with_few(evaluator: Evaluator, seed: int, accuracy: float) -> RareAnswer:
-    """Design points, then importance sampling of which half is the standard normal density itself.
-
-    Its weights are at most 1/`NOMINAL`, and what none of its n points has met is rarer than the bound of a count of
-    none in n `NOMINAL`: the upper end has room for it.
-    """
-    d, budget = evaluator.dimension, evaluator.budget
-    design = find_design_points(evaluator, seed=seed, most=0.4 * budget)
-    nominal = Mixture(shares=np.ones(1), means=np.zeros((1, d)), factors=np.eye(d)[None])
-    known = [point for point in design.points if point.converged and point.beta > 0.0]
-    aimed = around_design_points(known[:4], d) if known else wide_mixture(d, 3.0, 2)
-    mixture = joined([(NOMINAL, nominal), (1.0 - NOMINAL, aimed)])
-    replicates = REPLICATES if evaluator.left >= 32 * REPLICATES else 4
-    block = int(evaluator.left // replicates)
-    checks = [f"design points: {design.text}"] if design.text else []
-    if block < mixture.shares.size:
-        estimate = Estimate(value=None, low=0.0, high=1.0, std_error=None, method="design points", evaluations=0,
-                            reason=f"{budget:.0f} evaluations are too few for {d} variables")  # fmt: skip
-        return _answer(estimate, False, checks, design, evaluator)
-    answer = importance_sampling(evaluator, mixture, seed=seed, accuracy=accuracy, block=block, replicates=replicates)
-    estimate, points = answer.estimate, replicates * block
-    room = count_bound(NOMINAL * points)
-    checks.append(f"from {evaluator.count} runs: a failure region rarer than {room:.2g} may have been missed")
-    high = min((estimate.high or 0.0) + room, 1.0)
-    low = (
-        max((estimate.low or 0.0) - room, 0.0) if estimate.value is not None and estimate.value > 0.5 else estimate.low
-    )
-    return _answer(replace(estimate, low=low, high=high), False, checks, design, evaluator)
+def _sampled(evaluator: Evaluator, seed: int) -> RareAnswer:
+    """A plain sample: what none of its n points has met is rarer than 3/n, and in the interval."""
+    count, method = int(evaluator.budget // REPLICATES), "randomised quasi-Monte Carlo"
+    design = FormAnswer(points=(), text="too few evaluations for a search")
+    if count < 2:
+        raise ValueError(f"at least {2 * REPLICATES} evaluations are needed, found {evaluator.budget:.0f}")
+    points = [sobol_points(dimension=evaluator.dimension, count=count, seed=seed, task="few", replicate=r)
+              for r in range(REPLICATES)]  # fmt: skip
+    mass = evaluator.mass(evaluator.values(special.ndtri(np.concatenate(points)))).reshape(REPLICATES, count)
+    lost, rows = float(np.isnan(mass).mean()), np.nan_to_num(mass).mean(axis=1)
+    value, total = float(rows.mean()), mass.size
+    low, high, error = probability_ends(value, 1.0 - value, spread(rows, 1.0 / count), REPLICATES, total)
+    high = min(max(high, value + count_bound(total)) + lost, 1.0)
+    estimate = none_of(total, method) if value <= 0.0 else Estimate(
+        value=value, low=low, high=high, std_error=error, method=method, evaluations=total)  # fmt: skip
+    if value <= 0.0:
+        estimate = replace(estimate, value=None, high=high, std_error=None,
+                           reason=f"no failure in {total} runs: it is below {high:.2g}")  # fmt: skip
+    text = f"from {total} runs: a failure region rarer than {count_bound(total):.2g} may have been missed"
+    return RareAnswer(estimate=estimate, sure=False, checks=(text,), design=design, modes=0, evaluations=total)

@@ -61,9 +61,8 @@ def find_design_points(
 
     A second round bulges the points that are known.  At most `most` evaluations are spent.
 
-    >>> from uqsphere.uq.rare.problem import LimitFunction
-    >>> plane = LimitFunction(function=lambda u: 3.0 - u[:, 0], dimension=2)
-    >>> round(find_design_points(Evaluator(limit=plane), seed=1).points[0].beta, 6)
+    >>> plane = Evaluator(function=lambda u: 3.0 - u[:, 0], dimension=2)
+    >>> round(find_design_points(plane, seed=1).points[0].beta, 6)
     3.0
     """
     size, last = evaluator.size, evaluator.count + most

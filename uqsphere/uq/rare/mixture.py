@@ -23,8 +23,8 @@ from uqsphere.uq.rare.form import DesignPoint
 from uqsphere.uq.rare.problem import Evaluator, log_normal_density
 
 METHOD: Final = "importance sampling, mixture with randomised Sobol' points"
-#: dimensions beyond which a covariance is described by two numbers, along the mean and across it
-FEW: Final = 10
+#: dimensions beyond which no mixture is fitted: a covariance would take more points than a stage has
+MOST_DIMENSIONS: Final = 10
 #: least standard error on a hard limit, over that of independent points: stopping when the replicates happen to agree
 #: would make the interval too short
 HARD: Final = 0.7
@@ -124,12 +124,7 @@ def around_design_points(points: Sequence[DesignPoint], dimension: int) -> Mixtu
 
 def defended(mixture: Mixture) -> Mixture:
     """The mixture with its defensive shares: wider copies of the components, and the ladder about the origin."""
-    factors = 1.6 * mixture.factors
-    if mixture.dimension > FEW:
-        # a wider copy would lie in another shell; what a fit takes for a narrow direction may be noise
-        factors = np.array([np.linalg.cholesky(_along_and_across(f @ f.T, m, math.inf, 1.3, 0.1))
-                            for f, m in zip(mixture.factors, mixture.means, strict=True)])  # fmt: skip
-    copies = Mixture(shares=mixture.shares, means=mixture.means, factors=factors)
+    copies = Mixture(shares=mixture.shares, means=mixture.means, factors=1.6 * mixture.factors)
     return joined([(0.84, mixture), (0.12, copies), (0.04, wide_mixture(mixture.dimension))])
 
 
@@ -145,24 +140,18 @@ def fit_mixture(
     over what points of a chain are `correlated`, as sample size.
     """
     weights = weights / weights.sum()
-    worth = float(1.0 / (weights**2).sum()) / correlated
-    d = points.shape[1]
-    best: tuple[float, Mixture] | None = None
-    least = math.inf
-    for count in (k for k in (1, 2, 3, 4, 6, 8) if k <= most):
-        # a component of few points fits their noise, and leaves holes around itself
-        if count > 1 and worth < count * (4.0 * (d + 1) if d > FEW else 3.0 * (d + 0.5 * d * (d + 1))):
-            break
+    worth, d = float(1.0 / (weights**2).sum()) / correlated, points.shape[1]
+    free = 1.0 + d + 0.5 * d * (d + 1.0)
+    best, least = _maximise(points, weights, 1, worth, rng)[0], math.inf
+    # a component of few points fits their noise, and leaves holes around itself
+    for count in range(1, min(most, int(worth / (3.0 * free))) + 1):
         fitted, loglik = _maximise(points, weights, count, worth, rng)
-        free = d + 3.0 if d > FEW else 1.0 + d + (0.5 * d * (d + 1) if worth > 10.0 * d * d * count else 2.0 * d)
         score = -2.0 * worth * loglik + math.log(max(worth, 2.0)) * (len(fitted.shares) * free - 1.0)
-        if best is None or score < best[0]:
-            best = score, fitted
-        if score > least + 20.0:
+        if score < least:
+            best, least = fitted, score
+        elif score > least + 20.0:
             break
-        least = min(least, score)
-    assert best is not None
-    return best[1]
+    return best
 
 
 def _maximise(
@@ -193,34 +182,17 @@ def _mixture_of(points: Array, weights: Array, duties: Array, worth: float) -> M
     loads = weights @ duties
     kept = np.flatnonzero(loads > 2.0 / worth)
     kept = kept if kept.size else np.array([int(loads.argmax())])
-    d, means, factors = points.shape[1], [], []
+    means, factors = [], []
     for k in kept:
         own = weights * duties[:, k] / loads[k]
         mean, number = own @ points, max(loads[k] * worth, 1.0)
         scatter = (own[:, None] * (points - mean)).T @ (points - mean)
-        if d > FEW:
-            # the noise of a mean's idle coordinates adds up
-            mean = np.where(np.abs(mean) < math.sqrt(2.0 * math.log(d) / number), 0.0, mean)
-            covariance = _along_and_across(scatter, mean, number)
-        else:
-            # few points underestimate a spread
-            values, vectors = np.linalg.eigh(scatter)
-            covariance = (vectors * np.clip(values * (1.0 + 2.0 / max(number - 1.0, 1.0)), 1e-4, 25.0)) @ vectors.T
+        # few points underestimate a spread
+        values, vectors = np.linalg.eigh(scatter)
+        covariance = (vectors * np.clip(values * (1.0 + 2.0 / max(number - 1.0, 1.0)), 1e-4, 25.0)) @ vectors.T
         means.append(mean)
         factors.append(np.linalg.cholesky(covariance))
     return Mixture(shares=loads[kept] / loads[kept].sum(), means=np.array(means), factors=np.array(factors))
-
-
-def _along_and_across(scatter: Array, mean: Array, number: float, more: float = 1.0, least: float = 1e-4) -> Array:
-    """A covariance with one variance along the mean, `more` times its own, and another across it."""
-    d = mean.size
-    length = float(np.linalg.norm(mean))
-    unit = mean / length if length > 0.0 else np.eye(d)[0]
-    along = float(unit @ scatter @ unit)
-    across = max((float(np.trace(scatter)) - along) / (d - 1), least)
-    along = min(more * along, 1.0) if more > 1.0 else along
-    along, across = np.clip(np.array([along, across]) * (1.0 + 2.0 / max(number - 1.0, 1.0)), 1e-4, 25.0)
-    return np.asarray(across * np.eye(d) + (along - across) * np.outer(unit, unit))
 
 
 # --- stages -----------------------------------------------------------------------------------------
@@ -244,14 +216,14 @@ class Pool:
         self.mixtures.append(drawn)
         return values
 
-    def weighted(self, first: int = 0) -> tuple[Array, Array]:
-        """Failing points (n, d) of the stages from one on, with weights (n,) by all their densities together."""
-        points, mass = np.concatenate(self.points[first:]), np.concatenate(self.mass[first:])
+    def weighted(self) -> tuple[Array, Array]:
+        """Failing points (n, d) of all stages, with weights (n,) by all their densities together."""
+        points, mass = np.concatenate(self.points), np.concatenate(self.mass)
         points, mass = points[mass > 0.0], mass[mass > 0.0]
         if not len(points):
             return points, mass
-        sizes = np.array([len(part) for part in self.points[first:]], dtype=float)
-        table = np.column_stack([mixture.log_density(points) for mixture in self.mixtures[first:]])
+        sizes = np.array([len(part) for part in self.points], dtype=float)
+        table = np.column_stack([mixture.log_density(points) for mixture in self.mixtures])
         return points, mass * np.exp(log_normal_density(points) - log_total(table + np.log(sizes / sizes.sum())))
 
 
@@ -261,17 +233,15 @@ def worth_of(weights: Array) -> float:
 
 
 def adapt(evaluator: Evaluator, pool: Pool, mixture: Mixture, *, seed: int, per_stage: int) -> Mixture:
-    """The mixture after two stages of drawing, weighting and fitting; ends early where it no longer gains."""
-    rng = random_generator(seed=seed, task="adapt fits")
-    core, d = mixture, evaluator.dimension
-    for _ in range(2):
+    """The mixture after two stages of drawing, weighting and fitting."""
+    rng, core, d = random_generator(seed=seed, task="adapt fits"), mixture, evaluator.dimension
+    for _ in range(2 if d <= MOST_DIMENSIONS else 0):
         if evaluator.left < per_stage:
             break
-        before = len(pool.points)
         pool.collect(evaluator, defended(mixture), per_stage, seed=seed, task="adapt")
-        share = worth_of(pool.weighted(before)[1]) / per_stage
         points, weights = pool.weighted()
-        if worth_of(weights) < (max(12.0, 2.0 * d) if d <= FEW else 30.0):
+        fresh = weights[-int((pool.mass[-1] > 0.0).sum()) :]
+        if worth_of(weights) < max(12.0, 2.0 * d):
             continue
         if len(weights) > MOST_FITTED:
             chosen = rng.choice(len(weights), MOST_FITTED, replace=False)
@@ -279,7 +249,7 @@ def adapt(evaluator: Evaluator, pool: Pool, mixture: Mixture, *, seed: int, per_
         fitted = fit_mixture(points, weights, rng=rng, most=8)
         # where the fit has a hole by chance, what led to it still reaches
         mixture, core = joined([(0.7, fitted), (0.3, core)]), fitted
-        if share > 0.45:
+        if worth_of(fresh) > 0.45 * per_stage:
             break
     return mixture
 
@@ -310,8 +280,7 @@ def importance_sampling(
     value is at most `accuracy` or the budget is spent.
 
     >>> from uqsphere.uq.rare.form import find_design_points
-    >>> from uqsphere.uq.rare.problem import LimitFunction
-    >>> plane = Evaluator(limit=LimitFunction(function=lambda u: 5.0 - u[:, 0], dimension=3))
+    >>> plane = Evaluator(function=lambda u: 5.0 - u[:, 0], dimension=3)
     >>> start = around_design_points(find_design_points(plane, seed=1).points, 3)
     >>> found = importance_sampling(plane, defended(start), seed=1).estimate
     >>> found.low < 2.8665157e-07 < found.high
@@ -337,7 +306,7 @@ def importance_sampling(
             weights, lost = (np.concatenate([old, new.reshape(replicates, -1)], axis=1)
                              for old, new in zip((weights, lost), fresh, strict=True))  # fmt: skip
         done += more
-        estimate = _estimate(weights, lost, evaluator.count - begun, evaluator.limit.integrated)
+        estimate = _estimate(weights, lost, evaluator.count - begun, evaluator.integrated)
         if estimate.value and estimate.half_width <= accuracy * estimate.value:
             break
         more = done if done < 4 else done // 2

@@ -28,19 +28,22 @@ class Spent(Exception):
     """The next evaluations would pass the budget."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class LimitFunction:
-    """A limit function of `dimension` independent standard normal variables.
+@dataclass(kw_only=True)
+class Evaluator:
+    """Evaluates a limit function of `dimension` independent standard normal variables, and counts.
 
     `function` maps rows (n, dimension) to values (n,), failure where negative.  `integrated`: given u, failure has the
     probability Phi(-g(u)).  `on_failure`: a value nan raises ("refuse") or is carried to the bounds of the answer
-    ("bound"): once as failure, once as none.
+    ("bound"): once as failure, once as none.  `budget` is the most evaluations that may be spent.
     """
 
     function: Callable[[Array], Array]
     dimension: int
     integrated: bool = False
     on_failure: str = "bound"
+    budget: float = math.inf
+    count: int = field(default=0, init=False)
+    failed: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
         if self.dimension < 1:
@@ -48,25 +51,10 @@ class LimitFunction:
         if self.on_failure not in ("refuse", "bound"):
             raise ValueError(f"on_failure must be refuse or bound here, found {self.on_failure!r}")
 
-
-@dataclass(kw_only=True)
-class Evaluator:
-    """Evaluates a limit function and counts; `budget` is the most evaluations that may be spent."""
-
-    limit: LimitFunction
-    budget: float = math.inf
-    count: int = field(default=0, init=False)
-    failed: int = field(default=0, init=False)
-
-    @property
-    def dimension(self) -> int:
-        """Variables of the limit function itself."""
-        return self.limit.dimension
-
     @property
     def size(self) -> int:
         """Variables of the space in which the limit is hard: one more where one is integrated."""
-        return self.limit.dimension + int(self.limit.integrated)
+        return self.dimension + int(self.integrated)
 
     @property
     def left(self) -> float:
@@ -74,39 +62,37 @@ class Evaluator:
         return self.budget - self.count
 
     def values(self, points: Array) -> Array:
-        """g at points (n, dimension); inf beyond `REACH`, where nothing is evaluated; nan stays where the policy is
-        "bound".
+        """g at points (n, dimension); inf beyond `REACH`, where nothing is evaluated.
 
         Raises Spent before anything is evaluated where the budget does not suffice, FailedEvaluation for a nan that is
         refused.
         """
         points = np.ascontiguousarray(points, dtype=np.float64)
-        if self.count + len(points) > self.budget:
+        if len(points) > self.left:
             raise Spent
-        near = np.flatnonzero(np.abs(points).max(axis=1) <= REACH) if len(points) else np.zeros(0, dtype=np.intp)
+        near = np.flatnonzero((np.abs(points) <= REACH).all(axis=1))
         values = np.full(len(points), np.inf)
         self.count += len(points)
         if near.size:
-            found = np.asarray(self.limit.function(points[near]), dtype=np.float64)
+            found = np.asarray(self.function(points[near]), dtype=np.float64)
             if found.shape != near.shape:
                 raise ValueError(f"the limit function must return shape ({near.size},), found {found.shape}")
             values[near] = found
         lost = int(np.isnan(values).sum())
         self.failed += lost
-        if lost and self.limit.on_failure == "refuse":
+        if lost and self.on_failure == "refuse":
             raise FailedEvaluation(f"the limit function is nan at {lost} of {len(points)} points")
         return values
 
     def hard(self, points: Array) -> Array:
         """The hard limit at points (n, size); a failed evaluation is +inf, so that no search ends there."""
-        d = self.dimension
-        found = self.values(points[:, :d])
+        found = self.values(points[:, : self.dimension])
         found = np.where(np.isnan(found), np.inf, found)
-        return found + points[:, d] if self.limit.integrated else found
+        return found + points[:, self.dimension] if self.integrated else found
 
     def mass(self, values: Array) -> Array:
         """Probability of failure given values of g: 0 or 1, or Phi(-g); nan stays nan."""
-        if self.limit.integrated:
+        if self.integrated:
             return np.asarray(special.ndtr(-values))
         return np.where(np.isnan(values), np.nan, (values < 0.0).astype(float))
 

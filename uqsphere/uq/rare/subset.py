@@ -17,8 +17,9 @@ from uqsphere.uq.estimate import Estimate, absent, count_bound, student
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.problem import Evaluator, Spent
 
-#: share of a level that seeds the next, and the rate of acceptance that the steps aim at
-SHARE, ACCEPTANCE = 0.1, 0.44
+#: share of a level that seeds the next (Au and Beck), the rate of acceptance that steps aim at (Papaioannou et al.),
+#: and the levels at most: ten to the minus fourteen
+SHARE, ACCEPTANCE, MOST_LEVELS = 0.1, 0.44, 14
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,118 +34,88 @@ class SubsetAnswer:
     levels: int
 
 
-@dataclass(kw_only=True)
-class _Repetition:
-    rng: np.random.Generator
-    states: Array
-    values: Array
-    reached: float = 1.0
-    level: int = 0
-    probability: float | None = None
-    stalled: bool = False
-
-    def close_level(self, most_levels: int) -> None:
-        """Either the probability, or the threshold and the seeds of the next level."""
-        count, failing = self.values.size, int((self.values < 0.0).sum())
-        seeds = int(SHARE * count)
-        order = np.argsort(self.values, kind="stable")
-        threshold = float(self.values[order[seeds - 1]])
-        # a plateau: as many points as there are seeds cannot be told from the rest
-        within = int((self.values <= threshold).sum())
-        last = within > 0.5 * count or not math.isfinite(threshold) or self.level >= most_levels
-        if failing >= seeds or (last and failing):
-            self.probability = self.reached * failing / count
-        elif last:
-            self.stalled = True
-        else:
-            self.reached *= within / count
-            chosen = order[:within] if within == seeds else self.rng.permutation(order[:within])[:seeds]
-            self.states, self.values = self.states[chosen], self.values[chosen]
-            self.level += 1
-
-
-def subset_simulation(
-    evaluator: Evaluator, *, seed: int, per_level: int = 1000, repetitions: int = 4, most_levels: int = 14
-) -> SubsetAnswer:
+def subset_simulation(evaluator: Evaluator, *, seed: int, per_level: int = 1000, repetitions: int = 4) -> SubsetAnswer:
     """Probability of failure with the spread of `repetitions` whole runs of `per_level` points a level.
 
-    >>> from uqsphere.uq.rare.problem import LimitFunction
-    >>> plane = Evaluator(limit=LimitFunction(function=lambda u: 3.0 - u[:, 0], dimension=2))
+    >>> plane = Evaluator(function=lambda u: 3.0 - u[:, 0], dimension=2)
     >>> found = subset_simulation(plane, seed=1).estimate
     >>> found.low < 1.3499e-3 < found.high
     True
     """
-    begun, per_level = evaluator.count, 10 * (per_level // 10)
+    begun, size, seeds = evaluator.count, evaluator.size, int(SHARE * per_level)
+    count, rng = 10 * seeds, random_generator(seed=seed, task="subset chains")
     method = f"subset simulation, {repetitions} repetitions"
-    starts = [special.ndtri(sobol_points(dimension=evaluator.size, count=per_level, seed=seed, task="subset",
-                                         replicate=r)) for r in range(repetitions)]  # fmt: skip
+    reached, probability = np.ones(repetitions), np.full(repetitions, np.nan)
+    failures, level, spent = [np.empty((0, size))], 0, False
+    going = np.arange(repetitions)
+    states = np.stack([special.ndtri(sobol_points(dimension=size, count=count, seed=seed, task="subset", replicate=r))
+                       for r in range(repetitions)])  # fmt: skip
     try:
-        values = np.split(evaluator.hard(np.concatenate(starts)), repetitions)
+        values = evaluator.hard(states.reshape(-1, size)).reshape(repetitions, count)
+        while going.size:
+            order = np.argsort(values, axis=1, kind="stable")
+            thresholds = np.take_along_axis(values, order[:, seeds - 1 : seeds], axis=1)
+            failing, within = (values < 0.0).sum(axis=1), (values <= thresholds).sum(axis=1)
+            # a plateau: as many points as there are seeds cannot be told from the rest
+            last = (within > 0.5 * count) | ~np.isfinite(thresholds[:, 0]) | (level >= MOST_LEVELS)
+            done = (failing >= seeds) | (last & (failing > 0))
+            probability[going[done]] = reached[going[done]] * failing[done] / count
+            failures += [states[r][values[r] < 0.0] for r in np.flatnonzero(done)]
+            on = np.flatnonzero(~done & ~last)
+            going = going[on]
+            if not going.size:
+                break
+            reached[going] *= within[on] / count
+            level += 1
+            # of a plateau that holds more points than there are seeds, some at random
+            chosen = [order[r][:seeds] if within[r] == seeds else rng.permutation(order[r][: within[r]])[:seeds]
+                      for r in on]  # fmt: skip
+            here = np.array([states[r][rows] for r, rows in zip(on, chosen, strict=True)])
+            own = np.array([values[r][rows] for r, rows in zip(on, chosen, strict=True)])
+            states, values = _moved(evaluator, here, own, thresholds[on], count, rng)
     except Spent:
+        spent = True
+    if not evaluator.count > begun:
         nothing = absent("the budget does not suffice for the first level", method, 0)
-        return SubsetAnswer(estimate=nothing, failures=np.empty((0, evaluator.size)), levels=0)
-    runs = [_Repetition(rng=random_generator(seed=seed, task="subset chains", replicate=r), states=states, values=own)
-            for r, (states, own) in enumerate(zip(starts, values, strict=True))]  # fmt: skip
-    spent, going = False, runs
-    while True:
-        for run in going:
-            run.close_level(most_levels)
-        going = [run for run in runs if run.probability is None and not run.stalled]
-        if not going:
-            break
-        try:
-            _move(evaluator, going, per_level)
-        except Spent:
-            spent = True
-            break
-    found = [run for run in runs if run.probability is not None]
-    estimate = _estimate(runs, method, evaluator.count - begun, spent)
-    failures = [run.states[run.values < 0.0] for run in found]
-    return SubsetAnswer(estimate=estimate, levels=max(run.level for run in runs),
-                        failures=np.concatenate(failures) if failures else np.empty((0, evaluator.size)))  # fmt: skip
+        return SubsetAnswer(estimate=nothing, failures=failures[0], levels=0)
+    estimate = _estimate(probability, reached, count, level, method, evaluator.count - begun, spent)
+    return SubsetAnswer(estimate=estimate, levels=level, failures=np.concatenate(failures))
 
 
-def _move(evaluator: Evaluator, runs: list[_Repetition], per_level: int) -> None:
-    """Chains of every repetition from its seeds, all in step: the sample of the next level."""
-    thresholds = [float(run.values.max()) for run in runs]
-    here = [(run.states, run.values) for run in runs]
-    parts = [[pair] for pair in here]
-    scales = np.full(len(runs), 0.6)
-    for step in range(1, per_level // runs[0].values.size):
-        tried = []
-        for run, (states, _), spread in zip(runs, here, np.minimum(1.0, scales), strict=True):
-            tried.append(math.sqrt(1.0 - spread**2) * states + spread * run.rng.standard_normal(states.shape))
-        found = np.split(evaluator.hard(np.concatenate(tried)), len(runs))
-        for k, (states, values) in enumerate(here):
-            accepted = found[k] <= thresholds[k]
-            here[k] = np.where(accepted[:, None], tried[k], states), np.where(accepted, found[k], values)
-            parts[k].append(here[k])
-            scales[k] *= math.exp((float(accepted.mean()) - ACCEPTANCE) / math.sqrt(step))
-    for run, pieces in zip(runs, parts, strict=True):
-        run.states = np.concatenate([states for states, _ in pieces])
-        run.values = np.concatenate([values for _, values in pieces])
+def _moved(
+    evaluator: Evaluator, states: Array, values: Array, thresholds: Array, count: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Chains of every repetition from its seeds (R, seeds, size), all in step: the sample of the next level."""
+    parts, scales = [(states, values)], np.full((len(states), 1, 1), 0.6)
+    for step in range(1, count // states.shape[1]):
+        spread = np.minimum(1.0, scales)
+        tried = np.sqrt(1.0 - spread**2) * states + spread * rng.standard_normal(states.shape)
+        found = evaluator.hard(tried.reshape(-1, states.shape[2])).reshape(values.shape)
+        accepted = found <= thresholds
+        states, values = np.where(accepted[:, :, None], tried, states), np.where(accepted, found, values)
+        parts.append((states, values))
+        scales *= np.exp((accepted.mean(axis=1)[:, None, None] - ACCEPTANCE) / math.sqrt(step))
+    return np.concatenate([s for s, _ in parts], axis=1), np.concatenate([v for _, v in parts], axis=1)
 
 
-def _estimate(runs: list[_Repetition], method: str, evaluations: int, spent: bool) -> Estimate:
-    probabilities = np.array([run.probability for run in runs if run.probability is not None])
-    if not probabilities.size:
+def _estimate(
+    probability: Array, reached: Array, count: int, level: int, method: str, evaluations: int, spent: bool
+) -> Estimate:
+    known = probability[~np.isnan(probability)]
+    if not known.size:
         # no failure was seen: the level that was reached bounds the probability from above
-        start = max(run.level for run in runs) == 0
-        bound = (count_bound(sum(run.values.size for run in runs)) if start
-                 else min(1.0, 3.0 * float(np.mean([run.reached for run in runs]))))  # fmt: skip
+        bound = min(1.0, 3.0 * float(reached.mean())) if level else count_bound(count * probability.size)
         reason = ("the budget ended before a failure was reached" if spent
-                  else "no failure, and the limit function does not fall anywhere" if start
-                  else "no failure domain was reached")  # fmt: skip
-        text = f"{reason}; the probability is below {bound:.2g}"
+                  else "no failure domain was reached" if level
+                  else "no failure, and the limit function does not fall anywhere")  # fmt: skip
         return Estimate(value=None, low=0.0, high=bound, std_error=None, method=method, evaluations=evaluations,
-                        reason=text)  # fmt: skip
-    value = float(probabilities.sum()) / len(runs)
-    if probabilities.size < len(runs):
+                        reason=f"{reason}; the probability is below {bound:.2g}")  # fmt: skip
+    value = float(known.sum()) / probability.size
+    if known.size < probability.size:
         # some repetitions reached a failure domain that others did not: their answers are worlds apart
-        highest = float(probabilities.max())
-        return Estimate(value=value, low=0.0, high=min(10.0 * highest, 1.0), std_error=highest, method=method,
-                        evaluations=evaluations)  # fmt: skip
-    error = max(float(np.std(np.log(probabilities), ddof=1)), 0.02) / math.sqrt(probabilities.size)
-    factor = math.exp(min(student(probabilities.size) * error, 300.0))
+        return Estimate(value=value, low=0.0, high=min(10.0 * float(known.max()), 1.0), std_error=float(known.max()),
+                        method=method, evaluations=evaluations)  # fmt: skip
+    error = max(float(np.std(np.log(known), ddof=1)), 0.02) / math.sqrt(known.size)
+    factor = math.exp(min(student(known.size) * error, 300.0))
     return Estimate(value=value, low=value / factor, high=min(1.0, value * factor), std_error=value * error,
                     method=method, evaluations=evaluations)  # fmt: skip
