@@ -39,9 +39,8 @@ HELPS: Final = 0.8
 CLOSE, CLEAR = 2.0, 4.0
 #: a grown set is kept where it brings the error below this share; of few samples, whose chance is large, the second
 GROWS, GROWS_FEW = 0.9, 0.75
+#: terms at most
 MOST_TERMS: Final = 256
-#: above so many samples the search is held among the first of them, and above so many time matters more
-SEARCHED, SEARCH_ALL, MANY = 256, 400, 600
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,14 +123,14 @@ def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
     tables = [orthonormal_values(germ, points[:, j], HIGHEST_DEGREE) for j, germ in enumerate(germs)]
     bases = []
     for norm in NORMS if dimension > 1 else NORMS[:1]:
-        found = nested(dimension, norm, HIGHEST_DEGREE, _most_candidates(n))
+        found = nested(dimension, norm, HIGHEST_DEGREE, _candidates(n))
         if found is not None:
             bases.append(Basis(terms=found[0], rows=products(tables, found[0]), sizes=found[1]))
     return Contest(germs=tuple(germs), tables=tables, bases=bases, folds=folds_of(n, 10 if n <= 150 else 5))
 
 
-def _most_candidates(n: int) -> int:
-    return 800 if n > MANY else min(max(400, 3 * n), 1500)
+def _candidates(n: int) -> int:
+    return min(max(400, 3 * n), 800)
 
 
 def _most_terms(n: int) -> int:
@@ -263,7 +262,7 @@ def _contenders(
         if own[0][0] > CLEAR * least and own[0][0] > ENOUGH:
             continue
         running = [scale for error, scale in own if error <= max(CLEAR * own[0][0], ENOUGH)]
-        searched = [_searched(contest, scale, outputs, points) for scale in running]
+        searched = [_search(contest, scale, outputs) for scale in running]
         near = min(one.rank for one, _ in searched)
         leaders = [leader for one, basis in searched if one.rank <= CLOSE * near
                    for leader in _leaders(contest, one, basis, outputs)]  # fmt: skip
@@ -276,32 +275,7 @@ def _look(contest: Contest, scale: Scale, outputs: Array) -> float:
     """What forward selection leaves on one basis of no more terms than samples."""
     basis = contest.bases[min(1, len(contest.bases) - 1)]
     k = max([k for k, size in enumerate(basis.sizes) if size <= outputs.size] or [0])
-    if contest.size > SEARCH_ALL:
-        some = Contest(germs=contest.germs, tables=contest.tables, bases=[], folds=folds_of(SEARCHED, 5))
-        head = basis.head(k)
-        few = Basis(terms=head.terms, rows=head.rows[:, :SEARCHED], sizes=head.sizes)
-        if float(np.std(outputs[:SEARCHED])) > 1e-3 * float(np.std(outputs)):
-            return _run(some, scale, outputs[:SEARCHED], few, _quick_terms(SEARCHED)).error
     return _run(contest, scale, outputs, basis.head(k), _quick_terms(contest.size)).error
-
-
-def _searched(contest: Contest, scale: Scale, outputs: Array, points: Array) -> tuple[Contender, Basis]:
-    """The basis on which forward selection leaves least; of many samples it is looked for among the first of them."""
-    n = contest.size
-    if n <= SEARCH_ALL or float(np.std(outputs[:SEARCHED])) <= 1e-3 * float(np.std(outputs)):
-        return _search(contest, scale, outputs)
-    _, inner = _search(prepare(points[:SEARCHED], contest.germs), scale, outputs[:SEARCHED])
-    basis = Basis(terms=inner.terms, rows=products(contest.tables, inner.terms), sizes=inner.sizes)
-    best = _run(contest, scale, outputs, basis, _most_terms(n))
-    for wide in contest.bases:
-        for k, size in enumerate(wide.sizes):
-            if size < 1.4 * len(basis.terms) or best.error < ENOUGH:
-                continue
-            trial = _run(contest, scale, outputs, wide.head(k), _most_terms(n))
-            if not trial.error < GROWS * best.error:
-                break
-            best, basis = trial, wide.head(k)
-    return best, basis
 
 
 def _search(contest: Contest, scale: Scale, outputs: Array) -> tuple[Contender, Basis]:
@@ -329,18 +303,17 @@ def _leaders(contest: Contest, found: Contender, basis: Basis, outputs: Array) -
     if found.error < ENOUGH:
         return [found]
     n = contest.size
-    few = n <= SEARCH_ALL
-    again = few and not found.ended and _quick_terms(n) < _most_terms(n)
+    again = not found.ended and _quick_terms(n) < _most_terms(n)
     first = _run(contest, found.scale, outputs, basis, _most_terms(n)) if again else found
     # a whole set is no choice that few samples could mislead
-    most = max(_most_terms(n), min(2 * n // 3, MOST_TERMS)) if few else _quick_terms(n)
+    most = max(_most_terms(n), min(2 * n // 3, MOST_TERMS))
     return [first, *(_run(contest, found.scale, outputs, one, most, whole=True) for one in contest.bases)]
 
 
 def _grow(contest: Contest, found: Contender, outputs: Array) -> Contender:
     """Bases that grow around the terms that were kept, as long as the error falls."""
     n, values = contest.size, found.scale.forward(outputs)
-    for _ in range(2 if n > MANY else 6 if n > 100 else 3):
+    for _ in range(6 if n > 100 else 3):
         if found.error < ENOUGH or len(found.terms) < 2:
             break
         for terms in _larger(contest, found, values):
@@ -357,7 +330,7 @@ def _grow(contest: Contest, found: Contender, outputs: Array) -> Contender:
 
 def _larger(contest: Contest, found: Contender, values: Array) -> Iterator[Indices]:
     """The terms kept with their neighbours; then with those two degrees above, where one explains most of the rest."""
-    coefficients, most = solve_rows(found.rows, values), _most_candidates(contest.size)
+    coefficients, most = solve_rows(found.rows, values), _candidates(contest.size)
     yield grown(found.terms, np.abs(coefficients), HIGHEST_DEGREE, most)
     above = skipping(found.terms, HIGHEST_DEGREE)
     if len(above):

@@ -111,7 +111,7 @@ class Family:
 
     Attributes
     ----------
-    name, label : its name in a study, and within a sentence
+    name : its name in a study
     alternatives : key sets of a study's table, of which exactly one must be given
     optional : further keys with their defaults
     dimensional : keys in the unit of the quantity; the others are plain numbers (log_mean is the logarithm of the SI
@@ -121,12 +121,11 @@ class Family:
     observed : it is made from a column of observations
     canonical : (keys given with sd for cov and with the optional ones, lower, upper) -> parameters; raises LawError
     resolve : (parameters, lower, upper) -> (location, scale, shapes)
-    cdf, sf, ppf, isf, pdf : the standard form, of y and shapes; `both` gives cdf and sf at the price of one
-    mean, sd : of the standard form, by shapes; nan or inf where they do not exist or are not in closed form
+    cdf, sf, ppf, isf, pdf : the standard form, of y and shapes
+    moments : mean and sd of the standard form, by shapes, where quadrature in normal scores is slow or inexact
     heavy_lower, heavy_upper : order from which on moments do not exist, on account of a power-law tail
     logarithmic : the standard form is that of ln x
     gaussian : the standard form is the normal law
-    whole_mean, whole_sd : of x by (parameters, lower, upper), where they are not location + scale times those of y
     least : (parameters, lower, upper) -> a bound below which there is nothing to speak of
     fit : (observations (n,) in rising order, lower, upper) -> parameters of the largest likelihood; raises ValueError
     positive : only positive observations can come from it
@@ -135,7 +134,6 @@ class Family:
     """
 
     name: str
-    label: str
     alternatives: tuple[tuple[str, ...], ...]
     optional: Parameters = field(default_factory=dict)
     dimensional: frozenset[str]
@@ -150,16 +148,11 @@ class Family:
     ppf: Standard
     isf: Standard
     pdf: Standard
-    both: Callable[[Array, Shapes], tuple[Array, Array]] | None = None
-    mean: Callable[[Shapes], float]
-    sd: Callable[[Shapes], float]
+    moments: Callable[[Shapes], tuple[float, float]] | None = None
     heavy_lower: Callable[[Shapes], float] = lambda shapes: math.inf
     heavy_upper: Callable[[Shapes], float] = lambda shapes: math.inf
     logarithmic: bool = False
     gaussian: bool = False
-    whole_mean: Callable[[Parameters, float, float], float] | None = None
-    whole_sd: Callable[[Parameters, float, float], float] | None = None
-
     least: Callable[[Parameters, float, float], float] = lambda parameters, lower, upper: -math.inf
 
     fit: Callable[[Array, float, float], Parameters]
@@ -277,7 +270,6 @@ def wrapped(name: str, law: Any, shapes: tuple[str, ...] = ()) -> Family:
 
     return Family(
         name=name,
-        label=name,
         alternatives=(shapes,),
         optional={"loc": 0.0, "scale": 1.0},
         dimensional=frozenset({"loc", "scale"}),
@@ -288,8 +280,7 @@ def wrapped(name: str, law: Any, shapes: tuple[str, ...] = ()) -> Family:
         ppf=own(law.ppf),
         isf=own(law.isf),
         pdf=own(law.pdf),
-        mean=lambda numbers: _moments(law, numbers)[0],
-        sd=lambda numbers: math.sqrt(_moments(law, numbers)[1]),
+        moments=lambda numbers: (_moments(law, numbers)[0], math.sqrt(_moments(law, numbers)[1])),
         heavy_lower=partial(_tail_order, law, law.ppf),
         heavy_upper=partial(_tail_order, law, law.isf),
         fit=no_fit,

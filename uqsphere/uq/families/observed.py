@@ -142,7 +142,6 @@ def _not_fitted(*given: object) -> dict[str, float]:
 
 EMPIRICAL: Final = Family(
     name="empirical",
-    label="empirical",
     alternatives=((),),
     dimensional=frozenset({"lower", "upper"}),
     observed=True,
@@ -150,17 +149,15 @@ EMPIRICAL: Final = Family(
     resolve=lambda own, lower, upper: (0.0, 1.0, (own["bandwidth"],)),
     cdf=lambda y, shapes: _kernel_both(y, shapes)[0],
     sf=lambda y, shapes: _kernel_both(y, shapes)[1],
-    both=_kernel_both,
     ppf=lambda p, shapes: _from_score(_kernel_table(shapes), special.ndtri(p)),
     isf=lambda q, shapes: _from_score(_kernel_table(shapes), -special.ndtri(q)),
     pdf=lambda y, shapes: _density_at(_kernel_table(shapes), y),
-    mean=lambda shapes: math.fsum(shapes[1:]) / (len(shapes) - 1),
-    sd=lambda shapes: math.nan,
+    moments=lambda shapes: (float(np.mean(shapes[1:])), math.hypot(float(np.std(shapes[1:])), shapes[0])),
     fit=_not_fitted,
 )
 
 #: numbers that are given, each with a whole number as its weight: a step function that no test is behind
-DISCRETE: Final = replace(EMPIRICAL, name="discrete", label="discrete", optional={"bandwidth": 0.0})
+DISCRETE: Final = replace(EMPIRICAL, name="discrete", optional={"bandwidth": 0.0})
 
 
 # --- draws of a posterior -----------------------------------------------------------------------------------
@@ -237,20 +234,12 @@ def _drawn_at(score: Array, shapes: Shapes) -> Array:
     return np.asarray(np.exp(_from_score(_drawn_table(shapes), score)))
 
 
-def _drawn_mean(shapes: Shapes) -> float:
-    """By the trapezoidal rule in the normal score."""
-    z = np.linspace(-8.0, 8.0, 801)
-    weight = np.exp(-0.5 * z * z)
-    return float((weight * _drawn_at(z, shapes)).sum() / weight.sum())
-
-
 def _not_given(*given: object) -> dict[str, float]:
     raise LawError('draws are read from a file: { draws = "FILE.csv" }', "dist")
 
 
 DRAWN: Final = Family(
     name="draws",
-    label="posterior",
     alternatives=((),),
     dimensional=frozenset(),
     observed=True,
@@ -261,9 +250,6 @@ DRAWN: Final = Family(
     ppf=lambda p, shapes: _drawn_at(special.ndtri(p), shapes),
     isf=lambda q, shapes: _drawn_at(-special.ndtri(q), shapes),
     pdf=_drawn_pdf,
-    both=_drawn_both,
-    mean=_drawn_mean,
-    sd=lambda shapes: math.nan,
     least=lambda own, lower, upper: 0.0,
     fit=_not_given,
     positive=True,

@@ -29,8 +29,16 @@ def _positive_mean(name: str, given: Parameters) -> float:
     return given["mean"]
 
 
-def _refuse_outside(key: str, value: float, lower: float, upper: float) -> None:
-    raise LawError(f"{key} ({value:g}) must lie between lower ({lower:g}) and upper ({upper:g})", key)
+def _inside(key: str, value: float, lower: float, upper: float) -> float:
+    if not lower <= value <= upper:
+        raise LawError(f"{key} ({value:g}) must lie between lower ({lower:g}) and upper ({upper:g})", key)
+    return value
+
+
+def _check_data(data: Array, lower: float, upper: float) -> None:
+    if not (lower < data[0] and data[-1] < upper):
+        found, allowed = f"{data[0]:g} to {data[-1]:g}", f"{lower:g} to {upper:g}"
+        raise ValueError(f"the observations ({found}) must lie between the bounds ({allowed})")
 
 
 # --- normal and lognormal -----------------------------------------------------------------------------
@@ -50,10 +58,6 @@ def _lognormal_keys(given: Keys, lower: float, upper: float) -> Keys:
     return {"log_mean": math.log(mean) - 0.5 * variance, "log_sd": math.sqrt(variance)}
 
 
-def _lognormal_mean(own: Parameters, lower: float = 0.0, upper: float = math.inf) -> float:
-    return math.exp(own["log_mean"] + 0.5 * own["log_sd"] ** 2)
-
-
 def _normal_moved(own: Parameters, centre: Array, inverse: Array) -> Columns:
     return {"mean": own["mean"] - own["sd"] * centre, "sd": own["sd"] * inverse}
 
@@ -63,49 +67,33 @@ def _lognormal_moved(own: Parameters, centre: Array, inverse: Array) -> Columns:
 
 
 def _normal_terms(z: Array, failed: Flags) -> tuple[Array, Array, Array]:
-    log_above = special.log_ndtr(-z)
     # phi(z)/S(z), which far out is z itself
     near = np.clip(z, -40.0, 1e3)
     hazard = np.exp(-0.5 * near * near - 0.5 * math.log(2.0 * math.pi) - special.log_ndtr(-near))
     hazard = np.where(z > 1e3, z, hazard)
-    value = np.where(failed, -0.5 * z * z - 0.5 * math.log(2.0 * math.pi), log_above)
+    value = np.where(failed, -0.5 * z * z - 0.5 * math.log(2.0 * math.pi), special.log_ndtr(-z))
     return value, np.where(failed, -z, -hazard), np.where(failed, -1.0, -hazard * (hazard - z))
 
 
 NORMAL: Final = Family(
-    name="normal",
-    label="normal",
-    alternatives=MOMENTS,
-    dimensional=frozenset({"mean", "sd", "lower", "upper"}),
+    name="normal", alternatives=MOMENTS, dimensional=frozenset({"mean", "sd", "lower", "upper"}), gaussian=True,
     canonical=lambda given, lower, upper: {"mean": given["mean"], "sd": given["sd"]},
     resolve=lambda own, lower, upper: (own["mean"], own["sd"], ()),
-    cdf=lambda y, shapes: special.ndtr(y),
-    sf=lambda y, shapes: special.ndtr(-y),
-    ppf=lambda p, shapes: special.ndtri(p),
-    isf=lambda q, shapes: -special.ndtri(q),
+    cdf=lambda y, shapes: special.ndtr(y), sf=lambda y, shapes: special.ndtr(-y),
+    ppf=lambda p, shapes: special.ndtri(p), isf=lambda q, shapes: -special.ndtri(q),
     pdf=lambda y, shapes: np.exp(-0.5 * y * y) / math.sqrt(2.0 * math.pi),
-    mean=lambda shapes: 0.0,
-    sd=lambda shapes: 1.0,
-    gaussian=True,
     least=lambda own, lower, upper: own["mean"] - 8.0 * own["sd"] if lower < own["mean"] < upper else -math.inf,
     fit=lambda data, lower, upper: {"mean": float(np.mean(data)), "sd": float(np.std(data))},
     pivots=lambda own, n, count, generator: _normal_moved(own, *_normal_pivots(n, count, generator)),
-)
-
+)  # fmt: skip
 
 LOGNORMAL: Final = replace(
     NORMAL,
-    name="lognormal",
-    label="lognormal",
-    alternatives=(*MOMENTS, ("log_mean", "log_sd")),
+    name="lognormal", alternatives=(*MOMENTS, ("log_mean", "log_sd")), logarithmic=True, positive=True,
     canonical=_lognormal_keys,
     resolve=lambda own, lower, upper: (own["log_mean"], own["log_sd"], ()),
-    logarithmic=True,
-    whole_mean=_lognormal_mean,
-    whole_sd=lambda own, lower, upper: _lognormal_mean(own) * math.sqrt(math.expm1(own["log_sd"] ** 2)),
     least=lambda own, lower, upper: 0.0,
     fit=lambda data, lower, upper: {"log_mean": float(np.mean(np.log(data))), "log_sd": float(np.std(np.log(data)))},
-    positive=True,
     pivots=lambda own, n, count, generator: _lognormal_moved(own, *_normal_pivots(n, count, generator)),
     strength=Strength(
         terms=_normal_terms,
@@ -118,7 +106,7 @@ LOGNORMAL: Final = replace(
         unbiased=lambda inverse, failures: 1.0 / math.sqrt(float(np.mean(inverse**-2.0))),
         complete=lambda n: math.sqrt(n / (n - 1.0)),
     ),
-)
+)  # fmt: skip
 
 
 # --- Weibull, exponential, Rayleigh, Fréchet, Gumbel -----------------------------------------------------
@@ -149,11 +137,6 @@ def _weibull_pdf(y: Array, shapes: Shapes) -> Array:
     return np.where(y >= 0.0, m * np.exp(special.xlogy(m - 1.0, inside) - inside**m), 0.0)
 
 
-def _weibull_variation(m: float) -> float:
-    # Γ(1+2/m) - Γ(1+1/m)² loses all digits for a large modulus; the ratio through lgamma keeps them.
-    return math.sqrt(math.expm1(math.lgamma(1.0 + 2.0 / m) - 2.0 * math.lgamma(1.0 + 1.0 / m)))
-
-
 def _weibull_keys(given: Keys, lower: float, upper: float) -> Keys:
     threshold, modulus = given["threshold"], given["modulus"]
     if "scale" in given:
@@ -176,11 +159,8 @@ def _weibull_moved(own: Parameters, centre: Array, inverse: Array) -> Columns:
 
 
 WEIBULL: Final = Family(
-    name="weibull",
-    label="Weibull",
-    alternatives=(("modulus", "scale"), ("mean", "modulus")),
-    optional={"threshold": 0.0},
-    dimensional=frozenset({"scale", "mean", "threshold", "lower", "upper"}),
+    name="weibull", alternatives=(("modulus", "scale"), ("mean", "modulus")), optional={"threshold": 0.0},
+    dimensional=frozenset({"scale", "mean", "threshold", "lower", "upper"}), positive=True,
     canonical=_weibull_keys,
     resolve=lambda own, lower, upper: (own["threshold"], own["scale"], (own["modulus"],)),
     cdf=lambda y, shapes: np.asarray(-np.expm1(-(np.maximum(y, 0.0) ** shapes[0]))),
@@ -188,11 +168,8 @@ WEIBULL: Final = Family(
     ppf=lambda p, shapes: np.asarray((-np.log1p(-p)) ** (1.0 / shapes[0])),
     isf=lambda q, shapes: np.asarray((-np.log(q)) ** (1.0 / shapes[0])),
     pdf=_weibull_pdf,
-    mean=lambda shapes: math.gamma(1.0 + 1.0 / shapes[0]),
-    sd=lambda shapes: math.exp(math.lgamma(1.0 + 1.0 / shapes[0])) * _weibull_variation(shapes[0]),
     least=lambda own, lower, upper: own["threshold"],
     fit=_weibull_fit,
-    positive=True,
     pivots=lambda own, n, count, generator: _weibull_moved(own, *extreme_pivots(n, count, generator)),
     strength=Strength(
         terms=_extreme_terms,
@@ -204,16 +181,12 @@ WEIBULL: Final = Family(
         # E[m*/m] has no bound for two failures; there the median takes its place
         unbiased=lambda inverse, failures: 1.0 / float(np.mean(inverse) if failures > 3 else np.median(inverse)),
     ),
-)
-
+)  # fmt: skip
 
 #: Weibull with the modulus 1
 EXPONENTIAL: Final = replace(
     WEIBULL,
-    name="exponential",
-    label="exponential",
-    alternatives=(("rate",), ("mean",)),
-    optional={},
+    name="exponential", alternatives=(("rate",), ("mean",)), optional={}, strength=None,
     dimensional=frozenset({"mean", "lower", "upper"}),
     canonical=lambda given, lower, upper: {
         "rate": given["rate"] if "rate" in given else 1.0 / _positive_mean("exponential", given)
@@ -222,16 +195,12 @@ EXPONENTIAL: Final = replace(
     least=lambda own, lower, upper: 0.0,
     fit=lambda data, lower, upper: {"rate": 1.0 / float(np.mean(data))},
     pivots=lambda own, n, count, generator: {"rate": own["rate"] * generator.chisquare(2 * n, count) / (2.0 * n)},
-    strength=None,
-)
-
+)  # fmt: skip
 
 #: Weibull with the modulus 2
 RAYLEIGH: Final = replace(
     EXPONENTIAL,
-    name="rayleigh",
-    label="Rayleigh",
-    alternatives=(("scale",), ("mean",)),
+    name="rayleigh", alternatives=(("scale",), ("mean",)),
     dimensional=frozenset({"scale", "mean", "lower", "upper"}),
     canonical=lambda given, lower, upper: {
         "scale": given["scale"] if "scale" in given else _positive_mean("rayleigh", given) * math.sqrt(2.0 / math.pi)
@@ -242,25 +211,13 @@ RAYLEIGH: Final = replace(
     pivots=lambda own, n, count, generator: {
         "scale": own["scale"] * np.sqrt(2.0 * n / generator.chisquare(2 * n, count))
     },
-)
-
-
-def _frechet_power(y: Array, shapes: Shapes) -> Array:
-    return np.asarray(np.maximum(y, 0.0) ** -shapes[0])
+)  # fmt: skip
 
 
 def _frechet_pdf(y: Array, shapes: Shapes) -> Array:
     inside = np.where(y > 0.0, y, 1.0)
     log_density = -(shapes[0] + 1.0) * np.log(inside) - inside ** -shapes[0] + math.log(shapes[0])
     return np.where(y > 0.0, np.exp(log_density), 0.0)
-
-
-def _frechet_sd(shapes: Shapes) -> float:
-    k = shapes[0]
-    if k <= 2.0:
-        return math.inf
-    first = math.lgamma(1.0 - 1.0 / k)
-    return math.exp(first) * math.sqrt(math.expm1(math.lgamma(1.0 - 2.0 / k) - 2.0 * first))
 
 
 def _frechet_fit(data: Array, lower: float, upper: float) -> Keys:
@@ -276,33 +233,27 @@ def _frechet_pivots(own: Parameters, n: int, count: int, generator: Generator) -
 
 
 FRECHET: Final = Family(
-    name="frechet",
-    label="Fréchet",
-    alternatives=(("shape", "scale"),),
-    optional={"location": 0.0},
-    dimensional=frozenset({"scale", "location", "lower", "upper"}),
+    name="frechet", alternatives=(("shape", "scale"),), optional={"location": 0.0},
+    dimensional=frozenset({"scale", "location", "lower", "upper"}), positive=True,
     canonical=lambda given, lower, upper: {key: given[key] for key in ("shape", "scale", "location")},
     resolve=lambda own, lower, upper: (own["location"], own["scale"], (own["shape"],)),
-    cdf=lambda y, shapes: np.exp(-_frechet_power(y, shapes)),
-    sf=lambda y, shapes: -np.expm1(-_frechet_power(y, shapes)),
+    cdf=lambda y, shapes: np.exp(-(np.maximum(y, 0.0) ** -shapes[0])),
+    sf=lambda y, shapes: -np.expm1(-(np.maximum(y, 0.0) ** -shapes[0])),
     ppf=lambda p, shapes: (-np.log(p)) ** (-1.0 / shapes[0]),
     isf=lambda q, shapes: (-np.log1p(-q)) ** (-1.0 / shapes[0]),
     pdf=_frechet_pdf,
-    mean=lambda shapes: math.gamma(1.0 - 1.0 / shapes[0]) if shapes[0] > 1.0 else math.inf,
-    sd=_frechet_sd,
     heavy_upper=lambda shapes: shapes[0],
     least=lambda own, lower, upper: own["location"],
     fit=_frechet_fit,
-    positive=True,
     pivots=_frechet_pivots,
-)
+)  # fmt: skip
 
 
 def _gumbel_keys(given: Keys, lower: float, upper: float) -> Keys:
     if "location" in given:
         return {"location": given["location"], "scale": given["scale"]}
     scale = given["sd"] * math.sqrt(6.0) / math.pi
-    return {"location": given["mean"] - 0.5772156649015329 * scale, "scale": scale}
+    return {"location": given["mean"] - float(np.euler_gamma) * scale, "scale": scale}
 
 
 def _gumbel_fit(data: Array, lower: float, upper: float) -> Keys:
@@ -319,22 +270,16 @@ def _gumbel_pivots(own: Parameters, n: int, count: int, generator: Generator) ->
 
 
 GUMBEL: Final = Family(
-    name="gumbel",
-    label="Gumbel",
-    alternatives=(("location", "scale"), *MOMENTS),
+    name="gumbel", alternatives=(("location", "scale"), *MOMENTS),
     dimensional=frozenset({"location", "scale", "mean", "sd", "lower", "upper"}),
     canonical=_gumbel_keys,
     resolve=lambda own, lower, upper: (own["location"], own["scale"], ()),
-    cdf=lambda y, shapes: np.exp(-np.exp(-y)),
-    sf=lambda y, shapes: -np.expm1(-np.exp(-y)),
-    ppf=lambda p, shapes: -np.log(-np.log(p)),
-    isf=lambda q, shapes: -np.log(-np.log1p(-q)),
+    cdf=lambda y, shapes: np.exp(-np.exp(-y)), sf=lambda y, shapes: -np.expm1(-np.exp(-y)),
+    ppf=lambda p, shapes: -np.log(-np.log(p)), isf=lambda q, shapes: -np.log(-np.log1p(-q)),
     pdf=lambda y, shapes: np.exp(-y - np.exp(-y)),
-    mean=lambda shapes: float(np.euler_gamma),
-    sd=lambda shapes: math.pi / math.sqrt(6.0),
     fit=_gumbel_fit,
     pivots=_gumbel_pivots,
-)
+)  # fmt: skip
 
 
 # --- gamma and Student's t -------------------------------------------------------------------------------
@@ -352,38 +297,27 @@ def _gamma_keys(given: Keys, lower: float, upper: float) -> Keys:
     return {"shape": (mean / given["sd"]) ** 2, "scale": given["sd"] * (given["sd"] / mean)}
 
 
-def _gamma_shapes(x: Array) -> Array:
-    """Maximum-likelihood shapes (rows,) of x (rows, n): Newton on ln k - digamma(k) = ln(mean) - mean(ln)."""
-    gap = np.log(x.mean(axis=1)) - np.log(x).mean(axis=1)
-    k = (3.0 - gap + np.sqrt((gap - 3.0) ** 2 + 24.0 * gap)) / (12.0 * gap)
-    for _ in range(6):
-        k = k - (np.log(k) - special.digamma(k) - gap) / (1.0 / k - special.polygamma(1, k))
-    return np.asarray(k)
-
-
 def _gamma_fit(data: Array, lower: float, upper: float) -> Keys:
-    shape = float(_gamma_shapes(data[None, :])[0])
+    from scipy.optimize import brentq
+
+    # ln k - digamma(k) = ln(mean) - mean(ln), which lies between 1/(2 k) and 1/k
+    gap = math.log(float(data.mean())) - float(np.log(data).mean())
+    shape = float(brentq(lambda k: math.log(k) - float(special.digamma(k)) - gap, 0.4 / gap, 1.1 / gap, rtol=1e-14))
     return {"shape": shape, "scale": float(data.mean()) / shape}
 
 
 GAMMA: Final = Family(
-    name="gamma",
-    label="gamma",
-    alternatives=(("shape", "scale"), *MOMENTS),
+    name="gamma", alternatives=(("shape", "scale"), *MOMENTS), positive=True,
     dimensional=frozenset({"scale", "mean", "sd", "lower", "upper"}),
     canonical=_gamma_keys,
     resolve=lambda own, lower, upper: (0.0, own["scale"], (own["shape"],)),
     cdf=lambda y, shapes: special.gammainc(shapes[0], np.maximum(y, 0.0)),
     sf=lambda y, shapes: special.gammaincc(shapes[0], np.maximum(y, 0.0)),
-    ppf=lambda p, shapes: special.gammaincinv(shapes[0], p),
-    isf=lambda q, shapes: special.gammainccinv(shapes[0], q),
+    ppf=lambda p, shapes: special.gammaincinv(shapes[0], p), isf=lambda q, shapes: special.gammainccinv(shapes[0], q),
     pdf=_gamma_pdf,
-    mean=lambda shapes: shapes[0],
-    sd=lambda shapes: math.sqrt(shapes[0]),
     least=lambda own, lower, upper: 0.0,
     fit=_gamma_fit,
-    positive=True,
-)
+)  # fmt: skip
 
 
 def _student_ppf(p: Array, shapes: Shapes) -> Array:
@@ -397,11 +331,6 @@ def _student_pdf(y: Array, shapes: Shapes) -> Array:
     return np.asarray(np.exp(constant - 0.5 * (dof + 1.0) * np.log1p(y * y / dof)))
 
 
-def _student_sd(shapes: Shapes) -> float:
-    dof = shapes[0]
-    return math.sqrt(dof / (dof - 2.0)) if dof > 2.0 else (math.inf if dof > 1.0 else math.nan)
-
-
 def _student_fit(data: Array, lower: float, upper: float) -> Keys:
     from scipy import stats
 
@@ -412,46 +341,19 @@ def _student_fit(data: Array, lower: float, upper: float) -> Keys:
 
 
 STUDENT_T: Final = Family(
-    name="student_t",
-    label="Student’s t",
-    alternatives=(("dof", "location", "scale"),),
+    name="student_t", alternatives=(("dof", "location", "scale"),),
     dimensional=frozenset({"location", "scale", "lower", "upper"}),
     canonical=lambda given, lower, upper: {key: given[key] for key in ("dof", "location", "scale")},
     resolve=lambda own, lower, upper: (own["location"], own["scale"], (own["dof"],)),
-    cdf=lambda y, shapes: special.stdtr(shapes[0], y),
-    sf=lambda y, shapes: special.stdtr(shapes[0], -y),
-    ppf=_student_ppf,
-    isf=lambda q, shapes: -_student_ppf(q, shapes),
+    cdf=lambda y, shapes: special.stdtr(shapes[0], y), sf=lambda y, shapes: special.stdtr(shapes[0], -y),
+    ppf=_student_ppf, isf=lambda q, shapes: -_student_ppf(q, shapes),
     pdf=_student_pdf,
-    mean=lambda shapes: 0.0 if shapes[0] > 1.0 else math.nan,
-    sd=_student_sd,
-    heavy_lower=lambda shapes: shapes[0],
-    heavy_upper=lambda shapes: shapes[0],
+    heavy_lower=lambda shapes: shapes[0], heavy_upper=lambda shapes: shapes[0],
     fit=_student_fit,
-)
+)  # fmt: skip
 
 
-# --- between two bounds: uniform and loguniform ------------------------------------------------------------
-
-
-UNIFORM: Final = Family(
-    name="uniform",
-    spanned=True,
-    label="uniform",
-    alternatives=((),),
-    dimensional=frozenset({"lower", "upper"}),
-    bounded=True,
-    canonical=lambda given, lower, upper: {},
-    resolve=lambda own, lower, upper: (lower, upper - lower, ()),
-    cdf=lambda y, shapes: np.clip(y, 0.0, 1.0),
-    sf=lambda y, shapes: np.clip(1.0 - y, 0.0, 1.0),
-    ppf=lambda p, shapes: p,
-    isf=lambda q, shapes: 1.0 - q,
-    pdf=lambda y, shapes: np.where((y >= 0.0) & (y <= 1.0), 1.0, 0.0),
-    mean=lambda shapes: 0.5,
-    sd=lambda shapes: math.sqrt(1.0 / 12.0),
-    fit=lambda data, lower, upper: {},
-)
+# --- between two bounds ------------------------------------------------------------------------------------
 
 
 def _loguniform_keys(given: Keys, lower: float, upper: float) -> Keys:
@@ -460,19 +362,22 @@ def _loguniform_keys(given: Keys, lower: float, upper: float) -> Keys:
     return {}
 
 
+UNIFORM: Final = Family(
+    name="uniform", alternatives=((),), dimensional=frozenset({"lower", "upper"}), bounded=True, spanned=True,
+    canonical=lambda given, lower, upper: {},
+    resolve=lambda own, lower, upper: (lower, upper - lower, ()),
+    cdf=lambda y, shapes: np.clip(y, 0.0, 1.0), sf=lambda y, shapes: np.clip(1.0 - y, 0.0, 1.0),
+    ppf=lambda p, shapes: p, isf=lambda q, shapes: 1.0 - q,
+    pdf=lambda y, shapes: np.where((y >= 0.0) & (y <= 1.0), 1.0, 0.0),
+    fit=lambda data, lower, upper: {},
+)  # fmt: skip
+
 LOGUNIFORM: Final = replace(
     UNIFORM,
-    name="loguniform",
-    label="loguniform",
+    name="loguniform", logarithmic=True, positive=True,
     canonical=_loguniform_keys,
     resolve=lambda own, lower, upper: (math.log(lower), math.log(upper / lower), ()),
-    logarithmic=True,
-    whole_mean=lambda own, lower, upper: (upper - lower) / math.log(upper / lower),
-    positive=True,
-)
-
-
-# --- triangular and beta -----------------------------------------------------------------------------------
+)  # fmt: skip
 
 
 def _triangular_pdf(y: Array, shapes: Shapes) -> Array:
@@ -494,46 +399,27 @@ def _triangular_ppf(p: Array, mode: float) -> Array:
     return np.where(p <= mode, np.sqrt(p * mode), 1.0 - np.sqrt((1.0 - p) * (1.0 - mode)))
 
 
-def _triangular_keys(given: Keys, lower: float, upper: float) -> Keys:
-    if not lower <= given["mode"] <= upper:
-        _refuse_outside("mode", given["mode"], lower, upper)
-    return {"mode": given["mode"]}
-
-
 def _triangular_fit(data: Array, lower: float, upper: float) -> Keys:
     """The most likely mode of a triangle on known bounds is one of the observations (Oliver 1972)."""
-    _inside(data, lower, upper)
-    rising, falling = np.log(data - lower), np.log(upper - data)
-    n = data.size
-    rank = np.arange(n)
-    below = np.concatenate([[0.0], np.cumsum(rising)[:-1]]) - rank * rising
-    above = np.concatenate([np.cumsum(falling[::-1])[::-1][1:], [0.0]]) - (n - 1 - rank) * falling
+    _check_data(data, lower, upper)
+    below = np.tril(np.log(data - lower) - np.log(data - lower)[:, None], -1).sum(axis=1)
+    above = np.triu(np.log(upper - data) - np.log(upper - data)[:, None], 1).sum(axis=1)
     return {"mode": float(data[np.argmax(below + above)])}
 
 
-def _inside(data: Array, lower: float, upper: float) -> None:
-    if not (lower < data[0] and data[-1] < upper):
-        found, allowed = f"{data[0]:g} to {data[-1]:g}", f"{lower:g} to {upper:g}"
-        raise ValueError(f"the observations ({found}) must lie between the bounds ({allowed})")
-
-
 TRIANGULAR: Final = Family(
-    name="triangular",
-    label="triangular",
-    alternatives=(("mode",),),
-    dimensional=frozenset({"mode", "lower", "upper"}),
-    bounded=True,
-    canonical=_triangular_keys,
+    name="triangular", alternatives=(("mode",),), dimensional=frozenset({"mode", "lower", "upper"}), bounded=True,
+    canonical=lambda given, lower, upper: {"mode": _inside("mode", given["mode"], lower, upper)},
     resolve=lambda own, lower, upper: (lower, upper - lower, ((own["mode"] - lower) / (upper - lower),)),
     cdf=lambda y, shapes: _triangular_cdf(y, shapes[0]),
     sf=lambda y, shapes: _triangular_cdf(1.0 - y, 1.0 - shapes[0]),
     ppf=lambda p, shapes: _triangular_ppf(p, shapes[0]),
     isf=lambda q, shapes: 1.0 - _triangular_ppf(q, 1.0 - shapes[0]),
     pdf=_triangular_pdf,
-    mean=lambda shapes: (1.0 + shapes[0]) / 3.0,
-    sd=lambda shapes: math.sqrt((1.0 - shapes[0] + shapes[0] ** 2) / 18.0),
+    # its quantiles have a kink, and quadrature fewer digits
+    moments=lambda shapes: ((1.0 + shapes[0]) / 3.0, math.sqrt((1.0 - shapes[0] + shapes[0] ** 2) / 18.0)),
     fit=_triangular_fit,
-)
+)  # fmt: skip
 
 
 def _beta_pdf(y: Array, shapes: Shapes) -> Array:
@@ -542,17 +428,10 @@ def _beta_pdf(y: Array, shapes: Shapes) -> Array:
     return np.where((y >= 0.0) & (y <= 1.0), np.exp(log_density - special.betaln(shapes[0], shapes[1])), 0.0)
 
 
-def _beta_sd(shapes: Shapes) -> float:
-    a, b = shapes
-    return math.sqrt(a * b / (a + b + 1.0)) / (a + b)
-
-
 def _beta_keys(given: Keys, lower: float, upper: float) -> Keys:
     if "alpha" in given:
         return {"alpha": given["alpha"], "beta": given["beta"]}
-    if not lower < given["mean"] < upper:
-        _refuse_outside("mean", given["mean"], lower, upper)
-    centre = (given["mean"] - lower) / (upper - lower)
+    centre = (_inside("mean", given["mean"], lower, upper) - lower) / (upper - lower)
     total = centre * (1.0 - centre) * ((upper - lower) / given["sd"]) ** 2 - 1.0
     if total <= 0.0:
         most = (upper - lower) * math.sqrt(centre * (1.0 - centre))
@@ -563,17 +442,14 @@ def _beta_keys(given: Keys, lower: float, upper: float) -> Keys:
 def _beta_fit(data: Array, lower: float, upper: float) -> Keys:
     from scipy import stats
 
-    _inside(data, lower, upper)
+    _check_data(data, lower, upper)
     alpha, beta, _, _ = stats.beta.fit(data, floc=lower, fscale=upper - lower)
     return {"alpha": float(alpha), "beta": float(beta)}
 
 
 BETA: Final = Family(
-    name="beta",
-    label="beta",
-    alternatives=(("alpha", "beta"), ("mean", "sd"), ("mean", "cov")),
+    name="beta", alternatives=(("alpha", "beta"), ("mean", "sd"), ("mean", "cov")), bounded=True,
     dimensional=frozenset({"mean", "sd", "lower", "upper"}),
-    bounded=True,
     canonical=_beta_keys,
     resolve=lambda own, lower, upper: (lower, upper - lower, (own["alpha"], own["beta"])),
     cdf=lambda y, shapes: special.betainc(*shapes, np.clip(y, 0.0, 1.0)),
@@ -581,10 +457,8 @@ BETA: Final = Family(
     ppf=lambda p, shapes: special.betaincinv(*shapes, p),
     isf=lambda q, shapes: 1.0 - special.betaincinv(*shapes[::-1], q),
     pdf=_beta_pdf,
-    mean=lambda shapes: shapes[0] / (shapes[0] + shapes[1]),
-    sd=_beta_sd,
     fit=_beta_fit,
-)
+)  # fmt: skip
 
 FAMILIES: Final = (
     NORMAL, LOGNORMAL, WEIBULL, EXPONENTIAL, RAYLEIGH, FRECHET, GUMBEL, UNIFORM, LOGUNIFORM, TRIANGULAR, BETA, GAMMA,
