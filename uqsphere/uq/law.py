@@ -279,7 +279,8 @@ class Law:
             return math.inf, math.inf
         middle = float(x[len(x) // 2])
         centre = middle + float(weights @ (x - middle))
-        return centre, math.sqrt(float(weights @ (x - centre) ** 2))
+        sd = math.sqrt(float(weights @ (x - centre) ** 2))
+        return centre if abs(centre) > 1e-15 * sd else 0.0, sd
 
     def mean(self) -> float:
         """Mean of the law in force; nan or ±inf where there is none."""

@@ -369,12 +369,13 @@ UNIFORM: Final = Family(
     cdf=lambda y, shapes: np.clip(y, 0.0, 1.0), sf=lambda y, shapes: np.clip(1.0 - y, 0.0, 1.0),
     ppf=lambda p, shapes: p, isf=lambda q, shapes: 1.0 - q,
     pdf=lambda y, shapes: np.where((y >= 0.0) & (y <= 1.0), 1.0, 0.0),
+    moments=lambda shapes: (0.5, 12.0**-0.5),
     fit=lambda data, lower, upper: {},
 )  # fmt: skip
 
 LOGUNIFORM: Final = replace(
     UNIFORM,
-    name="loguniform", logarithmic=True, positive=True,
+    name="loguniform", logarithmic=True, positive=True, moments=None,
     canonical=_loguniform_keys,
     resolve=lambda own, lower, upper: (math.log(lower), math.log(upper / lower), ()),
 )  # fmt: skip
