@@ -280,7 +280,7 @@ class Law:
         middle = float(x[len(x) // 2])
         centre = middle + float(weights @ (x - middle))
         sd = math.sqrt(float(weights @ (x - centre) ** 2))
-        return centre if abs(centre) > 1e-15 * sd else 0.0, sd
+        return 0.0 if abs(centre) < 1e-15 * sd < math.inf else centre, sd
 
     def mean(self) -> float:
         """Mean of the law in force; nan or ±inf where there is none."""
