@@ -7,6 +7,7 @@ block whose first line is a comment with a file's name is that file.  In ```pyth
 import contextlib
 import doctest
 import io
+import json
 import re
 import shlex
 from pathlib import Path
@@ -79,6 +80,17 @@ def test_page_says_what_happens(
             assert runner.failures == 0, report.getvalue()
             ran += 1
     assert ran >= 3
+
+
+@pytest.mark.filterwarnings("ignore:`newshape`:DeprecationWarning")
+def test_the_notebook_prints_what_it_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    names: dict[str, object] = {}
+    for cell in json.loads((ROOT / "docs" / "chaospy-and-salib.ipynb").read_text("utf-8"))["cells"]:
+        if cell["cell_type"] == "code":
+            with contextlib.redirect_stdout(io.StringIO()) as printed:
+                exec("".join(cell["source"]), names)
+            assert printed.getvalue() == "".join("".join(output["text"]) for output in cell["outputs"])
 
 
 def test_links_and_pictures_are_there() -> None:

@@ -311,3 +311,26 @@ def test_a_folder_with_other_files_is_not_written_into(tmp_path: Any) -> None:
     (tmp_path / "thesis.docx").write_text("", encoding="utf-8")
     with pytest.raises(FolderError, match=r"thesis\.docx"):
         uqsphere.run(study(), linear, out=tmp_path)
+
+
+def test_salib_goes_on_with_a_runs_pairs_and_its_measures_are_asked_for_by_name() -> None:
+    from SALib.analyze import sobol
+
+    def kinked(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": np.abs(x["a"]) + 0.5 * np.abs(x["a"] + x["b"]) + 0.2 * x["c"]}
+
+    normal = {"dist": "normal", "mean": 0.0, "sd": 1.0}
+    measures = ("morris", "delta", "pawn", "hdmr")
+    accuracy = {"mean": 0.02, "quantile": 0.1, "sobol": 0.02}
+    study = Study(inputs=dict.fromkeys("abc", normal), outputs="y", seed=1,
+                  analysis={"accuracy": accuracy, "methods": ["auto", *measures]})  # fmt: skip
+    run = uqsphere.run(study, kinked)
+    pairs, ours = run.pairs("y"), run.sobol("y")
+    a, b, c = pairs.rows.T
+    assert pairs.outputs == pytest.approx(kinked({"a": a, "b": b, "c": c})["y"], rel=1e-12)
+    theirs = sobol.analyze(pairs.problem, pairs.outputs, calc_second_order=pairs.second, num_resamples=2)
+    assert theirs["ST"] == pytest.approx(ours["total"].to_numpy(), abs=0.02)
+    assert theirs["S1"] == pytest.approx(ours["first"].to_numpy(), abs=0.02)
+    for method in measures:
+        measured = run.answers[run.answers["answer"] == method].set_index("at")["value"]
+        assert measured["a"] > measured["b"] > 0.0

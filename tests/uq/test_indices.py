@@ -13,7 +13,7 @@ from tests.campaigns.intervals import CoverageModel, coverage_models
 from uqsphere.uq.chaos import germ_points, germs_of
 from uqsphere.uq.failure_indices import score_gradients, sway_estimates
 from uqsphere.uq.indices import ESTIMATORS, Blocks, sampled_indices, uniform_halves
-from uqsphere.uq.interop import salib_measures, salib_rows, to_salib
+from uqsphere.uq.interop import morris_rows, salib_measures, to_salib
 from uqsphere.uq.joint import Dependence, make_joint
 from uqsphere.uq.law import make_law
 from uqsphere.uq.response import cross_fit
@@ -120,14 +120,17 @@ def test_constant_outputs_are_absent_and_bad_ones_refused() -> None:
             sampled_indices(np.ones(shape), blocks)
 
 
-def test_morris_delta_and_pawn_are_salibs_and_order_the_inputs() -> None:
+@pytest.mark.parametrize("method", ["morris", "delta", "pawn", "hdmr"])
+def test_salibs_measures_order_the_inputs(method: str) -> None:
     joint = make_joint(tuple("abc"), (NORMAL,) * 3, ())
-    for method in ("morris", "delta", "pawn"):
-        uniforms, x = salib_rows(method, joint, 64 if method == "morris" else 1024, seed=3)
-        found = salib_measures(method, uniforms, 3.0 * x[:, 0] + x[:, 1], joint.names, seed=1)
-        assert found[0].value > found[1].value > found[2].value
-        assert (found[0].low is not None) == (method == "morris")
-        assert "not finite" in salib_measures(method, uniforms, np.full(len(x), np.nan), joint.names)[0].reason
+    uniforms = np.random.default_rng(3).random((1024, 3))
+    x = ndtri(uniforms)
+    if method == "morris":
+        uniforms, x = morris_rows(joint, 64, seed=3)
+    found = salib_measures(method, uniforms, 3.0 * x[:, 0] + x[:, 1], joint.names, seed=1)
+    assert found[0].value > found[1].value > found[2].value
+    assert (found[0].low is not None) == (method == "morris")
+    assert "not finite" in salib_measures(method, uniforms, np.full(len(x), np.nan), joint.names)[0].reason
 
 
 def test_shapley_effects_of_a_linear_model_with_tied_inputs() -> None:

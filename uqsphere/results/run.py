@@ -112,6 +112,18 @@ class Run:
             raise UsageError(f"no expansion of {quantity!r}: it does not vary, or has no plain value in every row")
         return made
 
+    def pairs(self, quantity: str) -> Any:
+        """The model runs behind the indices of a quantity, as SALib takes them: `problem`, `rows` and `outputs`, with
+        which `SALib.analyze.sobol.analyze(p.problem, p.outputs, calc_second_order=p.second)` goes on.
+
+        Raises UsageError where there are none: the indices are those of the expansion, or the run was read from a
+        folder.
+        """
+        made = self.live["pairs"](quantity) if self.live else None
+        if made is None:
+            raise UsageError(f"no pairs of runs of {quantity!r}: study.to_salib() makes rows of the same design")
+        return made
+
     @property
     def plot(self) -> Plots:
         """Plots on matplotlib axes: `density`, `sobol`, `fragility`, `convergence`."""

@@ -29,8 +29,8 @@ from uqsphere.run.distributions import distributions
 from uqsphere.run.drivers import drivers
 from uqsphere.run.fracture import fracture
 from uqsphere.run.fragility import fragility
-from uqsphere.run.grow import Progress, Tables, grow
-from uqsphere.run.indices import indices
+from uqsphere.run.grow import Progress, Tables, grow, pair_rows
+from uqsphere.run.indices import indices, named
 from uqsphere.run.limits import limits
 from uqsphere.run.verdict import verdicts
 from uqsphere.run.write import results_of, samples_of, written
@@ -103,6 +103,7 @@ def _run(
         answers = Answers()
         for analysis in ANALYSES:
             answers += analysis(design, tables)
+        answers += named(design, tables, opened)
         assumed = assumptions(design, tables)
         answers += assumed.answers
         for runs, error in tables.reached:
@@ -130,7 +131,18 @@ def _live(design: Design, tables: Tables) -> dict[str, Any]:
         y = sample.answer(quantity)[0, :count]
         return fit_expansion(x, y, joint, seed=design.study.seed) if np.ptp(y) > 0.0 else None
 
-    return {"fit": fit, "pairs": dict(tables.pairs), "design": design}
+    def pairs(quantity: str) -> Any:
+        from uqsphere.uq.interop import SalibDesign, salib_problem
+
+        outputs = tables.pairs.get(quantity)
+        if outputs is None:
+            return None
+        rows = pair_rows(design, outputs.shape[1])
+        problem = salib_problem(design.joint.only(design.inputs))
+        return SalibDesign(problem=problem, rows=rows.reshape(-1, rows.shape[3]),
+                           second=bool(design.study.analysis.second_order), outputs=outputs.ravel())  # fmt: skip
+
+    return {"fit": fit, "pairs": pairs}
 
 
 def _check_owner(folder: Path, study: Study, *, fresh: bool) -> None:

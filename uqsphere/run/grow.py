@@ -271,20 +271,24 @@ def paired(design: Design, model: Model, count: int, names: list[str], before: M
     """Outputs (R, count, blocks) of the design of Sobol' indices, of the quantities that need it."""
     if not names or design.joint.only(design.inputs).dependent:
         return {}
-    blocks = Blocks(inputs_count=len(design.inputs), second=bool(design.study.analysis.second_order))
     known = min((before[name].shape[1] if name in before else 0 for name in names), default=0)
-    inputs = design.joint.only(design.inputs)
-    mixed = []
-    for replicate in range(REPLICATES):
-        halves = uniform_halves(blocks, count=count - known, seed=design.study.seed, task="pairs",
-                                replicate=replicate, start=known)  # fmt: skip
-        mixed.append(blocks.mix(*(inputs.physical(normal_scores(half)) for half in halves)))
-    rows = np.stack(mixed)
+    rows = pair_rows(design, count - known, known)
     answers = model.evaluate(design.inputs, rows.reshape(-1, rows.shape[3]), tuple(names))
     _check_failures(design, answers.status, answers.good, answers.note)
     values = np.where(answers.good[:, None], answers.values, np.nan).reshape(*rows.shape[:3], len(names))
     new = {name: values[..., k] for k, name in enumerate(names)}
     return {name: np.concatenate([before[name][:, :known], own], axis=1) if known else own for name, own in new.items()}
+
+
+def pair_rows(design: Design, count: int, start: int = 0) -> Array:
+    """Inputs (R, count, blocks, d) of the design of Sobol' indices; those of a replicate are in SALib's order."""
+    blocks = Blocks(inputs_count=len(design.inputs), second=bool(design.study.analysis.second_order))
+    inputs, mixed = design.joint.only(design.inputs), []
+    for replicate in range(REPLICATES):
+        halves = uniform_halves(blocks, count=count, seed=design.study.seed, task="pairs", replicate=replicate,
+                                start=start)  # fmt: skip
+        mixed.append(blocks.mix(*(inputs.physical(normal_scores(half)) for half in halves)))
+    return np.stack(mixed)
 
 
 def accuracies(design: Design, tables: Tables) -> list[Accuracy]:

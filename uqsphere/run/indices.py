@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uqsphere.arrays import special
+from uqsphere.models import Model
+from uqsphere.quantities import lookup
 from uqsphere.results import Answers
 from uqsphere.run import chaos, surrogate
 from uqsphere.run.design import Design
@@ -32,6 +35,41 @@ def indices(design: Design, tables: Tables) -> Answers:
             for order, estimate in zip(("sobol_second",) if "," in label else ("sobol_first", "sobol_total"), row,
                                        strict=True):  # fmt: skip
                 answers.add(name, order, label, estimate, unit="1", runs=runs)
+    return answers
+
+
+#: trajectories of Morris' design, and rows of the sample that SALib's other methods get
+TRAJECTORIES, GIVEN = 64, 4096
+
+
+def named(design: Design, tables: Tables, model: Model) -> Answers:
+    """The measures of SALib that a study names in `analysis.methods`: Morris by a design of its own, which a slow model
+    is not asked for, the others from the rows that are there."""
+    from uqsphere.uq.interop import SALIB_METHODS, morris_rows, salib_measures
+
+    answers, inputs = Answers(), design.joint.only(design.inputs)
+    methods = [name for name in SALIB_METHODS if name in design.study.analysis.methods]
+    sample = tables.sample if tables.slow is None else tables.slow.rows
+    order = [sample.names.index(name) for name in design.inputs]
+    for method in methods if design.inputs else ():
+        reason, columns = "", {name: sample.answer(name).ravel()[:GIVEN] for name in design.described}
+        uniforms = special.ndtr(sample.scores[:, :, order].reshape(-1, len(order))[:GIVEN])
+        if inputs.dependent:
+            reason = "the inputs depend on each other, which SALib's measures do not allow for"
+        elif method == "morris" and tables.slow is not None:
+            reason = "the model is too slow for a design of its own"
+        elif method == "morris":
+            uniforms, rows = morris_rows(inputs, TRAJECTORIES, seed=design.study.seed)
+            found = model.evaluate(design.inputs, rows, design.described)
+            values = np.where(found.good[:, None], found.values, np.nan)
+            columns = {name: values[:, k] for k, name in enumerate(design.described)}
+        for name, outputs in columns.items():
+            row = ([absent(reason, f"SALib {method}", 0)] * len(inputs.names) if reason
+                   else salib_measures(method, uniforms, outputs, inputs.names, seed=design.study.seed))  # fmt: skip
+            for label, estimate in zip(inputs.names, row, strict=True):
+                # mu* is the change of the quantity over the whole range of an input
+                unit = lookup(name).unit if method == "morris" else "1"
+                answers.add(name, method, label, estimate, unit=unit, runs=len(uniforms))
     return answers
 
 

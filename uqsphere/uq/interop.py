@@ -11,7 +11,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, special
 from uqsphere.errors import UsageError
-from uqsphere.uq.estimate import Estimate, absent
+from uqsphere.uq.estimate import Estimate, absent, from_replicates
 from uqsphere.uq.indices import Blocks, uniform_halves
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import Law
@@ -98,12 +98,14 @@ def _law_to_chaospy(chaospy: ModuleType, law: Law) -> Distribution:
 class SalibDesign:
     """A problem of SALib with rows (N (d + 2), d), or (N (2 d + 2), d) for pairs, in the order of its Sobol' analysis.
 
-    `SALib.analyze.sobol.analyze(design.problem, model(design.rows), calc_second_order=design.second)`.
+    `SALib.analyze.sobol.analyze(design.problem, model(design.rows), calc_second_order=design.second)`; `outputs` are
+    the answers where the model was run already.
     """
 
     problem: dict[str, object]
     rows: Array
     second: bool = False
+    outputs: Array | None = None
 
 
 def salib_problem(inputs: Joint) -> dict[str, object]:
@@ -126,67 +128,58 @@ def to_salib(inputs: Joint, count: int = 1024, *, second: bool = False, seed: in
     return SalibDesign(problem=problem, rows=mixed.reshape(-1, blocks.inputs_count), second=second)
 
 
-#: methods of SALib that a study may name, with what they are called in answers
-SALIB_METHODS: Final = ("morris", "delta", "pawn")
+#: methods of SALib that a study may name
+SALIB_METHODS: Final = ("morris", "delta", "pawn", "hdmr")
 
 
-def salib_rows(method: str, inputs: Joint, count: int, *, seed: int = 0) -> tuple[Array, Array]:
-    """Uniform rows (n, d) of SALib's design for a method, and the physical rows they stand for.
+def morris_rows(inputs: Joint, count: int, *, seed: int = 0) -> tuple[Array, Array]:
+    """Uniform rows (count (d + 1), d) of SALib's trajectories on four levels, and the physical rows they stand for."""
+    from SALib.sample import morris
 
-    "morris": `count` trajectories of d + 1 rows on four levels; "delta", "pawn": `count` rows of a Sobol' sequence.
-    """
-    d = len(inputs.names)
-    if method == "morris":
-        from SALib.sample import morris
-
-        unit = {"num_vars": d, "names": list(inputs.names), "bounds": [[0.0, 1.0]] * d}
-        uniforms = np.asarray(morris.sample(unit, count, num_levels=4, seed=seed))
-        # the levels 0 and 1 are the ends of a law that may have none
-        uniforms = 0.125 + 0.75 * uniforms
-    else:
-        from uqsphere.uq.points import sobol_points
-
-        uniforms = sobol_points(dimension=d, count=count, seed=seed, task=f"salib {method}", replicate=0)
-    salib_problem(inputs)
+    problem = _unit_problem(salib_problem(inputs)["names"])
+    # the levels 0 and 1 are the ends of a law that may have none
+    uniforms = 0.125 + 0.75 * np.asarray(morris.sample(problem, count, num_levels=4, seed=seed))
     return uniforms, inputs.physical(np.asarray(special.ndtri(uniforms)))
+
+
+def _unit_problem(names: Any) -> dict[str, Any]:
+    return {"num_vars": len(names), "names": list(names), "bounds": [[0.0, 1.0]] * len(names)}
 
 
 def salib_measures(
     method: str, uniforms: Array, outputs: Array, names: Sequence[str], *, seed: int = 0
 ) -> list[Estimate]:
-    """SALib's measure of every input from rows of `salib_rows` and outputs (n,): mu*, delta, or the median of PAWN.
+    """SALib's measure of every input from uniform rows (n, d) and outputs (n,).
 
-    mu* has the interval of the independent trajectories by Student's law; of delta and PAWN nobody knows one that
-    covers (delta of an input that does nothing comes out at 0.065), and they have none.
+    mu* of Morris, from rows of `morris_rows`, has the interval of the independent trajectories by Student's law; for
+    delta, the median of PAWN and the total index of HDMR nobody knows one that covers (delta of an input that does
+    nothing comes out at 0.065), and they have none.
     """
-    # SALib answers zeros, without a word, where one output is not finite
+    shown = f"SALib {method}"
     if not np.isfinite(outputs).all():
-        return [absent("outputs that are not finite: SALib would answer zeros", f"SALib {method}", outputs.size)] * len(
-            names
-        )
-    d = len(names)
-    problem = {"num_vars": d, "names": list(names), "bounds": [[0.0, 1.0]] * d}
-    scale = float(outputs.std()) or 1.0
+        # SALib answers zeros, without a word, where one output is not finite
+        return [absent("outputs that are not finite: SALib would answer zeros", shown, outputs.size)] * len(names)
+    d, problem, scale = len(names), _unit_problem(names), float(outputs.std()) or 1.0
     y = (outputs - outputs.mean()) / scale
     if method == "morris":
-        from uqsphere.uq.estimate import from_replicates
-
         u, values = uniforms.reshape(-1, d + 1, d), y.reshape(-1, d + 1)
         step, rise = np.diff(u, axis=1), np.diff(values, axis=1)
         moved = np.abs(step).argmax(axis=2)
         effects = np.zeros((len(u), d))
         np.put_along_axis(effects, moved, np.abs(rise / np.abs(step).max(axis=2)) * scale, axis=1)
-        return [from_replicates(effects[:, j], "SALib morris, mu*", outputs.size) for j in range(d)]
-    if method == "delta":
-        from SALib.analyze import delta
+        return [from_replicates(effects[:, j], f"{shown}, mu*", outputs.size) for j in range(d)]
+    from SALib.analyze import delta, enhanced_hdmr, pawn
 
+    if method == "delta":
         answers = delta.analyze(problem, uniforms, y, num_resamples=2, seed=seed)
         found = answers["delta"] if "delta" in answers else answers["delta_balanced"]
     elif method == "pawn":
-        from SALib.analyze import pawn
-
         found = pawn.analyze(problem, uniforms, y, S=10, seed=seed)["median"]
+    elif method == "hdmr":
+        # one bootstrap of all rows is the sample itself
+        found = enhanced_hdmr.analyze(problem, uniforms, y, max_order=min(2, d), bootstrap=1, subset=len(y),
+                                      seed=seed)["ST"][:d]  # fmt: skip
     else:
         raise UsageError(f"unknown method {method!r}; known: {', '.join(SALIB_METHODS)}")
-    return [Estimate(value=float(value), low=None, high=None, std_error=None, method=f"SALib {method}",
-                     evaluations=outputs.size) for value in np.asarray(found)]  # fmt: skip
+    return [Estimate(value=float(value), low=None, high=None, std_error=None, method=shown, evaluations=outputs.size)
+            for value in np.asarray(found, dtype=float)]  # fmt: skip
