@@ -66,7 +66,7 @@ def test_stopped_tests_against_scipy(kind: str) -> None:
 @pytest.mark.parametrize(("n", "factor"), [(10, 0.859), (20, 0.931), (30, 0.955)])
 def test_bias_against_the_published_table(n: int, factor: float) -> None:
     """Thoman, Bain and Antle, Technometrics 11 (1969) 445, as ASTM C1239 gives it."""
-    assert unbiasing(STRENGTHS["weibull"], np.ones(n, dtype=bool)) == pytest.approx(factor, abs=0.006)
+    assert unbiasing(STRENGTHS["weibull"], np.ones(n)) == pytest.approx(factor, abs=0.006)
 
 
 @pytest.mark.parametrize(("kind", "stop"), [("weibull", 9.0), ("weibull", 2.1), ("lognormal", 2.2)])
@@ -85,8 +85,7 @@ def test_intervals_cover(kind: str, stop: float) -> None:
 
 def test_unbiased_modulus_is_right_on_average() -> None:
     generator = np.random.default_rng(5)
-    failed = np.ones(8, dtype=bool)
-    factor = unbiasing(STRENGTHS["weibull"], failed)
+    factor = unbiasing(STRENGTHS["weibull"], np.ones(8))
     fits = [
         fitted_parameters(make_tests(generator.weibull(6.0, 8)), STRENGTHS["weibull"])["modulus"] for _ in range(400)
     ]
@@ -112,6 +111,10 @@ def test_a_wrong_law_is_seen() -> None:
         ([1.0, 2.0], [False, True], "only one failure"),
         ([1.0, 1.0, 2.0], [False, False, True], "equal"),
         ([1.0, 2.0], [False], "differ in number"),
+        ([1.0, 2.0, 3.0], [0, 2, 0], "0 .failed. or 1 .stopped., found 2: .* between two"),
+        ([1.0, 2.0, 3.0], [0, -1, 0], "found -1"),
+        ([1.0, 2.0, 3.0], [0, float("nan"), 0], "found nan"),
+        ([1.0, 2.0, 3.0], ["0", "1", "0"], "found '0'"),
     ],
 )
 def test_tests_that_say_nothing_are_refused(values: list[float], stopped: list[bool] | None, says: str) -> None:
@@ -122,6 +125,76 @@ def test_tests_that_say_nothing_are_refused(values: list[float], stopped: list[b
 def test_an_unknown_law_is_refused() -> None:
     with pytest.raises(LawError, match='"lognormal" or "weibull"'):
         fitted_law([1.0, 2.0], "gumbel", unbiased=True)
+    with pytest.raises(LawError, match="a threshold is not fitted"):
+        fitted_law([1.0, 2.0], "weibull3")
+    with pytest.raises(LawError, match='that of fit = "weibull"'):
+        fitted_law([1.0, 2.0], "lognormal", modulus=8.0)
+
+
+PUBLIC = {  # values with their failures and stops, and what others published for them
+    "reliability 12": ([40, 30.5, 33.5, 27.5, 20.5, 4, 26.5, 23.5, 5, 11, 16.5, 13, 13], [1] * 13,
+        {56: 23, 33: 94, 40: 186, 34: 111, 27: 72, 14: 96, 38: 123, 36: 117, 24: 111, 46: 12, 60: 17}, 1.34032, 841.95),
+    "reliability 57": ([2, 8, 9, 20], [1, 9, 5, 10], {20: 75}, 1.80936, 40.0725),
+    "scipy 20659": ([9.25, 8.25, 7.25, 6.25, 5.25, 4.25, 3.25, 2.25, 1.25], [37, 112, 352, 1130, 4002, 14990, 40260,
+        26783, 13482], {}, None, None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", PUBLIC)
+def test_counts_of_equal_tests(case: str) -> None:
+    values, failed, stops, shape, scale = PUBLIC[case]
+    found = fit_strength(
+        make_tests([*values, *stops], [0] * len(values) + [1] * len(stops), [*failed, *stops.values()])
+    )
+    each = [np.repeat(values, failed), np.repeat(list(stops), list(stops.values()))]
+    if shape is None:
+        shape, _, scale = stats.weibull_min.fit(each[0], floc=0.0)
+    assert (found.shape, found.scale) == pytest.approx((shape, scale), rel=2e-4)
+    again = fit_strength(make_tests(np.concatenate(each), np.repeat([0, 1], [each[0].size, each[1].size])))
+    assert again.shape_interval == found.shape_interval
+
+
+@pytest.mark.parametrize("kind", ["weibull", "lognormal"])
+def test_many_tests_take_little(kind: str) -> None:
+    """100,000 tests, 99 % of them stopped: the likelihood's maximum, and memory that does not grow with them."""
+    import tracemalloc
+
+    values, stopped = stopped_at(np.random.default_rng(2).weibull(4.0, 100_000), 0.317)
+    tracemalloc.start()
+    found = fit_strength(make_tests(values, stopped), STRENGTHS[kind])
+    assert tracemalloc.get_traced_memory()[1] < 200e6
+    tracemalloc.stop()
+    low, high = found.shape_interval
+    assert low < found.shape < high < 1.2 * low
+    assert found.p_value > 0.01 if kind == "weibull" else found.p_value < 0.2
+
+
+@pytest.mark.parametrize("kind", ["weibull", "lognormal"])
+def test_the_law_of_large_samples_continues_the_simulated_one(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    leaving = np.where(np.arange(300) == 150, 101.0, 1.0)
+    levels = [0.025, 0.5, 0.975]
+    ways = []
+    for many in (300, 299):
+        monkeypatch.setattr("uqsphere.uq.families.family.MANY", many)
+        found = STRENGTHS[kind].pivots(leaving, 8000, np.random.default_rng(4))
+        ways.append([np.quantile(part, levels) for part in found])
+    spread = np.ptp(ways[0], axis=1)[:, None]
+    assert (np.abs(np.subtract(*ways)) < 0.09 * spread).all()
+
+
+@pytest.mark.parametrize(("n", "stop"), [(12, 2.1), (6, 1.5), (6, 1.2)])
+def test_a_known_modulus_needs_no_failure(n: int, stop: float) -> None:
+    """The upper bound of a small probability covers, also where none of six failed."""
+    rng, truth, hits, none = np.random.default_rng(8), stats.weibull_min(6.0, scale=2.0), 0, 0
+    for _ in range(200):
+        values, stopped = stopped_at(truth.rvs(n, random_state=rng), stop)
+        law = fitted_law(values[~stopped].tolist(), censored=values[stopped].tolist(), modulus=6.0)
+        found = [-math.expm1(-(draw[2] ** -6.0)) for draw in law.draws]
+        hits += bool(np.quantile(found, 0.95) >= truth.cdf(1.0))
+        none += bool(stopped.all())
+    assert count_tests(law) == n
+    assert hits / 200 >= 0.95 - 4.0 * math.sqrt(0.95 * 0.05 / 200)
+    assert none > 100 or stop > 1.2
 
 
 def test_laws_with_stopped_tests() -> None:
@@ -130,7 +203,7 @@ def test_laws_with_stopped_tests() -> None:
     found = fit_strength(make_tests(values, stopped))
     assert law.parameters["modulus"] == pytest.approx(found.unbiased, rel=1e-9)
     assert count_tests(law) == 24
-    assert series_behind(law).failures == found.failures
+    assert series_behind(law).failures.sum() == found.failures
     moduli = np.array([one.parameters["modulus"] for one in possible_laws(law, 4000, np.random.default_rng(1))])
     # the allowed laws spread as the interval says, whether or not the law's own bias was taken out
     assert np.quantile(moduli, [0.025, 0.975]) == pytest.approx(found.shape_interval, rel=0.03)

@@ -2,7 +2,7 @@
 
 Scatter is what a law describes; epistemic uncertainty is that its parameters come from n observations.  For laws with a
 location and a scale the parameters that the same tests allow follow from pivots (`families.standard`), with stopped
-tests among them from simulated series (`pivots`).  Gamma, beta and triangular laws are fitted again to samples
+tests among them from simulated series (`Strength.pivots`).  Gamma, beta and triangular laws are fitted again to samples
 of their own; a kernel density or a step function is made again from the observations drawn with repetition, which says
 too little in the tails.
 """
@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, special
 from uqsphere.uq.families import FAMILIES, Family, LawError
-from uqsphere.uq.families.family import Strength
-from uqsphere.uq.families.observed import DRAWN, MOST_KERNELS, bandwidth
+from uqsphere.uq.families.family import MANY, Strength
+from uqsphere.uq.families.observed import DRAWN, MOST_KERNELS, WEIBULL, bandwidth
 from uqsphere.uq.law import Law, bounds_of, checked
 
 if TYPE_CHECKING:
@@ -27,102 +27,92 @@ if TYPE_CHECKING:
 
 #: laws that can be fitted with stopped tests among them
 STRENGTHS: Final = {name: family.strength for name, family in FAMILIES.items() if family.strength is not None}
-_WEIBULL: Final = STRENGTHS["weibull"]
 #: fewer failures than this say nothing of scatter
 LEAST_FAILURES: Final = 2
 #: relative difference of strengths that are taken for equal: half of the digits of a double, so that a scatter is known
 #: to the other half
 SAME: Final = 1.5e-8
-#: simulated test series behind bias and intervals
+#: simulated test series behind bias and intervals, and behind the probability of a fit
 DRAWS: Final = 8000
+_OTHERS: Final = 999
 _SERIES_SEED: Final = 20261121
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StrengthTests:
-    """Tests in rising order: values (n,) > 0, and whether each ended with a failure (n,)."""
+    """Different values (k,) > 0 of tests in rising order, and how many failed or were stopped at each (k,)."""
 
     values: Array
-    failed: Flags
+    failures: Array
+    stopped: Array
 
     @property
-    def failures(self) -> int:
-        return int(self.failed.sum())
+    def leaving(self) -> Array:
+        """Tests that end with each failure (r,): itself and those stopped before the next; before the first: none."""
+        found = np.ones(int(self.failures.sum()))
+        last = np.cumsum(self.failures).astype(int) - 1
+        np.add.at(found, last[last >= 0], self.stopped[last >= 0])
+        return found
 
 
-def make_tests(values: object, stopped: object = None) -> StrengthTests:
-    """Tests from values (n,) and flags (n,) of those that were stopped before the specimen failed.
+def make_tests(values: object, stopped: object = None, counts: object = None) -> StrengthTests:
+    """Tests from values (n,), flags (n,) of those stopped before the specimen failed, numbers (n,) of equal tests.
 
     Raises
     ------
     ValueError
-        For no test, values that are not positive and finite, only stopped tests, or failures without scatter.
+        For no test, values that are not positive and finite, flags that are not 0 or 1, numbers that are none, only
+        stopped tests, or failures without scatter.
 
-    >>> make_tests([3.0, 1.0, 2.0], [True, False, False]).failed.tolist()
-    [True, True, False]
+    >>> make_tests([3.0, 1.0, 2.0, 1.0], [True, False, False, False]).failures.tolist()
+    [2.0, 1.0, 0.0]
     """
     found = np.atleast_1d(np.asarray(values, dtype=float))
     if found.ndim != 1 or found.size == 0:
         raise ValueError("there are no tests: at least two failures are needed")
-    flags = np.zeros(found.size, dtype=bool) if stopped is None else np.asarray(stopped, dtype=bool)
-    if flags.shape != found.shape:
-        raise ValueError(f"values and stopped differ in number: {found.size} and {flags.size}")
+    flags = np.zeros(found.size) if stopped is None else np.asarray(stopped)
+    many = np.ones(found.size) if counts is None else np.asarray(counts, dtype=float)
+    for name, one in (("stopped", flags), ("counts", many)):
+        if one.shape != found.shape:
+            raise ValueError(f"values and {name} differ in number: {found.size} and {one.size}")
+    strange = [flag for flag in flags.tolist() if flag not in (0, 1)]
+    if strange:
+        raise ValueError(f"stopped must be 0 (failed) or 1 (stopped), found {strange[0]!r}: tests known only to lie "
+                         "below a value, or between two, cannot be given")  # fmt: skip
+    if not (np.isfinite(many).all() and (many >= 1.0).all() and (many % 1.0 == 0.0).all()):
+        raise ValueError("counts must be whole numbers from 1 on")
     if not np.isfinite(found).all():
         raise ValueError("the tests hold values that are not finite numbers")
     if found.min() <= 0.0:
         raise ValueError(f"a strength must be positive, the smallest found is {found.min():g}")
-    failures = found[~flags]
-    if failures.size == 0:
-        raise ValueError(f"all {found.size} tests were stopped before a failure: they tell no strength")
-    if failures.size < LEAST_FAILURES or failures.max() - failures.min() <= SAME * failures.max():
-        what = "only one failure" if failures.size < LEAST_FAILURES else f"all {failures.size} failures are equal"
+    different, at = np.unique(found, return_inverse=True)
+    ended = np.bincount(at, many * flags.astype(bool), different.size).astype(float)
+    failures = np.bincount(at, many, different.size).astype(float) - ended
+    broke = different[failures > 0.0]
+    if broke.size == 0:
+        raise ValueError(f"all {many.sum():.0f} tests were stopped before a failure: they tell no strength")
+    if broke[-1] - broke[0] <= SAME * broke[-1]:
+        total = failures.sum()
+        what = "only one failure" if total < LEAST_FAILURES else f"all {total:.0f} failures are equal"
         raise ValueError(f"{what}: the scatter is not known, at least two different failures are needed")
-    # of equal values the failure comes first: the stopped specimen outlived it
-    order = np.lexsort((flags, found))
-    return StrengthTests(values=found[order], failed=~flags[order])
+    return StrengthTests(values=different, failures=failures, stopped=ended)
 
 
-# --- simulated series ----------------------------------------------------------------------------------
-
-
-def _series(law: Strength, failed: Flags, count: int, generator: np.random.Generator) -> Array:
-    """Standard variables (count, n) in rising order with stops where the tests have theirs.
-
-    They are progressively censored (N. Balakrishnan, R. A. Sandhu, Am. Stat. 49, 1995, 229): the distribution of
-    (mu* - mu)/s* and s*/s depends on neither, exactly so without stopped tests and with tests stopped at the r-th
-    failure.  A specimen that is stopped leaves at the failure before it; those stopped before the first
-    failure tell nothing and are left out by the caller.
-    """
-    n = failed.size
-    at_risk = n - np.flatnonzero(failed)
-    steps = generator.standard_exponential((count, at_risk.size)) / at_risk
-    hazards = np.cumsum(steps, axis=1)[:, np.cumsum(failed) - 1]
-    return law.from_hazard(hazards)
-
-
-def pivots(law: Strength, failed: Flags, count: int, generator: np.random.Generator) -> tuple[Array, Array]:
-    """(mu*/s*, 1/s*) (count,) of the largest likelihood of simulated series of the standard law.
-
-    `failed` (n,): which of the tests, in rising order, ended with a failure.
-    """
-    counted = failed[int(np.argmax(failed)) :]
-    location, scale = law.maximum(_series(law, counted, count, generator), counted)
-    return location / scale, 1.0 / scale
-
-
-def unbiasing(law: Strength, failed: Flags, draws: tuple[Array, Array] | None = None) -> float:
+def unbiasing(law: Strength, leaving: Array, inverse: Array | None = None) -> float:
     """Factor that takes the bias out of the modulus of a Weibull law, or of log_sd of a lognormal law.
 
     Of the modulus: 1/E[m*/m] (D. R. Thoman, L. J. Bain, C. E. Antle, Technometrics 11, 1969, 445, table it for complete
-    series).  Of log_sd: it makes the variance right on average, sqrt(n/(n - 1)) for complete series.
+    series).  Of log_sd: it makes the variance right on average, sqrt(n/(n - 1)) for complete series.  `leaving` as of
+    `Strength.series`; inverse: 1/s* of simulated series.
 
-    >>> round(unbiasing(STRENGTHS["weibull"], np.ones(20, dtype=bool)), 2)
+    >>> round(unbiasing(STRENGTHS["weibull"], np.ones(20)), 2)
     0.93
     """
-    if law.complete is not None and failed.all():
-        return law.complete(failed.size)
-    _, inverse = draws or pivots(law, failed, DRAWS, np.random.default_rng(_SERIES_SEED))
-    return law.unbiased(inverse, int(failed.sum()))
+    if law.complete is not None and (leaving == 1.0).all():
+        return law.complete(leaving.size)
+    if inverse is None:
+        inverse = law.pivots(leaving, DRAWS, np.random.default_rng(_SERIES_SEED))[1]
+    return law.unbiased(inverse, leaving.size)
 
 
 # --- the fit -------------------------------------------------------------------------------------------
@@ -144,9 +134,8 @@ class StrengthFit:
         95 % intervals from simulated series; they cover what they promise however few the tests, unlike those from the
         profile of the likelihood.
     log_likelihood : float
-    distance, p_value : float
-        Largest difference from the Kaplan-Meier estimate at a failure, and the probability of a larger one if the
-        law were right.
+    p_value : float
+        Probability of a larger distance from the Kaplan-Meier estimate at a failure if the law were right.
     """
 
     law: Strength = field(repr=False)
@@ -158,7 +147,6 @@ class StrengthFit:
     shape_interval: tuple[float, float]
     scale_interval: tuple[float, float]
     log_likelihood: float
-    distance: float
     p_value: float
 
     def to_frame(self) -> DataFrame:
@@ -168,72 +156,72 @@ class StrengthFit:
         rows = {"shape": (self.shape, *self.shape_interval), "scale": (self.scale, *self.scale_interval)}
         return DataFrame.from_dict(rows, orient="index", columns=["value", "low", "high"]).rename_axis("parameter")
 
-    def parameters(self, *, unbiased: bool = False) -> dict[str, float]:
-        """Canonical parameters of the law."""
-        return self.law.parameters(math.log(self.scale), self.unbiased if unbiased else self.shape)
+
+def _best(tests: StrengthTests, law: Strength) -> tuple[float, float]:
+    """Location and scale of the logarithm by the largest likelihood."""
+    location, spread = law.maximum(np.log(tests.values)[None, :], tests.failures, tests.stopped)
+    return float(location[0]), float(spread[0])
 
 
-def fit_strength(tests: StrengthTests, law: Strength = _WEIBULL, *, draws: int = DRAWS) -> StrengthFit:
+def fit_strength(tests: StrengthTests, law: Strength = STRENGTHS["weibull"], *, draws: int = DRAWS) -> StrengthFit:
     """The law of the largest likelihood, its bias and its intervals, those from `draws` simulated series.
 
     >>> found = fit_strength(make_tests([0.62, 0.81, 0.93, 1.02, 1.1, 1.21, 1.3], [0, 0, 0, 0, 0, 0, 1]))
     >>> round(found.shape, 2), round(found.scale, 3), found.failures
     (4.66, 1.108, 6)
     """
-    y, failed = np.log(tests.values), tests.failed
-    location, spread = (float(part[0]) for part in law.maximum(y[None, :], failed))
-    best = float(law.log_likelihood(y[None, :], failed, np.array([1.0 / spread]), np.array([location / spread]))[0])
-    simulation = centre, inverse = pivots(law, failed, draws, np.random.default_rng(_SERIES_SEED))
+    location, spread = _best(tests, law)
+    y = np.log(tests.values)[None, :]
+    best = law.log_likelihood(y, tests.failures, tests.stopped, np.array([1.0 / spread]), np.array([location / spread]))
+    centre, inverse = law.pivots(tests.leaving, draws, np.random.default_rng(_SERIES_SEED))
     # s = s* inverse and mu = mu* - s* centre are what the tests allow
-    allowed_scale = np.quantile(spread * inverse, [0.025, 0.975])
-    allowed_place = np.exp(np.quantile(location - spread * centre, [0.025, 0.975]))
-    drawn = 1.0 / allowed_scale[::-1] if law.inverse else allowed_scale
-    shape = law.shape(spread)
-    # how far it lies from the Kaplan-Meier estimate, beside series fitted in the same way
-    distance = float(_distance(law.below((y[failed] - location)[None, :] / spread), kaplan_meier(failed))[0])
-    counted = failed[int(np.argmax(failed)) :]
-    drawn_series = _series(law, counted, 999, np.random.default_rng(_SERIES_SEED + 1))
-    centres, scales = (part[:, None] for part in law.maximum(drawn_series, counted))
-    others = _distance(law.below(((drawn_series - centres) / scales)[:, counted]), kaplan_meier(failed))
+    shapes = np.quantile(1.0 / (spread * inverse) if law.inverse else spread * inverse, [0.025, 0.975])
+    places = np.exp(np.quantile(location - spread * centre, [0.025, 0.975]))
     return StrengthFit(
-        law=law, tests=y.size, failures=tests.failures, shape=shape, scale=math.exp(location),
-        unbiased=shape * unbiasing(law, failed, simulation),
-        shape_interval=(float(drawn[0]), float(drawn[1])),
-        scale_interval=(float(allowed_place[0]), float(allowed_place[1])),
-        log_likelihood=best - float(y[failed].sum()), distance=distance,
-        p_value=float((1 + (others >= distance).sum()) / 1000),
+        law=law, tests=int((tests.failures + tests.stopped).sum()), failures=int(tests.failures.sum()),
+        shape=law.shape(spread), scale=math.exp(location),
+        unbiased=law.shape(spread) * unbiasing(law, tests.leaving, inverse),
+        shape_interval=(float(shapes[0]), float(shapes[1])), scale_interval=(float(places[0]), float(places[1])),
+        log_likelihood=float(best[0] - (tests.failures * y).sum()), p_value=probability_of(tests, law),
     )  # fmt: skip
 
 
 def fitted_parameters(tests: StrengthTests, law: Strength, *, unbiased: bool = False) -> dict[str, float]:
     """Canonical parameters alone, without the price of the intervals."""
-    y, failed = np.log(tests.values), tests.failed
-    location, spread = (float(part[0]) for part in law.maximum(y[None, :], failed))
-    factor = unbiasing(law, failed) if unbiased else 1.0
-    return law.parameters(location, factor / spread if law.inverse else factor * spread)
+    location, spread = _best(tests, law)
+    return law.parameters(location, law.shape(spread) * (unbiasing(law, tests.leaving) if unbiased else 1.0))
 
 
-# --- how well it fits ----------------------------------------------------------------------------------
+def kaplan_meier(leaving: Array) -> Array:
+    """Share (r,) that has failed by each failure, stopped tests taken as survivors up to their stop.
 
-
-def kaplan_meier(failed: Flags) -> Array:
-    """Share (failures,) that has failed by each failure, stopped tests taken as survivors up to their stop.
-
-    >>> kaplan_meier(np.array([True, False, True])).round(3).tolist()
+    >>> kaplan_meier(np.array([2.0, 1.0])).round(3).tolist()
     [0.333, 1.0]
     """
-    at_risk = failed.size - np.flatnonzero(failed)
-    return np.asarray(1.0 - np.cumprod(1.0 - 1.0 / at_risk))
+    return np.asarray(1.0 - np.cumprod(1.0 - 1.0 / np.cumsum(leaving[::-1])[::-1]))
 
 
-def _distance(below: Array, after: Array | None = None) -> Array:
-    """Largest difference (rows,) of a law's probabilities (rows, n) from steps that have risen to `after` (n,).
-
-    Of all observations, in rising order, that is Kolmogorov's distance.
-    """
-    after = np.arange(1, below.shape[1] + 1) / below.shape[1] if after is None else after
+def _distance(below: Array, leaving: Array) -> Array:
+    """Largest difference (rows,) of a law's probabilities (rows, r) at failures from the Kaplan-Meier estimate."""
+    after = kaplan_meier(leaving)
     before = np.concatenate([[0.0], after[:-1]])
     return np.asarray(np.maximum(np.abs(below - after), np.abs(below - before)).max(axis=1))
+
+
+def probability_of(tests: StrengthTests, law: Strength) -> float:
+    """Probability that tests of the fitted law lie farther from it: simulated series, fitted in the same way.
+
+    Of more than `MANY` failures series of so many stand for all: the distance falls as the root of their number.
+    """
+    location, spread = _best(tests, law)
+    z = (np.log(np.repeat(tests.values, tests.failures.astype(int))) - location) / spread
+    own = _distance(law.below(z)[None, :], tests.leaving)[0]
+    firsts = np.arange(0, z.size, max(1, -(-z.size // MANY)))
+    few = np.maximum(np.add.reduceat(tests.leaving, firsts) * firsts.size / z.size, 1.0)
+    drawn = law.series(few, _OTHERS, np.random.default_rng(_SERIES_SEED + 1))
+    centres, scales = (part[:, None] for part in law.maximum(drawn, np.ones(few.size), few - 1.0))
+    others = _distance(law.below((drawn - centres) / scales), few) * math.sqrt(few.size / z.size)
+    return float((1 + (others >= own).sum()) / (_OTHERS + 1))
 
 
 # --- a law from a column -------------------------------------------------------------------------------------
@@ -252,11 +240,12 @@ def fitted_law(
     *,
     censored: Sequence[float] = (),
     unbiased: bool = False,
+    modulus: float | None = None,
 ) -> Law:
     """The law of a column of observations (SI): "kde" (the default), "steps" or a family by its name.
 
     `censored` are observations that are known only to be larger, and `unbiased` takes the bias out of a fitted
-    scatter; both need a Weibull or lognormal fit.
+    scatter; both need a Weibull or lognormal fit.  `modulus`: of a Weibull law, if known; then no failure is needed.
 
     Raises
     ------
@@ -267,11 +256,13 @@ def fitted_law(
     'exponential'
     """
     a, b = bounds_of(lower, upper)
+    if modulus is not None:
+        return _of_known_modulus(data, fit, censored, modulus)
     if len(censored) or unbiased:
         return checked(_strength(data, fit, a, b, censored, unbiased))
     how = fit or "kde"
     if how not in FITS:
-        raise LawError(f"unknown fit {how!r}; allowed: {', '.join(FITS)}", "fit")
+        raise LawError(f"unknown fit {how!r}; allowed: {', '.join(FITS)}; a threshold is not fitted", "fit")
     values = _observations(data)
     if how not in ("kde", "steps"):
         return checked(_member(FAMILIES[how], values, a, b))
@@ -282,6 +273,23 @@ def fitted_law(
     return checked(
         Law(family=FAMILIES["empirical"], parameters={"bandwidth": width}, lower=a, upper=b, data=observations)
     )
+
+
+def _of_known_modulus(data: Sequence[float], fit: str | None, censored: Sequence[float], modulus: float) -> Law:
+    """Weibull laws of a known modulus m that tests allow, and their mean: scale^-m is a gamma variable of sum(x^m).
+
+    Its shape is r + 1/2 for r failures, and 1 for none, which puts the scale on the safe side (W. Q. Meeker, L. A.
+    Escobar, Statistical Methods for Reliability Data, 1998, section 8.5).
+    """
+    x = np.array([*data, *censored], dtype=float)
+    if fit not in (None, "weibull"):
+        raise LawError(f'a known modulus is that of fit = "weibull"; found {fit}', "fit")
+    if not x.size or not (np.isfinite(x).all() and x.min() > 0.0):
+        raise LawError("strengths must be positive finite numbers, one at least", "column")
+    shape = len(data) + 0.5 if len(data) else 1.0
+    hazards = special.gammaincinv(shape, (np.arange(400) + 0.5) / 400.0)
+    scales = x.max() * (((x / x.max()) ** modulus).sum() / hazards) ** (1.0 / modulus)
+    return law_of_draws([(WEIBULL, 0.0, float(scale), modulus, 0.0) for scale in scales], x.size)
 
 
 def _observations(data: Sequence[float]) -> Array:
@@ -375,10 +383,8 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> list[
     if family.strength is not None:
         # whether or not the bias was taken out of the law
         tests = series_behind(law)
-        best = fitted_parameters(tests, family.strength)
-        if not tests.failed.all():
-            return _laws(law, family.strength.moved(best, *pivots(family.strength, tests.failed, count, generator)))
-        law, n = replace(law, parameters=best), tests.failures
+        pivots = family.strength.pivots(tests.leaving, count, generator)
+        return _laws(law, family.strength.moved(fitted_parameters(tests, family.strength), *pivots))
     if family.pivots is not None:
         return _laws(law, family.pivots(law.parameters, n, count, generator))
     return _refitted(law, count, generator)

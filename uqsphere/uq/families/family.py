@@ -18,7 +18,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array
 
 Shapes: TypeAlias = tuple[float, ...]
 Standard: TypeAlias = Callable[[Array, Shapes], Array]
@@ -35,6 +35,10 @@ class LawError(ValueError):
         self.key = key
 
 
+#: beyond so many failures the pivots follow the law of large samples
+MANY: Final = 300
+
+
 @dataclass(frozen=True, kw_only=True)
 class Strength:
     """How a family is fitted to tests some of which were stopped before the specimen failed.
@@ -43,7 +47,8 @@ class Strength:
 
     Attributes
     ----------
-    terms : (z, failed) -> log-likelihood of every test without ln(1/s), and its first and second derivative by z
+    terms : (z, failures, stopped), those numbers of tests at each z -> log-likelihood without ln(1/s), and its first
+        and second derivative by z
     from_hazard : cumulative hazards -> z
     below : z -> P(Z <= z)
     parameters : (location, shape) -> canonical parameters
@@ -53,7 +58,7 @@ class Strength:
     complete : tests -> the same in closed form, where every test ended with a failure
     """
 
-    terms: Callable[[Array, Flags], tuple[Array, Array, Array]]
+    terms: Callable[[Array, Any, Any], tuple[Array, Array, Array]]
     from_hazard: Callable[[Array], Array]
     below: Callable[[Array], Array]
     parameters: Callable[[float, float], dict[str, float]]
@@ -66,25 +71,26 @@ class Strength:
         """Shape of the law with the scale s of the logarithm, and the other way round."""
         return 1.0 / s if self.inverse else s
 
-    def log_likelihood(self, y: Array, failed: Flags, h: Array, g: Array) -> Array:
+    def log_likelihood(self, y: Array, failures: Array, stopped: Any, h: Array, g: Array) -> Array:
         """(rows,) at h = 1/s and g = location/s, of the logarithms y (rows, n)."""
-        value = self.terms(h[:, None] * y - g[:, None], failed)[0].sum(axis=1)
-        return np.asarray(value + failed.sum(axis=-1) * np.log(h))
+        value = self.terms(h[:, None] * y - g[:, None], failures, stopped)[0].sum(axis=1)
+        return np.asarray(value + failures.sum() * np.log(h))
 
-    def maximum(self, logarithms: Array, failed: Flags) -> tuple[Array, Array]:
-        """Location and scale (rows,) of the largest likelihood of logarithms (rows, n); `failed` (n,) for all rows.
+    def maximum(self, logarithms: Array, failures: Array, stopped: Any = 0.0) -> tuple[Array, Array]:
+        """Location and scale (rows,) of the largest likelihood of logarithms (rows, n).
 
-        sum over failures [ln f(z) - ln s] + sum over stopped tests ln S(z) is concave in 1/s and location/s (R. J.
-        Olsen, Econometrica 46, 1978, 1211): Newton's method finds its one maximum.
+        `failures`, `stopped` (n,): how many tests failed, or were stopped, at each value.  sum over failures [ln f(z) -
+        ln s] + sum over stopped tests ln S(z) is concave in 1/s and location/s (R. J. Olsen, Econometrica 46, 1978,
+        1211): Newton's method finds its one maximum.
         """
-        centre = logarithms[:, failed].mean(axis=1, keepdims=True)
-        spread = logarithms[:, failed].std(axis=1, keepdims=True)
+        count = float(failures.sum())
+        centre = (logarithms @ failures / count)[:, None]
+        spread = np.sqrt(np.square(logarithms - centre) @ failures / count)[:, None]
         y = (logarithms - centre) / spread
-        count = float(failed.sum())
         h, g = np.ones(len(y)), np.zeros(len(y))
-        best = self.log_likelihood(y, failed, h, g)
+        best = self.log_likelihood(y, failures, stopped, h, g)
         for _ in range(100):
-            _, first, second = self.terms(h[:, None] * y - g[:, None], failed)
+            _, first, second = self.terms(h[:, None] * y - g[:, None], failures, stopped)
             slope_h, slope_g = (first * y).sum(axis=1) + count / h, -first.sum(axis=1)
             hh, hg = (second * y * y).sum(axis=1) - count / h**2, -(second * y).sum(axis=1)
             gg = second.sum(axis=1)
@@ -94,7 +100,7 @@ class Strength:
             # a step that leaves h > 0, or does not climb, is halved
             size = np.where(step_h < -0.9 * h, -0.9 * h / np.where(step_h < 0.0, step_h, -1.0), 1.0)
             for _ in range(40):
-                following = self.log_likelihood(y, failed, h + size * step_h, g + size * step_g)
+                following = self.log_likelihood(y, failures, stopped, h + size * step_h, g + size * step_g)
                 worse = ~(following >= best - 1e-12 * np.abs(best))
                 if not worse.any():
                     break
@@ -103,6 +109,32 @@ class Strength:
             if np.max(np.abs(step_h) / h + np.abs(step_g)) < 1e-12:
                 break
         return g / h * spread[:, 0] + centre[:, 0], spread[:, 0] / h
+
+    def series(self, leaving: Array, count: int, generator: np.random.Generator) -> Array:
+        """Failures (count, r) of simulated series of the standard law, in rising order.
+
+        `leaving` (r,): tests that end with each failure, those stopped before the next one with it.  Such series are
+        progressively censored (N. Balakrishnan, R. A. Sandhu, Am. Stat. 49, 1995, 229): the distribution of
+        (location* - location)/s* and s*/s depends on neither, exactly so without stopped tests and with tests stopped
+        at the r-th failure.
+        """
+        steps = generator.standard_exponential((count, leaving.size)) / np.cumsum(leaving[::-1])[::-1]
+        return self.from_hazard(np.cumsum(steps, axis=1))
+
+    def pivots(self, leaving: Array, count: int, generator: np.random.Generator) -> tuple[Array, Array]:
+        """(location*/s*, 1/s*) (count,) of the largest likelihood of such series; normal beyond `MANY` failures."""
+        ones, stopped = np.ones(leaving.size), leaving - 1.0
+        if leaving.size > MANY:
+            z = self.from_hazard(np.cumsum(1.0 / np.cumsum(leaving[::-1])[::-1]))
+            second = self.terms(z, ones, stopped)[2]
+            mixed = (second * z).sum()
+            information = [[ones.sum() - (second * z * z).sum(), mixed], [mixed, -second.sum()]]
+            logs, places = generator.multivariate_normal([0.0, 0.0], np.linalg.inv(information), count).T
+            return places, np.exp(logs)
+        blocks = [min(1000, count - done) for done in range(0, count, 1000)]
+        found = [self.maximum(self.series(leaving, block, generator), ones, stopped) for block in blocks]
+        location, scale = (np.concatenate(part) for part in zip(*found, strict=True))
+        return location / scale, 1.0 / scale
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

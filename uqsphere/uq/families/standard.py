@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, special
+from uqsphere.arrays import Array, special
 from uqsphere.uq.families.family import Columns, Family, LawError, Parameters, Shapes, Strength
 
 MOMENTS: Final = (("mean", "sd"), ("mean", "cov"))
@@ -66,13 +66,13 @@ def _lognormal_moved(own: Parameters, centre: Array, inverse: Array) -> Columns:
     return {"log_mean": own["log_mean"] - own["log_sd"] * centre, "log_sd": own["log_sd"] * inverse}
 
 
-def _normal_terms(z: Array, failed: Flags) -> tuple[Array, Array, Array]:
+def _normal_terms(z: Array, failures: Any, stopped: Any) -> tuple[Array, Array, Array]:
     # phi(z)/S(z), which far out is z itself
     near = np.clip(z, -40.0, 1e3)
     hazard = np.exp(-0.5 * near * near - 0.5 * math.log(2.0 * math.pi) - special.log_ndtr(-near))
     hazard = np.where(z > 1e3, z, hazard)
-    value = np.where(failed, -0.5 * z * z - 0.5 * math.log(2.0 * math.pi), special.log_ndtr(-z))
-    return value, np.where(failed, -z, -hazard), np.where(failed, -1.0, -hazard * (hazard - z))
+    value = stopped * special.log_ndtr(-z) - failures * (0.5 * z * z + 0.5 * math.log(2.0 * math.pi))
+    return value, -failures * z - stopped * hazard, -failures - stopped * hazard * (hazard - z)
 
 
 NORMAL: Final = Family(
@@ -94,7 +94,7 @@ LOGNORMAL: Final = replace(
     resolve=lambda own, lower, upper: (own["log_mean"], own["log_sd"], ()),
     least=lambda own, lower, upper: 0.0,
     fit=lambda data, lower, upper: {"log_mean": float(np.mean(np.log(data))), "log_sd": float(np.std(np.log(data)))},
-    pivots=lambda own, n, count, generator: _lognormal_moved(own, *_normal_pivots(n, count, generator)),
+    pivots=None,
     strength=Strength(
         terms=_normal_terms,
         from_hazard=lambda hazards: -special.ndtri(np.exp(-hazards)),
@@ -115,20 +115,20 @@ LOGNORMAL: Final = replace(
 def weibull_estimates(logarithms: Array) -> tuple[Array, Array]:
     """Maximum-likelihood modulus and scale (rows,) of Weibull laws without threshold from ln x (rows, n)."""
     assert WEIBULL.strength is not None
-    location, spread = WEIBULL.strength.maximum(logarithms, np.ones(logarithms.shape[1], dtype=bool))
+    location, spread = WEIBULL.strength.maximum(logarithms, np.ones(logarithms.shape[1]))
     return 1.0 / spread, np.exp(location)
 
 
 def extreme_pivots(n: int, count: int, generator: Generator) -> tuple[Array, Array]:
     """(m*/s*, 1/s*) of n draws of ln E, E exponential: the logarithm of a standard Weibull variable."""
-    modulus, scale = weibull_estimates(np.log(generator.standard_exponential((count, n))))
-    return np.log(scale) * modulus, modulus
+    assert WEIBULL.strength is not None
+    return WEIBULL.strength.pivots(np.ones(n), count, generator)
 
 
-def _extreme_terms(z: Array, failed: Flags) -> tuple[Array, Array, Array]:
+def _extreme_terms(z: Array, failures: Any, stopped: Any) -> tuple[Array, Array, Array]:
     with np.errstate(over="ignore"):
-        power = np.exp(np.minimum(z, 700.0))
-    return np.where(failed, z, 0.0) - power, failed - power, -power
+        power = (failures + stopped) * np.exp(np.minimum(z, 700.0))
+    return failures * z - power, failures - power, -power
 
 
 def _weibull_pdf(y: Array, shapes: Shapes) -> Array:
@@ -170,7 +170,6 @@ WEIBULL: Final = Family(
     pdf=_weibull_pdf,
     least=lambda own, lower, upper: own["threshold"],
     fit=_weibull_fit,
-    pivots=lambda own, n, count, generator: _weibull_moved(own, *extreme_pivots(n, count, generator)),
     strength=Strength(
         terms=_extreme_terms,
         from_hazard=np.log,
