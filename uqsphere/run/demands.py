@@ -31,8 +31,8 @@ def strength_of(limit: Limit) -> Law | float:
 
 
 def by_force(limit: Limit) -> bool:
-    """Whether a limit is held against the force of crushing tests."""
-    return limit.tested is not None and limit.tested.law is not None
+    """Whether a limit is held against the force of crushing tests, or against draws with a law of size."""
+    return limit.tested is not None and (limit.tested.law is not None or limit.tested.exponent != 0.0)
 
 
 def column_of(limit: Limit) -> str:

@@ -46,7 +46,7 @@ from uqsphere.study.document import (
     value_of,
     warn_unusual,
 )
-from uqsphere.study.strength import USUAL, Demand, compare_sizes, is_tests, platens_of, tested_strength
+from uqsphere.study.strength import Demand, compare_sizes, is_tests, modulus_of, platens_of, tested_strength, usual_strength
 from uqsphere.study.study import Axis, Limit, Margins, Source, Study, strength_name, tie_of
 from uqsphere.uq import Law, LawError, make_joint, make_law
 
@@ -541,8 +541,7 @@ def _limit(draft: Draft, name: str, table: LimitTable) -> None:
         factor = _read(draft, table.model_factor, entry, (*place, "model_factor"))
     strength = _strength(draft, table, demand, (*place, "strength"))
     if demand.criterion is not None and "modulus" in CRITERIA[demand.criterion].parameters:
-        law, modulus = strength.value, demand.parameters.get("modulus")
-        own = law.parameters.get("modulus") if isinstance(law, Law) else None
+        own, modulus = modulus_of(strength.value), demand.parameters.get("modulus")
         if own is None and modulus is None:
             raise Fault("modulus is missing: give it here or by a strength that is a Weibull distribution", "modulus")
         if own is None:
@@ -552,8 +551,9 @@ def _limit(draft: Draft, name: str, table: LimitTable) -> None:
             raise Fault(f"found {modulus:g}, but the strength has the modulus {own:g}: leave modulus out", "modulus")
         demand = replace(demand, parameters={"modulus": modulus if own is None else own, **demand.parameters})  # type: ignore[dict-item]
     tested = strength.tested
-    platens = None if tested is None else tested.platens
-    if table.platens is not None and tested is None:
+    by_force = tested is not None and tested.law is not None
+    platens = tested.platens if tested is not None and by_force else None
+    if table.platens is not None and not by_force:
         platens = platens_of(table.platens, _bars(draft), "platens")
     draft.strengths |= {f"limits.{name}.strength": strength, f"limits.{name}.model_factor": factor}
     draft.limits[name] = Limit(
@@ -624,30 +624,36 @@ def _strength(draft: Draft, table: LimitTable, demand: Demand, place: Place) -> 
         entry = replace(plain_quantity(demand.quantity), plausible=(-math.inf, math.inf))
         return _read(draft, table.strength, entry, place)
     entry = lookup(demand.quantity)
-    usual = USUAL.get(entry.dimension, (0.0, math.inf))
-    entry = replace(entry, meaning=f"the strength against {demand.quantity}", plausible=usual, closed=False)
-    radius = draft.mean("sphere.radius")
-    if not is_tests(table.strength):
-        found = _read(draft, table.strength, entry, place)
-        if found.tested is not None and radius > 0.0:
-            try:
-                compare_sizes(found.tested.diameter, radius, False, False, draft.reader, (*place, "draws"))
-            except Fault as error:
-                raise Fault(str(error), "strength", *error.at) from None
-        return replace(found, tested=None)
-    keys = ("E", "nu", "density", *(("onset_pressure", "hardness") if draft.plastic else ()))
-    own = {key: draft.mean(f"sphere.{key}") for key in keys if f"sphere.{key}" in draft.numbers}
-    if not {"E", "nu", "density"} <= own.keys() or not radius > 0.0:
-        draft.spoiled.add(place)
-        raise Fault("the tests need E, nu, density and radius of the sphere", "strength")
-    own["share"] = _share_of_sphere(draft, own["E"], own["nu"])
+    entry = replace(entry, meaning=f"the strength against {demand.quantity}", closed=False,
+                    plausible=usual_strength(demand, entry.dimension))  # fmt: skip
+    radii = _radii(draft)
     try:
-        found = tested_strength(table.strength, demand, own, radius, _bars(draft), draft.reader, place,
+        if not is_tests(table.strength):
+            found = _read(draft, table.strength, entry, place)
+            if found.tested is not None and radii:
+                compare_sizes(found.tested, radii, draft.reader, (*place, "draws"))
+            return found if radii else replace(found, tested=None)
+        keys = ("E", "nu", "density", *(("onset_pressure", "hardness") if draft.plastic else ()))
+        own = {key: draft.mean(f"sphere.{key}") for key in keys if f"sphere.{key}" in draft.numbers}
+        if not {"E", "nu", "density"} <= own.keys() or not radii:
+            draft.spoiled.add(place)
+            raise Fault("the tests need E, nu, density and radius of the sphere")
+        own["share"] = _share_of_sphere(draft, own["E"], own["nu"])
+        found = tested_strength(table.strength, demand, own, radii, _bars(draft), draft.reader, place,
                                 quick=draft.rig != "platens")  # fmt: skip
     except Fault as error:
-        raise Fault(str(error), "strength", *error.at) from None
+        at = error.at if error.at[:1] == ("strength",) else ("strength", *error.at)
+        raise Fault(str(error), *at) from None
     warn_unusual(found.mean, entry, draft.reader, place)
     return found
+
+
+def _radii(draft: Draft) -> tuple[float, ...]:
+    """The mean radius of the sphere [m], and the 1 % and 99 % quantiles of its scatter; () where it is not known."""
+    mean, number = draft.mean("sphere.radius"), draft.numbers.get("sphere.radius")
+    if number is None or not mean > 0.0:
+        return ()
+    return (mean, *(number.value.ppf(np.array([0.01, 0.99])).tolist() if isinstance(number.value, Law) else ()))
 
 
 def _bars(draft: Draft) -> tuple[float, float] | None:
@@ -736,6 +742,13 @@ def _margins(draft: Draft) -> Faults:
         first, second = map(shown, table.between)
         yield "margins.between", f"found {first} and {second}: the lower value must come first"
     elif len(ends) == 2:
+        for name, limit in draft.limits.items() if solve == "sphere.radius" else ():
+            knows = limit.criterion is not None and "modulus" in CRITERIA[limit.criterion].parameters
+            try:
+                if limit.tested is not None:
+                    compare_sizes(limit.tested, (0.5 * limit.tested.diameter, *ends), draft.reader, ("margins",), knows)
+            except Fault as error:
+                yield "margins.between", f"limits.{name}: {error}"
         axis = Axis(path=solve, low=ends[0], high=ends[1], kind="strength" if solve in strengths else "number")
         draft.margins = Margins(axis=axis, for_probability=tuple(sorted(set(table.for_probability))))
 

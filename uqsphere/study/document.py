@@ -615,7 +615,7 @@ class Observations(Table):
     file: str | None = key("CSV or .xlsx beside the study")
     draws: str | None = key(
         "in its place: draws of a fit, with columns `distribution` (lognormal or weibull), `scale`, `shape`, and if "
-        "need be `least`, `bound`, `tests`")  # fmt: skip
+        "need be `least`, `bound`, `tests`, and their `diameter` with a `size_exponent`")  # fmt: skip
     decimal: Literal[".", ","] | None = key("decimal mark, where a column can be read both ways")
     column: str | None = key("column of observations, in the quantity itself")
     unit: str | None = key("its unit", usual="that of the heading")
@@ -627,6 +627,8 @@ class Observations(Table):
     rate_unit: str | None = key("unit of the rates", usual="that of the heading")
     platens: Any = key("what the spheres were tested between, as in [limits.NAME]", "bars")
     censored: str | None = key("column of flags: 1 for a test stopped before a failure (right-censored)")
+    count: str | None = key("column of numbers of equal tests", usual="one a row")
+    modulus: Positive | None = key("Weibull modulus of the tests that is known; then few failures, or none, are enough")
     fit: str | None = key("`kde`, `steps`, or a distribution", usual="`weibull` of forces, else `kde`")
     unbiased: Flag = key("takes the bias of few tests out of the modulus or the scatter", False)
     synthetic: Flag = key("the observations are synthetic, so that no verdict is established by them", False)

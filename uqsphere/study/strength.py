@@ -3,13 +3,14 @@
 A crushing test is a slow compression between two flat platens.  By the law of the study's contact its force gives the
 value that the limit's criterion reached, and those values the strength.  `equivalent_force` goes the other way: the
 force that gives a row's value on the row's own sphere in the rig of the tests; `test_force` carries it to the size of
-the tests, where `Tested.law` holds.  So the scatter of E and nu in the tests is never counted twice.
+the tests, where `Tested.law` holds.  So the scatter of E and nu in the tests is never counted twice.  One size law
+serves rows, curves and the free number: `Tested.exponent`; without any, sizes are held within 50 % of the tests.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
@@ -42,14 +43,15 @@ from uqsphere.study.study import Limit, Tested
 from uqsphere.tables import Table, TableError, read_table
 from uqsphere.units import UNITS, Quantity
 from uqsphere.uq import Law, LawError
-from uqsphere.uq.fitting import fitted_law
+from uqsphere.uq.fitting import STRENGTHS, fitted_law, law_of_draws, make_tests, probability_of
 
 #: fewer observations than these are worth a warning
 _FEW: Final = 10
 #: ratio of diameters of tests and sphere that is told, and beyond which nothing but a size law carries a strength
 SIZES_TOLD, SIZES_REFUSED = 1.1, 1.5
-#: usual strengths by dimension, and usual 0.9 P/D² of brittle spheres
-USUAL: Final = {"pressure": (1e5, 1e11), "specific_energy": (1.0, 2e4), "toughness": (1e4, 2e7)}
+#: usual strengths by dimension, the pressures of tensions and of contacts, and usual 0.9 P/D² of brittle spheres
+USUAL: Final = {"pressure": (1e5, 5e9), "specific_energy": (1.0, 2e4), "toughness": (1e4, 2e7)}
+_CONTACT: Final = (3e7, 1e11)
 _TENSION: Final = (2e5, 5e8)
 #: a row as many robust deviations from the rest of the logarithms is told, and a fit less likely than this
 _APART, _UNLIKELY = 5.0, 0.01
@@ -156,14 +158,15 @@ def equivalent_force(
 def test_force(limit: Limit, value: Values, sphere: Mapping[str, Values], radius: Values) -> Array:
     """The force [N] in the limit's tests that is worth a row's value: what `limit.tested.law` is held against.
 
-    The equivalent force on the row's own sphere, times (D_tests/D)^a with the exponent a of `Tested`.  Parameters and
-    result as of `equivalent_force`.
+    The equivalent force on the row's own sphere, times (D_tests/D)^a with the exponent a of `Tested`; of the draws of a
+    lab the value itself, in the size that they hold for.  Parameters and result as of `equivalent_force`.
     """
     tested = limit.tested
     assert tested is not None
-    own = {**{k: v for k, v in tested.sphere.items() if k in ("onset_pressure", "hardness", "share")}, **sphere}
-    force = equivalent_force(limit, value, own, radius, tested.platens)
-    return np.asarray(force * (tested.diameter / (2.0 * np.asarray(radius, dtype=float))) ** tested.exponent)
+    if tested.law is not None:
+        own = {**{k: v for k, v in tested.sphere.items() if k in ("onset_pressure", "hardness", "share")}, **sphere}
+        value = equivalent_force(limit, value, own, radius, tested.platens)
+    return np.asarray(value * (tested.diameter / (2.0 * np.asarray(radius, dtype=float))) ** tested.exponent)
 
 
 test_force.__test__ = False  # type: ignore[attr-defined]
@@ -253,36 +256,37 @@ def observed_law(raw: Mapping[str, Any], quantity: Quantity, reader: Reader, pla
     found = open_table(table.file, reader, "file", table.decimal)
     with _faults(found):
         data = found.numbers(table.column, quantity.dimension, table.unit, key="column")
-        stopped = _stopped(found, table, len(data))
+        stopped, many = _flags_and_counts(found, table)
     bounds = [None if end is None else value_of(end, quantity, bounded=False) for end in (table.lower, table.upper)]
-    law = _fitted(data, stopped, table, table.fit, *bounds)
-    _warn(found, table.file, data, stopped, law, reader, place)
+    _warn(found, data, stopped, many, reader, place)
+    law = _fitted(np.repeat(data, many), np.repeat(stopped, many), table, table.fit, *bounds)
     return Number(value=law, synthetic=table.synthetic)
 
 
 def _drawn(table: Observations, quantity: Quantity, reader: Reader) -> Number:
     """The mean of the distributions that a fit allows, each a draw of its parameters."""
-    from uqsphere.uq.families.observed import DRAWN, LOGNORMAL, WEIBULL
+    from uqsphere.uq.families.observed import LOGNORMAL, WEIBULL
 
     assert table.draws is not None
     found = open_table(table.draws, reader, "draws", table.decimal)
     kinds = {"lognormal": LOGNORMAL, "weibull": WEIBULL}
+    heads = [heading.split(" ")[0] for heading in found.headings]
+
+    def numbers(name: str, dimension: str = "number", unit: str | None = None) -> Array:
+        needed = name in heads or name in ("scale", "shape")
+        return found.numbers(name, dimension, unit, key="draws") if needed else np.zeros(len(found))
+
     with _faults(found, "draws"):
         words = found.texts("distribution", "draws")
         found.refuse("draws", f"distribution: {one_of(kinds)} is required", np.array([w not in kinds for w in words]))
-        scale = found.numbers("scale", quantity.dimension, table.unit, key="draws")
-        heads = [heading.split(" ")[0] for heading in found.headings]
-        shape = found.numbers("shape", key="draws")
-        least = found.numbers("least", quantity.dimension, table.unit, key="draws") if "least" in heads else 0.0 * scale
-        bound = found.numbers("bound", key="draws") if "bound" in heads else 0.0 * scale
-        tests = found.numbers("tests", key="draws") if "tests" in heads else np.zeros(1)
-        size = found.numbers("diameter", "length", key="draws") if "diameter" in heads else np.zeros(1)
+        scale, least = (numbers(name, quantity.dimension, table.unit) for name in ("scale", "least"))
+        shape, bound, tests, exponent = (numbers(name) for name in ("shape", "bound", "tests", "size_exponent"))
+        size = numbers("diameter", "length")
         wrong = ~((scale > 0.0) & (shape > 0.0) & (least >= 0.0) & (bound >= 0.0) & (bound < 1.0))
         found.refuse("draws", "scale and shape above 0, least from 0, bound from 0 to below 1 are required", wrong)
     kind = np.array([kinds[word] for word in words])
-    rows = np.column_stack([kind, least, scale, shape, bound])
-    law = Law(family=DRAWN, parameters={"tests": float(tests[0])}, draws=tuple(map(tuple, rows.tolist())))
-    tested = Tested(diameter=float(size[0])) if size[0] > 0.0 else None
+    law = law_of_draws(np.column_stack([kind, least, scale, shape, bound]).tolist(), int(tests[0]))
+    tested = Tested(diameter=float(size[0]), exponent=float(exponent.mean()), size="none") if size[0] > 0.0 else None
     return Number(value=law, synthetic=table.synthetic, tested=tested)
 
 
@@ -305,36 +309,51 @@ class _faults:
             raise Fault(str(fault), key) from None
 
 
-def _stopped(found: Table, table: Observations, count: int) -> Flags:
-    if table.censored is None:
-        return np.zeros(count, dtype=bool)
-    return found.flags(table.censored, "censored", meant="0 or 1 (1: stopped)")
+def _flags_and_counts(found: Table, table: Observations) -> tuple[Flags, Any]:
+    """Which rows are tests that were stopped, and how many equal tests each row stands for."""
+    n = len(found)
+    stopped = np.zeros(n, dtype=bool)
+    if table.censored is not None:
+        stopped = found.flags(table.censored, "censored", meant="0 or 1 (1: stopped)")
+    many = np.ones(n) if table.count is None else found.numbers(table.count, key="count")
+    found.refuse("count", "counts are whole numbers from 1 on", (many < 1.0) | (many % 1.0 != 0.0))
+    found.refuse("count", "more than two million tests", np.cumsum(many) > 2e6)
+    return stopped, np.where(np.isfinite(many), many, 1.0).clip(1.0, 2e6).astype(int)
 
 
 def _fitted(data: Array, stopped: Flags, table: Observations, fit: str | None, lower: float | None = None,
-            upper: float | None = None) -> Law:  # fmt: skip
-    """The law of some observations; raises Fault."""
-    if len(data) < 2 or stopped.all():
+            upper: float | None = None, *, slope: float = 1.0) -> Law:  # fmt: skip
+    """The law of some observations; raises Fault.  `slope`: they are forces to this power, by their known modulus."""
+    modulus = None if table.modulus is None else table.modulus / slope
+    if modulus is None and (len(data) < 2 or stopped.all()):
         said = f"all {len(data)} tests were stopped" if len(data) > 1 else f"found {len(data)} observation"
-        raise Fault(f"{said}: two failures or more are required", "file")
+        raise Fault(f"{said}: two failures or more are required, or a known Weibull modulus: modulus = …", "file")
     try:
         return fitted_law(data[~stopped].tolist(), fit, lower, upper, censored=data[stopped].tolist(),
-                          unbiased=table.unbiased)  # fmt: skip
+                          unbiased=table.unbiased, modulus=modulus)  # fmt: skip
     except LawError as error:
         raise Fault(error.message, error.key if error.key in ("fit", "lower", "upper") else "file") from None
+
+
+def modulus_of(law: object) -> float | None:
+    """The Weibull modulus of a strength, fitted or known beforehand; None where it has none."""
+    if not isinstance(law, Law):
+        return None
+    drawn = {(draw[0], draw[3]) for draw in law.draws}
+    return next(iter(drawn))[1] if len(drawn) == 1 and law.draws[0][0] else law.parameters.get("modulus")
 
 
 # --- strengths from crushing tests ---------------------------------------------------------------------------------
 
 
 def tested_strength(
-    raw: Mapping[str, Any], demand: Demand, sphere: Mapping[str, float], radius: float,
+    raw: Mapping[str, Any], demand: Demand, sphere: Mapping[str, float], radii: tuple[float, ...],
     bars: tuple[float, float] | None, reader: Reader, place: Place, *, quick: bool,
 ) -> Number:  # fmt: skip
     """The law of the strength against a demand from forces at failure, and the tests themselves; raises Fault.
 
     sphere: E, nu, density, share, and onset_pressure and hardness where its poles yield, at their means (see
-    `equivalent_force`); radius: its mean [m];
+    `equivalent_force`); radii: its mean [m] and the ends of its scatter;
     bars: E and nu of the study's bars; quick: whether the study's rig is a blow.
     """
     table = _declared(raw)
@@ -355,12 +374,14 @@ def tested_strength(
         else:
             diameter = found.numbers(table.diameter, "length", table.diameter_unit, key="diameter")
         rate = None if table.rate is None else found.numbers(table.rate, "loading_rate", table.rate_unit, key="rate")
-        stopped = _stopped(found, table, len(force))
+        stopped, many = _flags_and_counts(found, table)
         for key, column in (("force", force), ("diameter", diameter)):
             found.refuse(key, f"the {key} must be above 0", column <= 0.0)
     fit = table.fit or "weibull"
-    _warn(found, table.file, force, stopped, None, reader, place)
-    _warn_of_tests(table, force, diameter, radius, reader, place)
+    _warn(found, force, stopped, many, reader, place)
+    _warn_of_tests(table, force, diameter, radii[0], reader, place)
+    force, diameter, stopped = (np.repeat(column, many) for column in (force, diameter, stopped))
+    rate = None if rate is None else np.repeat(rate, many)
     knows = demand.criterion is not None and "modulus" in CRITERIA[demand.criterion].parameters
     g = {"ring_crack_toughness": 1.0, "energy": 0.2, "energy_sphere": 0.2, "P_max": 0.0}.get(demand.base, 2.0)
     links = 3.0 if demand.place in ("core", "") or demand.base.endswith("energy") else 2.0
@@ -368,7 +389,7 @@ def tested_strength(
 
     def forces(exponent: float) -> tuple[Law, float]:
         law = _fitted(force * (mean / diameter) ** exponent, stopped, table, fit)
-        return law, g - links / law.parameters["modulus"] if fit == "weibull" and g else g
+        return law, g - links / (modulus_of(law) or math.inf) if g else g
 
     law_of_force, exponent = forces(g)
     for _ in range(60):
@@ -376,49 +397,61 @@ def tested_strength(
         if abs(after - exponent) < 1e-12:
             break
         exponent = after
-    size = "weakest link" if fit == "weibull" and g else "none"
-    compare_sizes(mean, radius, size != "none", knows, reader, (*place, "diameter"))
-    state = _state(force, sphere, 0.5 * diameter, platens, rate)
-    growth = 0.0 if rate is None else float(np.median(rate / force))
+    tested = Tested(
+        diameter=mean, growth=None if rate is None else float(np.median(rate / force)), forces=tuple(force.tolist()),
+        diameters=tuple(diameter.tolist()), suspended=tuple(stopped.tolist()), platens=platens, sphere=dict(sphere),
+        law=law_of_force, exponent=exponent, size="weakest link" if modulus_of(law_of_force) and g else "none",
+    )  # fmt: skip
+    compare_sizes(tested, radii, reader, (*place, "diameter"), knows)
     if quick and "rate_0" not in demand.parameters:
         reader.warn(place, "slow tests, quick rig: struck rocks bore 1.24 to 2.12 times as much; that is conservative "
                     "for survive, not for break; rate_0 of the criterion accounts for it (110 to 760 1/s)")  # fmt: skip
-    law = _of_demand(table, fit, state, stopped, demand, needs_modulus=knows and "modulus" not in demand.parameters)
-    tested = Tested(
-        diameter=mean, growth=growth or None, forces=tuple(force.tolist()), diameters=tuple(diameter.tolist()),
-        suspended=tuple(stopped.tolist()), platens=platens, sphere=dict(sphere), law=law_of_force, exponent=exponent,
-        size=size,
-    )  # fmt: skip
+
+    def reached(demand: Demand, factor: float = 1.0) -> Array:
+        return _reached(_state(factor * force, sphere, 0.5 * diameter, platens, rate), demand)
+
+    law = _of_demand(table, fit, reached, stopped, demand, needs_modulus=knows and "modulus" not in demand.parameters)
     return Number(value=law, synthetic=table.synthetic, tested=tested)
 
 
-def compare_sizes(tested: float, radius: float, carries: bool, knows: bool, reader: Reader, place: Place) -> None:
-    """Warn of tests of another diameter [m] than the sphere's; raises Fault where no size law carries them so far."""
-    ratio = max(tested / (2.0 * radius), 2.0 * radius / tested)
-    sizes = f"the tests have a mean diameter of {1e3 * tested:.4g} mm, the sphere of {2e3 * radius:.4g} mm"
-    if ratio > SIZES_REFUSED and not carries and not knows:
-        raise Fault(f'{sizes}, and no size law: test spheres of this size, or take fit = "weibull"', str(place[-1]))
-    if ratio > SIZES_TOLD:
-        reader.warn(place, f"{sizes}: {'the weakest link' if carries else 'nothing'} carries the strength")
+def compare_sizes(tested: Tested, radii: tuple[float, ...], reader: Reader, place: Place, knows: bool = False) -> None:
+    """Warn of tests of another diameter than the sphere's, of its first radius [m].
+
+    Raises Fault where no size law carries them to one of the radii; `knows`: the criterion itself has such a law.
+    """
+    carried = knows or tested.size == "weakest link"
+    ratios = [max(tested.diameter / (2.0 * radius), 2.0 * radius / tested.diameter) for radius in radii]
+    far = max(ratios)
+    radius = radii[ratios.index(far) if far > SIZES_REFUSED and not carried else 0]
+    sizes = f"the tests have a mean diameter of {1e3 * tested.diameter:.4g} mm, the sphere of {2e3 * radius:.4g} mm"
+    if far > SIZES_REFUSED and not carried:
+        way = 'or take fit = "weibull"' if tested.law is not None else "or fit anew with this size as strength_at"
+        raise Fault(f"{sizes}, and no size law over more than 50 %: test spheres of this size, {way}", str(place[-1]))
+    if ratios[0] > SIZES_TOLD:
+        by = "the weakest link" if carried else "its size_exponent" if not tested.law and tested.exponent else "nothing"
+        reader.warn(place, f"{sizes}: {by} carries the strength")
 
 
 def _of_demand(
-    table: Observations, fit: str, state: Any, stopped: Flags, demand: Demand, *, needs_modulus: bool
+    table: Observations, fit: str, reached: Callable[..., Array], stopped: Flags, demand: Demand, *, needs_modulus: bool
 ) -> Law:
     """The law of the demand's values at failure; of a weakest link the modulus makes the demand, and it the modulus."""
+    slope, guess = 1.0, table.modulus or 8.0
+    if table.modulus is not None:
+        own = replace(demand, parameters={"modulus": guess, **demand.parameters}) if needs_modulus else demand
+        slope = float(np.median(np.log(reached(own, 1.01) / reached(own)))) / math.log(1.01)
     if not needs_modulus:
-        return _fitted(_reached(state, demand), stopped, table, fit)
+        return _fitted(reached(demand), stopped, table, fit, slope=slope)
     if fit != "weibull":
         raise Fault('the strength of a weakest link is a Weibull distribution: write fit = "weibull"', "fit")
-    modulus = 8.0
     for _ in range(60):
-        own = replace(demand, parameters={**demand.parameters, "modulus": modulus})
+        own = replace(demand, parameters={**demand.parameters, "modulus": guess})
         try:
-            law = _fitted(_reached(state, own), stopped, table, fit)
+            law = _fitted(reached(own), stopped, table, fit, slope=slope)
         except ValueError as error:
             raise Fault(f"the tests cannot be turned into a strength: {error}", "file") from None
-        before, modulus = modulus, law.parameters["modulus"]
-        if abs(modulus - before) < 1e-10 * modulus:
+        before, guess = guess, modulus_of(law) or guess
+        if abs(guess - before) < 1e-10 * guess:
             return law
     raise Fault("no modulus agrees with itself: give it by the key modulus of the limit")
 
@@ -426,76 +459,60 @@ def _of_demand(
 # --- whether the numbers of a file are plausible -------------------------------------------------------------------
 
 
-def _warn(found: Table, file: str, data: Array, stopped: Flags, law: Law | None, reader: Reader, place: Place) -> None:
+def usual_strength(demand: Demand, dimension: str) -> tuple[float, float]:
+    """Usual range of a strength (SI): contacts bear more than tensions."""
+    contact_bears = demand.base in ("p_max", "p_hertz", "first_peak")
+    return _CONTACT if contact_bears else USUAL.get(dimension, (0.0, math.inf))
+
+
+def _warn(found: Table, data: Array, stopped: Flags, many: Any, reader: Reader, place: Place) -> None:
     """Warn of what the file itself and its scatter say: notes of the reader, few tests, rows apart, an unlikely fit."""
-    for note in found.notes:
-        reader.warn((*place, "file"), note)
-    if len(data) < _FEW:
-        reader.warn(
-            (*place, "file"), f"{len(data)} observations: what so few leave open is large; {_FEW} or more are a start"
-        )
-    for said in unusual_rows(data, stopped, found.lines):
-        reader.warn((*place, "file"), f"{file}: {said}")
+    said = [*found.notes, *(f"{found.name}: {odd}" for odd in unusual_rows(data, stopped, many, found.lines))]
+    if many.sum() < _FEW:
+        said.append(f"{many.sum()} observations: what so few leave open is large; {_FEW} or more are a start")
+    for text in said:
+        reader.warn((*place, "file"), text)
 
 
-def unusual_rows(data: Array, stopped: Flags, lines: list[int]) -> Iterator[str]:
-    """What is odd about positive observations (n,): rows far from the rest of the logarithms, a shape of no fit.
-
-    The shape is judged by the correlation of the logarithms with the quantiles of a Weibull and of a lognormal law,
-    which depends on n alone; its distribution is simulated.
-    """
-    x = np.log(data[~stopped & (data > 0.0)])
-    if len(x) < 6:
+def unusual_rows(data: Array, stopped: Flags, many: Array, lines: list[int]) -> Iterator[str]:
+    """What is odd about observations (n,): rows far from the rest of the logarithms, a shape that no fit has."""
+    x = np.log(np.where(data > 0.0, data, 1.0))
+    if (~stopped & (data > 0.0)).sum() < 6:
         return
-    middle = np.median(x)
-    deviation = 1.4826 * np.median(np.abs(x - middle))
-    apart = np.flatnonzero(np.abs(np.log(np.where(data > 0.0, data, 1.0)) - middle) > _APART * deviation)
+    middle = np.median(x[~stopped])
+    deviation = 1.4826 * np.median(np.abs(x[~stopped] - middle))
+    apart = np.flatnonzero(~stopped & (np.abs(x - middle) > _APART * deviation))
     if deviation > 0.0 and 0 < len(apart) <= max(1, len(data) // 10):
-        rows = ", ".join(f"line {lines[k]} ({data[k] / math.exp(middle):.3g} times the median)" for k in apart[:5])
+        rows = ", ".join(f"line {lines[k]} ({math.exp(x[k] - middle):.3g} times the median)" for k in apart[:5])
         yield f"{rows}: far from the other rows; a slip of the decimal point?"
-    p = np.arange(1, len(x) + 1) / (len(x) + 1.0)
-    rng = np.random.default_rng(20_240_607)
-    shares = []
-    for name in ("weibull", "lognormal"):
-        z = (
-            rng.standard_normal((2000, len(x)))
-            if name == "lognormal"
-            else np.log(rng.standard_exponential((2000, len(x))))
-        )
-        from uqsphere.arrays import special
-
-        scores = special.ndtri(p) if name == "lognormal" else np.log(-np.log1p(-p))
-        scores = scores - scores.mean()
-
-        def straight(values: Array, scores: Array = scores) -> Array:
-            values = np.sort(values, axis=-1)
-            values = values - values.mean(axis=-1, keepdims=True)
-            return np.asarray(values @ scores / np.sqrt(np.square(values).sum(axis=-1) * np.square(scores).sum()))
-
-        if np.ptp(x) > 0.0:
-            shares.append(float(np.mean(straight(z) <= straight(x))))
-    if shares and max(shares) < _UNLIKELY:
-        yield f"neither a Weibull nor a lognormal distribution fits (p = {max(shares):.2g}): mixed or faulty rows?"
+    try:
+        tests = make_tests(data, stopped, many)
+    except ValueError:
+        return
+    p = max(probability_of(tests, law) for law in STRENGTHS.values())
+    if p < _UNLIKELY:
+        yield f"neither a Weibull nor a lognormal distribution fits (p = {p:.2g}): mixed or faulty rows?"
 
 
 def _warn_of_tests(
     table: Observations, force: Array, diameter: Array, radius: float, reader: Reader, place: Place
 ) -> None:
     """Warn of forces and diameters that no sphere has, with the unit that would make them usual."""
-    tension = 0.9 * force / np.square(diameter)
-    typical = float(np.median(tension))
+    off = diameter / (2.0 * radius)
+    far = (off > 3.0) | (off < 1.0 / 3.0)
+    if far.any():
+        k, ratio = int(np.argmax(far)), float(np.median(off)) / UNITS["length"].get(table.diameter_unit or "", math.inf)
+        likely = [unit for unit in ("um", "mm", "cm", "m") if 0.5 < ratio * UNITS["length"][unit] < 2.0]
+        reader.warn((*place, "diameter"), f"{table.file}: {far.sum()} of {len(off)} diameters are more than three "
+                    f"times off the sphere's, the first {1e3 * diameter[k]:.4g} mm"
+                    + (f": is the unit {one_of(likely)}?" if likely else ""))  # fmt: skip
+    typical = float(np.median(0.9 * force / np.square(diameter)))
     if not _TENSION[0] <= typical <= _TENSION[1]:
         given = UNITS["force"].get(table.force_unit or "", 1.0)
-        likely = [u for u in ("N", "kN", "MN") if u != table.force_unit
+        likely = [u for u in ("N", "kN", "MN") if u != table.force_unit and not far.all()
                   and _TENSION[0] <= typical * UNITS["force"][u] / given <= _TENSION[1]]  # fmt: skip
         hint = f": is the unit {one_of(likely)}?" if likely and table.force_unit else ": are the units right?"
         with reading_units({"core_tension": unit_that_reads("core_tension", [typical])}):
             value = format_value(typical, "core_tension", 3)
         reader.warn((*place, "force"), f"0.9 P/D² of {table.file} is {value}, usual are "
                     f"{_TENSION[0] / 1e6:g} to {_TENSION[1] / 1e6:g} MPa{hint}")  # fmt: skip
-    off = diameter / (2.0 * radius)
-    wrong = np.flatnonzero((off > 3.0) | (off < 1.0 / 3.0))
-    if 0 < len(wrong) < len(off):
-        reader.warn((*place, "diameter"), f"{table.file}: {len(wrong)} of {len(off)} diameters are more than "
-                                          "three times "
-                    f"off the sphere's, the first {1e3 * diameter[wrong[0]]:.4g} mm")  # fmt: skip
