@@ -36,6 +36,8 @@ _SUMMARY: Final = re.compile(
     r"stabw|varianz|variance|anzahl)\b.*|(min|max|minimum|maximum|sum|summe|total)\W*", re.IGNORECASE)  # fmt: skip
 _FLAGS: Final = {"0": False, "1": True, "no": False, "yes": True, "false": False, "true": True, "": False, "ja": True,
                  "nein": False, "x": True}  # fmt: skip
+#: keys that a study gives the unit of a column by
+_UNIT_KEYS: Final = {"force": "force_unit", "diameter": "diameter_unit", "column": "unit", "draws": "unit"}
 _KNOWN_UNITS: Final = {unit for units in UNITS.values() for unit in units if unit and not unit.isdigit()}
 
 
@@ -129,14 +131,16 @@ class Table:
         if dimension == "number":
             return self._parsed(texts, column, key, blank)
         heading, units = self.headings[self.place(column, dimension, key)], UNITS[dimension]
-        own, unit_key = unit_in_heading(heading, dimension)[1], f"{key}_unit" if key else "unit"
+        own, unit_key = unit_in_heading(heading, dimension)[1], _UNIT_KEYS.get(key, "units")
         if unit is not None and unit not in units:
             raise TableError(f"found {unit!r}, allowed: {typed_units(dimension)}", unit_key)
         if unit and own and units[unit] != units[own]:
             raise TableError(f"found {unit!r}, but the heading {heading!r} says {own!r}", unit_key)
         if unit is None and own is None:
-            raise TableError(f"the unit of the column {column!r} is missing: add {unit_key} = "
-                             f'"{next(iter(units))}" ({typed_units(dimension)})', key)  # fmt: skip
+            first = next(iter(units))
+            more = f', or add {unit_key} = "{first}"' if key in _UNIT_KEYS else ""
+            raise TableError(f"the unit of the column {column!r} is missing: write it in the heading, \"{column} "
+                             f'[{first}]"{more} ({typed_units(dimension)})', key)  # fmt: skip
         return units[unit or own or ""] * self._parsed(texts, column, key, blank)
 
     def _parsed(self, texts: list[str], column: str, key: str, blank: bool) -> Array:

@@ -162,12 +162,14 @@ def test_the_size_law_holds_the_truth_and_its_diagnostics_settle(fitted: Fit) ->
 
 def test_draws_as_a_strength_are_the_law_at_its_size(fitted: Fit) -> None:
     lines = fitted.posterior.strength_csv(0.01).splitlines()
-    assert lines[0] == "distribution,scale [J/kg],shape,bound,tests,diameter [mm]"
+    assert lines[0] == "distribution,scale [J/kg],shape,bound,tests,diameter [mm],size_exponent"
     assert len(lines) == 4001
     energy = 60.0
     from_law = fitted.posterior.broken(energy, 0.01)[:, 0]
     for k in (0, 17, 4000 - 1):
-        name, scale, shape, bound, tests, size = lines[k + 1].split(",")
+        name, scale, shape, bound, tests, size, exponent = lines[k + 1].split(",")
+        larger = fitted.posterior.median(0.012)[k, 0] / fitted.posterior.median(0.01)[k, 0]
+        assert larger == pytest.approx(1.2 ** float(exponent), rel=0.01)
         assert (tests, float(size)) == ("48", pytest.approx(10.0))
         x = energy / (1.0 - float(bound) * energy / float(scale)) / float(scale)
         share = ndtr(math.log(x) / float(shape)) if name == "lognormal" else -math.expm1(-(x ** float(shape)))

@@ -138,5 +138,5 @@ def test_units_come_from_the_key_or_the_heading_and_must_agree(tmp_path: Path) -
             table.numbers("F", "force", unit, key="force")
         assert said in str(caught.value)
         assert caught.value.key == "force_unit"
-    with pytest.raises(TableError, match="unit of the column 'D' is missing: add diameter_unit = \"m\""):
+    with pytest.raises(TableError, match="or add diameter_unit = \"m\""):
         table.numbers("D", "length", key="diameter")

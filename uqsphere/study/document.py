@@ -623,9 +623,9 @@ class Observations(Table):
     force_unit: str | None = key("unit of the forces", usual="that of the heading")
     diameter: str | None = key("column of their diameters, or one length", usual="required with `force`")
     diameter_unit: str | None = key("unit of the diameters", usual="that of the heading")
-    rate: str | None = key("column of loading rates")
-    rate_unit: str | None = key("unit of the rates", usual="that of the heading")
-    platens: Any = key("what the spheres were tested between, as in [limits.NAME]", "bars")
+    rate: str | None = key("column of loading rates, with their unit in the heading")
+    platens: Any = key(
+        'what it was measured between: `"bars"`, `"rigid"`, a material, or `E` and `nu`', "bars")  # fmt: skip
     censored: str | None = key("column of flags: 1 for a test stopped before a failure (right-censored)")
     count: str | None = key("column of numbers of equal tests", usual="one a row")
     modulus: Positive | None = key("Weibull modulus of the tests that is known; then few failures, or none, are enough")

@@ -339,7 +339,7 @@ def modulus_of(law: object) -> float | None:
     """The Weibull modulus of a strength, fitted or known beforehand; None where it has none."""
     if not isinstance(law, Law):
         return None
-    drawn = {(draw[0], draw[3]) for draw in law.draws}
+    drawn = {(draw[0], draw[3]) for draw in law.draws} if law.family.name == "draws" else ()
     return next(iter(drawn))[1] if len(drawn) == 1 and law.draws[0][0] else law.parameters.get("modulus")
 
 
@@ -373,7 +373,7 @@ def tested_strength(
             diameter = np.full(len(force), value_of(table.diameter, INPUTS["bars.diameter"]))
         else:
             diameter = found.numbers(table.diameter, "length", table.diameter_unit, key="diameter")
-        rate = None if table.rate is None else found.numbers(table.rate, "loading_rate", table.rate_unit, key="rate")
+        rate = None if table.rate is None else found.numbers(table.rate, "loading_rate", key="rate")
         stopped, many = _flags_and_counts(found, table)
         for key, column in (("force", force), ("diameter", diameter)):
             found.refuse(key, f"the {key} must be above 0", column <= 0.0)
@@ -398,8 +398,8 @@ def tested_strength(
             break
         exponent = after
     tested = Tested(
-        diameter=mean, growth=None if rate is None else float(np.median(rate / force)), forces=tuple(force.tolist()),
-        diameters=tuple(diameter.tolist()), suspended=tuple(stopped.tolist()), platens=platens, sphere=dict(sphere),
+        diameter=mean, forces=tuple(force.tolist()), diameters=tuple(diameter.tolist()),
+        suspended=tuple(stopped.tolist()), platens=platens, sphere=dict(sphere),
         law=law_of_force, exponent=exponent, size="weakest link" if modulus_of(law_of_force) and g else "none",
     )  # fmt: skip
     compare_sizes(tested, radii, reader, (*place, "diameter"), knows)

@@ -34,15 +34,15 @@ if TYPE_CHECKING:
 class Tested:
     """Crushing tests of spheres behind a strength: what was measured, and the law of the force at failure.
 
-    diameter: the mean one [m], to which `law` belongs; growth: of the force over the force [1/s], if it was measured.
-    forces [N], diameters [m], suspended: of every test.  platens: E [Pa], infinite if rigid, and nu.  sphere: E, nu,
-    density, the share of `uqsphere.study.strength`, and onset_pressure and hardness where poles yield.  law: of the
+    diameter: the mean one [m], to which `law` belongs.  forces [N], diameters [m], suspended: of every test.  platens:
+    E [Pa], infinite if rigid, and nu.  sphere: E, nu, density, the share of `uqsphere.study.strength`, and
+    onset_pressure and hardness where poles yield.  law: of the
     force at failure of a sphere of `diameter`.
     exponent: that force goes with the diameter to this power; size: the law that says so, "weakest link" or "none".
+    The draws of a lab have a diameter and an exponent alone.
     """
 
     diameter: float
-    growth: float | None = None
     forces: tuple[float, ...] = ()
     diameters: tuple[float, ...] = ()
     suspended: tuple[bool, ...] = ()

@@ -114,7 +114,8 @@ class Posterior:
     def strength_csv(self, diameter: float) -> str:
         """Draws of the strength of particles of one size, as a study takes them: distribution, scale, shape, bound."""
         median = self.median(diameter)[:, 0]
-        lines = ["distribution,scale [J/kg],shape,bound,tests,diameter [mm]"]
+        exponent = np.log(self.median(1.01 * diameter) / self.median(diameter / 1.01))[:, 0] / math.log(1.01**2)
+        lines = ["distribution,scale [J/kg],shape,bound,tests,diameter [mm],size_exponent"]
         for k in range(len(self)):
             model = self.models[int(self.law[k])]
             if model.law == "lognormal":
@@ -123,7 +124,8 @@ class Posterior:
             else:
                 shape = 0.6 * self.parameters["modulus"][k]
                 scale, bound = median[k] / math.log(2.0) ** (1.0 / shape), 0.0
-            lines.append(f"{model.law},{scale:.9g},{shape:.9g},{bound:.9g},{self.tests},{diameter * 1e3:.9g}")
+            lines.append(f"{model.law},{scale:.9g},{shape:.9g},{bound:.9g},{self.tests},{diameter * 1e3:.9g},"
+                         f"{0.0 if model.size == 'class' else exponent[k]:.4g}")  # fmt: skip
         return "\n".join(lines) + "\n"
 
 
