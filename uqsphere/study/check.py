@@ -46,7 +46,15 @@ from uqsphere.study.document import (
     value_of,
     warn_unusual,
 )
-from uqsphere.study.strength import Demand, compare_sizes, is_tests, modulus_of, platens_of, tested_strength, usual_strength
+from uqsphere.study.strength import (
+    Demand,
+    compare_sizes,
+    is_tests,
+    modulus_of,
+    platens_of,
+    tested_strength,
+    usual_strength,
+)
 from uqsphere.study.study import Axis, Limit, Margins, Source, Study, strength_name, tie_of
 from uqsphere.uq import Law, LawError, make_joint, make_law
 
