@@ -59,6 +59,24 @@ def test_moments_quantiles_and_indices_are_those_of_a_normal(plain: Run) -> None
     assert np.allclose(sobol["total"], [0.36, 0.64], atol=1e-9)
 
 
+@pytest.mark.parametrize("cost", ["1 s", "1 us"])
+def test_a_product_has_the_indices_of_its_closed_form(cost: str) -> None:
+    """Nine lognormal factors: first-order indices (exp(s_i²) - 1)/(exp(S) - 1), S the sum of the s²."""
+    s = dict(zip("abcdefghi", [0.14, 0.41, 0.41, 0.34, 0.26, 0.18, 0.36, 0.1, 0.19], strict=True))
+    inputs = {name: {"dist": "lognormal", "log_mean": 0.0, "log_sd": own} for name, own in s.items()}
+    analysis = {"accuracy": {"sobol": 0.01}, "cost": cost, "budget": {"time": "10 h"}, "quantiles": [0.5]}
+    run = uqsphere.run(
+        Study(inputs=inputs, outputs="y", analysis=analysis), lambda rows: {"y": -math.prod(rows.values())}
+    )
+    found, whole = run.sobol("y"), sum(own**2 for own in s.values())
+    for name, own in s.items():
+        total = (math.exp(whole) - math.exp(whole - own**2)) / math.expm1(whole)
+        assert found["first"][name] == pytest.approx(math.expm1(own**2) / math.expm1(whole), abs=1e-3)
+        assert found["total"][name] == pytest.approx(total, abs=1e-3)
+    assert (found["total_high"] - found["total_low"]).max() < 2e-3
+    assert run.results["accuracy"]["runs"] < 30_000
+
+
 def test_a_failure_probability_is_that_of_the_normal(plain: Run) -> None:
     p = float(stats.norm.sf(1.6))
     assert holds(plain, "limits.high", "failure_probability", p)

@@ -7,13 +7,15 @@ onto the terms of a set of inputs u, every variance of y is
 
 The first part is a sum of squared coefficients, the second a mean over rows, and the third is bounded by the error of
 the expansion, which the same rows measure.  So an index from chaos has an interval that holds whatever the fit; its
-value has of the third what the terms of the residual say (`uqsphere.uq.chaos.remainder`).
+value has of the third what the terms of the residual say (`uqsphere.uq.chaos.remainder`).  An expansion of ln y is
+taken where it leaves less than half as much: its variances are integrated, and projected by its plain form.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -22,7 +24,18 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.run.design import Design
 from uqsphere.uq import Sample
-from uqsphere.uq.chaos import Chaos, Remainder, fit_chaos, germ_points, germs_of, predict, remainder, rows_of
+from uqsphere.uq.chaos import (
+    Chaos,
+    Integrals,
+    Remainder,
+    fit_chaos,
+    germ_points,
+    germs_of,
+    integrals,
+    predict,
+    remainder,
+    rows_of,
+)  # fmt: skip
 
 #: rows that an expansion is fitted to at most: more buy nothing on outputs with kinks, and smooth ones need fewer
 MOST_ROWS: Final = 512
@@ -39,10 +52,10 @@ GOOD: Final = 0.01
 class Expansion:
     """An expansion of one quantity with what the rows that it was not fitted to say of it.
 
-    fit : the expansion, of the quantity itself, in the germs of the inputs
+    fit : the expansion, of the quantity or its logarithm, in the germs of the inputs
     rows : rows of the first replicate that it was fitted to
     values : its values (R-1, n) at the rows of all other replicates
-    terms : values (R-1, m, T) of its terms at the first m of these rows; the first term is 1
+    terms : values (R-1, m, T) of the terms of its plain form at the first m of these rows; the first term is 1
     residuals : (R-1, m) what it leaves of those
     left : share of the variance that it leaves, of all rows it was not fitted to
     rest : how that is made up
@@ -56,14 +69,21 @@ class Expansion:
     left: float
     rest: Remainder
 
-    def projection(self, which: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Numerators (R-1,) of the index of some terms (T,) and variances (R-1,), before what is left is added."""
-        coefficients = np.where(which, self.fit.coefficients, 0.0)
-        varying = np.where(self.fit.multi_indices.any(axis=1), self.fit.coefficients, 0.0)
-        own = float((coefficients**2).sum()) + 2.0 * ((self.terms @ coefficients) * self.residuals).mean(axis=1)
+    @cached_property
+    def known(self) -> Integrals:
+        """Moments and indices of the expansion itself."""
+        return integrals(self.fit)
+
+    def projection(self, which: npt.NDArray[np.bool_], share: float) -> tuple[Array, Array]:
+        """Numerators (R-1,) of the index of some terms (T,) and variances (R-1,), before what is left is added.
+
+        share : of the expansion's own variance that belongs to these terms
+        """
+        coefficients, variance = np.where(which, self.fit.plain_form.coefficients, 0.0), self.known.sd**2
+        own = share * variance + 2.0 * ((self.terms @ coefficients) * self.residuals).mean(axis=1)
         rest = self.residuals - self.residuals.mean()
-        whole = float((varying**2).sum()) + 2.0 * ((self.terms @ varying) * rest).mean(axis=1) + (rest**2).mean(axis=1)
-        return own, whole
+        off = self.values[:, : rest.shape[1]] - self.known.mean
+        return own, variance + 2.0 * (off * rest).mean(axis=1) + (rest**2).mean(axis=1)
 
 
 def expansions(
@@ -89,17 +109,27 @@ def expansions(
         if known is not None and (known.rows == rows or known.left < GOOD):
             fit, rows = known.fit, known.rows
         else:
-            fit = fit_chaos(points[0, :rows], outputs[0, :rows], germs, plain=True)
+            fit, known = fit_chaos(points[0, :rows], outputs[0, :rows], germs, plain=True), None
         values = predict(fit, points[1:].reshape(-1, size)).reshape(outputs[1:].shape)
-        few = min(count, MOST_TERMS)
-        terms = rows_of(fit.germs, points[1:, :few].reshape(-1, size), fit.multi_indices)
+        if known is None and not design.study.analysis.second_order and _left(outputs, values) > CONTROL:
+            other = fit_chaos(points[0, :rows], outputs[0, :rows], germs)
+            others = predict(other, points[1:].reshape(-1, size)).reshape(outputs[1:].shape)
+            if other.log and _left(outputs, others) < 0.5 * _left(outputs, values):
+                fit, values = other, others
+        few, form = min(count, MOST_TERMS), fit.plain_form
+        terms = rows_of(form.germs, points[1:, :few].reshape(-1, size), form.multi_indices)
         rest = outputs[1:] - values
         some = points[1:, : min(count, MOST_ROWS)].reshape(-1, size), rest[:, : min(count, MOST_ROWS)].ravel()
         found[name] = Expansion(
             fit=fit, rows=rows, values=values, terms=terms.T.reshape(len(values), few, -1), residuals=rest[:, :few],
-            left=float(rest.var() / outputs[1:].var()), rest=remainder(fit.germs, *some),
+            left=_left(outputs, values), rest=remainder(fit.germs, *some),
         )  # fmt: skip
     return found
+
+
+def _left(outputs: Array, values: Array) -> float:
+    """Share of the variance of the last R - 1 replicates of outputs (R, n) that values (R-1, n) leave."""
+    return float((outputs[1:] - values).var() / outputs[1:].var())
 
 
 def values_at(design: Design, expansion: Expansion) -> Callable[[Array], Array]:

@@ -100,11 +100,13 @@ def method_of(design: Design, tables: Tables, name: str) -> str:
 
 def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Estimate, ...]]:
     """Indices of an expansion, corrected by the rows that it was not fitted to."""
-    powers, rest = expansion.fit.multi_indices > 0, expansion.rest.active
+    form, known, rest = expansion.fit.plain_form, expansion.known, expansion.rest.active
+    powers = form.multi_indices > 0
     rows: dict[str, tuple[Estimate, ...]] = {}
     for k, name in enumerate(design.inputs):
-        first = _index(expansion, powers[:, k] & (powers.sum(axis=1) == 1), expansion.rest.single[:, k])
-        total = _index(expansion, powers[:, k], rest[:, k])
+        single = powers[:, k] & (powers.sum(axis=1) == 1)
+        first = _index(expansion, single, float(known.first[k]), expansion.rest.single[:, k])
+        total = _index(expansion, powers[:, k], float(known.total[k]), rest[:, k])
         if first.value is not None and total.value is not None and total.value < first.value:
             # a total index is no smaller: the difference is noise of the correction
             total = replace(total, value=min(first.value, total.high or 1.0))
@@ -112,19 +114,21 @@ def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Esti
     if design.study.analysis.second_order:
         for i, j in combinations(range(len(design.inputs)), 2):
             own, left = (active[:, i] & active[:, j] & (active.sum(axis=1) == 2) for active in (powers, rest))
-            rows[f"{design.inputs[i]},{design.inputs[j]}"] = (_index(expansion, own, left),)
+            share = float((form.coefficients[own] ** 2).sum()) / known.sd**2 if known.sd > 0.0 else 0.0
+            rows[f"{design.inputs[i]},{design.inputs[j]}"] = (_index(expansion, own, share, left),)
     return rows
 
 
-def _index(expansion: chaos.Expansion, which: np.ndarray, rest: np.ndarray) -> Estimate:
-    """One index of the terms `which`: what no term of the expansion holds, between nothing and all that is left, widens
-    it upwards, and the value has of it the share of the terms `rest` of the residual."""
-    value, off = ratio_of_means(*expansion.projection(which))
+def _index(expansion: chaos.Expansion, which: np.ndarray, share: float, rest: np.ndarray) -> Estimate:
+    """One index of the terms `which`, of which the expansion has `share`: what no term of it holds, between nothing and
+    all that is left, widens it upwards, and the value has of it the share of the terms `rest` of the residual."""
+    value, off = ratio_of_means(*expansion.projection(which, share))
     estimate = from_replicates(value + off, CHAOS, expansion.residuals.size, float(value))
     if estimate.value is None or estimate.low is None or estimate.high is None:
         return estimate
     best = max(estimate.value, 0.0) + expansion.left * expansion.rest.share(rest, min(max(float(value), 0.0), 1.0))
-    low, high = max(estimate.low, 0.0), min(estimate.high + expansion.left, 1.0)
+    error = expansion.known.error
+    low, high = max(estimate.low - error, 0.0), min(estimate.high + error + expansion.left, 1.0)
     return replace(estimate, value=min(best, 1.0)).spanning(low, high)
 
 
