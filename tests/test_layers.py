@@ -9,8 +9,8 @@ LAYERS = (
     "arrays errors", "units files tables materials", "mechanics uq", "quantities", "study", "models", "results", "run",
     "report", "bench analysis labs", "cli", "__init__ __main__",
 )  # fmt: skip
-#: a run draws its own page, and an opened run its plots
-LATE = {("results", "report"), ("run", "report")}
+#: a run draws its own page, and an opened run its plots; a study hands rows that were answered elsewhere to a run
+LATE = {("results", "report"), ("run", "report"), ("study", "results"), ("study", "run")}
 
 
 def test_rooms_import_only_what_stands_before_them() -> None:

@@ -52,6 +52,7 @@ def run(
     progress: Progress | None = None,
     stop: Callable[[], bool] | None = None,
     fresh: bool = False,
+    rows: Any = None,
 ) -> Run:
     """Run a study: draw, evaluate, answer, judge, and write what was found.
 
@@ -66,6 +67,7 @@ def run(
     progress : called after each size with model runs, largest half-width over what is required, and a text
     stop : asked between evaluations; once it is true the run ends with what is there
     fresh : forget what an earlier run of the study left in the folder
+    rows : table of inputs and outputs that are known already, in place of a model (`Study.analyse`)
 
     Raises UqsphereError (`uqsphere.errors`), KeyboardInterrupt where `stop` leaves nothing to answer with.
     """
@@ -74,16 +76,16 @@ def run(
     check_range(study)
     check_quantities(study)
     if out is None:
-        return _run(study, model, None, executor, threads, seconds, progress, stop)
+        return _run(study, model, None, executor, threads, seconds, progress, stop, rows)
     folder = Path(out)
     with locked(folder):
         _check_owner(folder, study, fresh=fresh)
-        return _run(study, model, folder, executor, threads, seconds, progress, stop)
+        return _run(study, model, folder, executor, threads, seconds, progress, stop, rows)
 
 
 def _run(
     study: Study, model: str | Callable[..., Any] | None, folder: Path | None, executor: Executor | None,
-    threads: int | None, seconds: float | None, progress: Progress | None, stop: Callable[[], bool] | None,
+    threads: int | None, seconds: float | None, progress: Progress | None, stop: Callable[[], bool] | None, rows: Any,
 ) -> Run:  # fmt: skip
     from threadpoolctl import threadpool_limits
 
@@ -93,10 +95,20 @@ def _run(
     design = Design.of(study)
     budget = study.analysis.budget.time if seconds is None else seconds
     cache = None if folder is None or not study.black_box else folder / "cache.sqlite"
+    known = None if rows is None else surrogate.known_rows(design, rows)
     # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
-    given = open_model(design.study, model, executor=executor, threads=threads, cache=cache, stop=stop)
+    given = open_model(
+        design.study,
+        model if known is None else known.model,
+        executor=executor,
+        threads=threads,
+        cache=cache,
+        stop=stop,
+    )
     with threadpool_limits(limits=1, user_api="blas"), given as opened:
-        if surrogate.is_slow(design, opened, budget):
+        if known is not None:
+            tables = surrogate.tables_of(design, opened, seconds=budget, known=known.points)
+        elif surrogate.is_slow(design, opened, budget):
             tables = surrogate.tables_of(design, opened, seconds=budget, progress=progress)
         else:
             tables = grow(design, opened, seconds=budget, progress=progress)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -30,6 +30,7 @@ from uqsphere.uq import Estimate, Sample, absent, sobol_points
 from uqsphere.uq.chaos import germ_points, germs_of
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.response import METHOD, Response, cross_fit, describe_corrected, half_width, index_shares, unseen
+from uqsphere.uq.surrogate import columns_of
 
 if TYPE_CHECKING:
     from uqsphere.run.grow import Progress, Tables
@@ -92,8 +93,60 @@ def _rows_of(design: Design, normals: Array) -> Array:
     return np.asarray(physical[:, [names.index(name) for name in design.inputs]])
 
 
-def tables_of(design: Design, model: Model, *, seconds: float, progress: Progress | None = None) -> Tables:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KnownRows:
+    """Rows that were answered elsewhere: their points (1, N), and a model that looks their answers up."""
+
+    points: Sample
+    model: Callable[[Mapping[str, Array]], dict[str, Array]]
+
+
+def known_rows(design: Design, frame: Any) -> KnownRows:
+    """Inputs and outputs (N rows) by their names; model factors of limits are drawn besides.
+
+    Raises UsageError for a study of a scene, columns that are missing, unknown or no numbers, fewer than 16 rows, and
+    inputs that do not follow their distributions (Kolmogorov and Smirnov, at one in a million).
+    """
+    from scipy.stats import kstest
+
+    study, inputs = design.study, design.inputs
+    if not study.black_box or not inputs:
+        raise UsageError("analyse takes rows of a black-box study with random inputs; run evaluates a scene itself")
+    outputs = study.outputs
+    if not hasattr(frame, "fillna"):
+        raise UsageError(f"analyse takes a DataFrame with {', '.join((*inputs, *outputs))}, not {type(frame).__name__}")
+    columns_of(frame.fillna(0.0), (*inputs, *outputs))
+    x, y = columns_of(frame[list(inputs)], inputs), frame[list(outputs)].to_numpy(dtype=float)
+    if len(x) < LEAST_ROWS:
+        raise UsageError(f"{len(x)} rows are too few: {LEAST_ROWS} or more are needed")
+    if steps := [name for name in inputs if design.study.random[name].is_steps]:
+        raise UsageError(f"{steps[0]} is discrete: rows from elsewhere need inputs with a density")
+    own = design.joint.only(inputs).normals(x)
+    for name, column, law in zip(inputs, own.T, design.joint.only(inputs).laws, strict=True):
+        if kstest(column, "norm").pvalue < 1e-6:
+            raise UsageError(f"the column {name!r} does not follow the distribution of the study, {law!r}: "
+                             "rows are drawn as by study.design or study.sample")  # fmt: skip
+    names = design.drawn.names
+    normals = _design_points(design, len(x), task="factors")
+    normals[:, [names.index(name) for name in inputs]] = own
+    physical = design.drawn.physical(normals)
+    physical[:, [names.index(name) for name in inputs]] = x
+    places = {row.tobytes(): k for k, row in enumerate(x)}
+
+    def model(columns: Mapping[str, Array]) -> dict[str, Array]:
+        asked = np.stack([columns[name] for name in inputs], axis=1)
+        found = y[[places[row.tobytes()] for row in asked]]
+        return dict(zip(outputs, found.T, strict=True))
+
+    return KnownRows(points=Sample.at(names, normals[None], physical[None]), model=model)
+
+
+def tables_of(
+    design: Design, model: Model, *, seconds: float, progress: Progress | None = None, known: Sample | None = None
+) -> Tables:
     """The tables of a slow model: predicted by expansions of one design that its own rows correct.
+
+    known : the design, where its rows were chosen elsewhere
 
     Raises KeyboardInterrupt where the user stops before there is enough, UsageError for a budget that is too small.
     """
@@ -102,16 +155,17 @@ def tables_of(design: Design, model: Model, *, seconds: float, progress: Progres
     analysis, began = design.study.analysis, time.monotonic()
     cost = analysis.cost if analysis.cost is not None else model.seconds_per_row or 0.0
     affordable = int(min(analysis.budget.evaluations, 0.9 * seconds / cost if cost else math.inf))
-    along = design.study.margins is not None and design.study.margins.axis.moves_rows
-    count = min(int(affordable * (1.0 - LINE_SHARE * along)), MOST_ROWS)
+    along = known is None and design.study.margins is not None and design.study.margins.axis.moves_rows
+    count = min(int(affordable * (1.0 - LINE_SHARE * along)), MOST_ROWS) if known is None else known.count
     if count < LEAST_ROWS:
         raise UsageError(f"the budget allows {affordable} model runs, and an answer takes {LEAST_ROWS} at least: "
                          "raise analysis.budget or --budget")  # fmt: skip
     stopped, rows = "", None
-    normals, done = _design_points(design, count), 0
+    points = at_normals(design.drawn, _design_points(design, count)[None]) if known is None else known
+    done = 0
     step = max(PROBE, count // 8)
     while done < count:
-        part = at_normals(design.drawn, normals[None, done : min(done + step, count)])
+        part = points.rows(done, min(done + step, count))
         try:
             more = evaluate(design, model, part)
         except Interrupted:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, special
 from uqsphere.files import Json
 from uqsphere.materials import Material, library
 from uqsphere.mechanics.criteria import CRITERIA
@@ -24,7 +24,9 @@ from uqsphere.uq import Law, make_law
 
 if TYPE_CHECKING:
     from chaospy import Distribution
+    from pandas import DataFrame
 
+    from uqsphere.results import Run
     from uqsphere.uq import Dependence as Tie
     from uqsphere.uq import Joint
     from uqsphere.uq.interop import SalibDesign
@@ -204,6 +206,44 @@ class Study:
         from uqsphere.uq.interop import joint_to_chaospy
 
         return joint_to_chaospy(self.inputs().only(tuple(self.random)))
+
+    def sample(self, count: int) -> DataFrame:
+        """Independent rows of every random number, strengths too, SI: the same for the same seed."""
+        from pandas import DataFrame
+
+        from uqsphere.uq import random_generator
+
+        joint = self.inputs()
+        normals = random_generator(seed=self.seed, task="study sample").standard_normal((count, len(joint.names)))
+        return DataFrame(joint.physical(normals), columns=list(joint.names))
+
+    def design(self, count: int) -> DataFrame:
+        """Rows of the random inputs for a solver elsewhere, SI: points of a scrambled Sobol' sequence, spread evenly.
+
+        More rows continue fewer.  Their answers, in columns by the names of the outputs, are for `analyse`.
+
+        >>> Study(inputs={"x": {"dist": "uniform", "lower": 0.0, "upper": 1.0}}, outputs="y").design(4).shape
+        (4, 1)
+        """
+        from pandas import DataFrame
+
+        from uqsphere.uq import sobol_points
+
+        joint = self.inputs().only(tuple(self.random))
+        points = sobol_points(dimension=len(joint.names), count=count, seed=self.seed, task="slow", replicate=0)
+        return DataFrame(joint.physical(np.asarray(special.ndtri(points))), columns=list(joint.names))
+
+    def analyse(self, frame: DataFrame, *, out: str | Path | None = None) -> Run:
+        """The run of a black-box study whose rows were answered elsewhere: every analysis, without calling a model.
+
+        frame : random inputs and outputs by their names, 16 rows or more drawn as the study says (`design`, `sample`,
+            measurements); a row without an answer is nan, and counts as `analysis.on_failure` says.
+
+        An event rarer than 3 in the number of rows is in no interval, and the answers say so.
+        """
+        from uqsphere.run import run
+
+        return run(self, rows=frame, out=out)
 
     def to_salib(self, count: int = 1024, *, second: bool = False) -> SalibDesign:
         """The study's own design of Sobol' indices as a problem and rows of SALib; `uqsphere.uq.interop.to_salib`."""

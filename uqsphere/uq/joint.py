@@ -295,6 +295,27 @@ class Joint:
         """Independent standard normals (..., d) -> inputs (..., d) in SI, with laws and copulas in force."""
         return self.marginal(self.scores(normals))
 
+    def marginal_scores(self, physical: Array) -> Array:
+        """Inputs (n, d) in SI -> dependent normal scores (n, d), within 8 standard deviations: 1e-15 lies beyond."""
+        scores = np.empty_like(physical)
+        for k, law in enumerate(self.laws):
+            below, above = law.cdf(physical[:, k]), law.sf(physical[:, k])
+            with np.errstate(divide="ignore"):
+                scores[:, k] = np.where(below < 0.5, special.ndtri(below), -special.ndtri(above))
+        return np.clip(scores, -8.0, 8.0)
+
+    def normals(self, physical: Array) -> Array:
+        """Inputs (n, d) in SI -> independent standard normals (n, d): the inverse of `physical`."""
+        scores = self.marginal_scores(physical)
+        found = scores if self._lower is None else np.linalg.solve(self._lower, scores.T).T
+        for group in self.groups:
+            at = [self.names.index(name) for name in group.members]
+            own = [group.copula.conditional_score(k, range(k), scores[:, at[:k]], scores[:, at[k]])
+                   for k in range(len(at))]  # fmt: skip
+            found = found.copy()
+            found[:, at] = np.stack(own, axis=1)
+        return found
+
     def only(self, names: Sequence[str]) -> Joint:
         """Some of the inputs, with what ties them to each other."""
         at = [self.names.index(name) for name in names]

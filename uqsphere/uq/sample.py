@@ -109,7 +109,11 @@ class Sample:
 
     def head(self, count: int) -> Sample:
         """The first rows of every replicate."""
-        return self._each(lambda own, _: own[:, :count], self)
+        return self.rows(0, count)
+
+    def rows(self, first: int, end: int) -> Sample:
+        """Rows of every replicate from one place to another."""
+        return self._each(lambda own, _: own[:, first:end], self)
 
     def _each(self, change: Callable[[Cells, Cells], Cells], other: Sample) -> Sample:
         rows = ("scores", "inputs", "answers", "censored", "status", "failed")

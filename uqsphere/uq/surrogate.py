@@ -15,11 +15,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, special
+from uqsphere.arrays import Array, Flags
 from uqsphere.errors import UsageError
 from uqsphere.uq.chaos import (
     Chaos,
@@ -41,9 +41,6 @@ from uqsphere.uq.shapley import dependent_shares
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-#: normal score beyond which a law's values are those at it, on either side: 1e-15 lies beyond
-FARTHEST: Final = 8.0
 
 
 class Prediction(NamedTuple):
@@ -107,12 +104,7 @@ def _points(joint: Joint, germs: Sequence[GermLike], x: Array) -> Array:
     """Germ points (n, d) at rows (n, d).  Raises UsageError for a step function, whose germ is not known."""
     if steps := [name for name, law in zip(joint.names, joint.laws, strict=True) if law.is_steps]:
         raise UsageError(f"{steps[0]} is discrete: an expansion needs a density; run a study, which calls the model")
-    scores = np.empty_like(x)
-    for k, law in enumerate(joint.laws):
-        below, above = law.cdf(x[:, k]), law.sf(x[:, k])
-        with np.errstate(divide="ignore"):
-            scores[:, k] = np.where(below < 0.5, special.ndtri(below), -special.ndtri(above))
-    return germ_points(np.clip(scores, -FARTHEST, FARTHEST), germs)
+    return germ_points(joint.marginal_scores(x), germs)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
