@@ -251,6 +251,32 @@ def test_a_slow_model_is_answered_by_a_corrected_expansion() -> None:
     assert p["note"]
 
 
+def test_rows_that_were_answered_elsewhere_are_analysed_by_their_names() -> None:
+    given = study(outputs=["y", "w"], dependence=[{"of": ["a", "b"], "spearman": 0.4}])
+    rows = given.design(200)
+    assert rows.head(50).equals(given.design(50))
+    assert [*given.sample(3).columns] == ["a", "b"]
+    assert given.sample(3).equals(given.sample(3))
+    rows["y"], rows["w"] = linear(rows)["y"], np.exp(rows["a"] + 0.3 * rows["b"])
+    run = given.analyse(rows.sample(frac=1.0, random_state=1)[["w", "b", "y", "a"]])
+    rho = 2.0 * math.sin(math.pi * 0.4 / 6.0)
+    sd = math.sqrt(25.0 + 24.0 * rho)
+    assert holds(run, "y", "sd", sd)
+    assert run.probability("high")["low"] <= stats.norm.sf(8.0 / sd) <= run.probability("high")["high"]
+    lost = rows.assign(y=rows["y"].where(rows["a"] < 1.5))
+    assert given.inputs().normals(rows[["a", "b"]].to_numpy()).std(axis=0) == pytest.approx(1.0, abs=0.02)
+    for wrong, says in (
+        (rows.head(10), "too few"),
+        (rows[["a", "b", "y"]], "'w' is missing"),
+        (rows.assign(k=1.0), "'k' is no input"),
+        (rows.assign(a=rows["a"] + 1.0), "does not follow"),
+    ):
+        with pytest.raises(UsageError, match=says):
+            given.analyse(wrong)
+    with pytest.raises(TooManyFailures, match="y = nan at"):
+        given.analyse(lost)
+
+
 def test_a_budget_too_small_for_any_answer_is_refused() -> None:
     with pytest.raises(UsageError, match="at least"):
         uqsphere.run(study(analysis={"cost": "10 s", "budget": {"evaluations": 5}}), linear)

@@ -97,14 +97,8 @@ def _run(
     cache = None if folder is None or not study.black_box else folder / "cache.sqlite"
     known = None if rows is None else surrogate.known_rows(design, rows)
     # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
-    given = open_model(
-        design.study,
-        model if known is None else known.model,
-        executor=executor,
-        threads=threads,
-        cache=cache,
-        stop=stop,
-    )
+    model = model if known is None else known.model
+    given = open_model(design.study, model, executor=executor, threads=threads, cache=cache, stop=stop)
     with threadpool_limits(limits=1, user_api="blas"), given as opened:
         if known is not None:
             tables = surrogate.tables_of(design, opened, seconds=budget, known=known.points)

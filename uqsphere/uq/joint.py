@@ -307,7 +307,7 @@ class Joint:
     def normals(self, physical: Array) -> Array:
         """Inputs (n, d) in SI -> independent standard normals (n, d): the inverse of `physical`."""
         scores = self.marginal_scores(physical)
-        found = scores if self._lower is None else np.linalg.solve(self._lower, scores.T).T
+        found: Array = scores if self._lower is None else np.asarray(np.linalg.solve(self._lower, scores.T).T)
         for group in self.groups:
             at = [self.names.index(name) for name in group.members]
             own = [group.copula.conditional_score(k, range(k), scores[:, at[:k]], scores[:, at[k]])

@@ -26,7 +26,7 @@ from uqsphere.uq.chaos.basis import (
     products,
     skipping,
 )
-from uqsphere.uq.chaos.expansion import Chaos, law_points, predict
+from uqsphere.uq.chaos.expansion import Chaos
 from uqsphere.uq.chaos.select import Order, Path, Task, folds_of, forward_selection, solve_rows, whole_set
 
 #: hyperbolic norms of the sets that are tried
@@ -237,14 +237,13 @@ def _excess(fit: Chaos, scaled: Array, unit: float) -> float:
     """How much more an expansion varies under the law than the samples (n,) allow, over their variance.
 
     What is wild in the tails no sample left out will tell, as folds do not lie beyond the samples.  The variance of
-    the samples is uncertain by their fourth moment; two standard errors are let pass.
+    the samples is uncertain by their fourth moment; two standard errors are let pass.  An expansion of ln y is held
+    against ln y: the variance of y itself is that of a few samples where factors multiply.
     """
-    variance = float(np.var(scaled))
-    z = (scaled - scaled.mean()) / math.sqrt(variance)
+    values, unit = (np.log(fit.sign * scaled), 1.0) if fit.log else (scaled, unit)
+    variance = float(np.var(values))
+    z = (values - values.mean()) / math.sqrt(variance)
     allowed = 1.0 + 2.0 * math.sqrt(max(float(np.mean(z**4)) - 1.0, 0.0) / z.size)
-    if fit.log:
-        values = predict(fit, law_points(fit.germs, 2048)) / unit
-        return float(np.mean((values - scaled.mean()) ** 2)) / variance - allowed
     return float(np.sum((fit.coefficients[1:] / unit) ** 2)) / variance - allowed
 
 
