@@ -9,13 +9,15 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -65,6 +67,15 @@ class Fault(ValueError):
     def __init__(self, message: str, *at: str | int) -> None:
         super().__init__(message)
         self.at: Place = tuple(part for part in at if part != "")
+
+
+@contextmanager
+def within(*at: str | int) -> Iterator[None]:
+    """A fault inside lies on the way `at`."""
+    try:
+        yield
+    except Fault as error:
+        raise Fault(str(error), *at, *error.at) from None
 
 
 @dataclass(kw_only=True)
@@ -249,10 +260,8 @@ def _law_of(raw: Mapping[str, Any], quantity: Quantity) -> Number:
         entry = quantity if key in family.dimensional else plain_quantity(quantity.name)
         if key not in ends and entry.dimension != "number":
             entry = replace(entry, plausible=(0.0, math.inf), display=beside)
-        try:
+        with within(key):
             given[key] = value_of(raw[key], entry, bounded=False)
-        except Fault as error:
-            raise Fault(str(error), key) from None
     bounds = given.pop("lower", None), given.pop("upper", None)
     try:
         return Number(value=make_law(family.name, given, *bounds), given=given)
@@ -270,10 +279,8 @@ def _discrete(raw: Mapping[str, Any], quantity: Quantity, limit: bool) -> Number
     for key in ("values", "weights"):
         if not isinstance(raw.get(key, []), list):
             raise Fault(f"found {shown(raw[key])}, where a list is required, such as [1, 2, 3]", key)
-    try:
+    with within("values"):
         values = [value_of(one, quantity) for one in raw.get("values", [])]
-    except Fault as error:
-        raise Fault(str(error), "values") from None
     try:
         weights = raw.get("weights")
         if not all(type(one) in (int, float) for one in weights or ()):
@@ -335,50 +342,40 @@ def _number(raw: Any, info: ValidationInfo) -> Any:
     return number_of(raw, INPUTS[path], reader, (reader.table, key))
 
 
-def _fixed(quantity: Quantity) -> Any:
+def _fixed(dimension: str, meaning: str = "", lower: float = 0.0, upper: float = math.inf) -> Any:
     """The mark of a fixed number with its unit; what Python gives is in SI already."""
+    quantity = Quantity(name=dimension, symbol="", dimension=dimension, lower=lower, upper=upper,
+                        meaning=f"the {meaning or dimension}")  # fmt: skip
 
     def read(raw: Any, info: ValidationInfo) -> Any:
         return raw if info.context is None or raw is None else value_of(raw, quantity)
 
-    return BeforeValidator(read), WithJsonSchema({"dimension": quantity.dimension})
+    return BeforeValidator(read), WithJsonSchema({"dimension": dimension})
 
 
-def _real(low: float, high: float = math.inf, *, closed: bool = False, whole: bool = False) -> Any:
-    """The mark of a plain number between two bounds, which are excluded unless `closed`; shares also in percent."""
-    what = "a whole number" if whole else "a number"
-    allowed = f"from {low:g} to {high:g}" if closed else f"between {low:g} and {high:g}, both excluded,"
-    if high == math.inf:
-        allowed = f"from {low:g} upwards" if closed else f"above {low:g}"
-
-    def read(raw: Any) -> Any:
-        percent = isinstance(raw, str) and raw.rstrip().endswith("%") and not whole
-        value = value_of(raw, plain_quantity("share")) if percent else raw
-        if isinstance(value, bool) or not isinstance(value, int if whole else int | float):
-            raise Fault(f"found {shown(raw)}, where {what} is required")
-        if not (low <= value <= high if closed else low < value < high):
-            raise Fault(f"found {shown(raw)}, {what} {allowed} is required")
-        return value
-
-    least, most = ("minimum", "maximum") if closed else ("exclusiveMinimum", "exclusiveMaximum")
-    node: dict[str, Any] = {"type": "integer" if whole else "number", least: low}
-    return BeforeValidator(read), WithJsonSchema(node | ({} if high == math.inf else {most: high}))
+def _parameter(name: str) -> Any:
+    part = PARAMETERS[name]
+    return _fixed(part.dimension, part.meaning, part.lower, part.upper)
 
 
-def _several(least: int, what: str, most: int = 200) -> BeforeValidator:
+def _percent(raw: Any) -> Any:
+    return value_of(raw, plain_quantity("share")) if isinstance(raw, str) and raw.rstrip().endswith("%") else raw
+
+
+def _real(kind: type = float, **bounds: Any) -> Any:
+    """The mark of a plain number within bounds, which may be a percentage unless it is whole."""
+    return Field(strict=True, **bounds), *([BeforeValidator(_percent)] if kind is float else [])
+
+
+def _unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    if (twice := next((k for k, value in enumerate(values) if value in values[:k]), None)) is not None:
+        raise Fault(f"{shown(values[twice])} is named twice", twice)
+    return values
+
+
+def _several(least: int = 1, most: int = 200) -> Any:
     """The mark of a list with so many entries, each once."""
-
-    def read(raw: Any, info: ValidationInfo) -> Any:
-        if not isinstance(raw, list) or info.context is None:
-            return raw
-        if (twice := next((k for k, value in enumerate(raw) if value in raw[:k]), None)) is not None:
-            raise Fault(f"{shown(raw[twice])} is named twice", twice)
-        if not least <= len(raw) <= most:
-            required = f"{least} or more are required" if len(raw) < least else f"at most {most:,} are allowed"
-            raise Fault(f"found {len(raw)} {what}, {required}")
-        return raw
-
-    return BeforeValidator(read)
+    return Field(min_length=least, max_length=most), AfterValidator(_unique)
 
 
 def key(meaning: str | None, default: Any = None, *, usual: str = "") -> Any:
@@ -392,28 +389,21 @@ def due(meaning: str) -> Any:
     return Field(description=meaning, json_schema_extra={"usual": "required"})
 
 
-def _parameter(name: str) -> Any:
-    part = PARAMETERS[name]
-    return _fixed(Quantity(name=name, symbol=name, dimension=part.dimension, lower=part.lower, upper=part.upper,
-                           meaning=f"the {part.meaning}"))  # fmt: skip
-
-
-def _of(dimension: str) -> Any:
-    return _fixed(Quantity(name=dimension, symbol="", dimension=dimension, meaning=f"the {dimension}"))
-
-
 Flag = Annotated[bool, Strict()]
+Name = Annotated[str, Field(pattern="^[A-Za-z_][A-Za-z0-9_-]{0,63}$")]
 Num = Annotated[Any, BeforeValidator(_number)]
-Share = Annotated[float, *_real(0.0, 1.0)]
-Shares = Annotated[tuple[Share, ...], _several(1, "numbers")]
-Positive = Annotated[float, *_real(0.0)]
-Correlation = Annotated[float, *_real(-1.0, 1.0)]
-Names = Annotated[tuple[str, ...], _several(1, "names")]
-Seconds = Annotated[float, *_of("time")]
-Length = Annotated[float, *_of("length")]
+Share = Annotated[float, *_real(gt=0.0, lt=1.0)]
+Shares = Annotated[tuple[Share, ...], *_several()]
+Positive = Annotated[float, *_real(gt=0.0)]
+Correlation = Annotated[float, *_real(gt=-1.0, lt=1.0)]
+Names = Annotated[tuple[str, ...], *_several()]
+Seconds = Annotated[float, *_fixed("time")]
+Length = Annotated[float, *_fixed("length")]
 _Method = Literal["auto", "qmc", "pce", "sobol", "form", "importance", "subset", "morris", "delta", "pawn", "hdmr"]
-Methods = Annotated[tuple[_Method, ...], _several(1, "methods"),
-                    BeforeValidator(lambda raw: (raw,) if isinstance(raw, str) else raw)]  # fmt: skip
+_METHODS: Final = one_of(f"`{method}`" for method in get_args(_Method)[1:])
+Methods = Annotated[
+    tuple[_Method, ...], *_several(), BeforeValidator(lambda raw: [raw] if isinstance(raw, str) else raw)
+]
 
 
 class Table(BaseModel):
@@ -501,8 +491,7 @@ class Contact(Table):
     law: Literal["hertz", "plastic"] = key('`"hertz"`, or `"plastic"`: the softer body yields or crushes', "hertz")
     onset_pressure: Num = key("centre pressure at which a face begins to yield", usual="of the softer body")
     hardness: Num = key('mean pressure of a face that flows fully, or `"onset"`', usual="of the softer body")
-    pile_up: Num = key("`a²` over `r` times the approach far beyond yield, 1 to 3", usual="8/3 where a metal yields, "
-                                                                                    "else 2")  # fmt: skip
+    pile_up: Num = key("`a²` over `r` times the approach far beyond yield, 1 to 3", usual="8/3 of a metal, else 2")
 
 
 class Rig(Table):
@@ -571,11 +560,10 @@ class ModelChoice(Table):
     """Which mechanics, and how precisely; `horizon` [s]."""
 
     fidelity: Literal["full", "massless", "linear"] = key('`"full"`; of the paper: `"massless"`, `"linear"`', "full")
-    tolerance: Annotated[float, *_real(1e-12, 1e-2, closed=True)] = key("relative error of the integration", 1e-6)
+    tolerance: Annotated[float, *_real(ge=1e-12, le=1e-2)] = key("relative error of the integration", 1e-6)
     first_loading_only: Flag = key("end the record when the first reflected wave is back", False)
-    whole_record: Flag = key(
-        "go on after the first loss of contact, to the horizon (bars; 3 to 75 times the time)", False
-    )
+    whole_record: Flag = key("go on after the first loss of contact, to the horizon (bars; 3 to 75 times the time)",
+                             False)  # fmt: skip
     horizon: Seconds | None = key("latest end of the record", usual="eight round trips of the longer bar")
     compare_with_paper: Flag = key("adds the paper's printed massless formulas and the corrected ones", False)
 
@@ -590,15 +578,15 @@ class LimitTable(Table):
     criterion: Literal[*CRITERIA] | None = key("in place of `quantity`: one of `uqsphere list criteria`")  # type: ignore[valid-type]
     strength: Any = due("value, distribution, or a file with tests or draws")
     strength_is: Literal["hertz", "pressure"] | None = key(
-        '`"hertz"`: computed from a force by Hertz; `"pressure"`: the true one', usual="required if "
-                                                                                       "`plastic`")  # fmt: skip
+        '`"hertz"`: computed from a force by Hertz; `"pressure"`: the true one', usual="required if `plastic`"
+    )
     aim: Literal["survive", "break"] = key("the quantity must stay below the strength, or exceed it", "survive")
     target: Share | None = key('largest accepted failure probability, `0.01` or `"1 %"`')
     model_factor: Any = key("factor on the quantity for what the model leaves out; may scatter", usual="`1`")
     fracture: Flag | None = key("whether exceeding it breaks the sphere", usual="by the quantity")
     energy_is: Literal["contact", "sphere", "input"] | None = key(
-        "of `specific_energy`: stored in both bodies, in the sphere, or offered", usual="required but for "
-                                                                                        "bars")  # fmt: skip
+        "of `specific_energy`: stored in both bodies, in the sphere, or offered", usual="required but for bars"
+    )
     modulus: Annotated[float, *_parameter("modulus")] | None = key(
         "Weibull modulus of a weakest link", usual="that of the strength")  # fmt: skip
     reference_volume: Annotated[float, *_parameter("reference_volume")] | None = key("volume of a volume strength")
@@ -606,6 +594,16 @@ class LimitTable(Table):
     largest_energy: Annotated[float, *_parameter("largest_energy")] | None = key("upper bound of a fracture energy")
     rate_0: Annotated[float, *_parameter("rate_0")] | None = key("strain rate at which a slow strength is doubled")
     platens: Any = key('what it was measured between: `"bars"`, `"rigid"`, a material, or `E` and `nu`', usual="rigid")
+
+    @model_validator(mode="after")
+    def _one_demand(self) -> LimitTable:
+        if self.quantity is None and self.criterion is None:
+            raise Fault('quantity is missing: add quantity = "p_max", say, or a criterion', "quantity")
+        if self.quantity is not None and self.criterion is not None:
+            raise Fault("quantity and criterion both say what is compared: leave one of them out", "quantity")
+        if self.energy_is is not None and self.criterion != "specific_energy":
+            raise Fault("energy_is belongs to the criterion specific_energy: leave it out", "energy_is")
+        return self
 
 
 class Observations(Table):
@@ -639,11 +637,11 @@ class Observations(Table):
 class Dependence(Table):
     """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a Student t copula."""
 
-    of: Annotated[tuple[str, ...], _several(2, "names", 1_000)] = due("random numbers, two or more")
+    of: Annotated[tuple[str, ...], *_several(2, 1_000)] = due("random numbers, two or more")
     spearman: Correlation | None = key("Spearman's rank correlation; or `kendall`", usual="required")
     kendall: Correlation | None = key("Kendall's rank correlation, in its place")
     copula: Literal["gaussian", "student_t"] = key('`"gaussian"`, or `"student_t"` with `dof`', "gaussian")
-    dof: Annotated[float, *_real(1.0, 1000.0, closed=True)] | None = key("degrees of freedom of a `student_t`")
+    dof: Annotated[float, *_real(ge=1.0, le=1000.0)] | None = key("degrees of freedom of a `student_t`")
 
     @model_validator(mode="after")
     def _one_strength(self) -> Dependence:
@@ -670,7 +668,7 @@ class Accuracy(Table):
 class Budget(Table):
     """Where a run stops at the latest; `time` [s]."""
 
-    evaluations: Annotated[int, *_real(0, whole=True)] = 2_000_000
+    evaluations: Annotated[int, *_real(int, gt=0)] = 2_000_000
     time: Seconds = 600.0
 
 
@@ -685,7 +683,7 @@ class Analysis(Table):
         "relative", Accuracy)  # fmt: skip
     budget: Budget = key("the latest end of the run", Budget, usual='`{ evaluations = 2_000_000, time = "10 min" }`')
     quantiles: Shares = key("probabilities of the quantiles", (0.01, 0.05, 0.5, 0.95, 0.99))
-    methods: Methods = key(f"`auto`, or some of {one_of([f'`{m}`' for m in get_args(_Method)[1:]])}", ("auto",))
+    methods: Methods = key(f"`auto`, or some of {_METHODS}", ("auto",))
     second_order: Flag = key("Sobol' indices of all pairs of inputs as well", False)
     failure_modes: Literal["all", "given"] = key(
         '`"all"`: a rock is judged by failure modes without a limit too, by library strengths', "all")  # fmt: skip
@@ -700,21 +698,21 @@ class MarginsTable(Table):
     """The inverse question: at which value of one number is a failure probability reached?"""
 
     solve: str = due('the free number: `"striker.speed"`, `"limits.NAME.strength"`')
-    between: Annotated[tuple[Any, ...], _several(2, "values", 2)] = due("lowest and highest value")
+    between: Annotated[tuple[Any, ...], *_several(2, 2)] = due("lowest and highest value")
     for_probability: Shares = key("probabilities that the quantity exceeds the strength", (0.01, 0.1, 0.5, 0.9, 0.99))
 
 
 class Outputs(Table):
     """What a black box answers."""
 
-    names: Names = due('names of the outputs, `["y"]`')
+    names: Annotated[tuple[Name, ...], *_several()] = due('names of the outputs, `["y"]`')
 
 
 class Document(Table):
     """A study file."""
 
     title: str = key("heading of the report; not part of the study's hash", "", usual="the file's name")
-    seed: Annotated[int, *_real(0, closed=True, whole=True)] = key("the same seed gives the same answers", 0)
+    seed: Annotated[int, *_real(int, ge=0)] = key("the same seed gives the same answers", 0)
     sphere: Sphere | None = None
     bars: Bars | None = None
     striker: Striker | None = None
@@ -729,11 +727,11 @@ class Document(Table):
     platens: Partner | None = None
     insert: Partner | None = None
     model: ModelChoice | None = None
-    inputs: dict[str, Any] | None = None
+    inputs: Annotated[dict[Name, Any], Field(max_length=1000)] | None = None
     outputs: Outputs | None = None
-    limits: dict[str, LimitTable] = Field(default_factory=dict)
-    dependence: tuple[Dependence, ...] = ()
-    gauges: tuple[Gauge, ...] = ()
+    limits: dict[Name, LimitTable] = Field(default_factory=dict, max_length=50)
+    dependence: tuple[Dependence, ...] = Field(default=(), max_length=100)
+    gauges: tuple[Gauge, ...] = Field(default=(), max_length=20)
     analysis: Analysis = Field(default_factory=Analysis)
     margins: MarginsTable | None = None
 
@@ -748,10 +746,15 @@ class Document(Table):
 
 # --- what pydantic finds, in the words of a study ------------------------------------------------------------------
 
-_REQUIRED: Final = {
-    "string_type": "a text in quotes", "bool_type": "true or false", "int_type": "a whole number",
-    "float_type": "a number", "float_parsing": "a number", "tuple_type": "an array", "dict_type": "a table",
-    "model_type": "a table",
+_FOUND: Final = {
+    "string_type": "where a text in quotes is required", "bool_type": "where true or false is required",
+    "int_type": "where a whole number is required", "float_type": "where a number is required",
+    "float_parsing": "where a number is required", "tuple_type": "where an array is required",
+    "dict_type": "where a table is required", "model_type": "where a table is required",
+    "greater_than": "it must be above {gt:g}", "greater_than_equal": "it must be at least {ge:g}",
+    "less_than": "it must be below {lt:g}", "less_than_equal": "it must be at most {le:g}",
+    "string_pattern_mismatch": "a name takes up to 64 letters, digits, _ and -, and begins with a letter",
+    "too_short": "{min_length} or more are required", "too_long": "at most {max_length} are allowed",
 }  # fmt: skip
 
 
@@ -759,9 +762,10 @@ def fault_text(fault: Any, place: Place, table: Any = Document) -> tuple[str, st
     """What to say of one fault that pydantic reports, and the key that was meant where one is unknown."""
     for part in place[:-1]:
         table = _table_in(table.model_fields[part].annotation) or table if part in table.model_fields else table
-    kind, name, found = fault["type"], str(place[-1]) if place else "", shown(fault["input"])
+    kind, name, context = fault["type"], str(place[-1]) if place else "", fault.get("ctx", {})
+    found = f"found {shown(fault['input'])}"
     if kind == "value_error":
-        return str(fault["ctx"]["error"]), ""
+        return str(context["error"]), ""
     if kind == "missing":
         return f"{name} is missing: {table.model_fields[name].description.replace('`', '')}", ""
     if kind == "extra_forbidden":
@@ -769,10 +773,11 @@ def fault_text(fault: Any, place: Place, table: Any = Document) -> tuple[str, st
         known = near or f"; known here: {one_of(table.model_fields)}"
         return f"unknown key {shown(name)}{known}", near.split("'")[1] if near else ""
     if kind == "literal_error":
-        words = re.findall(r"'([^']*)'", fault["ctx"]["expected"])
-        return f"found {found}, allowed: {one_of(words)}{suggestion(fault['input'], words)}", ""
-    due = f"where {_REQUIRED[kind]} is required" if kind in _REQUIRED else "which cannot stand here"
-    return f"found {found}, {due}", ""
+        words = re.findall(r"'([^']*)'", context["expected"])
+        return f"{found}, allowed: {one_of(words)}{suggestion(fault['input'], words)}", ""
+    if kind.startswith("too_"):
+        found = f"found {context['actual_length']} {name}"
+    return f"{found}, {_FOUND.get(kind, 'which cannot stand here').format(**context)}", ""
 
 
 def _table_in(annotation: Any) -> Any:

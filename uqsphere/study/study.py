@@ -108,19 +108,14 @@ class Study:
     ...       "aim": "survive"}}, analysis={"budget": {"evaluations": 1000}}, title="A beam")
     <Study 'A beam': 1 random input, limits high, black box>
 
-    fixed : every fixed number by dotted path (black box: bare name), SI, defaults included; a bar end is its velocity
-    reflection coefficient.  What a scene does not have (lengths of infinite bars, a striker's length when the pulse has
-    its own duration, the radius of flat bar ends) is absent.
-    random : mapping of str to Law; every scattered number, in the order of the file.
-    given : mapping of str to mapping; the parameters of each law as the file gives them, in SI (``mean`` and ``cov``,
-    say); `Law.with_mean` reads it.  The keys are those of `random` and ``limits.NAME.strength``,
-    ``limits.NAME.model_factor``.
-    warnings : what a user should know and what does not stop the study.
-    record : MeasuredPulse or None; the pulse of a measured record; `striker.speed` then follows from it and is none of
-    the numbers.
-    overrides : what was set from outside the file, as PATH=VALUE; its effect is in the other attributes.
-    gauges : tuple of Gauge; where `uqsphere history` puts gauges; no answer of a run depends on them.
+    fixed, random : every number by dotted path (black box: bare name), SI, defaults included, in the order of the file;
+    a bar end is its velocity reflection coefficient.  What a scene does not have (lengths of infinite bars, say) is
+    absent.
+    given : the parameters of each law as the file gives them, in SI, strengths and model factors too; `Law.with_mean`
+    reads them.
+    record : the pulse of a measured record, from which `striker.speed` then follows.
     made_up : the random numbers whose observations the file calls synthetic.
+    overrides : what was set from outside the file, as PATH=VALUE; its effect is in the other attributes.
     """
 
     title: str
@@ -290,7 +285,7 @@ def tie_of(group: Dependence) -> Tie:
     """A dependence as the uncertainty side reads it."""
     from uqsphere.uq import Dependence as Tie
 
-    return Tie(of=group.of, spearman=group.spearman, kendall=group.kendall, copula=group.copula, dof=group.dof)
+    return Tie(**group.model_dump())
 
 
 def _finite(value: float) -> float | None:
