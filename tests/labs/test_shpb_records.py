@@ -316,16 +316,3 @@ def test_the_shipped_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     forces = json.loads(capsys.readouterr().out)["forces"]
     # the scene that it was computed from bears 2.5 to 2.8 kN when it breaks
     assert forces["B"]["low"] < 2.7e3 < forces["B"]["high"]
-
-
-# --- cases of others, read where the folder is there --------------------------------------------------------------
-
-
-def others(tmp_path: Path, file: Path, bar: dict[str, Any], **record: Any) -> Reading:
-    document = RecordDocument(**{**bar, "record": {"file": str(file), **record}})
-    return read_test(load_record(document, tmp_path), document)
-
-
-def bars(E: str, density: str, diameter: str, length: str, at_a: str, at_b: str, **bridge: Any) -> dict[str, Any]:
-    both = {"E": E, "density": density, "diameter": diameter, "length": length, **bridge}
-    return {"incident_bar": {**both, "gauge": at_a}, "receiving_bar": {"gauge": at_b}}
