@@ -19,7 +19,7 @@ def score_gradients(inputs: Joint, scores: Array) -> Array:
     The scores themselves where inputs are independent, R⁻¹ s under the Gaussian copula.
     """
     found = np.array(scores, dtype=float)
-    for columns, copula in inputs.blocks():
+    for columns, copula in inputs.blocks:
         found[:, list(columns)] = copula.score_gradient(scores[:, list(columns)])
     return found
 

@@ -72,7 +72,7 @@ def joint_to_chaospy(inputs: Joint) -> Distribution:
     1e-15.  Raises UsageError for Student t copulas.
     """
     chaospy = load_chaospy()
-    if inputs.groups:
+    if any(np.isfinite(copula.dof) for _, copula in inputs.blocks):
         raise UsageError("chaospy has no Student t copula of this form; only a Gaussian one goes over")
     laws = [_law_to_chaospy(chaospy, law) for law in inputs.laws]
     if inputs.correlation is None:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import combinations
 from typing import Final
 
@@ -206,14 +206,6 @@ class Tie:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Group:
-    """Names that are tied by a Student t copula, in the order of its members."""
-
-    members: tuple[str, ...]
-    copula: Copula
-
-
-@dataclass(frozen=True, kw_only=True)
 class Dependence:
     """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a Student t copula."""
 
@@ -226,10 +218,8 @@ class Dependence:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Joint:
-    """Named laws in a fixed order, and what ties them.
-
-    `correlation` (d, d) is that of the normal scores under the Gaussian copula, None if no two are tied so; `groups`
-    are tied by Student t copulas, and their members have no correlation here.
+    """Named laws in a fixed order, and what ties them: columns with their copula; all that Gaussian copulas tie are one
+    block.
 
     >>> from uqsphere.uq.law import make_law
     >>> two = Joint(names=("a", "b"), laws=(make_law("normal", {"mean": 1.0, "sd": 0.1}),
@@ -240,24 +230,11 @@ class Joint:
 
     names: tuple[str, ...]
     laws: tuple[Law, ...]
-    correlation: Array | None = None
-    groups: tuple[Group, ...] = ()
+    blocks: tuple[tuple[tuple[int, ...], Copula], ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.names) != len(self.laws) or len(set(self.names)) != len(self.names):
             raise LawError(f"{len(self.laws)} laws need as many different names, found {list(self.names)}")
-        taken = {name for columns, _ in self._gaussian() for name in (self.names[k] for k in columns)}
-        if self.correlation is not None:
-            _factor(self.names, np.asarray(self.correlation, dtype=float))
-        for group in self.groups:
-            for name in group.members:
-                if name not in self.names:
-                    known = ", ".join(self.names) or "none"
-                    raise LawError(f"{name!r} is not a random input; random are: {known}", "of")
-                if name in taken:
-                    raise LawError(f"{name} is in more than one dependence, and one of them is not Gaussian: name "
-                                   "all of them in one dependence, or take Gaussian copulas", "of")  # fmt: skip
-                taken.add(name)
 
     def __repr__(self) -> str:
         return f"<Joint of {', '.join(self.names)}{', dependent' if self.dependent else ''}>"
@@ -265,24 +242,24 @@ class Joint:
     @property
     def dependent(self) -> bool:
         """Whether any input depends on another."""
-        return self.correlation is not None or bool(self.groups)
+        return bool(self.blocks)
 
-    @cached_property
-    def _lower(self) -> Array | None:
-        return None if self.correlation is None else _factor(self.names, self.correlation)
+    @property
+    def correlation(self) -> Array | None:
+        """Correlation (d, d) of the normal scores under the Gaussian copula; None if no two are tied so."""
+        found = np.eye(len(self.names))
+        for columns, copula in self.blocks:
+            if math.isinf(copula.dof):
+                found[np.ix_(columns, columns)] = copula.correlation
+        return found if np.any(found - np.eye(len(found))) else None
 
     def scores(self, normals: Array) -> Array:
         """Independent standard normals (..., d) -> dependent normal scores (..., d)."""
         normals = np.asarray(normals, dtype=float)
-        rows = normals.reshape(int(np.prod(normals.shape[:-1])), normals.shape[-1])  # d may be 0
-        if self._lower is not None:
-            rows = rows @ self._lower.T
-        if self.groups:
-            rows = rows.copy()
-            for group in self.groups:
-                at = [self.names.index(name) for name in group.members]
-                rows[:, at] = group.copula.conditional_scores((), np.empty((len(rows), 0)), rows[:, at])
-        return rows.reshape(normals.shape)
+        if not self.blocks:
+            return normals
+        flat = normals.reshape(-1, len(self.names))
+        return self.given((), flat, flat).reshape(normals.shape)
 
     def marginal(self, scores: Array) -> Array:
         """Dependent normal scores (..., d) -> inputs (..., d) in SI: the laws, without what ties them."""
@@ -318,36 +295,17 @@ class Joint:
 
     def only(self, names: Sequence[str]) -> Joint:
         """Some of the inputs, with what ties them to each other."""
-        at = [self.names.index(name) for name in names]
-        correlation = None
-        if self.correlation is not None:
-            correlation = self.correlation[np.ix_(at, at)]
-            if not np.any(correlation - np.eye(len(at))):
-                correlation = None
-        groups = []
-        for group in self.groups:
-            kept = [k for k, name in enumerate(group.members) if name in names]
-            if len(kept) > 1:
-                members = tuple(group.members[k] for k in kept)
-                groups.append(Group(members=members, copula=group.copula.among(kept)))
-        laws = tuple(self.laws[k] for k in at)
-        return Joint(names=tuple(names), laws=laws, correlation=correlation, groups=tuple(groups))
-
-    def _gaussian(self) -> list[tuple[tuple[int, ...], Copula]]:
-        if self.correlation is None:
-            return []
-        off = np.abs(np.asarray(self.correlation) - np.eye(len(self.correlation))).max(axis=1, initial=0.0) > 0.0
-        tied = tuple(int(k) for k in np.flatnonzero(off))
-        return [(tied, Copula(correlation=self.correlation[np.ix_(tied, tied)]))] if tied else []
-
-    def blocks(self) -> list[tuple[tuple[int, ...], Copula]]:
-        """Columns that are tied to each other, with their copula; all that the Gaussian one ties are one block."""
-        return self._gaussian() + [(tuple(self.names.index(name) for name in group.members), group.copula)
-                                   for group in self.groups]  # fmt: skip
+        at, blocks = [self.names.index(name) for name in names], []
+        for columns, copula in self.blocks:
+            kept = [columns.index(k) for k in at if k in columns]
+            copula = copula.among(kept)
+            if len(kept) > 1 and (np.any(copula.correlation - np.eye(len(kept))) or math.isfinite(copula.dof)):
+                blocks.append((tuple(at.index(columns[k]) for k in kept), copula))
+        return Joint(names=tuple(names), laws=tuple(self.laws[k] for k in at), blocks=tuple(blocks))
 
     def tied(self) -> list[str]:
         """Names that depend on another one, in order."""
-        tied = {column for columns, _ in self.blocks() for column in columns}
+        tied = {column for columns, _ in self.blocks for column in columns}
         return [name for column, name in enumerate(self.names) if column in tied]
 
     def given(self, columns: Sequence[int], scores: Array, normals: Array) -> Array:
@@ -356,11 +314,10 @@ class Joint:
         `normals` (n, d) are independent standard normals; those of the given columns are not used.
         """
         found = np.array(normals, dtype=float)
-        held = set(columns)
         found[:, list(columns)] = scores[:, list(columns)]
-        for block, copula in self.blocks():
-            fixed = [k for k, column in enumerate(block) if column in held]
-            free = [column for column in block if column not in held]
+        for block, copula in self.blocks:
+            fixed = [k for k, column in enumerate(block) if column in columns]
+            free = [column for column in block if column not in columns]
             if free:
                 known = found[:, [block[k] for k in fixed]]
                 found[:, free] = copula.conditional_scores(fixed, known, normals[:, free])
@@ -373,8 +330,7 @@ class Joint:
         """
         if self.correlation is None or not given:
             return np.zeros(len(given)), 1.0
-        at = self.names.index(target)
-        others = [self.names.index(name) for name in given]
+        at, others = self.names.index(target), [self.names.index(name) for name in given]
         across = self.correlation[others, at]
         weights = np.asarray(np.linalg.solve(self.correlation[np.ix_(others, others)], across), dtype=np.float64)
         return weights, math.sqrt(max(0.0, 1.0 - float(across @ weights)))
@@ -384,29 +340,13 @@ class Joint:
 
         None where it depends on none of them or by the Gaussian copula, for which there is `regression`.
         """
-        for group in self.groups:
-            known = [name for name in group.members if name in drawn]
-            if target in group.members and known:
-                copula = group.copula.among([group.members.index(name) for name in (*known, target)])
-                of = tuple(list(drawn).index(name) for name in known)
-                return Tie(copula=copula, given=scores[..., list(of)], of=of)
+        at = self.names.index(target)
+        for columns, copula in self.blocks:
+            known = [k for k, column in enumerate(columns) if self.names[column] in drawn]
+            if math.isfinite(copula.dof) and at in columns and known:
+                of = tuple(list(drawn).index(self.names[columns[k]]) for k in known)
+                return Tie(copula=copula.among([*known, columns.index(at)]), given=scores[..., list(of)], of=of)
         return None
-
-
-def _factor(names: Sequence[str], correlation: Array) -> Array:
-    """Lower Cholesky factor (d, d) of a correlation matrix; raises LawError where it is not one."""
-    d = len(names)
-    if correlation.shape != (d, d):
-        raise LawError(f"the correlation matrix must be {d} x {d}, found shape {correlation.shape}")
-    if not np.isfinite(correlation).all() or not np.allclose(np.diag(correlation), 1.0, rtol=0.0, atol=1e-12):
-        raise LawError("the correlation matrix must be finite with ones on its diagonal")
-    if not np.allclose(correlation, correlation.T, rtol=0.0, atol=1e-12):
-        raise LawError("the correlation matrix must be symmetric")
-    smallest = float(np.linalg.eigvalsh(correlation)[0]) if d else 1.0
-    if smallest < 1e-10:
-        raise LawError("the dependences cannot hold together: the correlation matrix is not positive definite "
-                       f"(smallest eigenvalue {smallest:.3g}); weaken or remove some of them", "spearman")  # fmt: skip
-    return np.asarray(np.linalg.cholesky(correlation), dtype=np.float64)
 
 
 def make_joint(names: Sequence[str], laws: Sequence[Law], dependences: Sequence[Dependence]) -> Joint:
@@ -419,20 +359,33 @@ def make_joint(names: Sequence[str], laws: Sequence[Law], dependences: Sequence[
     >>> make_joint(("a", "b", "c"), (law,) * 3, [Dependence(of=("a", "c"), spearman=0.5)]).tied()
     ['a', 'c']
     """
-    correlation, groups, pairs = np.eye(len(names)), [], set[tuple[int, int]]()
+    correlation, pairs, blocks = np.eye(len(names)), set[tuple[int, int]](), []
+    taken: list[str] = []
     for tie in dependences:
         if len(set(tie.of)) != len(tie.of):
             raise LawError(f"a dependence needs two or more different inputs, found {list(tie.of)}", "of")
-        copula = make_copula(tie.copula, len(tie.of), spearman=tie.spearman, kendall=tie.kendall, dof=tie.dof)
-        if tie.copula != "gaussian":
-            groups.append(Group(members=tuple(tie.of), copula=copula))
-            continue
         if unknown := [name for name in tie.of if name not in names]:
             raise LawError(f"{unknown[0]!r} is not a random input; random are: {', '.join(names) or 'none'}", "of")
-        for pair in combinations(sorted(map(list(names).index, tie.of)), 2):
+        copula = make_copula(tie.copula, len(tie.of), spearman=tie.spearman, kendall=tie.kendall, dof=tie.dof)
+        columns = [list(names).index(name) for name in tie.of]
+        if tie.copula != "gaussian":
+            blocks.append((tuple(columns), copula))
+            taken += tie.of
+            continue
+        for pair in combinations(sorted(columns), 2):
             if pair in pairs:
                 raise LawError(f"the dependence of {names[pair[0]]} and {names[pair[1]]} is given twice", "of")
             pairs.add(pair)
             correlation[pair] = correlation[pair[::-1]] = copula.correlation[0, 1]
-    tied = bool(np.any(correlation - np.eye(len(names))))
-    return Joint(names=tuple(names), laws=tuple(laws), correlation=correlation if tied else None, groups=tuple(groups))
+    tied = sorted({column for pair in pairs for column in pair})
+    for name in names:
+        if taken.count(name) + (list(names).index(name) in tied) > 1:
+            raise LawError(f"{name} is in more than one dependence, and one of them is not Gaussian: name all of them "
+                           "in one dependence, or take Gaussian copulas", "of")  # fmt: skip
+    if tied:
+        gaussian = correlation[np.ix_(tied, tied)]
+        if (smallest := float(np.linalg.eigvalsh(gaussian)[0])) < 1e-10:
+            raise LawError("the dependences cannot hold together: the correlation matrix is not positive definite "
+                           f"(smallest eigenvalue {smallest:.3g}); weaken or remove some of them", "spearman")  # fmt: skip
+        blocks.insert(0, (tuple(tied), Copula(correlation=gaussian)))
+    return Joint(names=tuple(names), laws=tuple(laws), blocks=tuple(blocks))
