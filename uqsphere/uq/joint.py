@@ -386,6 +386,6 @@ def make_joint(names: Sequence[str], laws: Sequence[Law], dependences: Sequence[
         gaussian = correlation[np.ix_(tied, tied)]
         if (smallest := float(np.linalg.eigvalsh(gaussian)[0])) < 1e-10:
             raise LawError("the dependences cannot hold together: the correlation matrix is not positive definite "
-                           f"(smallest eigenvalue {smallest:.3g}); weaken or remove some of them", "spearman")  # fmt: skip
+                           f"(least eigenvalue {smallest:.3g}); weaken or remove some of them", "spearman")  # fmt: skip
         blocks.insert(0, (tuple(tied), Copula(correlation=gaussian)))
     return Joint(names=tuple(names), laws=tuple(laws), blocks=tuple(blocks))

@@ -33,12 +33,11 @@ from uqsphere.uq.chaos.select import Order, Path, Task, folds_of, forward_select
 NORMS: Final = (1.0, 0.75, 0.5)
 #: share of the variance below which a larger set would only cost time
 ENOUGH: Final = 1e-18
-#: a logarithm, or polynomials by name in place of the law's own, must bring the error below this share
-HELPS: Final = 0.8
-#: contenders are looked at further within this factor of the least error; one that is so far ahead is alone
-CLOSE, CLEAR = 2.0, 4.0
-#: a grown set is kept where it brings the error below this share; of few samples, whose chance is large, the second
-GROWS, GROWS_FEW = 0.9, 0.75
+#: a logarithm, or polynomials by name in place of the law's own, must bring the error below this share, and a grown
+#: set below its own: what has more ways to be lucky has to help measurably (tests/campaigns/chaos.py)
+HELPS, GROWS = 0.8, 0.9
+#: contenders are looked at further within this factor of the least error
+CLEAR: Final = 4.0
 #: terms at most
 MOST_TERMS: Final = 256
 
@@ -108,12 +107,10 @@ class Contender:
     rows: Array
     error: float
     std_error: float
-    whole: bool
-    ended: bool
 
     @property
     def rank(self) -> float:
-        """The error with its handicaps: what has more ways to be lucky has to help measurably."""
+        """The error with its handicaps."""
         return self.error / HELPS ** (self.scale.log + (not self.contest.own))
 
 
@@ -135,10 +132,6 @@ def _candidates(n: int) -> int:
 
 def _most_terms(n: int) -> int:
     return max(min(n // 2, MOST_TERMS), 1)
-
-
-def _quick_terms(n: int) -> int:
-    return max(n // 2 if n <= 150 else min(n // 4, MOST_TERMS // 2), 1)
 
 
 def scales_of(outputs: Array, plain: bool) -> list[Scale]:
@@ -166,8 +159,8 @@ def _run(contest: Contest, scale: Scale, outputs: Array, basis: Basis, most: int
     path: Path = whole_set(task, basis.sizes) if whole else forward_selection(task)
     squares = (scale.back(path.held_out) - outputs) ** 2
     return Contender(contest=contest, scale=scale, terms=basis.terms[path.rows], rows=basis.rows[path.rows],
-                     error=path.error, std_error=float(np.std(squares)) / math.sqrt(squares.size) / variance,
-                     whole=whole, ended=path.ended)  # fmt: skip
+                     error=path.error,
+                     std_error=float(np.std(squares)) / math.sqrt(squares.size) / variance)  # fmt: skip
 
 
 def fit_chaos(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False) -> Chaos:
@@ -262,9 +255,9 @@ def _contenders(
             continue
         running = [scale for error, scale in own if error <= max(CLEAR * own[0][0], ENOUGH)]
         searched = [_search(contest, scale, outputs) for scale in running]
-        near = min(one.rank for one, _ in searched)
-        leaders = [leader for one, basis in searched if one.rank <= CLOSE * near
-                   for leader in _leaders(contest, one, basis, outputs)]  # fmt: skip
+        near = min(one.rank for one in searched)
+        leaders = [leader for one in searched if one.rank <= CLEAR * near
+                   for leader in _leaders(contest, one, outputs)]  # fmt: skip
         leaders.sort(key=lambda one: one.rank)
         found += [_grow(contest, leaders[0], outputs), *leaders]
     yield from sorted(found, key=lambda one: one.rank)[:6]
@@ -274,52 +267,47 @@ def _look(contest: Contest, scale: Scale, outputs: Array) -> float:
     """What forward selection leaves on one basis of no more terms than samples."""
     basis = contest.bases[min(1, len(contest.bases) - 1)]
     k = max([k for k, size in enumerate(basis.sizes) if size <= outputs.size] or [0])
-    return _run(contest, scale, outputs, basis.head(k), _quick_terms(contest.size)).error
+    return _run(contest, scale, outputs, basis.head(k), _most_terms(contest.size)).error
 
 
-def _search(contest: Contest, scale: Scale, outputs: Array) -> tuple[Contender, Basis]:
-    best: tuple[Contender, Basis] | None = None
+def _search(contest: Contest, scale: Scale, outputs: Array) -> Contender:
+    """What forward selection finds, degree by degree, norm by norm; a degree that helps no more ends a norm."""
+    found: list[Contender] = []
     for basis in contest.bases:
         least, worse, last = math.inf, 0, 0.0
         for k, size in enumerate(basis.sizes):
             if size < 1.4 * last and k + 1 < len(basis.sizes):
                 continue
-            trial = _run(contest, scale, outputs, basis.head(k), _quick_terms(contest.size))
-            if best is None or trial.error < best[0].error:
-                best = trial, basis.head(k)
-            worse, last = (0 if trial.error < least else worse + 1), float(size)
-            least = min(least, trial.error)
+            found.append(_run(contest, scale, outputs, basis.head(k), _most_terms(contest.size)))
+            worse, last = (0 if found[-1].error < least else worse + 1), float(size)
+            least = min(least, found[-1].error)
             if worse >= 2 or least < ENOUGH:
                 break
         if least < ENOUGH:
             break
-    assert best is not None
-    return best
+    return min(found, key=lambda one: one.error)
 
 
-def _leaders(contest: Contest, found: Contender, basis: Basis, outputs: Array) -> list[Contender]:
-    """The search's answer, again with all terms allowed, and the whole sets of every norm."""
+def _leaders(contest: Contest, found: Contender, outputs: Array) -> list[Contender]:
+    """The search's answer, and the whole sets of every norm."""
     if found.error < ENOUGH:
         return [found]
-    n = contest.size
-    again = not found.ended and _quick_terms(n) < _most_terms(n)
-    first = _run(contest, found.scale, outputs, basis, _most_terms(n)) if again else found
     # a whole set is no choice that few samples could mislead
-    most = max(_most_terms(n), min(2 * n // 3, MOST_TERMS))
-    return [first, *(_run(contest, found.scale, outputs, one, most, whole=True) for one in contest.bases)]
+    most = max(_most_terms(contest.size), min(2 * contest.size // 3, MOST_TERMS))
+    return [found, *(_run(contest, found.scale, outputs, one, most, whole=True) for one in contest.bases)]
 
 
 def _grow(contest: Contest, found: Contender, outputs: Array) -> Contender:
     """Bases that grow around the terms that were kept, as long as the error falls."""
     n, values = contest.size, found.scale.forward(outputs)
-    for _ in range(6 if n > 100 else 3):
+    for _ in range(6):
         if found.error < ENOUGH or len(found.terms) < 2:
             break
         for terms in _larger(contest, found, values):
             terms = terms[np.argsort(terms.any(axis=1), kind="stable")]  # the constant first
             basis = Basis(terms=terms, rows=products(contest.tables, terms))
             trial = _run(contest, found.scale, outputs, basis, _most_terms(n))
-            if trial.error < (GROWS if n > 150 else GROWS_FEW) * found.error:
+            if trial.error < GROWS * found.error:
                 found = trial
                 break
         else:

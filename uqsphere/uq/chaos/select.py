@@ -46,15 +46,11 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Path:
-    """Rows chosen (k,), their K-fold error, and the predictions (n,) of every sample without its fold.
-
-    `ended`: more terms would have changed nothing.
-    """
+    """Rows chosen (k,), their K-fold error, and the predictions (n,) of every sample without its fold."""
 
     rows: Order
     error: float
     held_out: Array
-    ended: bool
 
 
 def folds_of(n: int, folds: int) -> Order:
@@ -128,7 +124,7 @@ def forward_selection(task: Task) -> Path:
         left -= along[k] ** 2
         correlations -= steps[:, None] * along[k]
     kept = np.array(order[:size], dtype=np.intp)
-    return Path(rows=kept[kept >= 0], error=best, held_out=held_out, ended=len(order) < most)
+    return Path(rows=kept[kept >= 0], error=best, held_out=held_out)
 
 
 def whole_set(task: Task, sizes: tuple[int, ...]) -> Path:
@@ -136,7 +132,7 @@ def whole_set(task: Task, sizes: tuple[int, ...]) -> Path:
     masks = task.masks[1:]
     sizes = tuple(size for size in sizes if size <= min(task.most, int(masks.sum(axis=1).min()) - 1))
     if not sizes:
-        return Path(rows=np.zeros(1, dtype=np.intp), error=math.inf, held_out=np.zeros(task.values.size), ended=True)
+        return Path(rows=np.zeros(1, dtype=np.intp), error=math.inf, held_out=np.zeros(task.values.size))
     predicted = np.empty((len(sizes), task.values.size))
     for mask in masks:
         inside, outside = mask == 1.0, mask == 0.0
@@ -149,7 +145,7 @@ def whole_set(task: Task, sizes: tuple[int, ...]) -> Path:
         predicted[:, outside] = fitted[:, [size - 1 for size in sizes]].T
     errors = [task.error(line) for line in predicted]
     at = int(np.argmin(errors))
-    return Path(rows=np.arange(sizes[at], dtype=np.intp), error=errors[at], held_out=predicted[at], ended=True)
+    return Path(rows=np.arange(sizes[at], dtype=np.intp), error=errors[at], held_out=predicted[at])
 
 
 def solve_rows(rows: Array, values: Array) -> Array:
