@@ -1,4 +1,8 @@
-"""What drives a failure probability: its change per standard deviation that the centre of an input is moved by."""
+"""What drives a failure probability: its change per standard deviation that the centre of an input is moved by.
+
+Failure has the conditional probability T = P(failure | inputs), F_S(demand) or its complement, the strength being
+integrated.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +11,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uqsphere.arrays import Array, special
 from uqsphere.results import Answers
 from uqsphere.run.design import Design
 from uqsphere.run.limits import chances, state_of
 from uqsphere.study import limit_of, strength_name
-from uqsphere.uq import Law, from_replicates, score_of
-from uqsphere.uq.failure_indices import score_gradients, sway_estimates
+from uqsphere.uq import Estimate, Law, from_replicates, score_of
 
 if TYPE_CHECKING:
     from uqsphere.run.grow import Tables
@@ -31,7 +35,7 @@ def drivers(design: Design, tables: Tables) -> Answers:
         return answers
     sample = tables.sample.head(min(tables.sample.count, MOST))
     scores = design.drawn.scores(sample.scores.reshape(-1, len(names)))
-    gradients = score_gradients(design.drawn, scores).reshape(sample.scores.shape)
+    gradients = design.drawn.score_gradients(scores).reshape(sample.scores.shape)
     for limit in design.study.limits:
         state, subject = state_of(design, limit, sample), design.subject(limit)
         moved = None
@@ -40,7 +44,7 @@ def drivers(design: Design, tables: Tables) -> Answers:
             moved = np.stack([(chances(replace(state, shift=state.shift - w * STEP), limit.aim)
                                - chances(replace(state, shift=state.shift + w * STEP), limit.aim)) / (2.0 * STEP)
                               for w in state.weights], axis=2)  # fmt: skip
-        found = sway_estimates(chances(state, limit.aim), gradients, moved)
+        found = change_per_sd(chances(state, limit.aim), gradients, moved)
         for name, estimate in zip(names, found, strict=True):
             if limit_of(name) in (None, limit.name):
                 answers.add(subject, "driver", name, estimate, unit="1", runs=sample.size)
@@ -50,9 +54,19 @@ def drivers(design: Design, tables: Tables) -> Answers:
             rows = []
             for step in (-STEP, STEP):
                 score = state.score_given_inputs(score_of(below, above) + step)
-                from scipy.special import ndtr
-
-                rows.append(ndtr(-score if limit.aim == "break" else score).mean(axis=1))
+                rows.append(special.ndtr(-score if limit.aim == "break" else score).mean(axis=1))
             change = from_replicates((rows[0] - rows[1]) / (2.0 * STEP), "difference", sample.size)
             answers.add(subject, "driver", strength_name(limit.name), change, unit="1", runs=sample.size)
     return answers
+
+
+def change_per_sd(probabilities: Array, gradients: Array, moved: Array | None = None) -> list[Estimate]:
+    """Change of the failure probability per standard deviation that an input's centre is moved by.
+
+    For T (R, n) and gradients (R, n, d) of `Joint.score_gradients` it is E[T g_i], by the density that moves with the
+    law's centre in normal scores, everything that ties inputs staying as it is; T is taken about its mean, which
+    changes nothing but the noise.  `moved` (R, n, d) adds what a strength that is tied to the inputs does meanwhile.
+    """
+    about = probabilities - probabilities.mean()
+    rows = (about[:, :, None] * gradients + (0.0 if moved is None else moved)).mean(axis=1)
+    return [from_replicates(row, "derivative of the density", probabilities.size) for row in rows.T]

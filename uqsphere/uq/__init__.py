@@ -2,7 +2,7 @@
 
 Knows only arrays and callables rows -> rows; the physics is somewhere else.  By module: `law`, `families`, `fitting`,
 `joint` (inputs) · `points`, `sample` (designs) · `estimate`, `describe` (answers) · `chaos`, `response` (expansions) ·
-`indices`, `shapley`, `failure_indices`, `interop` (sensitivity) · `limit_state`, `curve`, `union`, `rare`, `whatif`
+`indices`, `shapley`, `interop` (sensitivity) · `limit_state`, `curve`, `union`, `rare`
 (limits).
 """
 
@@ -35,12 +35,11 @@ from uqsphere.uq.limit_state import (
     target_met,
 )
 from uqsphere.uq.points import random_generator, sobol_points
-from uqsphere.uq.roots import root
 from uqsphere.uq.sample import Sample
 
 __all__ = [
     "NORMAL", "REPLICATES", "Dependence", "Estimate", "Joint", "Law", "LawError", "LimitState", "Sample", "absent",
     "complement", "discrete_law", "exact", "exceedance", "finite", "from_replicates", "make_joint", "make_law",
-    "margin_quantiles", "miss", "random_generator", "reliability_index", "root", "score_of", "sobol_points", "spread",
+    "margin_quantiles", "miss", "random_generator", "reliability_index", "score_of", "sobol_points", "spread",
     "student", "tails", "target_met", "widest",
 ]  # fmt: skip

@@ -10,7 +10,6 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.uq.estimate import SURE, Estimate, absent, between, probability_ends, spread, student
-from uqsphere.uq.roots import root
 
 METHOD = "common random numbers, monotone interpolation"
 
@@ -89,6 +88,7 @@ def _turning(grid: Array, probabilities: Array) -> float | None:
 def _crossing(grid: Array, probabilities: Array, target: float, least: float) -> float | None:
     """Value at which one curve (K,) takes the target, by monotone cubic interpolation; None if nowhere."""
     from scipy.interpolate import PchipInterpolator
+    from scipy.optimize import brentq
     from scipy.special import ndtri
 
     positive = probabilities[probabilities > 0.0]
@@ -110,7 +110,7 @@ def _crossing(grid: Array, probabilities: Array, target: float, least: float) ->
     left, right = float(curve(low)), float(curve(high))
     if left >= 0.0 or right <= 0.0:
         return backward(low if left >= 0.0 else high)
-    return backward(root(lambda u: float(curve(u)), low, high, xtol=1e-14 * max(1.0, abs(high))))
+    return backward(float(brentq(lambda u: float(curve(u)), low, high, xtol=1e-14 * max(1.0, abs(high)))))
 
 
 def _scale(grid: Array) -> tuple[Callable[[Array], Array], Callable[[float], float]]:

@@ -125,16 +125,6 @@ def janon_total(a: Array, b: Array, ab: Array) -> Ratio:
     return square - product, square
 
 
-def azzini_first(a: Array, b: Array, ab: Array, ba: Array) -> Ratio:
-    """2 <(ba - b)(a - ab)> / <(a - b)² + (ba - ab)²> (Azzini, Mara, Rosati, MethodsX 8, 2021, 101201)."""
-    return 2.0 * _mean((ba - b) * (a - ab)), _mean((a - b) ** 2 + (ba - ab) ** 2)
-
-
-def azzini_total(a: Array, b: Array, ab: Array, ba: Array) -> Ratio:
-    """<(b - ba)² + (a - ab)²> / <(a - b)² + (ba - ab)²> (the same)."""
-    return _mean((b - ba) ** 2 + (a - ab) ** 2), _mean((a - b) ** 2 + (ba - ab) ** 2)
-
-
 def second_order(a: Array, b: Array, ab: Array, ba: Array) -> Ratio:
     """Interaction indices S_ij of all pairs, <(ba_i - b)(ab_j - a)> / V and the same with i and j exchanged.
 
@@ -148,17 +138,11 @@ def second_order(a: Array, b: Array, ab: Array, ba: Array) -> Ratio:
     return numerator, np.repeat(0.5 * _mean(a * a + b * b), rows.size, axis=1)
 
 
-#: estimator -> order -> ratio of what it needs: a, b, ab; "azzini_rosati" also ba
-ESTIMATORS: Final[Mapping[str, Mapping[str, Callable[..., Ratio]]]] = {
-    "saltelli": {"first": saltelli_first, "total": jansen_total},
-    "janon_monod": {"first": janon_first, "total": janon_total},
-    "azzini_rosati": {"first": azzini_first, "total": azzini_total},
+#: estimator by the size of the total index -> order -> its name and the ratio of a, b, ab
+ESTIMATORS: Final[Mapping[str, Mapping[str, tuple[str, Callable[..., Ratio]]]]] = {
+    "small": {"first": ("Saltelli 2010", saltelli_first), "total": ("Jansen", jansen_total)},
+    "large": {"first": ("correlation of pairs", janon_first), "total": ("correlation of pairs", janon_total)},
 }
-SHOWN: Final = {
-    ("saltelli", "first"): "Saltelli 2010", ("saltelli", "total"): "Jansen",
-    ("janon_monod", "first"): "correlation of pairs", ("janon_monod", "total"): "correlation of pairs",
-    ("azzini_rosati", "first"): "Azzini and Rosati", ("azzini_rosati", "total"): "Azzini and Rosati",
-}  # fmt: skip
 
 
 # --- indices of a design --------------------------------------------------------------------------
@@ -176,10 +160,10 @@ class SampledIndices:
 def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
     """Every index that the blocks allow, each by the estimator that suits its size.
 
-    With the blocks of second order all first and total indices are those of Azzini and Rosati.  Without, an input whose
-    total index (Jansen's) is above `LARGE` has both of its indices from the correlation of pairs, every other its first
-    index from Saltelli 2010 and its total index from Jansen.  The size of an index decides and never the width of an
-    interval: to take the narrower of two intervals would choose those that are narrow by chance.
+    An input whose total index (Jansen's) is above `LARGE` has both of its indices from the correlation of pairs, every
+    other its first index from Saltelli 2010 and its total index from Jansen.  The size of an index decides and never
+    the width of an interval: to take the narrower of two intervals would choose those that are narrow by chance.  With
+    the blocks of second order the halves change places as well, which makes twice the points.
 
     Parameters
     ----------
@@ -203,23 +187,20 @@ def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
     # a power of two is exact, and outputs of 1e300 have squares
     y = (outputs - centre) * 2.0 ** -np.frexp(np.abs(base - centre).max())[1]
     a, ab, b = y[:, :, :1], y[:, :, 1 : d + 1], y[:, :, -1:]
-    found: dict[str, list[Estimate]] = {}
+    second: list[Estimate] = []
     if blocks.second:
         ba = y[:, :, d + 1 : -1]
-        for order, ratio in ESTIMATORS["azzini_rosati"].items():
-            found[order] = _estimates(ratio, (a, b, ab, ba), SHOWN["azzini_rosati", order], outputs.size)
         second = _estimates(second_order, (a, b, ab, ba), "second order", outputs.size)
-        return SampledIndices(first=found["first"], total=found["total"], second=dict(zip(pairs, second, strict=True)))
+        a, b, ab = (np.concatenate(part, axis=1) for part in ((a, b), (b, a), (ab, ba)))
     numerator, denominator = jansen_total(a, b, ab)
     large = numerator.mean(axis=0) > LARGE * denominator.mean(axis=0)
-    for order in ("first", "total"):
-        found[order] = [absent(NO_SCATTER, METHOD, outputs.size)] * d
-        for name, which in (("saltelli", ~large), ("janon_monod", large)):
-            places = np.flatnonzero(which)
-            parts = _estimates(ESTIMATORS[name][order], (a, b, ab[:, :, places]), SHOWN[name, order], outputs.size)
-            for j, estimate in zip(places, parts, strict=True):
-                found[order][j] = estimate
-    return SampledIndices(first=found["first"], total=found["total"])
+    found = {order: [absent(NO_SCATTER, METHOD, outputs.size)] * d for order in ("first", "total")}
+    for size, which in (("small", ~large), ("large", large)):
+        places = np.flatnonzero(which)
+        for order, (shown, ratio) in ESTIMATORS[size].items():
+            for j, e in zip(places, _estimates(ratio, (a, b, ab[:, :, places]), shown, outputs.size), strict=True):
+                found[order][j] = e
+    return SampledIndices(first=found["first"], total=found["total"], second=dict(zip(pairs, second, strict=True)))
 
 
 def _estimates(ratio: Callable[..., Ratio], parts: tuple[Array, ...], shown: str, evaluations: int) -> list[Estimate]:

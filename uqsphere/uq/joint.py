@@ -23,7 +23,6 @@ import numpy as np
 from uqsphere.arrays import Array, special
 from uqsphere.uq.families import LawError
 from uqsphere.uq.law import Law
-from uqsphere.uq.roots import root
 
 COPULAS: Final = ("gaussian", "student_t")
 LEAST_DOF, MOST_DOF = 1.0, 1000.0
@@ -186,8 +185,10 @@ def _correlation_of_t(spearman: float, dof: float) -> float:
         pair = Copula(correlation=np.array([[1.0, rho], [rho, 1.0]]), dof=dof)
         return 12.0 * float(mass @ special.ndtr(pair.score_at(1, (0,), first[:, None], second))) - 3.0 - spearman
 
+    from scipy.optimize import brentq
+
     # tau lies below rho, and not below a third of it (Daniels 1950 bounds their distance)
-    return math.sin(0.5 * math.pi * root(gap, spearman / 3.0, 0.5 * (1.0 + spearman), xtol=1e-10))
+    return math.sin(0.5 * math.pi * float(brentq(gap, spearman / 3.0, 0.5 * (1.0 + spearman), xtol=1e-10)))
 
 
 # --- several inputs ----------------------------------------------------------------------------------------
@@ -321,6 +322,13 @@ class Joint:
             if free:
                 known = found[:, [block[k] for k in fixed]]
                 found[:, free] = copula.conditional_scores(fixed, known, normals[:, free])
+        return found
+
+    def score_gradients(self, scores: Array) -> Array:
+        """-∂ ln f/∂s (n, d) of the joint density f of the dependent normal scores s (n, d): s where nothing is tied."""
+        found = np.array(scores, dtype=float)
+        for columns, copula in self.blocks:
+            found[:, list(columns)] = copula.score_gradient(scores[:, list(columns)])
         return found
 
     def regression(self, target: str, given: Sequence[str]) -> tuple[Array, float]:

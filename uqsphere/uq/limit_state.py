@@ -20,7 +20,6 @@ from uqsphere.uq.describe import quantile_estimates
 from uqsphere.uq.estimate import Estimate, absent, between, probability_ends, spread, student
 from uqsphere.uq.joint import FARTHEST, Tie
 from uqsphere.uq.law import Law
-from uqsphere.uq.roots import root
 
 #: normal scores beyond which a tail is taken for certain: the largest whose tail is a normal number
 CERTAIN: Final = 37.0
@@ -317,4 +316,6 @@ def _root(probability_at: Callable[[float], float], probability: float, near: fl
         low, high, step = high, high + step, 2.0 * step
         if high > FAR:
             return None
-    return math.exp(low if low == high else root(gap, low, high, xtol=1e-9, rtol=1e-12))
+    from scipy.optimize import brentq
+
+    return math.exp(low if low == high else float(brentq(gap, low, high, xtol=1e-9, rtol=1e-12)))

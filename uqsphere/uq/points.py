@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 from functools import lru_cache
 from importlib import resources
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +20,6 @@ from uqsphere.arrays import Array
 MOST_DIMENSIONS = 21201
 
 _Words = npt.NDArray[np.uint64]
-#: points that are made at once
-_BLOCK: Final = 4096
-#: from here on the scrambling matrices of 52-bit points would fill the memory
-_WIDE: Final = 1000
-#: sequences that may be continued
-_MOST_LEFT: Final = 64
 
 
 def _seed(seed: int, task: str, replicate: int) -> np.random.SeedSequence:
@@ -59,11 +52,12 @@ def sobol_points(*, dimension: int, count: int, start: int = 0, seed: int, task:
         )
     if count == 0 or dimension == 0:
         return np.empty((count, dimension))
-    bits = 52 if dimension < _WIDE else 30
+    # from 1000 dimensions on the scrambling matrices of 52-bit points would fill the memory
+    bits = 52 if dimension < 1000 else 30
     if start + count > 2**bits:
         raise ValueError(f"a sequence in {dimension} dimensions holds 2^{bits} points")
     directions, shift = _scrambled(dimension, bits, seed, task, replicate)
-    size = min(_BLOCK, 1 << (count - 1).bit_length())
+    size = min(4096, 1 << (count - 1).bit_length())
     block = np.zeros((size, dimension), dtype=np.uint64)
     for k in range(size.bit_length() - 1):  # the Gray code of 2^k to 2^(k+1) is that below it, mirrored, with one bit
         block[1 << k : 2 << k] = block[: 1 << k][::-1] ^ directions[k]
@@ -80,7 +74,7 @@ def _at(directions: _Words, shift: _Words, number: int) -> _Words:
     return np.asarray(np.bitwise_xor.reduce(directions[taken], axis=0, initial=0) ^ shift)
 
 
-@lru_cache(maxsize=_MOST_LEFT)
+@lru_cache(maxsize=64)
 def _scrambled(dimension: int, bits: int, seed: int, task: str, replicate: int) -> tuple[_Words, _Words]:
     """Directions (bits, d) of one randomisation and its shift (d,); the draws are those of `scipy.stats.qmc.Sobol`,
     whose package takes half a second to load."""

@@ -21,20 +21,18 @@ import numpy as np
 
 from uqsphere.arrays import Array, special
 from uqsphere.uq.chaos import germ_points, predict
-from uqsphere.uq.estimate import Estimate, absent, from_replicates, ratio_of_means, student
+from uqsphere.uq.estimate import REPLICATES, Estimate, absent, from_replicates, ratio_of_means, student
+from uqsphere.uq.indices import LARGE
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.response import METHOD, Response
 
 #: inputs up to which all orders are taken, and random orders of more of them
 MOST_EXACT, ORDERS = 6, 64
-REPLICATES, POINTS = 16, 512
-#: share of the variance below which a closed effect is by differences, whose noise is small with it
-LARGE = 0.5
 
 
 def closed_effects(
-    function: Callable[[Array, int], Array], joint: Joint, *, points: int = POINTS, seed: int = 0
+    function: Callable[[Array, int], Array], joint: Joint, *, points: int = 512, seed: int = 0
 ) -> Callable[[tuple[int, ...]], tuple[float, Array]]:
     """Share of the variance of `function` (scores (n, d), replicate) -> (n,) that a set of inputs owns: value and
     deviations (R,) of the replicates from it.  Raises ValueError for an output that does not vary."""
@@ -60,6 +58,7 @@ def closed_effects(
                 y, z, none = (y - centre) / unit, (z - centre) / unit, (apart - centre) / unit
                 rows.append([(y * z).mean(), (y * (z - none)).mean(), 0.5 * (y * y + z * z).mean()])
             plain, small, square = np.array(rows).T
+            # a small effect by differences, whose noise is small with it
             value, off = ratio_of_means(plain if plain.mean() > LARGE * square.mean() else small, square)
             known[subset] = float(value), off
         return known[subset]
@@ -68,7 +67,7 @@ def closed_effects(
 
 
 def dependent_shares(
-    response: Response, joint: Joint, *, points: int = POINTS, seed: int = 0
+    response: Response, joint: Joint, *, points: int = 512, seed: int = 0
 ) -> dict[str, list[Estimate]]:
     """{"shapley", "first", "total"} of every input of a response whose germs are those of the inputs' own laws.
 
