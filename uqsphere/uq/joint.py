@@ -285,13 +285,11 @@ class Joint:
     def normals(self, physical: Array) -> Array:
         """Inputs (n, d) in SI -> independent standard normals (n, d): the inverse of `physical`."""
         scores = self.marginal_scores(physical)
-        found: Array = scores if self._lower is None else np.asarray(np.linalg.solve(self._lower, scores.T).T)
-        for group in self.groups:
-            at = [self.names.index(name) for name in group.members]
-            own = [group.copula.conditional_score(k, range(k), scores[:, at[:k]], scores[:, at[k]])
-                   for k in range(len(at))]  # fmt: skip
-            found = found.copy()
-            found[:, at] = np.stack(own, axis=1)
+        found = scores.copy()
+        for columns, copula in self.blocks:
+            for k, column in enumerate(columns):
+                known = scores[:, list(columns[:k])]
+                found[:, column] = copula.conditional_score(k, range(k), known, scores[:, column])
         return found
 
     def only(self, names: Sequence[str]) -> Joint:
