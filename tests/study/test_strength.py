@@ -7,12 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from uqsphere.errors import StudyError
 from uqsphere.mechanics import contact
-from uqsphere.study import Study, load_study
-from uqsphere.study.strength import Demand, equivalent_force, test_force
-from uqsphere.uq import Law
+from uqsphere.models import open_model
+from uqsphere.run.demands import column_of
+from uqsphere.run.design import Design
+from uqsphere.run.grow import evaluate
+from uqsphere.study import Limit, Study, load_study
+from uqsphere.study.strength import Demand, equivalent_force, modulus_of
+from uqsphere.uq import Law, Sample
 
 SCENE = """
 [sphere]
@@ -89,6 +94,21 @@ def test_every_kind_of_demand(load: Load) -> None:
     assert lognormal.tested.size == "none"
 
 
+def test_counts_and_a_known_modulus(load: Load) -> None:
+    counted = load(TESTS.replace(" }", ', count = "n" }'), "F,D,stop,n\n6,20,0,2\n7,20,0,1\n8,20,1,40\n").limits[0]
+    each = load(csv="F,D,stop\n6,20,0\n6,20,0\n7,20,0\n" + "8,20,1\n" * 40).limits[0]
+    assert counted.tested == each.tested
+    for criterion in ("contact_pressure", "core_tension"):
+        none = load(TESTS.replace(" }", ", modulus = 8 }"), "F,D,stop\n6,20,1\n7,20,1\n", f'criterion = "{criterion}"')
+        tested, law = none.limits[0].tested, none.limits[0].strength
+        assert modulus_of(tested.law) == 8.0
+        # p ~ F^(1/3): a force of the modulus 8 is a pressure of 24
+        assert modulus_of(law) == pytest.approx(24.0 if criterion == "contact_pressure" else 8.0, rel=0.05)
+        # no failure at 6 and 7 kN: half of the laws put the scale above that of one failure in 0.69
+        scales = np.array([draw[2] for draw in tested.law.draws])
+        assert np.median(scales) == pytest.approx(((6e3**8 + 7e3**8) / np.log(2.0)) ** 0.125, rel=1e-3)
+
+
 FORCE, RADIUS = np.array([800.0, 5e3, 40e3]), np.array([4e-3, 10e-3, 20e-3])
 SPHERE = {"E": np.array([50e9, 60e9, 75e9]), "nu": np.array([0.2, 0.25, 0.3]), "density": 2700.0}
 
@@ -116,7 +136,9 @@ def test_the_equivalent_force_is_the_closed_form(quantity: str) -> None:
     assert found == pytest.approx(FORCE, rel=1e-11)
 
 
-@pytest.mark.parametrize("pole", [{}, {"onset_pressure": 1e9, "hardness": 2.5e9}], ids=["elastic", "yielding"])
+@pytest.mark.parametrize(
+    "pole", [{}, {"onset_pressure": 1e9, "hardness": 2.5e9, "pile_up": 2.0, "takes": 1.0}], ids=["elastic", "yielding"]
+)
 @pytest.mark.parametrize(
     ("quantity", "criterion", "parameters"),
     [
@@ -141,27 +163,121 @@ def test_it_gives_back_the_value(
     assert found == pytest.approx(force, rel=1e-8)
 
 
-def test_with_test_and_use_alike_the_share_broken_is_that_of_the_tests(load: Load) -> None:
-    """Whatever E and nu of the rows: only the force and the size count."""
-    limit = load(quantity='criterion = "core_tension"').limits[0]
-    tested = limit.tested
-    assert tested is not None
-    assert tested.law is not None
-    from uqsphere.study.strength import _reached, _state
+BASALT = """
+sphere = { E = %s, nu = %s, density = "2900 kg/m3", radius = "7.5 mm" }
+%s
+[limits.a]
+%s
+target = 0.5
+strength = { file = "b.csv", force = "F", force_unit = "kN", diameter = "15 mm", platens = "maraging_steel" }
+"""
+TESTED = "F\n7.42\n9.85\n8.31\n6.20\n8.77\n10.42\n7.95\n6.88\n9.10\n8.02\n5.61\n8.54\n7.13\n9.47\n8.66\n"
+PLATENS = 'rig = { kind = "platens" }\nplatens = { material = "maraging_steel", force = "7.228 kN" }'
+BARS = ('bars = { material = "maraging_steel", diameter = "25 mm", incident_length = "2 m", '
+        'receiving_length = "2 m" }\n'
+        'striker = { speed = "2 m/s", length = "0.3 m" }')  # fmt: skip
+WIDE = ('{ dist = "uniform", lower = "50 GPa", upper = "90 GPa" }', '{ dist = "uniform", lower = 0.15, upper = 0.35 }')
+PLASTIC = 'contact = { law = "plastic", onset_pressure = "2 GPa", hardness = "6 GPa" }'
+ENERGY = 'criterion = "specific_energy"\nenergy_is = '
+DEMANDS = [
+    *(f'criterion = "{name}"' for name in ("edge_tension", "ring_crack", "core_tension", "centre_tension",
+      "equatorial_tension", "hiramatsu_oka", "grain_tension", "subsurface_shear")),
+    'criterion = "weakest_link_volume"\nreference_volume = "1 cm3"',
+    'criterion = "weakest_link_surface"\nreference_area = "1 cm2"',
+]  # fmt: skip
 
-    rng = np.random.default_rng(3)
-    n = 400
-    sphere = {"E": rng.uniform(30e9, 90e9, n), "nu": rng.uniform(0.15, 0.4, n), "density": 2700.0}
-    force, radius = rng.uniform(4e3, 9e3, n), np.full(n, 0.5 * tested.diameter)
-    value = _reached(_state(force, sphere, radius, tested.platens), Demand(quantity=limit.quantity, parameters={}))
-    assert test_force(limit, value, sphere, radius) == pytest.approx(force, rel=1e-9)
-    # a sphere twice as large bears the force that the weakest link of its volume lets it
-    larger = test_force(limit, value, sphere, 2.0 * radius)
-    own = equivalent_force(limit, value, sphere, 2.0 * radius, tested.platens)
-    m = tested.law.parameters["modulus"]
-    assert tested.law.sf(larger) == pytest.approx(
-        np.exp(-8.0 * (own / 4.0 / tested.law.parameters["scale"]) ** m), rel=1e-9
+
+def evaluated(tmp_path: Path, scatter: tuple[str, str], rig: str, demand: str) -> tuple[Limit, Sample, np.ndarray]:
+    """The limit, 16 x 8 rows, and the forces in the tests that they are worth."""
+    (tmp_path / "b.csv").write_text(TESTED)
+    study = load_study(tmp_path / "s.toml", text=BASALT % (*scatter, rig, demand))
+    design = Design.of(study)
+    sample = evaluate(design, open_model(design.study), design.points(8))
+    return study.limits[0], sample, sample.answer(column_of(study.limits[0]))
+
+
+@pytest.mark.parametrize("contact", ["", PLASTIC], ids=["elastic", "yielding"])
+@pytest.mark.parametrize("rig", [PLATENS, BARS], ids=["platens", "bars"])
+def test_with_test_and_use_alike_only_the_force_counts(rig: str, contact: str, tmp_path: Path) -> None:
+    """Whatever E and nu of the rows: the equivalent test force is the row's own, by every criterion."""
+    quiet = f'{rig}\n{contact}\nanalysis.quantities = ["P_max"]'
+    pressure = (
+        f'criterion = "contact_pressure"{chr(10) + "strength_is = " + chr(34) + "hertz" + chr(34) if contact else ""}'
     )
+    energies = [ENERGY + '"sphere"', ENERGY + '"contact"'] if rig == PLATENS else []
+    for demand in (pressure, *DEMANDS, *energies):
+        _, sample, force = evaluated(tmp_path, WIDE, quiet, demand)
+        assert force == pytest.approx(sample.answer("P_max"), rel=1e-6), demand
+
+
+def test_the_share_broken_is_that_of_the_tests_for_any_scatter(tmp_path: Path) -> None:
+    """By hand: the likeliest Weibull law of the 15 forces breaks 22.7 % at 7.228 kN."""
+    by_hand = stats.weibull_min(7.3147, scale=8700.29).cdf(7228.0)
+    assert by_hand == pytest.approx(0.2271, abs=1e-4)
+    core = 'criterion = "core_tension"'
+    for scatter in (('"70 GPa"', "0.25"), WIDE):
+        limit, _, force = evaluated(tmp_path, scatter, PLATENS, core)
+        assert limit.tested.law.cdf(force) == pytest.approx(by_hand, abs=1e-5)
+    shares = []
+    for nu in ("0.25", '{ dist = "beta", mean = 0.25, sd = 0.03, lower = 0.05, upper = 0.45 }'):
+        modulus = '{ dist = "lognormal", mean = "70 GPa", cov = 0.1 }'
+        limit, _, force = evaluated(tmp_path, (modulus, nu), BARS, core)
+        shares.append(limit.tested.law.cdf(force).mean())
+    # E moves the load, and so the share; nu does so by a fifth of a percent of a point
+    assert all(0.22 < share < 0.25 for share in shares)
+    assert abs(shares[1] - shares[0]) < 0.004
+
+
+def test_rows_and_the_free_number_have_one_size_law(load: Load, tmp_path: Path) -> None:
+    """A sphere of another size breaks at F (D/D_0)^(2 - 3/m), by the weakest link of its volume, whoever asks."""
+    core = 'criterion = "core_tension"'
+    tested = load(quantity=core).limits[0].tested
+    m = tested.law.parameters["modulus"]
+    assert tested.exponent == pytest.approx(2.0 - 3.0 / m, rel=1e-10)
+    forces = []
+    for radius, moving in ((9e-3, {"sphere.radius": np.full((16, 8), 9e-3)}), (9e-3, {}), (9.5e-3, {})):
+        scene = SCENE.replace(
+            '{ dist = "normal", mean = "10 mm", cov = 0.01 }', "'10 mm'" if moving else f"'{radius} m'"
+        )
+        study = load(quantity=core, scene=scene)
+        design = Design.of(study)
+        points = design.points(8)
+        forces.append(evaluate(design, open_model(design.study), points, moving).answer(column_of(study.limits[0])))
+    assert forces[0] == pytest.approx(forces[1], rel=1e-9)
+    assert forces[2] != pytest.approx(forces[1], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("strength", "radius", "between", "says"),
+    [
+        ('fit = "lognormal"', "16 mm", "", "no size law over more than 50 %"),
+        ('fit = "lognormal"', "12 mm", '["8 mm", "14 mm"]', ""),
+        (
+            'fit = "lognormal"',
+            "12 mm",
+            '["8 mm", "16 mm"]',
+            "margins.between: limits.a: the tests have a mean diameter",
+        ),
+        ('fit = "lognormal"', '{ dist = "normal", mean = "12 mm", cov = 0.2 }', "", "the sphere of 35"),
+        ('fit = "weibull"', "12 mm", '["8 mm", "26 mm"]', ""),
+        ("draws", "10 mm", '["8 mm", "26 mm"]', "fit anew with this size as strength_at"),
+        ("draws", "16 mm", "", "fit anew with this size as strength_at"),
+    ],
+)
+def test_sizes_beyond_half_as_much_need_a_law(
+    strength: str, radius: str, between: str, says: str, load: Load, tmp_path: Path
+) -> None:
+    (tmp_path / "draws.csv").write_text("distribution,scale [GPa],shape,diameter [mm]\nlognormal,4,0.1,20\n")
+    tests = TESTS.replace(" }", f", {strength} }}") if strength != "draws" else 'strength = { draws = "draws.csv" }'
+    own = radius if radius.startswith("{") else f'"{radius}"'
+    scene = SCENE.replace('{ dist = "normal", mean = "10 mm", cov = 0.01 }', own)
+    scene = (f'margins = {{ solve = "sphere.radius", between = {between} }}\n' if between else "") + scene
+    if not says:
+        assert load(tests, quantity='criterion = "contact_pressure"', scene=scene).margins is not None
+        return
+    with pytest.raises(StudyError) as caught:
+        load(tests, quantity='criterion = "contact_pressure"', scene=scene)
+    assert says in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -173,6 +289,8 @@ def test_with_test_and_use_alike_the_share_broken_is_that_of_the_tests(load: Loa
         (("", ""), "F,D,stop\n6,20,0\n7,0,0\n", "the diameter must be above 0"),
         (("", ""), "F,D,stop\n6,20,0\n7,20,1\n", "only one failure"),
         (("", ""), "F,D,stop\n6,20,0\n7,20,maybe\n", "0 or 1"),
+        (("", ""), "F,D,stop\n6,20,0\n6,20,0\n6,20,0\n", "all 3 observations are equal"),
+        ((" }", ', count = "n" }'), "F,D,stop,n\n6,20,0,2\n7,20,0,1.5\n", "line 3: counts are whole numbers"),
         (("", ""), "F,D\n6,20\n7,20\n", "column 'stop' is not in"),
         (("", ""), "F,D,stop\n6,20,0\nx,20,0\n", "where a number is required"),
         (('"F"', '"f"'), CSV, "strength.force: the column 'f' is not in"),
@@ -218,7 +336,8 @@ IMPLAUSIBLE = {
     "as they were": (("", ""), ROWS, ""),
     "kN for N": (('"N"', '"kN"'), ROWS, "usual are 0.2 to 500 MPa: is the unit N?"),
     "MN for N": (('"N"', '"MN"'), ROWS, "is the unit N?"),
-    "cm for mm": (('"mm"', '"cm"'), ROWS, "mean diameter of 119"),
+    "cm for mm": (('"mm"', '"cm"'), ROWS, "more than three times off the sphere's, the first 119 mm: is the unit mm?"),
+    "three tests": (("", ""), ROWS[:3], "3 observations: what so few leave open is large"),
     "a decimal slip": (("", ""), ["11.9,28300", *ROWS[1:]], "line 2 (10.8 times the median): far from the other rows"),
     "rows pasted twice": (("", ""), ROWS * 2, "repeat earlier rows: pasted twice?"),
     "a mean row": (("", ""), [*ROWS, "11.9,2486"], "line 14 is the mean of the rows above"),
@@ -249,6 +368,8 @@ def test_a_shape_that_no_law_has_is_warned_of(load: Load) -> None:
         ("cov = 0.03", "cov = 15", "15 times the mean"),
         ('"2700 kg/m3"', '"3.7 kg/m3"', "sphere.density: 3.7 kg/m3 is unusual"),
         ('strength = "4 GPa"', 'strength = "4 Pa"', "limits.a.strength: 4e-09 GPa is unusual"),
+        ('strength = "4 GPa"', 'strength = "4 MPa"', "limits.a.strength: 0.004 GPa is unusual"),
+        ('quantity = "p_max"\nstrength = "4 GPa"', 'criterion = "core_tension"\nstrength = "26 GPa"', "usual: 0.1 MPa"),
         ('quantity = "p_max"\nstrength = "4 GPa"', 'quantity = "specific_energy"\nstrength = "200 '
                                                    'kJ/kg"', "2e+05 J/kg is unusual"),
     ],
@@ -273,8 +394,6 @@ def test_draws_are_a_strength(load: Load, tmp_path: Path) -> None:
     assert isinstance(law, Law)
     assert len(law.draws) == 3
     x = np.array([60.0, 100.0, 200.0])
-    from scipy import stats
-
     bounded = stats.norm.cdf((np.log(x / 120) - np.log1p(-0.2 * x / 120)) / 0.6)
     mean = (stats.lognorm(0.5, scale=100).cdf(x) + bounded + stats.weibull_min(2, scale=110).cdf(x)) / 3.0
     assert law.cdf(x) == pytest.approx(mean, abs=1e-6)

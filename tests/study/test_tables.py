@@ -19,6 +19,7 @@ ALIKE = {
     "tabs": PLAIN.replace(",", "\t").encode(),
     "UTF-16": PLAIN.replace(",", "\t").encode("utf-16"),
     "comments, blanks": ("# made by hand\n\n" + PLAIN + "\n,\n").encode(),
+    "Excel's own first line": b"sep=;\nD;F\n14,9;7,42\n15,1;9,85\n15;8,31\n",
     "empty last column": b"D,F,\n14.9,7.42,\n15.1,9.85,\n15,8.31,\n",
 }
 
@@ -45,6 +46,13 @@ def test_a_workbook_and_windows_text(tmp_path: Path) -> None:
         assert table.numbers("Größe", "length").tolist() == pytest.approx([14.9e-3, 15.1e-3])
         assert table.numbers("Kraft", "force").tolist() == pytest.approx([7420.0, 9850.0])
     assert "cp1252" in table.notes[0]
+    (tmp_path / "u.csv").write_text("D,F,note\nmm,kN,-\n14.9,7.42,total loss\n")
+    book.create_sheet("more").append(["x"])
+    book.save(tmp_path / "t.xlsx")
+    assert "2 sheets: the first, 'Sheet', is read" in read_table(tmp_path / "t.xlsx").notes[0]
+    table = read_table(tmp_path / "u.csv")
+    assert table.numbers("F", "force").tolist() == [7420.0]
+    table.finish()
 
 
 @pytest.mark.parametrize(
@@ -73,6 +81,10 @@ FAULTY = {
     "a mark of thousands": ("D;F\n14,9;1.234,5\n15;7,4\n", "line 2: F: a mark of thousands"),
     "a thousands dot among whole numbers": ("D,F\n14,2.830\n15,2260\n", "line 2: F: '2.830' beside '2260': a "
                                                                         "mark of thousands?"),
+    "thousands dots beside decimal commas": ("D;F\n14,9;2.830\n15,1;2.260\n", "lines 2, 3: F: a mark of thousands"),
+    "thousands commas beside points": ('D,F\n14.9,"2,830"\n15.1,"2,260"\n', "lines 2, 3: F: a mark of thousands"),
+    "whole numbers beside thousands dots": ("D;F\n14;2.830\n15;950\n", "'2.830' beside '950': a mark of thousands?"),
+    "pasted with its headings": ("D,F\n1,2\nD,F\n1,2\n", "t.csv: line 3: the headings again: pasted twice?"),
     "comma or thousands": ("D;F\n14;2,830\n15;2,260\n", 'add decimal = ","'),
     "two decimal marks": ("D;F\n14;2,83\n15;2.26\n", "decimal point and comma in one column"),
     "summary rows": ("n;F\n1;7.42\n2;9.85\nMittelwert;8.6\nsd;1.7\n", "lines 4, 5: a summary row"),
@@ -138,5 +150,5 @@ def test_units_come_from_the_key_or_the_heading_and_must_agree(tmp_path: Path) -
             table.numbers("F", "force", unit, key="force")
         assert said in str(caught.value)
         assert caught.value.key == "force_unit"
-    with pytest.raises(TableError, match="or add diameter_unit = \"m\""):
+    with pytest.raises(TableError, match='or add diameter_unit = "m"'):
         table.numbers("D", "length", key="diameter")

@@ -18,7 +18,6 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Values
 from uqsphere.mechanics import contact, stress
-from uqsphere.mechanics.yielding import CAP_PILE_UP, Face
 from uqsphere.units import Quantity
 
 Columns = Mapping[str, Values]
@@ -464,13 +463,3 @@ DEMANDS: Final[dict[str, Quantity]] = {
     )
     for name, entry in CRITERIA.items()
 }  # fmt: skip
-
-
-def pole_of(columns: Mapping[str, Values], modulus: Array, radius: Array) -> Face | None:
-    """The law of a sphere's pole between harder platens; None where its onset or its hardness is not given."""
-    law = [columns.get(f"sphere.{key}") for key in ("onset_pressure", "hardness")]
-    if any(part is None for part in law):
-        return None
-    onset, hardness = (np.broadcast_to(np.asarray(part, dtype=float), radius.shape) for part in law)
-    return Face(onset=onset, hardness=hardness, pile_up=np.full(radius.shape, CAP_PILE_UP), modulus=modulus,
-                effective_radius=radius)  # fmt: skip

@@ -213,15 +213,18 @@ def at_force(force: Values, known: Mapping[str, Values]) -> Columns:
     """Columns of n spheres that are loaded slowly up to a force (n,) [N] at both faces.
 
     known: `modulus`, `effective_radius`, `hertz_constant`, `mass`, and what the criteria read of the sphere; `face`,
-    the law of a pole of the sphere that yields between harder platens.
+    the law of a pole that yields, and whether the sphere `takes` the plastic work.
     """
-    state = {name: value for name, value in known.items() if name != "face"} | {"P_max": force}
+    state, takes = (
+        {key: value for key, value in known.items() if key != "face"} | {"P_max": force},
+        known.get("takes", 1.0),
+    )
     if (face := known.get("face")) is not None:
         press = face.pressed(face.depth_at(force))
-        state |= {**_pressures(press, known["modulus"], known["effective_radius"], 1.0), "alpha_max": press.approach}
+        state |= {**_pressures(press, known["modulus"], known["effective_radius"], takes), "alpha_max": press.approach}
         stored, lost = 2.0 * press.stored, 2.0 * press.plastic
         chi = known["modulus"] * (1.0 - np.square(known["sphere.nu"])) / known["sphere.E"]
-        state["energy_sphere"] = chi * stored + lost
+        state["energy_sphere"] = chi * stored + takes * lost
     else:
         state["alpha_max"] = contact.approach_at_force(force, known["hertz_constant"])
         stored = 2.0 * contact.contact_energy(state["alpha_max"], known["hertz_constant"])

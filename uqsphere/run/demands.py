@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.mechanics.rigs import LAW
 from uqsphere.study import Limit
 from uqsphere.study.strength import test_force
 from uqsphere.uq import Law, Sample
@@ -52,6 +53,14 @@ def _factor(limit: Limit, sample: Sample) -> Array | float:
     return limit.model_factor.nominal_mean() if isinstance(limit.model_factor, Law) else limit.model_factor
 
 
+def _law(limit: Limit, moving: Mapping[str, Array], sample: Sample) -> list[str]:
+    """Numbers of what yields in the tests that scatter from row to row."""
+    own = limit.tested.sphere if limit.tested is not None else {}
+    tables = ("sphere", "contact") if own.get("takes") else ("contact",)
+    names = [f"{table}.{key}" for table in tables for key in LAW if key in own]
+    return [name for name in names if name in moving or name in sample.names]
+
+
 def with_test_forces(
     design: Design, sample: Sample, moving: Mapping[str, Array], limits: Sequence[Limit] | None = None
 ) -> Sample:
@@ -71,7 +80,9 @@ def with_test_forces(
             continue
         value = sample.answer(limit.quantity) * _factor(limit, sample)
         known = np.isfinite(value)
-        sphere = {name.partition(".")[2]: number(name)[known.ravel()] for name in SPHERE}
+        sphere = {
+            name.partition(".")[2]: number(name)[known.ravel()] for name in (*SPHERE, *_law(limit, moving, sample))
+        }
         force = np.full(shape, np.nan)
         force[known] = test_force(limit, value[known], sphere, number("sphere.radius")[known.ravel()])
         late = sample.late(limit.quantity)

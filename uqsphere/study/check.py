@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -618,16 +619,32 @@ def _strength(draft: Draft, table: LimitTable, demand: Demand, place: Place) -> 
         if found.tested is not None and radii:
             compare_sizes(found.tested, radii, draft.reader, (*place, "draws"))
         return found if radii else replace(found, tested=None)
-    keys = ("E", "nu", "density", *(("onset_pressure", "hardness") if draft.plastic else ()))
-    own = {key: draft.mean(f"sphere.{key}") for key in keys if f"sphere.{key}" in draft.numbers}
-    if not {"E", "nu", "density"} <= own.keys() or not radii:
+    own = {key: draft.mean(f"sphere.{key}") for key in ("E", "nu", "density")}
+    if not radii or math.isnan(sum(own.values())):
         draft.spoiled.add(place)
         raise Fault("the tests need E, nu, density and radius of the sphere")
-    own["share"] = _share_of_sphere(draft, own["E"], own["nu"])
-    found = tested_strength(table.strength, demand, own, radii, _bars(draft), draft.reader, place,
-                            quick=draft.rig != "platens")  # fmt: skip
+    own["partner"] = (1.0 - own["nu"] ** 2) / own["E"] * (1.0 / _share_of_sphere(draft, own["E"], own["nu"]) - 1.0)
+    found = tested_strength(table.strength, demand, own, radii, _bars(draft), partial(_face_of_tests, draft),
+                            draft.reader, place, quick=draft.rig != "platens")  # fmt: skip
     warn_unusual(found.mean, entry, draft.reader, place)
     return found
+
+
+def _face_of_tests(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
+    """What yields where a sphere is tested between platens: as in the rig, if they are its partner, else the sphere."""
+    if not draft.plastic:
+        return {}
+    columns = {name: np.array([number.mean]) for name, number in draft.numbers.items()}
+    rigid, law, takes = bool(draft.options.get("bars.rigid_contact")), sphere_body(columns), True
+    for table in RIGS[draft.rig].tables:
+        partner = [draft.mean(f"{table}.insert_{key}", draft.mean(f"{table}.{key}")) for key in ("E", "nu")]
+        if np.allclose(partner, platens, rtol=1e-9):
+            at_onset = draft.options.get("contact.hardness") == "onset"
+            law = law_of(columns, table, rigid=rigid, at_onset=at_onset)
+            takes = bool(sphere_body(columns).onset[0] < body_of(columns, table, rigid).onset[0])
+            break
+    numbers = {key: float(value[0]) for key, value in zip(LAW, law, strict=True)}
+    return {**numbers, "takes": float(takes)} if math.isfinite(sum(numbers.values())) else {}
 
 
 def _radii(draft: Draft) -> tuple[float, ...]:

@@ -23,9 +23,10 @@ from uqsphere.errors import AccessError, UsageError
 from uqsphere.files import is_device_name
 from uqsphere.materials import library
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.criteria import CRITERIA, pole_of
+from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.criteria import demand as demand_of
 from uqsphere.mechanics.outputs import OUTPUTS, at_force, follows_force
+from uqsphere.mechanics.yielding import Face
 from uqsphere.quantities import INPUTS, format_value, reading_units, unit_that_reads
 from uqsphere.study.document import (
     Fault,
@@ -49,6 +50,8 @@ from uqsphere.uq.fitting import STRENGTHS, fitted_law, law_of_draws, make_tests,
 _FEW: Final = 10
 #: ratio of diameters of tests and sphere that is told, and beyond which nothing but a size law carries a strength
 SIZES_TOLD, SIZES_REFUSED = 1.1, 1.5
+#: a criterion rises at least by this share with one percent of force
+_RISES: Final = 5e-4
 #: usual strengths by dimension, the pressures of tensions and of contacts, and usual 0.9 P/D² of brittle spheres
 USUAL: Final = {"pressure": (1e5, 5e9), "specific_energy": (1.0, 2e4), "toughness": (1e4, 2e7)}
 _CONTACT: Final = (3e7, 1e11)
@@ -83,19 +86,26 @@ class Demand:
 def _state(force: Array, sphere: Mapping[str, Values], radius: Array, platens: tuple[float, float],
            rate: Array | None = None) -> Any:  # fmt: skip
     """What the criteria read of n spheres of a radius (n,) that are pressed to a force (n,) between platens."""
-    full = {f"sphere.{key}": np.broadcast_to(np.asarray(value, dtype=float), radius.shape)
-            for key, value in sphere.items()}  # fmt: skip
-    E, nu, mass = full["sphere.E"], full["sphere.nu"], contact.sphere_mass(radius, full["sphere.density"])
-    modulus = np.asarray(contact.reduced_modulus(E, nu, *platens))
+    full = {key: np.broadcast_to(np.asarray(value, dtype=float), radius.shape) for key, value in sphere.items()}
+    E, nu, mass = full["E"], full["nu"], contact.sphere_mass(radius, full["density"])
+    modulus, compliance, takes = (
+        np.asarray(contact.reduced_modulus(E, nu, *platens)),
+        (1.0 - nu * nu) / E,
+        full.get("takes"),
+    )
+    face = None if takes is None else Face(onset=full["onset_pressure"], hardness=full["hardness"],
+                                           pile_up=full["pile_up"], modulus=modulus,
+                                           effective_radius=radius)  # fmt: skip
     state = at_force(force, {
-        **full, "sphere.radius": radius, "modulus": modulus, "effective_radius": radius, "mass": mass,
-        "hertz_constant": contact.hertz_constant(modulus, radius),
-        "loading_rate": np.zeros(radius.shape) if rate is None else rate, "face": pole_of(full, modulus, radius),
+        **{f"sphere.{key}": value for key, value in full.items()}, "sphere.radius": radius, "modulus": modulus,
+        "effective_radius": radius, "mass": mass, "hertz_constant": contact.hertz_constant(modulus, radius),
+        "loading_rate": np.zeros(radius.shape) if rate is None else rate, "face": face,
+        "takes": 0.0 if takes is None else takes,
     })  # fmt: skip
-    # the sphere has this share of what both contacts store; in the study's own rig it may be another
-    share = modulus * (1.0 - nu * nu) / E
-    own = share * state["energy"] + state["dissipated"]
-    both = (own - state["dissipated"]) / full.get("sphere.share", share)
+    # the sphere's share of what both contacts store, here and between the partners of the study's own rig
+    elastic = modulus * compliance * state["energy"]
+    own = elastic + (0.0 if takes is None else takes) * state["dissipated"]
+    both = elastic * (1.0 + full["partner"] / compliance) if "partner" in full else state["energy"]
     given = {"energy_sphere": own, "specific_energy_sphere": own / mass, "impact_energy": state["energy"],
              "specific_impact_energy": state["energy"] / mass, "energy": both,
              "specific_energy": both / mass}  # fmt: skip
@@ -121,8 +131,9 @@ def equivalent_force(
     ----------
     limit : its quantity, or criterion with parameters.
     value : (n,) of that criterion in the row, SI.
-    sphere : E [Pa], nu, density [kg/m³], (n,) each or numbers; onset_pressure and hardness [Pa] where its poles yield;
-        share, the sphere's of the energy in both contacts of the row's own rig, where that is what is limited.
+    sphere : E [Pa], nu, density [kg/m³], (n,) each or numbers; where its poles yield onset_pressure, hardness [Pa],
+        pile_up and takes, 1 if the sphere itself yields; partner: (1 - nu²)/E [1/Pa] of what is on the other side in
+        the row's own rig, where the energy of both is what is limited.
     radius : of the row's sphere [m], (n,).
     platens : E [Pa], infinite if rigid, and nu of the platens of the tests.
 
@@ -164,8 +175,7 @@ def test_force(limit: Limit, value: Values, sphere: Mapping[str, Values], radius
     tested = limit.tested
     assert tested is not None
     if tested.law is not None:
-        own = {**{k: v for k, v in tested.sphere.items() if k in ("onset_pressure", "hardness", "share")}, **sphere}
-        value = equivalent_force(limit, value, own, radius, tested.platens)
+        value = equivalent_force(limit, value, {**tested.sphere, **sphere}, radius, tested.platens)
     return np.asarray(value * (tested.diameter / (2.0 * np.asarray(radius, dtype=float))) ** tested.exponent)
 
 
@@ -348,13 +358,14 @@ def modulus_of(law: object) -> float | None:
 
 def tested_strength(
     raw: Mapping[str, Any], demand: Demand, sphere: Mapping[str, float], radii: tuple[float, ...],
-    bars: tuple[float, float] | None, reader: Reader, place: Place, *, quick: bool,
+    bars: tuple[float, float] | None, face: Callable[[tuple[float, float]], dict[str, float]], reader: Reader,
+    place: Place, *, quick: bool,
 ) -> Number:  # fmt: skip
     """The law of the strength against a demand from forces at failure, and the tests themselves; raises Fault.
 
-    sphere: E, nu, density, share, and onset_pressure and hardness where its poles yield, at their means (see
-    `equivalent_force`); radii: its mean [m] and the ends of its scatter;
-    bars: E and nu of the study's bars; quick: whether the study's rig is a blow.
+    sphere: E, nu, density and partner at their means (see `equivalent_force`); radii: its mean [m] and the ends of its
+    scatter; bars: E and nu of the study's bars; face: what yields between platens, by their E and nu; quick: whether
+    the study's rig is a blow.
     """
     table = _declared(raw)
     for key, example in (("file", "tests.csv"), ("force", "F"), ("diameter", "D")):
@@ -366,6 +377,7 @@ def tested_strength(
     if demand.criterion is None and not follows_force(demand.quantity):
         raise Fault(f"a force at failure is no measure of {demand.quantity}: name a criterion", "force")
     platens = platens_of(table.platens, bars, "platens")
+    sphere = {**sphere, **face(platens)}
     found = open_table(table.file, reader, "file", table.decimal)
     with _faults(found):
         force = found.numbers(table.force, "force", table.force_unit, key="force")
@@ -410,6 +422,10 @@ def tested_strength(
     def reached(demand: Demand, factor: float = 1.0) -> Array:
         return _reached(_state(factor * force, sphere, 0.5 * diameter, platens, rate), demand)
 
+    steady = demand if not knows else replace(demand, parameters={"modulus": 8.0, **demand.parameters})
+    if not (np.log(reached(steady, 1.01) / reached(steady)) > _RISES).all():
+        raise Fault(f"{demand.quantity} hardly rises with the force of such tests, so that no force tells its "
+                    "strength: take another criterion")  # fmt: skip
     law = _of_demand(table, fit, reached, stopped, demand, needs_modulus=knows and "modulus" not in demand.parameters)
     return Number(value=law, synthetic=table.synthetic, tested=tested)
 

@@ -187,7 +187,7 @@ def _ends(shapes: Shapes, reach: float) -> tuple[float, float]:
     scores = np.array([-reach, reach])[:, None]
     # a hazard of -ln(1 - Phi(z))
     hazard = np.maximum(-special.log_ndtr(-scores), 1e-300)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         stretched = scale * np.exp(shape * scores)
         found = np.where(kind == LOGNORMAL, stretched / (1.0 + bound * stretched / scale),
                          least + scale * hazard ** (1.0 / shape))  # fmt: skip
