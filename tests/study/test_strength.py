@@ -98,7 +98,7 @@ def test_counts_and_a_known_modulus(load: Load) -> None:
     counted = load(TESTS.replace(" }", ', count = "n" }'), "F,D,stop,n\n6,20,0,2\n7,20,0,1\n8,20,1,40\n").limits[0]
     each = load(csv="F,D,stop\n6,20,0\n6,20,0\n7,20,0\n" + "8,20,1\n" * 40).limits[0]
     assert counted.tested == each.tested
-    for criterion in ("contact_pressure", "core_tension"):
+    for criterion in ("contact_pressure", "hiramatsu_oka"):
         none = load(TESTS.replace(" }", ", modulus = 8 }"), "F,D,stop\n6,20,1\n7,20,1\n", f'criterion = "{criterion}"')
         tested, law = none.limits[0].tested, none.limits[0].strength
         assert modulus_of(tested.law) == 8.0
