@@ -7,46 +7,25 @@ here, so that a quantity has one name and one unit everywhere.
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextvars import ContextVar
 from dataclasses import replace
-from typing import Final
 
 from uqsphere.mechanics.criteria import DEMANDS
 from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.scene import INPUTS
-from uqsphere.units import UNITS, Quantity, format_distinct, format_probability
+from uqsphere.units import UNITS, Quantity
 
 __all__ = [
     "DEMANDS",
     "INPUTS",
     "OUTPUTS",
     "display_unit",
-    "format_distinct",
+    "format_conservative",
     "format_estimate",
     "format_probability",
     "format_value",
     "lookup",
-    "reading_units",
-    "unit_that_reads",
 ]
-
-#: units that numbers of a dimension are read in beside the one that is usual for their quantity: SI prefixes alone
-_LADDERS: Final[dict[str, tuple[str, ...]]] = {
-    "length": ("um", "mm", "m"),
-    "time": ("ns", "us", "ms", "s"),
-    "speed": ("um/s", "mm/s", "m/s"),
-    "pressure": ("Pa", "kPa", "MPa", "GPa"),
-    "force": ("mN", "N", "kN", "MN"),
-    "energy": ("uJ", "mJ", "J", "kJ"),
-    "specific_energy": ("mJ/kg", "J/kg", "kJ/kg"),
-    "loading_rate": ("N/s", "kN/s", "MN/s", "GN/s"),
-    "toughness": ("Pa.sqrt(m)", "kPa.sqrt(m)", "MPa.sqrt(m)"),
-}
-#: the units of the page or the table that is being written, by the name of the quantity
-_CHOSEN: Final[ContextVar[Mapping[str, str]]] = ContextVar("units_of_the_page")
 
 
 def lookup(name: str) -> Quantity:
@@ -61,49 +40,8 @@ def lookup(name: str) -> Quantity:
 def display_unit(name: str) -> tuple[str, float]:
     """The unit people read for a quantity, and the factor that turns an SI value into it."""
     quantity = lookup(name)
-    unit = _CHOSEN.get({}).get(name) or quantity.display or quantity.unit
+    unit = quantity.display or quantity.unit
     return unit, 1.0 / UNITS[quantity.dimension].get(unit, 1.0)
-
-
-@contextlib.contextmanager
-def reading_units(units: Mapping[str, str]) -> Iterator[None]:
-    """Other units for people inside the block, by name of quantity: all that is written there then agrees.
-
-    >>> with reading_units({"P_max": "N"}):
-    ...     format_value(32.0, "P_max")
-    '32 N'
-    """
-    token = _CHOSEN.set({**_CHOSEN.get({}), **units})
-    try:
-        yield
-    finally:
-        _CHOSEN.reset(token)
-
-
-def unit_that_reads(name: str, values: Sequence[float]) -> str:
-    """The unit in which a group of values (SI) of one quantity has the fewest zeros and digits before its point.
-
-    The usual unit stays unless another SI prefix is better: 0.1 to 10 000 counts as readable.
-
-    >>> unit_that_reads("P_max", [32.0, 41.0]), unit_that_reads("P_max", [320.0]), unit_that_reads("p_max", [5e5])
-    ('N', 'kN', 'kPa')
-    """
-    quantity = lookup(name)
-    usual = quantity.display or quantity.unit
-    sizes = [math.log10(abs(v)) for v in values if v and math.isfinite(v)]
-    ladder = _LADDERS.get(quantity.dimension, ())
-    if not sizes or usual not in ladder:
-        return usual
-
-    def clumsy(unit: str) -> int:
-        exponents = [math.floor(size - math.log10(UNITS[quantity.dimension][unit]) + 1e-9) for size in sizes]
-        return sum(max(-1 - e, 0) + max(e - 3, 0) for e in exponents)
-
-    def tall(unit: str) -> float:
-        # of units that read alike the one with one to three digits before the point
-        return abs(max(sizes) - math.log10(UNITS[quantity.dimension][unit]) - 1.5)
-
-    return min(ladder, key=lambda unit: (clumsy(unit), unit != usual, tall(unit)))
 
 
 def format_value(value: float, name: str, digits: int = 4) -> str:
@@ -114,6 +52,37 @@ def format_value(value: float, name: str, digits: int = 4) -> str:
     """
     unit, factor = display_unit(name)
     return f"{value * factor:.{digits}g} {unit}".rstrip()
+
+
+def format_conservative(value: float, name: str, *, least: bool, digits: int = 2) -> str:
+    """As `format_value`, rounded up where a value is the `least` that is safe, else down.
+
+    >>> [format_conservative(0.458, "striker.speed", least=least) for least in (False, True)]
+    ['0.45 m/s', '0.46 m/s']
+    """
+    unit, factor = display_unit(name)
+    scaled = value * factor
+    step = 10.0 ** (math.floor(math.log10(abs(scaled))) - digits + 1) if scaled else 1.0
+    rounded = (math.ceil(scaled / step - 1e-9) if least else math.floor(scaled / step + 1e-9)) * step
+    return f"{float(f'{rounded:.{digits}g}'):g} {unit}".rstrip()
+
+
+def format_probability(value: float | None, high: float | None = None) -> str:
+    """A probability for people: percent to two digits, a power of ten below 0.01 %, never rounded to 0 or 100 %.
+
+    Without a value its upper bound, if there is one.
+
+    >>> format_probability(0.0333), format_probability(2.6e-7), format_probability(0.99996), format_probability(0.0)
+    ('3.3 %', '2.6e-07', '99.996 %', '0 %')
+    >>> format_probability(None, 1e-5), format_probability(None)
+    ('below 1e-05', 'not known')
+    """
+    if value is None:
+        return "not known" if high is None else f"below {format_probability(high)}"
+    if 0.0 < value < 1e-4:
+        return f"{value:.2g}"
+    digits = 2 if value <= 0.99 else 2 - math.floor(math.log10(1.0 - value)) if value < 1.0 else 3
+    return f"{100.0 * value:.{digits}g} %"
 
 
 def format_estimate(value: float, low: float, high: float, name: str = "", most: int = 15) -> str:

@@ -100,21 +100,11 @@ class Quantity:
         """The SI unit of the quantity."""
         return next(iter(UNITS[self.dimension]))
 
-    @property
-    def label(self) -> str:
-        """Axis label in the display unit, without the meaning: ``p_max [GPa]``."""
-        return f"{self.symbol} [{self.display}]" if self.display else self.symbol
-
     def allows(self, value: Values) -> Values:
         """Whether each value (SI) lies inside the bounds of meaning."""
         if self.closed:
             return (self.lower <= value) & (value <= self.upper)
         return (self.lower < value) & (value < self.upper)
-
-
-def units_of(dimension: str) -> list[str]:
-    """The units that are understood for a dimension, SI first."""
-    return list(UNITS[dimension])
 
 
 def typed_units(dimension: str) -> str:
@@ -197,24 +187,3 @@ def _finite(value: float, text: str) -> float:
     if not math.isfinite(value):
         raise UnitError(f"{text} is not a finite number")
     return value
-
-
-def format_distinct(value: float, bound: float) -> str:
-    """`value` to two significant digits, or to as many as make it differ from `bound` as that is written.
-
-    >>> format_distinct(0.0199996, 0.02)
-    '0.0199996'
-    """
-    return next((t for n in range(2, 18) if float(t := f"{value:.{n}g}") != float(f"{bound:g}")), f"{value:.2g}")
-
-
-def format_probability(value: float) -> str:
-    """A probability for people: percent to two digits, a power of ten below 0.01 %, never rounded to 0 or 100 %.
-
-    >>> format_probability(0.0333), format_probability(2.6e-7), format_probability(0.99996), format_probability(0.0)
-    ('3.3 %', '2.6e-07', '99.996 %', '0 %')
-    """
-    if 0.0 < value < 1e-4:
-        return f"{value:.2g}"
-    digits = 2 if value <= 0.99 else 2 - math.floor(math.log10(1.0 - value)) if value < 1.0 else 3
-    return f"{100.0 * value:.{digits}g} %"

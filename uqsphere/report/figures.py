@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from uqsphere.errors import UsageError
-from uqsphere.quantities import format_probability, format_value
-from uqsphere.report.format import find, label, meaning, of, short, unit_of
+from uqsphere.quantities import display_unit, format_probability, format_value
+from uqsphere.report.format import find, label, meaning, of, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,7 +60,7 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
                 if limit is None or s in (f"limits.{limit}", f"modes.{limit}")]  # fmt: skip
     if free is None or not subjects:
         raise UsageError("this run has no curve: a study with [margins] has one")
-    unit, factor = unit_of(free["path"])
+    unit, factor = display_unit(free["path"])
     least = TICKS[0] / 3.0
     for k, subject in enumerate(subjects):
         rows = of(results["answers"], subject, "curve")
@@ -120,7 +120,7 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     entry = results["study"]["quantities"].get(quantity)
     if entry is None:
         raise UsageError(f"the run has no quantity {quantity!r} (known: {', '.join(results['study']['quantities'])})")
-    unit, factor = unit_of(quantity)
+    unit, factor = display_unit(quantity)
     shown = []
     if entry["density"]:
         shown.append((short(entry["meaning"]), entry["density"], COLOURS[0], "-"))

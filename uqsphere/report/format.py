@@ -66,7 +66,7 @@ def probability(row: Row | None) -> str:
         return "–"
     low, high = row["low"], row["high"]
     if row["value"] is None or (row["value"] == 0.0 and high):
-        return "–" if high is None else f"below {format_probability(high)}"
+        return "–" if high is None else format_probability(None, high)
     if low is None or high is None or low == high:
         return format_probability(row["value"])
     texts = [format_probability(p) for p in (row["value"], low, high)]
@@ -102,11 +102,6 @@ def short(text: str) -> str:
     'equivalent contact duration'
     """
     return text.partition(":")[0]
-
-
-def unit_of(name: str) -> tuple[str, float]:
-    """The unit in which people read a quantity, and the factor from SI."""
-    return display_unit(name)
 
 
 def label(subject: str) -> str:

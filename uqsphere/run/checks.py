@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uqsphere.models import checked_rows, later_loading
+from uqsphere.quantities import format_probability
 from uqsphere.run.design import Design
 from uqsphere.run.limits import chances, state_of
 
@@ -58,7 +59,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
             broken = np.resize(grades.get(result.check, np.zeros(1)), head.size) == 3
             failures = {name: float((w * broken).sum() / w.sum()) for name, w in weights.items() if w.sum() > 0.0}
             worst = max(failures.values(), default=0.0)
-            effect = f"{100.0 * worst:.2g} % of the failures lie in such rows" if worst > 0.0 else "bias not quantified"
+            effect = f"{format_probability(worst)} of the failures lie in such rows" if worst else "bias not quantified"
             found.append(Check(name=result.check, text=result.text, share=float(result.share),
                                grade=GRADES[result.grade], effect=effect, failures=failures))  # fmt: skip
         found += _later_loading(design, rows)
@@ -66,7 +67,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
     if failed > 0.0:
         policy = design.study.analysis.on_failure
         found.append(Check(name="failed_rows", share=failed, grade="warning",
-                           text=f"{100.0 * failed:.2g} % of the model runs failed",
+                           text=f"{format_probability(failed)} of the model runs failed",
                            effect="left out" if policy == "drop" else "intervals widened"))  # fmt: skip
     if tables.slow is not None:
         n = tables.slow.count
@@ -93,8 +94,8 @@ def _later_loading(design: Design, rows: np.ndarray) -> list[Check]:
             share=share,
             grade="failure",
             failures=whole,
-            text=f"in {100.0 * share:.3g} % of the rows a later echo loads the sphere with {median:.3g} times the "
-            "force of the record, which ends at the first loss of contact",
+            text=f"in {format_probability(share)} of the rows a later echo loads the sphere with {median:.3g} times "
+            "the force of the record, which ends at the first loss of contact",
             effect="forces, pressures and fracture probabilities are too small: set model.whole_record = true",
             remedy="set model.whole_record = true to count every loading up to the horizon, or "
             "model.first_loading_only = true to ask for the first alone",

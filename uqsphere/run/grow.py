@@ -22,6 +22,7 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.errors import ModelError, TooManyFailures
 from uqsphere.models import Interrupted, Model
+from uqsphere.quantities import format_probability
 from uqsphere.run.chaos import Expansion, expansions
 from uqsphere.run.demands import with_test_forces
 from uqsphere.run.design import REPLICATES, VALUES, Design, is_strength, normal_scores
@@ -123,7 +124,7 @@ def _check_failures(design: Design, status: npt.NDArray[np.int64], good: npt.NDA
     most = max(getattr(analysis, "drop_limit", None) or 0.01, 3.0 / len(good))
     if share > most:
         raise TooManyFailures(
-            f"{100.0 * share:.2g} % of the evaluations failed, more than {100.0 * most:.2g} %: {note}"
+            f"{format_probability(share)} of the evaluations failed, more than {format_probability(most)}: {note}"
         )
 
 

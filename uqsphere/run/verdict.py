@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.quantities import display_unit, format_probability, format_value
+from uqsphere.quantities import format_conservative, format_probability, format_value
 from uqsphere.results import Answers
 from uqsphere.run.assumptions import Assumptions, along_line, other_distributions, together
 from uqsphere.run.checks import Check
@@ -316,7 +316,7 @@ def _headline(
 ) -> tuple[str, str]:  # fmt: skip
     """The sentence to act on, and what stands behind it."""
     name = "Fracture probability" if means_fracture(limit) else "Failure probability"
-    what = f"{name} {_percent_of(p)}" if limit.aim == "survive" else f"P(not broken) {_percent_of(p)}"
+    what = f"{name if limit.aim == 'survive' else 'P(not broken)'} {format_probability(p.value, p.high)}"
     if limit.target is not None:
         what += f", target at most {format_probability(limit.target)}"
     first, rest = [], []
@@ -324,7 +324,7 @@ def _headline(
         path, planned, governing = number["path"], planned_value(design), number["governing"]
         assumed = next((mode.called for mode in design.modes if mode.limit.name == governing.name), None)
         verb = "Use at most" if number["safe_end"] == "largest" else "Use at least"
-        first.append(f"{verb} {_rounded(number['value'], path, number['safe_end'])}.")
+        first.append(f"{verb} {format_conservative(number['value'], path, least=number['safe_end'] != 'largest')}.")
         if planned is not None:
             factor = number["factor"]
             margin = "no margin" if factor is None or factor < 1.0 else f"safety factor {factor:.3g}"
@@ -339,7 +339,7 @@ def _headline(
             theirs = answers.get(design.subject(governing), "exceedance_probability")
             more = theirs["value"] if theirs is not None else None
             what = f"At the plan: {what[:1].lower()}{what[1:]}, by the limit of the study" + (
-                "" if more is None else f", but {100.0 * more:.3g} % by {assumed}")  # fmt: skip
+                "" if more is None else f", but {format_probability(more)} by {assumed}")  # fmt: skip
             if own is not None and own["value"] is not None:
                 rest.append(f"By the limit of the study alone: {format_value(own['value'], path, 2)}.")
         rest.append(what + ".")
@@ -359,25 +359,6 @@ def _headline(
     elif word != "no target":
         rest.append(f"Target {word}.")
     return " ".join(first), " ".join(rest)
-
-
-def _rounded(value: float, path: str, end: str, digits: int = 2) -> str:
-    """A conservative value, rounded towards its safe side."""
-    unit, factor = display_unit(path)
-    scaled = value * factor
-    if scaled == 0.0:
-        return f"0 {unit}".rstrip()
-    step = 10.0 ** (math.floor(math.log10(abs(scaled))) - digits + 1)
-    rounded = (math.floor if end == "largest" else math.ceil)(
-        scaled / step + (1e-9 if end == "largest" else -1e-9)
-    ) * step
-    return f"{float(f'{rounded:.{digits}g}'):g} {unit}".rstrip()
-
-
-def _percent_of(p: Estimate) -> str:
-    if p.value is None:
-        return f"below {format_probability(p.high)}" if p.high is not None else "not known"
-    return format_probability(p.value)
 
 
 def _listed(words: Sequence[str]) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from uqsphere.models import Model
-from uqsphere.quantities import display_unit, format_value, lookup
+from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.results import Answers, Run
 from uqsphere.results.answers import as_json, frame_of
 from uqsphere.results.folder import write_files
@@ -160,7 +160,7 @@ def _strength_text(limit: Limit) -> str:
     if law.family.name == "weibull" and "modulus" in law.parameters:
         text += f", modulus {law.parameters['modulus']:.3g}"
     elif mean and sd is not None:
-        text += f", scatter {100.0 * sd / abs(mean):.3g} %"
+        text += f", scatter {format_probability(sd / abs(mean))}"
     return text
 
 

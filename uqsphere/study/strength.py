@@ -27,7 +27,7 @@ from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.criteria import demand as demand_of
 from uqsphere.mechanics.outputs import OUTPUTS, at_force, follows_force
 from uqsphere.mechanics.yielding import Face
-from uqsphere.quantities import INPUTS, format_value, reading_units, unit_that_reads
+from uqsphere.quantities import INPUTS
 from uqsphere.study.document import (
     Fault,
     Number,
@@ -528,7 +528,6 @@ def _warn_of_tests(
         likely = [u for u in ("N", "kN", "MN") if u != table.force_unit and not far.all()
                   and _TENSION[0] <= typical * UNITS["force"][u] / given <= _TENSION[1]]  # fmt: skip
         hint = f": is the unit {one_of(likely)}?" if likely and table.force_unit else ": are the units right?"
-        with reading_units({"core_tension": unit_that_reads("core_tension", [typical])}):
-            value = format_value(typical, "core_tension", 3)
+        value = f"{typical / 1e9:.3g} GPa" if typical > 1e9 else f"{typical / 1e6:.3g} MPa"
         reader.warn((*place, "force"), f"0.9 P/D² of {table.file} is {value}, usual are "
                     f"{_TENSION[0] / 1e6:g} to {_TENSION[1] / 1e6:g} MPa{hint}")  # fmt: skip
