@@ -246,7 +246,7 @@ def test_schema_and_page() -> None:
              "an unknown fidelity", "another copula", "a method of later", "a negative seed", "a length without its "
              "unit"}  # fmt: skip
     for case in (case for case in CASES if case.name in names):
-        assert not jsonschema.Draft202012Validator(schema).is_valid(tomllib.loads(case.content().decode())), case.name
+        assert not jsonschema.Draft202012Validator(schema).is_valid(tomllib.loads(case.content.decode())), case.name
     page = Path(__file__).parents[2] / "docs" / "study-file.md"
     assert page.read_text(encoding="utf-8") == reference(), "python -m uqsphere.study.reference docs/study-file.md"
     assert len(page.read_text(encoding="utf-8").split()) <= 3_500

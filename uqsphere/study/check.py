@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -102,7 +101,6 @@ class Draft:
     document: Document
     data: Mapping[str, Any]
     reader: Reader
-    spoiled: set[Place]
     box: bool
     numbers: dict[str, Number] = field(default_factory=dict)
     options: dict[str, str | bool | int] = field(default_factory=dict)
@@ -112,32 +110,13 @@ class Draft:
     limits: dict[str, Limit] = field(default_factory=dict)
     strengths: dict[str, Number] = field(default_factory=dict)
     margins: Margins | None = None
-    faults: list[tuple[Place, str]] = field(default_factory=list)
-
-    def note(self, faults: Faults) -> None:
-        """Keep what a check finds, but for what is known of the same place, or above or below it."""
-        for at, message in faults:
-            place: Place = tuple(at.split(".")) if isinstance(at, str) else at
-            if self.clean(*place):
-                self.faults.append((place, message))
-                self.spoiled.add(place)
-
-    @contextmanager
-    def noting(self, *place: str | int) -> Iterator[None]:
-        """A fault inside is noted as one of a place."""
-        try:
-            yield
-        except Fault as error:
-            self.note(iter([((*place, *error.at), str(error))]))
-
-    def clean(self, *place: str | int) -> bool:
-        """Whether nothing at, above or below a place is known to be faulty."""
-        return not any(p[: len(place)] == place or place[: len(p)] == p for p in self.spoiled)
 
     def faulty(self, name: str) -> bool:
         """Whether a name is that of a number which is there, and faulty."""
         place: Place = number_place(name)
-        return not self.clean(*(place[:2] if name.startswith("limits.") else ("inputs", name) if self.box else place))
+        return not self.reader.clean(
+            *(place[:2] if name.startswith("limits.") else ("inputs", name) if self.box else place)
+        )
 
     def mean(self, path: str, absent: float = math.nan) -> float:
         """A number at its nominal mean; NaN, for which no comparison holds, where there is none or a faulty one."""
@@ -162,25 +141,23 @@ class Draft:
         return {k: n for k, n in {**self.numbers, **self.strengths}.items() if isinstance(n.value, Law)}
 
 
-def resolve(document: Document, data: Mapping[str, Any], reader: Reader, spoiled: set[Place], path: Path,
-            text: str) -> Study | list[tuple[Place, str]]:  # fmt: skip
-    """The study, or every fault that its tables have beyond those known."""
-    draft = Draft(
-        document=document, data=data, reader=reader, spoiled=spoiled, box="inputs" in data or "outputs" in data
-    )
+def resolve(document: Document, data: Mapping[str, Any], reader: Reader, path: Path, text: str) -> Study | None:
+    """The study; None, with every fault noted by the reader, where there is none."""
+    draft = Draft(document=document, data=data, reader=reader, box="inputs" in data or "outputs" in data)
     scene = [name for name in (*SCENE, "model", "gauges") if name in data]
     if draft.box and scene:
-        said = "belongs to a scene, and [inputs] and [outputs] to a black box: leave one of them out"
-        draft.note((name, f"[{name}] {said}") for name in scene)
+        for name in scene:
+            reader.note(name, f"[{name}] belongs to a scene, [inputs] and [outputs] to a black box: leave one out")
     elif not draft.box and not set(scene) & set(SCENE):
         said = "missing: neither a scene ([sphere], [bars], [striker]) nor a black box ([inputs], [outputs])"
-        draft.note(iter([("sphere", said)]))
+        reader.note("sphere", said)
     else:
         of_scene = (_tables, _library, _pulse, _forms, _rig, _contact, _together, _gauges)
         for check in (*((_black_box,) if draft.box else of_scene), _limits, _asked, _dependence, _margins):
-            draft.note(check(draft))
-    if spoiled:
-        return draft.faults
+            for place, message in check(draft):
+                reader.note(place, message)
+    if reader.faults:
+        return None
     usual = draft.known if draft.box else ["p_max", *(["contact_duration"] if draft.rig != "platens" else [])]
     random, rod, analysis = draft.random, document.rod, document.analysis
     gauges = () if rod is None or rod.gauge is None else (Gauge(bar="rod", position=rod.gauge),)
@@ -196,8 +173,9 @@ def resolve(document: Document, data: Mapping[str, Any], reader: Reader, spoiled
         margins=draft.margins, record=draft.record, outputs=document.outputs.names if document.outputs else (),
         gauges=(*gauges, *document.gauges), warnings=tuple(reader.warnings),
     )  # fmt: skip
-    draft.note(_moved_mean(study))
-    return draft.faults or study
+    for place, message in _moved_mean(study):
+        reader.note(place, message)
+    return None if reader.faults else study
 
 
 def _black_box(draft: Draft) -> Faults:
@@ -209,7 +187,7 @@ def _black_box(draft: Draft) -> Faults:
     for name in sorted({"status", "censored", *inputs} & {*names}):
         yield "outputs.names", f"{shown(name)} is the name of an input already, or of a column of the model"
     for name, raw in inputs.items():
-        with draft.noting("inputs", name):
+        with draft.reader.noting("inputs", name):
             draft.numbers[name] = number_of(raw, plain_quantity(name), draft.reader, ("inputs", name))
 
 
@@ -230,7 +208,7 @@ def _tables(draft: Draft) -> Faults:
                 draft.numbers[number_path(table, key)] = number
     measured = document.pulse is not None and document.pulse.shape == "measured"
     for table in {"sphere", *RIG_TABLES[rig]} - {"pulse", "insert", *(["striker"] if measured else [])}:
-        if getattr(document, table) is None and draft.clean("rig"):
+        if getattr(document, table) is None and draft.reader.clean("rig"):
             yield table, f"the table [{table}] is missing: the rig {shown(rig)} needs it"
 
 
@@ -252,7 +230,7 @@ def _library(draft: Draft) -> Faults:
             draft.materials[table] = name
         for key in keys:
             entry, path = known[name].properties.get(key), number_path(table, key)
-            if entry is None or path in draft.numbers or path not in INPUTS or not draft.clean(table, key):
+            if entry is None or path in draft.numbers or path not in INPUTS or not draft.reader.clean(table, key):
                 continue
             draft.numbers[path] = Number(value=entry.value)
             draft.sources[path] = Source(text=entry.source, seen=entry.seen)
@@ -266,7 +244,7 @@ def _library(draft: Draft) -> Faults:
 def _pulse(draft: Draft) -> Faults:
     """Shape and preset of the pulse, or its record."""
     pulse, numbers = draft.document.pulse, draft.numbers
-    if draft.rig != "bars" or not draft.clean("pulse", "shape") or not draft.clean("pulse", "preset"):
+    if draft.rig != "bars" or not draft.reader.clean("pulse", "shape") or not draft.reader.clean("pulse", "preset"):
         return
     shape: str = "rectangular" if pulse is None else pulse.shape
     if pulse is not None and pulse.preset is not None:
@@ -287,7 +265,7 @@ def _pulse(draft: Draft) -> Faults:
     if pulse is not None and shape == "measured" and pulse.file is not None:
         from uqsphere.study.record import measured_pulse
 
-        with draft.noting("pulse"):
+        with draft.reader.noting("pulse"):
             draft.record = measured_pulse(pulse, draft.reader)
             for note in draft.record.notes:
                 draft.reader.warn(("pulse", "file"), f"{shown(pulse.file)}: {note}")
@@ -303,9 +281,9 @@ def _kind(draft: Draft, table: str, found: Any) -> str:
         return found.shape or ""
     shape = draft.options.get("pulse.shape", "")
     if table == "striker" and shape not in ("step", "measured"):
-        return "" if "pulse.duration" in draft.numbers or not draft.clean("pulse", "duration") else "timed"
+        return "" if "pulse.duration" in draft.numbers or not draft.reader.clean("pulse", "duration") else "timed"
     if table == "bars":
-        return "infinite" if found.infinite or not draft.clean("bars", "infinite") else ""
+        return "infinite" if found.infinite or not draft.reader.clean("bars", "infinite") else ""
     return {"pulse": str(shape), "rig": draft.rig, "striker": "measured" if shape == "measured" else ""}.get(table, "")
 
 
@@ -330,18 +308,18 @@ def _forms(draft: Draft) -> Faults:
             if len(given) == 2:
                 yield (table, keys[1]), f"{keys[0]} is given too: leave one of {one_of(keys)} out"
             elastic = ["material"] if keys[0] in ("E", "nu", "density") else []
-            if not given and all(draft.clean(table, key) for key in (*keys, *elastic)):
+            if not given and all(draft.reader.clean(table, key) for key in (*keys, *elastic)):
                 ways = " or ".join(f"{key} = {_EXAMPLES[key]}" for key in keys)
                 quantity = INPUTS.get(number_path(table, keys[0]))
                 meaning = f" ({quantity.meaning})" if quantity and len(keys) == 1 else ""
                 yield (table, keys[0]), f"{one_of(keys)} is missing{meaning}: add {ways}"
-        if table in ("target", "anvil", "rod") and f"{table}.length" in numbers and draft.clean(table, "end"):
+        if table in ("target", "anvil", "rod") and f"{table}.length" in numbers and draft.reader.clean(table, "end"):
             numbers.setdefault(f"{table}.end", Number(value=END_COEFFICIENTS["free"]))
     bars = document.bars if draft.rig == "bars" else None
     if bars is not None:
         draft.options |= {"bars.infinite": bars.infinite, "bars.rigid_contact": bars.rigid_contact}
         for key, end in (("incident_end", 1.0), ("receiving_end", 0.0)):
-            if draft.clean("bars", key):
+            if draft.reader.clean("bars", key):
                 numbers.setdefault(f"bars.{key}", Number(value=end))
         if document.insert is not None:
             if bars.rigid_contact:
@@ -405,7 +383,7 @@ def _contact(draft: Draft) -> Faults:
             if rig.name != "bars":
                 said = f"nothing yields, every face is elastic: give {names} for one that does"
                 draft.reader.warn(("contact", "law"), said)
-            elif all(draft.clean(table) for table in ("bars", "contact", "sphere")):
+            elif all(draft.reader.clean(table) for table in ("bars", "contact", "sphere")):
                 yield "contact.law", f"nothing says what yields: give {names} or contact.onset_pressure"
             return
     if at_onset or own:
@@ -469,7 +447,7 @@ def _together(draft: Draft) -> Faults:
         yield "pulse.t2", f"found t1 = {one} and t2 = {two}: the first peak must come before the second"
     elif t2 >= width:
         yield "pulse.t2", f"the second peak must come before the end of the pulse, {lasts}: give a longer duration"
-    if silent or not draft.clean("pulse"):
+    if silent or not draft.reader.clean("pulse"):
         return
     if any(f"striker.{key}" in draft.numbers for key in own):
         E, density, wide = (value / mean(f"bars.{key}") for key, value in own.items())
@@ -513,9 +491,10 @@ def _gauges(draft: Draft) -> Faults:
 
 def _limits(draft: Draft) -> Faults:
     for name, table in draft.document.limits.items():
-        with draft.noting("limits", name):
+        try:
             _limit(draft, name, table)
-    yield from ()
+        except Fault as error:
+            yield ("limits", name, *error.at), str(error)
 
 
 def _limit(draft: Draft, name: str, table: LimitTable) -> None:
@@ -621,7 +600,7 @@ def _strength(draft: Draft, table: LimitTable, demand: Demand, place: Place) -> 
         return found if radii else replace(found, tested=None)
     own = {key: draft.mean(f"sphere.{key}") for key in ("E", "nu", "density")}
     if not radii or math.isnan(sum(own.values())):
-        draft.spoiled.add(place)
+        draft.reader.spoiled.add(place)
         raise Fault("the tests need E, nu, density and radius of the sphere")
     own["partner"] = (1.0 - own["nu"] ** 2) / own["E"] * (1.0 / _share_of_sphere(draft, own["E"], own["nu"]) - 1.0)
     found = tested_strength(table.strength, demand, own, radii, _bars(draft), partial(_face_of_tests, draft),
@@ -694,7 +673,7 @@ def _dependence(draft: Draft) -> Faults:
             elif name not in known and not draft.faulty(name):
                 there = one_of(list(random)[:20])
                 yield place, f"unknown random input {shown(name)}, random here: {there}{suggestion(name, random)}"
-    if not draft.clean("dependence") or not {name for tie in ties for name in tie.of} <= random.keys():
+    if not draft.reader.clean("dependence") or not {name for tie in ties for name in tie.of} <= random.keys():
         return
     tied = [name for name in random if any(name in tie.of for tie in ties)]
     unit = make_law("normal", {"mean": 0.0, "sd": 1.0})
@@ -710,7 +689,7 @@ def _dependence(draft: Draft) -> Faults:
 def _margins(draft: Draft) -> Faults:
     if (table := draft.document.margins) is None:
         return
-    if not draft.document.limits and draft.clean("limits"):
+    if not draft.document.limits and draft.reader.clean("limits"):
         yield "margins", "margins need a limit to be asked of: add a table [limits.NAME]"
     solve = re.sub(r"^insert\.", "bars.insert_", table.solve)
     strengths = {strength_name(limit.name): limit.quantity for limit in draft.limits.values()}
@@ -725,7 +704,7 @@ def _margins(draft: Draft) -> Faults:
     entry = replace(entry, lower=0.0, meaning="the mean strength") if solve in strengths else entry
     ends = []
     for index, raw in enumerate(table.between):
-        with draft.noting("margins", "between", index):
+        with draft.reader.noting("margins", "between", index):
             ends.append(value_of(raw, entry))
     if len(ends) == 2 and not ends[0] < ends[1]:
         first, second = map(shown, table.between)

@@ -80,17 +80,38 @@ def within(*at: str | int) -> Iterator[None]:
 
 @dataclass(kw_only=True)
 class Reader:
-    """The folder of a study, outside of which no file is read; the table being read, and the warnings met."""
+    """The folder of a study, outside of which no file is read; the table being read; warnings and faults met."""
 
     folder: Path = Path()
     table: str = ""
     warnings: list[str] = field(default_factory=list)
+    faults: list[tuple[Place, str]] = field(default_factory=list)
+    spoiled: set[Place] = field(default_factory=set)
 
     def warn(self, place: Place, message: str) -> None:
         """Note what a user should know and what does not stop the study, once."""
         text = f"{path_of(place)}: {message}" if place else message
         if text not in self.warnings:
             self.warnings.append(text)
+
+    def clean(self, *place: str | int) -> bool:
+        """Whether nothing at, above or below a place is known to be faulty."""
+        return not any(p[: len(place)] == place or place[: len(p)] == p for p in self.spoiled)
+
+    def note(self, at: Place | str, message: str) -> None:
+        """Keep a fault, unless one is known at its place, or above or below it."""
+        place: Place = tuple(at.split(".")) if isinstance(at, str) else at
+        if self.clean(*place):
+            self.faults.append((place, message))
+        self.spoiled.add(place)
+
+    @contextmanager
+    def noting(self, *place: str | int) -> Iterator[None]:
+        """A fault inside is noted as one of a place."""
+        try:
+            yield
+        except Fault as error:
+            self.note((*place, *error.at), str(error))
 
 
 def path_of(place: Place) -> str:

@@ -51,17 +51,14 @@ def load_study(
     data = parse_text(text, path)
     declared = [*data["limits"]] if isinstance(data.get("limits"), dict) else []
     overridden = [_override(data, one) for one in overrides]
-    faults: list[tuple[Place, str]] = []
-    for place, message in (*_set_of_no_limit(data, declared, overridden), *_removed(data), *_unusable(data)):
-        faults.append((place, message))
-        _take_out(data, place)
-    spoiled = {place for place, _ in faults}
     reader = Reader(folder=path.parent)
-    document = _read(data, reader, faults, spoiled)
-    found = resolve(document, data, reader, spoiled, path, text)
-    if isinstance(found, list):
-        raise StudyError(str(path), _problems([*faults, *found], text, overridden))
-    return dataclasses.replace(found, overrides=tuple(overrides))
+    for place, message in (*_set_of_no_limit(data, declared, overridden), *_removed(data), *_unusable(data)):
+        reader.note(place, message)
+        _take_out(data, place)
+    study = resolve(_read(data, reader), data, reader, path, text)
+    if study is None:
+        raise StudyError(str(path), _problems(reader.faults, text, overridden))
+    return dataclasses.replace(study, overrides=tuple(overrides))
 
 
 # --- the tables ----------------------------------------------------------------------------------------------------
@@ -127,7 +124,7 @@ def _take_out(data: Any, place: Place) -> None:
         _take_out(data, place[:-1])
 
 
-def _read(data: dict[str, Any], reader: Reader, faults: list[tuple[Place, str]], spoiled: set[Place]) -> Document:
+def _read(data: dict[str, Any], reader: Reader) -> Document:
     """The tables without their faulty parts; each fault is noted, and what was meant by a misspelt key not missed."""
     left = deepcopy(data)
     for _ in range(8):
@@ -137,11 +134,9 @@ def _read(data: dict[str, Any], reader: Reader, faults: list[tuple[Place, str]],
             # a misspelt key before the key that lacks for it
             for fault in sorted(error.errors(include_url=False), key=lambda fault: fault["type"] == "missing"):
                 place = tuple(part for part in fault["loc"] if part != "[key]")
-                whole = (*place, *getattr(fault.get("ctx", {}).get("error"), "at", ()))
                 message, meant = fault_text(fault, place)
-                if not any(whole[: len(p)] == p or p[: len(whole)] == whole for p in spoiled):
-                    faults.append((whole, message))
-                spoiled |= {whole, place, *([(*place[:-1], meant)] if meant else [])}
+                reader.note((*place, *getattr(fault.get("ctx", {}).get("error"), "at", ())), message)
+                reader.spoiled |= {place, *([(*place[:-1], meant)] if meant else [])}
                 # a table that lacks a key goes as a whole
                 _take_out(left, place[: -1 if fault["type"] == "missing" else None])
     return Document()
