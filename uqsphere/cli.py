@@ -8,7 +8,6 @@ import json
 import os
 import signal
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from importlib.util import find_spec
@@ -218,6 +217,7 @@ def _check(given: argparse.Namespace) -> int:
 
 def _run(given: argparse.Namespace) -> int:
     from uqsphere.run import run
+    from uqsphere.run.progress import watched
     from uqsphere.units import parse_value
 
     study = _loaded(given)
@@ -228,7 +228,7 @@ def _run(given: argparse.Namespace) -> int:
         except ValueError as error:
             raise UsageError(f"--budget: {error}") from None
     folder = given.out or Path(f"{given.file.stem}-results")
-    with _interruptible() as stop, _progress(study) as progress:
+    with _interruptible() as stop, watched(lines=True) as progress:
         found = run(study, given.model, out=folder, threads=given.processes, seconds=seconds, progress=progress,
                     stop=stop, fresh=given.fresh)  # fmt: skip
     if given.json:
@@ -263,36 +263,6 @@ def _interruptible() -> Iterator[Callable[[], bool]]:
         yield lambda: bool(pressed)
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-@contextlib.contextmanager
-def _progress(study: Any) -> Iterator[Callable[[int, float, str], None]]:
-    """A bar on a terminal, else a line every few seconds; both with the accuracy so far."""
-    if not study.black_box:
-        from uqsphere.mechanics.integrator.compiled import cache_folder
-
-        kept = cache_folder()
-        if kept is None or not any(kept.rglob("*.nbc")):
-            print("compiling the integrator, once: about half a minute", file=sys.stderr)
-    if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
-        from tqdm import tqdm
-
-        with tqdm(unit=" runs", unit_scale=True, leave=False, file=sys.stderr) as bar:
-
-            def show(runs: int, error: float, text: str) -> None:
-                bar.set_postfix_str(f"error / tolerance {error:.2g}" if error == error else text)
-                bar.update(runs - bar.n)
-
-            yield show
-        return
-    last = [time.monotonic()]
-
-    def line(runs: int, error: float, text: str) -> None:
-        if time.monotonic() - last[0] > 3.0:
-            last[0] = time.monotonic()
-            print(f"{runs:,} runs, error / tolerance {error:.2g}: {text}", file=sys.stderr)
-
-    yield line
 
 
 def _report(given: argparse.Namespace) -> int:

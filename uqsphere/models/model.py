@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import itertools
 import queue
+import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -75,6 +76,16 @@ def open_model(
         raise UsageError(f"threads must be at least 1, not {threads}")
     return Model(study=study, model=model, executor=executor, threads=threads, cache_file=cache,
                  stop=stop or (lambda: False), tolerance=tolerance, progress=progress)  # fmt: skip
+
+
+@lru_cache(maxsize=1)
+def say_if_compiling() -> None:
+    """Say on stderr that the integrator is compiled, where its compiled code is not kept yet; once in a process."""
+    from uqsphere.mechanics.integrator.compiled import cache_folder
+
+    kept = cache_folder()
+    if kept is None or not any(kept.rglob("*.nbc")):
+        print("compiling the integrator, once: about half a minute", file=sys.stderr, flush=True)
 
 
 @dataclass(eq=False, kw_only=True)
@@ -170,6 +181,7 @@ class Model:
         task = SceneTask(study=self.study, names=tuple(names), columns=tuple(columns), tolerance=self.tolerance)
         self._workers = self._workers or Here(threads=self.threads)
         if not self._times and len(rows):
+            say_if_compiling()
             task.answer(rows[:1], 1)  # the kernel is compiled, or loaded, before anything is timed
         parts = _blocks(len(rows), _SCENE_ROWS[isinstance(self._workers, Given)])
         gathered, notes = self._gather(task, rows, [_Piece(places=part) for part in parts])

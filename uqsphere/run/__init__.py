@@ -8,6 +8,7 @@ verdict  what the answers mean, and what could turn it
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -29,9 +30,10 @@ from uqsphere.run.distributions import distributions
 from uqsphere.run.drivers import drivers
 from uqsphere.run.fracture import fracture
 from uqsphere.run.fragility import fragility
-from uqsphere.run.grow import Progress, Tables, grow, pair_rows
+from uqsphere.run.grow import Tables, grow, pair_rows
 from uqsphere.run.indices import indices, named
 from uqsphere.run.limits import limits
+from uqsphere.run.progress import Progress, watched
 from uqsphere.run.verdict import verdicts
 from uqsphere.run.write import results_of, samples_of, written
 from uqsphere.study import Study
@@ -64,7 +66,8 @@ def run(
     executor : takes the evaluations of a black box, as those of `concurrent.futures`, or a Dask client
     threads : threads of the mechanics, or processes of a black box; the answers do not depend on it
     seconds : time budget [s] in place of the study's
-    progress : called after each size with model runs, largest half-width over what is required, and a text
+    progress : called with model runs, the share of the work that is done (an estimate, or nan), and a text; by default
+        a bar in a notebook and on a terminal
     stop : asked between evaluations; once it is true the run ends with what is there
     fresh : forget what an earlier run of the study left in the folder
     rows : table of inputs and outputs that are known already, in place of a model (`Study.analyse`)
@@ -75,6 +78,10 @@ def run(
         raise UsageError(f"run takes a study of uqsphere.load_study or uqsphere.Study, found {type(study).__name__}")
     check_range(study)
     check_quantities(study)
+    if progress is None:
+        with watched() as progress:
+            return run(study, model, out=out, executor=executor, threads=threads, seconds=seconds, progress=progress,
+                       stop=stop, fresh=fresh, rows=rows)  # fmt: skip
     if out is None:
         return _run(study, model, None, executor, threads, seconds, progress, stop, rows)
     folder = Path(out)
@@ -85,7 +92,7 @@ def run(
 
 def _run(
     study: Study, model: str | Callable[..., Any] | None, folder: Path | None, executor: Executor | None,
-    threads: int | None, seconds: float | None, progress: Progress | None, stop: Callable[[], bool] | None, rows: Any,
+    threads: int | None, seconds: float | None, progress: Progress, stop: Callable[[], bool] | None, rows: Any,
 ) -> Run:  # fmt: skip
     from threadpoolctl import threadpool_limits
 
@@ -98,7 +105,11 @@ def _run(
     known = None if rows is None else surrogate.known_rows(design, rows)
     # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
     model = model if known is None else known.model
-    given = open_model(design.study, model, executor=executor, threads=threads, cache=cache, stop=stop)
+
+    def stage(done: int, total: int) -> None:
+        progress(opened.evaluations + opened.reused, math.nan, f"{done:,} of {total:,} rows of a table")
+
+    given = open_model(design.study, model, executor=executor, threads=threads, cache=cache, stop=stop, progress=stage)
     with threadpool_limits(limits=1, user_api="blas"), given as opened:
         if known is not None:
             tables = surrogate.tables_of(design, opened, seconds=budget, known=known.points)

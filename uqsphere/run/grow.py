@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Final
@@ -30,6 +30,7 @@ from uqsphere.run.distributions import described
 from uqsphere.run.fragility import margin_and_scale
 from uqsphere.run.indices import by_chaos_accurate, of_quantity
 from uqsphere.run.limits import can_search, failure
+from uqsphere.run.progress import Progress, share_done
 from uqsphere.run.rare import RareAnswer, search
 from uqsphere.run.surrogate import Slow
 from uqsphere.study import Study
@@ -44,8 +45,6 @@ LINE_SHARE, PAIRS_SHARE = 16, 4
 MOST: Final = 1 << 17
 #: a probability below this is searched for by the methods for rare events where sampling does not reach it
 SMALL: Final = 0.01
-
-Progress = Callable[[int, float, str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,7 +151,8 @@ def grow(design: Design, model: Model, *, seconds: float, progress: Progress | N
         worst = max((error.reached / error.required for error in errors), default=0.0)
         tables.reached.append((model.evaluations + model.reused, worst))
         if progress is not None:
-            progress(model.evaluations + model.reused, worst, f"{count:,} points in {REPLICATES} randomisations")
+            text = f"{count:,} points in {REPLICATES} randomisations, error / tolerance {worst:.2g}"
+            progress(model.evaluations + model.reused, share_done(worst), text)
         if not tables.missed or not design.drawn.names:
             tables.stopped = "accurate"
         elif all(_is_stuck(history, miss) for miss in tables.missed):

@@ -33,7 +33,8 @@ from uqsphere.uq.response import METHOD, Response, cross_fit, describe_corrected
 from uqsphere.uq.surrogate import columns_of
 
 if TYPE_CHECKING:
-    from uqsphere.run.grow import Progress, Tables
+    from uqsphere.run.grow import Tables
+    from uqsphere.run.progress import Progress
 
 #: rows that measure what the model costs, rows of a design at most and at least, and points of a replicate of a table
 PROBE, MOST_ROWS, LEAST_ROWS, POINTS = 8, 1024, 16, 4096
@@ -174,7 +175,7 @@ def tables_of(
         rows = more if rows is None else rows.join(more)
         done = rows.count
         if progress is not None:
-            progress(model.evaluations + model.reused, math.nan, f"{done} of {count} runs of the design")
+            progress(model.evaluations + model.reused, done / count, f"{done} of {count} runs of the design")
         if time.monotonic() - began > seconds:
             stopped = "time"
             break

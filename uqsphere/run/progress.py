@@ -1,0 +1,59 @@
+"""What a person sees of a run: a bar with its stage, the share that is done and the time left, or lines."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+#: called with model runs, the share of the work that is done (an estimate; nan where only the stage moves), and a text
+Progress = Callable[[int, float, str], None]
+#: seconds between two lines
+EVERY: Final = 3.0
+FORMAT: Final = "{percentage:3.0f}%|{bar:20}| {elapsed}<{remaining}{postfix}"
+
+
+def share_done(error: float) -> float:
+    """The share of the work that is done at an error over its tolerance: with runs n it falls about as n^(-3/4)."""
+    return 1.0 if not error > 1.0 else error ** (-4.0 / 3.0)
+
+
+def in_notebook() -> bool:
+    """Whether a person looks at a notebook, where tqdm has a widget of its own."""
+    shell: Any = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    return getattr(shell, "kernel", None) is not None
+
+
+@contextlib.contextmanager
+def watched(*, lines: bool = False) -> Iterator[Progress]:
+    """A bar in a notebook and on a terminal; elsewhere nothing, or `lines` every few seconds; all on stderr."""
+    notebook = in_notebook()
+    if notebook or (sys.stderr.isatty() and os.environ.get("TERM") != "dumb"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a notebook without widgets has a bar of text
+            from tqdm.auto import tqdm
+
+            bar = tqdm(total=1.0, leave=False, bar_format=None if notebook else FORMAT, file=sys.stderr)
+
+        def show(runs: int, share: float, text: str) -> None:
+            if math.isfinite(share) and share > bar.n:
+                bar.update(share - bar.n)
+            bar.set_postfix_str(f"{runs:,} runs, {text}")
+
+        with bar:
+            yield show
+        return
+    last = [time.monotonic()]
+
+    def line(runs: int, share: float, text: str) -> None:
+        if lines and time.monotonic() - last[0] > EVERY:
+            last[0] = time.monotonic()
+            about = "" if math.isnan(share) else f", about {share:.0%} done"
+            print(f"{runs:,} runs, {text}{about}", file=sys.stderr)
+
+    yield line
