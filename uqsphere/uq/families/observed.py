@@ -18,39 +18,38 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, special
+from uqsphere.arrays import Array, special
 from uqsphere.uq.families.family import Family, LawError, Shapes
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
 #: Beyond this many observations a kernel density has nothing to add to the step function.
-MOST_KERNELS = 5000
-_REACH = 37.5  # normal scores beyond this are below the smallest floating-point probability
+MOST_KERNELS: Final = 5000
+#: normal scores beyond this are below the smallest floating-point probability
+FURTHEST: Final = 37.5
 #: numbers of a draw, and the kinds
 WIDTH: Final = 5
 LOGNORMAL, WEIBULL = 0.0, 1.0
-#: nodes of the table of draws: scores from -6 to 6 and on either side up to 37, and the lowest ln x that is looked up:
-#: shares are then known to 1e-8
-_NODES, _MIDDLE, _TAIL, _FURTHEST, _LEAST = 4001, 6.0, 400, 37.0, 700.0
 
-# --- tables of normal scores: cubics between the nodes of x, a straight line beyond (|z| > 37) --------------------
+# --- tables of normal scores: cubics between the nodes of x, a straight line beyond --------------------------------
 
 
-def _table(nodes: Array, score: Array, slope: Array, rising: Flags) -> CubicHermiteSpline:
+def _table(nodes: Array, below: Array, above: Array, density: Array) -> CubicHermiteSpline:
+    """Normal scores over nodes x, of the two tails and the density there, as far as they are known and rise."""
     from scipy.interpolate import CubicHermiteSpline
 
-    known = np.isfinite(score) & np.isfinite(slope) & rising
+    with np.errstate(over="ignore", invalid="ignore"):
+        score = np.where(below <= 0.5, special.ndtri(below), -special.ndtri(above))
+        slope = density * math.sqrt(2.0 * math.pi) * np.exp(0.5 * score * score)
+        known = np.isfinite(score) & np.isfinite(slope) & (np.diff(score, prepend=-math.inf) >= 0.0)
     return CubicHermiteSpline(nodes[known], score[known], slope[known])
 
 
 def _score_at(table: CubicHermiteSpline, x: Array) -> Array:
     """Normal score ndtri(F(x)) of a tabulated distribution."""
     near = np.clip(x, table.x[0], table.x[-1])
-    found = table(near)
-    if np.any(beyond := x != near):
-        found[beyond] += table(near[beyond], 1) * (x - near)[beyond]
-    return np.asarray(found)
+    return np.asarray(table(near) + np.where(x == near, 0.0, table(near, 1) * (x - near)))
 
 
 def _from_score(table: CubicHermiteSpline, score: Array) -> Array:
@@ -68,9 +67,8 @@ def _from_score(table: CubicHermiteSpline, score: Array) -> Array:
     solved = elementwise.find_root(gap, ends, args=(near,), tolerances={"fatol": 1e-13})
     # in a gap between observations the score does not rise at all
     found = np.where(solved.success, solved.x, np.where(near > scores[cell], ends[1], ends[0]))
-    if np.any(beyond := score != near):
-        found[beyond] += (score - near)[beyond] / table(found[beyond], 1)
-    return np.asarray(found)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(found + np.where(score == near, 0.0, (score - near) / table(found, 1)))
 
 
 def _density_at(table: CubicHermiteSpline, x: Array) -> Array:
@@ -109,25 +107,19 @@ def _kernel_table(shapes: Shapes) -> CubicHermiteSpline:
     width, kernels = shapes[0], np.asarray(shapes[1:])
     # Nodes every width/48 within nine widths of an observation; in a wider gap F is constant to 1e-18.
     breaks = np.flatnonzero(np.diff(kernels) > 18.0 * width)
-    starts = np.concatenate([kernels[:1] - _REACH * width, kernels[breaks + 1] - 9.0 * width])
-    ends = np.concatenate([kernels[breaks] + 9.0 * width, kernels[-1:] + _REACH * width])
-    nodes = np.concatenate(
-        [np.linspace(a, b, max(2, math.ceil((b - a) / width * 48.0))) for a, b in zip(starts, ends, strict=True)]
-    )
-    z, slope = np.empty_like(nodes), np.empty_like(nodes)
-    block = max(1, 2_000_000 // kernels.size)
-    for first in range(0, nodes.size, block):
-        y = (nodes[first : first + block, None] - kernels) / width
-        below, above = special.ndtr(y).mean(axis=1), special.ndtr(-y).mean(axis=1)
-        density = np.exp(-0.5 * y * y).mean(axis=1)
-        score = np.where(below <= 0.5, special.ndtri(below), -special.ndtri(above))
-        z[first : first + block] = score
-        # dz/dx = f(x)/φ(z); both carry the same 1/sqrt(2 pi).
-        slope[first : first + block] = density / width * np.exp(0.5 * score * score)
-    return _table(nodes, z, slope, np.diff(z, prepend=-math.inf) >= 0.0)
+    starts = np.concatenate([kernels[:1] - FURTHEST * width, kernels[breaks + 1] - 9.0 * width])
+    ends = np.concatenate([kernels[breaks] + 9.0 * width, kernels[-1:] + FURTHEST * width])
+    nodes = np.concatenate([np.linspace(a, b, max(2, math.ceil((b - a) / width * 48.0)))
+                            for a, b in zip(starts, ends, strict=True)])  # fmt: skip
+    parts = []
+    for some in np.array_split(nodes, 1 + nodes.size * kernels.size // 2_000_000):
+        y = (some[:, None] - kernels) / width
+        density = np.exp(-0.5 * y * y).mean(axis=1) / (width * math.sqrt(2.0 * math.pi))
+        parts.append((special.ndtr(y).mean(axis=1), special.ndtr(-y).mean(axis=1), density))
+    return _table(nodes, *(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
-def _kernel_both(y: Array, shapes: Shapes) -> tuple[Array, Array]:
+def _kernel_tails(y: Array, shapes: Shapes) -> tuple[Array, Array]:
     """(P, 1 - P): of few values by the kernels themselves, of more by the table."""
     if y.size * len(shapes) <= 1_000_000:
         z = (y[..., None] - np.asarray(shapes[1:])) / shapes[0]
@@ -147,8 +139,8 @@ EMPIRICAL: Final = Family(
     observed=True,
     canonical=_not_fitted,
     resolve=lambda own, lower, upper: (0.0, 1.0, (own["bandwidth"],)),
-    cdf=lambda y, shapes: _kernel_both(y, shapes)[0],
-    sf=lambda y, shapes: _kernel_both(y, shapes)[1],
+    cdf=lambda y, shapes: _kernel_tails(y, shapes)[0],
+    sf=lambda y, shapes: _kernel_tails(y, shapes)[1],
     ppf=lambda p, shapes: _from_score(_kernel_table(shapes), special.ndtri(p)),
     isf=lambda q, shapes: _from_score(_kernel_table(shapes), -special.ndtri(q)),
     pdf=lambda y, shapes: _density_at(_kernel_table(shapes), y),
@@ -197,23 +189,21 @@ def _ends(shapes: Shapes, reach: float) -> tuple[float, float]:
 @lru_cache(maxsize=64)
 def _drawn_table(shapes: Shapes) -> CubicHermiteSpline:
     """Nodes of ln x with the normal scores of the mean of all draws and their slopes, as far as these are finite."""
-    (start, end), (low, high) = (_ends(shapes, reach) for reach in (_FURTHEST, _MIDDLE))
-    tails = np.linspace(start, low, _TAIL)[:-1], np.linspace(high, end, _TAIL)[1:]
-    nodes = np.concatenate([tails[0], np.linspace(low, high, _NODES), tails[1]])
-    logs = _scores(np.exp(nodes), shapes)
-    below, above, density = (np.exp(logs[0]).mean(axis=-1), np.exp(logs[1]).mean(axis=-1), logs[2].mean(axis=-1))
-    with np.errstate(over="ignore", invalid="ignore"):
-        score = np.where(below < 0.5, special.ndtri(below), -special.ndtri(above))
-        slope = density * np.exp(nodes) * math.sqrt(2.0 * math.pi) * np.exp(0.5 * score * score)
-    return _table(nodes, score, slope, np.diff(score, prepend=-math.inf) > 0.0)
+    (start, end), (low, high) = (_ends(shapes, reach) for reach in (FURTHEST, 6.0))
+    # 4001 nodes between scores of -6 and 6, and 400 on either side: shares are then known to 1e-8
+    tails = np.linspace(start, low, 400)[:-1], np.linspace(high, end, 400)[1:]
+    nodes = np.concatenate([tails[0], np.linspace(low, high, 4001), tails[1]])
+    below, above, density = _scores(np.exp(nodes), shapes)
+    return _table(nodes, np.exp(below).mean(axis=-1), np.exp(above).mean(axis=-1),
+                  density.mean(axis=-1) * np.exp(nodes))  # fmt: skip
 
 
 def _logs(y: Array) -> Array:
     with np.errstate(divide="ignore"):
-        return np.asarray(np.maximum(np.log(np.maximum(y, 0.0)), -_LEAST))
+        return np.asarray(np.maximum(np.log(np.maximum(y, 0.0)), -700.0))
 
 
-def _drawn_both(y: Array, shapes: Shapes) -> tuple[Array, Array]:
+def _drawn_tails(y: Array, shapes: Shapes) -> tuple[Array, Array]:
     """(P, 1 - P): of one draw as they are, of more by the table."""
     if len(shapes) == WIDTH:
         below, above, _ = _scores(y, shapes)
@@ -245,8 +235,8 @@ DRAWN: Final = Family(
     observed=True,
     canonical=_not_given,
     resolve=lambda own, lower, upper: (0.0, 1.0, ()),
-    cdf=lambda y, shapes: _drawn_both(y, shapes)[0],
-    sf=lambda y, shapes: _drawn_both(y, shapes)[1],
+    cdf=lambda y, shapes: _drawn_tails(y, shapes)[0],
+    sf=lambda y, shapes: _drawn_tails(y, shapes)[1],
     ppf=lambda p, shapes: _drawn_at(special.ndtri(p), shapes),
     isf=lambda q, shapes: _drawn_at(-special.ndtri(q), shapes),
     pdf=_drawn_pdf,
