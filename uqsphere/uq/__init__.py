@@ -8,18 +8,7 @@ Knows only arrays and callables rows -> rows; the physics is somewhere else.  By
 
 from __future__ import annotations
 
-from uqsphere.uq.estimate import (
-    NORMAL,
-    REPLICATES,
-    Estimate,
-    absent,
-    exact,
-    finite,
-    from_replicates,
-    spread,
-    student,
-    widest,
-)
+from uqsphere.uq.estimate import NORMAL, REPLICATES, Estimate, absent, exact, from_replicates, spread, student
 from uqsphere.uq.families import LawError
 from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import Law, discrete_law, make_law
@@ -39,7 +28,7 @@ from uqsphere.uq.sample import Sample
 
 __all__ = [
     "NORMAL", "REPLICATES", "Dependence", "Estimate", "Joint", "Law", "LawError", "LimitState", "Sample", "absent",
-    "complement", "discrete_law", "exact", "exceedance", "finite", "from_replicates", "make_joint", "make_law",
+    "complement", "discrete_law", "exact", "exceedance", "from_replicates", "make_joint", "make_law",
     "margin_quantiles", "miss", "random_generator", "reliability_index", "score_of", "sobol_points", "spread",
-    "student", "tails", "target_met", "widest",
+    "student", "tails", "target_met",
 ]  # fmt: skip

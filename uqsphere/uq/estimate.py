@@ -8,7 +8,7 @@ linearised ratio for what is one mean over another.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -66,11 +66,6 @@ class Estimate:
         return self.spanning(min(ends), max(ends))
 
 
-def finite(value: float) -> float | None:
-    """A number as JSON can hold it."""
-    return float(value) if math.isfinite(value) else None
-
-
 def exact(value: float, method: str = "one evaluation, nothing random") -> Estimate:
     """A number without uncertainty: the answer of a scene in which nothing is random."""
     return Estimate(value=value, low=value, high=value, std_error=0.0, method=method, evaluations=1)
@@ -95,11 +90,6 @@ def between(value: float, low: float, high: float, replicates: int, method: str,
     error = 0.5 * (high - low) / student(replicates)
     return Estimate(value=value, low=min(low, value), high=max(high, value), std_error=error, method=method,
                     evaluations=evaluations)  # fmt: skip
-
-
-def widest(*rows: Iterable[Estimate]) -> float:
-    """The largest half-width of the answers that are there; 0 where none is."""
-    return max((e.half_width for row in rows for e in row if e.value is not None), default=0.0)
 
 
 def student(replicates: float) -> float:

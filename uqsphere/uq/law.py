@@ -126,13 +126,6 @@ class Law:
         return self._steps is not None
 
     @property
-    def fit(self) -> str:
-        """How it was made from observations, in the words of a study: "kde", "steps" or the name of its family."""
-        if not self.family.observed or self.draws:
-            return self.family.name
-        return "steps" if self.is_steps else "kde"
-
-    @property
     def mass(self) -> float:
         """Probability between the bounds before truncation."""
         return self._window[4]

@@ -72,18 +72,21 @@ class LimitState:
     def score_given_inputs(self, score: Array) -> Array:
         """Normal score of P(strength < demand | inputs) (R, n), where that of the strength's own law is `score`."""
         if self.tie is not None:
-            copula, given = self.tie.copula, self.tie.given
-            known = given.reshape(-1, given.shape[-1])
-            last = copula.size - 1
+            last, known = self.tie.copula.size - 1, self.tie.given.reshape(-1, self.tie.given.shape[-1])
             near = np.clip(score, -FARTHEST, FARTHEST)
-            found = copula.conditional_score(last, range(last), known, near.reshape(-1)).reshape(score.shape)
+            found = self.tie.copula.conditional_score(last, range(last), known, near.reshape(-1)).reshape(score.shape)
             return np.where(np.isinf(score), score, found)
-        return score if self.shift is None else shifted_score(score, self.shift, self.remaining_sd)
+        if self.shift is None:
+            return score
+        if self.remaining_sd == 0.0:
+            # certainty where the inputs leave no scatter
+            return np.where(score > self.shift, math.inf, -math.inf)
+        return np.asarray((score - self.shift) / self.remaining_sd)
 
     def score_drawn(self, score: Array) -> Array:
         """Normal score (R, n) of the strength's own law, where that of P(strength < it | inputs) is `score`."""
         if self.tie is not None:
-            known, last = self.tie.given.reshape(-1, self.tie.given.shape[-1]), self.tie.copula.size - 1
+            last, known = self.tie.copula.size - 1, self.tie.given.reshape(-1, self.tie.given.shape[-1])
             near = np.clip(score, -FARTHEST, FARTHEST).reshape(-1, 1)
             return self.tie.copula.conditional_scores(range(last), known, near).reshape(score.shape)
         return score if self.shift is None else self.shift + self.remaining_sd * score
@@ -95,39 +98,20 @@ def score_of(below: Array, above: Array) -> Array:
         return np.where(below <= 0.5, special.ndtri(below), -special.ndtri(above))
 
 
-def strength_tails(strength: Law | float, demands: Array) -> tuple[Array, Array]:
-    """P(strength < demand) and its complement."""
-    if not isinstance(strength, Law):
-        return (demands > strength).astype(float), (demands <= strength).astype(float)
-    if strength.is_steps:
-        # P(S < d): an observation that equals the demand has not been exceeded.
-        demands = np.nextafter(demands, -math.inf)
-    return strength.cdf(demands), strength.sf(demands)
-
-
 def tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
     """P(strength < factor · demand | inputs) and its complement, (R, n) each; broken rows hold 0 and 0."""
-    broken = state.broken
+    strength, broken = state.strength, state.broken
     demands = np.where(broken, 0.0, state.demands) * factor
-    below, above = tails_given_inputs(state, *strength_tails(state.strength, demands))
-    if broken.any():
-        below, above = np.where(broken, 0.0, below), np.where(broken, 0.0, above)
-    return below, above
-
-
-def tails_given_inputs(state: LimitState, below: Array, above: Array) -> tuple[Array, Array]:
-    """The two tails (R, n) of a strength's own law as the inputs leave them that it is tied to."""
-    if state.tie is None and state.shift is None:
-        return below, above
-    score = state.score_given_inputs(score_of(below, above))
-    return np.asarray(special.ndtr(score)), np.asarray(special.ndtr(-score))
-
-
-def shifted_score(score: Array, shift: Array, remaining: float) -> Array:
-    """Normal score given the inputs by the Gaussian copula, (z - shift)/sd; certainty where they leave no scatter."""
-    if remaining == 0.0:
-        return np.where(score > shift, math.inf, -math.inf)
-    return np.asarray((score - shift) / remaining)
+    if isinstance(strength, Law):
+        # P(S < d): an observation that equals the demand has not been exceeded.
+        demands = np.nextafter(demands, -math.inf) if strength.is_steps else demands
+        below, above = strength.cdf(demands), strength.sf(demands)
+    else:
+        below, above = (demands > strength).astype(float), (demands <= strength).astype(float)
+    if state.tie is not None or state.shift is not None:
+        score = state.score_given_inputs(score_of(below, above))
+        below, above = np.asarray(special.ndtr(score)), np.asarray(special.ndtr(-score))
+    return np.where(broken, 0.0, below), np.where(broken, 0.0, above)
 
 
 def _interval(event: Array, other: Array, counts: Array, cell: float) -> tuple[float, float, float, float]:
