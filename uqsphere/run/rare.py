@@ -18,7 +18,8 @@ from uqsphere.run.demands import strength_of, with_test_forces
 from uqsphere.run.design import Design, at_normals
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample
-from uqsphere.uq.limit_state import CERTAIN, score_of, tails
+from uqsphere.uq.joint import CERTAIN
+from uqsphere.uq.limit_state import score_of, tails
 from uqsphere.uq.rare import find_probability
 from uqsphere.uq.rare.form import find_design_points
 from uqsphere.uq.rare.problem import Evaluator

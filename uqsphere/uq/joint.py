@@ -25,9 +25,8 @@ from uqsphere.uq.families import LawError
 from uqsphere.uq.law import Law
 
 COPULAS: Final = ("gaussian", "student_t")
-LEAST_DOF, MOST_DOF = 1.0, 1000.0
-#: scores are kept within these bounds: the tail beyond is less than 1e-315
-FARTHEST: Final = 38.0
+#: normal scores beyond which a tail is taken for certain: the largest whose tail is a normal number
+CERTAIN: Final = 37.0
 
 
 # --- one copula ------------------------------------------------------------------------------------------
@@ -126,7 +125,7 @@ def _score(variate: Array, dof: float) -> Array:
         return np.asarray(variate)
     with np.errstate(divide="ignore"):
         far = np.asarray(special.ndtri(special.stdtr(dof, -np.abs(variate))))
-    return np.clip(-np.sign(variate) * far, -FARTHEST, FARTHEST)
+    return np.clip(-np.sign(variate) * far, -CERTAIN, CERTAIN)
 
 
 def make_copula(
@@ -149,8 +148,8 @@ def make_copula(
     assert value is not None
     if not (math.isfinite(value) and -1.0 < value < 1.0):
         raise LawError(f"{key} must lie strictly between -1 and 1, found {value:g}", key)
-    if kind == "student_t" and (dof is None or not LEAST_DOF <= dof <= MOST_DOF):
-        raise LawError(f"dof must lie between {LEAST_DOF:g} and {MOST_DOF:g}, found {dof}", "dof")
+    if kind == "student_t" and (dof is None or not 1.0 <= dof <= 1000.0):
+        raise LawError(f"dof must lie between 1 and 1000, found {dof}", "dof")
     if kind == "gaussian" and dof is not None:
         raise LawError("dof belongs to the Student t copula, not to gaussian", "dof")
     if key == "kendall":

@@ -11,18 +11,14 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.describe import quantile_estimates
 from uqsphere.uq.estimate import Estimate, absent, between, probability_ends, spread, student
-from uqsphere.uq.joint import FARTHEST, Tie
+from uqsphere.uq.joint import CERTAIN, Tie
 from uqsphere.uq.law import Law
-
-#: normal scores beyond which a tail is taken for certain: the largest whose tail is a normal number
-CERTAIN: Final = 37.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,7 +69,7 @@ class LimitState:
         """Normal score of P(strength < demand | inputs) (R, n), where that of the strength's own law is `score`."""
         if self.tie is not None:
             last, known = self.tie.copula.size - 1, self.tie.given.reshape(-1, self.tie.given.shape[-1])
-            near = np.clip(score, -FARTHEST, FARTHEST)
+            near = np.clip(score, -CERTAIN, CERTAIN)
             found = self.tie.copula.conditional_score(last, range(last), known, near.reshape(-1)).reshape(score.shape)
             return np.where(np.isinf(score), score, found)
         if self.shift is None:
@@ -87,7 +83,7 @@ class LimitState:
         """Normal score (R, n) of the strength's own law, where that of P(strength < it | inputs) is `score`."""
         if self.tie is not None:
             last, known = self.tie.copula.size - 1, self.tie.given.reshape(-1, self.tie.given.shape[-1])
-            near = np.clip(score, -FARTHEST, FARTHEST).reshape(-1, 1)
+            near = np.clip(score, -CERTAIN, CERTAIN).reshape(-1, 1)
             return self.tie.copula.conditional_scores(range(last), known, near).reshape(score.shape)
         return score if self.shift is None else self.shift + self.remaining_sd * score
 
@@ -209,9 +205,6 @@ def target_met(missed: Estimate, target: float) -> bool | None:
 
 # --- safety factor -----------------------------------------------------------------------------------
 
-#: logarithm of a margin beyond which there is none: the median lies where the demand changes its sign
-FAR: Final = 600.0
-
 
 def margin_quantiles(state: LimitState, probabilities: Sequence[float] = (0.05, 0.5, 0.95)) -> dict[str, Estimate]:
     """Quantiles of strength over demand, by key ("median" for 0.5): m with mean F_S(m · demand) = p.
@@ -294,11 +287,12 @@ def _root(probability_at: Callable[[float], float], probability: float, near: fl
     step = 0.05
     while gap(low) > 0.0:
         high, low, step = low, low - step, 2.0 * step
-        if low < -FAR:
+        # beyond e^±600 there is none: the median lies where the demand changes its sign
+        if low < -600.0:
             return None
     while gap(high) < 0.0:
         low, high, step = high, high + step, 2.0 * step
-        if high > FAR:
+        if high > 600.0:
             return None
     from scipy.optimize import brentq
 

@@ -16,12 +16,11 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.estimate import Estimate, none_of, probability_ends, quantile, spread, weighted_reader
+from uqsphere.uq.joint import CERTAIN
 from uqsphere.uq.law import Law, make_law
-from uqsphere.uq.limit_state import CERTAIN, LimitState, score_of, tails
+from uqsphere.uq.limit_state import LimitState, score_of, tails
 
 Index = npt.NDArray[np.int64]
-
-_TINY = 1e-300
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,11 +95,14 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
             score = (score_of(below, above) - np.tensordot(factor[j, :j], holding[:j], axes=1)) / factor[j, j]
             below, above = special.ndtr(score), special.ndtr(-score)
         chances[j] = np.where(state.broken, 0.0, below)
-        # a point of the upper tail
-        with np.errstate(divide="ignore"):
-            drawn = -special.ndtri(np.maximum(rng.random(shape[1:]) * above, _TINY))
-        holding[j] = np.clip(drawn, -CERTAIN, CERTAIN)
+        holding[j] = -_drawn_below(above, rng)
     return Union(states=tuple(states), chances=chances, holding=holding, factor=factor)
+
+
+def _drawn_below(share: Array, rng: np.random.Generator) -> Array:
+    """Normal scores drawn from the lower tails that have these shares."""
+    found = special.ndtri(np.maximum(rng.random(share.shape) * share, np.finfo(float).tiny))
+    return np.clip(found, -CERTAIN, CERTAIN)
 
 
 def union_state(union: Union) -> LimitState:
@@ -167,8 +169,7 @@ def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breakin
     course = np.cumsum(held[:-1] * chances, axis=0)
     first = np.minimum((course <= rng.random(rows.shape) * course[-1]).sum(axis=0), size - 1)
     for j in range(size):
-        with np.errstate(divide="ignore"):
-            lower = np.clip(special.ndtri(np.maximum(rng.random(rows.shape) * chances[j], _TINY)), -CERTAIN, CERTAIN)
+        lower = _drawn_below(chances[j], rng)
         free = rng.standard_normal(rows.shape)
         normals[j] = np.where(first == j, lower, np.where(first < j, free, normals[j]))
     scores = np.tensordot(union.factor, normals, axes=1)

@@ -20,7 +20,6 @@ from uqsphere.uq.estimate import REPLICATES, Estimate, count_bound, none_of, pro
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
 from uqsphere.uq.rare.mixture import (
-    MOST_DIMENSIONS,
     ImportanceAnswer,
     Mixture,
     Pool,
@@ -33,7 +32,7 @@ from uqsphere.uq.rare.mixture import (
     wide_mixture,
     worth_of,
 )
-from uqsphere.uq.rare.problem import REACH, Evaluator, FailedEvaluation, Spent
+from uqsphere.uq.rare.problem import MOST_DIMENSIONS, REACH, Evaluator, FailedEvaluation, Spent
 from uqsphere.uq.rare.subset import SubsetAnswer, subset_simulation
 
 __all__ = [

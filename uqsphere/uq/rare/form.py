@@ -17,12 +17,10 @@ import numpy as np
 
 from uqsphere.arrays import Array, special
 from uqsphere.uq.points import sobol_points
-from uqsphere.uq.rare.problem import REACH, Evaluator, Spent
+from uqsphere.uq.rare.problem import MOST_DIMENSIONS, REACH, Evaluator, Spent
 
 #: step of the central differences, and the distance below which two design points are one, in standard deviations
 STEP, SAME = 0.03, 0.5
-#: variables from which on starts are few: each is expensive, and directions at random lead nowhere
-MANY: Final = 12
 LENGTHS: Final = np.array([1.0, 0.5, 0.25, 0.1, 0.03])
 
 
@@ -66,7 +64,7 @@ def find_design_points(
     3.0
     """
     size, last = evaluator.size, evaluator.count + most
-    count = 4 if size <= MANY else 1
+    count = 4 if size <= MOST_DIMENSIONS else 1
     normals = np.asarray(
         special.ndtri(sobol_points(dimension=size, count=count, seed=seed, task="form starts", replicate=0))
     )
@@ -83,12 +81,12 @@ def find_design_points(
         if not scale > 0.0:
             return FormAnswer(points=(), text="no design point: the limit function is constant where it was looked at")
         sign = -1.0 if looked[0] < 0.0 else 1.0
-        if size > MANY:
+        if size > MOST_DIMENSIONS:
             found = _search(evaluator, first[:1], scale, sign, [], last)
         if not any(point.converged for point in found):
             found = _distinct(_search(evaluator, first, scale, sign, [], last))
         bulges = [point.point for point in found if point.converged]
-        if bulges and size <= MANY:
+        if bulges and size <= MOST_DIMENSIONS:
             begin = np.concatenate([np.zeros((1, size)), -np.array(bulges[:3])])
             found = _distinct([*found, *_search(evaluator, begin, scale, sign, bulges, last)])
     except Spent:

@@ -20,11 +20,9 @@ from uqsphere.arrays import Array, special
 from uqsphere.uq.estimate import REPLICATES, Estimate, absent, count_bound, student
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.form import DesignPoint
-from uqsphere.uq.rare.problem import Evaluator, log_normal_density
+from uqsphere.uq.rare.problem import MOST_DIMENSIONS, Evaluator, log_normal_density
 
 METHOD: Final = "importance sampling, mixture with randomised Sobol' points"
-#: dimensions beyond which no mixture is fitted: a covariance would take more points than a stage has
-MOST_DIMENSIONS: Final = 10
 #: least standard error on a hard limit, over that of independent points: stopping when the replicates happen to agree
 #: would make the interval too short
 HARD: Final = 0.7

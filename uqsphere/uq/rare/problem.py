@@ -18,6 +18,8 @@ from uqsphere.arrays import Array, special
 
 #: standard deviations beyond which the model is not evaluated: 2e-19 of a variable's probability lies there
 REACH: Final = 9.0
+#: variables beyond which starts are few and no mixture is fitted: a covariance would take more points than a stage has
+MOST_DIMENSIONS: Final = 10
 
 
 class FailedEvaluation(ValueError):
