@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from scipy.special import ndtri
 from scipy.stats import qmc
 
@@ -59,16 +60,16 @@ def case(name: str, seed: int) -> tuple[Study, Callable[..., Any] | None]:
 
 def truth_of(name: str) -> dict[tuple[str, str, Any], float]:
     """The truth: of a black box by four million points, and Ishigami's indices in closed form; of the impact model by a
-    run of sixteen times the points, at four times the values of the free number."""
+    run of sixteen times the points and broken spheres, at four times the values of the free number."""
     if name in ("granite", "limestone"):
         study, model = case(name, 987_654)
-        modules = import_module("uqsphere.run.grow"), import_module("uqsphere.run.chaos")
-        before = modules[0].FIRST, modules[0].VALUES, modules[1].MOST_ROWS, modules[1].MOST_TERMS
-        modules[0].FIRST, modules[0].VALUES, modules[1].MOST_ROWS, modules[1].MOST_TERMS = 4096, 97, 2048, 4096
-        try:
+        larger = {"grow": {"FIRST": 4096, "VALUES": 97}, "chaos": {"MOST_ROWS": 2048, "MOST_TERMS": 4096},
+                  "fracture": {"SPECIMENS": 256, "MOST": 4096}}  # fmt: skip
+        with pytest.MonkeyPatch.context() as patch:
+            for module, numbers in larger.items():
+                for constant, value in numbers.items():
+                    patch.setattr(import_module(f"uqsphere.run.{module}"), constant, value)
             run = uqsphere.run(study, model)
-        finally:
-            modules[0].FIRST, modules[0].VALUES, modules[1].MOST_ROWS, modules[1].MOST_TERMS = before
         return {
             (r["subject"], r["answer"], r["at"]): r["value"] for r in run.results["answers"] if r["value"] is not None
         }
