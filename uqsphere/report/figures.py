@@ -8,10 +8,12 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Mapping
+from textwrap import fill
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.quantities import display_unit, format_probability, format_value
 from uqsphere.report.format import find, label, meaning, of, short
@@ -72,7 +74,10 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
         middle, low, high = np.where(near, ndtri(np.clip(p, least, 1.0 - least)).T, np.nan)
         assumed = subject.startswith("modes.")
         colour = COLOURS[k % len(COLOURS)]
-        axes.plot(x, middle, "--" if assumed else "-", color=colour, lw=1.2 if assumed else 2.0, label=label(subject))
+        dense, curve = _smooth(x, middle, logarithmic=free["low"] > 0.0)
+        axes.plot(
+            dense, curve, "--" if assumed else "-", color=colour, lw=1.2 if assumed else 2.0, label=label(subject)
+        )
         if not assumed:
             axes.fill_between(x, low, high, where=inside, color=colour, alpha=0.25, lw=0)
         entry = results["study"]["limits"].get(subject.removeprefix("limits."))
@@ -99,6 +104,18 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
     axes.set(xlabel=f"{free['meaning']} [{unit}]" if unit else free["meaning"], ylim=(ndtri(least), ndtri(1.0 - least)),
              ylabel=_probability_name(results), xlim=(free["low"] * factor, free["high"] * factor))  # fmt: skip
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8)
+
+
+def _smooth(x: Array, y: Array, *, logarithmic: bool) -> tuple[Array, Array]:
+    """The monotone cubic through the points that have a value, as margins are read off it."""
+    from scipy.interpolate import PchipInterpolator
+
+    known = np.isfinite(y)
+    if known.sum() < 3:
+        return x, y
+    places = np.log(x[known]) if logarithmic else x[known]
+    dense = np.linspace(places[0], places[-1], 200)
+    return np.exp(dense) if logarithmic else dense, PchipInterpolator(places, y[known])(dense)
 
 
 def _plain_logarithms(axis: Axis, ratio: float) -> None:
@@ -138,7 +155,7 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     middle = entry["range"][1]
     if not shown and middle is not None:
         axes.axvline(middle * factor, color=COLOURS[0], label=f"{short(entry['meaning'])} (no scatter)")
-    text = short(entry["meaning"])
+    text = fill(short(entry["meaning"]), 40)
     axes.set(xlabel=f"{text} [{unit}]" if unit else text, ylabel="probability density")
     axes.set_ylim(bottom=0.0)
     axes.set_yticks([])
@@ -162,9 +179,9 @@ def draw_sobol(axes: Axes, results: Results, quantity: str, most: int = 12) -> N
         axes.barh(np.arange(len(names)) + shift, v, 0.36, xerr=np.maximum(np.nan_to_num(ends), 0.0), color=colour,
                   error_kw={"lw": 0.9, "capsize": 2}, label="first-order" if order == "first" else "total")  # fmt: skip
     axes.set_yticks(range(len(names)), [meaning(str(name), results["inputs"]) for name in names])
-    axes.set(xlabel="Sobol’ index", xlim=(0.0, 1.05))
-    axes.set_title(short(results["study"]["quantities"][quantity]["meaning"]), fontsize=9, loc="right")
-    axes.legend(fontsize=8, loc="lower right")
+    axes.set(xlim=(0.0, 1.05))
+    axes.set_title(fill(short(results["study"]["quantities"][quantity]["meaning"]), 40), fontsize=9, loc="right")
+    axes.legend(fontsize=8, loc="upper right", bbox_to_anchor=(1.0, -0.22), ncols=2)
 
 
 def draw_convergence(axes: Axes, results: Results) -> None:

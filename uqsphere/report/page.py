@@ -56,6 +56,7 @@ def _rendered(results: Results) -> tuple[str, dict[str, str]]:
         indices=_indices(results), margins=_margins(results), checks=results["checks"], accuracy=_accuracy(results),
         inputs=_inputs(results), fixed=_inputs(results, fixed=True), design=_design_points(results),
         assumptions=_assumptions(results), fracture=_fracture(results), versions=results["versions"],
+        dependence=_dependence(results), missing=_missing(results),
         figures={name: Markup(_own_ids(text, name)) for name, text in drawn.items()}, meaning=meaning,
     )  # fmt: skip
     return html, drawn
@@ -247,7 +248,7 @@ def _design_points(results: Results) -> list[dict[str, Any]]:
             )
             rows.append((meaning(name, results["inputs"]), change, at))
         if rows:
-            tables.append({"name": label(subject), "rows": rows})
+            tables.append({"name": label(subject), "rows": rows, "breaks": entry["aim"] == "break"})
     return tables
 
 
@@ -282,6 +283,20 @@ def _accuracy(results: Results) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _missing(results: Results) -> str:
+    """What a failure probability is of: a sphere that must break fails where it does not."""
+    aims = {entry["aim"] for _, entry in _subjects(results)}
+    if "break" not in aims:
+        return "Failure probability"
+    return "P(not broken)" if aims == {"break"} else "Failure probability (of not breaking, where that is the aim)"
+
+
+def _dependence(results: Results) -> list[str]:
+    """What depends on what, and how strongly."""
+    ties = results["study"].get("dependence", ())
+    return [f"{' and '.join(meaning(name, results['inputs']) for name in tie['of'])}: {tie['text']}" for tie in ties]
+
+
 def _inputs(results: Results, *, fixed: bool = False) -> list[tuple[str, ...]]:
     """Random inputs with their distribution and 5–95 % range, or the fixed ones; sources that nobody checked say so."""
     rows: list[tuple[str, ...]] = []
@@ -291,8 +306,17 @@ def _inputs(results: Results, *, fixed: bool = False) -> list[tuple[str, ...]]:
         source = entry["source"] if entry["source_checked"] else f"{entry['source']} (source not checked)"
         middle = value(entry["mean"], name, 4)
         if fixed:
-            rows.append((entry["meaning"], middle, source))
+            rows.append((meaning(name, results["inputs"]), middle, source))
         else:
             ends = f"{value(entry['p05'], name)} to {value(entry['p95'], name)}"
-            rows.append((entry["meaning"], entry["distribution"], middle, value(entry["sd"], name), ends, source))
+            rows.append(
+                (
+                    meaning(name, results["inputs"]),
+                    entry["distribution"],
+                    middle,
+                    value(entry["sd"], name),
+                    ends,
+                    source,
+                )
+            )
     return rows

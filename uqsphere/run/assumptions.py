@@ -77,6 +77,12 @@ def assumptions(design: Design, tables: Tables) -> Assumptions:
             p = float(chances(state_of(design, limit, head, other), limit.aim).mean())
             answers.row(design.subject(limit), "failure_probability", f"assumed: {name}", p, unit="1", runs=head.size,
                         method="epistemic", note="same mean and standard deviation")  # fmt: skip
+        state = state_of(design, limit, head)
+        if state.shift is not None or state.tie is not None:
+            alone = replace(state, shift=None, remaining_sd=1.0, weights=(), tie=None)
+            p = float(chances(alone, limit.aim).mean())
+            answers.row(design.subject(limit), "failure_probability", "assumed: strength independent of the inputs", p,
+                        unit="1", runs=head.size, method="epistemic", note="without dependence")  # fmt: skip
     plastic = _under_plastic_contact(design, head)
     if plastic is not None:
         for limit in design.fracture:

@@ -69,7 +69,7 @@ def _verdict(
         "probability": {"value": p.value, "low": p.low, "high": p.high},
         "governing": design.subject(number["governing"] if number else governing),
         "reasons": [{"code": reason.code, "text": reason.text} for reason in reasons],
-        "use": None if number is None else {k: v for k, v in number.items() if k not in ("governing", "factor")},
+        "use": None if number is None else {k: number[k] for k in ("value", "low", "high", "safe_end", "path", "text")},
         "safety_factor": None if number is None else number["factor"],
         "next": _next(design, limit, p, reasons, assumed),
     }  # fmt: skip
@@ -275,9 +275,11 @@ def _number_to_use(
         return None
     pick = min if _rising(answers, design.subject(limit)) == survive else max
     value, governing = pick(candidates, key=lambda pair: pair[0])
+    together_less = False
     if survive and len(modes) > 1:
         # all modes together ask for a little less than the worst of them
         joint = band_of(design, tables, along_line(design, modes), target)
+        together_less = joint is not None and pick(value, joint) != value
         value = value if joint is None else pick(value, joint)
     row = answers.get(design.subject(governing), "margin", target if survive else 1.0 - target)
     factor = None
@@ -286,7 +288,7 @@ def _number_to_use(
     end = "largest" if pick is min else "smallest"
     return {"value": value, "low": row and row["low"], "high": row and row["high"], "safe_end": end,
             "path": axis.path, "text": format_value(value, axis.path, 2), "governing": governing,
-            "factor": factor}  # fmt: skip
+            "factor": factor, "joint": together_less}  # fmt: skip
 
 
 def _rising(answers: Answers, subject: str) -> bool:
@@ -333,7 +335,10 @@ def _headline(
         best = answers.get(design.subject(governing), "margin", wanted)
         by = f"{assumed}, by an assumed strength" if assumed else governing.name
         if best is not None and best["value"] is not None:
-            rest.append(f"That is the conservative value; best estimate {format_value(best['value'], path, 2)} ({by}).")
+            joint = ", with all failure modes together" if number["joint"] else ""
+            end = "lower" if number["safe_end"] == "largest" else "upper"
+            rest.append(f"That is the conservative, {end} end of its interval{joint}; best estimate "
+                        f"{format_value(best['value'], path, 2)} ({by}).")  # fmt: skip
         own = answers.get(design.subject(limit), "margin", wanted)
         if assumed:
             theirs = answers.get(design.subject(governing), "exceedance_probability")
@@ -341,7 +346,8 @@ def _headline(
             what = f"At the plan: {what[:1].lower()}{what[1:]}, by the limit of the study" + (
                 "" if more is None else f", but {format_probability(more)} by {assumed}")  # fmt: skip
             if own is not None and own["value"] is not None:
-                rest.append(f"By the limit of the study alone: {format_value(own['value'], path, 2)}.")
+                safe = format_conservative(own["value"], path, least=number["safe_end"] != "largest")
+                rest.append(f"By the limit of the study alone: {safe}.")
         rest.append(what + ".")
     else:
         first.append(what + ".")

@@ -52,9 +52,9 @@ def results_of(
             "limits": {limit.name: _limit(design, limit) for limit in design.limits},
             "modes": {mode.called: {**_limit(design, mode.limit), "assumed": True, "source": mode.source,
                                     "source_checked": mode.seen} for mode in design.modes},
-            "not_judged": dict(design.not_judged),
+            "not_judged": dict(design.not_judged), "dependence": [_dependence(tie) for tie in study.dependence],
         },
-        "inputs": {name: _input(design, name) for name in (*study.fixed, *study.random)},
+        "inputs": {name: _input(design, name) for name in (*study.fixed, *study.random, *_factors(design))},
         "answers": as_json(answers.rows),
         "verdicts": as_json(judged),
         "checks": [as_json(check.as_dict()) for check in checked],
@@ -164,6 +164,18 @@ def _strength_text(limit: Limit) -> str:
     return text
 
 
+def _dependence(tie: Any) -> dict[str, Any]:
+    """Names and text of a dependence."""
+    kind, strength = ("Spearman", tie.spearman) if tie.spearman is not None else ("Kendall", tie.kendall)
+    copula = "" if tie.copula == "gaussian" else f", Student t copula of {tie.dof:g} degrees of freedom"
+    return {"of": list(tie.of), "text": f"{kind}'s rank correlation {strength:g}{copula}"}
+
+
+def _factors(design: Design) -> list[str]:
+    """Random factors on the demands of limits."""
+    return [name for name in design.drawn.names if name not in design.study.random]
+
+
 def _input(design: Design, name: str) -> Any:
     study = design.study
     quantity, source = lookup(name), study.sources.get(name)
@@ -171,8 +183,8 @@ def _input(design: Design, name: str) -> Any:
         "meaning": quantity.meaning, "unit": display_unit(name)[0],
         "source": source.text if source else "study", "source_checked": source.seen if source else True,
     }  # fmt: skip
-    if name in study.random:
-        law = study.random[name]
+    if name in design.drawn.names:
+        law = study.laws()[name]
         low, high = (float(x) for x in law.ppf(np.array([0.05, 0.95])))
         return as_json({**about, "mean": law.mean(), "sd": law.sd(), "p05": low, "p95": high, "fixed": False,
                         "distribution": law.family.name.replace("_", " ")})  # fmt: skip
