@@ -1,5 +1,7 @@
 """The one reader of tables: CSV with comma, semicolon or tab, and .xlsx, as they come from instruments and Excel.
 
+What a recorder writes is read too (`recorded`): columns divided by blanks, metadata above, no headings.
+
 Decimal point or comma; UTF-8 with or without mark, UTF-16, else Windows' cp1252 with a note.  Units stand in a heading
 (``force [kN]``, ``force_kN``, ``force in kN``), in a row below it, or are given.  All faults of a kind are one message.
 """
@@ -7,10 +9,12 @@ Decimal point or comma; UTF-8 with or without mark, UTF-16, else Windows' cp1252
 from __future__ import annotations
 
 import codecs
+import csv
 import io
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cached_property
@@ -20,13 +24,23 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
+from uqsphere.errors import UsageError
 from uqsphere.files import TooLarge, read_given
 from uqsphere.units import UNITS, typed_units
 
 LARGEST: Final = 32 << 20
 _MOST_ROWS: Final = 2_000_000
 _MOST_LINES: Final = 8
-_COLUMN_UNIT: Final = re.compile(r"\s*[\[(/,_]\s*|\s+in\s+")
+_COLUMN_UNIT: Final = re.compile(r"\s*[\[(/,_]\s*|\s+in\s+|\s+")
+#: other spellings of units in headings
+_SPELLED: Final = {
+    "µε": "με", "ue": "με", "uε": "με", "µstrain": "με", "ustrain": "με", "microstrains": "microstrain",
+    "strain": "1", "ε": "1", "m/m": "1", "millistrain": "mm/m", "mε": "mm/m", "volt": "V", "volts": "V",
+    "voltage": "V", "v": "V", "µV": "uV", "sec": "s", "seconds": "s", "msec": "ms", "usec": "us", "microseconds": "us",
+}  # fmt: skip
+_NOTHING: Final = {"", "-", "nan", "n/a", "na", "none", "null", "#n/a"}
+#: what divides the columns of a recorder's file, and its decimal mark
+_WRITTEN: Final = ((";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (" ", "."), (" ", ","))
 _NUMBER: Final = {mark: re.compile(rf"[+-]?(\d+[{mark}]?\d*|[{mark}]\d+)([eE][+-]?\d+)?", re.ASCII) for mark in ".,"}
 #: 1.234,5 and 1,234.5 and 1 234 are certainly marks of thousands, 2.830 possibly
 _MARKED: Final = re.compile(r"[+-]?\d{1,3}(?:(?:\.\d{3})+,\d*|(?:,\d{3})+\.\d*|(?:['\u00a0\u202f ]\d{3})+(?:[.,]\d*)?)")
@@ -41,7 +55,7 @@ _UNIT_KEYS: Final = {"force": "force_unit", "diameter": "diameter_unit", "column
 _KNOWN_UNITS: Final = {unit for units in UNITS.values() for unit in units if unit and not unit.isdigit()}
 
 
-class TableError(ValueError):
+class TableError(UsageError):
     """A table cannot be used: every fault, one a line; `key` is what the caller named the first bad column by."""
 
     def __init__(self, message: str, key: str = "") -> None:
@@ -57,7 +71,9 @@ def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
     """
     for gap in _COLUMN_UNIT.finditer(heading):
         rest = heading[gap.end() :].strip().rstrip("])").strip()
-        for spelled in (rest, rest.replace("_", "/"), rest.replace("²", "2").replace("³", "3")):
+        if rest.isdigit() and "[" not in gap.group():
+            continue
+        for spelled in (rest, rest.replace("_", "/"), rest.replace("²", "2").replace("³", "3"), _SPELLED.get(rest, "")):
             if spelled in UNITS[dimension] and spelled and gap.start():
                 return heading[: gap.start()].strip(), spelled
     return heading, None
@@ -72,7 +88,10 @@ def _decimal_mark(texts: Iterable[str]) -> str:
 
 @dataclass(kw_only=True)
 class Table:
-    """The cells of a file as texts: rows that count with the numbers of their lines, and what is to be told of them."""
+    """The cells of a file as texts: rows that count with the numbers of their lines, and what is to be told of them.
+
+    above : the text above the numbers of a recorder's file.
+    """
 
     name: str
     headings: list[str]
@@ -80,6 +99,7 @@ class Table:
     lines: list[int]
     notes: list[str] = field(default_factory=list)
     decimal: str = ""
+    above: str = ""
     faults: dict[tuple[str, str], list[int]] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -97,12 +117,15 @@ class Table:
         return found | {k: "the headings again: pasted twice?" for k, row in enumerate(self.rows)
                         if row == self.headings}  # fmt: skip
 
-    def place(self, column: str, dimension: str = "number", key: str = "") -> int:
-        """Where a column stands, by its heading with or without its unit; TableError where it is not there once."""
+    def place(self, column: str | int, dimension: str = "number", key: str = "") -> int:
+        """Where a column stands, by its heading with or without its unit, or its number from 1 on; TableError else."""
+        column = str(column)
         bare = [next((name for d in (dimension, *UNITS) if (name := unit_in_heading(h, d)[0]) != h), h)
                 for h in self.headings]  # fmt: skip
         at = [k for k, heading in enumerate(self.headings) if heading == column]
         at = at or [k for k, heading in enumerate(bare) if heading == column]
+        if not at and column.isdigit() and 1 <= int(column) <= len(self.headings):
+            return int(column) - 1
         if len(at) == 1:
             return at[0]
         near = get_close_matches(column, [*self.headings, *bare], n=1)
@@ -111,18 +134,19 @@ class Table:
         raise TableError(f"the column {column!r} is {'twice or more' if at else 'not'} in {self.name!r}, which has "
                          f"{known}{hint}", key)  # fmt: skip
 
-    def unit_of(self, column: str, dimension: str) -> str | None:
+    def unit_of(self, column: str | int, dimension: str) -> str | None:
         """The unit of a dimension in the heading of a column."""
         return unit_in_heading(self.headings[self.place(column, dimension)], dimension)[1]
 
-    def texts(self, column: str, key: str = "", dimension: str = "number") -> list[str]:
+    def texts(self, column: str | int, key: str = "", dimension: str = "number") -> list[str]:
         """Cells of a column."""
         at = self.place(column, dimension, key)
         return [row[at] for row in self.rows]
 
     def numbers(
-        self, column: str, dimension: str = "number", unit: str | None = None, *, key: str = "", blank: bool = False
-    ) -> Array:
+        self, column: str | int, dimension: str = "number", unit: str | None = None, *, key: str = "",
+        blank: bool = False,
+    ) -> Array:  # fmt: skip
         """A column in SI, (n,); nan where a cell is empty and may be, or faulty, which is noted.
 
         unit : of the column; None: that of its heading.  TableError at `key` without any, or with a contradiction.
@@ -131,6 +155,7 @@ class Table:
         if dimension == "number":
             return self._parsed(texts, column, key, blank)
         heading, units = self.headings[self.place(column, dimension, key)], UNITS[dimension]
+        column = heading if str(column).isdigit() else column
         own, unit_key = unit_in_heading(heading, dimension)[1], _UNIT_KEYS.get(key, "units")
         if unit is not None and unit not in units:
             raise TableError(f"found {unit!r}, allowed: {typed_units(dimension)}", unit_key)
@@ -143,7 +168,7 @@ class Table:
                              f'[{first}]"{more} ({typed_units(dimension)})', key)  # fmt: skip
         return units[unit or own or ""] * self._parsed(texts, column, key, blank)
 
-    def _parsed(self, texts: list[str], column: str, key: str, blank: bool) -> Array:
+    def _parsed(self, texts: list[str], column: str | int, key: str, blank: bool) -> Array:
         own = _decimal_mark(texts)
         mark = self.decimal or own or self._mark
         faults: dict[int, str] = {}
@@ -175,7 +200,7 @@ class Table:
                 found[k] = float(text.replace(",", "."))
                 if math.isinf(found[k]):
                     faults[k] = "a number too large"
-            elif text:
+            elif text and not (blank and text.lower() in _NOTHING):
                 strange = strange or f"found {text!r}, where a number is required"
                 faults[k] = strange
             elif not blank:
@@ -203,13 +228,17 @@ class Table:
             self._refuse(key, f"{column}: found {texts[strange[0]]!r}, where {meant} is required", strange)
         return np.array([words.get(text, False) for text in texts], dtype=bool)
 
-    def finish(self) -> None:
-        """Look at the rows as such, and raise TableError with every fault noted so far."""
+    def check(self) -> None:
+        """Raise TableError with every fault noted so far."""
         for k, said in self._no_data.items():
             self._refuse("", said, [k])
         if self.faults:
             told = [f"{self.name}: {self._at(lines)}: {said}" for (_, said), lines in self.faults.items()]
             raise TableError("\n".join(told), next(iter(self.faults))[0])
+
+    def finish(self) -> None:
+        """Check, and look at the rows as such."""
+        self.check()
         first: dict[tuple[str, ...], int] = {}
         again = [k for k, row in enumerate(self.rows) if first.setdefault(tuple(row), k) != k]
         if again and (len(again) > 1 or len(set(self.rows[again[0]])) > 2):
@@ -240,8 +269,10 @@ class Table:
                     return
 
 
-def read_table(path: Path, *, decimal: str = "", largest: int = LARGEST) -> Table:
+def read_table(path: Path, *, decimal: str = "", largest: int = LARGEST, recorded: bool = False) -> Table:
     """The table of a CSV or .xlsx file; its first line that is no comment (`#`) has the headings.
+
+    recorded : as a recorder writes it: blanks divide columns too, metadata stand above, headings may be missing.
 
     Raises TableError for what is no table, AccessError as `uqsphere.files.read_given`.
     """
@@ -250,7 +281,12 @@ def read_table(path: Path, *, decimal: str = "", largest: int = LARGEST) -> Tabl
         data = read_given(path, largest)
     except TooLarge:
         raise TableError(f"{name!r} is larger than {largest >> 20} MiB") from None
-    rows = _sheet(data, name, notes) if data.startswith(b"PK\x03\x04") else _lines(_decoded(data, name, notes), name)
+    book, text = data.startswith(b"PK\x03\x04"), ""
+    if not book:
+        text = _decoded(data, name, notes)
+    if recorded:
+        return _recorded(name, dict(_sheet(data, name, notes)) if book else {}, text, notes)
+    rows = _sheet(data, name, notes) if book else _lines(text, name)
     if not rows:
         raise TableError(f"{name!r} is empty")
     headings = rows.pop(0)[1]
@@ -260,9 +296,8 @@ def read_table(path: Path, *, decimal: str = "", largest: int = LARGEST) -> Tabl
     if wide:
         raise TableError(f"{name}: line {wide[0]}: more cells than headings: a decimal comma between commas? "
                          "save it with semicolons")  # fmt: skip
-    if rows and any(rows[0][1]) and {cell.strip("[]()") for cell in rows[0][1]} <= _KNOWN_UNITS | {"", "-"}:
-        units = [cell.strip("[]()-") for cell in rows.pop(0)[1]]
-        headings = [f"{h} [{unit}]" if unit else h for h, unit in zip(headings, units, strict=False)]
+    if rows and _all_units(rows[0][1]):
+        headings = _with_units(headings, rows.pop(0)[1])
     if not rows:
         raise TableError(f"{name!r} has no row below its headings")
     return Table(name=name, headings=headings, rows=[row[: len(headings)] for _, row in rows],
@@ -329,3 +364,90 @@ def _decoded(data: bytes, name: str, notes: list[str]) -> str:
     except UnicodeDecodeError:
         notes.append(f"{name} is not UTF-8: read as Windows text (cp1252)")
         return data.decode("cp1252", "replace")
+
+
+# --- what a recorder writes ---------------------------------------------------------------------------------------
+
+
+def _all_units(row: Sequence[str]) -> bool:
+    return any(row) and {cell.strip("[]() ") for cell in row} <= _KNOWN_UNITS | {*_SPELLED, "", "-"}
+
+
+def _with_units(headings: Sequence[str], row: Sequence[str]) -> list[str]:
+    units = [cell.strip("[]()- ") for cell in row]
+    return [f"{h} [{unit}]" if unit else h for h, unit in zip(headings, units, strict=False)]
+
+
+def _recorded(name: str, sheet: dict[int, list[str]], text: str, notes: list[str]) -> Table:
+    """The table of numbers of a recorder's file, whose divider and decimal mark its second half shows."""
+    lines = text.splitlines()
+    live = {k: line for k, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")}
+    keys, best = list(sheet or live), (0, 0)
+    # metadata stand above or beside the first half at the most
+    some = keys[len(keys) // 2 :][:200] if len(keys) > 60 else keys[1:] or keys
+    divider, mark, width, places = " ", ".", 0, list[int]()
+    for one, decimal in ((" ", "."),) if sheet else _WRITTEN:
+        rows = [sheet[k] if sheet else _split(live[k], one) for k in some]
+        wide, numeric = _numeric_columns(rows, decimal)
+        whole = sum(len(row) == wide and all(_is_number(row[k], decimal) for k in numeric) for row in rows)
+        if numeric and (min(len(numeric), 2), whole) > best:
+            best, divider, mark, width, places = (min(len(numeric), 2), whole), one, decimal, wide, numeric
+    if best == (0, 0):
+        raise TableError(f"{name}: no table of numbers (columns divided by comma, semicolon, tab or blanks)")
+    cells = sheet or {k: _split(line, divider) for k, line in live.items()}
+    first = next(k for k in keys if len(cells[k]) > places[-1] and any(cells[k][p] for p in places)
+                 and all(_is_number(cells[k][p], mark) for p in places))  # fmt: skip
+    body = {k: row for k, row in cells.items() if k >= first}
+    for row in body.values():
+        if len(row) == width + 1 and not row[-1]:
+            del row[-1]
+        if len(row) < width and (sheet or divider == "\t"):
+            row += [""] * (width - len(row))
+    ragged = [k for k, row in body.items() if len(row) != width and (not sheet or any(row[width:]))]
+    if ragged:
+        hint = "; columns with a decimal comma are divided by semicolons or tabs" if divider == "," else ""
+        raise TableError(f"{name}: {len(ragged)} lines do not have {width} columns, first line {ragged[0]} with "
+                         f"{len(body[ragged[0]])}{hint}")  # fmt: skip
+    said = [line.lstrip("# ") for line in lines[: first - 1] if line.lstrip().startswith("#")]
+    above = [cells[k] for k in keys if k < first] or [_split(line, divider) for line in said]
+    above = [row[:width] for row in above if len(row) in (width, width + 1) or (sheet and any(row))]
+    units = above.pop() if above and _all_units(above[-1]) else []
+    headings = list(above[-1]) if above else [""] * width
+    if not above:
+        notes.append(f"{name} names no columns")
+    used = [k for k in range(width) if k in places or headings[k]]
+    headings = [heading or f"column {k}" for k, heading in enumerate(headings, 1)]
+    headings = _with_units(headings, units) if units else headings
+    headings = [f"{k} {h}" if headings.count(h) > 1 else h for k, h in enumerate(headings, 1)]
+    if mark == ",":
+        notes.append(f"{name}: decimal comma")
+    return Table(name=name, headings=[headings[k] for k in used], notes=notes, decimal=mark, lines=list(body),
+                 rows=[[row[k] for k in used] for row in body.values()], above="\n".join(lines[: max(first, 40)]),
+                 )  # fmt: skip
+
+
+def _split(line: str, divider: str) -> list[str]:
+    """The cells of a line; quotes go, also around a whole line."""
+    line = line[1:-1] if line.startswith('"') and line.endswith('"') and line.count('"') == 2 else line
+    if '"' in line and divider != " ":
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=divider))]
+    return line.split() if divider == " " else [cell.strip() for cell in line.split(divider)]
+
+
+def _is_number(cell: str, mark: str) -> bool:
+    return bool(_NUMBER[mark].fullmatch(cell)) or cell.lower() in _NOTHING
+
+
+def _numeric_columns(rows: Sequence[Sequence[str]], mark: str) -> tuple[int, list[int]]:
+    """Usual number of cells, and the columns that hold numbers in most rows."""
+    kept = [row for row in rows if any(_NUMBER[mark].fullmatch(cell) for cell in row)]
+    if not kept:
+        return 0, []
+    width = max(sorted(Counter(map(len, kept)).items()), key=lambda one: one[1])[0]
+    found, full = [], [row for row in kept if len(row) == width]
+    for k in range(width):
+        numbers = sum(bool(_NUMBER[mark].fullmatch(row[k])) for row in full)
+        words = sum(not _is_number(row[k], mark) for row in full)
+        if 2 * numbers > len(full) or (numbers and 4 * words < len(full)):
+            found.append(k)
+    return width, found

@@ -82,7 +82,7 @@ def test_machine_and_platens_are_taken_off(tmp_path: Path) -> None:
     [(loading(unload=False), {}, "not unloaded"), (loading(top=60.0, noise=1e-10), {}, "hardly beyond Hertz"),
      (loading().iloc[::50], {}, "samples above 1%"), (loading() * [1.0, -1.0], {}, "never positive"),
      (loading() * [-1.0, 1.0], {}, "does not grow"), (loading().sample(frac=1.0, random_state=1), {}, "jumps|grow"),
-     (loading().rename(columns={"F [N]": "F"}), {}, "has no unit")],
+     (loading().rename(columns={"F [N]": "F"}), {}, "unit of the column 'F' is missing")],
 )  # fmt: skip
 def test_what_is_no_such_test_is_refused(frame: pd.DataFrame, keys: Any, match: str, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=match):

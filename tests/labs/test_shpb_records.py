@@ -265,7 +265,7 @@ def test_files_that_are_no_records(tmp_path: Path) -> None:
         )
     with pytest.raises(UsageError, match="the bridge is required"):
         read(tmp_path, frame, incident_bar={"unit": "V"})
-    with pytest.raises(UsageError, match="no single column 'x'"):
+    with pytest.raises(UsageError, match="column 'x' is not in"):
         read(tmp_path, frame, record={"incident": "x", "receiving": "y"})
     with pytest.raises(UsageError, match="which no elastic bar bears"):
         read(tmp_path, frame * np.array([1.0, 1e6, 1e6]))

@@ -19,7 +19,7 @@ from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.document import ComminutionDocument, FeedTable, Lognormal, ProductTable, SizesTable
 from uqsphere.labs.comminution.fit import Posterior, quantiles
 from uqsphere.labs.comminution.tests import stiffness
-from uqsphere.labs.tables import read_table
+from uqsphere.tables import read_table
 
 #: draws that a feed is computed for
 DRAWS: Final = 1000
@@ -72,25 +72,25 @@ def load_classes(asked: SizesTable, folder: Path) -> Classes:
 def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Any, float]:
     """Passing as a function of the size, log-linear between sieves, and the top size."""
     column, table = str(asked.passing), read_table(folder / str(asked.file))
-    sieve = table.in_si(str(asked.sieve), "length", asked.sieve_unit)
-    heading = f"{column} {table.units[table.place(column)]}".lower()
+    sieve, given = table.numbers(str(asked.sieve), "length", asked.sieve_unit or None), table.numbers(column)
+    table.finish()
+    heading = table.headings[table.place(column)].lower()
     percent = "%" in heading or "percent" in heading or "pct" in heading
-    given = table.numbers(column)
     order = np.argsort(sieve)
     sieve, given = sieve[order], given[order]
     largest = float(given[-1])
     if percent and largest <= 1.0:
         raise UsageError(
-            f"{table.path.name}: {column!r} is headed as percent and reaches {largest:.4g}: are these shares? "
+            f"{table.name}: {column!r} is headed as percent and reaches {largest:.4g}: are these shares? "
             "Head them so, without percent"
         )
     if not percent and largest > 1.0:
         percent = True
-        notes.append(f"{table.path.name}: passing reaches {largest:.4g}, percent are taken")
+        notes.append(f"{table.name}: passing reaches {largest:.4g}, percent are taken")
     share = given * (0.01 if percent else 1.0)
     rising = (np.diff(sieve) > 0.0).all() and (np.diff(share) >= 0.0).all()
     if not rising or sieve[0] <= 0.0 or not 0 < share[-1] <= 1.0001:
-        raise UsageError(f"{table.path.name}: sieves must differ, and what passes must rise with them up to 100 %")
+        raise UsageError(f"{table.name}: sieves must differ, and what passes must rise with them up to 100 %")
     left = 1.0 - float(share[-1])
     top = asked.top if asked.top is not None else float(sieve[-1])
     if asked.top is not None and asked.top > sieve[-1] * (1.0 + 1e-9):
@@ -99,7 +99,7 @@ def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Any, flo
             notes.append(f"{left:.3g} of the mass lies between the coarsest sieve and top, where all passes: by a line")
     elif left > _CUT:
         raise UsageError(
-            f"{table.path.name}: the coarsest sieve passes {share[-1]:.1%}: {left:.1%} of the feed has no size; add "
+            f"{table.name}: the coarsest sieve passes {share[-1]:.1%}: {left:.1%} of the feed has no size; add "
             "top, the size that all passes"
         )
     elif left > 1e-4:

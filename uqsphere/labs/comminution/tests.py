@@ -12,7 +12,7 @@ from uqsphere.arrays import Array, Flags
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.document import ComminutionDocument, Elastic
-from uqsphere.labs.tables import Table, decode_cell, read_table
+from uqsphere.tables import Table, read_table
 
 #: rigs whose energy is that at failure; in the others it is what was offered
 AT_FAILURE: Final = ("platens", "load_cell", "bars")
@@ -70,13 +70,16 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
     """The specimens of the table of an input file; UsageError with the lines of rows that cannot be."""
     table, want = read_table(folder / asked.tests.file), asked.tests
     for column, value in want.where.items():
-        table = replace(table, values=table.values[(table.words(column) == decode_cell(value)).to_numpy()])
-    if not len(table.values):
-        raise UsageError(f"{table.path.name}: no row is left (tests.where)")
+        texts = table.texts(column) if isinstance(value, str) else table.numbers(column)
+        kept = [k for k, cell in enumerate(texts) if cell == value]
+        table = replace(table, rows=[table.rows[k] for k in kept], lines=[table.lines[k] for k in kept])
+    if not len(table):
+        raise UsageError(f"{table.name}: no row is left (tests.where)")
     if want.diameter is not None:
-        diameter = table.in_si(want.diameter, "length", want.diameter_unit)
+        diameter = table.numbers(want.diameter, "length", want.diameter_unit or None, key="diameter")
     else:
-        low, high = (table.in_si(str(c), "length", want.diameter_unit) for c in (want.mesh_lower, want.mesh_upper))
+        low, high = (table.numbers(str(c), "length", want.diameter_unit or None, key="diameter")
+                     for c in (want.mesh_lower, want.mesh_upper))  # fmt: skip
         diameter = np.sqrt(low * high)
     one = np.ones(len(diameter))
     particles = one if want.particles is None else table.numbers(want.particles)
@@ -84,24 +87,23 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
     if want.broken is not None:
         broken = table.numbers(want.broken)
     else:
-        words = table.words(str(want.outcome)).str.lower()
-        _refuse(table, ~words.isin(_BROKE).to_numpy(), f"outcome: one of {', '.join(_BROKE)}")
-        broken = words.map(_BROKE).to_numpy(dtype=float) * particles
-    rig = np.full(len(diameter), want.rig) if want.rig_column is None else table.words(want.rig_column).to_numpy(str)
+        broken = table.flags(str(want.outcome), "outcome", _BROKE, f"one of {', '.join(_BROKE)}") * particles
+    rig = np.full(len(diameter), want.rig) if want.rig_column is None else np.array(table.texts(want.rig_column))
     known = (*AT_FAILURE, "drop_weight", "impact", "drop")
     for wrong, text in (
         (~np.isin(rig, known), f"rig: one of {', '.join(known)}"),
-        (~(np.isfinite(diameter) & (diameter > 0.0)), "the size must be above 0"),
-        (~((particles >= 1) & (particles == np.round(particles))), "particles: a whole number of 1 or more"),
-        (~((broken >= 0) & (broken <= particles)), "broken lies from 0 to particles"),
-        (~((count >= 1) & (count <= 10_000)), "blows lie from 1 to 10,000"),
+        (diameter <= 0.0, "the size must be above 0"),
+        ((particles < 1) | (particles != np.round(particles)), "particles: a whole number of 1 or more"),
+        ((broken < 0) | (broken > particles), "broken lies from 0 to particles"),
+        ((count < 1) | (count > 10_000), "blows lie from 1 to 10,000"),
         (np.isin(rig, AT_FAILURE) & (count > 1), "a press tests once: blows belong to weights and throws"),
     ):
-        _refuse(table, np.asarray(wrong), text)
+        table.refuse("", text, np.asarray(wrong) & ~np.isnan(diameter + particles + broken + count))
     energy, notes = _energies(asked, table, diameter, rig)
-    _refuse(table, ~(np.isfinite(energy) & (energy > 0.0)), "the energy must be above 0")
+    table.refuse("", "the energy must be above 0", energy <= 0.0)
+    names = [str(k) for k in range(len(energy))] if want.specimen is None else table.texts(want.specimen)
+    table.finish()
     notes = [*table.notes, *notes, *_odd_rows(table, diameter, energy)]
-    names = np.arange(len(energy)).astype(str) if want.specimen is None else table.words(want.specimen).to_numpy(str)
     return _specimens(
         table, names, diameter, energy, np.isin(rig, AT_FAILURE), particles, broken, count.astype(int), notes
     )
@@ -114,18 +116,11 @@ def stiffness(body: Elastic) -> float:
     return body.E / (1.0 - body.nu**2)
 
 
-def _refuse(table: Table, wrong: Flags, text: str) -> None:
-    if wrong.any():
-        lines = table.values.index[wrong]
-        more = f" and {len(lines) - 8} more" if len(lines) > 8 else ""
-        raise UsageError(f"{table.path.name}: line {', '.join(map(str, lines[:8]))}{more}: {text}")
-
-
 def _energies(asked: ComminutionDocument, table: Table, diameter: Array, rig: np.ndarray) -> tuple[Array, list[str]]:
     """The particle's own energy per mass [J/kg] of every row."""
     want, own, notes = asked.tests, asked.material, []
     if want.mass is not None:
-        mass = table.in_si(want.mass, "mass", want.mass_unit)
+        mass = table.numbers(want.mass, "mass", want.mass_unit or None, key="mass")
     else:
         if own.density is None:
             raise UsageError("material.density is required, or a column tests.mass")
@@ -136,16 +131,16 @@ def _energies(asked: ComminutionDocument, table: Table, diameter: Array, rig: np
         share = laws.particle_share(stiffness(own), stiffness(partner))
     meaning = want.energy_is
     if want.specific_energy is not None:
-        found = table.in_si(want.specific_energy, "specific_energy", want.unit)
+        found = table.numbers(want.specific_energy, "specific_energy", want.unit or None, key="energy")
     elif want.energy is not None:
-        found = table.in_si(want.energy, "energy", want.unit) / mass
+        found = table.numbers(want.energy, "energy", want.unit or None, key="energy") / mass
     elif want.speed is not None:
-        found, meaning = 0.5 * table.in_si(want.speed, "speed", want.unit) ** 2, "input"
+        found, meaning = 0.5 * table.numbers(want.speed, "speed", want.unit or None, key="energy") ** 2, "input"
     else:
         assert want.force is not None
-        force, meaning = table.in_si(want.force, "force", want.unit), "contact"
+        force, meaning = table.numbers(want.force, "force", want.unit or None, key="energy"), "contact"
         if want.stiffness is not None:
-            modulus = table.in_si(want.stiffness, "pressure", want.stiffness_unit)
+            modulus = table.numbers(want.stiffness, "pressure", want.stiffness_unit or None, key="stiffness")
         else:
             compliance = 1.0 / stiffness(own) + (1.0 / stiffness(partner) if partner is not None else 0.0)
             modulus = np.full(len(force), 1.0 / compliance)
@@ -169,16 +164,16 @@ def _odd_rows(table: Table, diameter: Array, energy: Array) -> list[str]:
     left = y - middle - slope * x
     scale = 1.4826 * float(np.median(np.abs(left - np.median(left))))
     odd = np.abs(left - np.median(left)) > 5.0 * max(scale, 0.05)
-    lines = ", ".join(map(str, table.values.index[odd][:8]))
+    lines = ", ".join(map(str, np.array(table.lines)[odd][:8]))
     return [f"line {lines}: the energy lies far from the others: is its unit right?"] if odd.any() else []
 
 
 def _specimens(
-    table: Table, names: np.ndarray, diameter: Array, energy: Array, known: Flags, particles: Array, broken: Array,
+    table: Table, names: list[str], diameter: Array, energy: Array, known: Flags, particles: Array, broken: Array,
     count: np.ndarray, notes: list[str],
 ) -> Specimens:  # fmt: skip
     """Rows of one name as the series of blows on one particle; groups as those that broke and those that did not."""
-    lines = table.values.index
+    lines = table.lines
     order: dict[str, list[int]] = {}
     for k, name in enumerate(names):
         order.setdefault(name, []).append(k)
@@ -187,9 +182,9 @@ def _specimens(
         if len(group) > 1:
             early = [k for k in group[:-1] if broken[k] > 0]
             if early:
-                raise UsageError(f"{table.path.name}: line {lines[early[0]]}: a specimen is hit again after it broke")
+                raise UsageError(f"{table.name}: line {lines[early[0]]}: a specimen is hit again after it broke")
             if (particles[group] > 1).any():
-                raise UsageError(f"{table.path.name}: line {lines[group[0]]}: a specimen hit again is one particle")
+                raise UsageError(f"{table.name}: line {lines[group[0]]}: a specimen hit again is one particle")
         series = [float(energy[k]) for k in group for _ in range(int(count[k]))]
         last = group[-1]
         exact = bool(known[last]) and len(series) == 1

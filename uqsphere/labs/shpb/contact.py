@@ -25,9 +25,9 @@ from scipy.special import stdtrit
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import Length, Section, in_unit
-from uqsphere.labs.tables import read_table
 from uqsphere.materials import library
 from uqsphere.mechanics.contact import hertz_constant, pressure_at_force
+from uqsphere.tables import read_table
 
 #: samples without which no law is fitted, and the most that are used
 _LEAST, _MOST = 30, 1500
@@ -117,15 +117,16 @@ class ContactFit:
 
 def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, list[str]]:
     """Displacement [m] and force [N] in the order in which they were taken, (n,), and notes; UsageError for others."""
-    table = read_table(folder / asked.file, (asked.displacement, asked.force))
+    table = read_table(folder / asked.file, recorded=True)
     sign = 1.0 if asked.compression == "positive" else -1.0
-    displacement = sign * table.in_si(asked.displacement, "length", asked.displacement_unit)
-    force = sign * table.in_si(asked.force, "force", asked.force_unit)
-    whole = np.isfinite(displacement) & np.isfinite(force)
-    if not whole.all():
-        line = table.values.index[int(np.argmin(whole))]
-        raise UsageError(f"{table.path.name}: line {line} has no number: take it out")
-    return displacement, force, list(table.notes)
+    displacement, force = (
+        sign * table.numbers(column, dimension, unit or None, key=f"{column}")
+        for column, dimension, unit in (
+            (asked.displacement, "length", asked.displacement_unit), (asked.force, "force", asked.force_unit),
+        )
+    )  # fmt: skip
+    table.check()
+    return displacement, force, table.notes
 
 
 def _bend(t: Array) -> Array:

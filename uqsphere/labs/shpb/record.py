@@ -7,6 +7,7 @@ size; what cannot be changed without inventing a record is marked as unknown, or
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,9 +19,15 @@ from scipy.ndimage import binary_closing, maximum_filter, median_filter
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.document import BarTable, RecordDocument
-from uqsphere.labs.tables import STRAIN_UNITS, VOLT_UNITS, Table, read_table
+from uqsphere.tables import Table, read_table, unit_in_heading
 from uqsphere.units import UNITS
 
+#: bytes of a record, at the most
+_LARGEST: Final = 1 << 28
+_RATE: Final = re.compile(r"sampl\w*[ _]*(?:rate|frequency)\W*(?P<rate>[\d.]+(?:e[+-]?\d+)?)\s*(?P<prefix>[kM]?)", re.I)
+_INTERVAL: Final = re.compile(
+    r"sampl\w*[ _]*(?:interval|time|period)\W*(?P<step>[\d.]+(?:e[+-]?\d+)?)\W*(?P<unit>[a-zµ]*)", re.I
+)
 #: missing samples in a row that a line fills; samples of a record and of a baseline, at the least
 _SHORT_GAP, _FEWEST, _BASELINE = 10, 20, 10
 #: more strain is no strain of an elastic bar; a longer record [s] is no test
@@ -110,10 +117,10 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     Raises UsageError for columns, units or a clock that cannot be, and for a signal without a wave or a rest.
     """
     changes = Changes()
-    tables = [read_table(folder / name) for name in (document.record.file, *document.record.more_files)]
-    for table in tables:
-        for text in table.notes:
-            changes.add("read", table.path.name, text)
+    tables = [read_table(folder / name, largest=_LARGEST, recorded=True)
+              for name in (document.record.file, *document.record.more_files)]  # fmt: skip
+    for text in (text for table in tables for text in table.notes):
+        changes.add("read", "", text)
     time, groups = _columns(document, tables, changes)
     start, step, columns = _even(time, groups, changes)
     for name, values, known in columns:
@@ -172,87 +179,131 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
 # --- columns, units, clock --------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Column:
+    """A column of a file as numbers (n,), NaN where a cell is none."""
+
+    table: Table
+    heading: str
+    values: Array
+
+    @property
+    def name(self) -> str:
+        """The heading without its unit."""
+        dimension = self.unit()[0]
+        return unit_in_heading(self.heading, dimension)[0] if dimension else self.heading
+
+    @property
+    def faulty(self) -> bool:
+        """Whether some cells are no numbers."""
+        return any(key == self.heading for key, _ in self.table.faults)
+
+    @property
+    def rises(self) -> bool:
+        """Whether it goes on like a time."""
+        steps = np.diff(self.values[np.isfinite(self.values)])
+        return bool(not self.faulty and len(steps) and (steps >= 0.0).mean() > 0.99 and steps.max() > 0.0)
+
+    def unit(self, given: str = "") -> tuple[str, str]:
+        """Dimension and unit: as given, else of the heading; empty without one that is known."""
+        text = f"x [{given}]" if given else self.heading
+        for dimension in ("time", "strain", "voltage", *UNITS):
+            if unit := unit_in_heading(text, dimension)[1]:
+                return dimension, unit
+        return "", given
+
+    def checked(self) -> Array:
+        """The numbers; TableError with the lines of cells that are none."""
+        if self.faulty:
+            kept = {fault: lines for fault, lines in self.table.faults.items() if fault[0] == self.heading}
+            replace(self.table, faults=kept).check()
+        return self.values
+
+
 def _columns(
     document: RecordDocument, tables: Sequence[Table], changes: Changes
 ) -> tuple[Array, dict[str, list[tuple[str, Array]]]]:
     """Time (n,) [s] and strains of every gauge by role."""
     asked, main = document.record, tables[0]
-    guessed = asked.time is None
-    interval = asked.sample_interval or (main.interval if not _rises(main, 0) and len(tables) == 1 else 0.0)
+    files = [[Column(table=t, heading=h, values=t.numbers(h, key=h, blank=True)) for h in t.headings] for t in tables]
+    guessed, own = asked.time is None, files[0]
+    interval = asked.sample_interval or (_interval(main.above) if not own[0].rises and len(tables) == 1 else 0.0)
     if guessed and interval > 0.0:
-        clock, time = -1, np.asarray(interval * np.arange(len(main.values)), dtype=float)
+        clock, time = -1, np.asarray(interval * np.arange(len(main)), dtype=float)
         changes.add("read", "", f"no column of time: a sample every {interval * 1e6:.6g} us")
     else:
         clock = main.place(1 if asked.time is None else asked.time)
-        unit = asked.time_unit or main.units[clock]
-        several = len(main.names) < 3 or len(tables) > 1
-        if guessed and (unit in {*STRAIN_UNITS, *VOLT_UNITS} or (several and not _rises(main, clock))):
-            raise UsageError(_no_time(main, clock))
-        changes.add("read", main.names[clock], f"is in {unit}" if unit else "has no unit: seconds are taken")
-        if (unit or "s") not in UNITS["time"]:
+        dimension, unit = own[clock].unit(asked.time_unit)
+        several = len(own) < 3 or len(tables) > 1
+        if guessed and (dimension in ("strain", "voltage") or (several and not own[clock].rises)):
+            raise UsageError(_no_time(own, clock))
+        changes.add("read", own[clock].name, f"is in {unit}" if unit else "has no unit: seconds are taken")
+        if unit and dimension != "time":
             raise UsageError(f"the time is in {unit!r}: allowed are {', '.join(UNITS['time'])} (record.time_unit)")
-        time = main.numbers(clock + 1) * UNITS["time"][unit or "s"]
-        _check_clock(time, main, clock, guessed)
+        time = own[clock].checked() * UNITS["time"][unit or "s"]
+        _check_clock(time, own, clock, guessed)
     # every file in the layout of the first: the clock of the others must be the same
-    pool: list[tuple[Table, int]] = [(main, k) for k in range(len(main.names)) if k != clock]
     count = len(time)
-    for other in tables[1:]:
-        own = other.numbers(clock + 1) * UNITS["time"][(asked.time_unit or other.units[clock] or "s")]
-        both = min(count, len(own))
-        if np.nanmax(np.abs(own[:both] - time[:both])) > 0.5 * float(np.median(np.abs(np.diff(time)))):
-            raise UsageError(f"{other.path.name}: its clock is not that of {main.path.name}; bring them to one first")
-        if len(own) != len(time):
-            changes.add("read", other.path.name, "files of unlike length: the longer is cut")
+    for other in files[1:]:
+        if len(other) <= clock:
+            raise UsageError(f"{other[0].table.name}: has no column {clock + 1}, where the first file has its time")
+        unit = other[clock].unit(asked.time_unit)[1]
+        there = other[clock].checked() * UNITS["time"].get(unit or "s", math.nan)
+        both, step = min(count, len(there)), float(np.median(np.abs(np.diff(time))))
+        if not np.nanmax(np.abs(there[:both] - time[:both]), initial=0.0) <= 0.5 * step:
+            raise UsageError(f"{other[0].table.name}: its clock is not that of {main.name}; bring them to one first")
+        if len(there) != len(time):
+            changes.add("read", other[0].table.name, "files of unlike length: the longer is cut")
         count = both
-        pool += [(other, k) for k in range(len(other.names)) if k != clock]
+    pool = [column for file in files for k, column in enumerate(file) if k != clock]
     roles = {"incident": asked.incident, "reflected": asked.reflected, "receiving": asked.receiving}
     if not (asked.incident or asked.receiving):
         # all that are left, in their order
-        free = [one for one in pool if one[0].values.iloc[:, one[1]].dtype != object]
+        free = [column for column in pool if not column.faulty]
         each = {2: 1, 4: 2}.get(len(free))
         if each is None or asked.reflected:
-            names = ", ".join(f"{t.names[k]!r}" for t, k in pool)
+            names = ", ".join(repr(column.name) for column in pool)
             ask = "name them by record.incident, record.receiving (and record.reflected)"
-            raise UsageError(f"{main.path.name}: {len(pool)} signals ({names}); {ask}")
+            raise UsageError(f"{main.name}: {len(pool)} signals ({names}); {ask}")
         picked = {"incident": free[:each], "receiving": free[each:]}
     else:
-        picked = {role: [_pick(pool, main, name) for name in names] for role, names in roles.items() if names}
+        picked = {role: [_pick(files, name) for name in names] for role, names in roles.items() if names}
         if not {"incident", "receiving"} <= set(picked):
             raise UsageError("record.incident and record.receiving are both required")
     groups: dict[str, list[tuple[str, Array]]] = {}
-    for role, places in picked.items():
+    for role, columns in picked.items():
         bar = document.receiving_bar if role == "receiving" else document.incident_bar
         groups[role] = []
-        for table, k in places:
-            name = table.names[k] if len(tables) == 1 else f"{table.path.stem} {table.names[k]}"
-            groups[role].append((name, _strain(table, k, name, bar, changes)[:count]))
+        for one in columns:
+            name = one.name if len(tables) == 1 else f"{Path(one.table.name).stem} {one.name}"
+            groups[role].append((name, _strain(one, name, bar, changes)[:count]))
     return time[:count], groups
 
 
-def _pick(pool: Sequence[tuple[Table, int]], main: Table, name: str | int) -> tuple[Table, int]:
-    """A column by its name in any of the files; `FILE:COLUMN` names it in one of several."""
-    text = str(name)
-    stem, _, rest = text.rpartition(":")
-    for table, _ in pool:
-        if stem and stem in (table.path.name, table.path.stem):
-            return table, table.place(rest)
-    return main, main.place(name)
+def _pick(files: Sequence[Sequence[Column]], name: str | int) -> Column:
+    """A column by its name in the first file; `FILE:COLUMN` names it in one of several."""
+    stem, _, rest = str(name).rpartition(":")
+    for file in files:
+        if stem and stem in (file[0].table.name, Path(file[0].table.name).stem):
+            return file[file[0].table.place(rest)]
+    return files[0][files[0][0].table.place(name)]
 
 
-def _strain(table: Table, k: int, name: str, bar: BarTable, changes: Changes) -> Array:
+def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array:
     """A column as strain."""
-    unit = bar.unit or table.units[k]
-    if unit in STRAIN_UNITS or not unit:
-        factor = STRAIN_UNITS.get(unit, 1.0)
-        text = f"is in {unit}" if unit else "has no unit: strain is taken"
-    elif unit in VOLT_UNITS:
+    dimension, unit = column.unit(bar.unit)
+    if dimension == "strain" or not unit:
+        factor = UNITS["strain"][unit or "1"]
+        said = {1.0: "strain", 1e-6: "microstrain"}.get(factor, unit)
+        text = f"is in {said}" if unit else "has no unit: strain is taken"
+    elif dimension == "voltage":
         if bar.excitation is None:
             raise UsageError(f"{name} is in {unit}: the bridge is required too, such as excitation = 5.0 (volts)")
-        factor = VOLT_UNITS[unit] * bar.strain_per_volt
+        factor = UNITS["voltage"][unit] * bar.strain_per_volt
         text = f"is in {unit}: {bar.strain_per_volt * 1e6:.5g} microstrain a volt"
     else:
-        raise UsageError(f"{name} is in {unit!r}: allowed are {', '.join([*STRAIN_UNITS, *VOLT_UNITS])}")
-    values = table.numbers(k + 1) * factor
+        raise UsageError(f"{name} is in {unit!r}: allowed are strain, microstrain, %, {', '.join(UNITS['voltage'])}")
+    values = column.checked() * factor
     good = values[np.isfinite(values)]
     if len(good) < max(_FEWEST, len(values) // 2):
         raise UsageError(f"{name}: {len(values) - len(good)} of {len(values)} samples are no numbers")
@@ -265,34 +316,35 @@ def _strain(table: Table, k: int, name: str, bar: BarTable, changes: Changes) ->
     return values
 
 
-def _no_time(table: Table, clock: int) -> str:
-    rising = [table.names[k] for k in range(len(table.names)) if _rises(table, k)]
+def _interval(text: str) -> float:
+    """Time between samples [s] that metadata give, 0 if they do not."""
+    if match := _RATE.search(text):
+        rate = float(match["rate"]) * {"": 1.0, "k": 1e3, "M": 1e6}[match["prefix"]]
+        return 1.0 / rate if rate > 0.0 else 0.0
+    if match := _INTERVAL.search(text):
+        return float(match["step"]) * UNITS["time"].get(match["unit"] or "s", 1.0)
+    return 0.0
+
+
+def _no_time(columns: Sequence[Column], clock: int) -> str:
+    rising = [column.name for column in columns if column.rises]
     hint = f'{rising[0]!r} rises like one: record.time = "{rising[0]}"' if rising else (
         'no column does, the file seems to have no time: record.sample_interval = "0.8 us"'
     )  # fmt: skip
-    return f"{table.path.name}: {table.names[clock]!r} does not rise like a time; {hint}"
+    return f"{columns[0].table.name}: {columns[clock].name!r} does not rise like a time; {hint}"
 
 
-def _rises(table: Table, k: int) -> bool:
-    """Whether a column goes on like a time."""
-    if table.values.iloc[:, k].dtype == object:
-        return False
-    steps = np.diff(table.values.iloc[:, k].dropna().to_numpy(dtype=float))
-    return bool(len(steps) and (steps >= 0.0).mean() > 0.99 and steps.max() > 0.0)
-
-
-def _check_clock(time: Array, table: Table, clock: int, guessed: bool) -> None:
-    good = time[np.isfinite(time)]
+def _check_clock(time: Array, columns: Sequence[Column], clock: int, guessed: bool) -> None:
+    name, good = columns[0].table.name, time[np.isfinite(time)]
     falls = np.diff(good) < 0.0
     if len(good) < _FEWEST:
-        raise UsageError(f"{table.path.name}: {len(good)} samples with a time; a record has {_FEWEST} at least")
+        raise UsageError(f"{name}: {len(good)} samples with a time; a record has {_FEWEST} at least")
     if guessed and falls.mean() > 0.01:
-        raise UsageError(_no_time(table, clock))
+        raise UsageError(_no_time(columns, clock))
     if falls.any():
-        raise UsageError(f"{table.path.name}: the time falls at sample {int(np.argmax(falls)) + 2}; several records?")
+        raise UsageError(f"{name}: the time falls at sample {int(np.argmax(falls)) + 2}; several records?")
     if good[-1] - good[0] > _LONGEST:
-        lasts = float(good[-1] - good[0])
-        raise UsageError(f"{table.path.name}: lasts {lasts:.4g} s: is its time in another unit (record.time_unit)?")
+        raise UsageError(f"{name}: lasts {good[-1] - good[0]:.4g} s: is its time in another unit (record.time_unit)?")
 
 
 def _even(
@@ -516,7 +568,9 @@ def _rested(name: str, values: Array, known: Flags, step: float, rest_end: int |
     if count < _BASELINE:
         last = values[-max(2 * _BASELINE, len(values) // 20) :]
         if np.ptp(last) > 0.1 * wave.peak:
-            raise UsageError(f"{name}: at rest neither before the wave nor at the end; there is no baseline")
+            raise UsageError(
+                f"{name}: at rest neither before the wave nor at the end: cut out at its foot (record.aligned)?"
+            )
         if abs(float(np.median(values[:5])) - float(last.mean())) > 0.1 * wave.peak:
             raise UsageError(f"{name}: the record begins inside the wave; its beginning is missing")
         quiet, place = last, np.arange(len(values) - len(last), len(values), dtype=float)

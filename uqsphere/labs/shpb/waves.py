@@ -411,6 +411,9 @@ def _held_together(
                 text = f"the faces differ by {apart:.0%} (A {a.value * 1e-3:.4g}, B {b.value * 1e-3:.4g} kN): {what}"
                 bound = (min(a.low, b.low), max(a.high, b.high))
                 found[face] = _doubted(found[face], text, *(bound if other is None or apart > _GROSS else (None, None)))
+        if found["mean"].high < min(a.low, b.low):
+            text = f"both faces reach their largest force {abs(a.time - b.time) * 1e6:.4g} us apart: no common force"
+            found["mean"] = _doubted(found["mean"], text, None, max(a.high, b.high))
     return found
 
 
