@@ -338,8 +338,7 @@ RULES: Final[tuple[Rule, ...]] = (
          words="the contact is not small against the sphere, a/r reaches {worst} (limit {limit})"),
     Rule(name="contact_on_bar_end", meaning="contact radius over bar radius (Hertz: half space)",
          measure=_contact_over_bar, warning=0.2, failure=1.0, rigs=("bars", "impact", "drop_weight", "load_cell"),
-         words="the bar's end is no half space to the contact, a/(d_b/2) reaches {worst} "
-               "(limit {limit})"),
+         words="the contact is large for the bar's end, a/(d_b/2) reaches {worst} (limit {limit})"),
     Rule(name="bar_yield_contact", meaning="contact pressure over that at which the bars yield (elastic contact)",
          measure=lambda s, a: _over_onset(s, a, softest_partner(s), _NO_YIELD), warning=1.0,
          laws=("hertz",), rigs=_BARS,
@@ -351,8 +350,8 @@ RULES: Final[tuple[Rule, ...]] = (
          words="the pulse makes the bars yield, its stress reaches {worst} times their yield strength"),
     Rule(name="force_balance", meaning="largest difference of the two forces over the largest force",
          measure=_imbalance, information=0.05, warning=0.1, rigs=(*_BARS, *_WEIGHTS),
-         words="the two forces differ by up to {worst} of the largest at some instant (limit "
-               "{limit}; at the peak itself it may be less); one gauge does not stand for both faces"),
+         words="the forces of the two faces differ by up to {worst} of the largest at some instant (limit {limit}). "
+               "A gauge on one bar does not measure both"),
     Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), in the rise time",
          measure=lambda s, a: _transits(s, a, "rise_time"), warning=4.0, failure=3.0, rising=False,
          rigs=(*_BARS, *_WEIGHTS),
@@ -364,8 +363,8 @@ RULES: Final[tuple[Rule, ...]] = (
                "than one-dimensional waves can carry"),
     Rule(name="force_level", meaning="pulse length over t_c (does the force come near P_0 = Z v_0/2?)",
          measure=lambda s, a: s.scales.pulse_number, information=2.0, rising=False, rigs=_BARS,
-         words="the pulse is short, in the worst row {worst} t_c (near P_0 from {limit}); the force of the first "
-               "loading stays below P_0 = Z v_0/2 and depends on the pulse's length"),
+         words="the pulse is short: {worst} times the time scale of the contact (limit {limit}). The force depends on "
+               "the pulse's length; the formula Z v_0/2 would overestimate it"),
     Rule(name="before_reflection", meaning="record over the first return of a reflected wave (infinite bars)",
          measure=_record_over_echo, information=1.0, rigs=_BARS,
          words="infinite bars were asked for; but the record runs to {worst} times the first return of a "
@@ -376,11 +375,11 @@ RULES: Final[tuple[Rule, ...]] = (
          words="the sphere crushes at its poles, p_0 reaches {worst} times the pressure at which it begins to"),
     Rule(name="dented", meaning="approach over that at which a face first yields",
          measure=_depth, information=1.0, laws=("plastic",), further=_dents,
-         words="a face yields, its approach reaches {worst} times that at first yield"),
+         words="a contact yields: the approach reaches {worst} times that at first yield; the pressures include it"),
     Rule(name="softer_body", meaning="onset of the harder body of a face over that of the softer one",
          measure=_other_onset, information=1.3, rising=False, laws=("plastic",),
-         words="a face taken for hard yields at {worst} times the pressure of the softer one (clear from {limit}), "
-               "or is less hard; the law is only a bound"),
+         words="both bodies of a contact yield at nearly the same pressure, ratio {worst} (clear from {limit}). The law "
+               "lets only the softer one yield: beyond first yield it is a bound"),
     Rule(name="plastic_range", meaning="approach over that at which a face first yields (law seen up to 110)",
          measure=_depth, warning=110.0,  # finite elements: Kogut and Etsion 2002, Jackson and Green 2005
          failure=1000.0, laws=("plastic",),
@@ -394,8 +393,8 @@ RULES: Final[tuple[Rule, ...]] = (
          words="the inserts are thin, three contact radii reach {worst} of their thickness: the bar yields below them"),
     Rule(name="pressure_shape", meaning="approach over that at which a face first yields (shape of the pressure)",
          measure=_depth, information=2.0, warning=6.0, laws=("plastic",),
-         words="a face is pressed to {worst} times its first yield; the pressure is flatter than Hertz's ({limit}), "
-               "stresses inside and at the rim are those of Hertz on the same circle"),
+         words="a contact is pressed to {worst} times its first yield: the true pressure is flatter than Hertz's "
+               "(limit {limit}). Stresses inside the sphere and at the rim are approximate"),
     Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), under load",
          measure=lambda s, a: _transits(s, a, "loaded_time"), warning=6.0, failure=4.0, rising=False, rigs=_ONE,
          words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while it is pressed (at least {limit}); "
