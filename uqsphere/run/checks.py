@@ -63,9 +63,9 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
             found.append(Check(name=result.check, text=result.text, share=float(result.share),
                                grade=GRADES[result.grade], effect=effect, failures=failures))  # fmt: skip
         found += _later_loading(design, rows)
-    failed = float(sample.failed.mean())
+    failed = float(sample.failed.mean()) if tables.slow is None else tables.slow.dropped or float(sample.failed.mean())
     if failed > 0.0:
-        policy = design.study.analysis.on_failure
+        policy = design.study.analysis.policy
         found.append(Check(name="failed_rows", share=failed, grade="warning",
                            text=f"{format_probability(failed)} of the model runs failed",
                            effect="left out" if policy == "drop" else "intervals widened"))  # fmt: skip

@@ -67,7 +67,7 @@ def _described(design: Design, tables: Tables, name: str) -> Description:
         many = many_values(design, expansion, sample.count)
         return describe_controlled(sample.answer(name)[1:], expansion.values, many[1:], quantiles=analysis.quantiles,
                                    method=CONTROLLED)  # fmt: skip
-    policy = "drop" if analysis.on_failure == "abort" else analysis.on_failure
+    policy = "drop" if analysis.policy == "abort" else analysis.policy
     return describe(sample.answer(name), censored=sample.late(name), failed=sample.lost(name), on_failure=policy,
                     quantiles=analysis.quantiles, method=SAMPLED)  # fmt: skip
 

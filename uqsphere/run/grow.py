@@ -81,8 +81,13 @@ class Tables:
     slow: Slow | None = None
 
 
-def evaluate(design: Design, model: Model, points: Sample, further: Mapping[str, Array] | None = None) -> Sample:
-    """Points (R, n) with all columns; `further` are values (R, n) of fixed numbers that move from point to point."""
+def evaluate(
+    design: Design, model: Model, points: Sample, further: Mapping[str, Array] | None = None, *, part: bool = False
+) -> Sample:
+    """Points (R, n) with all columns; `further` are values (R, n) of fixed numbers that move from point to point.
+
+    part : of a design whose failures are counted when it is whole
+    """
     names = list(design.inputs)
     columns = [points.input(name) for name in names]
     for name, values in (further or {}).items():
@@ -94,7 +99,8 @@ def evaluate(design: Design, model: Model, points: Sample, further: Mapping[str,
     shape = points.scores.shape[:2]
     rows = np.stack([np.broadcast_to(c, shape).ravel() for c in columns], axis=1) if names else np.zeros((1, 0))
     answers = model.evaluate(tuple(names), rows, design.columns)
-    _check_failures(design, answers.status, answers.good, answers.note)
+    if not part or design.study.analysis.policy == "abort":
+        check_failures(design, answers.status, answers.good, answers.note)
 
     def table(cells: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
         return (
@@ -111,19 +117,20 @@ def evaluate(design: Design, model: Model, points: Sample, further: Mapping[str,
     return with_test_forces(design, answered, further or {})
 
 
-def _check_failures(design: Design, status: npt.NDArray[np.int64], good: npt.NDArray[np.bool_], note: str) -> None:
+def check_failures(design: Design, status: npt.NDArray[np.int64], good: npt.NDArray[np.bool_], note: str) -> None:
     """Refuse failed rows as the study's policy says."""
     analysis = design.study.analysis
     share = 1.0 - float(good.mean())
-    if good.all() or analysis.on_failure == "bound":
+    if good.all() or analysis.policy == "bound":
         return
-    if analysis.on_failure == "abort":
+    if analysis.policy == "abort":
         raise TooManyFailures(f"an evaluation failed: {note or f'status {status[~good][0]}'}; "
                               'analysis.on_failure = "bound" or "drop" goes on without such rows')  # fmt: skip
-    most = max(getattr(analysis, "drop_limit", None) or 0.01, 3.0 / len(good))
+    most = max(analysis.drop_limit, 3.0 / len(good))
     if share > most:
         raise TooManyFailures(
-            f"{format_probability(share)} of the evaluations failed, more than {format_probability(most)}: {note}"
+            f"{format_probability(share)} of the evaluations failed, more than {format_probability(most)}: {note}; "
+            f'analysis.on_failure takes a larger share, such as "{math.ceil(100.0 * share)} %", or "bound"'
         )
 
 
@@ -275,7 +282,7 @@ def paired(design: Design, model: Model, count: int, names: list[str], before: M
     known = min((before[name].shape[1] if name in before else 0 for name in names), default=0)
     rows = pair_rows(design, count - known, known)
     answers = model.evaluate(design.inputs, rows.reshape(-1, rows.shape[3]), tuple(names))
-    _check_failures(design, answers.status, answers.good, answers.note)
+    check_failures(design, answers.status, answers.good, answers.note)
     values = np.where(answers.good[:, None], answers.values, np.nan).reshape(*rows.shape[:3], len(names))
     new = {name: values[..., k] for k, name in enumerate(names)}
     return {name: np.concatenate([before[name][:, :known], own], axis=1) if known else own for name, own in new.items()}

@@ -154,6 +154,12 @@ def _by_pairs(design: Design, tables: Tables, name: str) -> dict[str, tuple[Esti
     found = sampled_indices(
         np.stack([own[keep][:least] for own, keep in zip(values, list(whole), strict=True)]), blocks
     )
+    if not whole.all():
+        share = float(whole.mean())
+        found = replace(
+            found, first=[surrogate.of_answered(e, share, "pairs") for e in found.first],
+            total=[surrogate.of_answered(e, share, "pairs") for e in found.total],
+        )  # fmt: skip
     rows: dict[str, tuple[Estimate, ...]] = dict(zip(design.inputs, zip(found.first, found.total, strict=True),
                                                      strict=True))  # fmt: skip
     for (i, j), estimate in found.second.items():

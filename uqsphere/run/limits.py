@@ -87,7 +87,7 @@ def chances(state: LimitState, aim: str) -> np.ndarray:
 def state_of(design: Design, limit: Limit, sample: Sample, strength: Law | float | None = None) -> LimitState:
     """Demands of a limit at points, against its strength or another one, with the dependence between the two."""
     column = column_of(limit)
-    policy = design.study.analysis.on_failure
+    policy = design.study.analysis.policy
     state = LimitState(
         demands=demands_of(limit, sample), strength=strength_of(limit) if strength is None else strength,
         censored=sample.late(column), failed=sample.lost(column),

@@ -50,11 +50,13 @@ class Slow:
     rows : (1, N) as evaluated
     left_out : the same with the values of the expansions that were fitted without them
     responses : the expansions by quantity; a quantity without one is answered by its rows
+    dropped : share of the rows that failed and were left out
     """
 
     rows: Sample
     left_out: Sample
     responses: Mapping[str, Response]
+    dropped: float = 0.0
 
     @property
     def count(self) -> int:
@@ -151,7 +153,7 @@ def tables_of(
 
     Raises KeyboardInterrupt where the user stops before there is enough, UsageError for a budget that is too small.
     """
-    from uqsphere.run.grow import Tables, accuracies, evaluate
+    from uqsphere.run.grow import Tables, accuracies, check_failures, evaluate
 
     analysis, began = design.study.analysis, time.monotonic()
     cost = analysis.cost if analysis.cost is not None else model.seconds_per_row or 0.0
@@ -168,7 +170,7 @@ def tables_of(
     while done < count:
         part = points.rows(done, min(done + step, count))
         try:
-            more = evaluate(design, model, part)
+            more = evaluate(design, model, part, part=True)
         except Interrupted:
             stopped = "interrupted"
             break
@@ -181,6 +183,7 @@ def tables_of(
             break
     if rows is None or rows.count < LEAST_ROWS:
         raise KeyboardInterrupt
+    check_failures(design, rows.status[0], ~rows.failed[0], f"{int(rows.failed.sum())} of {rows.count} rows")
     slow, sample = _predicted(design, rows)
     line: Mapping[float, Sample] = {}
     if along and not stopped:
@@ -200,7 +203,9 @@ def tables_of(
 
 def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:
     """The expansions of all columns, and a table of their values; a column that stays rough keeps its rows."""
-    size = len(design.inputs)
+    size, dropped = len(design.inputs), 0.0
+    if design.study.analysis.policy == "drop" and rows.failed.any():
+        dropped, rows = float(rows.failed.mean()), rows.where(~rows.failed[0])
     order = [rows.names.index(name) for name in design.inputs]
     germs = germs_of(design.joint.only(design.inputs).laws)
     good = np.isfinite(rows.answers[0]).all(axis=1) & ~rows.censored[0].any(axis=1)
@@ -214,14 +219,15 @@ def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:
         # one table for all columns: where one is rough, the rows answer for all
         replicates = max(k for k in (8, 4, 2) if rows.count >= 2 * k)
         kept = _blocks(rows, replicates)
-        return Slow(rows=rows, left_out=rows, responses={}), kept
+        return Slow(rows=rows, left_out=rows, responses={}, dropped=dropped), kept
     table = design.points(POINTS)
     flat = germ_points(table.scores[:, :, order].reshape(-1, size), germs).reshape(REPLICATES, POINTS, size)
     values = np.stack([responses[name].table(flat) for name in rows.quantities], axis=2)
     left_out = rows.with_answers(
         rows.quantities, np.stack([responses[name].levels for name in rows.quantities], axis=1)[None]
     )
-    return Slow(rows=rows, left_out=left_out, responses=responses), table.with_answers(rows.quantities, values)
+    slow = Slow(rows=rows, left_out=left_out, responses=responses, dropped=dropped)
+    return slow, table.with_answers(rows.quantities, values)
 
 
 def _blocks(rows: Sample, count: int) -> Sample:
@@ -287,7 +293,7 @@ def described(design: Design, slow: Slow, sample: Sample, name: str) -> Descript
     analysis = design.study.analysis
     if name not in slow.responses:
         return describe(sample.answer(name), censored=sample.late(name), failed=sample.lost(name),
-                        on_failure="bound" if analysis.on_failure == "bound" else "drop", quantiles=analysis.quantiles,
+                        on_failure="bound" if analysis.policy == "bound" else "drop", quantiles=analysis.quantiles,
                         method=f"{slow.count} {ROUGH}; {unseen(slow.count)}")  # fmt: skip
     rows, levels = slow.rows.answer(name)[0], slow.left_out.answer(name)[0]
     known = np.isfinite(rows) & np.isfinite(levels)
@@ -310,11 +316,21 @@ def failure(slow: Slow, table: Estimate, rows: Array, left: Array) -> Estimate:
                     method=f"{METHOD}; {unseen(slow.count)}", evaluations=slow.count)  # fmt: skip
 
 
+def of_answered(estimate: Estimate, share: float, what: str) -> Estimate:
+    """An estimate that says that it is of the rows that answered alone."""
+    return replace(estimate, method=f"{estimate.method}; of the {100.0 * share:.3g} % of {what} that answered")
+
+
 def shares(design: Design, slow: Slow, name: str) -> dict[str, tuple[Estimate, ...]]:
     """First and total indices of a quantity, off its expansions."""
     response = slow.responses.get(name)
     if response is None:
-        nothing = absent(f"{slow.count} runs of a rough model show no indices", ROUGH, slow.count)
+        failed = (
+            '; analysis.on_failure = "drop" gives those of the rows that answered' if slow.rows.failed.any() else ""
+        )
+        nothing = absent(f"{slow.count} runs of a rough model show no indices{failed}", ROUGH, slow.count)
         return dict.fromkeys(design.inputs, (nothing, nothing))
     found = index_shares(response)
+    if slow.dropped:
+        found = {order: [of_answered(e, 1.0 - slow.dropped, "rows") for e in row] for order, row in found.items()}
     return dict(zip(design.inputs, zip(found["first"], found["total"], strict=True), strict=True))

@@ -394,6 +394,17 @@ def _unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
     return values
 
 
+def _policy(raw: Any) -> Any:
+    """One of three words, or the share of failed evaluations that is left out at most."""
+    if isinstance(raw, str) and raw in POLICIES:
+        return raw
+    share = _percent(raw)
+    if isinstance(share, int | float) and 0.0 < share < 1.0:
+        return share
+    words = ", ".join(f'"{word}"' for word in POLICIES)
+    raise Fault(f'found {shown(raw)}, allowed: {words}, or the largest share to leave out, such as "5 %"')
+
+
 def _several(least: int = 1, most: int = 200) -> Any:
     """The mark of a list with so many entries, each once."""
     return Field(min_length=least, max_length=most), AfterValidator(_unique)
@@ -414,6 +425,10 @@ Flag = Annotated[bool, Strict()]
 Name = Annotated[str, Field(pattern="^[A-Za-z_][A-Za-z0-9_-]{0,63}$")]
 Num = Annotated[Any, BeforeValidator(_number)]
 Share = Annotated[float, *_real(gt=0.0, lt=1.0)]
+POLICIES: Final = ("abort", "bound", "drop")
+OnFailure = Annotated[
+    str | float, BeforeValidator(_policy), WithJsonSchema({"anyOf": [{"enum": [*POLICIES]}, {"type": "number"}]})
+]
 Shares = Annotated[tuple[Share, ...], *_several()]
 Positive = Annotated[float, *_real(gt=0.0)]
 Correlation = Annotated[float, *_real(gt=-1.0, lt=1.0)]
@@ -708,11 +723,21 @@ class Analysis(Table):
     second_order: Flag = key("Sobol' indices of all pairs of inputs as well", False)
     failure_modes: Literal["all", "given"] = key(
         '`"all"`: a rock is judged by failure modes without a limit too, by library strengths', "all")  # fmt: skip
-    on_failure: Literal["abort", "bound", "drop"] = key(
-        'failed evaluations: `"bound"` counts each once as exceeding and once as not; `"drop"` leaves out up to 1 %',
-        "abort")  # fmt: skip
+    on_failure: OnFailure = key(
+        'failed evaluations: `"bound"` counts each once as exceeding and once as not; `"drop"` leaves out up to 1 %, '
+        'a share such as `"5 %"` up to that', "abort")  # fmt: skip
     cost: Seconds | None = key("time of one evaluation of a black box", usual="measured")
     time_limit: Seconds | None = key("longest time of one evaluation of a black box; a longer one has failed")
+
+    @property
+    def policy(self) -> str:
+        """What becomes of failed evaluations: abort, bound or drop."""
+        return self.on_failure if isinstance(self.on_failure, str) else "drop"
+
+    @property
+    def drop_limit(self) -> float:
+        """The largest share of failed evaluations that is left out."""
+        return 0.01 if isinstance(self.on_failure, str) else self.on_failure
 
 
 class MarginsTable(Table):

@@ -115,6 +115,10 @@ class Sample:
         """Rows of every replicate from one place to another."""
         return self._each(lambda own, _: own[:, first:end], self)
 
+    def where(self, which: Flags) -> Sample:
+        """Some rows (n,) of every replicate."""
+        return self._each(lambda own, _: own[:, which], self)
+
     def _each(self, change: Callable[[Cells, Cells], Cells], other: Sample) -> Sample:
         rows = ("scores", "inputs", "answers", "censored", "status", "failed")
         changed: dict[str, Any] = {name: change(getattr(self, name), getattr(other, name)) for name in rows}
