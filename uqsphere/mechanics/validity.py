@@ -378,8 +378,8 @@ RULES: Final[tuple[Rule, ...]] = (
          words="a contact yields: the approach reaches {worst} times that at first yield; the pressures include it"),
     Rule(name="softer_body", meaning="onset of the harder body of a face over that of the softer one",
          measure=_other_onset, information=1.3, rising=False, laws=("plastic",),
-         words="both bodies of a contact yield at nearly the same pressure, ratio {worst} (clear from {limit}). The law "
-               "lets only the softer one yield: beyond first yield it is a bound"),
+         words="both bodies of a contact yield at nearly the same pressure, ratio {worst} (clear from {limit}). The "
+               "law lets only the softer one yield: beyond first yield it is a bound"),
     Rule(name="plastic_range", meaning="approach over that at which a face first yields (law seen up to 110)",
          measure=_depth, warning=110.0,  # finite elements: Kogut and Etsion 2002, Jackson and Green 2005
          failure=1000.0, laws=("plastic",),
