@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,61 +85,48 @@ def _turning(grid: Array, probabilities: Array) -> float | None:
     return float(grid[int(back[0])]) if back.size else None
 
 
-def _crossing(grid: Array, probabilities: Array, target: float, least: float) -> float | None:
-    """Value at which one curve (K,) takes the target, by monotone cubic interpolation; None if nowhere."""
+def _crossings(places: Array, probabilities: Array, target: float, least: float) -> Array:
+    """Places (R,) at which curves (K, R) take the target, by monotone cubics through their normal scores; NaN if
+    nowhere."""
     from scipy.interpolate import PchipInterpolator
-    from scipy.optimize import brentq
     from scipy.special import ndtri
 
-    positive = probabilities[probabilities > 0.0]
-    floor = min(least, 0.5 * float(positive.min(initial=1.0)))
-    ceiling = min(least, 0.5 * float((1.0 - probabilities)[probabilities < 1.0].min(initial=1.0)))
-    bounded = np.clip(probabilities, floor, 1.0 - max(ceiling, 1e-16))
-    direction = 1.0 if bounded[-1] >= bounded[0] else -1.0
-    scores = direction * np.asarray(ndtri(bounded))
+    above, below = (0.5 * np.where(p > 0.0, p, 1.0).min(axis=0) for p in (probabilities, 1.0 - probabilities))
+    bounded = np.clip(probabilities, np.minimum(least, above), 1.0 - np.clip(below, 1e-16, least))
+    direction = np.where(bounded[-1] >= bounded[0], 1.0, -1.0)
+    scores = direction * (np.asarray(ndtri(bounded)) - float(ndtri(target)))
     # half-way between the running maximum and the running minimum from the right
     scores = 0.5 * (np.maximum.accumulate(scores) + np.minimum.accumulate(scores[::-1])[::-1])
-    wanted = direction * float(ndtri(target))
-    if not scores[0] <= wanted <= scores[-1] or scores[0] == scores[-1]:
-        return None
-    forward, backward = _scale(grid)
-    abscissae = forward(grid)
-    at = int(np.clip(np.searchsorted(scores, wanted) - 1, 0, grid.size - 2))
-    curve = PchipInterpolator(abscissae, scores - wanted)
-    low, high = float(abscissae[at]), float(abscissae[at + 1])
-    left, right = float(curve(low)), float(curve(high))
-    if left >= 0.0 or right <= 0.0:
-        return backward(low if left >= 0.0 else high)
-    return backward(float(brentq(lambda u: float(curve(u)), low, high, xtol=1e-14 * max(1.0, abs(high)))))
-
-
-def _scale(grid: Array) -> tuple[Callable[[Array], Array], Callable[[float], float]]:
-    """Logarithm and exponential for a positive grid, else the values themselves."""
-    return (np.log, math.exp) if grid[0] > 0.0 else (np.asarray, float)
+    passes = (scores[0] <= 0.0) & (scores[-1] >= 0.0) & (scores[0] < scores[-1])
+    found = np.full(scores.shape[1], math.nan)
+    roots = PchipInterpolator(places, scores).roots(extrapolate=False)
+    for r in np.flatnonzero(passes):
+        inside = roots[r][np.isfinite(roots[r])]
+        found[r] = inside[0] if inside.size else places[int(np.argmin(np.abs(scores[:, r])))]
+    return found
 
 
 def _value(grid: Array, probabilities: Array, target: float, least: float, evaluations: int) -> Estimate:
     """Value at the target with the spread of the replicates' own answers and the error of interpolation."""
-    pooled = probabilities.mean(axis=1)
-    value = _crossing(grid, pooled, target, least)
-    if value is None:
+    # in logarithms of a positive grid
+    forward, backward = (np.log, np.exp) if grid[0] > 0.0 else (np.asarray, np.asarray)
+    places, pooled = forward(grid), probabilities.mean(axis=1)[:, None]
+    centre = float(_crossings(places, pooled, target, least)[0])
+    if math.isnan(centre):
         reason = (
             f"no value between {grid[0]:.4g} and {grid[-1]:.4g} has this probability: "
-            f"it runs from {pooled[0]:.3g} to {pooled[-1]:.3g}"
+            f"it runs from {pooled[0, 0]:.3g} to {pooled[-1, 0]:.3g}"
         )
         return absent(reason, METHOD, evaluations)
     replicates = probabilities.shape[1]
-    own = [_crossing(grid, probabilities[:, r], target, least) for r in range(replicates)]
-    forward, backward = _scale(grid)
-    centre = float(forward(np.array([value]))[0])
-    found = np.array([answer for answer in own if answer is not None])
-    if found.size < replicates:
+    own = _crossings(places, probabilities, target, least)
+    if np.isnan(own).any():
         return absent("too close to an end of the range: some replicates do not reach it", METHOD, evaluations)
     # What the curve through every other point answers differently bounds what is lost between the points:
     # halving the grid costs a monotone cubic at least a factor of four.
     coarse = np.unique(np.concatenate([np.arange(0, grid.size, 2), [grid.size - 1]]))
-    other = _crossing(grid[coarse], pooled[coarse], target, least) if coarse.size > 1 else None
-    lost = abs(float(forward(np.array([other]))[0]) - centre) / 4.0 if other is not None else 0.0
-    half = student(replicates) * spread(forward(found)) + lost
-    low, high = backward(centre - half), backward(centre + half)
+    other = float(_crossings(places[coarse], pooled[coarse], target, least)[0]) if coarse.size > 1 else math.nan
+    lost = 0.0 if math.isnan(other) else abs(other - centre) / 4.0
+    half = student(replicates) * spread(own) + lost
+    value, low, high = (float(backward(place)) for place in (centre, centre - half, centre + half))
     return between(value, low, high, replicates, METHOD, evaluations)
