@@ -433,6 +433,7 @@ Shares = Annotated[tuple[Share, ...], *_several()]
 Positive = Annotated[float, *_real(gt=0.0)]
 Correlation = Annotated[float, *_real(gt=-1.0, lt=1.0)]
 Names = Annotated[tuple[str, ...], *_several()]
+Pair = Annotated[tuple[str, ...], *_several(2, 2)]
 Seconds = Annotated[float, *_fixed("time")]
 Length = Annotated[float, *_fixed("length")]
 _Method = Literal["auto", "qmc", "pce", "sobol", "form", "importance", "subset", "morris", "delta", "pawn", "hdmr"]
@@ -515,8 +516,8 @@ class Pulse(Table):
     level2: Num = key("`two_peak`: its level over `v_0/2`")
     valley: Num = key("`two_peak`: level half-way between", usual="0.75 of the lower peak")
     file: str | None = key("`measured`: table of time and strain (compression positive), a file beside the study")
-    columns: tuple[str, ...] = key("`measured`: names of both columns", (), usual="the first two")
-    units: tuple[str, ...] = key("`measured`: units of time, and of strain or volts", (), usual="of the headings")
+    columns: Pair = key("`measured`: names of both columns", (), usual="the first two")
+    units: Pair = key("`measured`: units of time, and of strain or volts", (), usual="of the headings")
     factor: float | None = key("`measured`: strain of one volt")
     gain: Num = key("`measured`: true strain over that of the record")
 

@@ -6,7 +6,7 @@ Mending (offsets, spikes, dispersion, windows) is the work of `uqsphere shpb rec
 from __future__ import annotations
 
 import hashlib
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from uqsphere.study.document import Fault, Pulse, Reader, shown
 from uqsphere.study.strength import inside_folder, open_table
 from uqsphere.tables import TableError
 from uqsphere.units import UNITS
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 #: largest misfit over the peak that a cubic may leave, pieces at most, samples that a piece needs
 _FINE, _PIECES, _SAMPLES = 2e-3, 64, 4
@@ -30,9 +33,7 @@ def measured_pulse(table: Pulse, reader: Reader) -> MeasuredPulse:
     found = open_table(table.file, reader, "file")
     columns = table.columns or tuple(found.headings[:2])
     if len(columns) != 2:
-        raise Fault(f"found {len(columns)} columns: time, then strain or volts are required", "columns")
-    if len(table.units) not in (0, 2):
-        raise Fault(f"found {len(table.units)} units: those of time and signal are required", "units")
+        raise Fault(f"found {len(columns)} column: time, then strain or volts are required", "columns")
     time_unit, unit = table.units or (None, None)
     try:
         dimension, factor = "strain", table.factor or 1.0
@@ -57,27 +58,25 @@ def measured_pulse(table: Pulse, reader: Reader) -> MeasuredPulse:
     first, last = max(int(inside[0]) - 1, 0), min(int(inside[-1]) + 1, len(strain) - 1)
     for k, end in ((first, "begins"), (last, "ends")):
         if abs(strain[k]) > _ENDS * peak:
-            raise Fault(f"{shown(table.file)}: the pulse {end} at {strain[k] / peak:.0%} of its peak: cut it out "
-                        "at rest; "
-                        f"{_ROUGH}", "file")  # fmt: skip
-    breaks, cubics, misfit = _cubics(time[first : last + 1] - time[first], strain[first : last + 1] / peak)
+            said = f"{shown(table.file)}: the pulse {end} at {strain[k] / peak:.0%} of its peak: cut it out at rest"
+            raise Fault(f"{said}; {_ROUGH}", "file")
+    cubics, misfit = _cubics(time[first : last + 1] - time[first], strain[first : last + 1] / peak)
     if misfit > 0.02:
-        notes.append(
-            f"its cubics leave {misfit:.2g} of the peak: sharp edges are rounded, or the record is noisy; {_ROUGH}"
-        )
-    fine = np.linspace(0.0, breaks[-1], 2000)
-    level = _at(breaks, cubics, fine)
+        said = f"its cubics leave {misfit:.2g} of the peak: sharp edges are rounded, or the record is noisy"
+        notes.append(f"{said}; {_ROUGH}")
+    fine = np.linspace(0.0, cubics.x[-1], 2000)
+    level = cubics(fine)
     top = float(level.max())
     rise = fine[int(np.argmax(level >= 0.9 * top))] - fine[int(np.argmax(level >= 0.1 * top))]
     digest = hashlib.sha256(inside_folder(table.file, reader, "file").read_bytes()).hexdigest()
     return MeasuredPulse(
-        breaks=tuple(breaks.tolist()), coefficients=tuple(map(tuple, (cubics / top).tolist())), peak=peak * top,
-        rise=float(rise), source=table.file, digest=digest, notes=tuple(notes),
+        breaks=tuple(cubics.x.tolist()), coefficients=tuple(map(tuple, (cubics.c[::-1].T / top).tolist())),
+        peak=peak * top, rise=float(rise), source=table.file, digest=digest, notes=tuple(notes),
     )  # fmt: skip
 
 
-def _cubics(time: Array, level: Array) -> tuple[Array, Array, float]:
-    """Joints (m + 1,), ascending cubics (m, 4) and largest misfit: the worst piece is halved in turn."""
+def _cubics(time: Array, level: Array) -> tuple[PPoly, float]:
+    """Smooth cubics from 0 to 0, and their largest misfit: the worst piece is halved in turn."""
     from scipy.interpolate import PPoly, make_lsq_spline
 
     level = level.copy()
@@ -97,11 +96,6 @@ def _cubics(time: Array, level: Array) -> tuple[Array, Array, float]:
             break
         k = int(np.argmax(np.where(splits, worst, 0.0)))
         joints = np.insert(joints, k + 1, 0.5 * (joints[k] + joints[k + 1]))
-    cubics = PPoly.from_spline((spline.t, spline.c, 3)).c[::-1].T[3:-3].copy()
-    cubics[0, 0] = 0.0
-    return joints, cubics, float(misfit.max())
-
-
-def _at(breaks: Array, cubics: Array, times: Array) -> Array:
-    k = np.clip(np.searchsorted(breaks, times, side="right") - 1, 0, len(cubics) - 1)
-    return np.asarray(np.sum(cubics[k] * (times - breaks[k])[:, None] ** np.arange(4), axis=1))
+    cubics = PPoly(PPoly.from_spline((spline.t, spline.c, 3)).c[:, 3:-3], joints)
+    cubics.c[-1, 0] = 0.0
+    return cubics, float(misfit.max())
