@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -111,8 +112,13 @@ def unbiasing(law: Strength, leaving: Array, inverse: Array | None = None) -> fl
     if law.complete is not None and (leaving == 1.0).all():
         return law.complete(leaving.size)
     if inverse is None:
-        inverse = law.pivots(leaving, DRAWS, np.random.default_rng(_SERIES_SEED))[1]
+        inverse = _inverse(law, tuple(leaving.tolist()))
     return law.unbiased(inverse, leaving.size)
+
+
+@lru_cache(maxsize=32)
+def _inverse(law: Strength, leaving: tuple[float, ...]) -> Array:
+    return law.pivots(np.array(leaving), DRAWS, np.random.default_rng(_SERIES_SEED))[1]
 
 
 # --- the fit -------------------------------------------------------------------------------------------
