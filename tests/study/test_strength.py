@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.integrate import solve_ivp
 
 from uqsphere.errors import StudyError
 from uqsphere.mechanics import contact
 from uqsphere.models import open_model
-from uqsphere.run.demands import column_of
+from uqsphere.run.demands import column_of, demands_of, strength_of
 from uqsphere.run.design import Design
 from uqsphere.run.grow import evaluate
 from uqsphere.study import Limit, Study, load_study
@@ -228,6 +231,99 @@ def test_the_share_broken_is_that_of_the_tests_for_any_scatter(tmp_path: Path) -
     assert abs(shares[1] - shares[0]) < 0.004
 
 
+def hertz(E: Any, nu: float, E_2: float, nu_2: float, radius: Any) -> tuple[Any, Any]:
+    """beta of F = beta alpha^1.5, and the sphere's share of the energy."""
+    star = 1.0 / ((1.0 - nu**2) / E + (1.0 - nu_2**2) / E_2)
+    return 4.0 / 3.0 * star * np.sqrt(radius), star * (1.0 - nu**2) / E
+
+
+def by_hand_between_bars() -> float:
+    """Basalt, 2 m/s: a mass between two springs F = beta a^1.5 and two impedances, while the pulse lasts."""
+    beta, _ = hertz(70e9, 0.25, 190e9, 0.3, 7.5e-3)
+    wave, mass = math.sqrt(190e9 / 8000.0), 2900.0 * 4.0 / 3.0 * math.pi * 7.5e-3**3
+    impedance = 8000.0 * wave * math.pi * 12.5e-3**2
+
+    def rates(_: float, y: np.ndarray) -> list[float]:
+        push = beta * np.maximum(y[:2], 0.0) ** 1.5
+        return [2.0 - push[0] / impedance - y[2], y[2] - push[1] / impedance, (push[0] - push[1]) / mass]
+
+    path = solve_ivp(rates, (0.0, 0.6 / wave), [0.0, 0.0, 0.0], rtol=1e-9, atol=1e-12, max_step=1e-7).y
+    return float(beta * path[:2].max() ** 1.5)
+
+
+def by_hand_of_pellets(normals: np.ndarray) -> tuple[np.ndarray, float]:
+    """A fall through 1 m of air onto steel, F = beta^0.4 (5 W/2)^0.6; P(broken) by the likeliest law of the forces."""
+    u = np.sqrt(math.log1p(0.15**2))
+    E, radius, height = (
+        20e9 * np.exp(u * normals[0] - u * u / 2.0),
+        6e-3 + 0.25e-3 * normals[1],
+        1.0 + 0.05 * normals[2],
+    )
+
+    work = 3700.0 * 4.0 / 3.0 * math.pi * radius**3 * 9.80665 * height * 0.992  # a percent for the air
+    force = hertz(E, 0.2, 205e9, 0.29, radius)[0] ** 0.4 * (2.5 * work) ** 0.6
+    diameter, broke = np.array([[float(c) for c in row.split(",")] for row in ALL_PELLETS.split()]).T
+    m = 5.0
+    for _ in range(40):
+        m, _, scale = stats.weibull_min.fit(broke * (diameter.mean() / diameter) ** (2.0 - 2.0 / m), floc=0.0)
+    at = force * (1e-3 * diameter.mean() / (2.0 * radius)) ** (2.0 - 2.0 / m)
+    return at, float(stats.weibull_min(m, scale=scale).cdf(at).mean())
+
+
+def by_hand_of_a_hammer(normals: np.ndarray) -> tuple[np.ndarray, float]:
+    """40 kg at 30 m/s: W = m_r v²/2 in both contacts, the sphere's share of it; P(broken), lognormal 160 J/kg."""
+    u = np.sqrt(math.log1p(0.15**2))
+    E, radius, speed = (
+        60e9 * np.exp(u * normals[0] - u * u / 2.0),
+        12.5e-3 + 0.5e-3 * normals[1],
+        30.0 + 1.5 * normals[2],
+    )
+
+    ratio = 2800.0 * 4.0 / 3.0 * math.pi * radius**3 / 40.0
+    energy = 0.5 * speed**2 / (1.0 + ratio) * hertz(E, 0.25, 190e9, 0.28, radius)[1]
+    strength = stats.lognorm(math.sqrt(math.log(1.25)), scale=160.0 / math.sqrt(1.25))
+    return energy, float(strength.cdf(energy).mean())
+
+
+SPHERES = {
+    "pellets": """sphere = { E = { dist = "lognormal", mean = "20 GPa", cov = 0.15 }, nu = 0.2, density = "3700 kg/m3",
+ radius = { dist = "normal", mean = "6 mm", sd = "0.25 mm" } }
+rig = { kind = "impact", drop_height = { dist = "normal", mean = "1 m", cov = "5 %" } }
+target = { material = "steel" }
+limits.a = { criterion = "contact_pressure", target = "1 %", strength = { file = "p.csv", force = "F", force_unit = "N",
+ diameter = "D", diameter_unit = "mm", platens = "steel" } }""",
+    "hammer": """sphere = { E = { dist = "lognormal", mean = "60 GPa", cov = 0.15 }, nu = 0.25, density = "2800 kg/m3",
+ radius = { dist = "normal", mean = "12.5 mm", sd = "0.5 mm" } }
+rig = { kind = "impact", speed = { dist = "normal", mean = "30 m/s", cov = 0.05 } }
+target = { E = "190 GPa", nu = 0.28, density = "7870 kg/m3", kind = "mass", mass = "40 kg" }
+limits.a = { criterion = "specific_energy", energy_is = "sphere", aim = "break",
+ strength = { dist = "lognormal", mean = "160 J/kg", cov = 0.5 } }""",
+}  # fmt: skip
+ALL_PELLETS = """11.9,2830 11.9,2260 11.6,2200 12.5,3050 12.5,2890 12.2,2710 11.3,2780 12.2,2980 11.2,1360 11.6,2060
+12.1,2530 12.2,2180 12.1,2860 11.7,3820 12.3,3630 11.7,1950 11.8,2370 12.3,2810 11.8,1860 11.8,3370 11.6,2520 12.2,1720
+12,3600 11.1,1960 12,1980"""
+
+
+def test_a_basalt_between_bars_is_the_one_by_hand(tmp_path: Path) -> None:
+    *_, force = evaluated(tmp_path, ('"70 GPa"', "0.25"), BARS, 'criterion = "core_tension"')
+    assert force == pytest.approx(by_hand_between_bars(), rel=1e-3)
+    assert force == pytest.approx(7228.0, rel=2e-3)
+
+
+@pytest.mark.parametrize("case", SPHERES)
+def test_pellets_and_a_hammer_are_those_by_hand(case: str, tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text("\n".join(["D,F", *ALL_PELLETS.split()]))
+    study = load_study(tmp_path / "s.toml", text=SPHERES[case].replace(",\n", ","))
+    design = Design.of(study)
+    sample = evaluate(design, open_model(design.study), design.points(256))
+    limit = study.limits[0]
+    names = ("sphere.E", "sphere.radius", "rig.drop_height" if case == "pellets" else "rig.speed")
+    normals = np.array([sample.scores[:, :, sample.names.index(name)].ravel() for name in names])
+    rows, share = (by_hand_of_pellets if case == "pellets" else by_hand_of_a_hammer)(normals)
+    assert sample.answer(column_of(limit)).ravel() == pytest.approx(rows, rel=2e-3)
+    assert strength_of(limit).cdf(demands_of(limit, sample)).mean() == pytest.approx(share, rel=0.01)
+
+
 def test_rows_and_the_free_number_have_one_size_law(load: Load, tmp_path: Path) -> None:
     """A sphere of another size breaks at F (D/D_0)^(2 - 3/m), by the weakest link of its volume, whoever asks."""
     core = 'criterion = "core_tension"'
@@ -311,20 +407,7 @@ def test_tests_refused(load: Load, change: tuple[str, str], csv: str, says: str)
     assert "limits.a.strength" in str(caught.value)
 
 
-ROWS = [
-    "11.9,2830",
-    "11.9,2260",
-    "11.6,2200",
-    "12.5,3050",
-    "12.5,2890",
-    "12.2,2710",
-    "11.3,2780",
-    "12.2,2980",
-    "11.2,1360",
-    "11.6,2060",
-    "12.1,2530",
-    "12.2,2180",
-]
+ROWS = ALL_PELLETS.split()[:12]
 PELLET = SCENE.replace('"60 GPa"', '"20 GPa"').replace('"10 mm"', '"6 mm"')
 FORCES = (
     'strength = { file = "t.csv", force = "F", force_unit = "N", diameter = "D", diameter_unit = "mm", '
