@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from uqsphere import analysis
     from uqsphere.models import evaluate
+    from uqsphere.report.history import history
     from uqsphere.results import Run, open_run
     from uqsphere.run import run
     from uqsphere.study import Study, load_study
 
-__all__ = ["Run", "Study", "analysis", "evaluate", "load_study", "open_run", "run"]
+__all__ = ["Run", "Study", "analysis", "evaluate", "history", "load_study", "open_run", "run"]
 
 __version__ = "0.2.0"
 
@@ -28,6 +29,7 @@ _HOMES = {
     "Run": "uqsphere.results",
     "Study": "uqsphere.study",
     "evaluate": "uqsphere.models",
+    "history": "uqsphere.report.history",
     "load_study": "uqsphere.study",
     "open_run": "uqsphere.results",
     "run": "uqsphere.run",

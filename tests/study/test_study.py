@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import math
 import pickle
@@ -20,6 +21,7 @@ from test_broken import CASES
 from tests.campaigns.fuzz import fuzz
 from uqsphere.errors import AccessError, StudyError, UsageError
 from uqsphere.study import Limit, Study, json_schema, load_study, reference, shipped_studies, ways_of, with_number
+from uqsphere.study.document import Document
 from uqsphere.study.reference import count_keys
 
 Load = Callable[..., Study]
@@ -252,6 +254,7 @@ def test_schema_and_page() -> None:
     assert page.read_text(encoding="utf-8") == reference(), "python -m uqsphere.study.reference docs/study-file.md"
     assert len(page.read_text(encoding="utf-8").split()) <= 3_500
     assert count_keys() <= 120
+    assert set(inspect.signature(Study).parameters) == set(Document.model_fields)
 
 
 def test_what_cannot_be_read(tmp_path: Path) -> None:

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Values
+from uqsphere.errors import UsageError
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.field import (
     BARS,
@@ -30,6 +31,10 @@ from uqsphere.mechanics.integrator.solve import Motion, motion
 from uqsphere.mechanics.integrator.tracked import ORDER
 from uqsphere.mechanics.roots import bisect
 from uqsphere.mechanics.scene import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
 
 #: an approach over time, of times [s]
 Course = Callable[[Array], Array]
@@ -209,7 +214,14 @@ class Equilibrium:
     until: float
 
 
-@dataclass(frozen=True, kw_only=True)
+#: columns of a history as a table, with their units
+COLUMNS = {
+    "time": "s", "force_a": "N", "force_b": "N", "pressure_a": "Pa", "pressure_b": "Pa", "approach_a": "m",
+    "approach_b": "m", "velocity": "m/s",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class History:
     """One scene over time, SI.
 
@@ -255,6 +267,25 @@ class History:
         shapes = {getattr(self, name).shape for name in _COURSES}
         if len(shapes) != 1 or len(next(iter(shapes))) != 1:
             raise ValueError(f"all courses of a history need one shape (m,), found {sorted(shapes)}")
+
+    def __repr__(self) -> str:
+        end = f"{1e6 * self.horizon:.4g} us"
+        return f"<History: {len(self.time)} instants to {end}, {len(self.changes)} changes of contact>"
+
+    def to_frame(self) -> DataFrame:
+        """Time, forces, pressures and approaches at both faces, and the sphere's velocity; SI."""
+        from pandas import DataFrame
+
+        return DataFrame({f"{name} [{unit}]": getattr(self, name) for name, unit in COLUMNS.items()})
+
+    def plot(self, what: str = "force", ax: Axes | None = None) -> Axes:
+        """Courses over time whose names begin with `what` (force, pressure, approach, velocity), on matplotlib axes."""
+        frame = self.to_frame()
+        shown = [name for name in frame.columns if name.startswith(what) and name != "time [s]"]
+        if not shown:
+            raise UsageError(f"no course {what!r}; known: force, pressure, approach, velocity")
+        axes: Axes = frame.plot(x="time [s]", y=shown, ax=ax)
+        return axes
 
     @property
     def later_peak_is_larger(self) -> bool:

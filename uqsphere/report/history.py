@@ -21,16 +21,9 @@ from uqsphere.results.folder import write_files
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
 
     from uqsphere.mechanics.history import History
-
-#: columns of history.csv, with their units
-COLUMNS = {
-    "time": "s", "force_a": "N", "force_b": "N", "pressure_a": "Pa", "pressure_b": "Pa", "approach_a": "m",
-    "approach_b": "m", "velocity": "m/s",
-}  # fmt: skip
 
 
 def history(study: Study, values: Mapping[str, float] | None = None, *, points: int = 2000) -> History:
@@ -102,18 +95,11 @@ def _when(time: float | None) -> str:
     return "never" if time is None else f"{1e6 * time:.5g} us"
 
 
-def frame(found: History) -> pd.DataFrame:
-    """Time, forces, pressures and approaches at both faces, and the sphere's velocity; SI."""
-    import pandas as pd
-
-    return pd.DataFrame({f"{name} [{unit}]": getattr(found, name) for name, unit in COLUMNS.items()})
-
-
 def write_history(study: Study, found: History, folder: Path) -> list[str]:
     """Write history.csv, gauges.csv and the figures; returns the names of the files."""
     import pandas as pd
 
-    files: dict[str, str | bytes] = {"history.csv": frame(found).to_csv(index=False)}
+    files: dict[str, str | bytes] = {"history.csv": found.to_frame().to_csv(index=False)}
     if found.gauges:
         parts = [pd.DataFrame({"gauge": record.name, "time [s]": record.time, "strain": record.strain})
                  for record in found.gauges]  # fmt: skip

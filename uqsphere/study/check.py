@@ -161,7 +161,8 @@ def resolve(document: Document, data: Mapping[str, Any], reader: Reader, path: P
     usual = draft.known if draft.box else ["p_max", *(["contact_duration"] if draft.rig != "platens" else [])]
     random, rod, analysis = draft.random, document.rod, document.analysis
     gauges = () if rod is None or rod.gauge is None else (Gauge(bar="rod", position=rod.gauge),)
-    study = Study(
+    resolved: Any = Study  # its tables are typed, not what they resolve to
+    study: Study = resolved(
         title=document.title or path.stem, seed=document.seed, path=path, text=text, black_box=draft.box,
         fixed={name: n.value for name, n in draft.numbers.items() if not isinstance(n.value, Law)},
         random={name: n.value for name, n in draft.numbers.items() if isinstance(n.value, Law)},

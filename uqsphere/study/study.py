@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
+from inspect import Parameter, Signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict, Unpack
 
 import numpy as np
 
@@ -95,6 +96,34 @@ class Source:
     seen: bool
 
 
+class Tables(TypedDict, total=False):
+    """The arguments of `Study`: the tables of a study file, with distributions where a number scatters."""
+
+    title: str
+    seed: int
+    sphere: Mapping[str, Any]
+    bars: Mapping[str, Any]
+    striker: Mapping[str, Any]
+    pulse: Mapping[str, Any]
+    contact: Mapping[str, Any]
+    rig: Mapping[str, Any]
+    target: Mapping[str, Any]
+    anvil: Mapping[str, Any]
+    other: Mapping[str, Any]
+    hammer: Mapping[str, Any]
+    rod: Mapping[str, Any]
+    platens: Mapping[str, Any] | str
+    insert: Mapping[str, Any]
+    model: Mapping[str, Any]
+    inputs: Mapping[str, Any]
+    outputs: str | Sequence[str] | Mapping[str, Any]
+    limits: Mapping[str, Mapping[str, Any]]
+    dependence: Sequence[Mapping[str, Any]]
+    gauges: Sequence[Mapping[str, Any]]
+    analysis: Mapping[str, Any]
+    margins: Mapping[str, Any]
+
+
 @dataclass(frozen=True, kw_only=True, init=False, repr=False)
 class Study:
     """A validated study: `Study(title=..., inputs=..., outputs=..., limits=..., margins=..., analysis=...)`.
@@ -141,7 +170,8 @@ class Study:
     gauges: tuple[Gauge, ...] = ()
     made_up: tuple[str, ...] = ()
 
-    def __init__(self, **given: Any) -> None:
+    def __init__(self, **tables: Unpack[Tables]) -> None:
+        given: dict[str, Any] = {**tables}
         if "path" not in given:
             from uqsphere.study.load import load_study
             from uqsphere.uq.foreign import of_salib
@@ -279,6 +309,12 @@ class Study:
         }  # fmt: skip
         plain: dict[str, Json] = json.loads(json.dumps(meaning))
         return plain
+
+
+# completion in a shell reads the signature
+Study.__signature__ = Signature(  # type: ignore[attr-defined]
+    [Parameter(key, Parameter.KEYWORD_ONLY, default=None) for key in Tables.__annotations__]
+)
 
 
 def tie_of(group: Dependence) -> Tie:
