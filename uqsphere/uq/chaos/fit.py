@@ -298,34 +298,21 @@ def _leaders(contest: Contest, found: Contender, outputs: Array) -> list[Contend
 
 
 def _grow(contest: Contest, found: Contender, outputs: Array) -> Contender:
-    """Bases that grow around the terms that were kept, as long as the error falls."""
-    n, values = contest.size, found.scale.forward(outputs)
+    """Bases that grow around the terms that were kept, as long as the error falls: by their neighbours, else by the
+    terms two degrees above as well, which outputs that are even or odd in an input need."""
+    values, most = found.scale.forward(outputs), _candidates(contest.size)
     for _ in range(6):
         if found.error < ENOUGH or len(found.terms) < 2:
             break
-        for terms in _larger(contest, found, values):
+        near = grown(found.terms, np.abs(solve_rows(found.rows, values)), HIGHEST_DEGREE, most)
+        above = skipping(found.terms, HIGHEST_DEGREE)
+        for terms in (near, np.unique(np.concatenate([near[: max(most - len(above), 1)], above]), axis=0)):
             terms = terms[np.argsort(terms.any(axis=1), kind="stable")]  # the constant first
             basis = Basis(terms=terms, rows=products(contest.tables, terms))
-            trial = _run(contest, found.scale, outputs, basis, _most_terms(n))
+            trial = _run(contest, found.scale, outputs, basis, _most_terms(contest.size))
             if trial.error < GROWS * found.error:
                 found = trial
                 break
         else:
             break
     return found
-
-
-def _larger(contest: Contest, found: Contender, values: Array) -> Iterator[Indices]:
-    """The terms kept with their neighbours; then with those two degrees above, where one explains most of the rest."""
-    coefficients, most = solve_rows(found.rows, values), _candidates(contest.size)
-    yield grown(found.terms, np.abs(coefficients), HIGHEST_DEGREE, most)
-    above = skipping(found.terms, HIGHEST_DEGREE)
-    if len(above):
-        rest, rows = values - coefficients @ found.rows, products(contest.tables, above)
-        q = np.linalg.qr(found.rows.T)[0]
-        fresh, least = rows - (rows @ q) @ q.T, 1e-10 * (rows**2).sum(axis=1)
-        squares = (fresh**2).sum(axis=1)
-        explained = np.where(squares > least, (fresh @ rest) ** 2 / np.maximum(squares, 1e-300), 0.0)
-        if explained.max() >= 0.5 * float(rest @ rest):
-            near = grown(found.terms, np.abs(coefficients), HIGHEST_DEGREE, max(most - len(above), 1))
-            yield np.unique(np.concatenate([near, above]), axis=0)
