@@ -50,7 +50,7 @@ def drivers(design: Design, tables: Tables) -> Answers:
                 answers.add(subject, "driver", name, estimate, unit="1", runs=sample.size)
         law = state.strength
         if isinstance(law, Law) and not law.is_steps:
-            below, above = law.cdf(state.demands), law.sf(state.demands)
+            below, above = law.tails(state.demands)
             rows = []
             for step in (-STEP, STEP):
                 score = state.score_given_inputs(score_of(below, above) + step)

@@ -276,7 +276,7 @@ class Joint:
         """Inputs (n, d) in SI -> dependent normal scores (n, d), within 8 standard deviations: 1e-15 lies beyond."""
         scores = np.empty_like(physical)
         for k, law in enumerate(self.laws):
-            below, above = law.cdf(physical[:, k]), law.sf(physical[:, k])
+            below, above = law.tails(physical[:, k])
             with np.errstate(divide="ignore"):
                 scores[:, k] = np.where(below < 0.5, special.ndtri(below), -special.ndtri(above))
         return np.clip(scores, -8.0, 8.0)

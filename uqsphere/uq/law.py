@@ -75,25 +75,25 @@ class Law:
 
     @cached_property
     def _truncated(self) -> bool:
-        """Whether the bounds cut anything off, or may; those of a bounded family are its own."""
-        return (self.lower > -math.inf or self.upper < math.inf) and not self.family.bounded
+        """Whether the bounds cut anything off, or may: those of a bounded family are its own, steps are left out."""
+        cut = self.lower > -math.inf or self.upper < math.inf
+        return cut and not self.family.bounded and self._steps is None
 
-    def _standard(self, x: Array) -> Array:
-        location, scale, _ = self._form
-        if self.family.logarithmic:
-            x = np.log(np.maximum(x, 0.0))
-        return np.asarray((x - location) / scale)
-
-    def _tails(self, x: Array) -> tuple[Array, Array]:
+    def _whole_tails(self, x: Array) -> tuple[Array, Array]:
         """(P(X <= x), P(X > x)) before truncation."""
-        y, shapes = self._standard(x), self._form[2]
-        return self.family.cdf(y, shapes), self.family.sf(y, shapes)
-
-    def _base_inverse(self, p: Array, q: Array) -> Array:
-        """x from its lower (p) and upper (q) tail before truncation, through the smaller of the two."""
+        if self._steps is not None:
+            return steps_share_below(self._steps, x), 1.0 - steps_share_below(self._steps, x)
         location, scale, shapes = self._form
-        y = np.empty_like(p)
-        below = p <= 0.5
+        with np.errstate(divide="ignore", over="ignore"):
+            y = ((np.log(np.maximum(x, 0.0)) if self.family.logarithmic else x) - location) / scale
+            return self.family.cdf(y, shapes), self.family.sf(y, shapes)
+
+    def _whole_inverse(self, p: Array, q: Array) -> Array:
+        """x from its lower (p) and upper (q) tail before truncation, through the smaller of the two."""
+        if self._steps is not None:
+            return steps_ppf(self._steps, p)
+        location, scale, shapes = self._form
+        y, below = np.empty_like(p), p <= 0.5
         y[below] = self.family.ppf(p[below], shapes)
         y[~below] = self.family.isf(q[~below], shapes)
         x = location + scale * y
@@ -102,22 +102,17 @@ class Law:
     @cached_property
     def _window(self) -> tuple[float, float, float, float, float]:
         """(F, S) at the lower bound, (F, S) at the upper bound, and the mass between them."""
+        ends = np.array([self.lower, self.upper])
+        known = self._truncated and np.isfinite(ends)
+        below, above = (np.where(known, tail, own) for tail, own in zip(
+            self._whole_tails(np.where(known, ends, 1.0)), ([0.0, 1.0], [1.0, 0.0]), strict=True))  # fmt: skip
+        (below_a, below_b), (above_a, above_b) = below.tolist(), above.tolist()
         if self._steps is not None:
-            return 0.0, 1.0, 1.0, 0.0, self._steps.size / len(self.data)
-        if not self._truncated:
-            return 0.0, 1.0, 1.0, 0.0, 1.0
-        below_a, above_a, below_b, above_b = 0.0, 1.0, 1.0, 0.0
-        with np.errstate(divide="ignore", over="ignore"):
-            if self.lower > -math.inf:
-                below_a, above_a = (float(tail[0]) for tail in self._tails(np.array([self.lower])))
-            if self.upper < math.inf:
-                below_b, above_b = (float(tail[0]) for tail in self._tails(np.array([self.upper])))
-        if above_a < 0.5:
+            mass = self._steps.size / len(self.data)
+        elif above_a < 0.5:
             mass = above_a - above_b
-        elif below_b < 0.5:
-            mass = below_b - below_a
         else:
-            mass = 1.0 - below_a - above_b
+            mass = below_b - below_a if below_b < 0.5 else 1.0 - below_a - above_b
         return below_a, above_a, below_b, above_b, mass
 
     @property
@@ -132,53 +127,38 @@ class Law:
 
     # --- probabilities and quantiles ------------------------------------------------------------------
 
-    def _both(self, values: Array) -> tuple[Array, Array]:
-        """(P(X <= x), P(X > x)) of a step law or a truncated one."""
-        kept = self._steps
-        if kept is not None:
-            below = steps_share_below(kept, values)
-            return below, (kept.size - np.searchsorted(kept, values, side="right")) / kept.size
+    def tails(self, x: Array) -> tuple[Array, Array]:
+        """P(X <= x) and P(X > x) of the law in force, each to full relative accuracy where it is small; any shape."""
+        values = np.asarray(x, dtype=float)
+        below, above = self._whole_tails(values)
+        if not self._truncated:
+            return below, above
         below_a, above_a, below_b, above_b, mass = self._window
-        with np.errstate(divide="ignore", over="ignore"):
-            below, above = self._tails(values)
         # Differences are taken between tails of the smaller kind: no digits are lost far out.
         lower_side = below <= 0.5
-        p = np.where(lower_side, below - below_a, above_a - above) / mass
-        q = np.where(lower_side, below_b - below, above - above_b) / mass
-        inside = (values >= self.lower) & (values <= self.upper)
-        p = np.where(inside, np.clip(p, 0.0, 1.0), np.where(values < self.lower, 0.0, 1.0))
-        q = np.where(inside, np.clip(q, 0.0, 1.0), np.where(values < self.lower, 1.0, 0.0))
-        unknown = np.isnan(values)
-        return np.where(unknown, np.nan, p), np.where(unknown, np.nan, q)
+        p = np.clip(np.where(lower_side, below - below_a, above_a - above) / mass, 0.0, 1.0)
+        q = np.clip(np.where(lower_side, below_b - below, above - above_b) / mass, 0.0, 1.0)
+        for beyond, ends in ((values < self.lower, (0.0, 1.0)), (values > self.upper, (1.0, 0.0))):
+            p, q = np.where(beyond, ends[0], p), np.where(beyond, ends[1], q)
+        return p, q
 
     def cdf(self, x: Array) -> Array:
         """P(X <= x) of the law in force, to full relative accuracy in the lower tail; any shape."""
-        return self._share(x, 0)
+        return self.tails(x)[0]
 
     def sf(self, x: Array) -> Array:
         """P(X > x) of the law in force, to full relative accuracy in the upper tail; any shape."""
-        return self._share(x, 1)
-
-    def _share(self, x: Array, side: int) -> Array:
-        values = np.asarray(x, dtype=float)
-        if self._truncated or self._steps is not None:
-            return self._both(values)[side]
-        with np.errstate(divide="ignore", over="ignore"):
-            return (self.family.cdf, self.family.sf)[side](self._standard(values), self._form[2])
+        return self.tails(x)[1]
 
     def _inverse(self, p: Array, q: Array) -> Array:
         """x from p and q = 1 - p, each exact where it is small."""
-        if self._steps is not None:
-            return steps_ppf(self._steps, p)
+        if self._truncated:
+            below_a, _, _, above_b, mass = self._window
+            lower = below_a + p * mass if below_a < 0.5 else 1.0 - (above_b + q * mass)
+            upper = above_b + q * mass if above_b < 0.5 else 1.0 - (below_a + p * mass)
+            p, q = lower, upper
         with np.errstate(divide="ignore", over="ignore"):
-            if not self._truncated:
-                x = self._base_inverse(p, q)
-            else:
-                below_a, _, _, above_b, mass = self._window
-                lower = below_a + p * mass if below_a < 0.5 else 1.0 - (above_b + q * mass)
-                upper = above_b + q * mass if above_b < 0.5 else 1.0 - (below_a + p * mass)
-                x = self._base_inverse(lower, upper)
-        return np.clip(x, self.lower, self.upper)
+            return np.clip(self._whole_inverse(p, q), self.lower, self.upper)
 
     def ppf(self, p: Array) -> Array:
         """Quantile function: x with P(X <= x) = p, exact for small p; p in [0, 1], any shape."""
@@ -226,7 +206,7 @@ class Law:
 
     def nominal_mean(self) -> float:
         """Mean before truncation; the median where there is no mean."""
-        whole = replace(self, lower=-math.inf, upper=math.inf) if self._truncated else self
+        whole = self if self.family.bounded else replace(self, lower=-math.inf, upper=math.inf)
         mean = whole.mean()
         return mean if math.isfinite(mean) or all(map(math.isinf, whole.tail_orders())) else whole.median()
 

@@ -101,7 +101,7 @@ def tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
     if isinstance(strength, Law):
         # P(S < d): an observation that equals the demand has not been exceeded.
         demands = np.nextafter(demands, -math.inf) if strength.is_steps else demands
-        below, above = strength.cdf(demands), strength.sf(demands)
+        below, above = strength.tails(demands)
     else:
         below, above = (demands > strength).astype(float), (demands <= strength).astype(float)
     if state.tie is not None or state.shift is not None:
