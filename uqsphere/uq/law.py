@@ -206,7 +206,8 @@ class Law:
 
     def nominal_mean(self) -> float:
         """Mean before truncation; the median where there is no mean."""
-        whole = self if self.family.bounded else replace(self, lower=-math.inf, upper=math.inf)
+        cut = math.isfinite(self.lower) or math.isfinite(self.upper)
+        whole = replace(self, lower=-math.inf, upper=math.inf) if cut and not self.family.bounded else self
         mean = whole.mean()
         return mean if math.isfinite(mean) or all(map(math.isinf, whole.tail_orders())) else whole.median()
 
@@ -228,6 +229,7 @@ class Law:
         return None
 
     @cached_property
+    @np.errstate(over="ignore", invalid="ignore")
     def _moments(self) -> tuple[float, float]:
         """Mean and standard deviation in force: ∫ Q(Φ(z))^k φ(z) dz by the trapezoidal rule.
 
