@@ -189,11 +189,9 @@ def _new(given: argparse.Namespace) -> int:
                          + f" (known: {', '.join(shipped)})")  # fmt: skip
     source = shipped[given.template]
     target = given.output or Path(source.name)
-    beside = [
-        source,
-        *(p for p in source.parent.glob(f"{source.stem}*") if p.suffix in (".csv", ".py") and p != source),
-    ]
-    for path in beside:
+    text = source.read_text(encoding="utf-8")
+    named = (path for path in sorted(source.parent.iterdir()) if path.suffix in (".csv", ".py") and path.name in text)
+    for path in (source, *named):
         place = target if path is source else target.parent / path.name
         if place.exists():
             raise UsageError(f"{place} is there already: choose another name with -o")
