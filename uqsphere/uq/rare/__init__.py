@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.estimate import REPLICATES, Estimate, count_bound, none_of, probability_ends, spread
+from uqsphere.uq.estimate import REPLICATES, Estimate, count_bound, probability_ends, spread
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
 from uqsphere.uq.rare.mixture import (
@@ -223,21 +223,20 @@ def _with_failed(evaluator: Evaluator, estimate: Estimate, seed: int, accuracy: 
 
 def _sampled(evaluator: Evaluator, seed: int) -> RareAnswer:
     """A plain sample: what none of its n points has met is rarer than 3/n, and in the interval."""
-    count, method = int(evaluator.budget // REPLICATES), "randomised quasi-Monte Carlo"
+    count = int(evaluator.budget // REPLICATES)
     design = FormAnswer(points=(), text="too few evaluations for a search")
     if count < 2:
         raise ValueError(f"at least {2 * REPLICATES} evaluations are needed, found {evaluator.budget:.0f}")
     points = [sobol_points(dimension=evaluator.dimension, count=count, seed=seed, task="few", replicate=r)
               for r in range(REPLICATES)]  # fmt: skip
     mass = evaluator.mass(evaluator.values(special.ndtri(np.concatenate(points)))).reshape(REPLICATES, count)
-    lost, rows = float(np.isnan(mass).mean()), np.nan_to_num(mass).mean(axis=1)
-    value, total = float(rows.mean()), mass.size
+    lost, rows, total = float(np.isnan(mass).mean()), np.nan_to_num(mass).mean(axis=1), mass.size
+    value, unseen = float(rows.mean()), count_bound(total)
     low, high, error = probability_ends(value, 1.0 - value, spread(rows, 1.0 / count), REPLICATES, total)
-    high = min(max(high, value + count_bound(total)) + lost, 1.0)
-    estimate = none_of(total, method) if value <= 0.0 else Estimate(
-        value=value, low=low, high=high, std_error=error, method=method, evaluations=total)  # fmt: skip
-    if value <= 0.0:
-        estimate = replace(estimate, value=None, high=high, std_error=None,
-                           reason=f"no failure in {total} runs: it is below {high:.2g}")  # fmt: skip
-    text = f"from {total} runs: a failure region rarer than {count_bound(total):.2g} may have been missed"
+    high = min(max(high, value + unseen) + lost, 1.0)
+    some = value > 0.0
+    estimate = Estimate(value=value if some else None, low=low, high=high, std_error=error if some else None,
+                        method="randomised quasi-Monte Carlo", evaluations=total,
+                        reason=None if some else f"no failure in {total} runs: it is below {high:.2g}")  # fmt: skip
+    text = f"from {total} runs: a failure region rarer than {unseen:.2g} may have been missed"
     return RareAnswer(estimate=estimate, sure=False, checks=(text,), design=design, modes=0, evaluations=total)
