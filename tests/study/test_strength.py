@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 from uqsphere.errors import StudyError
 from uqsphere.mechanics import contact
 from uqsphere.models import open_model
+from uqsphere.report.study import described
 from uqsphere.run.demands import column_of, demands_of, strength_of
 from uqsphere.run.design import Design
 from uqsphere.run.grow import evaluate
@@ -499,3 +500,14 @@ def test_a_column_of_strengths(load: Load, keys: str, says: str) -> None:
     with pytest.raises(StudyError) as caught:
         load(strength)
     assert says in str(caught.value)
+
+
+def test_check_shows_the_tests_and_their_law(load: Load, tmp_path: Path) -> None:
+    (tmp_path / "draws.csv").write_text("distribution,scale [MPa],shape,tests\nlognormal,40,0.1,36\n")
+    for strength, says in (
+        (FORCES, ["25  ", "1.36 kN to 3.82 kN on 11.1 to 12.5 mm", "weibull, modulus 7.0", " to 9.0", "MPa"]),
+        ('strength = { draws = "draws.csv" }', ["36  ", "draws", "33.93 MPa to 47.15 MPa"]),
+    ):
+        study = load(strength, "\n".join(["D,F", *ALL_PELLETS.split()]), 'criterion = "core_tension"', PELLET)
+        line = next(line for line in described(study).splitlines() if line.startswith("a "))
+        assert [part for part in says if part not in line] == [], line

@@ -9,6 +9,7 @@ import numpy as np
 from uqsphere.quantities import display_unit, format_value, lookup
 from uqsphere.study import Study
 from uqsphere.uq import Law
+from uqsphere.uq.fitting import count_tests, fit_strength, is_fitted, series_behind
 
 
 def described(study: Study) -> str:
@@ -45,10 +46,11 @@ def _strengths(study: Study) -> str:
         if not isinstance(law, Law):
             rows.append((limit.name, "-", "-", "fixed", format_value(float(law), name), "-", lookup(name).meaning))
             continue
-        low, high = (float(x) for x in law.ppf(np.array([0.05, 0.95])))
+        span = " to ".join(format_value(float(x), name) for x in law.ppf(np.array([0.05, 0.95])))
         tests, ends = "-", "-"
+        if is_fitted(law):
+            tests = str(count_tests(law))
         if law.data:
-            tests = str(len(law.data) + len(law.censored))
             ends = f"{format_value(min(law.data), name)} to {format_value(max(law.data), name)}"
         if limit.tested is not None and limit.tested.forces:
             tested = limit.tested
@@ -56,13 +58,16 @@ def _strengths(study: Study) -> str:
                 f"{format_value(min(tested.forces), 'P_max')} to {format_value(max(tested.forces), 'P_max')} on "
                 f"{2e3 * 0.5 * min(tested.diameters):.3g} to {2e3 * 0.5 * max(tested.diameters):.3g} mm"
             )
-            tests = str(len(tested.forces))
         mean = law.mean()
         text = law.family.name.replace("_", " ")
-        if "modulus" in law.parameters:
-            text += f", modulus {law.parameters['modulus']:.3g}"
+        for key, said in (("modulus", "modulus"), ("log_sd", "sd of the logarithm")):
+            if key in law.parameters:
+                text += f", {said} {law.parameters[key]:.3g}"
+                if law.data and law.family.strength is not None:
+                    low, high = fit_strength(series_behind(law), law.family.strength, draws=1000).shape_interval
+                    text += f" ({low:.3g} to {high:.3g})"
         rows.append((limit.name, tests, ends, text, "-" if mean is None else format_value(mean, name),
-                     f"{format_value(low, name)} to {format_value(high, name)}", lookup(name).meaning))  # fmt: skip
+                     span, lookup(name).meaning))  # fmt: skip
     return table(rows)
 
 
