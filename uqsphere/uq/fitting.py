@@ -9,6 +9,7 @@ too little in the tails.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -126,22 +127,11 @@ def _inverse(law: Strength, leaving: tuple[float, ...]) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class StrengthFit:
-    """A law fitted to tests.
+    """A law fitted to tests by the largest likelihood.
 
-    Attributes
-    ----------
-    law : the family as strengths follow it
-    tests, failures : int
-    shape, scale : float
-        Of the largest likelihood: modulus and scale (63.2 %), or log_sd and median.
-    unbiased : float
-        The shape without its bias.
-    shape_interval, scale_interval : (low, high)
-        95 % intervals from simulated series; they cover what they promise however few the tests, unlike those from the
-        profile of the likelihood.
-    log_likelihood : float
-    p_value : float
-        Probability of a larger distance from the Kaplan-Meier estimate at a failure if the law were right.
+    `shape`, `scale`: modulus and scale (63.2 %), or log_sd and median; `unbiased`: the shape without its bias.  The
+    intervals of 95 % come from simulated series: they cover however few the tests, unlike those from the profile of the
+    likelihood.  `p_value`: probability of a larger distance from the Kaplan-Meier estimate if the law were right.
     """
 
     law: Strength = field(repr=False)
@@ -198,18 +188,9 @@ def fitted_parameters(tests: StrengthTests, law: Strength, *, unbiased: bool = F
     return law.parameters(location, law.shape(spread) * (unbiasing(law, tests.leaving) if unbiased else 1.0))
 
 
-def kaplan_meier(leaving: Array) -> Array:
-    """Share (r,) that has failed by each failure, stopped tests taken as survivors up to their stop.
-
-    >>> kaplan_meier(np.array([2.0, 1.0])).round(3).tolist()
-    [0.333, 1.0]
-    """
-    return np.asarray(1.0 - np.cumprod(1.0 - 1.0 / np.cumsum(leaving[::-1])[::-1]))
-
-
 def _distance(below: Array, leaving: Array) -> Array:
     """Largest difference (rows,) of a law's probabilities (rows, r) at failures from the Kaplan-Meier estimate."""
-    after = kaplan_meier(leaving)
+    after = 1.0 - np.cumprod(1.0 - 1.0 / np.cumsum(leaving[::-1])[::-1])
     before = np.concatenate([[0.0], after[:-1]])
     return np.asarray(np.maximum(np.abs(below - after), np.abs(below - before)).max(axis=1))
 
@@ -261,24 +242,26 @@ def fitted_law(
     >>> fitted_law([1.0, 1.2, 0.9, 1.1], "exponential").family.name
     'exponential'
     """
-    a, b = bounds_of(lower, upper)
+    (a, b), how = bounds_of(lower, upper), fit or "kde"
     if modulus is not None:
         return _of_known_modulus(data, fit, censored, modulus)
-    if len(censored) or unbiased:
-        return checked(_strength(data, fit, a, b, censored, unbiased))
-    how = fit or "kde"
     if how not in FITS:
         raise LawError(f"unknown fit {how!r}; allowed: {', '.join(FITS)}; a threshold is not fitted", "fit")
-    values = _observations(data)
+    if len(censored) or unbiased:
+        return checked(_by_tests(data, how, a, b, censored, unbiased))
+    values = np.sort(np.asarray(data, dtype=float))
+    if values.ndim != 1 or values.size < 2:
+        raise LawError(f"an empirical law needs at least 2 observations, found {values.size}", "file")
+    if not np.isfinite(values).all():
+        raise LawError("the observations hold values that are not finite numbers", "column")
+    if values[0] == values[-1]:
+        raise LawError(f"all {values.size} observations are equal: there is no scatter", "column")
     if how not in ("kde", "steps"):
         return checked(_member(FAMILIES[how], values, a, b))
     if how == "kde" and values.size > MOST_KERNELS:
         raise LawError(f'{values.size} observations: use fit = "steps" above {MOST_KERNELS}', "fit")
-    width = bandwidth(values) if how == "kde" else 0.0
-    observations = tuple(values.tolist())
-    return checked(
-        Law(family=FAMILIES["empirical"], parameters={"bandwidth": width}, lower=a, upper=b, data=observations)
-    )
+    width = {"bandwidth": bandwidth(values) if how == "kde" else 0.0}
+    return checked(Law(family=FAMILIES["empirical"], parameters=width, lower=a, upper=b, data=tuple(values.tolist())))
 
 
 def _of_known_modulus(data: Sequence[float], fit: str | None, censored: Sequence[float], modulus: float) -> Law:
@@ -296,18 +279,6 @@ def _of_known_modulus(data: Sequence[float], fit: str | None, censored: Sequence
     hazards = special.gammaincinv(shape, (np.arange(400) + 0.5) / 400.0)
     scales = x.max() * (((x / x.max()) ** modulus).sum() / hazards) ** (1.0 / modulus)
     return law_of_draws([(WEIBULL, 0.0, float(scale), modulus, 0.0) for scale in scales], x.size)
-
-
-def _observations(data: Sequence[float]) -> Array:
-    """Observations (n,) in rising order; raises LawError for those that tell no scatter."""
-    values = np.sort(np.asarray(data, dtype=float))
-    if values.ndim != 1 or values.size < 2:
-        raise LawError(f"an empirical law needs at least 2 observations, found {values.size}", "file")
-    if not np.isfinite(values).all():
-        raise LawError("the observations hold values that are not finite numbers", "column")
-    if values[0] == values[-1]:
-        raise LawError(f"all {values.size} observations are equal: there is no scatter", "column")
-    return values
 
 
 def _member(family: Family, values: Array, a: float, b: float) -> Law:
@@ -329,22 +300,19 @@ def _member(family: Family, values: Array, a: float, b: float) -> Law:
     return Law(family=family, parameters=parameters, lower=a, upper=b, data=tuple(values.tolist()))
 
 
-def _strength(
-    data: Sequence[float], fit: str | None, a: float, b: float, censored: Sequence[float], unbiased: bool
-) -> Law:
+def _by_tests(data: Sequence[float], fit: str, a: float, b: float, censored: Sequence[float], unbiased: bool) -> Law:
     """A law fitted to strength tests: without the bias of few tests, or with tests that ended without a failure."""
     if fit not in STRENGTHS:
         why = "the bias can be taken out of" if unbiased else "tests that were stopped need"
         allowed = " or ".join(f'"{name}"' for name in STRENGTHS)
-        raise LawError(f"{why} a fit = {allowed} alone; found {fit or 'kde'}", "fit")
+        raise LawError(f"{why} a fit = {allowed} alone; found {fit}", "fit")
+    law = Law(family=FAMILIES[fit], parameters={}, lower=a, upper=b, data=tuple(sorted(data)),
+              censored=tuple(sorted(censored)))  # fmt: skip
     try:
-        tests = make_tests([*data, *censored], [False] * len(data) + [True] * len(censored))
+        parameters = fitted_parameters(series_behind(law), STRENGTHS[fit], unbiased=unbiased)
     except ValueError as error:
         raise LawError(str(error), "column") from None
-    family = FAMILIES[fit]
-    parameters = family.parameters(fitted_parameters(tests, STRENGTHS[fit], unbiased=unbiased), a, b)
-    return Law(family=family, parameters=parameters, lower=a, upper=b, data=tuple(sorted(data)),
-               censored=tuple(sorted(censored)))  # fmt: skip
+    return replace(law, parameters=law.family.parameters(parameters, a, b))
 
 
 def is_fitted(law: object) -> bool:
@@ -383,7 +351,10 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> list[
     if law.draws:
         rows = generator.choice(len(law.draws), count, replace=count > len(law.draws))
         return [replace(law, draws=(law.draws[row],)) for row in rows.tolist()]
-    n, family = _observed(law), law.family
+    n, family = len(law.data), law.family
+    if n < LEAST_TESTS:
+        raise LawError(f"{n} observations are too few to say what they leave open: at least {LEAST_TESTS} are needed",
+                       "file")  # fmt: skip
     if family.observed:
         return [_redrawn(law, generator) for _ in range(count)]
     if family.strength is not None:
@@ -398,29 +369,17 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> list[
 
 def _refitted(law: Law, count: int, generator: np.random.Generator) -> list[Law]:
     """Laws fitted to samples of the law, of as many observations: the parametric bootstrap."""
+    name, found = law.family.name, list[Law]()
     if not law.family.keys:
-        raise LawError(f"a {law.family.name} law takes its bounds as known: there is nothing to be unsure of", "fit")
-    if law.family.name == "student_t":
+        raise LawError(f"a {name} law takes its bounds as known: there is nothing to be unsure of", "fit")
+    if name == "student_t":
         raise LawError("what tests leave open of a student_t law is not known: fit a normal or lognormal law", "fit")
-    found: list[Law] = []
     for _ in range(4 * count):
-        try:
+        with contextlib.suppress(LawError):
             found.append(_member(law.family, np.sort(law.sample(len(law.data), generator)), law.lower, law.upper))
-        except LawError:
-            continue
         if len(found) == count:
             return [replace(one, data=law.data) for one in found]
-    raise LawError(f"samples of this {law.family.name} law cannot be fitted again", "fit")
-
-
-def _observed(law: Law) -> int:
-    """Observations behind a law; raises LawError for too few."""
-    n = len(law.data)
-    if n < LEAST_TESTS:
-        raise LawError(
-            f"{n} observations are too few to say what they leave open: at least {LEAST_TESTS} are needed", "file"
-        )
-    return n
+    raise LawError(f"samples of this {name} law cannot be fitted again", "fit")
 
 
 def _laws(law: Law, columns: Mapping[str, Array]) -> list[Law]:
@@ -445,9 +404,8 @@ def law_of_draws(draws: Sequence[Sequence[float]], tests: int) -> Law:
     """
     table = np.asarray(draws, dtype=float)
     if table.ndim != 2 or table.shape[1] != 5 or not len(table) or not np.isfinite(table).all():
-        raise LawError(
-            f"draws must be finite and (n, 5): kind, least, scale, shape, bound; found {table.shape}", "draws"
-        )
+        said = f"draws must be finite and (n, 5): kind, least, scale, shape, bound; found {table.shape}"
+        raise LawError(said, "draws")
     if not (np.isin(table[:, 0], (0.0, 1.0)).all() and (table[:, 2:4] > 0.0).all() and (table[:, [1, 4]] >= 0.0).all()):
         raise LawError("draws need kind 0 or 1, scale and shape above zero, least and bound not negative", "draws")
     return Law(family=DRAWN, parameters={"tests": float(tests)}, draws=tuple(map(tuple, table.tolist())))
@@ -456,7 +414,6 @@ def law_of_draws(draws: Sequence[Sequence[float]], tests: int) -> Law:
 def _redrawn(law: Law, generator: np.random.Generator) -> Law:
     """A kernel density or step function of the observations drawn with repetition."""
     observations = np.asarray(law.data)
-    # attempts to draw observations again before they are given up
     for _ in range(20):
         drawn = np.sort(generator.choice(observations, observations.size))
         if drawn[0] < drawn[-1]:
