@@ -20,7 +20,7 @@ from uqsphere.run.demands import column_of, demands_of, strength_of
 from uqsphere.run.design import Design
 from uqsphere.run.grow import evaluate
 from uqsphere.study import Limit, Study, load_study
-from uqsphere.study.strength import Demand, equivalent_force, modulus_of
+from uqsphere.study.strength import Demand, equivalent_force, modulus_of, reached
 from uqsphere.uq import Law, Sample
 
 SCENE = """
@@ -158,11 +158,9 @@ def test_the_equivalent_force_is_the_closed_form(quantity: str) -> None:
 def test_it_gives_back_the_value(
     quantity: str, criterion: str | None, parameters: dict[str, float], pole: dict[str, float]
 ) -> None:
-    from uqsphere.study.strength import _reached, _state
-
     demand = Demand(quantity=quantity, criterion=criterion, parameters=parameters)
     force = np.array([500.0, 3e3, 20e3])
-    value = _reached(_state(force, {**SPHERE, **pole}, RADIUS, STEEL), demand)
+    value = reached(demand, force, {**SPHERE, **pole}, RADIUS, STEEL)
     found = equivalent_force(demand, value, {**SPHERE, **pole}, RADIUS, STEEL)
     assert found == pytest.approx(force, rel=1e-8)
 

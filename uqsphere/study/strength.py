@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
@@ -50,8 +51,8 @@ from uqsphere.uq.fitting import STRENGTHS, fitted_law, law_of_draws, make_tests,
 _FEW: Final = 10
 #: ratio of diameters of tests and sphere that is told, and beyond which nothing but a size law carries a strength
 SIZES_TOLD, SIZES_REFUSED = 1.1, 1.5
-#: a criterion rises at least by this share with one percent of force
-_RISES: Final = 5e-4
+#: a criterion rises at least with this power of the force
+_RISES: Final = 0.05
 #: usual strengths by dimension, the pressures of tensions and of contacts, and usual 0.9 P/D² of brittle spheres
 USUAL: Final = {"pressure": (1e5, 5e9), "specific_energy": (1.0, 2e4), "toughness": (1e4, 2e7)}
 _CONTACT: Final = (3e7, 1e11)
@@ -83,16 +84,15 @@ class Demand:
 # --- the force in the test that is worth a row's value -------------------------------------------------------------
 
 
-def _state(force: Array, sphere: Mapping[str, Values], radius: Array, platens: tuple[float, float],
-           rate: Array | None = None) -> Any:  # fmt: skip
-    """What the criteria read of n spheres of a radius (n,) that are pressed to a force (n,) between platens."""
+def reached(demand: Demand, force: Array, sphere: Mapping[str, Values], radius: Array, platens: tuple[float, float],
+            rate: Array | None = None) -> Array:  # fmt: skip
+    """The value (n,) of a demand in spheres of a radius (n,) that are pressed to a force (n,) between platens.
+
+    Parameters as of `equivalent_force`; rate: of the loading [N/s].
+    """
     full = {key: np.broadcast_to(np.asarray(value, dtype=float), radius.shape) for key, value in sphere.items()}
-    E, nu, mass = full["E"], full["nu"], contact.sphere_mass(radius, full["density"])
-    modulus, compliance, takes = (
-        np.asarray(contact.reduced_modulus(E, nu, *platens)),
-        (1.0 - nu * nu) / E,
-        full.get("takes"),
-    )
+    E, nu, mass, takes = full["E"], full["nu"], contact.sphere_mass(radius, full["density"]), full.get("takes")
+    modulus, compliance = np.asarray(contact.reduced_modulus(E, nu, *platens)), (1.0 - nu * nu) / E
     face = None if takes is None else Face(onset=full["onset_pressure"], hardness=full["hardness"],
                                            pile_up=full["pile_up"], modulus=modulus,
                                            effective_radius=radius)  # fmt: skip
@@ -106,14 +106,8 @@ def _state(force: Array, sphere: Mapping[str, Values], radius: Array, platens: t
     elastic = modulus * compliance * state["energy"]
     own = elastic + (0.0 if takes is None else takes) * state["dissipated"]
     both = elastic * (1.0 + full["partner"] / compliance) if "partner" in full else state["energy"]
-    given = {"energy_sphere": own, "specific_energy_sphere": own / mass, "impact_energy": state["energy"],
-             "specific_impact_energy": state["energy"] / mass, "energy": both,
-             "specific_energy": both / mass}  # fmt: skip
-    return type(state)({**state, **given})
-
-
-def _reached(state: Any, demand: Demand) -> Array:
-    """The value (n,) of a demand in some states."""
+    state = type(state)({**state, "energy_sphere": own, "specific_energy_sphere": own / mass, "energy": both,
+                         "specific_energy": both / mass, "specific_impact_energy": state["energy"] / mass})  # fmt: skip
     if demand.criterion is not None:
         return demand_of(CRITERIA[demand.criterion], state, demand.parameters)
     return np.asarray(state[demand.quantity], dtype=float)
@@ -147,17 +141,17 @@ def equivalent_force(
     value, radius = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, dtype=float)) for v in (value, radius)))
     wanted = np.log(np.where(value > 0.0, value, 1.0))
 
-    def reached(log_force: Array) -> Array:
+    def logarithm(log_force: Array) -> Array:
         with np.errstate(all="ignore"):
-            return np.asarray(np.log(_reached(_state(np.exp(log_force), sphere, radius, platens), demand)))
+            return np.asarray(np.log(reached(demand, np.exp(log_force), sphere, radius, platens)))
 
     x = np.log(1e7 * np.square(radius))
-    y, slope = reached(x), np.full(radius.shape, 0.7)
+    y, slope = logarithm(x), np.full(radius.shape, 0.7)
     for _ in range(60):
         step = np.clip((wanted - y) / slope, -6.0, 6.0)
         if not (np.abs(step) > 1e-13 * np.maximum(np.abs(x), 1.0)).any():
             break
-        after = reached(x + step)
+        after = logarithm(x + step)
         with np.errstate(all="ignore"):
             secant = (after - y) / step
         slope = np.where((secant > 0.02) & (np.abs(step) > 1e-9), secant, slope)
@@ -300,23 +294,14 @@ def _drawn(table: Observations, quantity: Quantity, reader: Reader) -> Number:
     return Number(value=law, synthetic=table.synthetic, tested=tested)
 
 
-class _faults:
+@contextmanager
+def _faults(table: Table, key: str = "file") -> Iterator[None]:
     """Turns the faults of a table into one Fault, all that were noted inside together."""
-
-    def __init__(self, table: Table, key: str = "file") -> None:
-        self.table, self.key = table, key
-
-    def __enter__(self) -> None: ...
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        try:
-            if isinstance(error, TableError):
-                raise error
-            if error is None:
-                self.table.finish()
-        except TableError as fault:
-            key = self.key if self.key == "draws" else fault.key or self.key
-            raise Fault(str(fault), key) from None
+    try:
+        yield
+        table.finish()
+    except TableError as fault:
+        raise Fault(str(fault), key if key == "draws" else fault.key or key) from None
 
 
 def _flags_and_counts(found: Table, table: Observations) -> tuple[Flags, Any]:
@@ -333,7 +318,7 @@ def _flags_and_counts(found: Table, table: Observations) -> tuple[Flags, Any]:
 
 def _fitted(data: Array, stopped: Flags, table: Observations, fit: str | None, lower: float | None = None,
             upper: float | None = None, *, slope: float = 1.0) -> Law:  # fmt: skip
-    """The law of some observations; raises Fault.  `slope`: they are forces to this power, by their known modulus."""
+    """The law of some observations; raises Fault.  `slope`: they are forces to this power, which have the modulus."""
     modulus = None if table.modulus is None else table.modulus / slope
     if modulus is None and (len(data) < 2 or stopped.all()):
         said = f"all {len(data)} tests were stopped" if len(data) > 1 else f"found {len(data)} observation"
@@ -399,35 +384,55 @@ def tested_strength(
     links = 3.0 if demand.place in ("core", "") or demand.base.endswith("energy") else 2.0
     mean = float(diameter.mean())
 
-    def forces(exponent: float) -> tuple[Law, float]:
+    def of_force(exponent: float) -> tuple[Law, float]:
         law = _fitted(force * (mean / diameter) ** exponent, stopped, table, fit)
         return law, g - links / (modulus_of(law) or math.inf) if g else g
 
-    law_of_force, exponent = forces(g)
-    for _ in range(60):
-        law_of_force, after = forces(exponent)
-        if abs(after - exponent) < 1e-12:
-            break
-        exponent = after
+    law, exponent = _agreeing(of_force, g)
     tested = Tested(
         diameter=mean, forces=tuple(force.tolist()), diameters=tuple(diameter.tolist()),
         suspended=tuple(stopped.tolist()), platens=platens, sphere=dict(sphere),
-        law=law_of_force, exponent=exponent, size="weakest link" if modulus_of(law_of_force) and g else "none",
+        law=law, exponent=exponent, size="weakest link" if modulus_of(law) and g else "none",
     )  # fmt: skip
     compare_sizes(tested, radii, reader, (*place, "diameter"), knows)
     if quick and "rate_0" not in demand.parameters:
         reader.warn(place, "slow tests, quick rig: struck rocks bore 1.24 to 2.12 times as much; that is conservative "
                     "for survive, not for break; rate_0 of the criterion accounts for it (110 to 760 1/s)")  # fmt: skip
 
-    def reached(demand: Demand, factor: float = 1.0) -> Array:
-        return _reached(_state(factor * force, sphere, 0.5 * diameter, platens, rate), demand)
+    def value(modulus: float, factor: float = 1.0) -> Array:
+        own = replace(demand, parameters={"modulus": modulus, **demand.parameters}) if knows else demand
+        return reached(own, factor * force, sphere, 0.5 * diameter, platens, rate)
 
-    steady = demand if not knows else replace(demand, parameters={"modulus": 8.0, **demand.parameters})
-    if not (np.log(reached(steady, 1.01) / reached(steady)) > _RISES).all():
+    slopes = np.log(value(8.0, 1.01) / value(8.0)) / math.log(1.01)
+    if not np.isfinite(value(8.0)).all():
+        raise Fault(f"some tests lie beyond what {demand.quantity} can reach: raise largest_energy, or the hardness")
+    if not (slopes > _RISES).all():
         raise Fault(f"{demand.quantity} hardly rises with the force of such tests, so that no force tells its "
                     "strength: take another criterion")  # fmt: skip
-    law = _of_demand(table, fit, reached, stopped, demand, needs_modulus=knows and "modulus" not in demand.parameters)
+    if fit != "weibull" and knows and "modulus" not in demand.parameters:
+        raise Fault('the strength of a weakest link is a Weibull distribution: write fit = "weibull"', "fit")
+
+    def of_value(modulus: float) -> tuple[Law, float]:
+        law = _fitted(value(modulus), stopped, table, fit, slope=float(np.median(slopes)))
+        return law, (modulus_of(law) or modulus) if knows else modulus
+
+    law, _ = _agreeing(of_value, 8.0)
     return Number(value=law, synthetic=table.synthetic, tested=tested)
+
+
+def _agreeing(fitted: Callable[[float], tuple[Law, float]], number: float) -> tuple[Law, float]:
+    """A law that needs a number, and the number that it gives: of the size law, of a weakest link; raises Fault."""
+    for _ in range(60):
+        try:
+            law, after = fitted(number)
+        except Fault:
+            raise
+        except ValueError as error:
+            raise Fault(f"the tests cannot be turned into a strength: {error}", "file") from None
+        if abs(after - number) < 1e-10 * max(abs(number), 1.0):
+            return law, after
+        number = after
+    raise Fault("no modulus agrees with itself: give it by the key modulus")
 
 
 def compare_sizes(tested: Tested, radii: tuple[float, ...], reader: Reader, place: Place, knows: bool = False) -> None:
@@ -446,30 +451,6 @@ def compare_sizes(tested: Tested, radii: tuple[float, ...], reader: Reader, plac
     if ratios[0] > SIZES_TOLD:
         by = "the weakest link" if carried else "its size_exponent" if not tested.law and tested.exponent else "nothing"
         reader.warn(place, f"{sizes}: {by} carries the strength")
-
-
-def _of_demand(
-    table: Observations, fit: str, reached: Callable[..., Array], stopped: Flags, demand: Demand, *, needs_modulus: bool
-) -> Law:
-    """The law of the demand's values at failure; of a weakest link the modulus makes the demand, and it the modulus."""
-    slope, guess = 1.0, table.modulus or 8.0
-    if table.modulus is not None:
-        own = replace(demand, parameters={"modulus": guess, **demand.parameters}) if needs_modulus else demand
-        slope = float(np.median(np.log(reached(own, 1.01) / reached(own)))) / math.log(1.01)
-    if not needs_modulus:
-        return _fitted(reached(demand), stopped, table, fit, slope=slope)
-    if fit != "weibull":
-        raise Fault('the strength of a weakest link is a Weibull distribution: write fit = "weibull"', "fit")
-    for _ in range(60):
-        own = replace(demand, parameters={**demand.parameters, "modulus": guess})
-        try:
-            law = _fitted(reached(own), stopped, table, fit, slope=slope)
-        except ValueError as error:
-            raise Fault(f"the tests cannot be turned into a strength: {error}", "file") from None
-        before, guess = guess, modulus_of(law) or guess
-        if abs(guess - before) < 1e-10 * guess:
-            return law
-    raise Fault("no modulus agrees with itself: give it by the key modulus of the limit")
 
 
 # --- whether the numbers of a file are plausible -------------------------------------------------------------------
