@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from uqsphere.labs.shpb.cli import main
 from uqsphere.labs.shpb.document import RecordDocument
 from uqsphere.labs.shpb.record import load_record
 from uqsphere.labs.shpb.waves import Reading, read_test
+from uqsphere.mechanics.bars import correct
 
 E, DENSITY, DIAMETER, LENGTH, GAUGE_A, GAUGE_B = 200e9, 7850.0, 0.02, 1.5, 0.75, 0.6
 C0, EA = (E / DENSITY) ** 0.5, E * np.pi * DIAMETER**2 / 4.0
@@ -31,24 +33,30 @@ BARS: dict[str, Any] = {
 }
 
 
-def waves(noise: float = 1e-6, seed: int = 1) -> pd.DataFrame:
-    """Time [us] and strains of both gauges: a pulse of 120 us, a force of 25 kN at both faces; compression negative."""
-    time = np.arange(0.0, 900e-6, STEP)
-    first = 150e-6  # foot of the incident wave at its gauge
+def waves(noise: float = 1e-6, seed: int = 1, rise: float = 20e-6) -> pd.DataFrame:
+    """Time [us] and strains of both gauges: a pulse of 120 us, a force of 25 kN at both faces; compression negative.
 
-    def pulse(t: np.ndarray) -> np.ndarray:
-        rise = np.clip(t / 20e-6, 0.0, 1.0) * np.clip((120e-6 - t) / 20e-6, 0.0, 1.0)
-        return 800e-6 * np.sin(0.5 * np.pi * rise) ** 2
+    Waves change their shape on their way by the first mode of the bars.
+    """
+    time = np.arange(0.0, 900e-6, STEP)
+    first, back = 150e-6, round(2.0 * GAUGE_A / C0 / STEP)  # foot of the incident wave at its gauge, way back
+
+    def moved(wave: np.ndarray, way: float) -> np.ndarray:
+        return correct(wave, STEP, way, radius=0.5 * DIAMETER, wave_speed=C0, nu=0.3, surface=False)
 
     def force(t: np.ndarray) -> np.ndarray:
         return np.where((t > 0.0) & (t < 120e-6), PEAK * np.sin(np.pi * np.clip(t / 120e-6, 0.0, 1.0)) ** 2, 0.0)
 
-    at_a = time - first - 2.0 * GAUGE_A / C0
-    incident = -pulse(time - first) - (force(at_a) / EA - pulse(at_a))
-    receiving = -force(time - first - (GAUGE_A + GAUGE_B) / C0) / EA
+    shape = np.clip((time - first) / rise, 0.0, 1.0) * np.clip((120e-6 + first - time) / rise, 0.0, 1.0)
+    incident = moved(800e-6 * np.sin(0.5 * np.pi * shape) ** 2, LENGTH - GAUGE_A)
+    at_face = np.concatenate([np.zeros(back), moved(incident, GAUGE_A)[:-back]])
+    reflected = moved(force(time - first - back * STEP) / EA - at_face, GAUGE_A)
+    receiving = moved(-force(time - first - (GAUGE_A + GAUGE_B) / C0) / EA, GAUGE_B)
     rng = np.random.default_rng(seed)
-    incident, receiving = (v + noise * rng.standard_normal(len(time)) for v in (incident, receiving))
-    return pd.DataFrame({"time [us]": time * 1e6, "incident [strain]": incident, "receiving [strain]": receiving})
+    both = (v + noise * rng.standard_normal(len(time)) for v in (-incident - reflected, receiving))
+    return pd.DataFrame(
+        dict(zip(("time [us]", "incident [strain]", "receiving [strain]"), (time * 1e6, *both), strict=True))
+    )
 
 
 def read(folder: Path, frame: pd.DataFrame, **changes: Any) -> Reading:
@@ -130,30 +138,78 @@ def test_mended_in_named_steps_that_print_what_they_changed(fault: Any, step: st
     check_sound(test)
 
 
-@pytest.mark.parametrize("factor", [0.25, 0.5, 0.9, 1.5, 2.0, 4.0])
-@pytest.mark.parametrize("bar", ["incident", "receiving"])
-def test_a_wrong_gain_is_a_doubt_at_every_number(factor: float, bar: str, tmp_path: Path) -> None:
+def test_waves_of_stout_bars_are_moved_to_the_faces(tmp_path: Path) -> None:
+    frame = waves(rise=6e-6, noise=1e-7)
+    moved, raw = read(tmp_path, frame), read(tmp_path, frame, record={"dispersion": False})
+    truth = PEAK * np.sin(np.pi * np.clip(moved.time / 120e-6, 0.0, 1.0)) ** 2
+    assert moved.force_a is not None
+    assert raw.force_a is not None
+    inside = (moved.time > 20e-6) & (moved.time < 100e-6)
+    off, before = (np.abs(t.force_a - truth)[inside].max() / PEAK for t in (moved, raw))
+    assert off < 0.25 * before
+    assert before > 0.1
+    assert "dispersion" in steps(moved)
+
+
+def scaled(name: str, factor: float) -> Any:
+    return lambda f: f.assign(**{name: factor * f[name]})
+
+
+def late(name: str, samples: int) -> Any:
+    return lambda f: f.assign(**{name: np.roll(f[name], samples)})
+
+
+INC, REC = "incident [strain]", "receiving [strain]"
+#: what happens to a record or is said of it: frame, keys, and words of the doubt or refusal; empty where it is mended
+FAULTS: dict[str, tuple[Any, dict[str, Any], str]] = {
+    "sign of one bar": (scaled(INC, -1.0), {}, ""),
+    "sign of the other": (scaled(REC, -1.0), {}, ""),
+    "sign of both": (lambda f: f * [1.0, -1.0, -1.0], {}, ""),
+    "columns exchanged": (None, {"record": {"incident": REC, "receiving": INC}}, "columns exchanged"),
+    "gauges exchanged": (None, {"incident_bar": {"gauge": "0.6 m"}, "receiving_bar": {"gauge": "0.75 m"}}, "would fit"),
+    **{f"gain A {k}": (scaled(INC, k), {}, "times the impulse") for k in (0.25, 0.5, 0.9, 1.5, 2.0, 4.0)},
+    **{f"gain B {k}": (scaled(REC, k), {}, "times the impulse") for k in (0.25, 0.5, 0.9, 1.5, 2.0, 4.0)},
+    "gain of both": (lambda f: f * [1.0, 2.0, 2.0], {"record": {"striker_speed": "8.1 m/s"}}, "a striker of 16"),
+    "strain as microstrain": (None, {"incident_bar": {"unit": "microstrain"}}, "microstrain' ?|unit"),
+    "microstrain as strain": (lambda f: f * [1.0, 1e6, 1e6], {}, "no elastic bar bears"),
+    "one bar in percent": (None, {"receiving_bar": {"unit": "%"}}, "times the impulse"),
+    "time in ms": (lambda f: f.rename(columns={"time [us]": "t"}), {"record": {"time_unit": "ms"}}, "passes|unit"),
+    "diameter of one bar": (None, {"receiving_bar": {"diameter": "25 mm"}}, "times the impulse"),
+    **{f"gauge A {d}": (None, {"incident_bar": {"gauge": d}}, "0.7[45]|impulse")
+       for d in ("0.5 m", "0.65 m", "0.9 m", "1.1 m")},
+    **{f"gauge B {d}": (None, {"receiving_bar": {"gauge": d}}, "0.6|impulse")
+       for d in ("0.4 m", "0.5 m", "0.7 m", "1 m")},
+    **{f"E {k}": (None, {"incident_bar": {"E": f"{k} GPa"}}, "wave speed|another E") for k in (70, 120, 150, 170)},
+    "E too high": (None, {"incident_bar": {"E": "300 GPa"}}, "faces differ|impulse|would fit"),
+    "clock of one bar early": (late(REC, -100), {}, "too early"),
+    "clock of one bar late": (late(REC, 60), {}, "impulse|apart"),
+    "late drift of A": (
+        lambda f: f.assign(**{INC: f[INC] + 3e-4 * np.clip(f["time [us]"] / 900.0 - 0.2, 0, 1)}), {}, "impulse"),
+    "step of A": (lambda f: f.assign(**{INC: f[INC] + 2e-4 * (f["time [us]"] > 450.0)}), {}, "impulse"),
+    "clipped top of B": (lambda f: f.assign(**{REC: np.maximum(f[REC], -0.6 * PEAK / EA)}), {}, "at least this"),
+    "clipped top of A": (lambda f: f.assign(**{INC: np.maximum(f[INC], -5e-4)}), {}, "not known"),
+    "ends on the rise": (lambda f: f.iloc[:950], {}, "at least this|required"),
+    "begins inside the wave": (lambda f: f.iloc[340:], {}, "too early"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_no_fault_is_wrong_and_silent(name: str, tmp_path: Path) -> None:
+    change, keys, words = FAULTS[name]
     frame = waves()
-    frame[f"{bar} [strain]"] *= factor
-    test = read(tmp_path, frame)
-    assert all(peak.doubts for peak in test.peaks.values())
-    assert any("faces differ" in doubt for doubt in test.peaks["B"].doubts)
-    assert any(peak.value == pytest.approx(PEAK, rel=0.06) for peak in test.peaks.values())
-
-
-@pytest.mark.parametrize(
-    ("changes", "wrong", "fits"),
-    [({"incident_bar": {"gauge": "1.1 m"}}, "A", "0.75"), ({"incident_bar": {"gauge": "0.5 m"}}, "A", "0.75"),
-     ({"incident_bar": {"E": "120 GPa"}, "receiving_bar": {"E": "120 GPa"}}, "A", "would fit"),
-     ({"receiving_bar": {"gauge": "1.1 m"}}, "B", "0.6")],
-)  # fmt: skip
-def test_distances_are_held_against_the_arrivals(changes: Any, wrong: str, fits: str, tmp_path: Path) -> None:
-    test = read(tmp_path, waves(), **changes)
-    assert all(peak.doubts for peak in test.peaks.values())
-    said = " ".join((*test.withheld, *(d for peak in test.peaks.values() for d in peak.doubts)))
-    assert "would fit" in said
-    assert fits in said
-    assert ("A" not in test.peaks) == (wrong == "A") or any("too early" in w for w in test.withheld)
+    try:
+        test = read(tmp_path, frame if change is None else change(frame), **keys)
+    except UsageError as error:
+        said, peaks = str(error), []
+    else:
+        peaks = list(test.peaks.values())
+        said = " ".join((*test.withheld, *(doubt for peak in peaks for doubt in peak.doubts)))
+    assert re.search(words, said)
+    assert bool(words) == (not peaks or any(peak.doubts for peak in peaks))
+    off = [abs(peak.value / PEAK - 1.0) for peak in peaks]
+    assert all(peak.doubts or one < 0.06 for peak, one in zip(peaks, off, strict=True))
+    if "unit" not in said and "a striker" not in said:
+        assert not peaks or min(off) < 0.06 or any(peak.low <= PEAK <= peak.high for peak in peaks)
 
 
 def test_a_small_error_of_time_is_shifted(tmp_path: Path) -> None:
@@ -294,7 +350,7 @@ def test_the_sheet_the_forces_and_the_pulse(tmp_path: Path, capsys: pytest.Captu
     assert "two waves" in page
     assert "<svg" in page
     pulse = pd.read_csv(tmp_path / "out/pulse.csv")
-    assert pulse["strain [microstrain]"].max() == pytest.approx(800.0, abs=6.0)
+    assert pulse["strain [microstrain]"][lambda strain: strain > 400.0].median() == pytest.approx(800.0, abs=8.0)
     assert abs(pulse["strain [microstrain]"].iloc[-1]) < 20.0
     forces = pd.read_csv(tmp_path / "out/forces.csv")
     assert forces["B [kN]"].max() == pytest.approx(25.0, rel=0.03)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from uqsphere.labs.files import Density, Force, Length, Pressure, Section, Time, from_library
+from uqsphere.labs.files import Density, Force, Length, Pressure, Section, Speed, Time, from_library
 
 Columns = Annotated[tuple[str | int, ...], BeforeValidator(lambda v: (v,) if isinstance(v, (str, int)) else v)]
 
@@ -67,6 +67,8 @@ class RecordTable(Section):
     aligned : each of the three waves begins at its own foot (they were cut out): distances do not count.
     more_files : other channels of the same recorder, one file each, in the same layout and on the same clock.
     polarity : sign of compression in the file; `auto`: the incident wave presses.
+    striker_speed : of a striker like the incident bar; its wave has the strain v/(2 c0).
+    dispersion : whether waves are moved from gauge to face by the first mode of a bar, or without change of shape.
     window : times between which the incident wave passes its gauge.
     """
 
@@ -80,6 +82,8 @@ class RecordTable(Section):
     sample_interval: Time | None = None
     aligned: bool = False
     polarity: Literal["auto", "tension", "compression"] = "auto"
+    striker_speed: Speed | None = None
+    dispersion: bool = True
     window: tuple[Time, Time] | None = None
 
 

@@ -24,6 +24,7 @@ from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.document import BarTable, RecordDocument
 from uqsphere.labs.shpb.record import Change, Changes, Record, Signal, Wave, smooth
+from uqsphere.mechanics.bars import correct
 
 NORMAL: Final = 1.959964
 #: samples at the faces, at the least
@@ -39,6 +40,8 @@ _GROSS: Final = 0.25
 #: width of an interval over its value beyond which a number is hardly known; difference of the faces that is a doubt
 #: even where their intervals meet
 _WIDE, _APART = 0.3, 0.2
+#: speeds of a striker [m/s] between which tests are made; relative difference from the given one that is a fault
+_STRUCK, _AWRY = (0.1, 100.0), 0.1
 #: difference of the forces over their mean that counts as equilibrium
 _BALANCE: Final = 0.05
 
@@ -73,7 +76,7 @@ class Reading:
     """One test.
 
     time, force_a, force_b (n,) [s], [N] with their standard deviations; `force_a` is None where it is not known.
-    pulse : the incident wave at its gauge, compression positive, from rest to rest.
+    pulse : the incident wave at face A, compression positive, from rest to rest.
     peaks : by face, "A", "B" and "mean"; only faces that are known.
     withheld : why a number is not given; changes : what mending changed, the shift of time included.
     balanced : share of the rise from half the largest force in which both forces agree within 5 %.
@@ -111,7 +114,7 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         raise UsageError("the first wave of the incident bar does not press (record.polarity)")
     changes = Changes(record.changes)
     withheld: list[str] = []
-    reflects, transmits, doubt_a, doubt_b = _arrivals(record, document, changes)
+    reflects, transmits, doubt_a, doubt_b, fast = _arrivals(record, document, changes)
     start, lead = max(wave.foot - _lead(wave), 0), _lead(wave)
 
     # first touch in the receiving and the reflected signal; where distances are wrong a wave begins at its own foot
@@ -138,7 +141,8 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         count = min(count, count_a)
     last = min(last, count)
 
-    transmitted = _at(rec.strain, to_b, count)
+    disperses = document.record.dispersion and not aligned
+    transmitted = _at_face(rec, to_b, count, -behind.gauge, behind, step, changes if disperses else None)
     force_b = -behind.stiffness * transmitted
     gain_b = math.hypot(behind.gain_sd, _BENT if rec.single else 0.0)
     sd_b = np.sqrt(behind.stiffness**2 * (rec.noise**2 + rec.offset**2) + (gain_b * force_b) ** 2)
@@ -149,14 +153,23 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         raise UsageError("no force at the receiving face rises above the noise of the record")
     if doubt_b:
         found["B"] = _doubted(found["B"], doubt_b)
+    if fast != 1.0:
+        other = found["B"].value * fast**2
+        text = f"with another E in place of another distance the force is {other * 1e-3:.4g} kN"
+        found["B"] = _doubted(found["B"], text, 0.98 * other, 1.02 * other)
 
     incident = np.zeros(count)
     there = int(min(count, delay, len(inc.strain) - start))
     incident[:there] = inc.strain[start : start + there]
+    # where incident and reflected wave overlap neither can be moved by itself
+    moved = changes if disperses and (first, last) == (0, count) else None
+    if moved is not None:
+        incident = moved_wave(incident, bar.gauge, bar, step)
     force_a, sd_a, energies = None, np.full(count, np.inf), None
     if not withheld:
-        turned, doubt = _sign_of_reflected(record, document, incident, _at(signal.strain, to_a, count), bar, changes)
-        reflected = turned * _at(signal.strain, to_a, count)
+        reflected = _at_face(signal, to_a, count, -bar.gauge, bar, step, moved)
+        turned, doubt = _sign_of_reflected(record, document, incident, reflected, bar, changes)
+        reflected = turned * reflected
         force_a = -bar.stiffness * (incident + reflected)
         alive = np.arange(count) < there
         noise = signal.noise**2 + np.where(alive, inc.noise**2, 0.0)
@@ -179,6 +192,8 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
             found["A"] = _doubted(found["A"], "its largest value lies where incident and reflected wave overlap")
         for text in filter(None, (doubt, doubt_b)):
             found["A"] = _doubted(found["A"], text)
+        _same_impulse(found, force_a, force_b, time, bar.gain_sd + gain_b,
+                      bar.stiffness * (inc.offset + signal.offset) + behind.stiffness * rec.offset)  # fmt: skip
         if (first, last) == (0, count):
             energies = Energies(
                 incident=bar.stiffness * bar.wave_speed * step * float(np.square(incident).sum()),
@@ -186,6 +201,16 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
                 transmitted=behind.stiffness * behind.wave_speed * step * float(np.square(transmitted).sum()),
             )
         force_a[:first] = force_a[last:] = np.nan
+    struck = 2.0 * bar.wave_speed * wave.peak
+    said = document.record.striker_speed
+    if said is None:
+        changes.add("gains", "", "a factor of both bars (gain, E, diameter) does not show in a record; "
+                    "record.striker_speed checks the gains")  # fmt: skip
+    if not (_STRUCK[0] <= struck <= _STRUCK[1] if said is None else abs(struck - said) <= _AWRY * said):
+        text = f"an incident wave of {wave.peak * 1e6:.4g} microstrain is that of a striker of {struck:.3g} m/s"
+        text += ": is a unit or a gain wrong?" if said is None else f", not {said:.3g} m/s: a gain or a unit is wrong"
+        found = {face: _doubted(peak, text, *(v * (said or struck) / struck for v in (peak.low, peak.high)))
+                 for face, peak in found.items()}  # fmt: skip
     peaks = _held_together(found, energies, bar.stiffness * wave.peak if wave.ended else math.inf, document)
     at = int(np.searchsorted(time, peaks["B"].time))
     peaks["B"] = _bent(peaks["B"], behind.stiffness * _at(rec.spread, to_b, count), at, peaks["B"].value, "receiving")
@@ -203,6 +228,7 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     # parabolas over half the rise follow the pulse and leave most of the noise
     pulse = -inc.strain[start : wave.end + lead]
     pulse = savgol_filter(pulse, 2 * (wave.rising // 4) + 1, 2) if 8 <= wave.rising < len(pulse) else pulse
+    pulse = moved_wave(pulse, bar.gauge, bar, step) if disperses else pulse
     pulse[[0, -1]] = 0.0
     return Reading(
         step=step, touch=record.start + step * start + (0.0 if aligned else bar.gauge / bar.wave_speed), time=time,
@@ -223,19 +249,20 @@ def _crossing(values: Array, level: float, begin: int, end: int) -> int | None:
     return begin + int(runs[0]) if len(runs) else None
 
 
-def _arrivals(record: Record, document: RecordDocument, changes: Changes) -> tuple[float, float, str, str]:
+def _arrivals(record: Record, document: RecordDocument, changes: Changes) -> tuple[float, float, str, str, float]:
     """The three arrivals held against distances and wave speeds: delays of the reflected and the transmitted wave in
-    samples, shifted where a wave comes a little early, and why the distances to A and B are doubted."""
+    samples, shifted where a wave comes a little early, why the distances to A and B are doubted, and the wave speed
+    that the reflected wave has over that of the bar, 1 without doubt."""
     step, inc, rec = record.step, record.incident, record.receiving
     bar, behind = document.incident_bar, document.receiving_bar
     wave = inc.wave
     if document.record.aligned:
         own = [s.wave.foot - _lead(s.wave) for s in (record.reflected or inc, rec)]
         start = max(wave.foot - _lead(wave), 0)
-        return max(own[0], 0) - start, max(own[1], 0) - start, "", ""
+        return max(own[0], 0) - start, max(own[1], 0) - start, "", "", 1.0
     reflected = 2.0 * bar.gauge / bar.wave_speed / step
     transmitted = (bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed) / step
-    steep, doubt_a, doubt_b = float(wave.rising), "", ""
+    steep, doubt_a, doubt_b, fast = float(wave.rising), "", "", 1.0
 
     def lags(share: float, window: float) -> tuple[int | None, int | None]:
         """Samples by which reflected and transmitted wave come behind the incident one; None where that is not seen."""
@@ -255,11 +282,15 @@ def _arrivals(record: Record, document: RecordDocument, changes: Changes) -> tup
         return None if back is None else back - first, None if there is None else there - first
 
     back, there = lags(*_SURE)
+    if there is not None and there < -steep:
+        raise UsageError(f"{rec.name}: its wave comes {-there * step * 1e6:.4g} us before the incident wave: are the "
+                         "columns exchanged?")  # fmt: skip
     if back is not None:
         off = back - reflected
         if not -(_EARLY * reflected + 0.5 * steep + 3.0) <= off <= _LATE * reflected + 2.0 * steep + 5.0:
             late_by = f"{abs(off) * step * 1e6:.4g} us too {'early' if off < 0 else 'late'}"
             would = f"{0.5 * back * step * bar.wave_speed:.4g} m would fit (or another E or density)"
+            fast = reflected / max(back, 1)
             doubt_a = f"the reflected wave comes {late_by} for a gauge at {bar.gauge:.4g} m; {would}"
     # the transmitted wave may be late, by the transit and the softness of the specimen, but not early
     if there is not None:
@@ -270,6 +301,11 @@ def _arrivals(record: Record, document: RecordDocument, changes: Changes) -> tup
             would = f"{fits:.4g} m would fit" if fits > 0.0 else "no distance of this gauge fits"
             late_by = f"{abs(off) * step * 1e6:.4g} us too {'early' if off < 0 else 'late'}"
             doubt_b = f"the transmitted wave comes {late_by} for a gauge at {behind.gauge:.4g} m; {would}"
+            also = transmitted / max(there, 1)
+            if doubt_a and abs(also - fast) < abs(fast - 1.0) / 3.0:
+                seen = f"{fast * bar.wave_speed:.4g} m/s, not {bar.wave_speed:.4g} m/s"
+                why = "E, density or both distances are wrong"
+                raise UsageError(f"both arrivals fit a wave speed of {seen}: {why} ({doubt_a}; {doubt_b})")
             if off < 0.0:  # no force before first touch: the incident wave itself is not where it seems
                 doubt_a = doubt_a or doubt_b
     if steep < 0.05 * reflected and not doubt_a and not doubt_b:
@@ -282,7 +318,7 @@ def _arrivals(record: Record, document: RecordDocument, changes: Changes) -> tup
                 changes.add("time shift", signal, text, off * step)
                 reflected += off * (name == "reflected")
                 transmitted += off * (name == "transmitted")
-    return reflected, transmitted, doubt_a, doubt_b
+    return reflected, transmitted, doubt_a, doubt_b, fast
 
 
 def _lead(wave: Wave) -> int:
@@ -335,6 +371,36 @@ def _at(values: Array, place: float, count: int) -> Array:
     return found
 
 
+def moved_wave(wave: Array, distance: float, bar: BarTable, step: float) -> Array:
+    """A wave (n,) by itself, `distance` [m] further on, in the time of the one-dimensional wave.
+
+    Phases by the first mode of Pochhammer and Chree (P. S. Follansbee, C. Frantz, J. Eng. Mater. Technol. 105 (1983)
+    61); amplitudes stay, since the factors of the section amplify noise.
+    """
+    room = max(8, math.ceil(2.0 * abs(distance) / bar.wave_speed / step))
+    fading = wave[-1] * 0.5 * (1.0 + np.cos(np.linspace(0.0, math.pi, room)))
+    padded = np.concatenate([np.zeros(room), wave, fading, np.zeros(room)])
+    found = correct(padded, step, distance, radius=0.5 * bar.diameter, wave_speed=bar.wave_speed, nu=bar.nu,
+                    surface=False)  # fmt: skip
+    return np.asarray(found[room : room + len(wave)])
+
+
+def _at_face(
+    signal: Signal, place: float, count: int, distance: float, bar: BarTable, step: float, changes: Changes | None
+) -> Array:
+    """A wave of a gauge from a place on, (count,); where `changes` are given as it is at the face."""
+    if changes is None:
+        return _at(signal.strain, place, count)
+    more = min(count + math.ceil(abs(distance) / bar.wave_speed / step), len(signal.strain) - 3 - int(place))
+    wave = _at(signal.strain, place, max(count, more))
+    moved = moved_wave(wave, distance, bar, step)[:count]
+    by = float(np.abs(moved - wave[:count]).max())
+    share = by / max(float(np.abs(wave[:count]).max()), 1e-300)
+    text = f"moved to the face by the first mode of a bar: changes of up to {share:.1%} of the wave"
+    changes.add("dispersion", signal.name, text, by)
+    return moved
+
+
 # --- the largest force, and what doubts it ------------------------------------------------------------------------
 
 
@@ -381,6 +447,26 @@ def _bent(peak: Peak, spread: Array, at: int, whole: float, bar: str) -> Peak:
     return _doubted(peak, doubt, peak.low - bent, peak.high + bent)
 
 
+def _same_impulse(
+    peaks: dict[str, Peak], force_a: Array, force_b: Array, time: Array, gains: float, zeros: float
+) -> None:
+    """A specimen moves little: while B bears half its largest force or more, A gives the same impulse (in place).
+
+    gains : sum of the relative standard deviations of both gains; zeros : sum of those of the forces' zeros [N].
+    """
+    b, low = peaks["B"], force_b < 0.5 * peaks["B"].value
+    at = int(np.searchsorted(time, b.time))
+    before, behind = np.flatnonzero(low[:at]), np.flatnonzero(low[at:])
+    held = slice(int(before[-1]) + 1 if len(before) else 0, at + int(behind[0]) if len(behind) else len(low))
+    known = np.isfinite(force_a[held])
+    share = float(force_a[held][known].sum() / max(force_b[held][known].sum(), 1e-300))
+    if known.sum() > 2 and abs(share - 1.0) > NORMAL * (gains + zeros / b.value):
+        text = f"A gives {share:.3g} times the impulse of B: a gain, a zero or an arrival is wrong"
+        for face, peak in peaks.items():
+            other = peak.value * (share if face == "B" else 1.0 / share if share > 0.0 else 1.0)
+            peaks[face] = _doubted(peak, text, other, other)
+
+
 def _held_together(
     peaks: Mapping[str, Peak], energies: Energies | None, pressed: float, document: RecordDocument
 ) -> dict[str, Peak]:
@@ -411,7 +497,7 @@ def _held_together(
                 text = f"the faces differ by {apart:.0%} (A {a.value * 1e-3:.4g}, B {b.value * 1e-3:.4g} kN): {what}"
                 bound = (min(a.low, b.low), max(a.high, b.high))
                 found[face] = _doubted(found[face], text, *(bound if other is None or apart > _GROSS else (None, None)))
-        if found["mean"].high < min(a.low, b.low):
+        if found["mean"].value < (1.0 - _BALANCE) * 0.5 * (a.value + b.value):
             text = f"both faces reach their largest force {abs(a.time - b.time) * 1e6:.4g} us apart: no common force"
             found["mean"] = _doubted(found["mean"], text, None, max(a.high, b.high))
     return found
