@@ -24,6 +24,9 @@ LABS = ("shpb", "comminution")
 
 def program() -> None:
     """The entry point: the exit code of a command, errors as one message."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:  # closed: no file of ours may take its place
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115
     with contextlib.suppress(AttributeError, OSError, ValueError):
         for stream in (sys.stdout, sys.stderr):
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]
@@ -320,7 +323,8 @@ def _verify(given: argparse.Namespace) -> int:
     from uqsphere.study import load_study
 
     before = open_run(given.folder)
-    study = load_study(given.folder / "study.toml", before.results["study"]["overrides"])
+    text = (given.folder / "study.toml").read_text(encoding="utf-8")
+    study = load_study(given.folder / "files" / "study.toml", before.results["study"]["overrides"], text=text)
     after = run(study, given.model)
     if after.results["answers"] == before.results["answers"]:
         print(f"run again: all {len(before.results['answers'])} answers are the same")

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 #: seconds in which a model's file must have been loaded
 LOADING: Final = 60.0
+#: seconds after which a Dask cluster that has answered and has no worker left is given up
+ALONE: Final = 60.0
 #: exit code of a process that ended at work without one
 _ENDED: Final = 256
 #: how pebble, concurrent.futures, loky and Dask name the end of a process at work
@@ -272,6 +274,8 @@ class Given:
             raise UsageError(f"an executor has a method submit(), which {type(executor).__name__} has not")
         self.executor = executor
         self.dask = type(executor).__module__.partition(".")[0] == "distributed"
+        #: whether it has answered, and when it last had a worker
+        self.answered, self._manned = False, time.monotonic()
 
     def submit(self, task: Task, rows: Array, limit: float | None) -> Any:
         """As `Here.submit`. Raises AccessError where nothing is taken any more."""
@@ -281,9 +285,21 @@ class Given:
             raise self.lost(f"{type(error).__name__}: {told(error)}") from error
 
     def check(self) -> None:
-        """Raise AccessError where no answer will come any more."""
-        if self.dask and self.executor.status not in ("running", "connecting"):
+        """Raise AccessError where no answer will come any more: none before the first, which may wait in a queue."""
+        if not self.dask:
+            return
+        if self.executor.status not in ("running", "connecting"):
             raise self.lost("the connection to its scheduler is closed")
+        idle = time.monotonic() - self._manned
+        if idle > 2.0:
+            try:
+                manned = bool(self.executor.nthreads())
+            except Exception as error:
+                raise self.lost(f"{type(error).__name__}: {told(error)}") from error
+            if manned or not self.answered:
+                self._manned = time.monotonic()
+            elif idle > ALONE:
+                raise self.lost(f"it has had no worker for {ALONE:g} s")
 
     def lost(self, why: str) -> AccessError:
         what = "the Dask cluster" if self.dask else f"the executor {type(self.executor).__name__}"
@@ -303,7 +319,10 @@ def outcome(workers: Workers, future: Any) -> tuple[EvaluatedRows, float]:
     model failed or the executor was lost.
     """
     try:
-        return future.result()  # type: ignore[no-any-return]
+        answers: tuple[EvaluatedRows, float] = future.result()
+        if isinstance(workers, Given):
+            workers.answered = True
+        return answers
     except (UqsphereError, KeyboardInterrupt):
         raise
     except BaseException as error:  # CancelledError is no Exception in Dask

@@ -20,8 +20,11 @@ from uqsphere.errors import AccessError, FolderError
 SUMS: Final = "SHA256SUMS"
 RESULTS: Final = "results.json"
 #: files that a run may have written; another folder is not written into
-OWN: Final = frozenset({"study.toml", RESULTS, "answers.csv", "samples.csv", "report.html", "figures", "log.txt", SUMS,
-                        "cache.sqlite", "cache.sqlite-journal", ".lock", "history.csv"})  # fmt: skip
+OWN: Final = frozenset({"study.toml", RESULTS, "answers.csv", "samples.csv", "report.html", "figures", "files", "log.txt",
+                        SUMS, "cache.sqlite", "cache.sqlite-journal", ".lock", "history.csv"})  # fmt: skip
+#: what a folder begins with in which files wait until all are written
+PART: Final = ".part-"
+_AGAIN: Final = "run the study again with --fresh"
 #: bytes of a results.json that is read
 LARGEST: Final = 64 << 20
 
@@ -36,49 +39,59 @@ def locked(folder: Path) -> Iterator[None]:
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise FolderError(f"{folder} is no folder: choose another one with --out")
         folder.mkdir(parents=True, exist_ok=True)
-        strange = sorted(entry.name for entry in folder.iterdir() if entry.name not in OWN)
+        names = sorted(entry.name for entry in folder.iterdir())
+        strange = [name for name in names if name not in OWN and not name.startswith(PART)]
         if strange:
             raise FolderError(f"{folder} holds {strange[0]!r}, which is of no run: choose another folder with --out")
         lock = FileLock(folder / ".lock", timeout=0)
-        with lock:
-            yield
+        lock.acquire()
     except Timeout:
         raise FolderError(f"{folder} is in use by another run") from None
     except OSError as error:
         raise AccessError(f"{folder}: {error.strerror or error}") from error
+    try:
+        for left in folder.glob(f"{PART}*"):  # of a run that was killed
+            shutil.rmtree(left, ignore_errors=True)
+        yield
     finally:
         with contextlib.suppress(OSError):
             (folder / ".lock").unlink()
+        lock.release()
 
 
 def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
-    """Write files whole: each beside its place first, then moved there; the checksums are the last.
+    """Write files whole: all of them beside their places first, then moved there; the checksums are the last.
 
     Raises AccessError where the system refuses (a full disk, no permission): what stood there before stands.
     """
+    sums, part = {} if RESULTS in files else _sums(folder), None
+    contents = {name: text.encode() if isinstance(text, str) else text for name, text in files.items()}
+    sums |= {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
+    contents[SUMS] = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items())).encode()
     try:
-        for name, content in files.items():
-            _write(folder / name, content)
-        names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
-        kept = [name for name in names if name not in (SUMS, ".lock", "log.txt") and not name.startswith("cache.")]
-        sums = "".join(f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in kept)
-        _write(folder / SUMS, sums)
+        folder.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(dir=folder, prefix=PART))
+        for number, (name, content) in enumerate(contents.items()):
+            link = next((one for one in (folder / name).parents if one != folder and one.is_symlink()), None)
+            if link is not None and folder in link.parents:
+                raise FolderError(f"{link} is a link, which is not followed: remove it")
+            (part / f"{number}").write_bytes(content)
+        for number, name in enumerate(contents):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(part / f"{number}", folder / name)
     except OSError as error:
         raise AccessError(f"{folder}: {error.strerror or error}") from error
+    finally:
+        if part is not None:
+            shutil.rmtree(part, ignore_errors=True)
 
 
-def _write(path: Path, content: str | bytes) -> None:
-    path.parent.mkdir(exist_ok=True)
-    handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content.encode("utf-8") if isinstance(content, str) else content)
-        os.chmod(beside, 0o644)
-        os.replace(beside, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.unlink(beside)
-        raise
+def _sums(folder: Path) -> dict[str, str]:
+    """Checksums by file; none where there is no such list."""
+    with contextlib.suppress(OSError, ValueError):
+        lines = (folder / SUMS).read_text(encoding="utf-8").splitlines()
+        return {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
+    return {}
 
 
 def clear(folder: Path) -> None:
@@ -102,25 +115,25 @@ def read_results(folder: Path) -> dict[str, Any]:
             raise FolderError(f"{folder} holds no {RESULTS}: it is no result folder of this version")
         if path.stat().st_size > LARGEST:
             raise FolderError(f"{path} is larger than any run writes")
-        results = json.loads(path.read_text(encoding="utf-8"))
+        content = path.read_bytes()
+        results = json.loads(content)
     except OSError as error:
         raise AccessError(f"{path}: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
-        raise FolderError(f"{path} is damaged: {type(error).__name__}") from None
+        raise FolderError(f"{path} is damaged ({type(error).__name__}): {_AGAIN}") from None
     if not isinstance(results, dict) or results.get("schema_version") != 2:
-        raise FolderError(f"{path} is of another schema: run the study again")
+        raise FolderError(f"{path} is of another version: {_AGAIN}")
+    if hashlib.sha256(content).hexdigest() != _sums(folder).get(RESULTS):
+        raise FolderError(f"{path} is not as it was written: {_AGAIN}")
     return results
 
 
 def damaged_files(folder: Path) -> list[str]:
     """Files whose checksum differs from `SHA256SUMS`, or that are missing; empty where the folder is whole."""
-    try:
-        lines = (folder / SUMS).read_text(encoding="utf-8").splitlines()
-    except (OSError, ValueError):
-        raise FolderError(f"{folder} holds no {SUMS}: it is no result folder, or an unfinished one") from None
-    wrong = []
-    for line in lines:
-        digest, _, name = line.partition("  ")
+    sums, wrong = _sums(folder), []
+    if not sums:
+        raise FolderError(f"{folder} holds no {SUMS}: it is no result folder, or an unfinished one")
+    for name, digest in sums.items():
         path = folder / name
         whole = path.is_file() and not path.is_symlink() and folder.resolve() in path.resolve().parents
         if not whole or hashlib.sha256(path.read_bytes()).hexdigest() != digest:

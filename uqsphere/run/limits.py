@@ -45,10 +45,15 @@ def limits(design: Design, tables: Tables) -> Answers:
 
 def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
     """The failure probability of a limit: of missing its aim."""
-    if limit.name in tables.rare:
-        return tables.rare[limit.name].estimate
     state = state_of(design, limit, tables.sample)
     found = miss(state, limit.aim)
+    if limit.name in tables.rare:
+        searched = tables.rare[limit.name].estimate
+        # a search that has seen nothing knows no less than the sample does
+        if searched.value is not None or (searched.high or 1.0) <= (high := found.high or 1.0):
+            return searched
+        reason = f"no failure in {found.evaluations} samples; the probability is below {high:.2g}"
+        return found if found.value else replace(searched, high=high, reason=reason)
     if not design.drawn.names and found.value is not None and not state.late.any() and not state.broken.any():
         return exact(found.value)
     if tables.slow is not None:

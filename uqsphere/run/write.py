@@ -234,6 +234,7 @@ def written(
         return found
     files: dict[str, str | bytes] = {
         "study.toml": study.text,
+        **{f"files/{name}": path.read_bytes() for name, path in study.files if path.is_file()},
         "results.json": json.dumps(results, indent=1, allow_nan=False, ensure_ascii=False) + "\n",
         "answers.csv": frame_of(results["answers"]).to_csv(index=False),
         "samples.csv": samples.to_csv(index=False),

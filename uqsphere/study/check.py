@@ -172,7 +172,7 @@ def resolve(document: Document, data: Mapping[str, Any], reader: Reader, path: P
         model=document.model or ModelChoice(), limits=tuple(draft.limits.values()), dependence=document.dependence,
         analysis=analysis.model_copy(update={"quantities": analysis.quantities or tuple(usual)}),
         margins=draft.margins, record=draft.record, outputs=document.outputs.names if document.outputs else (),
-        gauges=(*gauges, *document.gauges), warnings=tuple(reader.warnings),
+        gauges=(*gauges, *document.gauges), warnings=tuple(reader.warnings), files=tuple(reader.files.items()),
     )  # fmt: skip
     for place, message in _moved_mean(study):
         reader.note(place, message)

@@ -87,6 +87,8 @@ class Reader:
     warnings: list[str] = field(default_factory=list)
     faults: list[tuple[Place, str]] = field(default_factory=list)
     spoiled: set[Place] = field(default_factory=set)
+    #: files that the study has read, by the names it gives them
+    files: dict[str, Path] = field(default_factory=dict)
 
     def warn(self, place: Place, message: str) -> None:
         """Note what a user should know and what does not stop the study, once."""

@@ -96,6 +96,8 @@ def _unusable(data: Mapping[str, Any]) -> Iterator[tuple[Place, str]]:
             yield place, f"found {value!r}: a finite number is required"
         elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
             yield place, "found an integer beyond the 64 bits of TOML"
+        elif isinstance(value, str) and (sign := _INVISIBLE.search(value)):
+            yield place, f"the text holds the control character U+{ord(sign[0]):04X}: leave it out"
 
 
 def _walk(node: Any, place: Place = ()) -> Iterator[tuple[Place, Any]]:
@@ -144,6 +146,8 @@ def _read(data: dict[str, Any], reader: Reader) -> Document:
 
 # --- text, lines, syntax -------------------------------------------------------------------------------------------
 
+#: control characters, and marks that turn the direction of writing
+_INVISIBLE: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 #: a key of more than a dozen parts: reading one takes a time that grows with the square of its length
 _DOTS: Final = re.compile(r"(?<![\w\"'. \t-])(?:[\w\"' \t-]++\.){13}")
 _WHERE: Final = re.compile(r"\s*\(at (?:line (\d+), column \d+|end of document)\)\s*$")

@@ -196,6 +196,7 @@ def inside_folder(name: str, reader: Reader, key: str) -> Path:
         raise Fault(f"{shown(name)} is a link that leaves the study's folder", key)
     if not there:
         raise Fault(f"there is no file {shown(name)} beside the study{suggestion(name, beside)}", key)
+    reader.files[posix.as_posix()] = path
     return path
 
 

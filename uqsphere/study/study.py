@@ -168,6 +168,7 @@ class Study:
     overrides: tuple[str, ...] = ()
     record: MeasuredPulse | None = None
     gauges: tuple[Gauge, ...] = ()
+    files: tuple[tuple[str, Path], ...] = ()
     made_up: tuple[str, ...] = ()
 
     def __init__(self, **tables: Unpack[Tables]) -> None:

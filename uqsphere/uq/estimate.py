@@ -87,6 +87,8 @@ def around(value: float, half: float, error: float, method: str, evaluations: in
 
 def between(value: float, low: float, high: float, replicates: int, method: str, evaluations: int) -> Estimate:
     """A value between ends that were read off at so many replicates: the standard error is that of Student's half."""
+    if not all(map(math.isfinite, (value, low, high, high - low))):
+        return absent("the answer is beyond floating point", method, evaluations)
     error = 0.5 * (high - low) / student(replicates)
     return Estimate(value=value, low=min(low, value), high=max(high, value), std_error=error, method=method,
                     evaluations=evaluations)  # fmt: skip

@@ -365,7 +365,7 @@ def checked(law: Law) -> Law:
     steps = law._steps
     ends = law.ppf(np.array([0.25, 0.75])) if steps is None else steps[[0, -1]]
     low, high = float(ends[0]), float(ends[1])
-    if not (math.isfinite(low) and math.isfinite(high)):
+    if not (math.isfinite(low) and math.isfinite(high) and np.isfinite(law.isf(np.array([1e-9]))[0])):
         raise beyond
     if not high > low:
         raise LawError("the law has no scatter: give the number itself where a fixed value is meant", "dist")
