@@ -552,7 +552,7 @@ with open_model(load_study(text={STUDY!r}), {reference!r}, threads=1, cache=Path
 def test_a_stop_loses_nothing(place: Path) -> None:
     reference, cache = slow(place), place / "cache"
     with (
-        open_model(study(), reference, threads=1, cache=cache, stop=lambda: calls(place) >= 5) as model,
+        open_model(study(), reference, threads=1, cache=cache, stop=lambda: calls(place) >= 3) as model,
         pytest.raises(Interrupted),
     ):
         evaluated(model)

@@ -20,8 +20,10 @@ from uqsphere.errors import AccessError, FolderError
 SUMS: Final = "SHA256SUMS"
 RESULTS: Final = "results.json"
 #: files that a run may have written; another folder is not written into
-OWN: Final = frozenset({"study.toml", RESULTS, "answers.csv", "samples.csv", "report.html", "figures", "files", "log.txt",
-                        SUMS, "cache.sqlite", "cache.sqlite-journal", ".lock", "history.csv"})  # fmt: skip
+OWN: Final = frozenset({
+    "study.toml", "files", RESULTS, "answers.csv", "samples.csv", "report.html", "figures", "history.csv", "log.txt",
+    SUMS, ".lock", "cache.sqlite", "cache.sqlite-journal", "cache.sqlite.damaged",
+})  # fmt: skip
 #: what a folder begins with in which files wait until all are written
 PART: Final = ".part-"
 _AGAIN: Final = "run the study again with --fresh"

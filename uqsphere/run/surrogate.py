@@ -297,6 +297,8 @@ def described(design: Design, slow: Slow, sample: Sample, name: str) -> Descript
                         method=f"{slow.count} {ROUGH}; {unseen(slow.count)}")  # fmt: skip
     rows, levels = slow.rows.answer(name)[0], slow.left_out.answer(name)[0]
     known = np.isfinite(rows) & np.isfinite(levels)
+    if not known.any():  # beyond floating point
+        return describe(sample.answer(name), quantiles=analysis.quantiles)
     return describe_corrected(sample.answer(name), rows[known], levels[known], analysis.quantiles)
 
 

@@ -1,0 +1,177 @@
+"""Hostile and unlucky surroundings of a run, one table: what happens, exit code, what is said, which files are left."""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from uqsphere.mechanics.integrator import compiled
+
+WHOLE = {"SHA256SUMS", "answers.csv", "cache.sqlite", "figures", "log.txt", "report.html",
+                                "results.json", "samples.csv", "study.toml"}  # fmt: skip
+STUDY = """
+title = "%s"
+seed = 1
+[inputs]
+%s
+[outputs]
+names = ["y"]
+[limits.high]
+quantity = "y"
+strength = 6.0
+target = 0.1
+"""
+BOX = """
+import os, time
+def f(x):
+    time.sleep(float(os.environ.get("SLOW", 0)) * len(x["a"]))
+    return {"y": %s}
+"""
+NORMAL = '%s = { dist = "normal", mean = 0.0, sd = 1.0 }\n'
+UQ = "$PY -m uqsphere"
+RUN = f"{UQ} run s.toml --model box.py:f"
+
+#: what is done in a folder with the study and its model, exit code, what is said, files of the results
+CASES: dict[str, tuple[str, int, str, set[str] | None]] = {
+    # the terminal and the language
+    "plain": (RUN, 0, "Größe µ", WHOLE),
+    "LC_ALL=C": (f"LC_ALL=C PYTHONUTF8=0 PYTHONCOERCECLOCALE=0 {RUN}", 0, r"Gr\?\?e", WHOLE),
+    "de_DE": (f"LC_ALL=de_DE.UTF-8 {RUN}", 0, r"\d\.\d+ %", WHOLE),
+    "tr_TR": (f"LC_ALL=tr_TR.ISO-8859-9 {RUN}", 0, "probability", WHOLE),
+    "dumb, 20 columns": (f"TERM=dumb COLUMNS=20 {RUN}", 0, "(?m)^high: Failure$", WHOLE),
+    "a pipe that closes": (f"{RUN} | head -c 10", 0, "", WHOLE),
+    "all streams closed": (f"{RUN} >&- 2>&- <&-", 0, "", WHOLE),
+    "a full terminal": (f"{RUN} > /dev/full", 6, "No space left", WHOLE),
+    # the interpreter and the machine
+    "-O -W error": (f"$PY -O -W error {RUN[4:]}", 0, "probability", WHOLE),
+    "2 GB, one core, 40 files": (f"ulimit -v 2000000 -n 40; taskset -c 0 {RUN}", 0, "probability", WHOLE),
+    # files
+    "a full disk": (f"ulimit -f 4; {RUN}", 6, "File too large", {"cache.sqlite", "log.txt"}),
+    "a full disk later": (f"{RUN}; ulimit -f 4; {RUN} && exit 1; {UQ} verify s-results", 0, "as it was written", WHOLE),
+    "no place": (f"{RUN} --out /proc/x", 6, "/proc/x", None),
+    "a file in its place": (f"{RUN} --out box.py", 5, "is no folder", None),
+    "files of another": (f"mkdir s-results; touch s-results/thesis; {RUN}", 5, "'thesis', which is of", {"thesis"}),
+    "two at once": (f"(SLOW=0.02 {RUN} &) >/dev/null 2>&1; sleep 4; {RUN}", 5, "in use by another run", None),
+    "killed, and again": (
+        f"SLOW=0.0005 timeout -s KILL 5 {RUN}; {RUN} --json | grep reused", 0, '"reused": [1-9]', WHOLE),
+    "moved and copied": (
+        f"{RUN}; mv s-results m; cp -r m s-results; {UQ} report m && {UQ} verify m --again --model box.py:f && "
+        f"{UQ} compare m s-results", 0, "(?s)answers are the same.*no answer moved", WHOLE),
+    "a link to elsewhere": (
+        f"mkdir t; {RUN}; rm -r s-results/figures; ln -s ../t s-results/figures; {UQ} report s-results", 5,
+        "is a link, which is not followed", WHOLE),
+    **{f"results {name}": (f"{RUN}; {damage} s-results/results.json; {UQ} report s-results; {RUN}", 5,
+                           f"(?s){says}.*{says}.*--fresh", WHOLE)
+       for name, damage, says in (("truncated", "truncate -s 500", "is damaged"),
+                                  ("changed", "sed -i s/value/valve/", "not as it was written"),
+                                  ("of another version", "sed -i s/n.:.2/n\\\":1/", "of another version"))},
+    "a cache that is none": (f"mkdir s-results; echo x > s-results/cache.sqlite; {RUN}; {RUN}", 0, "probability",
+                             WHOLE | {"cache.sqlite.damaged"}),
+    # the study
+    "CRLF and a mark": (r"sed -i '1s/^/\xef\xbb\xbf/;s/$/\r/' s.toml; " + RUN, 0, "Größe µ", WHOLE),
+    "UTF-16": (f"iconv -t UTF-16 s.toml > t; mv t s.toml; {RUN}", 2, "save it as UTF-8", None),
+    "a megabyte": (f"(printf '# '; head -c 1000000 /dev/zero | tr '\\0' x) >> s.toml; {RUN}", 0, "probability", WHOLE),
+    "an escape": (rf"sed -i 's/^title.*/title = \"\\u001b[31m\"/' s.toml; {RUN}", 2, r"character U\+001B", None),
+}  # fmt: skip
+
+
+def shell(place: Path, command: str, study: str, answer: str = "3 * x['a'] + 0 * x['b']") -> tuple[int, str]:
+    (place / "s.toml").write_text(study, encoding="utf-8")
+    (place / "box.py").write_text(BOX % answer)
+    env = {**os.environ, "PY": sys.executable, "PYTHONPATH": os.getcwd()}
+    done = subprocess.run(["bash", "-c", command], cwd=place, env=env, capture_output=True, timeout=300, check=False)
+    return done.returncode, (done.stdout + done.stderr).decode()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_surroundings(tmp_path: Path, name: str) -> None:
+    command, code, says, files = CASES[name]
+    ended, text = shell(tmp_path, command, STUDY % ("Größe µ", NORMAL % "a" + NORMAL % "b"))
+    assert ended == code, text
+    assert re.search(says, text), text
+    assert not re.search("Traceback|internal error", text)
+    if files is not None:
+        assert {path.name for path in (tmp_path / "s-results").iterdir()} == files
+
+
+@pytest.mark.parametrize(
+    ("count", "limits", "answer", "code", "says"),
+    [
+        (200, 1, "sum(x.values())", 3, "not met"),
+        (1001, 1, "x['a']", 2, "at most 1000"),
+        (2, 200, "x['a']", 2, "at most 50"),
+        (2, 1, "1e308 + 0 * x['a']", 3, "100 %"),
+        (2, 1, "1e308 * x['a']", 4, "y = -?inf"),
+        (2, 1, "5e-324 + 0 * x['a']", 0, "e-324"),
+        (2, 1, "-0.0 * x['a']", 0, "below"),
+        (2, 1, "x['a'] > 0", 0, "below"),
+        (2, 1, "[10**400 for _ in x['a']]", 4, "not an array of numbers"),
+    ],
+)
+def test_many_and_extreme_numbers(tmp_path: Path, count: int, limits: int, answer: str, code: int, says: str) -> None:
+    names = ["a", "b", *(f"x{k}" for k in range(count - 2))]
+    study = STUDY % ("x", "".join(NORMAL % name for name in names))
+    study += "".join(f'[limits.l{k}]\nquantity = "y"\nstrength = 9.0\n' for k in range(limits - 1))
+    ended, text = shell(tmp_path, f"{RUN} --set analysis.budget.evaluations=4200", study, answer)
+    assert ended == code, text
+    assert re.search(says, text), text
+    assert "internal error" not in text
+
+
+def test_texts_stay_texts_on_the_page(tmp_path: Path) -> None:
+    """Markup, a formula and Hebrew in a title; the page escapes them, and answers.csv has no cell that is a formula."""
+    title = "<script>console.log(1)</script><img src=x onerror=alert(2)> =1+1 שלום"
+    code, text = shell(tmp_path, RUN, STUDY % (title, NORMAL % "a" + NORMAL % "b"))
+    assert code == 0, text
+    page = (tmp_path / "s-results" / "report.html").read_text(encoding="utf-8")
+    assert "&lt;script&gt;console.log(1)" in page
+    assert "<img src=x" not in page
+    assert "שלום" in page
+    for name in ("answers.csv", "samples.csv"):
+        cells = (tmp_path / "s-results" / name).read_text(encoding="utf-8").replace("\n", ",").split(",")
+        assert not [cell for cell in cells if re.match(r"[=@+]|-[^\d.]", cell)]
+
+
+# --- compiled code ----------------------------------------------------------------------------------------------------
+
+
+def double(x: float) -> float:
+    return 2.0 * x
+
+
+@pytest.mark.parametrize("damage", ["truncated", "flipped", "foreign", "a folder"])
+def test_a_damaged_file_of_compiled_code_is_compiled_anew(
+    tmp_path: Path, damage: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
+    made: Any = compiled.compiled()
+    assert made(double)(2.0) == 4.0
+    (file,) = tmp_path.glob("*.nbc")
+    content = bytearray(file.read_bytes())
+    content[random.Random(1).randrange(len(content))] ^= 4
+    file.unlink()
+    if damage == "a folder":
+        file.mkdir()
+    else:
+        file.write_bytes({"truncated": content[:99], "flipped": content, "foreign": b"x"}[damage])
+    again = made(double)
+    assert again(2.0) == 4.0
+    assert sum(again.stats.cache_hits.values()) == 0
+    assert sum(made(double).stats.cache_hits.values()) == 0
+    fresh = made(double)
+    assert fresh(2.0) == 4.0
+    assert sum(fresh.stats.cache_hits.values()) == (damage != "a folder")
+
+
+def test_no_folder_for_compiled_code_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "/proc/nowhere")
+    assert compiled.cache_folder() is None
+    made: Any = compiled.compiled()
+    assert made(double)(2.0) == 4.0
