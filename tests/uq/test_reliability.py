@@ -12,7 +12,7 @@ from scipy.special import ndtr, ndtri, owens_t
 from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.fitting import fitted_law
 from uqsphere.uq.law import make_law
-from uqsphere.uq.limit_state import LimitState, exceedance, margin_quantiles, miss, reliability_index, target_met
+from uqsphere.uq.limit_state import LimitState, exceedance, miss, reliability_index, safety_factor, target_met
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.union import draw_breaking, make_union, residual_correlation, share_of, union_state, weighted_quantile
 
@@ -89,7 +89,7 @@ def test_strength_that_depends_on_the_inputs() -> None:
     sd = math.sqrt(s**2 + d**2 - 2.0 * rho * s * d)
     found = exceedance(state)
     assert found.value == pytest.approx(stats.norm.cdf(-m / sd), abs=4.0 * found.std_error)
-    median = margin_quantiles(state)["0.05"]
+    median = safety_factor(state, 0.05)
     assert median.value == pytest.approx(math.exp(m + ndtri(0.05) * sd), abs=4.0 * median.std_error)
     comonotone = LimitState(demands=np.exp(d * z), strength=state.strength, shift=z, remaining_sd=0.0)
     # Now S/D = exp(m + (s - d) z): exceeded where z < -m/(s - d).
@@ -145,29 +145,25 @@ def test_margins_are_strength_over_demand(strength_scatter: float) -> None:
     hits = 0
     for seed in range(12):
         state = lognormal_state(float(stats.norm.cdf(-place / total)), strength_scatter, seed, n=512)
-        found = margin_quantiles(state)
-        assert list(found) == ["0.05", "median", "0.95"]
-        for p, key in ((0.05, "0.05"), (0.5, "median"), (0.95, "0.95")):
-            exact = math.exp(place + ndtri(p) * total)
-            assert found[key].value == pytest.approx(exact, abs=5.0 * found[key].std_error)
-            hits += found[key].low <= exact <= found[key].high
+        for p in (0.05, 0.5, 0.95):
+            found, exact = safety_factor(state, p), math.exp(place + ndtri(p) * total)
+            assert found.value == pytest.approx(exact, abs=5.0 * found.std_error)
+            hits += found.low <= exact <= found.high
     assert hits >= 29  # of 36: four standard deviations below 95 %
 
 
 def test_margins_that_have_no_meaning_are_absent() -> None:
     demands = np.abs(np.random.default_rng(1).standard_normal((8, 256)))
     for strength in (0.0, make_law("normal", {"mean": 1.0, "sd": 1.0})):
-        found = margin_quantiles(LimitState(demands=demands, strength=strength))
-        assert all(estimate.value is None and "zero" in estimate.reason for estimate in found.values())
+        assert "zero" in safety_factor(LimitState(demands=demands, strength=strength)).reason
     weibull = make_law("weibull", {"mean": 4.0, "modulus": 12.0})
     # the end of the median's interval is looked for where there are too few positive demands, and far out
     halves = np.where(np.arange(8) < np.where(np.arange(16)[:, None] % 2 == 0, 3, 6), 1e300, -1e300)
-    assert "samples" in margin_quantiles(LimitState(demands=halves, strength=weibull))["median"].reason
-    found = margin_quantiles(LimitState(demands=0.0 * demands, strength=weibull))
-    assert "unbounded" in found["median"].reason
+    assert "samples" in safety_factor(LimitState(demands=halves, strength=weibull)).reason
+    assert "unbounded" in safety_factor(LimitState(demands=0.0 * demands, strength=weibull)).reason
     censored = demands > 0.5
-    found = margin_quantiles(LimitState(demands=np.minimum(demands, 0.5), strength=weibull, censored=censored))
-    assert "censored" in found["0.05"].reason
+    late = LimitState(demands=np.minimum(demands, 0.5), strength=weibull, censored=censored)
+    assert "censored" in safety_factor(late, 0.05).reason
 
 
 def test_reliability_index_and_target() -> None:

@@ -14,7 +14,7 @@ from uqsphere.run.demands import column_of, demands_of, strength_of
 from uqsphere.run.design import Design
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample, absent, complement, exact, miss
-from uqsphere.uq.limit_state import margin_quantiles, reliability_index
+from uqsphere.uq.limit_state import reliability_index, safety_factor
 
 if TYPE_CHECKING:
     from uqsphere.run.grow import Tables
@@ -33,7 +33,7 @@ def limits(design: Design, tables: Tables) -> Answers:
         if index is not None:
             low, high = reliability_index(failed.high), reliability_index(failed.low)
             answers.row(subject, "reliability_index", "", index, low, high, unit="1", method=failed.method, runs=runs)
-        ratio = margin_quantiles(state_of(design, limit, tables.sample), (0.5,))["median"]
+        ratio = safety_factor(state_of(design, limit, tables.sample))
         answers.add(subject, "safety_factor", "strength over demand", ratio, unit="1", runs=runs)
     for limit in design.limits:
         for name, value in rare.design_point(design, tables, limit).items():

@@ -16,9 +16,9 @@ from uqsphere.uq.limit_state import (
     LimitState,
     complement,
     exceedance,
-    margin_quantiles,
     miss,
     reliability_index,
+    safety_factor,
     score_of,
     tails,
     target_met,
@@ -29,6 +29,6 @@ from uqsphere.uq.sample import Sample
 __all__ = [
     "NORMAL", "REPLICATES", "Dependence", "Estimate", "Joint", "Law", "LawError", "LimitState", "Sample", "absent",
     "complement", "discrete_law", "exact", "exceedance", "from_replicates", "make_joint", "make_law",
-    "margin_quantiles", "miss", "random_generator", "reliability_index", "score_of", "sobol_points", "spread",
+    "miss", "random_generator", "reliability_index", "safety_factor", "score_of", "sobol_points", "spread",
     "student", "tails", "target_met",
 ]  # fmt: skip

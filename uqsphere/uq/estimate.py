@@ -122,13 +122,11 @@ def spread(rows: Array, cell: float = 0.0) -> float:
     return max(float(np.std(rows, ddof=1)), CELL * cell) / math.sqrt(rows.size)
 
 
-def from_replicates(
-    values: Array, method: str, evaluations: int, pooled: float | None = None, floor: float = 0.0
-) -> Estimate:
+def from_replicates(values: Array, method: str, evaluations: int, pooled: float | None = None) -> Estimate:
     """Estimate from the answers (R,) of independent replicates.
 
     The value is `pooled` if given (the answer of all samples together), else the mean of the replicates; the interval
-    is Student's with R - 1 degrees of freedom.  `floor` is the least standard error.
+    is Student's with R - 1 degrees of freedom.
 
     >>> estimate = from_replicates(np.array([1.0, 2.0, 3.0]), "mean", 3)
     >>> estimate.value, round(estimate.std_error, 12)
@@ -144,7 +142,7 @@ def from_replicates(
     deviation = float(np.ldexp(np.std(np.ldexp(values, -power), ddof=1), power))
     with np.errstate(over="ignore", invalid="ignore"):
         value = float(np.mean(values)) if pooled is None else float(pooled)
-        error = max(deviation / math.sqrt(values.size), floor)
+        error = deviation / math.sqrt(values.size)
     return around(value, student(values.size) * error, error, method, evaluations)
 
 

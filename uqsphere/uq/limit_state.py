@@ -8,7 +8,7 @@ F_S and 1 - F_S are carried, so that a small probability keeps its relative accu
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -206,44 +206,29 @@ def target_met(missed: Estimate, target: float) -> bool | None:
 # --- safety factor -----------------------------------------------------------------------------------
 
 
-def margin_quantiles(state: LimitState, probabilities: Sequence[float] = (0.05, 0.5, 0.95)) -> dict[str, Estimate]:
-    """Quantiles of strength over demand, by key ("median" for 0.5): m with mean F_S(m · demand) = p.
+def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
+    """Quantile at p of strength over demand: m with mean F_S(m · demand) = p; its interval is read off where the
+    replicates' probabilities could lie.
 
-    Absent where the strength may be zero or negative.
+    Absent where the strength or the demand may be zero or negative.
     """
-    keys = {p: "median" if p == 0.5 else f"{p:g}" for p in probabilities}
-    strength, total = state.strength, int(state.demands.size)
+    strength, broken, late, total = state.strength, state.broken, state.late, int(state.demands.size)
     doubtful = float(strength.cdf(np.zeros(1))[0]) if isinstance(strength, Law) else float(strength <= 0.0)
-    reason = ""
     if doubtful > 1e-6:
-        reason = "the strength may be zero or negative: strength over demand has no meaning"
-    elif (~state.broken).sum(axis=1).min() < 2:
-        reason = "too few successful samples in a replicate"
-    if reason:
-        return {key: absent(reason, state.method, total) for key in keys.values()}
-    if isinstance(strength, Law):
-        return {key: _margin(state, strength, p) for p, key in keys.items()}
-    # those of a fixed strength are the strength over the demand's quantiles at 1 - p
-    demands, _ = quantile_estimates(
-        np.where(state.broken, 0.0, state.demands), censored=state.late, failed=state.broken,
-        on_failure=state.on_failure, quantiles=[1.0 - p for p in keys], method="randomised quasi-Monte Carlo",
-    )  # fmt: skip
-    answer = {}
-    for p, key in keys.items():
-        d = answer[key] = demands[1.0 - p]
+        return absent("the strength may be zero or negative: strength over demand has no meaning", state.method, total)
+    if (~broken).sum(axis=1).min() < 2:
+        return absent("too few successful samples in a replicate", state.method, total)
+    if not isinstance(strength, Law):
+        # that of a fixed strength is the strength over the demand's quantile at 1 - p
+        d = quantile_estimates(
+            np.where(broken, 0.0, state.demands), censored=late, failed=broken, on_failure=state.on_failure,
+            quantiles=[1.0 - p], method="randomised quasi-Monte Carlo",
+        )[0][1.0 - p]  # fmt: skip
         if d.value is None or d.low is None or d.high is None:
-            continue
+            return d
         if d.low <= 0.0:
-            answer[key] = absent("the demand may be zero: the margin is unbounded", d.method, d.evaluations)
-        else:
-            value, low, high = (strength / end for end in (d.value, d.high, d.low))
-            answer[key] = between(value, low, high, len(state.demands), d.method, d.evaluations)
-    return answer
-
-
-def _margin(state: LimitState, strength: Law, p: float) -> Estimate:
-    """One quantile of the margin, its interval read off where the replicates' probabilities could lie."""
-    broken, late, total = state.broken, state.late, int(state.demands.size)
+            return absent("the demand may be zero: the margin is unbounded", d.method, total)
+        return between(strength / d.value, strength / d.high, strength / d.low, len(state.demands), d.method, total)
     counts = (~broken).sum(axis=1).astype(float)
     positive = state.demands[~broken & (state.demands > 0.0)]
     if positive.size <= p * counts.sum():

@@ -65,24 +65,11 @@ def residual_correlation(covariance: Array) -> Array:
     return np.asarray(np.linalg.cholesky(correlation + 1e-12 * np.eye(len(correlation))))
 
 
-def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Generator, *, missed: bool = False) -> Union:
-    """The limits taken together.
+def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Generator) -> Union:
+    """The limits taken together, at the same (R, n) samples.
 
-    Parameters
-    ----------
-    states : L limit states at the same (R, n) samples
-    factor : (L, L) array
-        Of `residual_correlation`; the identity for strengths that do not depend on each other given the inputs.
-    rng : numpy.random.Generator
-        Draws the strengths that hold; without it there is no answer where strengths depend on each other.
-    missed : bool
-        Takes together that a limit is not exceeded, for an aim that every one of them must be: the scores of the
-        strengths change their sign, and keep their correlation.
-
-    Raises
-    ------
-    ValueError
-        For no states, or states of different samples.
+    `factor` (L, L) of `residual_correlation` is the identity for strengths that do not depend on each other given the
+    inputs; `rng` draws the strengths that hold.  Raises ValueError for no states, or states of different samples.
     """
     shapes = {state.demands.shape for state in states}
     if len(shapes) != 1:
@@ -90,7 +77,7 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
     shape = (len(states), *next(iter(shapes)))
     chances, holding = np.zeros(shape), np.zeros(shape)
     for j, state in enumerate(states):
-        below, above = reversed(tails(state)) if missed else tails(state)
+        below, above = tails(state)
         if np.any(factor[j, :j]):
             score = (score_of(below, above) - np.tensordot(factor[j, :j], holding[:j], axes=1)) / factor[j, j]
             below, above = special.ndtr(score), special.ndtr(-score)

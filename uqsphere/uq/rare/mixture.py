@@ -96,12 +96,11 @@ def log_total(table: Array) -> Array:
     return np.asarray(highest + np.log(np.exp(table - highest[:, None]).sum(axis=1)))
 
 
-def wide_mixture(dimension: int, reach: float = 6.0, rungs: int = 6) -> Mixture:
-    """Gaussians about the origin whose points lie up to `reach` beyond where standard normal points lie."""
-    typical = math.sqrt(dimension)
-    scales = (typical + np.linspace(0.0, reach, rungs)) / typical
-    return Mixture(shares=np.full(rungs, 1.0 / rungs), means=np.zeros((rungs, dimension)),
-                   factors=scales[:, None, None] * np.eye(dimension))  # fmt: skip
+def wide_mixture(dimension: int) -> Mixture:
+    """Six Gaussians about the origin whose points lie up to 6 beyond where standard normal points lie."""
+    typical, rungs = math.sqrt(dimension), np.linspace(0.0, 6.0, 6)
+    factors = (1.0 + rungs / typical)[:, None, None] * np.eye(dimension)
+    return Mixture(shares=np.full(6, 1.0 / 6.0), means=np.zeros((6, dimension)), factors=factors)
 
 
 def around_design_points(points: Sequence[DesignPoint], dimension: int) -> Mixture:
@@ -271,9 +270,8 @@ class ImportanceAnswer:
 
 
 def importance_sampling(
-    evaluator: Evaluator, mixture: Mixture, *, seed: int, accuracy: float = 0.02, block: int = 256,
-    replicates: int = REPLICATES,
-) -> ImportanceAnswer:  # fmt: skip
+    evaluator: Evaluator, mixture: Mixture, *, seed: int, accuracy: float = 0.02, block: int = 256
+) -> ImportanceAnswer:
     """Probability of failure from `block` points of each replicate at first, doubled until the half-width over the
     value is at most `accuracy` or the budget is spent.
 
@@ -287,21 +285,21 @@ def importance_sampling(
     begun = evaluator.count
     block = max(block, mixture.shares.size)
     counts, drawn = mixture.allocated(block)
-    weights, lost = np.empty((replicates, 0)), np.empty((replicates, 0))
+    weights, lost = np.empty((REPLICATES, 0)), np.empty((REPLICATES, 0))
     done, more = 0, 1
     while True:
-        room = evaluator.left // (replicates * block)
+        room = evaluator.left // (REPLICATES * block)
         more = int(min(more, room))
         if more < 1:
             break
         for number in range(done, done + more):
             points = np.concatenate([drawn.draw(counts, seed=seed, task="importance", replicate=r, block=number)
-                                     for r in range(replicates)])  # fmt: skip
+                                     for r in range(REPLICATES)])  # fmt: skip
             mass = evaluator.mass(evaluator.values(points))
             ratio = np.exp(log_normal_density(points) - drawn.log_density(points))
             broken = np.isnan(mass)
             fresh = np.where(broken, 0.0, mass) * ratio, np.where(broken, ratio, 0.0)
-            weights, lost = (np.concatenate([old, new.reshape(replicates, -1)], axis=1)
+            weights, lost = (np.concatenate([old, new.reshape(REPLICATES, -1)], axis=1)
                              for old, new in zip((weights, lost), fresh, strict=True))  # fmt: skip
         done += more
         estimate = _estimate(weights, lost, evaluator.count - begun, evaluator.integrated)
