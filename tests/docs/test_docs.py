@@ -17,7 +17,8 @@ import pytest
 from uqsphere import cli
 
 ROOT = Path(__file__).parent.parent.parent
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("tutorial-*.md"))]
+PAGES = [page for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+         if re.search(r"^(>>> |```console)", page.read_text("utf-8"), re.M)]  # fmt: skip
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 #: exit codes of commands that are meant: a verdict that is not "met", a study that is refused
 MEANT = (0, 2, 3)
@@ -83,10 +84,11 @@ def test_page_says_what_happens(
 
 
 @pytest.mark.filterwarnings("ignore:`newshape`:DeprecationWarning")
-def test_the_notebook_prints_what_it_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("notebook", sorted((ROOT / "docs").glob("*.ipynb")), ids=lambda path: path.stem)
+def test_a_notebook_prints_what_it_shows(notebook: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     names: dict[str, object] = {}
-    for cell in json.loads((ROOT / "docs" / "chaospy-and-salib.ipynb").read_text("utf-8"))["cells"]:
+    for cell in json.loads(notebook.read_text("utf-8"))["cells"]:
         if cell["cell_type"] == "code":
             with contextlib.redirect_stdout(io.StringIO()) as printed:
                 exec("".join(cell["source"]), names)
