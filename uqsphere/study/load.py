@@ -160,7 +160,7 @@ _REWORDED: Final = {
 #: what a faulty line may have, and the way out
 _HINTS: Final = {
     "[“”„‘’]": 'quotes are straight: "…"',
-    r"=\s*([+-]?\d+),(\d+)\s*(?:#.*)?$": r"a decimal point is required: \1.\2",
+    r"=\s*([+-]?\d+),(\d+)\s*(?=[,}#]|$)": r"a decimal point is required: \1.\2",
     r"=\s*([+-]?[\d._]+(?:[eE][+-]?\d+)?\s*[A-Za-zµμ%][\w/^³²µμ]*)": r'a value with a unit stands in quotes: "\1"',
     r"=\s*([Tt]rue|[Ff]alse|TRUE|FALSE)\s*(?:#.*)?$": "write true or false",
     r"=\s*([A-Za-z_][\w.-]*)\s*(?:#.*)?$": r'a word stands in quotes: "\1"',
