@@ -133,6 +133,7 @@ def test_rows_pasted_twice_and_rows_of_sums_are_noted(tmp_path: Path) -> None:
         (rows, "repeat earlier rows: pasted twice?"),
         ([f"{means[0]:.1f},{means[1]:.0f}", f"{sds[0]:.1f},{sds[1]:.0f}"], "line 27 is the mean of the rows above"),
         ([], None),
+        (["12.0,3000"] * 30, None),  # stopped at one load
     ):
         (tmp_path / "t.csv").write_text("\n".join(["D,F", *rows, *more]))
         table = read_table(tmp_path / "t.csv")

@@ -479,7 +479,8 @@ def unusual_rows(data: Array, stopped: Flags, many: Array, lines: list[int]) -> 
         return
     middle = np.median(x[~stopped])
     deviation = 1.4826 * np.median(np.abs(x[~stopped] - middle))
-    apart = np.flatnonzero(~stopped & (np.abs(x - middle) > _APART * deviation))
+    # a Weibull law's lower tail is exponential in the logarithm: of n rows the lowest lies some ln n away
+    apart = np.flatnonzero(~stopped & (np.abs(x - middle) > max(_APART, math.log(len(x))) * deviation))
     if deviation > 0.0 and 0 < len(apart) <= max(1, len(data) // 10):
         rows = ", ".join(f"line {lines[k]} ({math.exp(x[k] - middle):.3g} times the median)" for k in apart[:5])
         yield f"{rows}: far from the other rows; a slip of the decimal point?"
