@@ -29,7 +29,7 @@ from uqsphere.uq.estimate import (
     student,
 )
 
-#: samples that must lie beyond a quantile for it to be estimated at all
+#: samples that must lie beyond a quantile for it to be estimated at all: their count is known to half of itself
 LEAST_BEYOND: Final = 5
 #: share of the variance that one of so many samples may make: one that makes more means no convergence
 DOMINANT, CONVERGES = 0.4, 1000

@@ -25,7 +25,8 @@ from uqsphere.uq.points import sobol_points
 
 METHOD: Final = "pick and freeze"
 NO_SCATTER: Final = "the output does not vary"
-#: inputs whose total index is above this have their indices read off the correlation of pairs
+#: inputs whose total index is above this have their indices read off the correlation of pairs, whose error is the
+#: smaller one from there on
 LARGE: Final = 0.5
 #: what is left of a difference of two sums that cancel, over V
 ROUNDING: Final = 1e-15

@@ -34,7 +34,7 @@ from uqsphere.uq.estimate import Estimate, absent, around, between, student
 METHOD: Final = "polynomial chaos, corrected by its residuals"
 #: largest share of the variance that a response may leave and still be used: above, rows by themselves know as much
 MOST: Final = 0.05
-#: folds that rows are dealt into: seven eighths of them fit each time
+#: folds that rows are dealt into: seven eighths of them fit each time, twice 8 are the replicates of a table
 FOLDS: Final = 8
 
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 Indices: TypeAlias = npt.NDArray[np.int64]
 
+#: up to this degree polynomials of a germ are orthonormal to 1e-11
 HIGHEST_DEGREE: Final = 15
 #: normal scores between which the values of a law are tabled (2e-33 lies beyond either end), and the knots of the table
 REACH, KNOTS = 12.0, 2401

@@ -19,7 +19,8 @@ from uqsphere.arrays import Array
 
 Order: TypeAlias = npt.NDArray[np.intp]
 
-#: what is left of the square norm of the outputs by rounding, and of a row that depends on those taken before
+#: what is left of the square norm of the outputs by rounding (the square of 1e-15), and of a row that depends on those
+#: taken before, to half of the digits
 ROUNDING, DEPENDENT = 1e-30, 1e-8
 
 

@@ -21,6 +21,7 @@ from uqsphere.uq.rare.problem import MOST_DIMENSIONS, REACH, Evaluator, Spent
 
 #: step of the central differences, and the distance below which two design points are one, in standard deviations
 STEP, SAME = 0.03, 0.5
+#: shares of a full step that the line search tries; tests/campaigns/rare.py counts what all of the search finds
 LENGTHS: Final = np.array([1.0, 0.5, 0.25, 0.1, 0.03])
 
 
