@@ -27,7 +27,7 @@ from uqsphere.uq.joint import Joint
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.response import METHOD, Response
 
-#: inputs up to which all orders are taken (6! = 720), and random orders of more: their error adds up over replicates
+#: inputs up to which all orders are taken (6! = 720), and random orders of more of them, each with its reverse
 MOST_EXACT, ORDERS = 6, 64
 
 
