@@ -15,7 +15,7 @@ from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.cli import main
 from uqsphere.labs.comminution.document import ComminutionDocument, SizesTable
-from uqsphere.labs.comminution.feed import answer_feed, broken_by_blow, load_classes
+from uqsphere.labs.comminution.feed import answer_feed, broken_by_blow, load_classes, population
 from uqsphere.labs.comminution.fit import Fit, Model, Posterior, fit, log_likelihoods
 from uqsphere.labs.comminution.tests import Specimens, load_tests
 
@@ -318,6 +318,31 @@ def test_mass_is_kept_and_the_product_is_finer_after_more_blows(fitted: Fit, tmp
     assert finer.content["numbers"]["P80 [m]"]["value"] == pytest.approx(
         one.content["numbers"]["P80 [m]"]["value"], rel=0.01
     )
+
+
+def test_fragments_are_hit_again(fitted: Fit, tmp_path: Path) -> None:
+    once, thrice = (
+        [answer_feed(fitted.posterior, feed_document(blows=n, rebreak=again), tmp_path) for again in (False, True)]
+        for n in (1, 3)
+    )
+    # the fragments of the last blow are hit no more: the same mass passes the edges of the classes
+    at = np.searchsorted(once[0].sieves, once[0].classes.edges)
+    np.testing.assert_allclose(once[1].passing[:, at], once[0].passing[:, at], rtol=1e-9)
+    (out, again), key = thrice, "energy [J/kg]"
+    assert again.content["numbers"]["P80 [m]"]["value"] < out.content["numbers"]["P80 [m]"]["value"]
+    assert again.content["numbers"][key]["value"] > out.content["numbers"][key]["value"]
+    np.testing.assert_allclose(again.passing[:, -1], 1.0, atol=EXACT)
+    # two blows of two classes by hand
+    cumulative = np.array([[[0.0, 0.5, 0.7], [0.0, 0.2, 0.3]]])
+    struck, broken, left = population(cumulative, np.array([0.8, 0.2]), np.array([[[0.4, 0.0], [0.6, 1.0]]]))
+    fresh = np.array([0.4 * 0.4, 0.6 * 0.4 + 0.04])
+    np.testing.assert_allclose(struck[0], [0.8 + 0.4 + fresh[0], 0.2 + 0.16 + fresh[1]], rtol=EXACT)
+    now = np.array([0.8 * 0.2 + 0.5 * fresh[0], 0.2 * 0.1 + 0.2 * fresh[1]])
+    np.testing.assert_allclose(broken[0], [0.4 + now[0], 0.04 + now[1]], rtol=EXACT)
+    last = [0.24 + 0.5 * fresh[0] + 0.4 * now[0], 0.14 + 0.8 * fresh[1] + 0.6 * now[0] + now[1]]
+    np.testing.assert_allclose(left[0], last, rtol=EXACT)
+    with pytest.raises(ValueError, match=r"rebreak needs .*\[product\]"):
+        document(feed={"sizes": {"law": "gaudin_schuhmann", "n": 1, "top": "9 mm"}, "energy": "1 J", "rebreak": True})
 
 
 def test_a_lot_scatters_beside_what_the_tests_leave_open(fitted: Fit, tmp_path: Path) -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import ast
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -45,9 +48,6 @@ def test_a_lab_imports_public_names_only(path: Path) -> None:
 
 
 def test_the_lab_commands_need_no_heavy_import_for_their_help() -> None:
-    import subprocess
-    import sys
-
     code = (
         "import sys; from uqsphere.labs.shpb.cli import main; from uqsphere.labs.comminution.cli import main as other; "
         "main(['--help']); other(['--help']); "
@@ -55,3 +55,22 @@ def test_the_lab_commands_need_no_heavy_import_for_their_help() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=HOUSE.parent)
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_the_product_stands_without_the_labs(tmp_path: Path) -> None:
+    """Every module imports, a study loads, and the labs' commands are unknown, where `labs/` is deleted."""
+    shutil.copytree(HOUSE, tmp_path / "uqsphere", ignore=shutil.ignore_patterns("labs", "__pycache__"))
+    code = (
+        "import pkgutil, importlib, sys, uqsphere; "
+        "names = [m.name for m in pkgutil.walk_packages(uqsphere.__path__, 'uqsphere.') if '__main__' not in m.name]; "
+        "[importlib.import_module(name) for name in names]; "
+        "from uqsphere.cli import main; "
+        "print(uqsphere.__file__, len(uqsphere.load_study(sys.argv[1]).limits)); main(['shpb'])"
+    )
+    study = HOUSE.parent / "studies/limestone_margin.toml"
+    alone = {"PATH": "", "PYTHONPATH": str(tmp_path), "HOME": str(tmp_path)}
+    command = [sys.executable, "-c", code, str(study)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False, env=alone)
+    assert done.returncode == 2
+    assert "invalid choice: 'shpb'" in done.stderr
+    assert done.stdout.split() == [str(tmp_path / "uqsphere" / "__init__.py"), "2"]

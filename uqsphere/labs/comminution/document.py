@@ -136,6 +136,7 @@ class FeedTable(Section):
 
     specific_energy, energy, speed : of one blow, exactly one; the same J/kg for all sizes, J a blow, closing speed.
     impact_surface : what the particles hit.
+    rebreak : whether fragments are hit by the blows that are left, as fresh particles of the law.
     undersize : whether what is below the last sieve breaks too.  lot : mass over which numbers scatter.
     """
 
@@ -145,6 +146,7 @@ class FeedTable(Section):
     energy: Energy | None = None
     speed: Speed | None = None
     impact_surface: Elastic | None = None
+    rebreak: bool = False
     undersize: Literal["stays", "breaks"] = "stays"
     lot: Mass | None = None
     fines: Length | None = None
@@ -176,3 +178,9 @@ class ComminutionDocument(Section):
     product: ProductTable | None = None
     strength_at: Length | None = None
     draws: int = Field(default=4000, ge=200, le=20000)
+
+    @model_validator(mode="after")
+    def _fragments(self) -> ComminutionDocument:
+        if self.feed is not None and self.feed.rebreak and self.product is None:
+            raise ValueError("feed.rebreak needs the sizes of fragments: add [product]")
+        return self

@@ -167,21 +167,33 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     total = broken @ mass
     hit = np.ones(len(mass))
     hit[-1] = float(feed.undersize == "breaks")
-    blows = hit * (1.0 - cumulative[:, :, :-1]).sum(axis=2)
-    energy = (blows * mass * given * share).sum(axis=1)
-    numbers: dict[str, Array] = {"broken": total, "blows": blows @ mass, "energy [J/kg]": energy}
-
     sieves = np.unique(np.concatenate([classes.edges, classes.edges[-1] * feed.sizes.ratio ** -np.arange(1.0, 15.0)]))
     lower = np.append(classes.edges[1:], 1e-6 * classes.edges[-1])
     # whole particles of a class lie evenly in the logarithm between its ends; below the last sieve in proportion
     whole = np.clip(np.log(sieves[:, None] / lower) / np.log(classes.edges / lower), 0.0, 1.0)
     whole[:, -1] = np.clip(sieves / classes.edges[-1], 0.0, 1.0)
     before = whole @ mass
-    passing = np.full((draws, len(sieves)), np.nan)
+    passing, spread = np.full((draws, len(sieves)), np.nan), None
     if product is not None:
         fine = laws.t10(given, product.A, product.b)
-        passing = _product(product, fine, sizes, sieves, broken * mass, whole, (1.0 - broken) * mass, rng)
-        weight = broken * mass
+        curves = _curves(product, fine, sizes, sieves, draws, rng)
+        if feed.rebreak:
+            finer = curves[:, np.searchsorted(sieves, classes.edges)]
+            finer[:, 0] = 1.0
+            spread = finer - np.concatenate([finer[:, 1:], np.zeros_like(finer[:, :1])], axis=1)
+    struck, weight, left = population(cumulative, mass, spread)
+    numbers: dict[str, Array] = {
+        "broken": total,
+        "blows": struck @ hit,
+        "energy [J/kg]": struck @ (hit * given * share),
+    }
+    if product is not None:
+        fragments = (
+            0.0
+            if feed.rebreak
+            else np.einsum("dsk,dk->ds", np.broadcast_to(curves, (draws, *curves.shape[1:])), weight)
+        )
+        passing = np.minimum(np.maximum.accumulate(left @ whole.T + fragments, axis=1), 1.0)
         numbers["t10"] = (weight * fine).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300)
         numbers |= {f"P{round(100 * p)} [m]": _size_at(p, sieves, passing) for p in (0.8, 0.5)}
         numbers["F80/P80"] = _size_at(0.8, sieves, before[None])[0] / numbers["P80 [m]"]
@@ -227,23 +239,34 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     return Answer(classes=classes, broken=broken, total=total, sieves=sieves, passing=passing, content=content)
 
 
-def _product(
-    product: ProductTable, fine: Array, sizes: Array, sieves: Array, fragments: Array, whole: Array, left: Array,
-    rng: np.random.Generator,
-) -> Array:  # fmt: skip
-    """Passing (D, S): fragments (D, K) of classes by t_n, whole particles `left` (D, K) by their places."""
-    ratio = sizes[None, :] / sieves[:, None]
-    if isinstance(product.alpha, Lognormal):
-        alpha = np.exp(product.alpha.log_mean + product.alpha.log_sd * rng.standard_normal(len(fragments)))
-    else:
-        alpha = np.full(len(fragments), product.alpha)
-    passing = left @ whole.T
-    if product.curve == "milin":
-        passing = passing + fragments @ laws.t_n(ratio, fine, "milin").T
-    else:
-        for k in range(len(alpha)):
-            passing[k] += laws.t_n(ratio, fine, "trr", alpha[k]) @ fragments[k]
-    return np.asarray(np.minimum(np.maximum.accumulate(passing, axis=1), 1.0))
+def population(cumulative: Array, mass: Array, spread: Array | None) -> tuple[Array, Array, Array]:
+    """Mass of each class (D, K) over all blows: struck, once for every blow; broken; and what is left whole at the end.
+
+    cumulative (D, K, n + 1) : share of fresh particles broken after 0 ... n blows; mass (K,) of the feed.
+    spread (D or 1, K, K) : share of the fragments of class k that are of class j, at [:, j, k].  Fragments are fresh
+    particles that the blows left strike; None: they leave the machine.
+    """
+    rest, breaks = 1.0 - cumulative, np.diff(cumulative, axis=2)
+    blows, fresh = breaks.shape[2], [np.broadcast_to(mass, cumulative.shape[:2])]
+    struck, broken = np.zeros(cumulative.shape[:2]), np.zeros(cumulative.shape[:2])
+    for k in range(blows):
+        struck += sum(f * rest[:, :, k - j] for j, f in enumerate(fresh))
+        now = np.asarray(sum(f * breaks[:, :, k - j] for j, f in enumerate(fresh)))
+        broken += now
+        if spread is not None:
+            fresh.append((spread @ now[:, :, None])[:, :, 0])
+    left = np.asarray(sum(f * rest[:, :, blows - j] for j, f in enumerate(fresh)))
+    return struck, broken, left
+
+
+def _curves(
+    product: ProductTable, fine: Array, sizes: Array, sieves: Array, draws: int, rng: np.random.Generator
+) -> Array:
+    """Share of the fragments of a class that passes a sieve, (D or 1, S, K), by t_n."""
+    alpha = np.full(1, product.alpha) if not isinstance(product.alpha, Lognormal) else np.exp(
+        product.alpha.log_mean + product.alpha.log_sd * rng.standard_normal(draws)
+    )  # fmt: skip
+    return laws.t_n((sizes / sieves[:, None])[None], fine, product.curve, alpha[:, None, None])
 
 
 def _size_at(share: float, sieves: Array, passing: Array) -> Array:

@@ -199,11 +199,11 @@ def t_n(n: Values, fineness: Values, curve: str = "trr", alpha: Values = 0.6) ->
     >>> t_n([2.0, 10.0], 0.3, alpha=0.8).round(6).tolist()
     [0.873631, 0.3]
     """
-    n, fine = np.broadcast_arrays(np.asarray(n, dtype=float), np.clip(np.asarray(fineness, dtype=float), 0.0, 1.0))
+    n, fine, alpha = np.broadcast_arrays(np.asarray(n, dtype=float), np.clip(fineness, 0.0, 1.0), alpha)
     inside = np.where(n > 1.0, n, 2.0)
     with np.errstate(divide="ignore", over="ignore"):
         if curve == "trr":
-            found = -np.expm1((9.0 / (inside - 1.0)) ** np.asarray(alpha) * np.log1p(-fine))
+            found = -np.expm1((9.0 / (inside - 1.0)) ** alpha * np.log1p(-fine))
         else:
             from scipy.special import betainc
 
