@@ -601,7 +601,7 @@ def _strength(draft: Draft, table: LimitTable, demand: Demand, place: Place) -> 
         return found if radii else replace(found, tested=None)
     own = {key: draft.mean(f"sphere.{key}") for key in ("E", "nu", "density")}
     if not radii or math.isnan(sum(own.values())):
-        draft.reader.spoiled.add(place)
+        draft.reader.spoil(place)
         raise Fault("the tests need E, nu, density and radius of the sphere")
     own["partner"] = (1.0 - own["nu"] ** 2) / own["E"] * (1.0 / _share_of_sphere(draft, own["E"], own["nu"]) - 1.0)
     found = tested_strength(table.strength, demand, own, radii, _bars(draft), partial(_face_of_tests, draft),

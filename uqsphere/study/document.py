@@ -87,6 +87,7 @@ class Reader:
     warnings: list[str] = field(default_factory=list)
     faults: list[tuple[Place, str]] = field(default_factory=list)
     spoiled: set[Place] = field(default_factory=set)
+    above: set[Place] = field(default_factory=set)
     #: files that the study has read, by the names it gives them
     files: dict[str, Path] = field(default_factory=dict)
 
@@ -98,14 +99,19 @@ class Reader:
 
     def clean(self, *place: str | int) -> bool:
         """Whether nothing at, above or below a place is known to be faulty."""
-        return not any(p[: len(place)] == place or place[: len(p)] == p for p in self.spoiled)
+        return place not in self.above and not any(place[:n] in self.spoiled for n in range(len(place) + 1))
+
+    def spoil(self, place: Place) -> None:
+        """Remember a place as faulty."""
+        self.spoiled.add(place)
+        self.above |= {place[:n] for n in range(len(place))}
 
     def note(self, at: Place | str, message: str) -> None:
         """Keep a fault, unless one is known at its place, or above or below it."""
         place: Place = tuple(at.split(".")) if isinstance(at, str) else at
         if self.clean(*place):
             self.faults.append((place, message))
-        self.spoiled.add(place)
+        self.spoil(place)
 
     @contextmanager
     def noting(self, *place: str | int) -> Iterator[None]:

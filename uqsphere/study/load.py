@@ -65,27 +65,31 @@ def load_study(
 
 
 @cache
-def removed() -> dict[str, str]:
-    """Renamed and dropped keys of earlier studies, and values (after =): the way out, from the one table of them."""
+def removed() -> dict[str, list[tuple[list[str], str, str]]]:
+    """Renamed and dropped keys of earlier studies by their last part: path, value (empty: any) and the way out."""
     import tomllib
 
     ways = tomllib.loads(Path(__file__).with_name("removed.toml").read_text(encoding="utf-8"))
-    return {pattern: way for way, patterns in ways.items() for pattern in patterns}
+    found: dict[str, list[tuple[list[str], str, str]]] = {}
+    for way, patterns in ways.items():
+        for pattern in patterns:
+            path, _, word = pattern.partition("=")
+            found.setdefault(path.split(".")[-1], []).append((path.split("."), word, way))
+    return found
 
 
 def _removed(data: Mapping[str, Any]) -> Iterator[tuple[Place, str]]:
     """Every key and value of an earlier study that is renamed or dropped, with the way out."""
     for place, value in list(_walk(data)):
-        for pattern, way in removed().items():
-            path, sign, word = pattern.partition("=")
-            parts = [*map(str, place[:-1]), path[2:]] if path.startswith("*.") else path.split(".")
+        for path, word, way in (*removed().get(str(place[-1]), ()), *removed().get("*", ())):
+            parts = [*map(str, place[:-1]), path[1]] if path[0] == "*" else path
             if len(parts) != len(place) or any(a not in ("*", str(b)) for a, b in zip(parts, place, strict=True)):
                 continue
-            if (sign and value != word) or (pattern.endswith("strength.fit") and len(_at(data, place[:-1])) > 1):
+            if (word and value != word) or (parts[-2:] == ["strength", "fit"] and len(_at(data, place[:-1])) > 1):
                 continue
             # what a strength is without a key of it cannot be judged
             whole = place[:3] if place[0] == "limits" and len(place) > 3 and place[2] == "strength" else place
-            yield whole, f"{shown(value) if sign else place[-1]} is no longer {'allowed' if sign else 'a key'}: {way}"
+            yield whole, f"{shown(value) if word else place[-1]} is no longer {'allowed' if word else 'a key'}: {way}"
             break
 
 
@@ -138,7 +142,8 @@ def _read(data: dict[str, Any], reader: Reader) -> Document:
                 place = tuple(part for part in fault["loc"] if part != "[key]")
                 message, meant = fault_text(fault, place)
                 reader.note((*place, *getattr(fault.get("ctx", {}).get("error"), "at", ())), message)
-                reader.spoiled |= {place, *([(*place[:-1], meant)] if meant else [])}
+                for spoiled in (place, *([(*place[:-1], meant)] if meant else [])):
+                    reader.spoil(spoiled)
                 # a table that lacks a key goes as a whole
                 _take_out(left, place[: -1 if fault["type"] == "missing" else None])
     return Document()
