@@ -290,13 +290,6 @@ def test_a_lognormal_feed_of_a_power_law_in_closed_form(blows: int, key: str, tm
     assert float(broken @ fine.mass) == pytest.approx(case[key], abs=2e-4)
 
 
-def test_vogel_and_peukert_in_closed_form() -> None:
-    case = CASES["F3"]
-    x = np.linspace(1e-12, 40.0, 200_001)
-    share = laws.vogel_peukert(np.full((len(x), case["k"]), case["W"]), x * case["d63"], case["f_mat"], 0.0)
-    assert float(np.trapezoid(share * np.exp(-x), x)) == pytest.approx(case["closed"], rel=1e-6)
-
-
 def feed_document(**feed: Any) -> ComminutionDocument:
     sizes = {"law": "rosin_rammler", "d63": "15 mm", "n": 1.2, "top": "40 mm"}
     return document(

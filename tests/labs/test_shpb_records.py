@@ -89,7 +89,7 @@ def test_a_clean_record(tmp_path: Path) -> None:
     assert test.peaks["B"].time == pytest.approx(60e-6, abs=6e-6)
     assert test.energies is not None
     # the work of the force: velocities of the faces are c0 (eps_r - eps_i) and -c0 eps_t
-    assert test.energies.incident == pytest.approx(EA * C0 * STEP * float(np.square(test.pulse).sum()), rel=1e-3)
+    assert test.energies["incident"] == pytest.approx(EA * C0 * STEP * float(np.square(test.pulse).sum()), rel=1e-3)
     assert test.balanced is not None
     assert test.balanced > 0.9
 

@@ -12,7 +12,7 @@ the diameter of the sphere of its volume.
 
 Half of the particles break at e = r/(1 + r) E50 of (L1), not at E50.  Sources: L. M. Tavares, R. P. King, Powder
 Technol. 123 (2002) 138; R. P. King, MODSIM (BRPROB, TN, TN1); T. J. Napier-Munn and others, Mineral Comminution
-Circuits, 1996; L. Vogel, W. Peukert, Powder Technol. 129 (2003) 101.
+Circuits, 1996.
 """
 
 from __future__ import annotations
@@ -67,13 +67,6 @@ def energy_at(law: str, share: Values, median: Values, shape: Values, ratio: Val
         stretched = median * np.exp(np.asarray(shape) * ndtri(share))
         return np.asarray(stretched / (1.0 + stretched / (np.asarray(ratio) * median)))
     return np.asarray(median * (-np.log1p(-np.asarray(share)) / math.log(2.0)) ** (1.0 / (0.6 * np.asarray(shape))))
-
-
-def vogel_peukert(energies: Values, diameter: Values, f_mat: Values, threshold: Values) -> Array:
-    """P = 1 - exp(-f_mat d sum max(e_i - W_min, 0)) after blows e_i (..., n), d W_min = `threshold` [J m/kg]."""
-    least = np.asarray(threshold) / diameter
-    excess = np.maximum(np.asarray(energies) - np.asarray(least)[..., None], 0.0).sum(axis=-1)
-    return np.asarray(-np.expm1(-np.asarray(f_mat) * diameter * excess))
 
 
 # --- size ---------------------------------------------------------------------------------------------------------

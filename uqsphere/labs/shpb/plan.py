@@ -18,7 +18,7 @@ from pydantic import Field
 
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import Section, table
-from uqsphere.quantities import display_unit, format_value, lookup
+from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.units import UnitError, parse_value
 
 if TYPE_CHECKING:
@@ -116,13 +116,13 @@ def plan_text(plan: dict[str, Any]) -> str:
     rows = [(free, "largest force, 5 to 95 %", *(f"broken: {name}" for name in plan["shares"]))]
     for k in range(0, len(plan["values"]), max(1, len(plan["values"]) // 13)):
         low, middle, high = (v * 1e-3 for v in plan["force"][k])
-        cells = ["{} ({} to {})".format(*map(percent, share[k])) for share in plan["shares"].values()]
+        cells = ["{} ({} to {})".format(*map(format_probability, share[k])) for share in plan["shares"].values()]
         rows.append((format_value(plan["values"][k], free), f"{middle:.4g} kN ({low:.4g} to {high:.4g})", *cells))
     wanted = [("share broken", *plan["reached"])]
     for one in zip(*plan["reached"].values(), strict=True):
         ends = ([v * factor for v in cell["value"]] if cell["value"] else None for cell in one)
         cells = [f"{e[0]:.4g} {unit} ({e[1]:.4g} to {e[2]:.4g})" if e else "beyond the range" for e in ends]
-        wanted.append((percent(one[0]["share"]), *cells))
+        wanted.append((format_probability(one[0]["share"]), *cells))
     notes = [f"note: {note}" for note in plan["notes"]]
     return "\n\n".join([plan["title"], table(rows), f"{free} that breaks", table(wanted), *notes])
 
@@ -136,15 +136,6 @@ def plan_csv(plan: dict[str, Any]) -> str:
         numbers = [value, *plan["force"][k], *(v for share in plan["shares"].values() for v in share[k])]
         rows.append([f"{v:.9g}" for v in (*numbers, plan["failed"][k])])
     return "\n".join(map(",".join, rows)) + "\n"
-
-
-def percent(share: float) -> str:
-    """A share in percent that is never rounded to 0 or 100 %.
-
-    >>> percent(0.04), percent(3e-7), percent(1.0 - 2e-6)
-    ('4 %', '3e-05 %', '100 - 0.0002 %')
-    """
-    return f"{100.0 * share:.2g} %" if not 0.999 < share < 1.0 else f"100 - {100.0 * (1.0 - share):.2g} %"
 
 
 def _below(law: Law, demand: Array, study: Study, name: str, columns: Sequence[str], samples: Array) -> Array:

@@ -38,8 +38,8 @@ def rows(test: Reading) -> list[tuple[str, str, str]]:
     found += [("not given", "", reason) for reason in test.withheld]
     if test.energies is not None:
         e = test.energies
-        parts = f"{e.incident:.4g} J in, {e.reflected:.4g} back, {e.transmitted:.4g} on"
-        found.append(("energy absorbed", f"{e.absorbed:.4g} J", parts))
+        parts = f"{e['incident']:.4g} J in, {e['reflected']:.4g} back, {e['transmitted']:.4g} on"
+        found.append(("energy absorbed", f"{e['absorbed']:.4g} J", parts))
     if test.balanced is not None:
         found.append(("forces within 5 % of their mean", f"{test.balanced:.0%}", "of the rise from half the largest"))
     found.append(("loading rate", f"{test.loading_rate * 1e-9:.4g} kN/us", ""))
@@ -49,11 +49,10 @@ def rows(test: Reading) -> list[tuple[str, str, str]]:
 
 def document(test: Reading) -> dict[str, Any]:
     """A test as plain JSON, SI."""
-    energy = test.energies
     return {
         "forces": {face: {**asdict(peak), "high": peak.high if math.isfinite(peak.high) else None,
                           "sound": not peak.doubts} for face, peak in test.peaks.items()},
-        "energy": None if energy is None else {**asdict(energy), "absorbed": energy.absorbed},
+        "energy": test.energies,
         "withheld": list(test.withheld), "balanced_share": test.balanced, "loading_rate": test.loading_rate,
         "first_touch": test.touch, "step": test.step, "mending": [asdict(change) for change in test.changes],
     }  # fmt: skip
