@@ -15,7 +15,8 @@ LAB_FILES = sorted((HOUSE / "labs").rglob("*.py"))
 #: modules of the product that labs may use, and names where only some of a module are public
 ALLOWED = {
     "uqsphere", "uqsphere.arrays", "uqsphere.errors", "uqsphere.materials", "uqsphere.mechanics.contact",
-    "uqsphere.mechanics.bars", "uqsphere.quantities", "uqsphere.study", "uqsphere.tables", "uqsphere.units",
+    "uqsphere.mechanics.bars", "uqsphere.mechanics.yielding", "uqsphere.quantities", "uqsphere.study",
+    "uqsphere.tables", "uqsphere.units",
     "uqsphere.uq",
 }  # fmt: skip
 

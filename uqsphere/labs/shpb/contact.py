@@ -1,12 +1,8 @@
 """The contact law of a sphere that yields, from a slow load-unload record between two flat platens.
 
-The two faces are alike, so that the platens close by twice the approach of one.  Up to the onset, Hertz's centre
-pressure p_y, a face is elastic; beyond it, with z = alpha/alpha_y, s = sqrt(z) - 1 and b = C H/p_y - 1 (theory, C5),
-
-    P/P_y = 1 + 3 s + 3 s² + 3 b² (b - 1) G(s/b),    G(t) = t²/2 - t + ln(1 + t);
-
-unloading is Hertz with another curvature, alpha = alpha_max - alpha_e (1 - (P/P_max)^(2/3)) with alpha_e = P/sqrt(A)
-(C8).  E*, p_y, H, C and the displacement of first touch follow by least squares over the displacement.
+The two faces are alike, so that the platens close by twice the approach of one; each follows the law of a face that
+yields (theory, C5 to C8).
+E*, p_y, H, C and the displacement of first touch follow by least squares over the displacement.
 """
 
 from __future__ import annotations
@@ -27,6 +23,7 @@ from uqsphere.errors import UsageError
 from uqsphere.labs.files import Length, Section, in_unit
 from uqsphere.materials import library
 from uqsphere.mechanics.contact import hertz_constant, pressure_at_force
+from uqsphere.mechanics.yielding import Face
 from uqsphere.tables import read_table
 
 #: samples without which no law is fitted, and the most that are used
@@ -129,60 +126,17 @@ def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, li
     return displacement, force, table.notes
 
 
-def _bend(t: Array) -> Array:
-    """G(t) = t²/2 - t + ln(1 + t), by its series where that cancels."""
-    near = np.minimum(t, 0.3)
-    series = np.zeros_like(near)
-    for k in range(40, 2, -1):
-        series = 1.0 / k - near * series
-    return np.where(t < 0.3, near**3 * series, 0.5 * t * t - t + np.log1p(t))
-
-
-def virgin_force(depth: Array, softening: float) -> Array:
-    """P/P_y at z = alpha/alpha_y on virgin loading; Hertz below 1. Theory (C5).
-
-    >>> float(virgin_force(np.array([0.25]), 2.0)[0])
-    0.125
-    """
-    s = np.sqrt(np.maximum(depth, 1.0)) - 1.0
-    rest = softening**2 * (softening - 1.0) * _bend(s / softening)
-    return np.where(depth > 1.0, 1.0 + 3.0 * s + 3.0 * s * s + 3.0 * rest, np.maximum(depth, 0.0) ** 1.5)
-
-
-def contact_area(depth: Array, softening: float, pile_up: float) -> Array:
-    """A = a²/(r alpha_y) on virgin loading. Theory (C6)."""
-    s = np.sqrt(np.maximum(depth, 1.0)) - 1.0
-    g = min(5.0, pile_up * softening**2 / ((pile_up - 1.0) * (1.0 + softening))) if pile_up > 1.0 else 5.0
-    rest = s * s * (1.0 + (pile_up - 1.0) / g) + 2.0 * (pile_up - 1.0) * g * (g - 1.0) * _bend(s / g)
-    return np.where(depth > 1.0, 1.0 + 2.0 * s + rest, np.maximum(depth, 0.0))
-
-
 def face_approach(
     force: Array, largest: Array, radius: float, modulus: float, onset: float, hardness: float, pile_up: float
 ) -> Array:
     """Approach of a face [m] at forces [N], given the largest force so far [N], (n,)."""
-    softening = pile_up * hardness / onset - 1.0
-    alpha_y = radius * (0.5 * math.pi * onset / modulus) ** 2
-    force_y = (2.0 / 3.0) * math.pi * onset * radius * alpha_y
-    top = max(float(largest.max()) / force_y, 1.0 + 1e-9)
-    # the law of b = 0 is the softest: its depth is the largest
-    grid = np.square(np.linspace(1.0, math.sqrt(1.0 + (top - 1.0) / 1.5) * 1.001, 400))
-    forces = virgin_force(grid, softening)
-    roots = np.sqrt(grid)
-
-    def depth_at(ratio: Array) -> Array:
-        beyond = np.interp(np.sqrt(np.maximum(ratio, 1.0)), np.sqrt(forces), roots) ** 2
-        return np.where(ratio > 1.0, beyond, np.cbrt(np.square(np.maximum(ratio, 0.0))))
-
-    pressed = depth_at(force / force_y)
-    below = force < largest * (1.0 - 1e-12)
-    deepest = depth_at(largest[below] / force_y)
-    recovered = np.where(
-        deepest > 1.0, virgin_force(deepest, softening) / np.sqrt(contact_area(deepest, softening, pile_up)), deepest
-    )
+    law = {"onset": onset, "hardness": hardness, "pile_up": pile_up, "modulus": modulus, "effective_radius": radius}
+    face = Face(**{name: np.full(1, value) for name, value in law.items()})
+    depth, below = face.depth_at(force), force < largest * (1.0 - 1e-12)
+    deepest = face.depth_at(largest[below])
     share = np.cbrt(np.square(np.maximum(force[below], 0.0) / largest[below]))
-    pressed[below] = deepest - recovered * (1.0 - share)
-    return np.asarray(pressed * alpha_y)
+    depth[below] = deepest - face.recovery(deepest) * (1.0 - share)
+    return np.asarray(depth * face.onset_approach)
 
 
 def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> ContactFit:
