@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+import uqsphere
 from uqsphere.mechanics.integrator import compiled
 
 WHOLE = {"SHA256SUMS", "answers.csv", "cache.sqlite", "figures", "log.txt", "report.html",
@@ -175,3 +176,24 @@ def test_no_folder_for_compiled_code_is_no_fault(monkeypatch: pytest.MonkeyPatch
     assert compiled.cache_folder() is None
     made: Any = compiled.compiled()
     assert made(double)(2.0) == 4.0
+
+
+def test_many_runs_in_one_process_leave_nothing(tmp_path: Path) -> None:
+    """No sample, file or process is left of runs that are over."""
+    import gc
+
+    from uqsphere.uq import Sample
+
+    study = uqsphere.load_study(text=STUDY % ("x", NORMAL % "a" + NORMAL % "b"))
+
+    def left() -> tuple[int, int, int]:
+        uqsphere.run(study, lambda x: {"y": 3.0 * x["a"]}, out=tmp_path / "r", fresh=True)
+        gc.collect()
+        samples = sum(isinstance(one, Sample) for one in gc.get_objects())
+        children = sum(len(path.read_text().split()) for path in Path("/proc/self/task").glob("*/children"))
+        return samples, len(os.listdir("/proc/self/fd")), children
+
+    left()
+    before = left()
+    assert [left() for _ in range(3)] == [before] * 3
+    assert before[0] == 0

@@ -42,16 +42,11 @@ def distributions(design: Design, tables: Tables) -> Answers:
 
 def described(design: Design, tables: Tables, name: str) -> Description:
     """The description of a quantity; an accurate expansion is its control variate."""
-    key = id(tables.sample), name
-    if key not in _DESCRIBED:
-        if len(_DESCRIBED) > 256:
-            _DESCRIBED.clear()
-        _DESCRIBED[key] = (tables.sample, _described(design, tables, name))
-    return _DESCRIBED[key][1]
-
-
-#: descriptions by table and quantity: the loop and the analyses ask for the same ones
-_DESCRIBED: dict[tuple[int, str], tuple[object, Description]] = {}
+    of, found = tables.descriptions.get(name, (None, None))
+    if of is not tables.sample or found is None:  # the loop and the analyses ask for the same ones
+        found = _described(design, tables, name)
+        tables.descriptions[name] = tables.sample, found
+    return found
 
 
 def _described(design: Design, tables: Tables, name: str) -> Description:

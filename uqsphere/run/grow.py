@@ -35,6 +35,7 @@ from uqsphere.run.rare import RareAnswer, search
 from uqsphere.run.surrogate import Slow
 from uqsphere.study import Study
 from uqsphere.uq import Sample
+from uqsphere.uq.describe import Description
 from uqsphere.uq.indices import Blocks, uniform_halves
 
 #: points of a replicate at first
@@ -66,6 +67,7 @@ class Tables:
     pairs : outputs (R, n/4, blocks) of the design of Sobol' indices by quantity
     expansions : polynomial chaos by quantity
     rare : searches for small probabilities by limit
+    descriptions : of quantities, each with the sample that it describes
     reached : (model runs, largest half-width over what was required) at each size
     slow : the rows of a slow model, whose tables are predicted
     """
@@ -75,6 +77,7 @@ class Tables:
     pairs: dict[str, Array] = field(default_factory=dict)
     expansions: dict[str, Expansion] = field(default_factory=dict)
     rare: dict[str, RareAnswer] = field(default_factory=dict)
+    descriptions: dict[str, tuple[Sample, Description]] = field(default_factory=dict)
     reached: list[tuple[int, float]] = field(default_factory=list)
     missed: list[Accuracy] = field(default_factory=list)
     stopped: str = ""
