@@ -15,6 +15,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.models import absent_quantity
+from uqsphere.run.demands import by_force
 from uqsphere.study import Limit, Study, Way, limit_of, means_fracture, ways_of
 from uqsphere.uq import Joint, Law, Sample, sobol_points
 
@@ -72,6 +73,12 @@ class Design:
     def described(self) -> tuple[str, ...]:
         """The quantities whose distributions and indices are answered: those asked for, and those of limits."""
         return tuple(dict.fromkeys([*self.study.analysis.quantities, *(limit.quantity for limit in self.limits)]))
+
+    @cached_property
+    def explained(self) -> tuple[str, ...]:
+        """Those with indices: not what is held against a force of tests, where E and nu cancel."""
+        held = {limit.quantity for limit in self.limits if by_force(limit)} - {*self.study.analysis.quantities}
+        return tuple(name for name in self.described if name not in held)
 
     @cached_property
     def fracture(self) -> tuple[Limit, ...]:

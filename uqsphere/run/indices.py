@@ -29,7 +29,7 @@ CHAOS = "polynomial chaos, corrected by rows"
 def indices(design: Design, tables: Tables) -> Answers:
     """First-order and total indices of every quantity, second-order ones where the study asks for them."""
     answers = Answers()
-    for name in design.described:
+    for name in design.explained:
         for label, row in of_quantity(design, tables, name).items():
             runs = tables.sample.size + (tables.pairs[name].size if name in tables.pairs else 0)
             for order, estimate in zip(("sobol_second",) if "," in label else ("sobol_first", "sobol_total"), row,
