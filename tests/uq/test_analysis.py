@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+import uqsphere
 from uqsphere import analysis
 from uqsphere.errors import UsageError
 from uqsphere.uq.foreign import as_law
@@ -31,8 +32,34 @@ def values(found: analysis.Answers) -> dict[str, float]:
 @given(st.permutations("abc"), st.permutations(range(200)))
 def test_columns_and_rows_go_by_their_names(columns: list[str], rows: list[int]) -> None:
     truth = values(analysis.sobol_indices(FRAME, OUTPUT, LAWS))
-    assert values(analysis.sobol_indices(FRAME[list(columns)], OUTPUT.iloc[rows], LAWS)) == truth
+    moved, answers = FRAME[list(columns)], OUTPUT.iloc[rows]
+    assert values(analysis.sobol_indices(moved, answers, LAWS)) == truth
     assert values(analysis.sobol_indices(FRAME.to_numpy(), OUTPUT.to_numpy(), LAWS)) == truth
+    series = {"a": FRAME["a"], **{name: FRAME[name].iloc[rows] for name in "cb"}}
+    made = analysis.chaos(series, answers.to_frame(), LAWS)
+    assert made.predict(moved).value == pytest.approx(OUTPUT, abs=1e-9)
+    assert made.predict(moved.iloc[rows]).value == pytest.approx(answers, abs=1e-9)
+    assert made.germs_at(moved).tolist() == made.germs_at(FRAME).tolist()
+    assert made.inside(moved).all()
+    study = uqsphere.Study(inputs=LAWS, outputs="y")
+    found = uqsphere.evaluate(study, moved.iloc[rows], model=lambda v: pd.DataFrame({"y": v["a"] + 3.0 * v["b"] ** 2}))
+    assert found.index.tolist() == rows
+    assert found["y"].reindex(FRAME.index).tolist() == OUTPUT.tolist()
+    run = study.analyse(moved.assign(y=OUTPUT).iloc[rows])
+    assert run.sobol("y")["total"].to_dict() == pytest.approx({k: truth[f"total {k}"] for k in "abc"}, abs=1e-9)
+    strengths, stopped = FRAME["a"].abs().head(20), FRAME["c"].head(20) > 1.0
+    fits = [analysis.weibull_fit(strengths, flags) for flags in (stopped, stopped.sort_values())]
+    assert fits[0].to_frame().equals(fits[1].to_frame())
+
+
+def test_a_model_that_answers_with_a_series_is_read_by_its_index() -> None:
+    def shuffled(row: dict[str, np.ndarray]) -> pd.Series:
+        return pd.Series(3.0 - row["a"]).sample(frac=1.0, random_state=1)
+
+    found, plain = (analysis.failure_probability(model, {"a": stats.norm()}, evaluations=6000)
+                    for model in (shuffled, lambda row: 3.0 - row["a"]))  # fmt: skip
+    assert found.probability == plain.probability
+    assert repr(found).startswith("<Failure: 0.0013")
 
 
 @pytest.mark.parametrize(
@@ -43,6 +70,7 @@ def test_columns_and_rows_go_by_their_names(columns: list[str], rows: list[int])
         (pd.concat([FRAME, FRAME[["a"]]], axis=1), OUTPUT, "'a' is there twice"),
         (FRAME, OUTPUT.iloc[:100], "index of y is not that"),
         (FRAME, OUTPUT.set_axis(range(1, 201)), "index of y is not that"),
+        ({**FRAME, "b": FRAME["b"].head(100)}, OUTPUT, "index of the column 'b' is not that"),
         (FRAME.to_numpy()[:, :2], OUTPUT.to_numpy(), r"rows of shape \(n, 3\)"),
         (FRAME, OUTPUT.where(OUTPUT < 2.0), "finite"),
         (FRAME.astype(str) + "x", OUTPUT, "no columns of numbers"),
