@@ -8,7 +8,6 @@ a share of 4 % or 0.01 % comes from the law and not from counting rows.
 from __future__ import annotations
 
 import math
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -175,14 +174,13 @@ def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
 def _samples(study: Study, names: Sequence[str], rows: int) -> Array:
     """Scattering numbers (n, d) in SI, in `_SPLITS` blocks, each a randomisation of the same Sobol' points."""
     from scipy.special import ndtri
-    from scipy.stats import qmc
 
-    if not names:
-        return np.zeros((_SPLITS, 0))
+    from uqsphere.uq import sobol_points
+
     each = 1 << max(3, math.ceil(math.log2(rows / _SPLITS)))
-    streams = [np.random.default_rng([study.seed, zlib.crc32(b"shpb plan"), split]) for split in range(_SPLITS)]
-    uniform = np.concatenate([qmc.Sobol(len(names), rng=stream).random(each) for stream in streams])
-    return study.inputs().only(tuple(names)).physical(ndtri(np.clip(uniform, 1e-12, 1.0 - 1e-12)))
+    uniform = [sobol_points(dimension=len(names), count=each, seed=study.seed, task="shpb plan", replicate=split)
+               for split in range(_SPLITS)]  # fmt: skip
+    return study.inputs().only(tuple(names)).physical(ndtri(np.concatenate(uniform))) if names else uniform[0][:_SPLITS]
 
 
 def _reach(values: Array, each: Array, share: float) -> tuple[float, float, float] | None:

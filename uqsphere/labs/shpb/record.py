@@ -374,9 +374,7 @@ def _even(
         if count > 4 * len(time) + 1000:
             raise UsageError("the steps of time differ too much: most of the record is missing")
         grid = time[0] + step * np.arange(count)
-        changes.add(
-            "read", "", f"the steps of time are uneven: brought to {step * 1e6:.6g} us by lines between samples"
-        )
+        changes.add("read", "", f"uneven steps of time: brought to {step * 1e6:.6g} us by lines between samples")
     else:
         step = float((time[-1] - time[0]) / (len(time) - 1))
     strain, known, filled = np.empty((len(grid), len(names))), np.ones((len(grid), len(names)), dtype=bool), 0
@@ -386,17 +384,14 @@ def _even(
         strain[:, k] = np.interp(grid, own, raw[good, k])
         after = np.clip(np.searchsorted(own, grid), 1, len(own) - 1)
         wide = own[after] - own[after - 1]
-        inside = (grid > own[after - 1] + 1e-6 * step) & (grid < own[after] - 1e-6 * step)
-        inside |= (grid < own[0] - 1e-6 * step) | (grid > own[-1] + 1e-6 * step)
+        inside = np.minimum(np.abs(grid - own[after - 1]), np.abs(own[after] - grid)) > 1e-6 * step
         filled += int((inside & (wide > 1.5 * step)).sum())
-        known[:, k] = ~(inside & (wide > (_SHORT_GAP + 1.5) * step))
-        known[:, k] &= (grid >= own[0] - 1e-6 * step) & (grid <= own[-1] + 1e-6 * step)
+        outside = inside & ((grid < own[0]) | (grid > own[-1]))
+        known[:, k] = ~(outside | (inside & (wide > (_SHORT_GAP + 1.5) * step)))
     if filled:
         changes.add("read", "", f"{filled} missing samples are filled by lines between their neighbours")
     if not known.all():
-        changes.add(
-            "read", "", f"{int((~known).sum())} samples lie in gaps of more than {_SHORT_GAP}, and are not used"
-        )
+        changes.add("read", "", f"{int((~known).sum())} samples lie in gaps of more than {_SHORT_GAP}: not used")
     return float(grid[0]), step, [(name, strain[:, k].copy(), known[:, k].copy()) for k, name in enumerate(names)]
 
 
@@ -444,10 +439,8 @@ def _despike(name: str, values: Array, step: float, changes: Changes) -> None:
     if removed:
         samples = sum(last - first + 1 for first, last, _ in removed)
         worst = max(removed, key=lambda one: abs(one[2]))
-        text = (
-            f"{len(removed)} spike{'s' * (len(removed) > 1)} ({samples} samples) taken out, the largest of "
-            f"{worst[2] * 1e6:.4g} microstrain at sample {worst[0]}"
-        )
+        text = f"{len(removed)} spike{'s' * (len(removed) > 1)} ({samples} samples) taken out, the largest of "
+        text += f"{worst[2] * 1e6:.4g} microstrain at sample {worst[0]}"
         changes.add("spikes", name, text, worst[2])
 
 
@@ -569,7 +562,7 @@ def _rested(name: str, values: Array, known: Flags, step: float, rest_end: int |
         last = values[-max(2 * _BASELINE, len(values) // 20) :]
         if np.ptp(last) > 0.1 * wave.peak:
             raise UsageError(
-                f"{name}: at rest neither before the wave nor at the end: cut out at its foot (record.aligned)?"
+                f"{name}: at rest neither before nor after the wave: cut out at its foot (record.aligned)?"
             )
         if abs(float(np.median(values[:5])) - float(last.mean())) > 0.1 * wave.peak:
             raise UsageError(f"{name}: the record begins inside the wave; its beginning is missing")
@@ -605,9 +598,7 @@ def _cut_out(name: str, values: Array, known: Flags, step: float, changes: Chang
     values = values - start
     noise = _ROBUST * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2.0)
     wave = first_wave(values, step, noise, name)
-    changes.add(
-        "baseline", name, f"cut out at its foot: its first samples, {start * 1e6:.4g} microstrain, are its zero", start
-    )
+    changes.add("baseline", name, f"cut out at its foot: its first {start * 1e6:.4g} microstrain are its zero", start)
     return Signal(name=name, strain=values, known=known, noise=noise, memory=1.0, offset=0.01 * wave.peak,
                   spread=np.zeros(len(values)), single=False, wave=wave)  # fmt: skip
 

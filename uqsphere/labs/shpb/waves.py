@@ -168,9 +168,7 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         zone = slice(first, last)
         if (first, last) != (0, count):
             ends = f"from {first * step * 1e6:.4g} to {last * step * 1e6:.4g} us"
-            changes.add(
-                "overlap", inc.name, f"the pulse is longer than the way to the face and back: A is known {ends}"
-            )
+            changes.add("overlap", inc.name, f"longer than the way to the face and back: A is known {ends}")
         noise_a = bar.stiffness * math.hypot(inc.noise, signal.noise)
         found["A"] = _peak(time[zone], force_a[zone], sd_a[zone], noise_a, inc.memory)
         mean, sd_mean = 0.5 * (force_a + force_b), 0.5 * np.hypot(sd_a, sd_b)
