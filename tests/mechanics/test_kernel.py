@@ -6,10 +6,7 @@ SOLVER: an error may be five times the tolerance that was asked for; EXACT: iden
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
-from subprocess import PIPE
 from typing import Any
 
 import numpy as np
@@ -17,7 +14,7 @@ import pytest
 from scenes import EXAMPLE
 from scipy.integrate import solve_ivp
 
-from uqsphere.mechanics.integrator import compiled, kernel
+from uqsphere.mechanics.integrator import events, faces, kernel, searches, step
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator.solve import motion, solve
 from uqsphere.mechanics.integrator.tracked import LANES
@@ -347,21 +344,10 @@ def test_contact_times_do_not_depend_on_the_tolerance() -> None:
     assert apart.mean() <= 2e-3
 
 
-def test_the_parts_compiled_beside_are_those_that_the_kernel_asks_for() -> None:
-    """One compiled form of each is kept, the kernel's: none is compiled for other arguments."""
+def test_every_function_is_compiled_in_one_form() -> None:
+    """None is compiled for other arguments, but for series of both widths."""
     solve(random_scene(1, 1))
-    compiled.compile_parts(kernel.PARTS)
-    for function, _ in kernel.PARTS:
-        line = function.py_func.__code__.co_firstlineno
-        kept = list(Path(function.stats.cache_path).glob(f"*.{function.__name__}-{line}.*.nbc"))
-        assert len(kept) == 1, kept
-
-
-@pytest.mark.parametrize("says", ["print('look', flush=True); input()", "raise SystemExit(1)"])
-def test_a_part_is_waited_for_until_it_is_done_or_its_process_has_ended(says: str) -> None:
-    with subprocess.Popen([sys.executable, "-c", says], stdin=PIPE, stdout=PIPE, stderr=PIPE, text=True) as process:
-        other = compiled.Beside()
-        other.process = process
-        other.wait("look")
-        assert ("look" in other.done) == (process.returncode is None)
-        other.end()
+    for module in (events, faces, kernel, searches, step):
+        for function in vars(module).values():
+            if hasattr(function, "py_func") and function.overloads:
+                assert len(function.overloads) <= 2, function.__name__

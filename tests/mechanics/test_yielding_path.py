@@ -21,8 +21,7 @@ from uqsphere.mechanics.integrator.tracked import (
     ANSWER_X_MAX,
     LAW_STIFFNESS,
     LAWS,
-    NUMBERS,
-    PAIR,
+    empty_lanes,
 )
 from uqsphere.mechanics.scene import Scene
 
@@ -180,14 +179,14 @@ def test_thresholds_of_force_are_as_close_as_the_approaches(numbers, law):
         assert rough.values[name] == pytest.approx(fine.values[name], rel=1e-6), name
 
 
-@numba.njit
-def there_and_back(given, pressed, approach):
+@numba.njit(_nrt=False)
+def there_and_back(lanes, given, pressed, approach):
     """The approach at which virgin loading reaches the force that it has at an approach."""
-    law = np.zeros((NUMBERS, PAIR))
-    faces.new_faces(law, 0, given)
+    s = lanes[0]
+    faces.new_faces(s, 0, given)
     if pressed:
-        faces.press_on(law, 0)
-    return faces.approach_at(law, 0, faces.face_force(law, 0, approach)[0])
+        faces.press_on(s, 0)
+    return faces.approach_at(s, 0, faces.face_force(s, 0, approach)[0])
 
 
 @pytest.mark.parametrize(
@@ -203,7 +202,7 @@ def test_virgin_loading_reaches_a_force_where_it_is_said_to(law, approaches):
     given = np.ones((LAWS, 2))
     given[:LAW_STIFFNESS, 0] = law
     for approach in approaches:
-        assert there_and_back(given, law[0] < 1.0, approach) == pytest.approx(approach, rel=1e-11)
+        assert there_and_back(empty_lanes(), given, law[0] < 1.0, approach) == pytest.approx(approach, rel=1e-11)
 
 
 def test_one_force_alone_is_an_imbalance_of_one():

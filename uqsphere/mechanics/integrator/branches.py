@@ -13,7 +13,7 @@ import math
 from uqsphere.mechanics.integrator import searches
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import ARMED
-from uqsphere.mechanics.integrator.tracked import DENT, INNER, LANES, LARGEST, ORDER, PAIR, POINTS, SPRING, TERMS
+from uqsphere.mechanics.integrator.tracked import LANES, ORDER, PAIR, POINTS, TERMS, End
 from uqsphere.mechanics.integrator.vectors import apart, curves_at, elementwise, larger, row, size_of, smaller, where
 
 #: change of a place, as a share of the trial step, after which the next one would be rounding
@@ -71,135 +71,124 @@ _guess = elementwise(PAIR, 2, _guessed)
 _refine = elementwise(PAIR, 2, _closer)
 
 
-@compiled(**INNER)
-def least_between(left, left_slope, right, right_slope):
-    """What a rate can fall to between two ends at which it is positive: where the tangents meet, and a fifth more."""
-    if left_slope < 0.0 < right_slope:
-        return min(left, right) + 1.2 * left_slope * right_slope / (right_slope - left_slope)
-    return min(left, right)
-
-
-@compiled(**INNER)
-def _dip(piece, face, level, a, b, slope_b):
+@compiled
+def _dip(s, face, level, a, b, slope_b):
     """theta at which an approach that turns at `level` and dips below it is there again; it lies above it at b."""
     apart()
     # where it turns the slope is zero but for rounding
     a += 1e-3 * (b - a)
-    _, slope_a = searches.both(piece, face, a)
+    _, slope_a = searches.both(s, face, a)
     if slope_a < 0.0 < slope_b:
-        a = searches.bend(piece, face, a, b, slope_a, slope_b, searches.SHARP)
-    return searches.root(piece, face, level, a, b) if searches.value(piece, face, a) < level else a
+        a = searches.extremum(s, 0, face, a, b, slope_a, slope_b, searches.SHARP)
+    return searches.root(s, face, level, a, b) if searches.value(s, face, a) < level else a
 
 
-@compiled(**INNER)
-def _spring_end(piece, face, m, room, at, rate, theta):
+@compiled
+def _spring_end(s, face, m, theta):
     """theta at which a spring is at its largest approach so far again, or NaN."""
     apart()
-    width, found = theta / POINTS, math.nan
+    room, width, found = s.room[0, m], theta / POINTS, math.nan
     for i in range(POINTS):
-        left, right, begin, end = at[i, m], at[i + 1, m], i * width, (i + 1) * width
+        left, right, begin, end = s.at[i, m], s.at[i + 1, m], i * width, (i + 1) * width
         if left >= room * (1.0 - ARMED):
             if right > room * (1.0 + ARMED):
-                found = _dip(piece, face, room, begin, end, rate[i + 1, m])
+                found = _dip(s, face, room, begin, end, s.rate[i + 1, m])
         elif right >= room * (1.0 - ARMED):
-            found = searches.settle(piece, face, False, begin, end, left - room, right - room, room)
-        elif searches.highest_between(left, width * rate[i, m], right, width * rate[i + 1, m]) >= room:
-            found = searches.passage(piece, face, room, 1.0, begin, end)
+            found = searches.settle(s, face, False, begin, end, left - room, right - room, room)
+        elif searches.highest_between(left, width * s.rate[i, m], right, width * s.rate[i + 1, m]) >= room:
+            found = searches.passage(s, face, room, 1.0, begin, end)
         if not math.isnan(found):
             break
     return found
 
 
-@compiled(**INNER)
-def _virgin_end(piece, face, m, rate, bow, theta):
+@compiled
+def _virgin_end(s, face, m, theta):
     """theta at which a face on virgin loading turns, or NaN."""
     apart()
     width = theta / POINTS
     for i in range(POINTS):
-        begin, end, left, right = i * width, (i + 1) * width, rate[i, m], rate[i + 1, m]
-        if left > 0.0 and right > 0.0 and least_between(left, 2.0 * width * bow[i, m], right,
-                                                        2.0 * width * bow[i + 1, m]) < 0.0:  # fmt: skip
+        begin, end, left, right = i * width, (i + 1) * width, s.rate[i, m], s.rate[i + 1, m]
+        bow_left, bow_right = 2.0 * width * s.bow[i, m], 2.0 * width * s.bow[i + 1, m]
+        if left > 0.0 and right > 0.0 and searches.highest_between(-left, -bow_left, -right, -bow_right) > 0.0:
             # a fall that is over before the next point
-            end, right = searches.slowest(piece, face, begin, end)
+            end, right = searches.slowest(s, face, begin, end)
         if left > 0.0 >= right:
-            return searches.settle(piece, face, True, begin, end, left, right, 0.0)
+            return searches.settle(s, face, True, begin, end, left, right, 0.0)
     return math.nan
 
 
-@compiled(**INNER)
-def _end(face, m, x, at, rate, bow, theta, law, piece, room):
+@compiled
+def _one_by_one(s, face, m, theta):
     """theta at which a face changes its branch, or NaN; looked at part by part."""
     apart()
     for k in range(TERMS):
-        piece[face, k] = x[k, m]
-    if law[SPRING, m] > 0.0:
-        return _spring_end(piece, face, m, room[0, m], at, rate, theta)
-    return _virgin_end(piece, face, m, rate, bow, theta)
+        s.piece[face, k] = s.x[k, m]
+    return _spring_end(s, face, m, theta) if s.spring[m] > 0.0 else _virgin_end(s, face, m, theta)
 
 
-@compiled(**INNER)
-def _unsettled(live, room, first):
+@compiled
+def _unsettled(s, first):
     """Whether a place of the lanes of one face is not settled."""
     found = False
     for j in range(LANES):
-        found |= live[j] >= 0 and not room[3, first + j] < _SETTLED
+        found |= s.row[j] >= 0 and not s.room[3, first + j] < _SETTLED
     return found
 
 
-@compiled(**INNER)
-def _settle(live, x, at, rate, bow, theta, law, room):
-    """Rows of `room`: 0 a spring's largest approach above its dent; 1 what `_first` finds, 7 where, 3 how surely."""
-    top, kind, start, place = row(room, 0, 0), row(room, 1, 0), row(room, 2, 0), row(room, 7, 0)
-    width, change, spring = row(room, 8, 0), row(room, 3, 0), row(law, SPRING, 0)
-    left, right, left_slope, right_slope = row(room, 3, 0), row(room, 4, 0), row(room, 5, 0), row(room, 6, 0)
-    _begin(top, kind, row(law, LARGEST, 0), row(law, DENT, 0))
+@compiled
+def _settle(s):
+    """Rows of s.room: 0 a spring's largest approach above its dent; 1 what `_first` finds, 7 where, 3 how surely."""
+    apart()
+    top, kind, start, place = row(s.room, 0, 0), row(s.room, 1, 0), row(s.room, 2, 0), row(s.room, 7, 0)
+    width, change, spring = row(s.room, 8, 0), row(s.room, 3, 0), s.spring
+    left, right = row(s.room, 3, 0), row(s.room, 4, 0)
+    left_slope, right_slope = row(s.room, 5, 0), row(s.room, 6, 0)
+    _begin(top, kind, s.largest, s.dent)
     for c in range(0, PAIR, LANES):
-        _part(row(room, 8, c), theta)
+        _part(row(s.room, 8, c), s.theta)
     for i in range(POINTS):
-        _look(kind, start, left, right, left_slope, right_slope, row(at, i, 0), row(at, i + 1, 0), row(rate, i, 0),
-              row(rate, i + 1, 0), row(bow, i, 0), row(bow, i + 1, 0), width, spring, top, 1.0 * i, kind, start, left,
-              right, left_slope, right_slope)  # fmt: skip
+        _look(kind, start, left, right, left_slope, right_slope, row(s.at, i, 0), row(s.at, i + 1, 0),
+              row(s.rate, i, 0), row(s.rate, i + 1, 0), row(s.bow, i, 0), row(s.bow, i + 1, 0), width, spring, top,
+              1.0 * i, kind, start, left, right, left_slope, right_slope)  # fmt: skip
     met = False
     for j in range(LANES):
-        met |= live[j] >= 0 and (room[1, j] > 0.0 or room[1, LANES + j] > 0.0)
+        met |= s.row[j] >= 0 and (s.room[1, j] > 0.0 or s.room[1, LANES + j] > 0.0)
     if not met:
         return
-    value, slope, bend = row(room, 4, 0), row(room, 5, 0), row(room, 6, 0)
+    value, slope, bend = row(s.room, 4, 0), row(s.room, 5, 0), row(s.room, 6, 0)
     _guess(place, change, start, left, right, left_slope, right_slope, width, kind)
     for _ in range(_ITERATIONS):
         going = False
         for c in range(0, PAIR, LANES):
-            if _unsettled(live, room, c):
+            if _unsettled(s, c):
                 going = True
-                curves_at(x, ORDER, PAIR, c, row(room, 7, c), value, slope, bend)
+                curves_at(s.x, ORDER, PAIR, c, row(s.room, 7, c), value, slope, bend)
         if not going:
             return
         _refine(place, change, place, change, value, slope, bend, spring, top, start, width)
 
 
-@compiled(part=True, **INNER)
-def branch_ends(live, touching, x, at, rate, bow, theta, law, piece, room, meets):
+@compiled
+def branch_ends(s):
     """End every lane's step where a face first changes its branch; whether any step is cut.
 
-    theta (LANES,) receives where; meets (LANES,): what ends the step, 0 nothing, face + 4 one that changes its branch.
-    at, rate, bow (POINTS + 1, PAIR): values, derivatives and half the second ones at equal distances over [0, theta].
-    room (11, PAIR), piece (2, TERMS): working space.
+    s.theta receives where, s.why and s.side what ends the step.
     """
     apart()
-    _settle(live, x, at, rate, bow, theta, law, room)
+    _settle(s)
     cut = False
     for j in range(LANES):
-        meets[j] = 0
-        if live[j] < 0 or touching[j] != 0:
+        if s.row[j] < 0 or s.touching[j] != 0:
             continue
-        first = theta[j]
+        first = s.theta[j]
         for face in range(2):
             m, found = face * LANES + j, math.nan
-            if room[1, m] == 1.0 and room[3, m] < _SETTLED:
-                found = room[7, m]
-            elif room[1, m] > 0.0:
-                found = _end(face, m, x, at, rate, bow, theta[j], law, piece, room)
-            if found < first or (found == first and meets[j] == 0):
-                first, cut, meets[j] = found, True, face + 4
-        theta[j] = first
+            if s.room[1, m] == 1.0 and s.room[3, m] < _SETTLED:
+                found = s.room[7, m]
+            elif s.room[1, m] > 0.0:
+                found = _one_by_one(s, face, m, s.theta[j])
+            if found < first or (found == first and s.why[j] == End.SERIES):
+                first, cut, s.why[j], s.side[j] = found, True, End.BRANCH, face
+        s.theta[j] = first
     return cut

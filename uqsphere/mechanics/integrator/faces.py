@@ -13,7 +13,7 @@ l = ln((y + base)/...), so that its series costs one recurrence more:
 
     q = constant + by_x x + by_root y + by_log l        l' (y + base) = y'        base = (b - 1) sqrt(x_y)
 
-`law` holds these numbers of every lane and face, (NUMBERS, PAIR); scaled variables.
+Every lane s has these numbers of each of its faces, m = face LANES + lane (`tracked.LANE`); scaled variables.
 """
 
 from __future__ import annotations
@@ -22,31 +22,14 @@ import math
 
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.tracked import (
-    BASE,
-    BY_LOG,
-    BY_ROOT,
-    BY_X,
-    CHI,
-    CONSTANT,
-    DENT,
-    HERTZ,
-    INNER,
     LANES,
-    LARGEST,
     LAW_ONSET,
     LAW_PILE_UP,
     LAW_SHARE,
     LAW_SOFTENING,
     LAW_STIFFNESS,
-    ONSET,
-    PEAK,
-    PILE_UP,
-    SHIFT,
-    SOFTENING,
-    SPRING,
-    STIFFNESS,
-    UNIT,
-    UNLOADINGS,
+    PAIR,
+    TAIL_SHARE,
 )
 from uqsphere.mechanics.integrator.vectors import apart
 
@@ -59,7 +42,7 @@ STILL = 1e-10
 MOST_TURNS = 8
 
 
-@compiled(**INNER)
+@compiled
 def _bend(t):
     """G(t) = t²/2 - t + ln(1 + t), see `uqsphere.mechanics.yielding`; what cancels here is 1e-12 of a force."""
     if t > 0.02:
@@ -70,7 +53,7 @@ def _bend(t):
     return total * t * t * t
 
 
-@compiled(**INNER)
+@compiled
 def _virgin_force(z, b):
     """L at z >= 1, (C5)."""
     s = math.sqrt(z) - 1.0
@@ -78,7 +61,7 @@ def _virgin_force(z, b):
     return force + 3.0 * b * b * (b - 1.0) * _bend(s / b) if b > 0.0 else force
 
 
-@compiled(**INNER)
+@compiled
 def _virgin_area(z, b, pile_up):
     """A at z >= 1, (C6)."""
     s, g = math.sqrt(z) - 1.0, 5.0
@@ -90,139 +73,135 @@ def _virgin_area(z, b, pile_up):
     return area + 2.0 * (pile_up - 1.0) * g * (g - 1.0) * _bend(s / g)
 
 
-@compiled(**INNER)
-def new_faces(law, lane, given):
+@compiled
+def new_faces(s, lane, given):
     """Both faces of a row before anything has yielded; given (LAWS, 2), onset inf where a face stays elastic."""
     apart()
     for face in range(2):
         m = face * LANES + lane
-        for k in range(law.shape[0]):
-            law[k, m] = 0.0
+        s.dent[m], s.shift[m], s.constant[m], s.base[m] = 0.0, 0.0, 0.0, 0.0
+        s.by_x[m], s.by_root[m], s.by_log[m] = 0.0, 0.0, 0.0
         onset, stiffness = given[LAW_ONSET, face], given[LAW_STIFFNESS, face]
-        law[ONSET, m], law[SOFTENING, m], law[PILE_UP, m] = onset, given[LAW_SOFTENING, face], given[LAW_PILE_UP, face]
-        law[STIFFNESS, m], law[SPRING, m], law[LARGEST, m] = stiffness, stiffness, onset
-        law[UNIT, m], law[HERTZ, m] = stiffness * onset**1.5, stiffness
-        law[PEAK, m], law[CHI, m] = law[UNIT, m], given[LAW_SHARE, face]
+        s.onset[m], s.softening[m], s.pile_up[m] = onset, given[LAW_SOFTENING, face], given[LAW_PILE_UP, face]
+        s.stiffness[m], s.spring[m], s.largest[m] = stiffness, stiffness, onset
+        s.unit_force[m], s.hertz[m] = stiffness * onset**1.5, stiffness
+        s.peak_force[m], s.chi[m] = s.unit_force[m], given[LAW_SHARE, face]
 
 
-@compiled(**INNER)
-def press_on(law, m):
+@compiled
+def press_on(s, m):
     """A spring whose approach rises through the largest so far: virgin loading."""
     apart()
-    law[SPRING, m] = 0.0
-    onset, b = law[ONSET, m], law[SOFTENING, m]
-    force, side = law[UNIT, m], math.sqrt(onset)
-    law[SHIFT, m], law[HERTZ, m] = law[DENT, m], 0.0
-    law[BY_X, m] = 1.5 * force * (1.0 + b) / onset
-    law[BY_ROOT, m] = -3.0 * force * b * b / side
-    law[BY_LOG, m] = 3.0 * force * b * b * (b - 1.0)
-    law[CONSTANT, m] = force * (1.0 - 1.5 * (1.0 + b) + 3.0 * b * b) + law[BY_X, m] * law[DENT, m]
-    law[BASE, m] = (b - 1.0) * side
+    s.spring[m] = 0.0
+    onset, b = s.onset[m], s.softening[m]
+    force, side = s.unit_force[m], math.sqrt(onset)
+    s.shift[m], s.hertz[m] = s.dent[m], 0.0
+    s.by_x[m] = 1.5 * force * (1.0 + b) / onset
+    s.by_root[m] = -3.0 * force * b * b / side
+    s.by_log[m] = 3.0 * force * b * b * (b - 1.0)
+    s.constant[m] = force * (1.0 - 1.5 * (1.0 + b) + 3.0 * b * b) + s.by_x[m] * s.dent[m]
+    s.base[m] = (b - 1.0) * side
 
 
-@compiled(**INNER)
-def let_go(law, m, above):
+@compiled
+def let_go(s, m, above):
     """Virgin loading that ends at `above` the dent: a spring with a new dent; returns the approach above that."""
     apart()
-    approach, onset = above + law[DENT, m], law[ONSET, m]
-    largest = max(approach, law[LARGEST, m])
-    force = _virgin_force(largest / onset, law[SOFTENING, m])
-    area = _virgin_area(largest / onset, law[SOFTENING, m], law[PILE_UP, m])
+    approach, onset = above + s.dent[m], s.onset[m]
+    largest = max(approach, s.largest[m])
+    force = _virgin_force(largest / onset, s.softening[m])
+    area = _virgin_area(largest / onset, s.softening[m], s.pile_up[m])
     recovered = onset * force / math.sqrt(area)
-    law[PEAK, m] = law[UNIT, m] * force
-    law[LARGEST, m], law[DENT, m] = largest, largest - recovered
-    law[SPRING, m] = law[PEAK, m] / (recovered * math.sqrt(recovered))
-    law[HERTZ, m] = law[SPRING, m]
-    law[SHIFT, m], law[BY_X, m], law[BY_ROOT, m], law[BY_LOG, m], law[CONSTANT, m] = 0.0, 0.0, 0.0, 0.0, 0.0
-    return approach - law[DENT, m]
+    s.peak_force[m] = s.unit_force[m] * force
+    s.largest[m], s.dent[m] = largest, largest - recovered
+    s.spring[m] = s.peak_force[m] / (recovered * math.sqrt(recovered))
+    s.hertz[m] = s.spring[m]
+    s.shift[m], s.by_x[m], s.by_root[m], s.by_log[m], s.constant[m] = 0.0, 0.0, 0.0, 0.0, 0.0
+    return approach - s.dent[m]
 
 
-@compiled(**INNER)
-def switch(law, m, above, track, lane):
+@compiled
+def switch(s, m, above):
     """The other branch of a face at `above` its dent; returns the approach above the dent that it has then."""
-    if law[SPRING, m] > 0.0:
-        press_on(law, m)
-        return law[LARGEST, m] - law[DENT, m]
-    track[UNLOADINGS, lane] += 1.0
-    return let_go(law, m, above)
+    if s.spring[m] > 0.0:
+        press_on(s, m)
+        return s.largest[m] - s.dent[m]
+    s.unloadings[m % LANES] += 1.0
+    return let_go(s, m, above)
 
 
-@compiled(**INNER)
-def press_deeper(law, lane, x):
+@compiled
+def press_deeper(s, lane):
     """The largest approach of faces on virgin loading, at the end of a step."""
-    for face in range(2):
-        m = face * LANES + lane
-        if law[SPRING, m] == 0.0:
-            law[LARGEST, m] = max(law[LARGEST, m], x[0, m] + law[DENT, m])
+    for m in range(lane, PAIR, LANES):
+        if s.spring[m] == 0.0:
+            s.largest[m] = max(s.largest[m], s.x[0, m] + s.dent[m])
 
 
-@compiled(**INNER)
-def on_virgin_loading(law, lane):
+@compiled
+def on_virgin_loading(s, lane):
     """Whether a face of a lane yields now."""
-    return law[SPRING, lane] == 0.0 or law[SPRING, LANES + lane] == 0.0
+    return s.spring[lane] == 0.0 or s.spring[LANES + lane] == 0.0
 
 
-@compiled(**INNER)
-def face_yielded(law, m):
+@compiled
+def face_yielded(s, m):
     """Whether a face has yielded, or does."""
-    return law[SPRING, m] == 0.0 or law[LARGEST, m] > law[ONSET, m]
+    return s.spring[m] == 0.0 or s.largest[m] > s.onset[m]
 
 
-@compiled(**INNER)
-def of_its_own(law, lane):
+@compiled
+def of_its_own(s, lane):
     """Whether the force of a face of a lane is no longer x^(3/2): it has yielded, or the faces differ."""
-    for face in range(2):
-        m = face * LANES + lane
-        if law[STIFFNESS, m] != 1.0 or face_yielded(law, m):
-            return True
-    return False
+    differ = s.stiffness[lane] != 1.0 or s.stiffness[LANES + lane] != 1.0
+    return differ or face_yielded(s, lane) or face_yielded(s, LANES + lane)
 
 
-@compiled(**INNER)
-def log_start(law, m, root):
+@compiled
+def log_start(s, m, root):
     """l at the start of a step on virgin loading, from y."""
-    return math.log((root + law[BASE, m]) / (law[SOFTENING, m] * math.sqrt(law[ONSET, m])))
+    return math.log((root + s.base[m]) / (s.softening[m] * math.sqrt(s.onset[m])))
 
 
-@compiled(**INNER)
-def face_force(law, m, above):
+@compiled
+def face_force(s, m, above):
     """Force of a face and its derivative by the approach, `above` the dent."""
-    if law[SPRING, m] > 0.0:
+    if s.spring[m] > 0.0:
         if above <= 0.0:
             return 0.0, 0.0
-        side = law[SPRING, m] * math.sqrt(above)
+        side = s.spring[m] * math.sqrt(above)
         return side * above, 1.5 * side
-    root = math.sqrt(max(above + law[SHIFT, m], 1e-300))
-    force, slope = law[CONSTANT, m] + law[BY_X, m] * above + law[BY_ROOT, m] * root, law[BY_ROOT, m]
-    if law[BY_LOG, m] != 0.0:
-        force += law[BY_LOG, m] * log_start(law, m, root)
-        slope += law[BY_LOG, m] / (root + law[BASE, m])
-    return force, law[BY_X, m] + 0.5 * slope / root
+    root = math.sqrt(max(above + s.shift[m], 1e-300))
+    force, slope = s.constant[m] + s.by_x[m] * above + s.by_root[m] * root, s.by_root[m]
+    if s.by_log[m] != 0.0:
+        force += s.by_log[m] * log_start(s, m, root)
+        slope += s.by_log[m] / (root + s.base[m])
+    return force, s.by_x[m] + 0.5 * slope / root
 
 
-@compiled(**INNER)
-def _virgin(law, m, approach):
+@compiled
+def _virgin(s, m, approach):
     """Force of a face at its largest approach so far, and its derivative; elastic below the onset."""
-    onset, z = law[ONSET, m], approach / law[ONSET, m]
+    onset, z = s.onset[m], approach / s.onset[m]
     if z <= 1.0:
-        side = law[STIFFNESS, m] * math.sqrt(approach)
+        side = s.stiffness[m] * math.sqrt(approach)
         return side * approach, 1.5 * side
-    b, y = law[SOFTENING, m], math.sqrt(z)
+    b, y = s.softening[m], math.sqrt(z)
     # (C4)
     slope = 1.5 * ((1.0 + b) * y - 1.0) / (y + b - 1.0) if b > 0.0 else 1.5
-    return law[UNIT, m] * _virgin_force(z, b), law[UNIT, m] * slope / onset
+    return s.unit_force[m] * _virgin_force(z, b), s.unit_force[m] * slope / onset
 
 
-@compiled(**INNER)
-def approach_at(law, m, force):
+@compiled
+def approach_at(s, m, force):
     """Approach at which virgin loading reaches a force, by Newton's method from that of Hertz, which lies below.
 
     Hertz and what follows the onset are convex.
     """
     apart()
-    found = (force / law[STIFFNESS, m]) ** (2.0 / 3.0)
+    found = (force / s.stiffness[m]) ** (2.0 / 3.0)
     for _ in range(60):
-        reached, slope = _virgin(law, m, found)
+        reached, slope = _virgin(s, m, found)
         following = found - (reached - force) / slope
         if abs(following - found) <= 1e-15 * found:
             break
@@ -230,113 +209,101 @@ def approach_at(law, m, force):
     return found
 
 
-@compiled(**INNER)
-def stored_energy(law, m, above):
+@compiled
+def stored_energy(s, m, above):
     """Elastic energy of a face and its derivative by the approach, (C10), in units of P_c alpha_c."""
-    force, slope = face_force(law, m, above)
-    if law[SPRING, m] > 0.0:
+    force, slope = face_force(s, m, above)
+    if s.spring[m] > 0.0:
         return 0.4 * force * max(above, 0.0), force
-    onset, b = law[ONSET, m], law[SOFTENING, m]
-    z = max((above + law[SHIFT, m]) / onset, 1.0)
-    area = _virgin_area(z, b, law[PILE_UP, m])
-    recovered = onset * (force / law[UNIT, m]) / math.sqrt(area)
+    onset, b = s.onset[m], s.softening[m]
+    z = max((above + s.shift[m]) / onset, 1.0)
+    area = _virgin_area(z, b, s.pile_up[m])
+    recovered = onset * (force / s.unit_force[m]) / math.sqrt(area)
     # dA/dz of (C6) is C - (C - 1) g/(g + y - 1)
-    pile_up, g = law[PILE_UP, m], 5.0
+    pile_up, g = s.pile_up[m], 5.0
     if pile_up > 1.0:
         g = min(5.0, pile_up * b * b / ((pile_up - 1.0) * (1.0 + b)))
     widens = pile_up - ((pile_up - 1.0) * g / (g + math.sqrt(z) - 1.0) if g > 0.0 else 0.0)
     return 0.4 * force * recovered, 0.4 * recovered * (2.0 * slope - 0.5 * force * widens / (area * onset))
 
 
-@compiled(**INNER)
-def largest_approach(law, m, known):
-    """Largest approach of a face so far, where `known` is that while it has not yielded."""
-    return law[LARGEST, m] if face_yielded(law, m) else known
+@compiled
+def largest_approach(s, m):
+    """Largest approach of a face so far: a tracked one while it has not yielded."""
+    return s.largest[m] if face_yielded(s, m) else s.peak[m // LANES, m % LANES]
 
 
-@compiled(**INNER)
-def largest_force(law, lane, known_a, known_b):
+@compiled
+def largest_force(s, lane):
     """Largest force of a row so far, from the largest approaches of its faces while they have not yielded."""
     found = 0.0
     for face in range(2):
         m = face * LANES + lane
-        if law[SPRING, m] == 0.0:
-            found = max(found, face_force(law, m, law[LARGEST, m] - law[DENT, m])[0])
-        elif law[LARGEST, m] > law[ONSET, m]:
-            found = max(found, law[PEAK, m])
+        if s.spring[m] == 0.0:
+            found = max(found, face_force(s, m, s.largest[m] - s.dent[m])[0])
+        elif s.largest[m] > s.onset[m]:
+            found = max(found, s.peak_force[m])
         else:
             # of a face that has yielded this would be Hertz's force at its depth, which it never had
-            found = max(found, law[STIFFNESS, m] * (known_b if face == 1 else known_a) ** 1.5)
+            found = max(found, s.stiffness[m] * s.peak[face, lane] ** 1.5)
     return found
 
 
-@compiled(**INNER)
-def tail_level(law, lane, known_a, known_b, share):
-    """Approach above the dents below which both forces are `share` of the largest so far."""
+@compiled
+def tail_level(s, lane):
+    """Approach above the dents below which both forces are TAIL_SHARE of the largest so far."""
     stiffest = 0.0
-    for face in range(2):
-        m = face * LANES + lane
-        stiffest = max(stiffest, max(law[SPRING, m], law[STIFFNESS, m]))
-    return (share * largest_force(law, lane, known_a, known_b) / stiffest) ** (2.0 / 3.0)
+    for m in range(lane, PAIR, LANES):
+        stiffest = max(stiffest, max(s.spring[m], s.stiffness[m]))
+    return (TAIL_SHARE * largest_force(s, lane) / stiffest) ** (2.0 / 3.0)
 
 
-@compiled(**INNER)
-def wrong_branch(law, m, x, length, beyond, track, lane):
+@compiled
+def wrong_branch(s, m, length, beyond):
     """Bring a face whose motion starts against its branch to the other one; whether it was.
 
-    x (TERMS, PAIR): the series of the step, of length `length`; its first term is changed with the dent.  A spring that
-    rises from its largest approach but turns before it is `beyond` it, as the error of a turn may leave it, stays one.
+    length: of the trial step, whose series changes its first term with the dent.  A spring that rises from its largest
+    approach but turns before it is `beyond` it, as the error of a turn may leave it, stays one.
     """
     apart()
-    still = STILL * length
-    if law[SPRING, m] == 0.0:
-        if x[1, m] < -still or (x[1, m] <= still and x[2, m] < 0.0):
-            x[0, m] = switch(law, m, x[0, m], track, lane)
-            return True
-        return False
-    room = law[LARGEST, m] - law[DENT, m]
-    rises = x[2, m] > 0.0 if x[1, m] <= still else x[1, m] * x[1, m] > -4.0 * x[2, m] * beyond
-    if x[0, m] >= room * (1.0 - ARMED) and x[1, m] >= -still and rises:
-        x[0, m] = switch(law, m, x[0, m], track, lane)
-        return True
-    return False
+    still, x, rate, bow = STILL * length, s.x[0, m], s.x[1, m], s.x[2, m]
+    if s.spring[m] == 0.0:
+        wrong = rate < -still or (rate <= still and bow < 0.0)
+    else:
+        rises = bow > 0.0 if rate <= still else rate * rate > -4.0 * bow * beyond
+        wrong = x >= (s.largest[m] - s.dent[m]) * (1.0 - ARMED) and rate >= -still and rises
+    if wrong:
+        s.x[0, m] = switch(s, m, x)
+    return wrong
 
 
-@compiled(**INNER)
-def may_be_wrong(law, m, x, length):
-    """Whether `wrong_branch` has to look at a face."""
-    if law[SPRING, m] == 0.0:
-        return x[1, m] <= STILL * length
-    return x[0, m] >= (law[LARGEST, m] - law[DENT, m]) * (1.0 - ARMED)
-
-
-@compiled(**INNER)
-def most_force(law, lane, top):
-    """The larger force of a lane at most, while its approaches stay below `top` (PAIR,)."""
+@compiled
+def most_force(s, lane):
+    """The larger force of a lane at most while its approaches stay below their bounds, s.top."""
     found = 0.0
-    for m in range(lane, 2 * LANES, LANES):
-        found = max(found, face_force(law, m, top[m])[0])
+    for m in range(lane, PAIR, LANES):
+        found = max(found, face_force(s, m, s.top[m])[0])
     return found * (1.0 + 1e-9)
 
 
-@compiled(**INNER)
-def most_stored(law, lane, top):
-    """Elastic energy that a lane stores at most while its approaches stay below `top` (PAIR,)."""
+@compiled
+def most_stored(s, lane):
+    """Elastic energy that a lane stores at most while its approaches stay below their bounds."""
     found = 0.0
-    for m in range(lane, 2 * LANES, LANES):
-        found += stored_energy(law, m, top[m])[0]
+    for m in range(lane, PAIR, LANES):
+        found += stored_energy(s, m, s.top[m])[0]
     return found
 
 
-@compiled(**INNER)
-def within_spring(law, lane, x, top):
+@compiled
+def within_spring(s, lane):
     """Share of a step from a touch that ends before a spring is at its largest approach so far; 1: none gets there.
 
-    The force beyond is another one.  x (TERMS, PAIR): approaches at the start; top (PAIR,): bounds of them in the step.
+    The force beyond is another one.
     """
     share = 1.0
-    for m in range(lane, 2 * LANES, LANES):
-        rest = law[LARGEST, m] - law[DENT, m] - x[0, m]
-        if law[SPRING, m] > 0.0 and top[m] - x[0, m] > rest > ARMED * law[LARGEST, m]:
-            share = min(share, 0.9 * rest / (top[m] - x[0, m]))
+    for m in range(lane, PAIR, LANES):
+        rest, reach = s.largest[m] - s.dent[m] - s.x[0, m], s.top[m] - s.x[0, m]
+        if s.spring[m] > 0.0 and reach > rest > ARMED * s.largest[m]:
+            share = min(share, 0.9 * rest / reach)
     return share

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 
 from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.tracked import BEGAN, HOLDS, INNER, LANES, ORDER, PAIR, TERMS, UNIT_OF
+from uqsphere.mechanics.integrator.tracked import LANES, ORDER, PAIR, QUEUE, TERMS, WAVE
 from uqsphere.mechanics.integrator.vectors import apart, elementwise, mix, row, values_at, where
 
 #: points over a step at which a wave that comes back is read
-WAVE = 12
 WAVE_THETAS = 0.5 - 0.5 * np.cos(np.pi * (np.arange(WAVE) + 0.5) / WAVE)
 #: weights (point, degree) that turn the values there into Chebyshev coefficients, and (degree, power) that turn
 #: those into powers of theta
@@ -27,46 +26,42 @@ for _k in range(WAVE):
     WAVE_POWERS[_k, : _k + 1] = Chebyshev.basis(_k, domain=[0.0, 1.0]).convert(kind=Polynomial, domain=[-1.0, 1.0]).coef
 #: Chebyshev terms that are kept in any case
 WAVE_LEAST = 4
-#: room for jumps that are under way in each bar
-QUEUE = 2048
 
 
 _places = elementwise(WAVE, 1, lambda thetas, shift, stretch: shift + stretch * thetas)
 _behind = elementwise(WAVE, 1, lambda old, new, thetas, begin: where(thetas >= begin, new, old))
 
 
-@compiled(**INNER)
-def add_echo(made, wave, ring, bar, lane, low, high, begin, h, factor, negligible, push, work):
-    """Add `factor` times a wave kept on the steps `low` to `high` to a face of `push`; begin is its time.
+@compiled
+def add_echo(s, j, bar, made):
+    """Add the wave that comes back from the far end of a bar, theory (5), to what runs towards its face.
 
-    made (LANES, room, KEPT) and wave (LANES·room·2, TERMS) hold the last `ring` steps of all lanes.  Returns the size
-    of the fit's last two terms; terms that together stay below `negligible` are left out.
+    Terms that together stay below a tenth of the error that a step may have are left out.
     """
     apart()
-    values, places, found, fit = row(work, 0, 0), row(work, 1, 0), row(work, 2, 0), row(work, 3, 0)
-    room = made.shape[1]
-    for step in range(low, high + 1):
-        piece = step & (ring - 1)
-        began, inverse = made[lane, piece, BEGAN], 1.0 / made[lane, piece, UNIT_OF]
+    values, places, found, fit = row(s.work, 0, 0), row(s.work, 1, 0), row(s.work, 2, 0), row(s.work, 3, 0)
+    begin, h, factor = s.time[j] - s.trips[bar, j], s.h[j], 2.0 * s.reflect[bar, j]
+    for step in range(s.first[bar, j], s.last[bar, j] + 1):
+        kept = made[j, step & (s.ring - 1)]
+        inverse = 1.0 / kept.unit
         # all points are read from every step; each step keeps those behind its start
-        _places(places, WAVE_THETAS, (begin - began) * inverse, h * inverse)
-        values_at(row(wave, 2 * (lane * room + piece) + bar, 0), ORDER, places, found)
-        from_theta = (began - begin) / h if step > low else -1.0
+        _places(places, WAVE_THETAS, (begin - kept.began) * inverse, h * inverse)
+        values_at(row(kept.wave, bar, 0), ORDER, places, found)
+        from_theta = (kept.began - begin) / h if step > s.first[bar, j] else -1.0
         _behind(values, values, found, WAVE_THETAS, from_theta)
     degrees = places
     mix(values, WAVE_DEGREES, degrees)
-    misfit = abs(factor) * (abs(work[1, WAVE - 1]) + abs(work[1, WAVE - 2]))
+    s.misfit[j] += abs(factor) * (abs(s.work[1, WAVE - 1]) + abs(s.work[1, WAVE - 2]))
     # terms below the error that is allowed are the joints between steps: as powers of theta they would be large
-    dropped = 0.0
+    dropped, negligible = 0.0, 0.1 * s.error[j] * s.size[0, j] / h
     for k in range(WAVE - 1, WAVE_LEAST - 1, -1):
-        dropped += abs(factor * work[1, k])
+        dropped += abs(factor * s.work[1, k])
         if dropped > negligible:
             break
-        work[1, k] = 0.0
+        s.work[1, k] = 0.0
     mix(degrees, WAVE_POWERS, fit)
     for k in range(WAVE):
-        push[k, bar * LANES + lane] += factor * work[3, k]
-    return misfit
+        s.push[k, bar * LANES + j] += factor * s.work[3, k]
 
 
 def _cubic_terms(time, h, offset, c0, c1, c2, c3):
@@ -84,101 +79,114 @@ def _cubic_terms(time, h, offset, c0, c1, c2, c3):
 _from_cubic = elementwise(LANES, 4, _cubic_terms)
 
 
-@compiled(**INNER)
-def incident(time, h, cubic, frequency, offset, push):
-    """2 f of the pulse as a series over every lane's step; nothing yet at face B."""
+@compiled
+def incident(s):
+    """2 f of the pulse as a series over every lane's step, theory (4); nothing yet at face B."""
     apart()
     for k in range(TERMS):
         for m in range(PAIR):
-            push[k, m] = 0.0
-    _from_cubic(row(push, 0, 0), row(push, 1, 0), row(push, 2, 0), row(push, 3, 0), time, h, offset, row(cubic, 0, 0),
-                row(cubic, 1, 0), row(cubic, 2, 0), row(cubic, 3, 0))  # fmt: skip
+            s.push[k, m] = 0.0
+    _from_cubic(row(s.push, 0, 0), row(s.push, 1, 0), row(s.push, 2, 0), row(s.push, 3, 0), s.time, s.h, s.offset,
+                row(s.cubic, 0, 0), row(s.cubic, 1, 0), row(s.cubic, 2, 0), row(s.cubic, 3, 0))  # fmt: skip
     for j in range(LANES):
-        if frequency[j] > 0.0:
-            angle = frequency[j] * h[j]
-            push[0, j] = 2.0 * math.sin(frequency[j] * time[j])
-            push[1, j] = 2.0 * angle * math.cos(frequency[j] * time[j])
+        if s.frequency[j] > 0.0:
+            angle, phase = s.frequency[j] * s.h[j], s.frequency[j] * s.time[j]
+            s.push[0, j] = 2.0 * math.sin(phase)
+            s.push[1, j] = 2.0 * angle * math.cos(phase)
             for k in range(2, TERMS):
-                push[k, j] = -push[k - 2, j] * angle * angle / (k * (k - 1.0))
+                s.push[k, j] = -s.push[k - 2, j] * angle * angle / (k * (k - 1.0))
 
 
-@compiled(**INNER)
-def enter_piece(breaks, coefficients, frequencies, row, lane, time, cubic, frequency, offset):
-    """Put the piece of the pulse that begins at or holds `time` into the lane."""
+@compiled
+def enter_piece(s, j, rows):
+    """Put the piece of the pulse that begins at or holds the time of a lane into it."""
     apart()
-    pieces = coefficients.shape[1]
-    piece = 0
-    while piece < pieces and breaks[row, piece + 1] <= time:
+    r, pieces, piece = s.row[j], rows.coefficients.shape[1], 0
+    while piece < pieces and rows.breaks[r, piece + 1] <= s.time[j]:
         piece += 1
-    frequency[lane] = 0.0
+    s.frequency[j] = 0.0
     for k in range(4):
-        cubic[k, lane] = 0.0
+        s.cubic[k, j] = rows.coefficients[r, piece, k] if piece < pieces else 0.0
     if piece < pieces:
-        offset[lane] = breaks[row, piece]
-        frequency[lane] = frequencies[row]
-        for k in range(4):
-            cubic[k, lane] = coefficients[row, piece, k]
+        s.offset[j], s.frequency[j] = rows.breaks[r, piece], rows.frequencies[r]
 
 
-@compiled(**INNER)
-def next_break(breaks, row, time, queue, head, tail, lane, horizon):
-    """The next time after `time` at which a step has to end: pulse, reflections, end of the record."""
+@compiled
+def next_break(s, j, rows):
+    """The next time at which a step of a lane has to end: pulse, reflections, end of the record."""
     apart()
-    best = horizon
-    near = time + 1e-13 * (1.0 + time)
-    for k in range(breaks.shape[1]):
-        if breaks[row, k] > near and breaks[row, k] < best:
-            best = breaks[row, k]
+    best, r = s.end[j], s.row[j]
+    near = s.time[j] + 1e-13 * (1.0 + s.time[j])
+    for k in range(rows.breaks.shape[1]):
+        if near < rows.breaks[r, k] < best:
+            best = rows.breaks[r, k]
     for bar in range(2):
-        while head[bar, lane] < tail[bar, lane] and queue[bar, lane, head[bar, lane] % QUEUE] <= near:
-            head[bar, lane] += 1
-        if head[bar, lane] < tail[bar, lane]:
-            best = min(best, queue[bar, lane, head[bar, lane] % QUEUE])
+        while s.head[bar, j] < s.tail[bar, j] and s.queue[bar, j, s.head[bar, j] % QUEUE] <= near:
+            s.head[bar, j] += 1
+        if s.head[bar, j] < s.tail[bar, j]:
+            best = min(best, s.queue[bar, j, s.head[bar, j] % QUEUE])
     return best
 
 
-@compiled(**INNER)
-def reflect_break(time, trips, queue, head, tail, lane, horizon):
-    """Note that whatever happens at `time` comes back after a round trip of each bar; False if there is no room."""
+@compiled
+def reflect_break(s, j):
+    """Note that whatever happens now comes back after a round trip of each bar; False if there is no room."""
     apart()
     for bar in range(2):
-        if time + trips[bar, lane] < horizon:
-            if tail[bar, lane] - head[bar, lane] >= QUEUE:
+        back = s.time[j] + s.trips[bar, j]
+        if back < s.end[j]:
+            if s.tail[bar, j] - s.head[bar, j] >= QUEUE:
                 return False
-            queue[bar, lane, tail[bar, lane] % QUEUE] = time + trips[bar, lane]
-            tail[bar, lane] += 1
+            s.queue[bar, j, s.tail[bar, j] % QUEUE] = back
+            s.tail[bar, j] += 1
     return True
 
 
-@compiled(**INNER)
-def _ended(made, lane, n):
-    return made[lane, n, BEGAN] + made[lane, n, HOLDS]
+@compiled
+def _ended(s, j, made, n):
+    kept = made[j, n & (s.ring - 1)]
+    return kept.began + kept.holds
 
 
-@compiled(**INNER)
-def echo_steps(lane, time, h, trips, count, made, ring, first, last, alone):
-    """Find the steps on which the waves left that come back during the present step; its length, if need be cut.
-
-    alone: whether no more than one of a bar may.
-    """
+@compiled
+def echo_steps(s, j, made):
+    """Find the steps on which the waves left that come back during the present step; its length, if need be cut."""
     apart()
+    time, h, newest = s.time[j], s.h[j], s.count[j] - 1
     near = 1e-13 * (1.0 + time)
     for bar in range(2):
-        begin = time - trips[bar, lane]
+        begin = time - s.trips[bar, j]
         if begin < -near:
-            first[bar, lane] = -1
+            s.first[bar, j] = -1
             continue
-        k = max(first[bar, lane], 0)
-        while k < count - 1 and _ended(made, lane, k & (ring - 1)) <= begin + near:
+        k = max(s.first[bar, j], 0)
+        while k < newest and _ended(s, j, made, k) <= begin + near:
             k += 1
-        first[bar, lane] = k
+        s.first[bar, j] = k
         # no more than two steps at once: a wave that took many steps to make is not smooth
-        k = k if alone else min(k + 1, count - 1)
-        h = min(h, max(_ended(made, lane, k & (ring - 1)) - begin, 0.1 * h))
+        k = k if s.alone[j] else min(k + 1, newest)
+        h = min(h, max(_ended(s, j, made, k) - begin, 0.1 * h))
     for bar in range(2):
-        k = first[bar, lane]
+        k = s.first[bar, j]
         if k >= 0:
-            while k < count - 1 and _ended(made, lane, k & (ring - 1)) < time - trips[bar, lane] + h - near:
+            while k < newest and _ended(s, j, made, k) < time - s.trips[bar, j] + h - near:
                 k += 1
-            last[bar, lane] = k
+            s.last[bar, j] = k
     return h
+
+
+@compiled
+def echoes(s, j, made):
+    """The waves that come back to a lane's faces over its trial step, which is cut to what they hold."""
+    apart()
+    trial = echo_steps(s, j, made)
+    if trial < s.h[j]:
+        shrink = trial / s.h[j]
+        power = shrink
+        for k in range(1, TERMS):
+            s.push[k, j] *= power
+            power *= shrink
+        s.h[j] = trial
+    for bar in range(2):
+        if s.trips[bar, j] <= s.time[j] * (1.0 + 1e-12) and s.first[bar, j] >= 0:
+            add_echo(s, j, bar, made)

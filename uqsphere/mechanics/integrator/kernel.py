@@ -5,24 +5,28 @@ together, and a lane whose row has ended takes the next one.  A row's answer dep
 that any slice, order or number of threads gives the same bits.
 
 A step never crosses a jump of the pulse or of one of its reflections, is never longer than a round trip, and
-ends where a face leaves or touches.
+ends where a face leaves or touches.  One round of `march` takes every lane one step:
+
+    enter    idle lanes take the next rows
+    waves    how long the step may be, and what runs towards the sphere in it, theory (4) and (5)
+    expand   the motion as a power series, theory (9) or (R3); how far it holds
+    meet     where in the step a face may leave, touch, yield or be pressed deepest
+    turn     each lane whose step holds: its end, what is kept of it, the state the next one starts from
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import NamedTuple
 
-import numpy as np
-
-from uqsphere.mechanics.integrator import events, incoming, tracked
+from uqsphere.arrays import Array
+from uqsphere.mechanics.integrator import events, incoming, step, tracked
 from uqsphere.mechanics.integrator.branches import branch_ends
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
     MOST_TURNS,
     face_force,
     largest_approach,
-    may_be_wrong,
     most_force,
     new_faces,
     of_its_own,
@@ -34,567 +38,483 @@ from uqsphere.mechanics.integrator.faces import (
     wrong_branch,
 )
 from uqsphere.mechanics.integrator.searches import value_of
-from uqsphere.mechanics.integrator.step import (
-    SCALES,
-    SLOW_ROOM,
-    SMALL_MU,
-    cut_at_stop,
-    decay_time,
-    doubt,
-    evaluate,
-    evaluate_bent,
-    expand,
-    expand_plain,
-    expand_virgin,
-    longest,
-    root_error,
-    slow_step,
-    start_points,
-    step_from_touch,
-    step_from_touch_plain,
-    try_step,
-)
-from uqsphere.mechanics.integrator.tracked import LANES, PAIR, TERMS
-from uqsphere.mechanics.integrator.vectors import bare
-from uqsphere.mechanics.integrator.vectors import row as row_of
+from uqsphere.mechanics.integrator.tracked import FACE_A, FULL, LANES, LINEAR, MASSLESS, PAIR, POINTS, TERMS, End
+from uqsphere.mechanics.integrator.vectors import apart
 
 #: longest trial step over the last step: without and with waves that come back, for which a step that fails costs the
 #: reading of the waves anew
 GROWTH, GROWTH_ECHO = 4.0, 1.3
 #: steps a row may take at most: one that takes more has status 5
 LIMIT = 1 << 20
+#: fate of a row that is not done; the others are its status
+GOES_ON = -1
 #: steps whose errors may all go one way: a step at rest lacks up to 0.003 tolerances of energy (sweep, balances)
 FREE_STEPS = 1 << 10
 
 
-@compiled(**tracked.INNER)
-def enter_rig(lane, given, speed, x, u, free, rig, law, size, track, inverse_mu):
-    """Put what stands at a row's poles into a lane; how quickly its lightest body and stiffest face answer a force."""
-    quickest, stiffest = inverse_mu, 0.0
-    u[0, lane] = speed
-    size[1, lane] *= min(1.0, inverse_mu)  # a heavy sphere moves slowly
-    for face in range(2):
-        m = face * LANES + lane
-        for k in range(tracked.RIGS):
-            rig[k, m] = given[k, face]
-        free[0, m] = given[tracked.RIG_SPEED, face]
-        lightness, stiffness = given[tracked.RIG_LIGHTNESS, face], law[tracked.STIFFNESS, m]
-        size[2 * face, lane] *= min(1.0, stiffness ** (-2.0 / 3.0))
-        size[3 + face, lane] = 0.1 * min(1.0, lightness) if lightness > 0.0 else 1.0
-        if given[tracked.RIG_THERE, face] == 0.0:
-            track[tracked.TOUCHED_A + face, lane] = 1.0
-        else:
-            quickest, stiffest = max(quickest, lightness), max(stiffest, stiffness)
-    return max(quickest, 1.0) * max(stiffest, 1.0)
+class Rows(NamedTuple):
+    """What is to be integrated, n rows in scaled variables.
 
-
-@compiled(**tracked.INNER)
-def wrong_root(lane, length, branch, mass, local, rig, law, size):
-    """Impulse by which the series of a step may be off because a face nearly left in it, and what is allowed."""
-    allowed = min(size[0, lane], size[2, lane]), mass * size[1, lane]
-    least, impulse = min(allowed[0], allowed[1]), 0.0
-    for face in range(2):
-        m = face * LANES + lane
-        impulse = max(impulse, length * branch[m] * law[tracked.STIFFNESS, m])
-        if rig[tracked.RIG_LIGHTNESS, m] > 0.0:
-            least = min(least, size[3 + face, lane] / rig[tracked.RIG_LIGHTNESS, m])
-    return impulse, 100.0 * local * least
-
-
-@compiled()
-def march(
-    mode, wanted, mass, ends, round_trips, breaks, coefficients, frequencies, horizon, pulse_end, level, laws, rigs,
-    speed, local, closer, asked, stop_at_loss, capacity, out, status, order, steps, kept_start, kept_length, kept,
-):  # fmt: skip
-    """Integrate rows `order` of a batch; answers go to `out` (rows, tracked.ANSWERS) and `status` (rows).
-
-    mode: 0 full, 1 linear contact, 2 massless.  wanted: sum of tracked.WANT_*.  mass (n,): mu.  ends,
-    round_trips (n, 2): R and T of the two bars (T infinite: no reflection).  breaks, coefficients, frequencies:
-    the pulse in scaled time.  horizon (n,): end of the record, inf for the rule of infinite bars, which needs
-    pulse_end (n,).  level (n,): scale of x that is expected at least.  local: error allowed in one step, asked: in the
-    answers; closer: share of the first once a face has yielded.  capacity: steps kept of one row.  kept* (len(order),
-    steps, ...) receive the series (x1, x2, u, q1, q2) of every row where they have room for steps.  laws (n,
-    tracked.LAWS, 2): of faces that yield or differ; (n, 0, 2): both forces are x^(3/2). rigs (n, tracked.RIGS, 2),
-    speed (n,): what stands at the poles where it is not two bars, with `laws`, and u at the start; such a record ends
-    when the bodies part.  (n, 0, 2): bars.
+    mass (n,): mu.  ends, round_trips (n, 2): R and T of the two bars (T infinite: no reflection).  breaks,
+    coefficients, frequencies: the pulse in scaled time.  horizon (n,): end of the record, inf for the rule of infinite
+    bars, which needs pulse_end (n,).  level (n,): scale of x that is expected at least.  laws (n, tracked.LAWS, 2): of
+    faces that yield or differ; (n, 0, 2): both forces are x^(3/2).  rigs (n, tracked.RIGS, 2), speed (n,): what stands
+    at the poles where it is not two bars, with `laws`, and u at the start; such a record ends when the bodies part.
+    (n, 0, 2): bars.
     """
-    lanes, last_point = LANES, tracked.POINTS
-    keeping = kept_start.shape[1] > 0
-    # numba counts the owners of an array at every call it is passed to: here they are held once for all
-    owned = (
-        np.zeros((TERMS, PAIR)), np.zeros((TERMS, LANES)), np.zeros((TERMS, PAIR)), np.zeros((TERMS, PAIR)),
-        np.zeros((TERMS, PAIR)), np.zeros((tracked.POINTS + 1, PAIR)), np.zeros((tracked.POINTS + 1, PAIR)),
-        np.zeros((11, PAIR)), np.zeros((4, incoming.WAVE)), np.zeros((2, TERMS)), np.full((2, lanes), np.inf),
-        np.zeros((4, lanes)), np.zeros((2, lanes, incoming.QUEUE)), np.zeros((2, lanes), dtype=np.int64),
-        np.zeros((2, lanes), dtype=np.int64), np.zeros((2, lanes), dtype=np.int64),
-        np.zeros((2, lanes), dtype=np.int64), np.zeros((tracked.TRACKS, lanes)), np.ones((SCALES, lanes)),
-        np.zeros((4, 2, tracked.POINTS + 1)), np.zeros((3, PAIR)), np.zeros((28, lanes)),
-        np.zeros((4, lanes), dtype=np.int64), np.zeros((tracked.NUMBERS, PAIR)), np.zeros((TERMS, PAIR)),
-        np.zeros((1, PAIR)), np.zeros((tracked.RIGS, PAIR)), np.zeros((TERMS, PAIR)), np.full(2, -1.0),
-        np.zeros((TERMS, PAIR)), np.zeros((3, TERMS)), np.zeros((tracked.POINTS + 1, PAIR)),
-    )  # fmt: skip
-    # faces that yield: their law, the series of the logarithm in it, a divisor; see `faces`
-    law, log, inverse_root, sloped = bare(owned[23]), bare(owned[24]), bare(owned[25][0]), bare(owned[29])
-    carried_room, bow = bare(owned[30]), bare(owned[31])
-    yielding, switched, own, turned = (
-        laws.shape[1] > 0,
-        np.zeros(lanes, dtype=np.bool_),
-        np.zeros(lanes, dtype=np.bool_),
-        np.zeros((2, PAIR)),
-    )
-    # what stands at the poles, the series of U_A and -U_B, where in a step faces are pressed deepest
-    rig, free, places = bare(owned[26]), bare(owned[27]), bare(owned[28])
-    rigged = rigs.shape[1] > 0
-    if not yielding:
-        wanted &= ~tracked.WANT_SHARE
-    for m in range(PAIR):
-        rig[tracked.RIG_GIVES, m], rig[tracked.RIG_THERE, m] = 1.0, 1.0
-    x, u, root, force, push = bare(owned[0]), bare(owned[1]), bare(owned[2]), bare(owned[3]), bare(owned[4])
-    at, rate, room, work, piece = bare(owned[5]), bare(owned[6]), bare(owned[7]), bare(owned[8]), bare(owned[9])
-    trips, cubic, queue = bare(owned[10]), bare(owned[11]), bare(owned[12])
-    track, size, grid, columns = bare(owned[17]), bare(owned[18]), bare(owned[19]), bare(owned[20])
-    half, branch, known = bare(columns[0]), bare(columns[1]), bare(columns[2:3])
-    head, tail = bare(owned[13]), bare(owned[14])
-    # steps that hold the echo of the present step
-    first, last = bare(owned[15]), bare(owned[16])
-    numbers, counts = owned[21], owned[22]
-    at_u, rate_u, time, h = bare(numbers[0]), bare(numbers[1]), bare(numbers[2]), bare(numbers[3])
-    theta, proposed, inverse_mu, frequency = bare(numbers[4]), bare(numbers[5]), bare(numbers[6]), bare(numbers[7])
-    offset, misfit, low, near = bare(numbers[8]), bare(numbers[9]), bare(numbers[10]), bare(numbers[11])
-    crest, end, quickest = bare(numbers[13]), bare(numbers[14]), bare(numbers[12])
-    stop = bare(numbers[15])  # the next time at which a step has to end
-    steady = bare(numbers[16])  # the wave that comes in from now on for ever, or -1
-    reflect = bare(numbers[17:19])
-    # 1 where a lane has a row, starts from a touch, follows the slow motion; what a step's end may be doubted for
-    busy, touching, on_slow = bare(numbers[19]), bare(numbers[20]), bare(numbers[21])
-    crosses, unfit = bare(numbers[22]), bare(numbers[23])
-    # of a lane's row: mu, inf where the sphere has no mass; the first echo; when it can be heard, the pulse is over
-    inertia, back, heard = bare(numbers[24]), bare(numbers[25]), bare(numbers[26])
-    fades = bare(numbers[27])
-    row, count, attempts, flags = bare(counts[0]), bare(counts[1]), bare(counts[2]), bare(counts[3])
-    place, meets = np.zeros(lanes, dtype=np.int64), np.zeros(lanes, np.int64)
-    # time before which the fast oscillation cannot have died out
-    calm, slow_room = np.zeros(lanes), np.zeros((SLOW_ROOM, TERMS))
-    error, alone = np.zeros(lanes), np.zeros(lanes, dtype=np.bool_)
-    row[:] = -1
-    inverse_mu[:] = 1.0
-    # uninitialised: only the pages of steps that are taken ever cost memory.  A step's series is in powers of
-    # (t - BEGAN)/UNIT_OF and holds over HOLDS.  With room for a power of two of steps all lanes would share a few lines
-    # of the processor's cache, 8 numbers each
-    room_of_lane = capacity + 8
-    kept_steps = (
-        np.empty((lanes, room_of_lane, tracked.KEPT)), np.empty((lanes, room_of_lane, 3, TERMS)),
-        np.empty((lanes * room_of_lane * 2, TERMS)), np.empty((lanes, room_of_lane, 2, 2)),
-    )  # fmt: skip
-    made = bare(kept_steps[0])
-    # series of the approaches; of faces with laws of their own the spring and the dent of a step beside them
-    path, wave, branches = bare(kept_steps[1]), bare(kept_steps[2]), bare(kept_steps[3])
-    store = wanted & tracked.WANT_RISE != 0
-    timed = wanted & tracked.WANT_DURATION != 0
-    share = tracked.TAIL_SHARE if mode == 1 else tracked.TAIL_SHARE ** (2.0 / 3.0)
-    taken, live = 0, 0
-    # how many steps are read again: all that there is room for, or the last one alone
-    ring = capacity if store or keeping or np.isfinite(round_trips).any() else 1
+
+    mass: Array
+    ends: Array
+    round_trips: Array
+    breaks: Array
+    coefficients: Array
+    frequencies: Array
+    horizon: Array
+    pulse_end: Array
+    level: Array
+    laws: Array
+    rigs: Array
+    speed: Array
+
+
+@compiled(entry=True)
+def march(rows, order, lanes, made, kept, out, status, steps):
+    """Integrate rows `order` of a batch; answers go to `out` (rows, tracked.ANSWERS), `status` and `steps` (rows,).
+
+    lanes (1,): tracked.LANE with what is asked; made (LANES, room): tracked.STEP; kept (len(order), room):
+    tracked.PATH, the series of every row, where there is room for them.
+    """
+    s, taken, live = lanes[0], 0, 0
     while True:
-        # ---- fill idle lanes
-        for j in range(lanes if live < lanes else 0):
-            if row[j] >= 0 or taken >= len(order):
+        for j in range(LANES if live < LANES else 0):
+            while s.row[j] < 0 and taken < len(order):
+                s.place_in_order[j] = taken
+                _enter(s, j, order[taken], rows)
+                taken += 1
+                if s.fate[j] != GOES_ON:
+                    _leave(s, j, made, out, status, steps)
+        _waves(s, made)
+        virgin = _expand(s)
+        _meet(s, virgin)
+        live = 0
+        for j in range(LANES):
+            if s.row[j] < 0:
                 continue
-            r, place[j] = order[taken], taken
-            taken += 1
-            live += 1
-            row[j] = r
-            inverse_mu[j] = 1.0 / mass[r]
-            end[j] = horizon[r]
-            time[j] = 0.0
-            count[j], attempts[j], touching[j] = 0, 0, 1.0
-            x[0, j], x[0, LANES + j], u[0, j] = 0.0, 0.0, 0.0
-            for bar in range(2):
-                reflect[bar, j], trips[bar, j] = ends[r, bar], round_trips[r, bar]
-                head[bar, j], tail[bar, j], first[bar, j] = 0, 0, 0
-            back[j] = min(trips[0, j], trips[1, j])
-            heard[j], inertia[j] = back[j] * (1.0 - 1e-12), mass[r] if mode == 0 else math.inf
-            fades[j] = pulse_end[r] * (1.0 - 1e-12) if not rigged and end[j] == math.inf else math.inf
-            size[0, j], size[1, j], size[2, j] = level[r], 0.1 * level[r], level[r]
-            quickest[j] = inverse_mu[j]
-            events.begin(track, j)
-            incoming.enter_piece(breaks, coefficients, frequencies, r, j, 0.0, cubic, frequency, offset)
-            incoming.reflect_break(0.0, trips, queue, head, tail, j, end[j])
-            stop[j] = incoming.next_break(breaks, r, 0.0, queue, head, tail, j, end[j])
-            proposed[j] = 1e30
-            error[j], alone[j] = local, False
-            on_slow[j], calm[j] = 0.0, decay_time(mass[r], local)
-            if yielding:
-                new_faces(law, j, laws[r])
-                turned[0, j], turned[0, LANES + j] = -1.0, -1.0
-                own[j] = of_its_own(law, j)
-            steady[j] = (
-                1.0 if breaks[r, -1] == math.inf and trips[0, j] == math.inf and trips[1, j] == math.inf else -1.0
-            )
-            if rigged:
-                quickest[j] = enter_rig(j, rigs[r], speed[r], x, u, free, rig, law, size, track, inverse_mu[j])
-                if not events.next_touch(j, x, u, free, rig) < math.inf and breaks[r, -1] == 0.0:
-                    status[r] = tracked.NEVER_CLOSES
-                    row[j] = -1
-                    live -= 1
+            if _holds(s, j):
+                if _turn(s, j, made, kept):
+                    _jump(s, j, rows)
+                _judge(s, j)
+            if s.fate[j] != GOES_ON:
+                _leave(s, j, made, out, status, steps)
+            live += s.row[j] >= 0
         if live == 0 and taken >= len(order):
             break
-        # ---- the waves over the trial steps
-        for j in range(lanes):
-            busy[j] = 1.0 if row[j] >= 0 else 0.0
-            if touching[j] > 0.0 and row[j] >= 0:
-                # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a touch
-                brief = (1e2 * error[j] * min(1.0, 1.0 / quickest[j]) * size[0, j]) ** 0.4
-                if rigged:
-                    brief = (1e2 * error[j] * min(1.0, 1.0 / quickest[j]) * min(size[0, j], size[2, j])) ** 0.4
-                # the wave that presses has to be followed as well
-                smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * error[j], 1e-2))) * (stop[j] - time[j])
-                proposed[j] = min(proposed[j], min(brief, smooth))
-        try_step(h, low, near, misfit, proposed, stop, time, back, busy, fades, share, track, error, asked, size)
-        for j in range(lanes if yielding else 0):
-            if own[j] and time[j] >= fades[j]:
-                low[j] = tail_level(law, j, track[tracked.FACE_A, j], track[tracked.FACE_B, j], tracked.TAIL_SHARE)
-            if rigged:  # only the first loss of contact is an answer of its own
-                lost = not math.isnan(track[tracked.LOST, j])
-                closest = max(100.0 * error[j], asked) * min(size[0, j], size[2, j])
-                near[j] = 0.0 if lost else closest
-        incoming.incident(time, h, cubic, frequency, offset, push)
-        for j in range(lanes):
-            if row[j] >= 0 and time[j] >= heard[j]:
-                trial = incoming.echo_steps(j, time[j], h[j], trips, count[j], made, ring, first, last, alone[j])
-                if trial < h[j]:
-                    shrink = trial / h[j]
-                    power = shrink
-                    for k in range(1, TERMS):
-                        push[k, j] *= power
-                        power *= shrink
-                    h[j] = trial
-                for bar in range(2):
-                    if trips[bar, j] <= time[j] * (1.0 + 1e-12) and first[bar, j] >= 0:
-                        misfit[j] += incoming.add_echo(made, wave, ring, bar, j, first[bar, j], last[bar, j],
-                                              time[j] - trips[bar, j], h[j], 2.0 * reflect[bar, j],
-                                              0.1 * error[j] * size[0, j] / h[j], push, work)  # fmt: skip
-        # ---- the motion over the steps
-        apart, virgin = False, False
-        if yielding:
-            for j in range(lanes):
-                if own[j] and row[j] >= 0:
-                    apart = True
-                    virgin |= on_virgin_loading(law, j)
-        if virgin:
-            expand_virgin(mode, h, inverse_mu, push, x, u, root, force, half, apart, law, log, inverse_root, rigged,
-                          rig, free, sloped)  # fmt: skip
-        elif apart or rigged:
-            expand(mode, h, inverse_mu, push, x, u, root, force, half, apart, law, log, inverse_root, rigged, rig, free,
-                   sloped)  # fmt: skip
+    return taken
+
+
+@compiled
+def _leave(s, j, made, out, status, steps):
+    """The row of a lane is done: its status, and its answers if it has any."""
+    apart()
+    r = s.row[j]
+    status[r], s.row[j] = s.fate[j], -1
+    if s.fate[j] != tracked.OK:
+        return
+    steps[r] = s.count[j]
+    if math.isnan(s.ended[j]):
+        last = made[j, (s.count[j] - 1) & (s.ring - 1)]
+        s.ended[j] = last.began + last.holds
+    if s.wanted & tracked.WANT_DURATION:
+        if s.rigged:
+            events.note_momentum(s, j)
+        elif math.isnan(s.duration[j]):
+            # the tail between infinite bars belongs to the record
+            events.note_duration(s, j, math.isnan(s.lost[j]) and s.end[j] == math.inf)
+    events.finish(s, j, made, out[r])
+
+
+# --- enter
+
+
+@compiled
+def _enter(s, j, r, rows):
+    """Put the start of a row into a lane: first touch, or what moves towards the sphere."""
+    apart()
+    s.row[j], s.count[j], s.attempts[j], s.touching[j], s.fate[j] = r, 0, 0, 1.0, GOES_ON
+    s.mass[j], s.inverse_mu[j], s.quickest[j] = rows.mass[r], 1.0 / rows.mass[r], 1.0 / rows.mass[r]
+    s.inertia[j] = rows.mass[r] if s.mode == FULL else math.inf
+    s.time[j], s.end[j], s.proposed[j], s.error[j], s.alone[j] = 0.0, rows.horizon[r], 1e30, s.local, 0
+    s.x[0, j], s.x[0, LANES + j], s.u[0, j] = 0.0, 0.0, 0.0
+    for bar in range(2):
+        s.reflect[bar, j], s.trips[bar, j] = rows.ends[r, bar], rows.round_trips[r, bar]
+        s.head[bar, j], s.tail[bar, j], s.first[bar, j], s.last[bar, j] = 0, 0, 0, 0
+    s.back[j] = min(s.trips[0, j], s.trips[1, j])
+    s.heard[j] = s.back[j] * (1.0 - 1e-12)
+    tailed = not s.rigged and s.end[j] == math.inf
+    s.fades[j] = rows.pulse_end[r] * (1.0 - 1e-12) if tailed else math.inf
+    s.size[0, j], s.size[1, j], s.size[2, j] = rows.level[r], 0.1 * rows.level[r], rows.level[r]
+    events.begin(s, j)
+    incoming.enter_piece(s, j, rows)
+    incoming.reflect_break(s, j)
+    s.stop[j] = incoming.next_break(s, j, rows)
+    s.on_slow[j], s.calm[j] = 0.0, step.decay_time(s, j)
+    s.steady[j] = 1.0 if rows.breaks[r, -1] == math.inf and s.back[j] == math.inf else -1.0
+    s.own[j] = 0
+    if s.yielding:
+        new_faces(s, j, rows.laws[r])
+        s.turned_at[j], s.turned_at[LANES + j] = -1.0, -1.0
+        s.own[j] = of_its_own(s, j)
+    if s.rigged:
+        _enter_rig(s, j, rows.rigs[r], rows.speed[r])
+        if not events.next_touch(s, j) < math.inf and rows.breaks[r, -1] == 0.0:
+            s.fate[j] = tracked.NEVER_CLOSES
+
+
+@compiled
+def _enter_rig(s, j, given, speed):
+    """Put what stands at a row's poles into a lane; how quickly its lightest body and stiffest face answer a force."""
+    quickest, stiffest = s.inverse_mu[j], 0.0
+    s.u[0, j], s.start_speed[0, j], s.start_speed[1, j] = speed, given[tracked.RIG_SPEED, 0], speed
+    s.size[1, j] *= min(1.0, s.inverse_mu[j])  # a heavy sphere moves slowly
+    for face in range(2):
+        m, lightness = face * LANES + j, given[tracked.RIG_LIGHTNESS, face]
+        s.gives[m], s.lightness[m] = given[tracked.RIG_GIVES, face], lightness
+        s.there[m], s.free[0, m] = given[tracked.RIG_THERE, face], given[tracked.RIG_SPEED, face]
+        s.size[2 * face, j] *= min(1.0, s.stiffness[m] ** (-2.0 / 3.0))
+        s.size[3 + face, j] = 0.1 * min(1.0, lightness) if lightness > 0.0 else 1.0
+        if s.there[m] == 0.0:
+            s.touched[face, j] = 1.0
         else:
-            expand_plain(mode, h, inverse_mu, push, x, u, root, force, half, apart, law, log, inverse_root, rigged,
-                         rig, free, sloped)  # fmt: skip
-        longest(x, u, free, size, rigged, error, theta)
-        for j in range(lanes):
-            if row[j] < 0:
-                continue
-            if own[j] and touching[j] == 0.0:
-                # what jumped may have turned a face against its branch: the step is made again on the other one
-                for m in range(j, PAIR, LANES):
-                    if turned[0, m] != time[j]:
-                        turned[0, m], turned[1, m] = time[j], 0.0
-                    doubtful = turned[1, m] < MOST_TURNS and may_be_wrong(law, m, x, h[j])
-                    if doubtful and wrong_branch(law, m, x, h[j], 1e-4 * error[j] * size[0, j], track, j):
-                        switched[j], error[j] = True, min(error[j], closer * local)
-                        turned[1, m] += 1.0
-            if touching[j] > 0.0:
-                theta[j] = 1.0
-                if own[j] or rigged:
-                    step_from_touch(mode, j, h[j], inverse_mu[j], push, x, u, force, yielding, law, rig, free)
-                else:
-                    step_from_touch_plain(mode, j, h[j], inverse_mu[j], push, x, u, force, yielding, law, rig, free)
-            elif (
-                mode == 0
-                and not rigged
-                and inverse_mu[j] * SMALL_MU > 1.0
-                and time[j] >= calm[j]
-                and not (own[j] and on_virgin_loading(law, j))
-            ):
-                slow, swing = 0.0, math.inf
-                springs = (law[tracked.SPRING, j], law[tracked.SPRING, LANES + j]) if own[j] else (1.0, 1.0)
-                # on the slow motion the forces differ by mu u', and u' is of the order of one
-                if abs(force[0, j] - force[0, LANES + j]) < 10.0 * mass[row[j]]:
-                    slow, swing = slow_step(
-                        j,
-                        h[j],
-                        mass[row[j]],
-                        push,
-                        x,
-                        u,
-                        root,
-                        force,
-                        size[0, j],
-                        error[j],
-                        on_slow[j] > 0.0,
-                        slow_room,
-                        springs,
-                    )
-                on_slow[j] = 1.0 if slow > 0.0 else 0.0
-                if slow > 0.0:
-                    theta[j] = slow
-                elif swing < math.inf:
-                    # the oscillation needs this long to die out
-                    rate_of_decay = 0.75 * math.sqrt(max(x[0, j], x[0, LANES + j]))
-                    calm[j] = time[j] + max(4.0 * h[j], 0.9 * math.log(swing / (error[j] * size[0, j])) / rate_of_decay)
-                else:
-                    calm[j] = time[j] + 8.0 * h[j]
-        cut_at_stop(theta, h, stop, time)
-        start_points(at, rate, bow, x)
-        for i in range(1, tracked.POINTS + 1):
-            if virgin:
-                evaluate_bent(x, theta, i / tracked.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0),
-                              row_of(bow, i, 0))  # fmt: skip
-            else:
-                evaluate(x, theta, i / tracked.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0))
-        if yielding and branch_ends(row, touching, x, at, rate, bow, theta, law, piece, room, meets):
-            for i in range(1, tracked.POINTS + 1):
-                evaluate(x, theta, i / tracked.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0))
-        evaluate(u, theta, 1.0, half, at_u, rate_u)
-        if mode != 1:
-            root_error(root, theta, half, at, law, branch, row_of(room, 0, 0), row_of(room, 1, 0))
-        events.look(mode, wanted, x, at, rate, track, theta, low, near, row, flags, known, crest, room, yielding, law)
-        doubt(crosses, unfit, h, theta, columns, error, size, inertia, touching, on_slow, misfit)
-        for j in range(lanes):
-            if row[j] < 0:
-                continue
-            r = row[j]
-            if yielding:
-                if switched[j]:
-                    switched[j] = False
-                    continue
-                reached = within_spring(law, j, x, room[1]) if touching[j] > 0.0 else 1.0
-                if reached < 1.0:
-                    proposed[j] = reached * h[j]
-                    continue
-            crossed = crosses[j] > 0.0
-            if rigged:
-                impulse, allowed = wrong_root(j, h[j] * theta[j], branch, mass[row[j]], error[j], rig, law, size)
-                crossed = touching[j] == 0.0 and mode != 1 and impulse > allowed
-            if crossed or unfit[j] > 0.0:
-                attempts[j] += 1
-                proposed[j] = h[j] * (0.5 * theta[j] if crossed else 0.5 if theta[j] > 0.0 else 0.05)
-                if not crossed and theta[j] > 0.0 and not alone[j]:
-                    # a wave bends where the step that made it ends: what does not fit is tried again up to there
-                    alone[j] = max(last[0, j] - first[0, j], last[1, j] - first[1, j]) > 0
-                    proposed[j] = h[j] if alone[j] else proposed[j]
-                if proposed[j] <= 1e-15 * (1.0 + time[j]) or attempts[j] > 10 * LIMIT:
-                    status[r] = tracked.STUCK
-                    row[j] = -1
-                    live -= 1
-                continue
-            before = time[j]
-            at_stop = h[j] * theta[j] >= (stop[j] - before) * (1.0 - 1e-10)
-            why = 0
-            ending = theta[j]
-            if yielding:
-                for m in range(j, PAIR, LANES):
-                    raised = known[0, m] > track[tracked.FACE_A + m // LANES, j]
-                    places[m // LANES] = (room[3, m] if room[4, m] > 0.0 else ending) if raised else -1.0
-            if flags[j] != 0:
-                for face in range(2):
-                    for k in range(TERMS):
-                        piece[face, k] = x[k, face * LANES + j]
-                    for i in range(tracked.POINTS + 1):
-                        grid[face, 0, i] = at[i, face * LANES + j]
-                        grid[face, 1, i] = rate[i, face * LANES + j]
-                quiet = share if low[j] > 0.0 else 0.0
-                if own[j] and low[j] > 0.0:
-                    quiet = low[j] / max(
-                        max(track[tracked.FACE_A, j], track[tracked.FACE_B, j]), max(known[0, j], known[0, LANES + j])
-                    )
-                ending, why = events.after_step(
-                    mode, flags[j], track, j, piece, grid, places, theta[j], before, h[j],
-                    back[j], quiet, max(50.0 * error[j], 2.0 * asked) * size[0, j], near[j],
-                    stop_at_loss and not rigged, yielding, law,
-                )  # fmt: skip
-            if why == 0 and ending == theta[j]:
-                why = meets[j]
-            if flags[j] & (1 << tracked.FACE_A) == 0:
-                track[tracked.FACE_A, j] = known[0, j]
-                if before < heard[j]:
-                    track[tracked.X_FIRST, j] = known[0, j]
-                if yielding:
-                    track[tracked.FACE_B, j] = known[0, LANES + j]
-                    if before < heard[j]:
-                        track[tracked.X_FIRST + 1, j] = known[0, LANES + j]
-            if rigged:
-                for face in range(2):
-                    if law[tracked.SPRING, face * LANES + j] == 0.0:  # on virgin loading it is at its deepest
-                        places[face] = ending
-                events.note_peaks(track, j, force, places)
-            if wanted & tracked.WANT_CARRIED:
-                events.note_carried(track, j, force, h[j], ending, carried_room)
-            n = count[j] & (ring - 1)
-            if timed and not rigged:
-                power = ending * h[j]
-                for k in range(TERMS):
-                    track[tracked.PUSHED, j] += (push[k, j] + push[k, LANES + j]) * power / (k + 1.0)
-                    power *= ending
-            count[j] += 1
-            if own[j] and count[j] > FREE_STEPS:  # errors to one side add up: of so many steps no more than a logarithm
-                error[j] *= 1.0 - 1.0 / count[j]
-            made[j, n, tracked.BEGAN], made[j, n, tracked.HOLDS] = before, ending * h[j]
-            made[j, n, tracked.UNIT_OF], made[j, n, tracked.CREST] = h[j], crest[j]
-            if yielding and store:
-                made[j, n, tracked.CREST] = most_force(law, j, room[1])
-            if store:
-                for face in range(2):
-                    m = face * LANES + j
-                    for k in range(TERMS):
-                        path[j, n, face, k] = x[k, m]
-                    if yielding:
-                        branches[j, n, face, 0], branches[j, n, face, 1] = law[tracked.SPRING, m], law[tracked.DENT, m]
-            for bar in range(2):
-                if before + trips[bar, j] < end[j]:
-                    gives = rig[tracked.RIG_GIVES, bar * LANES + j]
-                    for k in range(TERMS):
-                        m = bar * LANES + j
-                        wave[2 * (j * room_of_lane + n) + bar, k] = 0.5 * push[k, m] - gives * force[k, m]
-            if keeping and n < kept_start.shape[1]:
-                power, at_row = 1.0, place[j]
-                kept_start[at_row, n], kept_length[at_row, n] = before, ending * h[j]
-                for k in range(TERMS):
-                    kept[at_row, n, 0, k] = x[k, j] * power
-                    kept[at_row, n, 1, k] = x[k, LANES + j] * power
-                    kept[at_row, n, 2, k] = u[k, j] * power
-                    kept[at_row, n, 3, k] = force[k, j] * power
-                    kept[at_row, n, 4, k] = force[k, LANES + j] * power
-                    power *= ending
-                if yielding:
-                    # the series of a force ends a power of the step before that of its approach: what is left out at
-                    # the end of the step goes to the last term, which errs by a fortieth of it inside
-                    for m in range(j, PAIR, LANES):
-                        left_out = face_force(law, m, value_of(x, m, ending))[0] - value_of(force, m, ending)
-                        kept[at_row, n, 3 + m // LANES, TERMS - 1] += left_out
-                    kept[at_row, n, 0, 0] += law[tracked.DENT, j]
-                    kept[at_row, n, 1, 0] += law[tracked.DENT, LANES + j]
-            touching[j], alone[j] = 0.0, False
-            if ending < theta[j]:
-                at_u[j] = value_of(u, j, ending)
-                for m in range(j, PAIR, LANES):
-                    at[last_point, m] = value_of(x, m, ending)
-            if why >= 2:  # the motion goes on from where a face left or touched
-                at_stop = False
-                touching[j] = 1.0 if why < 4 and x[0, (why - 2) * LANES + j] <= 0.0 else 0.0
-                if why < 4 and touching[j] > 0.0:
-                    track[tracked.TOUCHES, j] += 1.0
-                elif why < 4:
-                    track[tracked.PARTED, j] = before + ending * h[j]
-                if why < 4:
-                    at[last_point, (why - 2) * LANES + j] = 0.0
-                else:
-                    own[j], error[j], m = True, min(error[j], closer * local), (why % 2) * LANES + j
-                    at[last_point, m] = switch(law, m, at[last_point, m], track, j)
-                    if mode == 2:
-                        switch(law, (LANES + 2 * j) - m, at[last_point, m], track, j)
-                        at[last_point, j] = at[last_point, LANES + j] = at[last_point, m]
-                if mode == 2 and why < 4:  # both faces move alike
-                    at[last_point, j], at[last_point, LANES + j] = 0.0, 0.0
-            time[j] = stop[j] if at_stop else before + ending * h[j]
-            x[0, j], x[0, LANES + j], u[0, j] = at[last_point, j], at[last_point, LANES + j], at_u[j]
-            if rigged:
-                for m in range(j, PAIR, LANES):
-                    free[0, m] = value_of(free, m, ending)
-                    size[3 + m // LANES, j] = max(size[3 + m // LANES, j], abs(free[0, m]))
-            if own[j]:
-                press_deeper(law, j, x)
-                if before < heard[j]:
-                    for face in range(2):
-                        known_face = track[tracked.FACE_A + face, j]
-                        track[tracked.X_FIRST + face, j] = largest_approach(law, face * LANES + j, known_face)
-            if rigged:  # what opens says nothing of the approaches
-                size[0, j], size[2, j] = max(size[0, j], x[0, j]), max(size[2, j], x[0, LANES + j])
-            else:
-                size[0, j] = max(size[0, j], max(abs(x[0, j]), abs(x[0, LANES + j])))
-            size[1, j] = max(size[1, j], abs(u[0, j]))
-            # what an echo cut short at a joint of its steps is tried again beyond it
-            kept_up = proposed[j] if ending == 1.0 and not at_stop else 0.0
-            proposed[j] = ending * h[j] * (GROWTH if time[j] < back[j] else GROWTH_ECHO)
-            proposed[j] = max(proposed[j], kept_up)
-            if why >= 4:  # a face on its other branch moves on as smoothly as before
-                proposed[j] = max(proposed[j], h[j])
-            done = why == 1
-            if rigged and touching[j] == 0.0:
-                ahead = events.next_touch(j, x, u, free, rig)
-                if ahead < math.inf:  # free flight is linear in time: one step to the touch
-                    proposed[j] = 1.001 * ahead
-                elif ahead == math.inf:
-                    proposed[j] = 1e30
-                    done = back[j] == math.inf or (at_stop and time[j] >= heard[j])
-            if not done and at_stop:
-                if time[j] >= end[j]:
-                    done = True
-                    if rigged and max(x[0, j], x[0, LANES + j]) > 0.0:
-                        status[r] = tracked.STILL_PRESSED
-                        row[j] = -1
-                        live -= 1
-                        continue
-                else:
-                    if on_slow[j] > 0.0:  # what jumps sets off the fast oscillation
-                        proposed[j] = min(proposed[j], math.sqrt(mass[r]))
-                    on_slow[j], calm[j] = 0.0, time[j] + decay_time(mass[r], error[j])
-                    proposed[j] *= GROWTH
-                    incoming.enter_piece(breaks, coefficients, frequencies, r, j, time[j], cubic, frequency, offset)
-                    if time[j] >= breaks[r, -1] and trips[0, j] == math.inf and trips[1, j] == math.inf:
-                        steady[j] = 0.0
-                    if not incoming.reflect_break(time[j], trips, queue, head, tail, j, end[j]):
-                        status[r] = tracked.CROWDED
-                        row[j] = -1
-                        live -= 1
-                        continue
-                    stop[j] = incoming.next_break(breaks, r, time[j], queue, head, tail, j, end[j])
-            if not done and steady[j] >= 0.0 and touching[j] == 0.0 and not rigged:
-                if own[j]:
-                    done = events.decided_own(wanted, track, j, x, u[0, j], mass[r], steady[j], error[j], law)
-                else:
-                    done = events.decided(
-                        mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], error[j]
-                    )
-            if done and math.isnan(track[tracked.ENDED, j]):
-                track[tracked.ENDED, j] = before + made[j, n, tracked.HOLDS]
-            never_lost = math.isnan(track[tracked.LOST, j])
-            if (
-                timed
-                and not rigged
-                and math.isnan(track[tracked.DURATION, j])
-                and (done or (stop_at_loss and not never_lost))
-            ):
-                # the tail between infinite bars belongs to the record
-                events.note_duration(track, j, x, law, yielding, never_lost and end[j] == math.inf)
-            if timed and rigged and done:
-                events.note_momentum(track, j, u, free, rig, mass[r], speed[r], rigs[r])
-            if done:
-                events.finish(mode, wanted, track, j, path[j], branches[j], made[j], count[j], out[r], yielding, law)
-                out[r, tracked.ANSWER_SPEED] = u[0, j]
-                out[r, tracked.ANSWER_SPEEDS], out[r, tracked.ANSWER_SPEEDS + 1] = free[0, j], -free[0, LANES + j]
-                status[r] = tracked.OK
-                steps[r] = count[j]
-                row[j] = -1
-                live -= 1
-                continue
-            # what is read again must still be there: the whole path, or the waves of a round trip
-            oldest = 0 if store or keeping else count[j]
-            for bar in range(2):
-                if trips[bar, j] < math.inf and time[j] < end[j]:
-                    oldest = min(oldest, max(first[bar, j], 0))
-            if count[j] - oldest >= capacity or count[j] >= LIMIT:
-                status[r] = tracked.FULL
-                row[j] = -1
-                live -= 1
-    return len(owned) + len(kept_steps)
+            quickest, stiffest = max(quickest, lightness), max(stiffest, s.stiffness[m])
+    s.quickest[j] = max(quickest, 1.0) * max(stiffest, 1.0)
 
 
-#: parts that `compiled.Beside` compiles, as `march` comes upon them, with their arguments: i, f, b numbers, n an array
-#: of integers, 1 to 3 arrays of so many dimensions
-PARTS: tuple[tuple[Any, str], ...] = (
-    (branch_ends, "n122221222n"),
-    (events.look, "ii2222111nn212b2"),
-    (events.after_step, "ii2i231fffffffbb2"),
-    (events.finish, "ii2i332i1b2"),
-)
+# --- waves
+
+
+@compiled
+def _waves(s, made):
+    """The steps that are tried, and the waves that run towards the sphere in them, theory (4) and (5)."""
+    apart()
+    for j in range(LANES):
+        s.busy[j] = 1.0 if s.row[j] >= 0 else 0.0
+        if s.touching[j] > 0.0 and s.row[j] >= 0:
+            # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a touch
+            scale = min(s.size[0, j], s.size[2, j]) if s.rigged else s.size[0, j]
+            brief = (1e2 * s.error[j] * min(1.0, 1.0 / s.quickest[j]) * scale) ** 0.4
+            # the wave that presses has to be followed as well
+            smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * s.error[j], 1e-2))) * (s.stop[j] - s.time[j])
+            s.proposed[j] = min(s.proposed[j], min(brief, smooth))
+    step.try_step(s)
+    for j in range(LANES if s.yielding else 0):
+        if s.own[j] and s.time[j] >= s.fades[j]:
+            s.low[j] = tail_level(s, j)
+        if s.rigged:  # only the first loss of contact is an answer of its own
+            lost = not math.isnan(s.lost[j])
+            s.near[j] = 0.0 if lost else max(100.0 * s.error[j], s.asked) * min(s.size[0, j], s.size[2, j])
+    incoming.incident(s)
+    for j in range(LANES):
+        if s.row[j] >= 0 and s.time[j] >= s.heard[j]:
+            incoming.echoes(s, j, made)
+
+
+# --- expand
+
+
+@compiled
+def _expand(s):
+    """The motion over the trial steps as power series, and the shares of them that hold; whether faces yield now."""
+    apart()
+    own, virgin = False, False
+    for j in range(LANES if s.yielding else 0):
+        if s.own[j] and s.row[j] >= 0:
+            own = True
+            virgin |= on_virgin_loading(s, j)
+    step.expand(s, own, virgin)
+    step.longest(s)
+    for j in range(LANES):
+        s.why[j], s.switched[j] = End.SERIES, 0
+        if s.row[j] < 0:
+            continue
+        if s.own[j] and s.touching[j] == 0.0:
+            s.switched[j] = _on_wrong_branch(s, j)
+        if s.touching[j] > 0.0:
+            s.theta[j] = 1.0
+            step.step_from_touch(s, j)
+        elif _light(s, j) and s.time[j] >= s.calm[j] and not (s.own[j] and on_virgin_loading(s, j)):
+            step.follow_slow(s, j)
+    step.cut_at_stop(s)
+    return virgin
+
+
+@compiled
+def _light(s, j):
+    """Whether the sphere of a lane is so light that it may follow the slow motion."""
+    return s.mode == FULL and not s.rigged and s.inverse_mu[j] * step.SMALL_MU > 1.0
+
+
+@compiled
+def _on_wrong_branch(s, j):
+    """Whether what jumped has turned a face against its branch: the step is made again on the other one."""
+    apart()
+    switched = False
+    for m in range(j, PAIR, LANES):
+        if s.turned_at[m] != s.time[j]:
+            s.turned_at[m], s.turns[m] = s.time[j], 0.0
+        if s.turns[m] < MOST_TURNS and wrong_branch(s, m, s.h[j], 1e-4 * s.error[j] * s.size[0, j]):
+            switched, s.error[j] = True, min(s.error[j], s.closer * s.local)
+            s.turns[m] += 1.0
+    return switched
+
+
+# --- meet
+
+
+@compiled
+def _meet(s, virgin):
+    """What the steps may meet: branches that end them, doubts, and flags of what has to be searched."""
+    apart()
+    step.inside(s, virgin)
+    if s.yielding and branch_ends(s):
+        step.inside(s, False)
+    step.speeds(s)
+    if s.mode != LINEAR:
+        step.wrong_roots(s)
+    events.look(s)
+    step.doubt(s)
+
+
+@compiled
+def _holds(s, j):
+    """Whether the step of a lane holds; else a shorter one is proposed, or the row given up."""
+    apart()
+    if s.yielding:
+        if s.switched[j]:
+            return False
+        reached = within_spring(s, j) if s.touching[j] > 0.0 else 1.0
+        if reached < 1.0:
+            s.proposed[j] = reached * s.h[j]
+            return False
+    crossed = s.crosses[j] > 0.0
+    if s.rigged:
+        crossed = s.touching[j] == 0.0 and s.mode != LINEAR and _root_is_wrong(s, j)
+    if not crossed and not s.unfit[j] > 0.0:
+        return True
+    s.attempts[j] += 1
+    s.proposed[j] = s.h[j] * (0.5 * s.theta[j] if crossed else 0.5 if s.theta[j] > 0.0 else 0.05)
+    if not crossed and s.theta[j] > 0.0 and not s.alone[j]:
+        # a wave bends where the step that made it ends: what does not fit is tried again up to there
+        s.alone[j] = max(s.last[0, j] - s.first[0, j], s.last[1, j] - s.first[1, j]) > 0
+        s.proposed[j] = s.h[j] if s.alone[j] else s.proposed[j]
+    if s.proposed[j] <= 1e-15 * (1.0 + s.time[j]) or s.attempts[j] > 10 * LIMIT:
+        s.fate[j] = tracked.STUCK
+    return False
+
+
+@compiled
+def _root_is_wrong(s, j):
+    """Whether the impulse by which the series of a step may be off because a face nearly left is too much for a rig."""
+    least, impulse = min(min(s.size[0, j], s.size[2, j]), s.mass[j] * s.size[1, j]), 0.0
+    for face in range(2):
+        m = face * LANES + j
+        impulse = max(impulse, s.h[j] * s.theta[j] * s.wrong[m] * s.stiffness[m])
+        if s.lightness[m] > 0.0:
+            least = min(least, s.size[3 + face, j] / s.lightness[m])
+    return impulse > 100.0 * s.error[j] * least
+
+
+# --- turn
+
+
+@compiled
+def _turn(s, j, made, kept):
+    """End the step of a lane: what it met, what is kept of it, the state of the next one; whether the waves jump."""
+    apart()
+    before, at_stop = s.time[j], s.h[j] * s.theta[j] >= (s.stop[j] - s.time[j]) * (1.0 - 1e-10)
+    ending = _events(s, j)
+    _keep(s, j, ending, made, kept)
+    _move_on(s, j, ending)
+    at_stop = at_stop and s.why[j] < End.CONTACT
+    s.time[j] = s.stop[j] if at_stop else before + ending * s.h[j]
+    _propose(s, j, ending, at_stop)
+    done = s.why[j] == End.RECORD
+    if s.rigged and s.touching[j] == 0.0:
+        ahead = events.next_touch(s, j)
+        if ahead < math.inf:  # free flight is linear in time: one step to the touch
+            s.proposed[j] = 1.001 * ahead
+        elif ahead == math.inf:
+            s.proposed[j] = 1e30
+            done = s.back[j] == math.inf or (at_stop and s.time[j] >= s.heard[j])
+    lost = s.stop_at_loss and not s.rigged and not math.isnan(s.lost[j])
+    if lost and s.wanted & tracked.WANT_DURATION and math.isnan(s.duration[j]):
+        events.note_duration(s, j, False)
+    if done:
+        s.fate[j] = tracked.OK
+    elif at_stop and s.time[j] >= s.end[j]:
+        pressed = max(s.x[0, j], s.x[0, LANES + j]) > 0.0
+        s.fate[j] = tracked.STILL_PRESSED if s.rigged and pressed else tracked.OK
+    return at_stop and s.fate[j] == GOES_ON
+
+
+@compiled
+def _judge(s, j):
+    """Whether nothing that is wanted can change any more, or there is no more room."""
+    if s.fate[j] != GOES_ON:
+        return
+    if s.steady[j] >= 0.0 and s.touching[j] == 0.0 and not s.rigged and events.decided(s, j):
+        s.fate[j] = tracked.OK
+        return
+    # the first step that is read again: of the whole path, or of the waves of a round trip
+    oldest = 0 if s.store or s.keeping else s.count[j]
+    for bar in range(2):
+        if s.trips[bar, j] < math.inf and s.time[j] < s.end[j]:
+            oldest = min(oldest, max(s.first[bar, j], 0))
+    if s.count[j] - oldest >= s.capacity or s.count[j] >= LIMIT:
+        s.fate[j] = tracked.FULL_ROOM
+
+
+@compiled
+def _events(s, j):
+    """Bring what is followed of a row up to date with its step; the share of the trial step at which it ends."""
+    ending = s.theta[j]
+    if s.yielding:
+        for face in range(2):
+            m = face * LANES + j
+            raised = s.known[m] > s.peak[face, j]
+            s.places[face] = (s.place[m] if s.bent[m] > 0.0 else ending) if raised else -1.0
+    if s.flags[j] != 0:
+        ending = events.after_step(s, j)
+    if s.flags[j] & (1 << FACE_A) == 0:
+        for face in range(2 if s.yielding else 1):
+            s.peak[face, j] = s.known[face * LANES + j]
+            if s.time[j] < s.heard[j]:
+                s.x_first[face, j] = s.peak[face, j]
+    if s.rigged:
+        for face in range(2):
+            if s.spring[face * LANES + j] == 0.0:  # on virgin loading it is at its deepest
+                s.places[face] = ending
+        events.note_peaks(s, j)
+    if s.wanted & tracked.WANT_CARRIED:
+        events.note_carried(s, j, ending)
+    if s.wanted & tracked.WANT_DURATION and not s.rigged:
+        power, pushed = ending * s.h[j], s.pushed[j]
+        for k in range(TERMS):
+            pushed += (s.push[k, j] + s.push[k, LANES + j]) * power / (k + 1.0)
+            power *= ending
+        s.pushed[j] = pushed
+    return ending
+
+
+@compiled
+def _keep(s, j, ending, made, kept):
+    """Store what is read again of this step: the path, and the waves that leave, f - P/Z of theory (5)."""
+    n = s.count[j]
+    one = made[j, n & (s.ring - 1)]
+    s.count[j] += 1
+    if s.own[j] and s.count[j] > FREE_STEPS:  # errors to one side add up: of so many steps no more than a logarithm
+        s.error[j] *= 1.0 - 1.0 / s.count[j]
+    one.began, one.holds, one.unit, one.crest = s.time[j], ending * s.h[j], s.h[j], s.crest[j]
+    if s.store:
+        if s.yielding:
+            one.crest = most_force(s, j)
+        for face in range(2):
+            m = face * LANES + j
+            one.spring[face], one.dent[face] = s.spring[m], s.dent[m]
+            for k in range(TERMS):
+                one.path[face, k] = s.x[k, m]
+    for bar in range(2):
+        m = bar * LANES + j
+        if s.time[j] + s.trips[bar, j] < s.end[j]:
+            for k in range(TERMS):
+                one.wave[bar, k] = 0.5 * s.push[k, m] - s.gives[m] * s.force[k, m]
+    if s.keeping and n < kept.shape[1]:
+        _give_out(s, j, ending, kept[s.place_in_order[j], n])
+
+
+@compiled
+def _give_out(s, j, ending, path):
+    """The step as a `Motion` has it."""
+    apart()
+    path.start, path.length = s.time[j], ending * s.h[j]
+    power, k_of = 1.0, LANES + j
+    for k in range(TERMS):
+        path.series[0, k], path.series[1, k] = s.x[k, j] * power, s.x[k, k_of] * power
+        path.series[2, k] = s.u[k, j] * power
+        path.series[3, k], path.series[4, k] = s.force[k, j] * power, s.force[k, k_of] * power
+        power *= ending
+    for face in range(2 if s.yielding else 0):
+        # the series of a force ends a power of the step before that of its approach: what is left out at
+        # the end of the step goes to the last term, which errs by a fortieth of it inside
+        m = face * LANES + j
+        left_out = face_force(s, m, value_of(s.x, m, ending))[0] - value_of(s.force, m, ending)
+        path.series[3 + face, TERMS - 1] += left_out
+        path.series[face, 0] += s.dent[m]
+
+
+@compiled
+def _move_on(s, j, ending):
+    """The state at the end of a step, on the branch and with the contact that follow it."""
+    why, touched = s.why[j], s.side[j] * LANES + j
+    if ending < s.theta[j]:
+        s.at_u[j] = value_of(s.u, j, ending)
+        for m in range(j, PAIR, LANES):
+            s.at[POINTS, m] = value_of(s.x, m, ending)
+    s.touching[j], s.alone[j] = 0.0, 0
+    if why == End.CONTACT:
+        if s.x[0, touched] <= 0.0:
+            s.touching[j], s.touches[j] = 1.0, s.touches[j] + 1.0
+        else:
+            s.parted[j] = s.time[j] + ending * s.h[j]
+        for m in range(j, PAIR, LANES):
+            if m == touched or s.mode == MASSLESS:  # both faces move alike
+                s.at[POINTS, m] = 0.0
+    elif why == End.BRANCH:
+        s.own[j], s.error[j] = 1, min(s.error[j], s.closer * s.local)
+        before = s.at[POINTS, touched]
+        s.at[POINTS, touched] = switch(s, touched, before)
+        if s.mode == MASSLESS:
+            other = LANES + 2 * j - touched
+            switch(s, other, s.at[POINTS, touched])
+            s.at[POINTS, other] = s.at[POINTS, touched]
+    s.x[0, j], s.x[0, LANES + j], s.u[0, j] = s.at[POINTS, j], s.at[POINTS, LANES + j], s.at_u[j]
+    if s.rigged:
+        for face in range(2):
+            m = face * LANES + j
+            s.free[0, m] = value_of(s.free, m, ending)
+            s.size[3 + face, j] = max(s.size[3 + face, j], abs(s.free[0, m]))
+            # what opens says nothing of the approaches
+            s.size[2 * face, j] = max(s.size[2 * face, j], s.x[0, m])
+    else:
+        s.size[0, j] = max(s.size[0, j], max(abs(s.x[0, j]), abs(s.x[0, LANES + j])))
+    s.size[1, j] = max(s.size[1, j], abs(s.u[0, j]))
+    if s.own[j]:
+        press_deeper(s, j)
+        for face in range(2 if s.time[j] < s.heard[j] else 0):
+            s.x_first[face, j] = largest_approach(s, face * LANES + j)
+
+
+@compiled
+def _propose(s, j, ending, at_stop):
+    """How long the next step may be."""
+    # what an echo cut short at a joint of its steps is tried again beyond it
+    kept_up = s.proposed[j] if ending == 1.0 and not at_stop else 0.0
+    longer = ending * s.h[j] * (GROWTH if s.time[j] < s.back[j] else GROWTH_ECHO)
+    s.proposed[j] = max(longer, kept_up)
+    if s.why[j] == End.BRANCH:  # a face on its other branch moves on as smoothly as before
+        s.proposed[j] = max(s.proposed[j], s.h[j])
+
+
+@compiled
+def _jump(s, j, rows):
+    """Go on from a jump of the waves, unless too many of them are under way."""
+    apart()
+    if s.on_slow[j] > 0.0:  # what jumps sets off the fast oscillation
+        s.proposed[j] = min(s.proposed[j], math.sqrt(s.mass[j]))
+    s.on_slow[j], s.calm[j] = 0.0, s.time[j] + step.decay_time(s, j)
+    s.proposed[j] *= GROWTH
+    incoming.enter_piece(s, j, rows)
+    if s.time[j] >= rows.breaks[s.row[j], -1] and s.back[j] == math.inf:
+        s.steady[j] = 0.0
+    if not incoming.reflect_break(s, j):
+        s.fate[j] = tracked.CROWDED
+    s.stop[j] = incoming.next_break(s, j, rows)

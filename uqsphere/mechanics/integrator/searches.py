@@ -1,17 +1,27 @@
 """Places sought in one step of a row: roots, tops and passages of thresholds, on the series of the step.
 
-A piece is the part of a step's series that belongs to one lane, (2, TERMS), powers of theta; all quantities are the
-scaled ones.
+What is searched is s.piece (2, TERMS): the part of a step's series that belongs to one lane, powers of theta; all
+quantities are the scaled ones.
 """
 
 from __future__ import annotations
 
 import math
 
-from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import face_force, stored_energy
-from uqsphere.mechanics.integrator.tracked import CHI, INNER, LANES, ORDER
+from uqsphere.mechanics.integrator.tracked import (
+    DIFFERENCE,
+    ENERGY,
+    FACE_B,
+    LANES,
+    LINEAR,
+    MEAN,
+    ORDER,
+    POINTS,
+    SHARE,
+    TERMS,
+)
 from uqsphere.mechanics.integrator.vectors import apart
 
 #: how closely a top is found as a share of the step: where its height matters, which hardly depends on it; where the
@@ -19,96 +29,88 @@ from uqsphere.mechanics.integrator.vectors import apart
 BROAD, SHARP = 1e-6, 1e-13
 
 
-@compiled(**INNER)
-def value(piece, face, theta):
+@compiled
+def take_piece(s, j):
+    """Put the step of a lane where it is searched, with its values and slopes at the points that are known."""
+    for face in range(2):
+        m = face * LANES + j
+        for k in range(TERMS):
+            s.piece[face, k] = s.x[k, m]
+        for i in range(POINTS + 1):
+            s.grid[face, 0, i], s.grid[face, 1, i] = s.at[i, m], s.rate[i, m]
+
+
+@compiled
+def value(s, face, theta):
     """Approach of a face inside a step."""
-    total = piece[face, ORDER]
+    total = s.piece[face, ORDER]
     for k in range(ORDER - 1, -1, -1):
-        total = total * theta + piece[face, k]
+        total = total * theta + s.piece[face, k]
     return total
 
 
-@compiled(**INNER)
+@compiled
 def value_of(series, m, theta):
-    """The same where the columns are the lanes or faces."""
+    """The same of a column of any series."""
     total = 0.0
     for k in range(ORDER, -1, -1):
         total = total * theta + series[k, m]
     return total
 
 
-@compiled(**INNER)
-def both(piece, face, theta):
+@compiled
+def both(s, face, theta):
     """Approach of a face inside a step and its derivative by theta."""
-    total, rate = piece[face, ORDER], 0.0
+    total, rate = s.piece[face, ORDER], 0.0
     for k in range(ORDER - 1, -1, -1):
         rate = rate * theta + total
-        total = total * theta + piece[face, k]
+        total = total * theta + s.piece[face, k]
     return total, rate
 
 
-@compiled(**INNER)
-def combine_own(kind, x1, x2, d1, d2, law, lane):
-    """A function of both faces that have laws of their own, or the sphere's stored energy; and its derivative."""
+@compiled
+def _of_face(s, m, stored, x, d):
+    """Force of a face, or what it stores, and its derivative, from the approach and its derivative."""
+    if s.own[m % LANES]:
+        found, slope = stored_energy(s, m, x) if stored else face_force(s, m, x)
+        return found, slope * d
+    if x <= 0.0:
+        return 0.0, 0.0
+    force, slope, share = x, 1.0, 0.5
+    if s.mode != LINEAR:
+        side, share = math.sqrt(x), 0.4
+        force, slope = x * side, 1.5 * side
+    return (share * force * x, force * d) if stored else (force, slope * d)
+
+
+@compiled
+def _combined(s, j, kind, x1, x2, d1, d2):
+    """Value and derivative of a searched function of both faces from the approaches and their derivatives."""
     apart()
-    if kind == tracked.DIFFERENCE or kind == tracked.MEAN:
-        force1, slope1 = face_force(law, lane, x1)
-        force2, slope2 = face_force(law, LANES + lane, x2)
-        if kind == tracked.DIFFERENCE:
-            return force1 - force2, slope1 * d1 - slope2 * d2
-        return 0.5 * (force1 + force2), 0.5 * (slope1 * d1 + slope2 * d2)
-    energy1, slope1 = stored_energy(law, lane, x1)
-    energy2, slope2 = stored_energy(law, LANES + lane, x2)
-    if kind == tracked.SHARE:
-        chi1, chi2 = law[CHI, lane], law[CHI, LANES + lane]
-        return chi1 * energy1 + chi2 * energy2, chi1 * slope1 * d1 + chi2 * slope2 * d2
-    return energy1 + energy2, slope1 * d1 + slope2 * d2
+    stored = kind in (ENERGY, SHARE)
+    a, slope_a = _of_face(s, j, stored, x1, d1)
+    b, slope_b = _of_face(s, LANES + j, stored, x2, d2)
+    if kind == DIFFERENCE:
+        return a - b, slope_a - slope_b
+    if kind == MEAN:
+        return 0.5 * (a + b), 0.5 * (slope_a + slope_b)
+    if kind == SHARE:
+        chi_a, chi_b = s.chi[j], s.chi[LANES + j]
+        return chi_a * a + chi_b * b, chi_a * slope_a + chi_b * slope_b
+    return a + b, slope_a + slope_b
 
 
-@compiled(**INNER, forceinline=True)
-def combine(kind, mode, x1, x2, d1, d2):
-    """Value and derivative of a searched function from the approaches and their derivatives, both forces x^(3/2)."""
-    if kind == tracked.FACE_A:
-        return x1, d1
-    if kind == tracked.FACE_B:
-        return x2, d2
-    if x1 <= 0.0:
-        x1, d1 = 0.0, 0.0
-    if x2 <= 0.0:
-        x2, d2 = 0.0, 0.0
-    if mode == 1:
-        if kind == tracked.DIFFERENCE:
-            return x1 - x2, d1 - d2
-        if kind == tracked.MEAN:
-            return 0.5 * (x1 + x2), 0.5 * (d1 + d2)
-        return 0.5 * (x1 * x1 + x2 * x2), x1 * d1 + x2 * d2
-    root1, root2 = math.sqrt(x1), math.sqrt(x2)
-    if kind == tracked.DIFFERENCE:
-        return x1 * root1 - x2 * root2, 1.5 * (root1 * d1 - root2 * d2)
-    if kind == tracked.MEAN:
-        return 0.5 * (x1 * root1 + x2 * root2), 0.75 * (root1 * d1 + root2 * d2)
-    return 0.4 * (x1 * x1 * root1 + x2 * x2 * root2), x1 * root1 * d1 + x2 * root2 * d2
-
-
-@compiled(**INNER)
-def _combined(kind, mode, x1, x2, d1, d2, own, law, lane):
-    """The same, whether faces have laws of their own or not."""
-    if kind > tracked.FACE_B and (own or kind == tracked.SHARE):
-        return combine_own(kind, x1, x2, d1, d2, law, lane)
-    return combine(kind, mode, x1, x2, d1, d2)
-
-
-@compiled(**INNER)
-def _measure(kind, mode, piece, theta, own, law, lane):
+@compiled
+def _measure(s, j, kind, theta):
     """Value and derivative of one of the searched functions inside a step."""
-    if kind <= tracked.FACE_B:
-        return both(piece, kind, theta)
-    x1, d1 = both(piece, 0, theta)
-    x2, d2 = both(piece, 1, theta)
-    return _combined(kind, mode, x1, x2, d1, d2, own, law, lane)
+    if kind <= FACE_B:
+        return both(s, kind, theta)
+    x1, d1 = both(s, 0, theta)
+    x2, d2 = both(s, 1, theta)
+    return _combined(s, j, kind, x1, x2, d1, d2)
 
 
-@compiled(**INNER)
+@compiled
 def highest_between(left, left_slope, right, right_slope):
     """What a function can reach between two ends: where the tangents meet, and a fifth for bends."""
     top = max(left, right)
@@ -117,11 +119,11 @@ def highest_between(left, left_slope, right, right_slope):
     return top
 
 
-@compiled(**INNER)
-def root(piece, face, level, a, b):
+@compiled
+def root(s, face, level, a, b):
     """Where a face passes `level` between a and b, which bracket it; regula falsi with the Illinois rule."""
     apart()
-    at_a, at_b = value(piece, face, a) - level, value(piece, face, b) - level
+    at_a, at_b = value(s, face, a) - level, value(s, face, b) - level
     # an end may be the root itself, to the last bit: there is then nothing left to bracket
     if at_a == 0.0:
         return a
@@ -135,7 +137,7 @@ def root(piece, face, level, a, b):
             return b
         if not min(a, b) < c < max(a, b):
             c = 0.5 * (a + b)
-        at_c = value(piece, face, c) - level
+        at_c = value(s, face, c) - level
         if abs(c - b) < 1e-15 or at_c == 0.0:
             return c
         if (at_c < 0.0) != (at_b < 0.0):
@@ -146,15 +148,15 @@ def root(piece, face, level, a, b):
     return b
 
 
-@compiled(**INNER)
-def _extremum(kind, mode, piece, a, b, slope_a, slope_b, close, own, law, lane):
+@compiled
+def extremum(s, j, kind, a, b, slope_a, slope_b, close):
     """theta between a and b, to `close`, at which the slope of a searched function changes sign, as at the ends."""
     apart()
     for _ in range(60):
         c = b - slope_b * (b - a) / (slope_b - slope_a)
         if not min(a, b) < c < max(a, b):
             c = 0.5 * (a + b)
-        _, slope_c = _measure(kind, mode, piece, c, own, law, lane)
+        _, slope_c = _measure(s, j, kind, c)
         if abs(c - b) < close or slope_c == 0.0:
             return c
         if (slope_c < 0.0) != (slope_b < 0.0):
@@ -165,21 +167,15 @@ def _extremum(kind, mode, piece, a, b, slope_a, slope_b, close, own, law, lane):
     return b
 
 
-@compiled(**INNER)
-def bend(piece, face, a, b, slope_a, slope_b, close):
-    """The same of the approach of a face, for which no law matters."""
-    return _extremum(face, 0, piece, a, b, slope_a, slope_b, close, False, piece, 0)
-
-
-@compiled(**INNER)
-def curve(piece, face, turns, theta):
+@compiled
+def curve(s, face, turns, theta):
     """Approach of a face inside a step and its derivative, or if it `turns` that and the next one.
 
     The even and the odd powers, of value and derivative, are four sums side by side: half as long a wait as `both`.
     """
     square, even, odd, even_rate, odd_rate = theta * theta, 0.0, 0.0, 0.0, 0.0
     for n in range(ORDER // 2, 0, -1):
-        two, low, high = 2.0 * n, piece[face, 2 * n], piece[face, 2 * n + 1] if 2 * n < ORDER else 0.0
+        two, low, high = 2.0 * n, s.piece[face, 2 * n], s.piece[face, 2 * n + 1] if 2 * n < ORDER else 0.0
         if turns:
             low, high = two * low, (two + 1.0) * high
             even, odd = even * square + high, odd * square + low
@@ -188,13 +184,13 @@ def curve(piece, face, turns, theta):
             even, odd = even * square + low, odd * square + high
             even_rate, odd_rate = even_rate * square + (two + 1.0) * high, odd_rate * square + two * low
     if turns:
-        return even * square + piece[face, 1] + theta * odd, even_rate + theta * odd_rate
-    even, odd = even * square + piece[face, 0], odd * square + piece[face, 1]
-    return even + theta * odd, even_rate * square + piece[face, 1] + theta * odd_rate
+        return even * square + s.piece[face, 1] + theta * odd, even_rate + theta * odd_rate
+    even, odd = even * square + s.piece[face, 0], odd * square + s.piece[face, 1]
+    return even + theta * odd, even_rate * square + s.piece[face, 1] + theta * odd_rate
 
 
-@compiled(**INNER)
-def settle(piece, face, turns, a, b, at_a, at_b, level):
+@compiled
+def settle(s, face, turns, a, b, at_a, at_b, level):
     """theta between a and b at which a face passes `level`, or turns if `turns`; Newton, to the last bits.
 
     at_a, at_b: what is sought a zero of, at the ends, which bracket it.
@@ -206,7 +202,7 @@ def settle(piece, face, turns, a, b, at_a, at_b, level):
         return b
     found = a + (b - a) * at_a / (at_a - at_b)
     for _ in range(60):
-        off, slope = curve(piece, face, turns, found)
+        off, slope = curve(s, face, turns, found)
         off -= level
         if off == 0.0:
             break
@@ -224,16 +220,16 @@ def settle(piece, face, turns, a, b, at_a, at_b, level):
     return found
 
 
-@compiled(**INNER)
-def slowest(piece, face, a, b):
+@compiled
+def slowest(s, face, a, b):
     """theta between a and b at which a face is slowest, and its rate there; its second derivative rises through 0."""
     apart()
-    _, low = curve(piece, face, True, a)
-    _, high = curve(piece, face, True, b)
+    _, low = curve(s, face, True, a)
+    _, high = curve(s, face, True, b)
     found, rate = a, math.inf
     for _ in range(8):
         found = a - low * (b - a) / (high - low) if low < 0.0 < high else 0.5 * (a + b)
-        rate, bow = curve(piece, face, True, found)
+        rate, bow = curve(s, face, True, found)
         if rate < 0.0:
             break
         if bow < 0.0:
@@ -243,98 +239,79 @@ def slowest(piece, face, a, b):
     return found, rate
 
 
-@compiled(**INNER)
-def passage(piece, face, level, sign, begin, end):
+@compiled
+def passage(s, face, level, sign, begin, end):
     """First theta on the way from `begin` to `end` at which sign·(approach - level) >= 0, or NaN."""
     apart()
-    width = (end - begin) / tracked.POINTS
+    width = (end - begin) / POINTS
     a = begin
-    at_a, slope_a = both(piece, face, a)
+    at_a, slope_a = both(s, face, a)
     at_a, slope_a = sign * (at_a - level), sign * slope_a
     if at_a >= 0.0:
         return begin
-    for k in range(1, tracked.POINTS + 1):
-        b = begin + k * width if k < tracked.POINTS else end
-        at_b, slope_b = both(piece, face, b)
+    for k in range(1, POINTS + 1):
+        b = begin + k * width if k < POINTS else end
+        at_b, slope_b = both(s, face, b)
         at_b, slope_b = sign * (at_b - level), sign * slope_b
         if at_b >= 0.0:
-            return root(piece, face, level, a, b)
+            return root(s, face, level, a, b)
         if (
             slope_a * width > 0.0 > slope_b * width
             and highest_between(at_a, slope_a * width, at_b, slope_b * width) >= 0.0
         ):
-            # the search measures the slopes themselves, without the sign; at a face no mode matters
-            peak = bend(piece, face, a, b, sign * slope_a, sign * slope_b, BROAD)
-            if sign * (value(piece, face, peak) - level) >= 0.0:
-                return root(piece, face, level, a, peak)
+            # the search measures the slopes themselves, without the sign; of one face no lane matters
+            peak = extremum(s, 0, face, a, b, sign * slope_a, sign * slope_b, BROAD)
+            if sign * (value(s, face, peak) - level) >= 0.0:
+                return root(s, face, level, a, peak)
         a, at_a, slope_a = b, at_b, slope_b
     return math.nan
 
 
-@compiled(**INNER)
-def survey(piece, end, grid):
-    """Values and slopes of both faces at equal distances over [0, end]: grid (face, 2, tracked.POINTS + 1)."""
+@compiled
+def survey(s, end):
+    """Values and slopes of both faces at equal distances over [0, end]: s.grid (face, 2, POINTS + 1)."""
     apart()
-    a, b, c, d = end * 1 / tracked.POINTS, end * 2 / tracked.POINTS, end * 3 / tracked.POINTS, end
     for face in range(2):
-        at_a = at_b = at_c = at_d = piece[face, ORDER]
-        rate_a = rate_b = rate_c = rate_d = 0.0
-        # the points side by side: none waits for another
-        for k in range(ORDER - 1, -1, -1):
-            term = piece[face, k]
-            rate_a, rate_b, rate_c, rate_d = rate_a * a + at_a, rate_b * b + at_b, rate_c * c + at_c, rate_d * d + at_d
-            at_a, at_b, at_c, at_d = at_a * a + term, at_b * b + term, at_c * c + term, at_d * d + term
-        grid[face, 0, 0], grid[face, 1, 0] = piece[face, 0], piece[face, 1]
-        grid[face, 0, 1], grid[face, 0, 2], grid[face, 0, 3], grid[face, 0, 4] = at_a, at_b, at_c, at_d
-        grid[face, 1, 1], grid[face, 1, 2], grid[face, 1, 3], grid[face, 1, 4] = rate_a, rate_b, rate_c, rate_d
+        for i in range(POINTS + 1):
+            s.grid[face, 0, i], s.grid[face, 1, i] = both(s, face, end * i / POINTS)
 
 
-def _largest_of(face_alone):
-    """The search for a largest value, of an approach or of a function of both faces.
+@compiled
+def largest(s, j, kind, end, known):
+    """Largest value in [0, end] of a searched function and its theta, or `known` and -1 if that is larger.
 
-    Gives the largest value in [0, end] and its theta, or `known` and -1 if that is larger.  Of the difference of the
-    forces the size counts, of an approach no gap.
+    Of the difference of the forces the size counts, of an approach no gap.
     """
-
-    @compiled(**INNER)
-    def largest(kind, mode, piece, end, grid, known, own, law, lane):
-        apart()
-        width, place, signed = end / tracked.POINTS, -1.0, kind == tracked.DIFFERENCE
-        left, left_slope = 0.0, 0.0
-        for i in range(tracked.POINTS + 1):
-            if face_alone:
-                right, right_slope = grid[kind, 0, i], grid[kind, 1, i]
-            else:
-                right, right_slope = _combined(
-                    kind, mode, grid[0, 0, i], grid[1, 0, i], grid[0, 1, i], grid[1, 1, i], own, law, lane
-                )
-            if (abs(right) if signed else right) > known:
-                known, place = abs(right), i * width
-            sign = 1.0 if left + right >= 0.0 else -1.0
-            top = highest_between(sign * left, sign * left_slope * width, sign * right, sign * right_slope * width)
-            if i > 0 and top > max(known, max(abs(left), abs(right))):
-                peak = _extremum(
-                    kind, mode, piece, (i - 1) * width, i * width, left_slope, right_slope, BROAD, own, law, lane
-                )
-                at_peak, _ = _measure(kind, mode, piece, peak, own, law, lane)
-                if (abs(at_peak) if signed else at_peak) > known:
-                    known, place = abs(at_peak), peak
-            left, left_slope = right, right_slope
-        return known, place
-
-    return largest
-
-
-largest_approach, largest_of_both = _largest_of(True), _largest_of(False)
-
-
-@compiled(**INNER)
-def may_pass(grid, face, sign, width, level):
-    """Whether sign·approach can pass -level at all, from its values and slopes at the points of a grid."""
     apart()
-    for i in range(tracked.POINTS):
-        left, left_slope = sign * grid[face, 0, i], sign * grid[face, 1, i] * width
-        right, right_slope = sign * grid[face, 0, i + 1], sign * grid[face, 1, i + 1] * width
+    width, place, signed = end / POINTS, -1.0, kind == DIFFERENCE
+    left, left_slope = 0.0, 0.0
+    for i in range(POINTS + 1):
+        if kind <= FACE_B:
+            right, right_slope = s.grid[kind, 0, i], s.grid[kind, 1, i]
+        else:
+            right, right_slope = _combined(
+                s, j, kind, s.grid[0, 0, i], s.grid[1, 0, i], s.grid[0, 1, i], s.grid[1, 1, i]
+            )
+        if (abs(right) if signed else right) > known:
+            known, place = abs(right), i * width
+        sign = 1.0 if left + right >= 0.0 else -1.0
+        top = highest_between(sign * left, sign * left_slope * width, sign * right, sign * right_slope * width)
+        if i > 0 and top > max(known, max(abs(left), abs(right))):
+            peak = extremum(s, j, kind, (i - 1) * width, i * width, left_slope, right_slope, BROAD)
+            at_peak, _ = _measure(s, j, kind, peak)
+            if (abs(at_peak) if signed else at_peak) > known:
+                known, place = abs(at_peak), peak
+        left, left_slope = right, right_slope
+    return known, place
+
+
+@compiled
+def may_pass(s, face, sign, width, level):
+    """Whether sign·approach can pass -level at all, from its values and slopes at the points of the grid."""
+    apart()
+    for i in range(POINTS):
+        left, left_slope = sign * s.grid[face, 0, i], sign * s.grid[face, 1, i] * width
+        right, right_slope = sign * s.grid[face, 0, i + 1], sign * s.grid[face, 1, i + 1] * width
         if highest_between(left, left_slope, right, right_slope) >= -level:
             return True
     return False

@@ -29,12 +29,7 @@ from uqsphere.mechanics.outputs import OUTPUTS, Answers, answers_from, wishes
 from uqsphere.mechanics.scene import STATUS, Scene
 
 #: fidelities the integrator knows, and the number it knows them by
-MODES: Final[dict[str, int]] = {"full": 0, "linear": 1, "massless": 2}
-#: what `scaled_arguments` gives, in the order in which the kernel takes it
-_ARGUMENTS: Final = (
-    "mass", "ends", "round_trips", "breaks", "coefficients", "frequencies", "horizon", "pulse_end", "level", "laws",
-    "rigs", "speed",
-)  # fmt: skip
+MODES: Final[dict[str, int]] = {"full": tracked.FULL, "linear": tracked.LINEAR, "massless": tracked.MASSLESS}
 #: rows that one call of the kernel takes: enough to fill its lanes, few enough to share between threads
 _BLOCK = 512
 #: steps a row may take, tried in turn, so that memory stays small for the many rows that need few;
@@ -257,35 +252,44 @@ def march_rows(
 
     asked: the tolerance of the answers, where `tolerance` is closer; keep: the paths.
     """
-    from uqsphere.mechanics.integrator.kernel import march
+    from uqsphere.mechanics.integrator.kernel import Rows, march
 
     share = _LOCAL_DIFFERENCE if wanted & tracked.WANT_DIFFERENCE else _LOCAL
-    bars_only = arguments["rigs"].shape[1] == 0
-    if (
-        bars_only
-        and wanted & (tracked.WANT_DURATION | tracked.WANT_CONTACT)
-        and not np.isfinite(arguments["horizon"]).all()
-    ):
+    finite = bool(np.isfinite(arguments["horizon"]).all())
+    rigged, yielding = arguments["rigs"].shape[1] > 0, arguments["laws"].shape[1] > 0
+    if not rigged and wanted & (tracked.WANT_DURATION | tracked.WANT_CONTACT) and not finite:
         share = min(share, _LOCAL_TAIL)
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than the approaches need
     local = share * tolerance * (1.0 if mode == MODES["full"] else 0.1)
-    closer = min(1.0, _yielded_share(arguments) / share)
-    n = len(arguments["mass"])
+    store = wanted & tracked.WANT_RISE != 0
+    echoing = bool(np.isfinite(arguments["round_trips"]).any())
+    n, rows = len(arguments["mass"]), Rows(**arguments)
     answers, status, steps = empty_answers(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     order, paths = np.arange(n), dict[int, tuple[Array, Array, Array]]()
     for capacity in _CAPACITIES:
-        room = len(order), capacity if keep else 0
-        kept = (np.zeros(room), np.zeros(room), np.zeros((*room, 5, tracked.TERMS)))
-        rows = [arguments[name] for name in _ARGUMENTS]
-        march(
-            *(mode, wanted, *rows, local, closer, asked, stop_at_loss, capacity, answers, status, order, steps, *kept)
-        )
+        lanes = tracked.empty_lanes()
+        given = {
+            "mode": mode, "wanted": wanted if yielding else wanted & ~tracked.WANT_SHARE, "yielding": yielding,
+            "rigged": rigged, "stop_at_loss": stop_at_loss, "store": store, "keeping": keep, "capacity": capacity,
+            "local": local, "closer": min(1.0, _yielded_share(arguments) / share), "asked": asked,
+            # how many steps are read again: all that there is room for, or the last one alone
+            "ring": capacity if store or keep or echoing else 1,
+            "share": tracked.TAIL_SHARE if mode == MODES["linear"] else tracked.TAIL_SHARE ** (2.0 / 3.0),
+            "row": -1, "inverse_mu": 1.0, "spring": 1.0, "stiffness": 1.0, "gives": 1.0, "there": 1.0,
+            "trips": np.inf,
+        }  # fmt: skip
+        for name, value in given.items():
+            lanes[name] = value
+        # not set to anything: only the pages of steps that are taken ever cost memory.  With room for a power of two
+        # of steps all lanes would share a few lines of the processor's cache
+        made = np.empty((tracked.LANES, capacity + 8), tracked.STEP)
+        kept = np.zeros((len(order), capacity if keep else 0), tracked.PATH)
+        march(rows, order, lanes, made, kept, answers, status, steps)
         if keep:
-            paths |= {
-                row: (kept[0][k, :taken].copy(), kept[1][k, :taken].copy(), kept[2][k, :taken].copy())
-                for k, (row, taken) in enumerate(zip(order.tolist(), steps[order].tolist(), strict=True))
-            }
-        order = order[status[order] == tracked.FULL]
+            for k, row in enumerate(order.tolist()):
+                path = kept[k, : steps[row]]
+                paths[row] = path["start"].copy(), path["length"].copy(), path["series"].copy()
+        order = order[status[order] == tracked.FULL_ROOM]
         if len(order) == 0:
             break
     kept_paths = tuple(path for _, path in sorted(paths.items()))

@@ -11,7 +11,7 @@ length h of the step, theory (9) reads for the coefficients
 
 The series serves three ends at once: it makes the step, it says how long the step may be, and it is the motion
 inside the step.  Arrays are (coefficient, lane); what exists at both faces has the lanes of face A first, then
-those of face B.
+those of face B.  Between other partners than bars the equations are (R3), see `uqsphere.mechanics.integrator.solve`.
 """
 
 from __future__ import annotations
@@ -20,33 +20,15 @@ import math
 
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import face_force, log_start
-from uqsphere.mechanics.integrator.searches import value, value_of
-from uqsphere.mechanics.integrator.tracked import (
-    BASE,
-    BY_LOG,
-    BY_ROOT,
-    BY_X,
-    CONSTANT,
-    FACE_A,
-    FACE_B,
-    HERTZ,
-    INNER,
-    LANES,
-    ORDER,
-    PAIR,
-    RIG_GIVES,
-    RIG_LIGHTNESS,
-    RIG_THERE,
-    SHIFT,
-    SPRING,
-    TERMS,
-)
+from uqsphere.mechanics.integrator.searches import value_of
+from uqsphere.mechanics.integrator.tracked import FACE_A, FACE_B, LANES, LINEAR, MASSLESS, ORDER, PAIR, POINTS, TERMS
 from uqsphere.mechanics.integrator.vectors import (
     apart,
     curves_at,
     derivatives_at,
     elementwise,
     larger,
+    part,
     products,
     root_of,
     row,
@@ -57,8 +39,6 @@ from uqsphere.mechanics.integrator.vectors import (
 
 #: share of the radius of convergence that a step may use: 0.85^16 is 0.07 (docs/theory.md, section 5)
 _CIRCLE = 0.85
-#: states with a scale of their own: x_1, u, x_2, U_A, U_B
-SCALES = 5
 #: Runge-Kutta steps over a touch
 _TOUCH_STEPS = 4
 
@@ -130,83 +110,71 @@ _next_massless = elementwise(
 )
 
 
-@compiled(**INNER, forceinline=True)  # what a call hands over costs as much as the work
-def _branches(k, x, root, force_k, law, log, inverse, start):
-    """The k-th term of the forces where a face may be on virgin loading; start: room for the logarithm itself."""
-    log_k, x_k, root_k, scale = row(log, k, 0), row(x, k, 0), row(root, k, 0), 1.0 * k
-    _beside(log_k, x_k, inverse)
-    products(log, root, k, 0, k + 1, force_k)
+@compiled(forceinline=True)  # what a call hands over costs as much as the work
+def _branches(s, k):
+    """The k-th term of the forces where a face may be on virgin loading, (C5)."""
+    log_k, x_k, root_k, force_k, scale = (
+        row(s.log, k, 0),
+        row(s.x, k, 0),
+        row(s.root, k, 0),
+        row(s.force, k, 0),
+        1.0 * k,
+    )
+    _beside(log_k, x_k, s.inverse)
+    products(s.log, s.root, k, 0, k + 1, force_k)
     if k > 0:
-        _any_branch(force_k, log_k, force_k, row(law, HERTZ, 0), x_k, row(law, BY_X, 0), root_k, row(law, BY_ROOT, 0),
-                    row(law, BY_LOG, 0), inverse, scale, 1.0 / scale)  # fmt: skip
+        _any_branch(force_k, log_k, force_k, s.hertz, x_k, s.by_x, root_k, s.by_root, s.by_log, s.inverse, scale,
+                    1.0 / scale)  # fmt: skip
         return
     for m in range(PAIR):
-        start[0, m] = log_start(law, m, root[0, m]) if law[BY_LOG, m] != 0.0 else 0.0
-    _virgin_start(force_k, force_k, row(law, HERTZ, 0), x_k, row(law, BY_X, 0), root_k, row(law, BY_ROOT, 0),
-                  row(law, BY_LOG, 0), row(start, 0, 0), row(law, CONSTANT, 0))  # fmt: skip
+        s.start[m] = log_start(s, m, s.root[0, m]) if s.by_log[m] != 0.0 else 0.0
+    _virgin_start(force_k, force_k, s.hertz, x_k, s.by_x, root_k, s.by_root, s.by_log, s.start, s.constant)
 
 
-# push (TERMS, PAIR): 2 f and -2 h_B.  A face whose approach is not positive carries no force.  yielding: whether faces
-# have a law of their own; law: see `uqsphere.mechanics.integrator.faces`; log (TERMS, PAIR): k times the k-th term of l
-# on virgin loading, else of x; inverse (PAIR,), start (TERMS, PAIR): room.  rigged, rig (RIGS, PAIR): whether something
-# else than a bar stands at a pole, and what; free (TERMS, PAIR): the series of U_A and -U_B.
-def _expand_of(plain, on_law):
-    """The function that fills the series of x (TERMS, PAIR), u (TERMS, LANES), root = sqrt(x) and force = q(x).
+@compiled
+def expand(s, own, virgin):
+    """Fill the series of x, u, root = sqrt(x) and force = q(x) from their first terms, theory (9) and (R3).
 
-    From their first terms.  plain: in steps in which no face has a law of its own, between bars; on_law: in those in
-    which faces are on virgin loading.
+    s.push: 2 f and -2 h_B.  A face whose approach is not positive carries no force.  own: whether faces have laws of
+    their own, virgin: whether one is on virgin loading; s.log is then k times the k-th term of l there, else of x.
     """
-
-    @compiled(**INNER)
-    def expand(
-        mode, h, inverse_mu, push, x, u, root, force, half, yielding, law, log, inverse, rigged, rig, free, start,
-    ):  # fmt: skip
-        apart()
-        if yielding and not plain:
-            _shifted_root(row(root, 0, 0), half, inverse, row(x, 0, 0), row(law, SHIFT, 0), row(law, BY_LOG, 0),
-                          row(law, BASE, 0))  # fmt: skip
+    apart()
+    x, u, root, force, free = s.x, s.u, s.root, s.force, s.free
+    if own:
+        _shifted_root(row(root, 0, 0), s.half, s.inverse, row(x, 0, 0), s.shift, s.by_log, s.base)
+    else:
+        _first_root(row(root, 0, 0), s.half, row(x, 0, 0))
+    for k in range(TERMS):
+        x_k, root_k, force_k = row(x, k, 0), row(root, k, 0), row(force, k, 0)
+        if s.mode == LINEAR:
+            _spring(force_k, x_k, row(x, 0, 0))
         else:
-            _first_root(row(root, 0, 0), half, row(x, 0, 0))
-        for k in range(TERMS):
-            x_k, force_k = row(x, k, 0), row(force, k, 0)
-            if mode == 1:
-                _spring(force_k, x_k, row(x, 0, 0))
-            else:
-                if k > 0:
-                    root_k = row(root, k, 0)
-                    products(root, root, k, 1, (k + 1) // 2, root_k)
-                    if k % 2 == 0:
-                        _even_root(root_k, x_k, root_k, row(root, k // 2, 0), half)
-                    else:
-                        _odd_root(root_k, x_k, root_k, half)
-                if on_law:
-                    _branches(k, x, root, force_k, law, log, inverse, start)
+            if k > 0:
+                products(root, root, k, 1, (k + 1) // 2, root_k)
+                if k % 2 == 0:
+                    _even_root(root_k, x_k, root_k, row(root, k // 2, 0), s.half)
                 else:
-                    products(x, root, k, 0, k + 1, force_k)
-                    if yielding and not plain:
-                        _stiffer(force_k, force_k, row(law, SPRING, 0))
-            if k == ORDER:
-                break
-            share = 1.0 / (k + 1.0)
-            push_a, push_b = row(push, k, 0), row(push, k, LANES)
-            x_a, x_b, u_next = row(x, k + 1, 0), row(x, k + 1, LANES), row(u, k + 1, 0)
-            if mode == 2:
-                _next_massless(x_a, x_b, u_next, push_a, push_b, force_k, row(u, k, 0), h, share)
-            elif rigged and not plain:
-                _next_of_rig(x_a, x_b, u_next, row(free, k + 1, 0), row(free, k + 1, LANES), push_a, push_b, force_k,
-                             row(force, k, LANES), row(u, k, 0), row(free, k, 0), row(free, k, LANES),
-                             row(rig, RIG_GIVES, 0), row(rig, RIG_GIVES, LANES), row(rig, RIG_LIGHTNESS, 0),
-                             row(rig, RIG_LIGHTNESS, LANES), row(rig, RIG_THERE, 0), row(rig, RIG_THERE, LANES), h,
-                             inverse_mu, share)  # fmt: skip
+                    _odd_root(root_k, x_k, root_k, s.half)
+            if virgin:
+                _branches(s, k)
             else:
-                _next_x(
-                    x_a, x_b, u_next, push_a, push_b, force_k, row(force, k, LANES), row(u, k, 0), h, inverse_mu, share
-                )
-
-    return expand
-
-
-expand_plain, expand, expand_virgin = _expand_of(True, False), _expand_of(False, False), _expand_of(False, True)
+                products(x, root, k, 0, k + 1, force_k)
+                if own:
+                    _stiffer(force_k, force_k, s.spring)
+        if k == ORDER:
+            break
+        share, u_k, force_b = 1.0 / (k + 1.0), row(u, k, 0), row(force, k, LANES)
+        push_a, push_b = row(s.push, k, 0), row(s.push, k, LANES)
+        x_a, x_b, u_next = row(x, k + 1, 0), row(x, k + 1, LANES), row(u, k + 1, 0)
+        if s.mode == MASSLESS:
+            _next_massless(x_a, x_b, u_next, push_a, push_b, force_k, u_k, s.h, share)
+        elif s.rigged:
+            _next_of_rig(x_a, x_b, u_next, row(free, k + 1, 0), row(free, k + 1, LANES), push_a, push_b, force_k,
+                         force_b, u_k, row(free, k, 0), row(free, k, LANES), part(s.gives, 0), part(s.gives, LANES),
+                         part(s.lightness, 0), part(s.lightness, LANES), part(s.there, 0), part(s.there, LANES), s.h,
+                         s.inverse_mu, share)  # fmt: skip
+        else:
+            _next_x(x_a, x_b, u_next, push_a, push_b, force_k, force_b, u_k, s.h, s.inverse_mu, share)
 
 
 def _root_16(a):
@@ -262,24 +230,25 @@ _longest = elementwise(LANES, 1, _reached)
 _longest_of_rig = elementwise(LANES, 1, _reached_of_rig)
 
 
-@compiled(**INNER)
-def longest(x, u, free, scale, rigged, local, theta):
-    """theta (LANES,) up to which the last two terms of every series stay below `local` times its scale.
+@compiled
+def longest(s):
+    """theta up to which the last two terms of every series stay below the error allowed, times its scale.
 
-    scale (SCALES, LANES): of x_1, u, x_2, U_A, U_B; without rigs the faces are alike.
+    s.size (SCALES, LANES): scales of x_1, u, x_2, U_A, U_B; without rigs the faces are alike.
     """
     apart()
+    x, u, free, size = s.x, s.u, s.free, s.size
     fourth, third, before, last = ORDER - 5, ORDER - 4, ORDER - 1, ORDER
-    if rigged:
-        _longest_of_rig(theta, row(x, fourth, 0), row(x, fourth, LANES), row(x, third, 0), row(x, third, LANES),
+    if s.rigged:
+        _longest_of_rig(s.theta, row(x, fourth, 0), row(x, fourth, LANES), row(x, third, 0), row(x, third, LANES),
                         row(x, before, 0), row(x, before, LANES), row(x, last, 0), row(x, last, LANES),
                         row(u, before, 0), row(u, last, 0), row(free, before, 0), row(free, before, LANES),
-                        row(free, last, 0), row(free, last, LANES), row(scale, 0, 0), row(scale, 2, 0),
-                        row(scale, 1, 0), row(scale, 3, 0), row(scale, 4, 0), local)  # fmt: skip
+                        row(free, last, 0), row(free, last, LANES), row(size, 0, 0), row(size, 2, 0),
+                        row(size, 1, 0), row(size, 3, 0), row(size, 4, 0), s.error)  # fmt: skip
         return
-    _longest(theta, row(x, fourth, 0), row(x, fourth, LANES), row(x, third, 0), row(x, third, LANES),
+    _longest(s.theta, row(x, fourth, 0), row(x, fourth, LANES), row(x, third, 0), row(x, third, LANES),
              row(x, before, 0), row(x, before, LANES), row(x, last, 0), row(x, last, LANES), row(u, before, 0),
-             row(u, last, 0), row(scale, 0, 0), row(scale, 1, 0), local)  # fmt: skip
+             row(u, last, 0), row(size, 0, 0), row(size, 1, 0), s.error)  # fmt: skip
 
 
 # --- What a step may be and whether it holds, for all lanes: nothing here depends on a lane's neighbours.
@@ -321,56 +290,42 @@ _doubted = elementwise(
 _same = elementwise(PAIR, 3, lambda x, rate, bow: (x, rate, bow))
 
 
-@compiled(**INNER)
-def try_step(h, low, near, misfit, proposed, stop, time, back, busy, fades, share, track, error, asked, size):
+@compiled
+def try_step(s):
     """The steps h that are tried, 0 where a lane has no row; where a record may end, a contact count as lost."""
-    _tried(h, low, near, misfit, proposed, stop, time, back, busy, fades, share, row(track, FACE_A, 0),
-           row(track, FACE_B, 0), error, asked, row(size, 0, 0))  # fmt: skip
+    apart()
+    _tried(s.h, s.low, s.near, s.misfit, s.proposed, s.stop, s.time, s.back, s.busy, s.fades, s.share,
+           row(s.peak, FACE_A, 0), row(s.peak, FACE_B, 0), s.error, s.asked, row(s.size, 0, 0))  # fmt: skip
 
 
-@compiled(**INNER)
-def cut_at_stop(theta, h, stop, time):
+@compiled
+def cut_at_stop(s):
     """Cut steps where they have to end: at `stop`, or halfway to it where little would be left."""
-    _cut(theta, theta, h, stop, time)
+    _cut(s.theta, s.theta, s.h, s.stop, s.time)
 
 
-@compiled(**INNER)
-def doubt(crosses, unfit, h, theta, columns, error, size, inertia, touching, on_slow, misfit):
-    """1 where a step may have gone through a loss of contact, and where its waves do not fit or it is none.
-
-    columns: its row 1 is what `root_error` found.
-    """
-    _doubted(crosses, unfit, h, theta, row(columns, 1, 0), row(columns, 1, LANES), error, row(size, 0, 0),
-             row(size, 1, 0), inertia, touching, on_slow, misfit)  # fmt: skip
-
-
-@compiled(**INNER)
-def start_points(at, rate, bow, x):
-    """Values, derivatives and half the second ones at the start of a step."""
-    _same(row(at, 0, 0), row(rate, 0, 0), row(bow, 0, 0), row(x, 0, 0), row(x, 1, 0), row(x, 2, 0))
-
-
-@compiled(**INNER)
-def evaluate(x, theta, share, place, at, rate):
-    """Series x (TERMS, columns) and its derivative by theta at share·theta, every lane at its own theta.
-
-    at, rate: rows of `columns` numbers.
-    """
+@compiled
+def doubt(s):
+    """1 where a step may have gone through a loss of contact, and where its waves do not fit or it is none."""
     apart()
-    for j in range(LANES):
-        place[j] = share * theta[j]
-    for c in range(0, x.shape[1], LANES):
-        derivatives_at(x, ORDER, x.shape[1], c, place, at, rate)
+    _doubted(s.crosses, s.unfit, s.h, s.theta, part(s.wrong, 0), part(s.wrong, LANES), s.error, row(s.size, 0, 0),
+             row(s.size, 1, 0), s.inertia, s.touching, s.on_slow, s.misfit)  # fmt: skip
 
 
-@compiled(**INNER)
-def evaluate_bent(x, theta, share, place, at, rate, bend):
-    """The same with half the second derivative; bits of `at` and `rate` are those of `evaluate`."""
+@compiled
+def inside(s, bent):
+    """Values, derivatives and, if `bent`, half the second ones of the approaches at equal distances over the step."""
     apart()
-    for j in range(LANES):
-        place[j] = share * theta[j]
-    for c in range(0, PAIR, LANES):
-        curves_at(x, ORDER, PAIR, c, place, at, rate, bend)
+    _same(row(s.at, 0, 0), row(s.rate, 0, 0), row(s.bow, 0, 0), row(s.x, 0, 0), row(s.x, 1, 0), row(s.x, 2, 0))
+    for i in range(1, POINTS + 1):
+        for j in range(LANES):
+            s.place_of[j] = i / POINTS * s.theta[j]
+        at, rate = row(s.at, i, 0), row(s.rate, i, 0)
+        for c in range(0, PAIR, LANES):
+            if bent:
+                curves_at(s.x, ORDER, PAIR, c, s.place_of, at, rate, row(s.bow, i, 0))
+            else:
+                derivatives_at(s.x, ORDER, PAIR, c, s.place_of, at, rate)
 
 
 _unlike = elementwise(
@@ -382,26 +337,54 @@ _unlike = elementwise(
 )
 
 
-@compiled(**INNER)
-def root_error(root, theta, place, at, law, found, value, slope):
-    """found (PAIR,): by how much the force of the series of sqrt(x) differs at the step's end from that of x.
+@compiled
+def wrong_roots(s):
+    """s.wrong (PAIR,): by how much the force of the series of sqrt(x) differs at the step's end from that of x.
 
     Past a point where a face nearly leaves, x has two complex roots so close to the real axis that the series
-    walks between them and goes on, smoothly, with -sqrt(x).  at: approaches at the step's ends, first and last.
+    walks between them and goes on, smoothly, with -sqrt(x).
     """
     apart()
-    evaluate(root, theta, 1.0, place, value, slope)
-    _unlike(found, row(at, 0, 0), value, row(at, at.shape[0] - 1, 0), row(law, SHIFT, 0))
+    value, slope = row(s.room, 0, 0), row(s.room, 1, 0)
+    for c in range(0, PAIR, LANES):
+        derivatives_at(s.root, ORDER, PAIR, c, s.theta, value, slope)
+    _unlike(s.wrong, row(s.at, 0, 0), value, row(s.at, POINTS, 0), s.shift)
 
 
-@compiled(**INNER)
-def _own_forces(law, j, x1, x2):
-    """Forces of faces with laws of their own."""
+@compiled
+def speeds(s):
+    """The sphere's speed at the steps' ends."""
     apart()
-    return face_force(law, j, x1)[0], face_force(law, LANES + j, x2)[0]
+    derivatives_at(s.u, ORDER, LANES, 0, s.theta, s.at_u, s.rate_u)
 
 
-@compiled(**INNER)
+# --- The first short step from a touch, where x^(3/2) has no power series in time: Runge-Kutta steps of order 4 over h.
+
+
+@compiled
+def _slopes(s, j, push_a, push_b, state):
+    """Right-hand side of theory (9) and (R3) for one lane: of x_1, x_2, u, U_A, -U_B."""
+    x1, x2, u, w1, w2 = state
+    k, pressed_a, pressed_b = LANES + j, max(x1, 0.0), max(x2, 0.0)
+    if s.own[j]:
+        force_a, force_b = face_force(s, j, x1)[0], face_force(s, k, x2)[0]
+    elif s.mode == LINEAR:
+        force_a, force_b = pressed_a, pressed_b
+    else:
+        force_a, force_b = pressed_a * math.sqrt(pressed_a), pressed_b * math.sqrt(pressed_b)
+    if s.mode == MASSLESS:
+        rate = 0.5 * (push_a + push_b) - force_a
+        return rate, rate, 0.0, 0.0, 0.0
+    return (
+        s.there[j] * (push_a - s.gives[j] * force_a - u + w1),
+        s.there[k] * (push_b - s.gives[k] * force_b + u + w2),
+        (force_a - force_b) * s.inverse_mu[j],
+        -s.lightness[j] * force_a,
+        -s.lightness[k] * force_b,
+    )
+
+
+@compiled
 def _moved(state, share, slopes):
     """state + share·slopes."""
     x1, x2, u, w1, w2 = state
@@ -409,114 +392,59 @@ def _moved(state, share, slopes):
     return x1 + share * d1, x2 + share * d2, u + share * du, w1 + share * e1, w2 + share * e2
 
 
-@compiled(**INNER)
-def _mean_slopes(first, second, third, fourth):
-    """Six times the slopes that a step of Runge and Kutta takes."""
-    a1, a2, a3, a4, a5 = first
-    b1, b2, b3, b4, b5 = second
-    c1, c2, c3, c4, c5 = third
-    d1, d2, d3, d4, d5 = fourth
-    return (
-        a1 + 2.0 * (b1 + c1) + d1,
-        a2 + 2.0 * (b2 + c2) + d2,
-        a3 + 2.0 * (b3 + c3) + d3,
-        a4 + 2.0 * (b4 + c4) + d4,
-        a5 + 2.0 * (b5 + c5) + d5,
-    )
-
-
-@compiled(**INNER)
-def _join(series, m, theta, left, left_slope, right, right_slope):
-    """Put the cubic through values and slopes (by theta) at 0 and theta into a column of a series."""
-    rise = (right - left) / theta
+@compiled
+def _join(series, m, left, left_slope, right, right_slope):
+    """Put the cubic through values and slopes at 0 and 1 into a column of a series."""
+    rise = right - left
     series[0, m] = left
     series[1, m] = left_slope
-    series[2, m] = (3.0 * rise - 2.0 * left_slope - right_slope) / theta
-    series[3, m] = (left_slope + right_slope - 2.0 * rise) / (theta * theta)
+    series[2, m] = 3.0 * rise - 2.0 * left_slope - right_slope
+    series[3, m] = left_slope + right_slope - 2.0 * rise
     for k in range(4, TERMS):
         series[k, m] = 0.0
 
 
-def _touch_of(plain):
-    """The function that takes a first short step of one lane from a touch, where x^(3/2) has no power series in time.
-
-    Runge-Kutta steps of order 4 over h; the series of the lane are replaced by cubics that join both ends.  plain: for
-    a lane whose faces have no laws of their own, between bars.
-    """
-
-    @compiled(**INNER)
-    def slopes(mode, inverse_mu, push_a, push_b, state, own, law, poles, j):
-        """Right-hand side of theory (9) and (R3) for one lane: of x_1, x_2, u, U_A, -U_B."""
-        x1, x2, u, w1, w2 = state
-        gives_a, gives_b, light_a, light_b, there_a, there_b = poles
-        pressed_a, pressed_b = max(x1, 0.0), max(x2, 0.0)
-        if not plain and own:
-            force_a, force_b = _own_forces(law, j, x1, x2)
-        elif mode == 1:
-            force_a, force_b = pressed_a, pressed_b
-        else:
-            force_a, force_b = pressed_a * math.sqrt(pressed_a), pressed_b * math.sqrt(pressed_b)
-        if mode == 2:
-            rate = 0.5 * (push_a + push_b) - force_a
-            return rate, rate, 0.0, 0.0, 0.0
-        return (
-            there_a * (push_a - gives_a * force_a - u + w1),
-            there_b * (push_b - gives_b * force_b + u + w2),
-            (force_a - force_b) * inverse_mu,
-            -light_a * force_a,
-            -light_b * force_b,
-        )
-
-    @compiled(**INNER)
-    def step_from_touch(mode, j, h, inverse_mu, push, x, u, force, yielding, law, rig, free):
-        apart()
-        own, k = yielding and not plain, LANES + j
-        state = x[0, j], x[0, k], u[0, j], free[0, j], free[0, k]
-        # zeta, 1/mu_i and 1 or 0 of both poles
-        poles = 1.0, 1.0, 0.0, 0.0, 1.0, 1.0
-        if not plain:
-            poles = (rig[RIG_GIVES, j], rig[RIG_GIVES, k], rig[RIG_LIGHTNESS, j], rig[RIG_LIGHTNESS, k],
-                     rig[RIG_THERE, j], rig[RIG_THERE, k])  # fmt: skip
-        old, d = state, h / _TOUCH_STEPS
-        begin = slopes(mode, inverse_mu, push[0, j], push[0, k], state, own, law, poles, j)
-        last = begin
-        for i in range(_TOUCH_STEPS):
-            t = 1.0 * i / _TOUCH_STEPS
-            half, full = t + 0.5 / _TOUCH_STEPS, t + 1.0 / _TOUCH_STEPS
-            first = last
-            mid_a, mid_b = value_of(push, j, half), value_of(push, k, half)
-            second = slopes(mode, inverse_mu, mid_a, mid_b, _moved(state, 0.5 * d, first), own, law, poles, j)
-            third = slopes(mode, inverse_mu, mid_a, mid_b, _moved(state, 0.5 * d, second), own, law, poles, j)
-            end_a, end_b = value_of(push, j, full), value_of(push, k, full)
-            fourth = slopes(mode, inverse_mu, end_a, end_b, _moved(state, d, third), own, law, poles, j)
-            state = _moved(state, d / 6.0, _mean_slopes(first, second, third, fourth))
-            last = slopes(mode, inverse_mu, end_a, end_b, state, own, law, poles, j)
-        _join(x, j, 1.0, old[0], h * begin[0], state[0], h * last[0])
-        _join(x, k, 1.0, old[1], h * begin[1], state[1], h * last[1])
-        _join(u, j, 1.0, old[2], h * begin[2], state[2], h * last[2])
-        if not plain:
-            _join(free, j, 1.0, old[3], h * begin[3], state[3], h * last[3])
-            _join(free, k, 1.0, old[4], h * begin[4], state[4], h * last[4])
-        for face in range(2):
-            m = face * LANES + j
-            left, right = (old[0], state[0]) if face == 0 else (old[1], state[1])
-            left_slope, right_slope = x[1, m], h * (last[0] if face == 0 else last[1])
-            left, left_slope = (left, left_slope) if left > 0.0 else (0.0, 0.0)
-            right, right_slope = (right, right_slope) if right > 0.0 else (0.0, 0.0)
-            if own:
-                left_force, left_rate = face_force(law, m, left)
-                right_force, right_rate = face_force(law, m, right)
-                _join(force, m, 1.0, left_force, left_rate * left_slope, right_force, right_rate * right_slope)
-            elif mode == 1:
-                _join(force, m, 1.0, left, left_slope, right, right_slope)
-            else:
-                _join(force, m, 1.0, left * math.sqrt(left), 1.5 * math.sqrt(left) * left_slope,
-                      right * math.sqrt(right), 1.5 * math.sqrt(right) * right_slope)  # fmt: skip
-
-    return step_from_touch
+@compiled
+def _force_and_rate(s, m, x, rate):
+    """Force of a face that is pressed to x, and its rate."""
+    x, rate = (x, rate) if x > 0.0 else (0.0, 0.0)
+    if s.own[m % LANES]:
+        force, slope = face_force(s, m, x)
+        return force, slope * rate
+    if s.mode == LINEAR:
+        return x, rate
+    return x * math.sqrt(x), 1.5 * math.sqrt(x) * rate
 
 
-step_from_touch, step_from_touch_plain = _touch_of(False), _touch_of(True)
+@compiled
+def step_from_touch(s, j):
+    """Replace the series of a lane over its trial step by cubics that join both ends."""
+    apart()
+    k, d = LANES + j, s.h[j] / _TOUCH_STEPS
+    state = s.x[0, j], s.x[0, k], s.u[0, j], s.free[0, j], s.free[0, k]
+    old, begin = state, _slopes(s, j, s.push[0, j], s.push[0, k], state)
+    last = begin
+    for i in range(_TOUCH_STEPS):
+        t = 1.0 * i / _TOUCH_STEPS
+        half, full = t + 0.5 / _TOUCH_STEPS, t + 1.0 / _TOUCH_STEPS
+        mid_a, mid_b = value_of(s.push, j, half), value_of(s.push, k, half)
+        end_a, end_b = value_of(s.push, j, full), value_of(s.push, k, full)
+        second = _slopes(s, j, mid_a, mid_b, _moved(state, 0.5 * d, last))
+        third = _slopes(s, j, mid_a, mid_b, _moved(state, 0.5 * d, second))
+        fourth = _slopes(s, j, end_a, end_b, _moved(state, d, third))
+        state = _moved(_moved(_moved(state, d / 6.0, last), d / 3.0, _moved(second, 1.0, third)), d / 6.0, fourth)
+        last = _slopes(s, j, end_a, end_b, state)
+    h = s.h[j]
+    _join(s.x, j, old[0], h * begin[0], state[0], h * last[0])
+    _join(s.x, k, old[1], h * begin[1], state[1], h * last[1])
+    _join(s.u, j, old[2], h * begin[2], state[2], h * last[2])
+    _join(s.free, j, old[3], h * begin[3], state[3], h * last[3])
+    _join(s.free, k, old[4], h * begin[4], state[4], h * last[4])
+    for m in range(j, PAIR, LANES):
+        left, left_slope = _force_and_rate(s, m, s.x[0, m], s.x[1, m])
+        end, slope = (state[0], last[0]) if m == j else (state[1], last[1])
+        right, right_slope = _force_and_rate(s, m, end, h * slope)
+        _join(s.force, m, left, left_slope, right, right_slope)
 
 
 # --- Steps along the slow motion: once the fast oscillation has died out, nothing of it needs to be resolved.
@@ -534,148 +462,158 @@ step_from_touch, step_from_touch_plain = _touch_of(False), _touch_of(True)
 
 #: mass number below which the slow motion is looked for
 SMALL_MU = 0.02
-#: rows of working space that `slow_step` needs
-SLOW_ROOM = 11
 #: most rounds of the iteration; each spoils the last two terms of the series
 _ROUNDS = 5
 #: terms that stay good after the rounds
 _GOOD = 10
+#: rows of s.slow (SLOW_ROOM, TERMS): m, z, u, x_1, x_2, sqrt(x_1), sqrt(x_2), q_1, q_2, the change of z
+_M, _Z, _U, _X, _Y, _Q, _CHANGE = 0, 1, 2, 3, 5, 7, 9
 
 
-@compiled(**INNER)
-def _slope(series, k_row, theta):
-    total = 0.0
-    for k in range(TERMS - 1, 0, -1):
-        total = total * theta + k * series[k_row, k]
-    return total
+@compiled
+def _value_and_slope(s, k_row, theta):
+    total, rate = 0.0, 0.0
+    for k in range(TERMS - 1, -1, -1):
+        rate = rate * theta + total
+        total = total * theta + s.slow[k_row, k]
+    return total, rate
 
 
-@compiled(**INNER)
-def _slow_mean(lane, h, push, s, springs, tilt):
-    """Integrate m for a given z; rows of s: m, z, u, x_1, x_2, sqrt(x_1), sqrt(x_2), q_1, q_2."""
+@compiled
+def _slow_mean(s, j, tilt):
+    """Integrate m for a given z; False where a face is not pressed."""
     apart()
+    d, push, h = s.slow, s.push, s.h[j]
     for k in range(TERMS):
         if tilt != 0.0:
-            s[1, k] = tilt * s[0, k]
+            d[_Z, k] = tilt * d[_M, k]
         for face in range(2):
-            x, y, q = 3 + face, 5 + face, 7 + face
-            s[x, k] = s[0, k] + (0.5 - face) * s[1, k]
+            x, y, q = _X + face, _Y + face, _Q + face
+            d[x, k] = d[_M, k] + (0.5 - face) * d[_Z, k]
             if k == 0:
-                if not s[x, 0] > 0.0:
+                if not d[x, 0] > 0.0:
                     return False
-                s[y, 0] = math.sqrt(s[x, 0])
+                d[y, 0] = math.sqrt(d[x, 0])
             else:
                 total = 0.0
                 for i in range(1, k):
-                    total += s[y, i] * s[y, k - i]
-                s[y, k] = 0.5 * (s[x, k] - total) / s[y, 0]
+                    total += d[y, i] * d[y, k - i]
+                d[y, k] = 0.5 * (d[x, k] - total) / d[y, 0]
             total = 0.0
             for i in range(k + 1):
-                total += s[x, i] * s[y, k - i]
-            s[q, k] = springs[face] * total
+                total += d[x, i] * d[y, k - i]
+            d[q, k] = s.spring[face * LANES + j] * total
         if k < TERMS - 1:
-            rate = 0.5 * (push[k, lane] + push[k, LANES + lane] - s[7, k] - s[8, k])
-            s[0, k + 1] = h * rate / (k + 1.0)
+            rate = 0.5 * (push[k, j] + push[k, LANES + j] - d[_Q, k] - d[_Q + 1, k])
+            d[_M, k + 1] = h * rate / (k + 1.0)
     return True
 
 
-@compiled(**INNER)
-def _correct(lane, h, mu, push, s, springs):
+@compiled
+def _correct(s, j):
     """One round: u from the waves, D from u, z from D.  Returns the largest change of z in the step, of its terms."""
     apart()
-    # s[9]: what D lacks, s[10]: the change of z
+    d, push, h, mu = s.slow, s.push, s.h[j], s.mass[j]
+    stiff_1, stiff_2 = s.spring[j], s.spring[LANES + j]
     for k in range(TERMS):
-        swing = (k + 1.0) * s[1, k + 1] / h if k + 1 < TERMS else 0.0
-        s[2, k] = 0.5 * (push[k, lane] - push[k, LANES + lane] - (s[7, k] - s[8, k]) - swing)
+        swing = (k + 1.0) * d[_Z, k + 1] / h if k + 1 < TERMS else 0.0
+        d[_U, k] = 0.5 * (push[k, j] - push[k, LANES + j] - (d[_Q, k] - d[_Q + 1, k]) - swing)
+    lead, change = stiff_1 * d[_Y, 0] + stiff_2 * d[_Y + 1, 0], 0.0
     for k in range(TERMS):
-        wanted = mu * (k + 1.0) * s[2, k + 1] / h if k + 1 < TERMS else 0.0
-        s[9, k] = (wanted - (s[7, k] - s[8, k])) / 0.75
-    stiff_1, stiff_2 = springs
-    lead, change = stiff_1 * s[5, 0] + stiff_2 * s[6, 0], 0.0
-    for k in range(TERMS):
-        total = s[9, k]
+        wanted = mu * (k + 1.0) * d[_U, k + 1] / h if k + 1 < TERMS else 0.0
+        total = (wanted - (d[_Q, k] - d[_Q + 1, k])) / 0.75
         for i in range(1, k + 1):
-            total -= (stiff_1 * s[5, i] + stiff_2 * s[6, i]) * s[10, k - i]
-        s[10, k] = total / lead
-        s[1, k] += s[10, k]
+            total -= (stiff_1 * d[_Y, i] + stiff_2 * d[_Y + 1, i]) * d[_CHANGE, k - i]
+        d[_CHANGE, k] = total / lead
+        d[_Z, k] += d[_CHANGE, k]
         if k <= _GOOD:
-            change += abs(s[10, k])
+            change += abs(d[_CHANGE, k])
     return change
 
 
-@compiled(**INNER)
-def _residual(lane, h, mu, push, s, springs, theta):
+@compiled
+def _residual(s, j, theta):
     """Largest error with which the series satisfies the equations at theta, as an error of an approach."""
     apart()
-    a, b, w = value(s, 3, theta), value(s, 4, theta), value(s, 2, theta)
+    (a, rate_a), (b, rate_b) = _value_and_slope(s, _X, theta), _value_and_slope(s, _X + 1, theta)
+    w, rate_w = _value_and_slope(s, _U, theta)
     if not (a > 0.0 and b > 0.0):
         return math.inf
-    push_a, push_b = 0.0, 0.0
-    for k in range(TERMS - 1, -1, -1):
-        push_a, push_b = push_a * theta + push[k, lane], push_b * theta + push[k, LANES + lane]
-    force_a, force_b = springs[0] * (a * math.sqrt(a)), springs[1] * (b * math.sqrt(b))
-    length = theta * h
-    first = abs(_slope(s, 3, theta) / h - (push_a - force_a - w)) * length
-    second = abs(_slope(s, 4, theta) / h - (push_b - force_b + w)) * length
-    third = abs(mu * _slope(s, 2, theta) / h - (force_a - force_b)) / (1.5 * springs[0] * math.sqrt(a))
+    h, push_a, push_b = s.h[j], value_of(s.push, j, theta), value_of(s.push, LANES + j, theta)
+    force_a, force_b = s.spring[j] * (a * math.sqrt(a)), s.spring[LANES + j] * (b * math.sqrt(b))
+    first = abs(rate_a / h - (push_a - force_a - w)) * theta * h
+    second = abs(rate_b / h - (push_b - force_b + w)) * theta * h
+    third = abs(s.mass[j] * rate_w / h - (force_a - force_b)) / (1.5 * s.spring[j] * math.sqrt(a))
     return max(first, max(second, third))
 
 
-@compiled(**INNER)
-def decay_time(mu, local):
+@compiled
+def decay_time(s, j):
     """Time that the oscillation which a jump sets off, about mu^0.45, needs at least to fall to the tolerance."""
     apart()
-    return max(0.0, math.log(mu**0.45 / local))
+    return max(0.0, math.log(s.mass[j] ** 0.45 / s.error[j]))
 
 
-@compiled(**INNER)
-def slow_step(lane, h, mu, push, x, u, root, force, size, local, on_slow, s, springs):
+@compiled
+def _slow_step(s, j):
     """Try to replace the step of one lane by one of the slow motion: theta it may reach, 0 if none; amplitude.
 
     The amplitude is that of the fast oscillation that the state of the row has about the slow motion, as an
-    approach; it must lie below the tolerance.  size: scale of the approaches, s (SLOW_ROOM, TERMS): working space;
-    springs: factors of x^(3/2) at the faces.
+    approach; it must lie below the tolerance.
     """
     apart()
-    mean, swing, speed = 0.5 * (x[0, lane] + x[0, LANES + lane]), x[0, lane] - x[0, LANES + lane], u[0, lane]
-    for k in range(TERMS):
-        s[1, k] = 0.0
-    s[0, 0] = mean
-    allowed = local * size
-    tilt = 0.0
-    if springs[0] != springs[1]:
-        ratio = (springs[1] / springs[0]) ** (2.0 / 3.0)
+    d, k = s.slow, LANES + j
+    mean, swing, speed = 0.5 * (s.x[0, j] + s.x[0, k]), s.x[0, j] - s.x[0, k], s.u[0, j]
+    for i in range(TERMS):
+        d[_Z, i] = 0.0
+    d[_M, 0] = mean
+    allowed, tilt = s.error[j] * s.size[0, j], 0.0
+    if s.spring[j] != s.spring[k]:
+        ratio = (s.spring[k] / s.spring[j]) ** (2.0 / 3.0)
         tilt = 2.0 * (ratio - 1.0) / (ratio + 1.0)
     for _ in range(_ROUNDS):
-        if not _slow_mean(lane, h, push, s, springs, tilt):
+        if not _slow_mean(s, j, tilt):
             return 0.0, math.inf
-        tilt = 0.0
-        change = _correct(lane, h, mu, push, s, springs)
+        tilt, change = 0.0, _correct(s, j)
         if not change < mean:
             return 0.0, math.inf
         if change < 0.01 * allowed:
             break
-    if not _slow_mean(lane, h, push, s, springs, tilt):
+    if not _slow_mean(s, j, 0.0):
         return 0.0, math.inf
-    fast = math.sqrt(mu / (3.0 * springs[0] * s[5, 0]))
-    amplitude = max(abs(swing - s[1, 0]), 2.0 * abs(speed - s[2, 0]) * fast)
-    if not amplitude <= (2.0 if on_slow else 0.5) * allowed:
+    fast = math.sqrt(s.mass[j] / (3.0 * s.spring[j] * d[_Y, 0]))
+    amplitude = max(abs(swing - d[_Z, 0]), 2.0 * abs(speed - d[_U, 0]) * fast)
+    if not amplitude <= (2.0 if s.on_slow[j] > 0.0 else 0.5) * allowed:
         return 0.0, amplitude
     theta = 1.0
     for _ in range(12):
-        if (
-            max(
-                _residual(lane, h, mu, push, s, springs, theta),
-                _residual(lane, h, mu, push, s, springs, 0.6 * theta),
-            )
-            <= allowed
-        ):
+        if max(_residual(s, j, theta), _residual(s, j, 0.6 * theta)) <= allowed:
             break
         theta *= 0.6
     else:
         return 0.0, amplitude
-    for k in range(TERMS):
-        x[k, lane], x[k, LANES + lane], u[k, lane] = s[3, k], s[4, k], s[2, k]
-        root[k, lane], root[k, LANES + lane] = s[5, k], s[6, k]
-        force[k, lane], force[k, LANES + lane] = s[7, k], s[8, k]
+    for i in range(TERMS):
+        s.x[i, j], s.x[i, k], s.u[i, j] = d[_X, i], d[_X + 1, i], d[_U, i]
+        s.root[i, j], s.root[i, k] = d[_Y, i], d[_Y + 1, i]
+        s.force[i, j], s.force[i, k] = d[_Q, i], d[_Q + 1, i]
     return theta, amplitude
+
+
+@compiled
+def follow_slow(s, j):
+    """A step of the slow motion where the row is on it; else when to look for it again."""
+    apart()
+    slow, swing = 0.0, math.inf
+    # on the slow motion the forces differ by mu u', and u' is of the order of one
+    if abs(s.force[0, j] - s.force[0, LANES + j]) < 10.0 * s.mass[j]:
+        slow, swing = _slow_step(s, j)
+    s.on_slow[j] = 1.0 if slow > 0.0 else 0.0
+    if slow > 0.0:
+        s.theta[j] = slow
+    elif swing < math.inf:
+        # the oscillation needs this long to die out
+        rate_of_decay = 0.75 * math.sqrt(max(s.x[0, j], s.x[0, LANES + j]))
+        dying = 0.9 * math.log(swing / (s.error[j] * s.size[0, j])) / rate_of_decay
+        s.calm[j] = s.time[j] + max(4.0 * s.h[j], dying)
+    else:
+        s.calm[j] = s.time[j] + 8.0 * s.h[j]

@@ -7,21 +7,41 @@ read (`uqsphere.mechanics.outputs`).
 
 from __future__ import annotations
 
+from enum import IntEnum
+from typing import Any, Final
+
 import numpy as np
 
 from uqsphere.arrays import Array
 
-#: for functions that only compiled code calls: no way in from Python needs to be compiled
-INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 #: highest power of a series; four square roots take the 16th root
-ORDER = 16
-TERMS = ORDER + 1
-#: rows that advance together, and columns of what exists at both faces
-LANES = 16
-PAIR = 2 * LANES
+ORDER: Final = 16
+TERMS: Final = ORDER + 1
+#: rows that advance together (1 is allowed), and columns of what exists at both faces
+LANES: Final = 16
+PAIR: Final = 2 * LANES
+#: parts into which a step is divided before an event in it is refined
+POINTS: Final = 4
+#: points over a step at which a wave that comes back is read
+WAVE: Final = 12
+#: room for jumps that are under way in each bar; rows of working space that `step.follow_slow` needs
+QUEUE, SLOW_ROOM = 2048, 10
+
+#: what is integrated: theory (9), the linear contact of the paper's section 4, no mass
+FULL, LINEAR, MASSLESS = range(3)
+
+
+class End(IntEnum):
+    """What ends a step: its series, the record, a contact that is lost or found, a face that changes its branch."""
+
+    SERIES = 0
+    RECORD = 1
+    CONTACT = 2
+    BRANCH = 3
+
 
 #: status of a row
-OK, DOMAIN, TOO_LONG_PULSE, STUCK, CROWDED, FULL, NOT_FINITE = range(7)
+OK, DOMAIN, TOO_LONG_PULSE, STUCK, CROWDED, FULL_ROOM, NOT_FINITE = range(7)
 NEVER_CLOSES, STILL_PRESSED = 11, 12
 
 # what the caller wants beside the largest approaches, as bits; that of a largest value is 1 << (its tracker - 1)
@@ -29,13 +49,9 @@ NEVER_CLOSES, STILL_PRESSED = 11, 12
  WANT_CARRIED) = (1 << k for k in range(8))  # fmt: skip
 WANT_ALL = (1 << 8) - 1
 
-# trackers of a lane while its row runs: the first KINDS are the largest values found so far, of each face's approach
-# (of both where faces are alike), of the difference of the forces, of the stored energy, of the sphere's share of it
-# and of the mean force; then what the other face's force was at a face's peak
-(FACE_A, FACE_B, DIFFERENCE, ENERGY, SHARE, MEAN, TOUCHED_A, TOUCHED_B, LOST, X_FIRST, _, ENDED, LOSS_RATE,
- UNLOADINGS, OTHER, _, PARTED, TOUCHES, CHATTER, CARRIED, _, PUSHED, DURATION,
- TRACKS) = range(24)  # fmt: skip
-KINDS = MEAN + 1
+# largest values of a row so far: of each face's approach (of both where faces are alike), of the difference of the
+# forces, of the stored energy, of the sphere's share of it and of the mean force
+FACE_A, FACE_B, DIFFERENCE, ENERGY, SHARE, MEAN, KINDS = range(7)
 #: flag of a step in which a contact may be lost or found, or the record may end; the others are 1 << kind
 SOMETHING = 1 << KINDS
 
@@ -78,21 +94,80 @@ SCALED = {
     "duration": (ANSWER_DURATION, WANT_DURATION | WANT_MEAN),
 }
 
-# the law of a face of its own, see `uqsphere.mechanics.integrator.faces`: numbers of a lane's face
-(DENT, SHIFT, SPRING, BY_X, BY_ROOT, BY_LOG, CONSTANT, BASE, LARGEST, PEAK, ONSET, SOFTENING, PILE_UP,
- STIFFNESS, CHI, UNIT, HERTZ, NUMBERS) = range(18)  # fmt: skip
-# ... and of a row, for both faces: onset x_y, softening b, pile-up C, factor of x^(3/2), sphere's share of the energy
+# law of a face of its own, for both faces of a row (`faces`): onset x_y, softening b, pile-up C, factor of x^(3/2),
+# sphere's share of the energy
 LAW_ONSET, LAW_SOFTENING, LAW_PILE_UP, LAW_STIFFNESS, LAW_SHARE, LAWS = range(6)
 # what stands at a row's poles: zeta, 1/mu_i, U_A and -U_B at the start, 1 or 0 where nothing stands
 RIG_GIVES, RIG_LIGHTNESS, RIG_SPEED, RIG_THERE, RIGS = range(5)
 
-#: what is kept of a step: when it began, how much of its series holds, the unit of its powers, what it reached at most
-BEGAN, HOLDS, UNIT_OF, CREST, KEPT = range(5)
-
 #: forces below this share of the largest end the record on infinite bars
 TAIL_SHARE = 0.01
-#: parts into which a step is divided before an event in it is refined
-POINTS = 4
+
+
+def _fields(shape: tuple[int, ...], names: str, kind: str = "f8") -> list[tuple[str, str, tuple[int, ...]]]:
+    return [(name, kind, shape) for name in names.split()]
+
+
+#: a step that is kept: when it began, how much of its series holds, the unit of its powers, the largest approach
+#: (force, where faces have laws) in it at most; waves that left the faces, approaches, spring and dent of the faces
+STEP: Final = np.dtype([
+    *_fields((), "began holds unit crest"), *_fields((2, TERMS), "wave path"), *_fields((2,), "spring dent"),
+])  # fmt: skip
+#: a step of a motion that is asked for: start, length; x_1, x_2, u, q_1, q_2 in powers of the share of it
+PATH: Final = np.dtype([("start", "f8"), ("length", "f8"), ("series", "f8", (5, TERMS))])
+
+#: what the kernel knows of the rows in its lanes; per lane (LANES,), per face (PAIR,): those of face A first.  What is
+#: not a multiple of a vector stands last
+LANE: Final = np.dtype([
+    # the row (-1: none) and its place in the order; steps taken and tried, what becomes of it; what its step may have
+    # met (bits), what ended it (End), at which face; whether an echo is read from one step alone, faces have laws of
+    # their own, the step is made again on another branch
+    *_fields((LANES,), "row place_in_order count attempts fate flags why side alone own switched", "i8"),
+    # mu, 1/mu, mu or inf without mass; how quickly the lightest body answers; error allowed in one step; end of the
+    # record, of the pulse where the tail counts; round trip, when an echo can be heard; the wave that stays, or -1
+    *_fields((LANES,), "mass inverse_mu inertia quickest error end fades back heard steady"),
+    # time, length of the trial step, share of it that is taken, length to try next, next jump; 1 where there is a row,
+    # where it starts from a touch, is on the slow motion; when that is looked for next
+    *_fields((LANES,), "time h theta proposed stop busy touching on_slow calm"),
+    # approaches below which the record ends, a contact may be lost; bounds and doubts of a step
+    *_fields((LANES,), "low near crest alarm misfit crosses unfit place_of at_u rate_u"),
+    # pulse: its piece (frequency, offset, cubic); far ends: reflection, round trip; jumps under way; steps of the echo
+    *_fields((LANES,), "frequency offset"), *_fields((4, LANES), "cubic"), *_fields((2, LANES), "reflect trips"),
+    *_fields((2, LANES, QUEUE), "queue"), *_fields((2, LANES), "head tail first last", "i8"),
+    # scales of x_1, u, x_2, U_A, -U_B
+    *_fields((5, LANES), "size"),
+    # what is followed: largest values; whether a face has touched, its largest approach before the first echo, force of
+    # the other at its peak, integral of its squared force; first loss and its rate, end, last parting, unloadings,
+    # touches in all and before the peak, integral of the waves, duration; speeds of A and of the sphere at the start
+    *_fields((KINDS, LANES), "peak"), *_fields((2, LANES), "touched x_first other carried start_speed"),
+    *_fields((LANES,), "lost loss_rate ended parted unloadings touches chatter pushed duration"),
+    # the law of a face (`faces`), and what stands at its pole: zeta, 1/mu_i, 1 or 0 where nothing does
+    *_fields((PAIR,), "dent shift spring by_x by_root by_log constant base largest peak_force onset softening pile_up"),
+    *_fields((PAIR,), "stiffness chi unit_force hertz gives lightness there"),
+    # the series of a step: approaches, sqrt, forces, 2 f and -2 h, U_A and -U_B, logarithm; the sphere's speed
+    *_fields((TERMS, PAIR), "x root force push free log"), *_fields((TERMS, LANES), "u"),
+    # approaches, derivatives and half the second ones at equal distances over the step
+    *_fields((POINTS + 1, PAIR), "at rate bow"),
+    # largest approaches known, bounds of those in a step and where they lie; turns at one time; room for recurrences
+    *_fields((PAIR,), "known top place bent width value slope bend wrong turned_at turns half inverse start"),
+    # room
+    *_fields((9, PAIR), "room"), *_fields((3, LANES), "reach left left_slope"), *_fields((4, WAVE), "work"),
+    *_fields((SLOW_ROOM, TERMS), "slow"),
+    # the step of one lane that is searched: its series, values and slopes, where its faces are pressed deepest
+    *_fields((2, TERMS), "piece"), *_fields((2, 2, POINTS + 1), "grid"), *_fields((2,), "places"),
+    # of all rows: what is integrated and wanted, steps that are read again; whether faces have laws, other partners
+    # than bars stand at the poles, the record of bars ends at the first loss, paths are stored, are given out
+    *_fields((), "mode wanted ring capacity yielding rigged stop_at_loss store keeping", "i8"),
+    # error allowed in one step, share of it once a face has yielded, tolerance of the answers, TAIL_SHARE of approaches
+    *_fields((), "local closer asked share"),
+])  # fmt: skip
+
+
+def empty_lanes() -> Any:
+    """One tracked.LANE (1,) of zeros, which begins where a line of the processor's cache does."""
+    line = 64
+    room = np.zeros(LANE.itemsize + line, np.uint8)
+    return room[-room.ctypes.data % line :][: LANE.itemsize].view(LANE)
 
 
 def empty_answers(rows: int) -> Array:

@@ -10,7 +10,10 @@ Numba and LLVM give their values no types that Python could check: none are writ
 
 from __future__ import annotations
 
+import math
 from typing import Any
+
+from uqsphere.mechanics.integrator.tracked import LANES, PAIR, WAVE
 
 
 def _tools():
@@ -24,9 +27,14 @@ def _tools():
 
 ir, types, intrinsic = _tools()
 _INDEX = ir.IntType(64)
-#: numbers in one vector of the code; the compiler splits them as the processor needs
-_WIDTH = 4
-_VECTOR = ir.VectorType(ir.DoubleType(), _WIDTH)
+#: numbers in one vector of the code at most; the compiler splits them as the processor needs
+_WIDEST = 4
+
+
+def _vectors(columns):
+    """Numbers in one vector, and vectors in so many columns."""
+    width = math.gcd(columns, _WIDEST)
+    return width, columns // width
 
 
 def _data(context, builder, kind, row):
@@ -48,30 +56,33 @@ def _row(typing, array, index, first):
     return types.CPointer(types.float64)(array, index, first), generate
 
 
-def _place(builder, data, index):
-    return builder.bitcast(builder.gep(data, [index]), _VECTOR.as_pointer())
-
-
 @intrinsic
-def _bare(typing, array):
-    """The same array without an owner, whom numba would count at every call; the owner must outlive it."""
+def _part(typing, array, first):
+    """Address of array[first] of an array of one dimension."""
 
     def generate(context, builder, signature, arguments):
-        found = context.make_array(signature.args[0])(context, builder, arguments[0])
-        found.meminfo = ir.Constant(found.meminfo.type, None)
-        found.parent = ir.Constant(found.parent.type, None)
-        return found._getvalue()
+        given = context.make_array(signature.args[0])(context, builder, arguments[0])
+        return builder.gep(given.data, [context.cast(builder, arguments[1], signature.args[1], types.int64)])
 
-    return array(array), generate
+    return types.CPointer(types.float64)(array, first), generate
 
 
-def _load(builder, data, index):
-    return builder.load(_place(builder, data, index), align=8, typ=_VECTOR)
+def _place(builder, data, index, width):
+    return builder.bitcast(builder.gep(data, [index]), ir.VectorType(ir.DoubleType(), width).as_pointer())
 
 
-def _spread(builder, number):
-    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), number, ir.Constant(ir.IntType(32), 0))
-    mask = ir.Constant(ir.VectorType(ir.IntType(32), _WIDTH), [0] * _WIDTH)
+def _load(builder, data, index, width):
+    return builder.load(_place(builder, data, index, width), align=8, typ=ir.VectorType(ir.DoubleType(), width))
+
+
+def _store(builder, value, data, index):
+    builder.store(value, _place(builder, data, index, value.type.count), align=8)
+
+
+def _spread(builder, number, width):
+    nothing = ir.Constant(ir.VectorType(ir.DoubleType(), width), ir.Undefined)
+    one = builder.insert_element(nothing, number, ir.Constant(ir.IntType(32), 0))
+    mask = ir.Constant(ir.VectorType(ir.IntType(32), width), [0] * width)
     return builder.shuffle_vector(one, one, mask)
 
 
@@ -90,7 +101,7 @@ def _loop(builder, low, high, totals, body):
     builder.branch(head)
     builder.position_at_end(head)
     j = builder.phi(_INDEX)
-    held = [builder.phi(_VECTOR) for _ in totals]
+    held = [builder.phi(total.type) for total in totals]
     builder.cbranch(builder.icmp_signed("<", j, high), inside, after)
     builder.position_at_end(inside)
     results = body(j, held)
@@ -134,7 +145,8 @@ class Vector:
     def _other(self, other):
         if isinstance(other, Vector):
             return other.value
-        return ir.Constant(_VECTOR, [float(other)] * _WIDTH)
+        width = self.value.type.count
+        return ir.Constant(ir.VectorType(ir.DoubleType(), width), [float(other)] * width)
 
     def __neg__(self):
         return 0.0 - self
@@ -163,8 +175,9 @@ def smaller(a, b):
 
 
 def _call(name, a):
-    module, full = a.builder.module, f"{name}.v{_WIDTH}f64"
-    function = module.globals.get(full) or ir.Function(module, ir.FunctionType(_VECTOR, [_VECTOR]), full)
+    module, kind = a.builder.module, a.value.type
+    full = f"{name}.v{kind.count}f64"
+    function = module.globals.get(full) or ir.Function(module, ir.FunctionType(kind, [kind]), full)
     return Vector(a.builder, a.builder.call(function, [a.value]))
 
 
@@ -185,6 +198,8 @@ def elementwise(columns, outputs, formula):
     comes out may be one of the rows that went in.
     """
 
+    width, count = _vectors(columns)
+
     @intrinsic
     def apply(typing, *arguments):
         packed = types.StarArgTuple.from_types(arguments)
@@ -197,17 +212,18 @@ def elementwise(columns, outputs, formula):
                 for kind, part in zip(kinds, parts, strict=True)
             ]
             numbers = [
-                None if row is not None else _spread(builder, context.cast(builder, part, kind, types.float64))
+                None if row is not None else _spread(builder, context.cast(builder, part, kind, types.float64), width)
                 for row, part, kind in zip(rows, parts, kinds, strict=True)
             ]
-            for place in range(0, columns, _WIDTH):
+            for i in range(count):
+                place = _number(i * width)
                 inputs = [
-                    Vector(builder, _load(builder, row, _number(place)) if row is not None else number)
+                    Vector(builder, _load(builder, row, place, width) if row is not None else number)
                     for row, number in zip(rows[outputs:], numbers[outputs:], strict=True)
                 ]
                 results = formula(*inputs)
                 for row, result in zip(rows, results if isinstance(results, tuple) else (results,), strict=False):
-                    builder.store(result.value, _place(builder, row, _number(place)), align=8)
+                    _store(builder, result.value, row, place)
             return context.get_dummy_value()
 
         return types.void(packed), generate
@@ -215,89 +231,84 @@ def elementwise(columns, outputs, formula):
     return apply
 
 
-def _zeros(count):
-    return [ir.Constant(_VECTOR, [0.0] * _WIDTH)] * count
+def _zeros(count, width):
+    return [ir.Constant(ir.VectorType(ir.DoubleType(), width), [0.0] * width)] * count
 
 
-def _products_of(columns):
-    """The function out[m] = sum of a[j, m] b[k-j, m], low <= j < high, over `columns` columns."""
-    count = columns // _WIDTH
+def _sum(builder, data, low, high, columns, term):
+    """Store in data[m] the sum of term(j, i, total) over low <= j < high; i counts the vectors of `columns` columns."""
+    width, count = _vectors(columns)
 
-    @intrinsic
-    def products(typing, a, b, k, low, high, out):
-        def generate(context, builder, signature, arguments):
-            kinds = signature.args
-            data_a, data_b, data_out = (_data(context, builder, kinds[i], arguments[i]) for i in (0, 1, 5))
-            k, low, high = (context.cast(builder, arguments[i], kinds[i], types.int64) for i in (2, 3, 4))
+    def body(j, totals):
+        return [term(j, _number(i * width), total) for i, total in enumerate(totals)]
 
-            def body(j, totals):
-                row_a = builder.mul(j, _number(columns))
-                row_b = builder.mul(builder.sub(k, j), _number(columns))
-                results = []
-                for i, total in enumerate(totals):
-                    place = _number(i * _WIDTH)
-                    left = _load(builder, data_a, builder.add(row_a, place))
-                    right = _load(builder, data_b, builder.add(row_b, place))
-                    results.append(_multiply_add(builder, left, right, total))
-                return results
-
-            for i, total in enumerate(_loop(builder, low, high, _zeros(count), body)):
-                builder.store(total, _place(builder, data_out, _number(i * _WIDTH)), align=8)
-            return context.get_dummy_value()
-
-        return types.void(a, b, k, low, high, out), generate
-
-    return products
+    for i, total in enumerate(_loop(builder, low, high, _zeros(count, width), body)):
+        _store(builder, total, data, _number(i * width))
 
 
-def _values_of(points):
-    """The function out[i] = sum of series[k] x[i]^k, k = 0 ... order, over `points` points."""
-    count = points // _WIDTH
+@intrinsic
+def _products(typing, a, b, k, low, high, out):
+    """out[m] = sum of a[j, m] b[k-j, m], low <= j < high, over PAIR columns."""
+    width, _ = _vectors(PAIR)
 
-    @intrinsic
-    def values_at(typing, series, order, x, out):
-        def generate(context, builder, signature, arguments):
-            kinds = signature.args
-            data, data_x, data_out = (_data(context, builder, kinds[i], arguments[i]) for i in (0, 2, 3))
-            order = context.cast(builder, arguments[1], kinds[1], types.int64)
-            at = [_load(builder, data_x, _number(i * _WIDTH)) for i in range(count)]
+    def generate(context, builder, signature, arguments):
+        kinds = signature.args
+        data_a, data_b, data_out = (_data(context, builder, kinds[i], arguments[i]) for i in (0, 1, 5))
+        k, low, high = (context.cast(builder, arguments[i], kinds[i], types.int64) for i in (2, 3, 4))
 
-            def body(j, totals):
-                term = _spread(builder, builder.load(builder.gep(data, [builder.sub(order, j)])))
-                return [_multiply_add(builder, total, z, term) for total, z in zip(totals, at, strict=True)]
+        def term(j, place, total):
+            left = builder.add(builder.mul(j, _number(PAIR)), place)
+            right = builder.add(builder.mul(builder.sub(k, j), _number(PAIR)), place)
+            return _multiply_add(
+                builder, _load(builder, data_a, left, width), _load(builder, data_b, right, width), total
+            )
 
-            high = builder.add(order, _number(1))
-            for i, total in enumerate(_loop(builder, _number(0), high, _zeros(count), body)):
-                builder.store(total, _place(builder, data_out, _number(i * _WIDTH)), align=8)
-            return context.get_dummy_value()
+        _sum(builder, data_out, low, high, PAIR, term)
+        return context.get_dummy_value()
 
-        return types.void(series, order, x, out), generate
-
-    return values_at
+    return types.void(a, b, k, low, high, out), generate
 
 
-def _mix_of(columns):
-    """The function out[m] = sum of weights[i] rows[i, m], 0 <= i < columns, over `columns` columns."""
-    count = columns // _WIDTH
+@intrinsic
+def _values_at(typing, series, order, x, out):
+    """out[i] = sum of series[k] x[i]^k, k = 0 ... order, over WAVE points."""
+    width, count = _vectors(WAVE)
 
-    @intrinsic
-    def mix(typing, weights, rows, out):
-        def generate(context, builder, signature, arguments):
-            data, data_rows, data_out = (_data(context, builder, signature.args[i], arguments[i]) for i in range(3))
+    def generate(context, builder, signature, arguments):
+        kinds = signature.args
+        data, data_x, data_out = (_data(context, builder, kinds[i], arguments[i]) for i in (0, 2, 3))
+        order = context.cast(builder, arguments[1], kinds[1], types.int64)
+        at = [_load(builder, data_x, _number(i * width), width) for i in range(count)]
 
-            def body(j, totals):
-                weight = _spread(builder, builder.load(builder.gep(data, [j])))
-                row = builder.mul(j, _number(columns))
-                parts = [_load(builder, data_rows, builder.add(row, _number(i * _WIDTH))) for i in range(count)]
-                return [_multiply_add(builder, weight, part, total) for part, total in zip(parts, totals, strict=True)]
+        def body(j, totals):
+            term = _spread(builder, builder.load(builder.gep(data, [builder.sub(order, j)])), width)
+            return [_multiply_add(builder, total, z, term) for total, z in zip(totals, at, strict=True)]
 
-            for i, total in enumerate(_loop(builder, _number(0), _number(columns), _zeros(count), body)):
-                builder.store(total, _place(builder, data_out, _number(i * _WIDTH)), align=8)
-            return context.get_dummy_value()
+        high = builder.add(order, _number(1))
+        for i, total in enumerate(_loop(builder, _number(0), high, _zeros(count, width), body)):
+            _store(builder, total, data_out, _number(i * width))
+        return context.get_dummy_value()
 
-        return types.void(weights, rows, out), generate
+    return types.void(series, order, x, out), generate
 
-    return mix
+
+@intrinsic
+def _mix(typing, weights, rows, out):
+    """out[m] = sum of weights[i] rows[i, m], 0 <= i < WAVE, over WAVE columns."""
+    width, _ = _vectors(WAVE)
+
+    def generate(context, builder, signature, arguments):
+        data, data_rows, data_out = (_data(context, builder, signature.args[i], arguments[i]) for i in range(3))
+
+        def term(j, place, total):
+            weight = _spread(builder, builder.load(builder.gep(data, [j])), width)
+            other = _load(builder, data_rows, builder.add(builder.mul(j, _number(WAVE)), place), width)
+            return _multiply_add(builder, weight, other, total)
+
+        _sum(builder, data_out, _number(0), _number(WAVE), WAVE, term)
+        return context.get_dummy_value()
+
+    return types.void(weights, rows, out), generate
 
 
 def _series_of(columns, derivatives):
@@ -305,7 +316,7 @@ def _series_of(columns, derivatives):
 
     at[m] = sum of x[k, m] t[m]^k, its derivative by t, half of the second one: as many rows as asked for.
     """
-    count = columns // _WIDTH
+    width, count = _vectors(columns)
 
     @intrinsic
     def series_at(typing, *arguments):  # x, order, width, first, t, at, rate, ...
@@ -315,16 +326,16 @@ def _series_of(columns, derivatives):
             kinds = list(signature.args[0])
             parts = [builder.extract_value(given[0], i) for i in range(len(kinds))]
             data, t, *rows = (_data(context, builder, kinds[i], parts[i]) for i in (0, *range(4, len(kinds))))
-            order, width, first = (context.cast(builder, parts[i], kinds[i], types.int64) for i in (1, 2, 3))
-            shares = [_load(builder, t, _number(i * _WIDTH)) for i in range(count)]
+            order, wide, first = (context.cast(builder, parts[i], kinds[i], types.int64) for i in (1, 2, 3))
+            shares = [_load(builder, t, _number(i * width), width) for i in range(count)]
 
             def body(j, totals):
-                row = builder.add(builder.mul(builder.sub(order, j), width), first)
+                row = builder.add(builder.mul(builder.sub(order, j), wide), first)
                 results = []
                 for d in range(derivatives + 1):
                     for i, z in enumerate(shares):
                         lower = (
-                            _load(builder, data, builder.add(row, _number(i * _WIDTH)))
+                            _load(builder, data, builder.add(row, _number(i * width)), width)
                             if d == 0
                             else totals[(d - 1) * count + i]
                         )
@@ -332,10 +343,10 @@ def _series_of(columns, derivatives):
                 return results
 
             high = builder.add(order, _number(1))
-            totals = _loop(builder, _number(0), high, _zeros((derivatives + 1) * count), body)
+            totals = _loop(builder, _number(0), high, _zeros((derivatives + 1) * count, width), body)
             for k, total in enumerate(totals):
-                place = builder.add(first, _number(k % count * _WIDTH))
-                builder.store(total, _place(builder, rows[k // count], place), align=8)
+                place = builder.add(first, _number(k % count * width))
+                _store(builder, total, rows[k // count], place)
             return context.get_dummy_value()
 
         return types.void(packed), generate
@@ -355,10 +366,10 @@ def _apart(typing):
 
 
 apart: Any = _apart
-products: Any = _products_of(32)
-values_at: Any = _values_of(12)
-mix: Any = _mix_of(12)
-derivatives_at: Any = _series_of(16, 1)
-curves_at: Any = _series_of(16, 2)
+products: Any = _products
+values_at: Any = _values_at
+mix: Any = _mix
+derivatives_at: Any = _series_of(LANES, 1)
+curves_at: Any = _series_of(LANES, 2)
 row: Any = _row
-bare: Any = _bare
+part: Any = _part
