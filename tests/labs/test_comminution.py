@@ -334,8 +334,8 @@ def test_fragments_are_hit_again(fitted: Fit, tmp_path: Path) -> None:
     np.testing.assert_allclose(broken[0], [0.4 + now[0], 0.04 + now[1]], rtol=EXACT)
     last = [0.24 + 0.5 * fresh[0] + 0.4 * now[0], 0.14 + 0.8 * fresh[1] + 0.6 * now[0] + now[1]]
     np.testing.assert_allclose(left[0], last, rtol=EXACT)
-    with pytest.raises(ValueError, match=r"rebreak needs .*\[product\]"):
-        document(feed={"sizes": {"law": "gaudin_schuhmann", "n": 1, "top": "9 mm"}, "energy": "1 J", "rebreak": True})
+    with pytest.raises(UsageError, match=r"rebreak needs .*\[product\]"):
+        answer_feed(fitted.posterior, feed_document(rebreak=True).model_copy(update={"product": None}), tmp_path)
 
 
 def test_a_lot_scatters_beside_what_the_tests_leave_open(fitted: Fit, tmp_path: Path) -> None:

@@ -178,9 +178,3 @@ class ComminutionDocument(Section):
     product: ProductTable | None = None
     strength_at: Length | None = None
     draws: int = Field(default=4000, ge=200, le=20000)
-
-    @model_validator(mode="after")
-    def _fragments(self) -> ComminutionDocument:
-        if self.feed is not None and self.feed.rebreak and self.product is None:
-            raise ValueError("feed.rebreak needs the sizes of fragments: add [product]")
-        return self

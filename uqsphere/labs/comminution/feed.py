@@ -151,6 +151,8 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     feed, product, own = asked.feed, asked.product, asked.material
     if feed is None:
         raise UsageError("the input file has no [feed]")
+    if feed.rebreak and product is None:
+        raise UsageError("feed.rebreak needs the sizes of fragments: add [product]")
     if own.density is None:
         raise UsageError("material.density is required")
     classes = load_classes(feed.sizes, folder)
@@ -160,13 +162,13 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     share, warnings = 1.0, list(classes.notes)
     if feed.impact_surface is not None:
         share = laws.particle_share(stiffness(own), stiffness(feed.impact_surface))
-    cumulative = broken_by_blow(posterior, given * share, sizes, feed.blows)
+    taken = given * share
+    cumulative = broken_by_blow(posterior, taken, sizes, feed.blows)
     if feed.undersize == "stays":
         cumulative[:, -1] = 0.0
     broken = cumulative[:, :, -1]
     total = broken @ mass
-    hit = np.ones(len(mass))
-    hit[-1] = float(feed.undersize == "breaks")
+    hit = np.append(np.ones(len(mass) - 1), float(feed.undersize == "breaks"))
     sieves = np.unique(np.concatenate([classes.edges, classes.edges[-1] * feed.sizes.ratio ** -np.arange(1.0, 15.0)]))
     lower = np.append(classes.edges[1:], 1e-6 * classes.edges[-1])
     # whole particles of a class lie evenly in the logarithm between its ends; below the last sieve in proportion
@@ -180,19 +182,11 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         if feed.rebreak:
             finer = curves[:, np.searchsorted(sieves, classes.edges)]
             finer[:, 0] = 1.0
-            spread = finer - np.concatenate([finer[:, 1:], np.zeros_like(finer[:, :1])], axis=1)
+            spread = -np.diff(finer, axis=1, append=0.0)
     struck, weight, left = population(cumulative, mass, spread)
-    numbers: dict[str, Array] = {
-        "broken": total,
-        "blows": struck @ hit,
-        "energy [J/kg]": struck @ (hit * given * share),
-    }
+    numbers: dict[str, Array] = {"broken": total, "blows": struck @ hit, "energy [J/kg]": struck @ (hit * taken)}
     if product is not None:
-        fragments = (
-            0.0
-            if feed.rebreak
-            else np.einsum("dsk,dk->ds", np.broadcast_to(curves, (draws, *curves.shape[1:])), weight)
-        )
+        fragments = 0.0 if feed.rebreak else (curves * weight[:, None]).sum(axis=2)
         passing = np.minimum(np.maximum.accumulate(left @ whole.T + fragments, axis=1), 1.0)
         numbers["t10"] = (weight * fine).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300)
         numbers |= {f"P{round(100 * p)} [m]": _size_at(p, sieves, passing) for p in (0.8, 0.5)}
@@ -276,8 +270,6 @@ def _size_at(share: float, sieves: Array, passing: Array) -> Array:
 
 def _lots(broken: Array, mass: Array, count: Array, rng: np.random.Generator) -> Array:
     """Broken share of a lot for every draw: each class has so many particles, which break or not."""
-    few = count < 1e8
-    drawn = np.array(broken)
-    many = np.maximum(count, 1.0)
+    few, many, drawn = count < 1e8, np.maximum(count, 1.0), np.array(broken)
     drawn[:, few] = rng.binomial(many[few].astype(np.int64), np.clip(broken[:, few], 0.0, 1.0)) / many[few]
     return np.asarray(drawn @ mass)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uqsphere.labs.shpb.document import RecordDocument
-from uqsphere.labs.shpb.waves import NORMAL, Peak, Reading
+from uqsphere.labs.shpb.waves import NORMAL, Reading
 
 if TYPE_CHECKING:
     from uqsphere.arrays import Array
@@ -20,20 +20,13 @@ if TYPE_CHECKING:
 FACES = {"A": "largest force at A, two waves", "B": "largest force at B, one wave", "mean": "mean of both, three waves"}
 
 
-def interval(peak: Peak) -> str:
-    """The ends of an interval in kN."""
-    high = f"{peak.high * 1e-3:.4g}" if math.isfinite(peak.high) else "not known"
-    return f"{peak.low * 1e-3:.4g} to {high} kN"
-
-
 def rows(test: Reading) -> list[tuple[str, str, str]]:
     """What a test shows: name, value, interval or remark; a doubt stands at its number."""
     found = []
     for face, peak in test.peaks.items():
-        mark = "DOUBTED " if peak.doubts else ""
-        found.append(
-            (f"{FACES[face]}, at {peak.time * 1e6:.4g} us", f"{mark}{peak.value * 1e-3:.4g} kN", interval(peak))
-        )
+        high = f"{peak.high * 1e-3:.4g}" if math.isfinite(peak.high) else "not known"
+        value, ends = f"{peak.value * 1e-3:.4g} kN", f"{peak.low * 1e-3:.4g} to {high} kN"
+        found.append((f"{FACES[face]}, at {peak.time * 1e6:.4g} us", "DOUBTED " * bool(peak.doubts) + value, ends))
         found += [("", "doubt", doubt) for doubt in peak.doubts]
     found += [("not given", "", reason) for reason in test.withheld]
     if test.energies is not None:

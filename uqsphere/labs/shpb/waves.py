@@ -208,7 +208,6 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     else:
         peaks["B"] = _doubted(peaks["B"], "the force at A is not known: gauge and gain of B are not checked by it")
     balanced, rate = _balance(time, force_a, force_b, peaks["B"])
-    order = ("A", "B", "mean")
     # parabolas over half the rise follow the pulse and leave most of the noise
     pulse = -inc.strain[start : wave.end + lead]
     pulse = savgol_filter(pulse, 2 * (wave.rising // 4) + 1, 2) if 8 <= wave.rising < len(pulse) else pulse
@@ -216,9 +215,8 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     pulse[[0, -1]] = 0.0
     return Reading(
         step=step, touch=record.start + step * start + (0.0 if aligned else bar.gauge / bar.wave_speed), time=time,
-        force_a=force_a, force_b=force_b, sd_a=sd_a, sd_b=sd_b,
-        pulse=pulse,
-        peaks={face: peaks[face] for face in order if face in peaks}, energies=energies, balanced=balanced,
+        force_a=force_a, force_b=force_b, sd_a=sd_a, sd_b=sd_b, pulse=pulse,
+        peaks={face: peaks[face] for face in ("A", "B", "mean") if face in peaks}, energies=energies, balanced=balanced,
         loading_rate=rate, withheld=tuple(withheld), changes=tuple(changes),
     )  # fmt: skip
 
