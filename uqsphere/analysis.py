@@ -357,22 +357,30 @@ def quantiles(values: npt.ArrayLike, probabilities: Sequence[float] = (0.05, 0.5
     return found
 
 
-def weibull_fit(values: npt.ArrayLike, stopped: npt.ArrayLike | None = None) -> StrengthFit:
+def weibull_fit(
+    values: npt.ArrayLike, stopped: npt.ArrayLike | None = None, counts: npt.ArrayLike | None = None
+) -> StrengthFit:
     """The two-parameter Weibull law of strengths (n,), some of whose tests were stopped before failure (n,).
 
     Largest likelihood, the factor that takes its bias out, and intervals of 95 % that hold for any n (D. R. Thoman,
-    L. J. Bain, C. E. Antle, Technometrics 11, 1969, 445): `shape` the modulus, `scale` in the values' unit.
+    L. J. Bain, C. E. Antle, Technometrics 11, 1969, 445): `shape` the modulus, `scale` in the values' unit.  `counts`
+    (n,): how many equal tests each value stands for.
     """
-    return _fitted(values, stopped, "weibull")
+    return _fitted(values, stopped, counts, "weibull")
 
 
-def lognormal_fit(values: npt.ArrayLike, stopped: npt.ArrayLike | None = None) -> StrengthFit:
+def lognormal_fit(
+    values: npt.ArrayLike, stopped: npt.ArrayLike | None = None, counts: npt.ArrayLike | None = None
+) -> StrengthFit:
     """The lognormal law of strengths (n,), as `weibull_fit`: `shape` is the sd of the logarithm, `scale` the median."""
-    return _fitted(values, stopped, "lognormal")
+    return _fitted(values, stopped, counts, "lognormal")
 
 
-def _fitted(values: Any, stopped: Any, family: str) -> StrengthFit:
-    if hasattr(values, "reindex") and hasattr(stopped, "reindex"):
-        stopped = in_order_of(stopped, values.index, "stopped")
+def _fitted(values: Any, stopped: Any, counts: Any, family: str) -> StrengthFit:
+    if hasattr(values, "reindex"):
+        stopped, counts = (
+            in_order_of(one, values.index, name) if hasattr(one, "reindex") else one
+            for name, one in (("stopped", stopped), ("counts", counts))
+        )
     with _refusing():
-        return fit_strength(make_tests(values, stopped), STRENGTHS[family])
+        return fit_strength(make_tests(values, stopped, counts), STRENGTHS[family])

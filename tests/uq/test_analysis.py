@@ -190,6 +190,7 @@ def test_moments_and_quantiles_of_observations_cover() -> None:
     assert "too few" in few.loc[0, "reason"]
     assert analysis.weibull_fit([0.62, 0.81, 0.93, 1.02, 1.1, 1.21]).failures == 6
     assert analysis.lognormal_fit([0.62, 0.81, 0.93], [False, False, False]).tests == 3
+    assert analysis.weibull_fit([0.62, 0.81], counts=[3, 2]) == analysis.weibull_fit([0.62] * 3 + [0.81] * 2)
 
 
 # --- distributions that people have ----------------------------------------------------------------------------

@@ -213,22 +213,19 @@ def open_table(name: str, reader: Reader, key: str, decimal: str | None = None) 
 
 def platens_of(raw: Any, bars: tuple[float, float] | None, *at: str) -> tuple[float, float]:
     """E [Pa], infinite if rigid, and nu of what a strength was measured between; raises Fault."""
-    known = library()["bars"]
+    known = {name: (material.properties["E"].value, material.properties["nu"].value)
+             for name, material in library()["bars"].items()}  # fmt: skip
+    choices = {"bars": bars, "rigid": (math.inf, 0.3), **known}
     if isinstance(raw, Mapping):
         if set(raw) != {"E", "nu"}:
             raise Fault(f"a table of platens has E and nu, found {one_of(raw) if raw else 'nothing'}", *at)
         return value_of(raw["E"], INPUTS["bars.E"]), value_of(raw["nu"], INPUTS["bars.nu"])
-    if raw == "bars":
-        if bars is None:
-            raise Fault(
-                'there are no bars here: write what it was measured between, platens = "rigid" or a material', *at
-            )
-        return bars
-    if raw == "rigid":
-        return math.inf, 0.3
-    if not isinstance(raw, str) or raw not in known:
-        raise Fault(f"found {shown(raw)}, allowed: {one_of(['bars', 'rigid', *known])}{suggestion(raw, known)}", *at)
-    return known[raw].properties["E"].value, known[raw].properties["nu"].value
+    if not isinstance(raw, str) or raw not in choices:
+        raise Fault(f"found {shown(raw)}, allowed: {one_of(choices)}{suggestion(raw, known)}", *at)
+    if (found := choices[raw]) is None:
+        said = 'there are no bars here: write what it was measured between, platens = "rigid" or a material'
+        raise Fault(said, *at)
+    return found
 
 
 # --- distributions from a file -------------------------------------------------------------------------------------
