@@ -370,21 +370,24 @@ def test_an_executor_that_is_lost_leaves_what_is_done(place: Path) -> None:
         assert model.reused == 4
 
 
-def test_a_dask_cluster_answers_and_may_be_lost(place: Path) -> None:
+def test_a_dask_cluster_answers_and_may_be_lost(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All its workers gone after the first answer, then the client closed."""
     distributed = pytest.importorskip("distributed")
-    reference = box(place)
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
-    ) as cluster:
-        client = distributed.Client(cluster)
+    monkeypatch.setattr(workers, "ALONE", 3.0)
+    reference = box(place, "time.sleep(0.3)", where="True")
+    with (
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+    ):
         with open_model(study(), reference, executor=client) as model:
             assert is_right(evaluated(model))
-        client.close()
-        with (
-            open_model(study(), reference, executor=client) as model,
-            pytest.raises(AccessError, match="the Dask cluster was lost"),
-        ):
-            evaluated(model)
+        for gone, text in ((lambda *_: cluster.scale(0), "no worker for 3 s"), (None, "")):
+            with (
+                open_model(study(), reference, executor=client, progress=gone) as model,
+                pytest.raises(AccessError, match=f"the Dask cluster was lost.*{text}"),
+            ):
+                evaluated(model)
+            client.close()
 
 
 @pytest.mark.parametrize(
@@ -528,10 +531,9 @@ def test_a_run_that_is_killed_goes_on_where_it_was(place: Path) -> None:
     reference = box(place, "time.sleep(0.02)", where="True")
     program = f"""
 from pathlib import Path
-from uqsphere.models import cache, open_model
+from uqsphere.models import open_model
 from uqsphere.study import load_study
 import numpy as np
-cache._GATHERED = 0.0
 with open_model(load_study(text={STUDY!r}), {reference!r}, threads=1, cache=Path({str(place / "cache")!r})) as model:
     model.evaluate(["a"], np.arange(40.0)[:, None], ["y", "z"])
 """

@@ -13,7 +13,6 @@ import json
 import os
 import sqlite3
 import struct
-import time
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -26,8 +25,7 @@ from uqsphere.models.rows import Code, EvaluatedRows
 
 #: marks the file as ours, and the form of its records
 _MARKS: Final = {"application_id": 0x75715370, "user_version": 1}
-#: seconds of answers that are gathered before they are written, and that another run is waited for
-_GATHERED: Final = 1.0
+#: seconds that another run is waited for
 _WAIT: Final = 30.0
 
 
@@ -44,8 +42,6 @@ class Cache:
         about = json.dumps([digest, sorted(inputs), list(outputs)])
         self._about = hashlib.blake2b(about.encode()).digest()
         self.notes: list[str] = []
-        self._pending: list[tuple[bytes, bytes]] = []
-        self._written = time.monotonic()
         self._database: sqlite3.Connection | None = None
         try:
             self._database = self._opened()
@@ -58,6 +54,8 @@ class Cache:
             raise ValueError("it is a link")
         database = sqlite3.connect(self.path, timeout=_WAIT, isolation_level=None, check_same_thread=False)
         try:
+            # what a killed process has written stays; what a power cut damages is evaluated anew
+            database.execute("PRAGMA synchronous = OFF")
             if database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
                 if any(database.execute(f"PRAGMA {name}").fetchone()[0] != mark for name, mark in _MARKS.items()):
                     raise ValueError("it is no cache of this version")
@@ -126,29 +124,21 @@ class Cache:
 
     def write(self, rows: Array, answers: EvaluatedRows) -> None:
         """Store answers; rows that took too long or ended their process are tried again another time."""
-        values = np.asarray(answers.values, dtype="<f8")
+        records, values = [], np.asarray(answers.values, dtype="<f8")
         for key, row, code in zip(self._keys(rows), values, answers.status.tolist(), strict=True):
             if code not in (Code.TIME_OVER, Code.DIED):
                 content = bytes([code]) + row.tobytes()
-                self._pending.append((key, struct.pack("<I", zlib.crc32(content + key)) + content))
-        if time.monotonic() - self._written > _GATHERED:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write what was gathered."""
-        if self._database is not None and self._pending:
+                records.append((key, struct.pack("<I", zlib.crc32(content + key)) + content))
+        if self._database is not None and records:
             try:
                 self._database.execute("BEGIN IMMEDIATE")
-                self._database.executemany("INSERT OR REPLACE INTO answers VALUES (?, ?)", self._pending)
+                self._database.executemany("INSERT OR REPLACE INTO answers VALUES (?, ?)", records)
                 self._database.execute("COMMIT")
             except sqlite3.Error as error:
                 self._give_up(error)  # closing takes back what was begun
-        self._pending.clear()
-        self._written = time.monotonic()
 
     def close(self) -> None:
-        """Write what was gathered and let go of the file."""
-        self.flush()
+        """Let go of the file."""
         if self._database is not None:
             self._database.close()
         self._database = None

@@ -364,7 +364,6 @@ class Model:
                 with contextlib.suppress(Exception):  # of a cluster that is lost
                     future.cancel()
             if self.cache is not None:
-                self.cache.flush()
                 self._note(*self.cache.notes)
         return gathered, notes
 
