@@ -153,3 +153,23 @@ def test_units_come_from_the_key_or_the_heading_and_must_agree(tmp_path: Path) -
         assert caught.value.key == "force_unit"
     with pytest.raises(TableError, match='or add diameter_unit = "m"'):
         table.numbers("D", "length", key="diameter")
+
+
+@pytest.mark.parametrize(
+    ("text", "headings", "above"),
+    [("Samplerate;10000 Hz\nCH;A;B;\ns;V;V;\n" + "".join(f"{k},0;{k},5;0,25\n" for k in range(80)),
+      ["CH [s]", "A [V]", "B [V]"], "Samplerate"),
+     ("".join(f" {k}.0  {k}.5 0.25\n" for k in range(80)), ["column 1", "column 2", "column 3"], ""),
+     ('"t;x;x"\r' + "".join(f'"{k}.0;{k}.5;0.25"\r' for k in range(80)), ["t", "2 x", "3 x"], ""),
+     ("# t [ms],x,y\n#\n" + "".join(f"{k}.0,{k}.5,0.25\n" for k in range(80)), ["t [ms]", "x", "y"], "#"),
+     ("t/ms\tx µε\ty\n" + "".join(f"{k}\t{k}.5\t0.25\n" for k in range(79)) + "79\t79.5\n", ["t/ms", "x µε", "y"], "")],
+)  # fmt: skip
+def test_what_a_recorder_writes(text: str, headings: list[str], above: str, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text(text, encoding="utf-8", newline="")
+    table = read_table(tmp_path / "t.csv", recorded=True)
+    assert table.headings == headings
+    assert above in table.above
+    assert table.numbers(1).tolist() == list(range(80))
+    assert table.numbers(2)[-1] == 79.5
+    assert table.numbers(3, blank=True)[0] == 0.25
+    table.check()
