@@ -101,7 +101,11 @@ def march(rows, order, lanes, made, kept, out, status, steps):
             if s.row[j] < 0:
                 continue
             if _holds(s, j):
-                if _turn(s, j, made, kept):
+                ending = _events(s, j)
+                _keep(s, j, ending, made)
+                if s.keeping and s.count[j] <= kept.shape[1]:
+                    _give_out(s, j, ending, kept[s.place_in_order[j], s.count[j] - 1])
+                if _turn(s, j, ending):
                     _jump(s, j, rows)
                 _judge(s, j)
             if s.fate[j] != GOES_ON:
@@ -327,12 +331,10 @@ def _root_is_wrong(s, j):
 
 
 @compiled
-def _turn(s, j, made, kept):
-    """End the step of a lane: what it met, what is kept of it, the state of the next one; whether the waves jump."""
+def _turn(s, j, ending):
+    """The state from which the next step of a lane starts, or the end of its row; whether the waves jump."""
     apart()
     before, at_stop = s.time[j], s.h[j] * s.theta[j] >= (s.stop[j] - s.time[j]) * (1.0 - 1e-10)
-    ending = _events(s, j)
-    _keep(s, j, ending, made, kept)
     _move_on(s, j, ending)
     at_stop = at_stop and s.why[j] < End.CONTACT
     s.time[j] = s.stop[j] if at_stop else before + ending * s.h[j]
@@ -406,7 +408,7 @@ def _events(s, j):
 
 
 @compiled
-def _keep(s, j, ending, made, kept):
+def _keep(s, j, ending, made):
     """Store what is read again of this step: the path, and the waves that leave, f - P/Z of theory (5)."""
     n = s.count[j]
     one = made[j, n & (s.ring - 1)]
@@ -427,8 +429,6 @@ def _keep(s, j, ending, made, kept):
         if s.time[j] + s.trips[bar, j] < s.end[j]:
             for k in range(TERMS):
                 one.wave[bar, k] = 0.5 * s.push[k, m] - s.gives[m] * s.force[k, m]
-    if s.keeping and n < kept.shape[1]:
-        _give_out(s, j, ending, kept[s.place_in_order[j], n])
 
 
 @compiled
