@@ -21,7 +21,16 @@ from test_broken import CASES
 from tests.campaigns.fuzz import fuzz
 from uqsphere.cli import main
 from uqsphere.errors import AccessError, StudyError, UsageError
-from uqsphere.study import Limit, Study, json_schema, load_study, reference, shipped_studies, ways_of, with_number
+from uqsphere.study import (
+    Limit,
+    Study,
+    json_schema,
+    load_study,
+    reference,
+    shipped_studies,
+    failure_modes_of,
+    with_number,
+)
 from uqsphere.study.document import Document
 from uqsphere.study.reference import count_keys
 
@@ -65,8 +74,8 @@ def test_granite_in_si() -> None:
     assert {name: study.fixed[name] for name in expected} == pytest.approx(expected, rel=1e-12)
     assert study.limits[0].quantity == "p_hertz"
     assert (study.model.fidelity, study.model.first_loading_only) == ("full", False)
-    assert [way.called for way in ways_of(study).assumed] == ["ring crack", "core tension", "fracture energy"]
-    assert ways_of(load_study(study.path, ["analysis.failure_modes=given"])).assumed == ()
+    assert [way.called for way in failure_modes_of(study).assumed] == ["ring crack", "core tension", "fracture energy"]
+    assert failure_modes_of(load_study(study.path, ["analysis.failure_modes=given"])).assumed == ()
 
 
 def test_one_rig_with_three_limits_on_the_same_tests() -> None:

@@ -18,7 +18,7 @@ from uqsphere.results import Answers
 from uqsphere.run.demands import strength_of, with_test_forces
 from uqsphere.run.design import Design
 from uqsphere.run.fragility import allowable_probability, curve_of, target_of
-from uqsphere.run.limits import chances, state_of
+from uqsphere.run.limits import failure_given_inputs, state_of
 from uqsphere.study import Limit, means_fracture, strength_name
 from uqsphere.uq import Law, LawError, Sample, random_generator
 from uqsphere.uq.fitting import count_tests, is_fitted, possible_laws
@@ -69,24 +69,24 @@ def assumptions(design: Design, tables: Tables) -> Assumptions:
             ("weak end of the library's range", mode.weak),
             ("strong end of the library's range", mode.strong),
         ):
-            p = float(chances(state_of(design, mode.limit, head, end), mode.limit.aim).mean())
+            p = float(failure_given_inputs(state_of(design, mode.limit, head, end), mode.limit.aim).mean())
             answers.row(subject, "failure_probability", f"assumed: {name}", p, unit="1", runs=head.size,
                         method="epistemic", note=mode.source)  # fmt: skip
     for limit in design.limits:
         for name, other in other_distributions(limit):
-            p = float(chances(state_of(design, limit, head, other), limit.aim).mean())
+            p = float(failure_given_inputs(state_of(design, limit, head, other), limit.aim).mean())
             answers.row(design.subject(limit), "failure_probability", f"assumed: {name}", p, unit="1", runs=head.size,
                         method="epistemic", note="same mean and standard deviation")  # fmt: skip
         state = state_of(design, limit, head)
         if state.shift is not None or state.tie is not None:
             alone = replace(state, shift=None, remaining_sd=1.0, weights=(), tie=None)
-            p = float(chances(alone, limit.aim).mean())
+            p = float(failure_given_inputs(alone, limit.aim).mean())
             answers.row(design.subject(limit), "failure_probability", "assumed: strength independent of the inputs", p,
                         unit="1", runs=head.size, method="epistemic", note="without dependence")  # fmt: skip
     plastic = _under_plastic_contact(design, head)
     if plastic is not None:
         for limit in design.fracture:
-            p = float(chances(state_of(design, limit, plastic), limit.aim).mean())
+            p = float(failure_given_inputs(state_of(design, limit, plastic), limit.aim).mean())
             answers.row(design.subject(limit), "failure_probability", "assumed: contacts yield", p, unit="1",
                         runs=plastic.size, method="epistemic", note='[contact] law = "plastic"')  # fmt: skip
             if limit.target is not None and (p < limit.target) is not (_own(design, head, limit) < limit.target):
@@ -110,7 +110,7 @@ def _by_tests(design: Design, tables: Tables, limit: Limit, head: Sample) -> tup
     if laws is None:
         return None
     few = head.head(min(head.count, 64))
-    found = np.array([float(chances(state_of(design, limit, few, law), limit.aim).mean()) for law in laws])
+    found = np.array([float(failure_given_inputs(state_of(design, limit, few, law), limit.aim).mean()) for law in laws])
     low, high = (float(x) for x in np.quantile(found, [0.025, 0.975]))
     return float(found.mean()), low, high
 
@@ -172,7 +172,7 @@ def _under_plastic_contact(design: Design, head: Sample) -> Sample | None:
 
 
 def _own(design: Design, head: Sample, limit: Limit) -> float:
-    return float(chances(state_of(design, limit, head), limit.aim).mean())
+    return float(failure_given_inputs(state_of(design, limit, head), limit.aim).mean())
 
 
 def _margin_under_plastic_contact(design: Design, tables: Tables, limit: Limit, answers: Answers) -> None:

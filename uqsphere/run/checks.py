@@ -11,7 +11,7 @@ import numpy as np
 from uqsphere.models import checked_rows, later_loading
 from uqsphere.quantities import format_probability
 from uqsphere.run.design import Design
-from uqsphere.run.limits import chances, state_of
+from uqsphere.run.limits import failure_given_inputs, state_of
 
 if TYPE_CHECKING:
     from uqsphere.run.grow import Tables
@@ -52,7 +52,10 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
         rows = (np.stack([head.input(name).ravel() for name in design.inputs], axis=1)
                 if design.inputs else np.zeros((1, 0)))  # fmt: skip
         results, grades = checked_rows(design.study, design.inputs, rows)
-        weights = {limit.name: np.ravel(chances(state_of(design, limit, head), limit.aim)) for limit in design.limits}
+        weights = {
+            limit.name: np.ravel(failure_given_inputs(state_of(design, limit, head), limit.aim))
+            for limit in design.limits
+        }
         for result in results:
             if not result.grade:
                 continue

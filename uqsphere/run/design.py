@@ -16,7 +16,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.models import absent_quantity
 from uqsphere.run.demands import by_force
-from uqsphere.study import Limit, Study, Way, limit_of, means_fracture, ways_of
+from uqsphere.study import Limit, Study, FailureMode, limit_of, means_fracture, failure_modes_of
 from uqsphere.uq import Joint, Law, Sample, sobol_points
 
 #: independent randomisations of every table
@@ -38,20 +38,20 @@ class Design:
 
     study: Study
     limits: tuple[Limit, ...]
-    modes: tuple[Way, ...]
+    modes: tuple[FailureMode, ...]
     not_judged: Mapping[str, str]
     columns: tuple[str, ...]
 
     @classmethod
     def of(cls, study: Study) -> Design:
         """The design of a study, with its failure modes that a model of the sphere can answer."""
-        ways = ways_of(study)
-        wide = _with_limits(study, [way.limit for way in ways.assumed])
-        unanswered = {way.called: why for way in ways.assumed if (why := absent_quantity(wide, way.limit.quantity))}
-        modes = tuple(way for way in ways.assumed if way.called not in unanswered)
+        found = failure_modes_of(study)
+        wide = _with_limits(study, [mode.limit for mode in found.assumed])
+        unanswered = {mode.called: why for mode in found.assumed if (why := absent_quantity(wide, mode.limit.quantity))}
+        modes = tuple(mode for mode in found.assumed if mode.called not in unanswered)
         wide = _with_limits(study, [mode.limit for mode in modes])
         columns = dict.fromkeys([*study.analysis.quantities, *(limit.quantity for limit in wide.limits)])
-        return cls(study=wide, limits=study.limits, modes=modes, not_judged={**ways.not_judged, **unanswered},
+        return cls(study=wide, limits=study.limits, modes=modes, not_judged={**found.not_judged, **unanswered},
                    columns=tuple(columns))  # fmt: skip
 
     @cached_property

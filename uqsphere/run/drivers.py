@@ -14,7 +14,7 @@ import numpy as np
 from uqsphere.arrays import Array, special
 from uqsphere.results import Answers
 from uqsphere.run.design import Design
-from uqsphere.run.limits import chances, state_of
+from uqsphere.run.limits import failure_given_inputs, state_of
 from uqsphere.study import limit_of, strength_name
 from uqsphere.uq import Estimate, Law, from_replicates, score_of
 
@@ -41,10 +41,10 @@ def drivers(design: Design, tables: Tables) -> Answers:
         moved = None
         if state.shift is not None:
             # a strength that depends on an input stays where it was while the input moves
-            moved = np.stack([(chances(replace(state, shift=state.shift - w * STEP), limit.aim)
-                               - chances(replace(state, shift=state.shift + w * STEP), limit.aim)) / (2.0 * STEP)
+            moved = np.stack([(failure_given_inputs(replace(state, shift=state.shift - w * STEP), limit.aim)
+                               - failure_given_inputs(replace(state, shift=state.shift + w * STEP), limit.aim)) / (2.0 * STEP)
                               for w in state.weights], axis=2)  # fmt: skip
-        found = change_per_sd(chances(state, limit.aim), gradients, moved)
+        found = change_per_sd(failure_given_inputs(state, limit.aim), gradients, moved)
         for name, estimate in zip(names, found, strict=True):
             if limit_of(name) in (None, limit.name):
                 answers.add(subject, "driver", name, estimate, unit="1", runs=sample.size)

@@ -14,7 +14,7 @@ import numpy as np
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers
 from uqsphere.run.design import VALUES, Design, number
-from uqsphere.run.limits import chances, state_of
+from uqsphere.run.limits import failure_given_inputs, state_of
 from uqsphere.study import Limit
 from uqsphere.uq import Estimate, Law, Sample
 from uqsphere.uq.curve import Fragility
@@ -101,7 +101,7 @@ def curve_of(
         factor = margins.axis.demand_factor(limit, value)
         if factor != 1.0:
             state = replace(state, demands=state.demands * factor)
-        return chances(state, "survive")
+        return failure_given_inputs(state, "survive")
 
     grid, table = table_along(design, tables, exceeded)
     wanted = targets or tuple(sorted({*margins.for_probability, allowable_probability(design, limit)}))

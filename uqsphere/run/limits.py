@@ -57,7 +57,7 @@ def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
     if not design.drawn.names and found.value is not None and not state.late.any() and not state.broken.any():
         return exact(found.value)
     if tables.slow is not None:
-        rows, left = (chances(state_of(design, limit, _doubled(part)), limit.aim)[:1]
+        rows, left = (failure_given_inputs(state_of(design, limit, _doubled(part)), limit.aim)[:1]
                       for part in (tables.slow.rows, tables.slow.left_out))  # fmt: skip
         return surrogate.failure(tables.slow, found, rows, left)
     if found.value is not None and 0.0 < found.value < 1e-3 and _carrying(state, limit.aim) < 20.0:
@@ -76,12 +76,12 @@ def _doubled(sample: Sample) -> Sample:
 
 def _carrying(state: LimitState, aim: str) -> float:
     """How many points carry a failure probability, by Kish's count."""
-    weights = chances(state, aim)
+    weights = failure_given_inputs(state, aim)
     squares = float((weights**2).sum())
     return float(weights.sum()) ** 2 / squares if squares > 0.0 else 0.0
 
 
-def chances(state: LimitState, aim: str) -> np.ndarray:
+def failure_given_inputs(state: LimitState, aim: str) -> np.ndarray:
     """Probability (R, n) that the aim is missed given the inputs."""
     from uqsphere.uq import tails
 

@@ -20,7 +20,7 @@ from uqsphere.run.checks import Check
 from uqsphere.run.demands import strength_of
 from uqsphere.run.design import Design
 from uqsphere.run.fragility import allowable_probability, band_of, planned_value, target_of
-from uqsphere.run.limits import chances, failure, state_of
+from uqsphere.run.limits import failure_given_inputs, failure, state_of
 from uqsphere.study import Limit, means_fracture, strength_name
 from uqsphere.uq import Estimate, Law, target_met
 from uqsphere.uq.fitting import count_tests
@@ -155,7 +155,7 @@ def _reasons(
         own = failure(design, tables, one).value or 0.0
         head = sample.head(min(sample.count, 512))
         for name, otherwise in other_distributions(one):
-            changed = float(chances(state_of(design, one, head, otherwise), one.aim).mean())
+            changed = float(failure_given_inputs(state_of(design, one, head, otherwise), one.aim).mean())
             value = min(max((p.value or 0.0) - own + changed, 0.0), 1.0)
             if turned(value):
                 found.append(
@@ -188,7 +188,7 @@ def _missed(design: Design, sample: Any, limit: Limit, judged: Sequence[Limit]) 
     """Probability (R, n) that the aim is missed given the inputs."""
     if len(judged) > 1:
         return together(design, sample, judged)
-    return np.asarray(chances(state_of(design, limit, sample), limit.aim))
+    return np.asarray(failure_given_inputs(state_of(design, limit, sample), limit.aim))
 
 
 def _assumed_modes(
@@ -198,7 +198,7 @@ def _assumed_modes(
     base = together(design, sample, judged)
     deciding, worst = [], base
     for mode in design.modes:
-        each = [chances(state_of(design, mode.limit, sample, law), "survive")
+        each = [failure_given_inputs(state_of(design, mode.limit, sample, law), "survive")
                 for law in (mode.weak, mode.limit.strength, mode.strong)]  # fmt: skip
         values = [(p.value or 0.0) + float(((1.0 - base) * c).mean()) for c in each]
         if any(turned(min(value, 1.0)) for value in values):

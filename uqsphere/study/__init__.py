@@ -9,20 +9,20 @@ from uqsphere.study.study import (
     Axis,
     Limit,
     Study,
-    Way,
+    FailureMode,
     breaks_by,
     limit_of,
     means_fracture,
     strength_name,
-    ways_of,
+    failure_modes_of,
     with_number,
 )
 
 from uqsphere.study.load import load_study  # isort: skip
 
 __all__ = [
-    "Axis", "Limit", "Study", "Way", "breaks_by", "json_schema", "limit_of", "load_study", "means_fracture",
-    "reference", "shipped_studies", "strength_name", "ways_of", "with_number",
+    "Axis", "Limit", "Study", "FailureMode", "breaks_by", "json_schema", "limit_of", "load_study", "means_fracture",
+    "reference", "shipped_studies", "strength_name", "failure_modes_of", "with_number",
 ]  # fmt: skip
 
 

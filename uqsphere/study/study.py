@@ -365,7 +365,7 @@ def _limit_json(limit: Limit) -> dict[str, Json]:
 
 #: by the place in the sphere where each begins: what it is called, the criterion that is assumed for it, and the
 #: library's strength
-_WAYS: Final = {
+_FAILURE_MODES: Final = {
     "contact": ("contact pressure", "contact_pressure", "contact_strength"),
     "rim": ("ring crack", "ring_crack", "fracture_toughness"),
     "core": ("core tension", "weakest_link_volume", "tensile_strength"),
@@ -374,8 +374,8 @@ _WAYS: Final = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Way:
-    """A way to break with an assumed strength: its limit, and the strength at both ends of the library's 95 % range."""
+class FailureMode:
+    """A failure mode with an assumed strength: its limit, and the strength at both ends of the library's 95 % range."""
 
     called: str
     limit: Limit
@@ -386,15 +386,15 @@ class Way:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ways:
-    """The ways that a study has no limit for: those assumed, and why the others are not judged."""
+class FailureModes:
+    """The failure modes that a study has no limit for: those assumed, and why the others are not judged."""
 
-    assumed: tuple[Way, ...] = ()
+    assumed: tuple[FailureMode, ...] = ()
     not_judged: Mapping[str, str] = field(default_factory=dict)
 
 
 def breaks_by(limit: Limit) -> str:
-    """Which way of `_WAYS` a limit is on; "force" for one on the force itself, empty where it is no fracture.
+    """Which of `_FAILURE_MODES` a limit is on; "force" for one on the force itself, empty where it is no fracture.
 
     >>> breaks_by(Limit(name="a", quantity="core_tension", strength=1e7))
     'core'
@@ -406,30 +406,30 @@ def breaks_by(limit: Limit) -> str:
 
 
 def means_fracture(limit: Limit) -> bool:
-    """Whether a limit is on a way to break; one that must break means it, also where it is not counted twice."""
+    """Whether a limit is on a failure mode; one that must break means it, also where it is not counted twice."""
     return breaks_by(limit) != "" and (limit.fracture is not False or limit.aim == "break")
 
 
-def ways_of(study: Study) -> Ways:
+def failure_modes_of(study: Study) -> FailureModes:
     """The failure modes that have no limit, with assumed strengths; none for what is no rock, or is not to be."""
     rock = library()["sphere"].get(study.materials.get("sphere", ""))
     given = {breaks_by(limit) for limit in study.limits if means_fracture(limit)}
     if study.black_box or study.analysis.failure_modes == "given" or rock is None or not rock.rock or not given:
-        return Ways()
+        return FailureModes()
     assumed, not_judged = [], {}
-    for place, (called, *_) in _WAYS.items():
+    for place, (called, *_) in _FAILURE_MODES.items():
         if place not in given:
             found = _assumed(rock, place, 2.0 * study.at_means()["sphere.radius"])
-            if isinstance(found, Way):
+            if isinstance(found, FailureMode):
                 assumed.append(found)
             else:
                 not_judged[called] = f"no strength: {found}"
-    return Ways(assumed=tuple(assumed), not_judged=not_judged)
+    return FailureModes(assumed=tuple(assumed), not_judged=not_judged)
 
 
-def _assumed(rock: Material, place: str, diameter: float) -> Way | str:
-    """The way with the strength of the library for particles of a diameter [m], or why there is none."""
-    called, assumed, key = _WAYS[place]
+def _assumed(rock: Material, place: str, diameter: float) -> FailureMode | str:
+    """The failure mode with the strength of the library for particles of a diameter [m], or why there is none."""
+    called, assumed, key = _FAILURE_MODES[place]
     entry, modulus, own = rock.properties.get(key), rock.properties.get("weibull_modulus"), {}
     if entry is None or entry.range is None:
         if place == "core" and entry is not None:
@@ -455,7 +455,9 @@ def _assumed(rock: Material, place: str, diameter: float) -> Way | str:
     quantity = criterion.quantity if criterion.quantity and not own else f"{criterion.name}.{name}"
     limit = Limit(name=name, quantity=quantity, strength=law(entry.value), criterion=criterion.name if own else None,
                   parameters=own)  # fmt: skip
-    return Way(called=called, limit=limit, weak=law(low), strong=law(high), source=entry.source, seen=entry.seen)
+    return FailureMode(
+        called=called, limit=limit, weak=law(low), strong=law(high), source=entry.source, seen=entry.seen
+    )
 
 
 # --- the free number of an inverse question: where it may lie, and what of a study it moves ------------------------

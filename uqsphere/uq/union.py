@@ -27,13 +27,13 @@ Index = npt.NDArray[np.int64]
 class Union:
     """L limits at the same (R, n) samples.
 
-    `chances` (L, R, n): that a limit is exceeded given the inputs and that those before it hold; `holding` (L, R, n):
+    `failure_given_inputs` (L, R, n): that a limit is exceeded given the inputs and that those before it hold; `holding` (L, R, n):
     the independent normals behind strengths that hold; `factor` (L, L): lower Cholesky factor of the correlation of
     the strengths' normal scores given the inputs.
     """
 
     states: tuple[LimitState, ...]
-    chances: Array
+    failure_given_inputs: Array
     holding: Array
     factor: Array
 
@@ -46,7 +46,7 @@ class Union:
     def any(self) -> Array:
         """Probability that any limit is exceeded, given the inputs (R, n); 0 for samples without an answer."""
         with np.errstate(divide="ignore"):
-            found = -np.expm1(np.log1p(-self.chances).sum(axis=0))
+            found = -np.expm1(np.log1p(-self.failure_given_inputs).sum(axis=0))
         return np.where(self.broken, 0.0, found)
 
 
@@ -75,15 +75,15 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
     if len(shapes) != 1:
         raise ValueError(f"the limits of a union need the same samples, found shapes {sorted(shapes)}")
     shape = (len(states), *next(iter(shapes)))
-    chances, holding = np.zeros(shape), np.zeros(shape)
+    failure_given_inputs, holding = np.zeros(shape), np.zeros(shape)
     for j, state in enumerate(states):
         below, above = tails(state)
         if np.any(factor[j, :j]):
             score = (score_of(below, above) - np.tensordot(factor[j, :j], holding[:j], axes=1)) / factor[j, j]
             below, above = special.ndtr(score), special.ndtr(-score)
-        chances[j] = np.where(state.broken, 0.0, below)
+        failure_given_inputs[j] = np.where(state.broken, 0.0, below)
         holding[j] = -_drawn_below(above, rng)
-    return Union(states=tuple(states), chances=chances, holding=holding, factor=factor)
+    return Union(states=tuple(states), failure_given_inputs=failure_given_inputs, holding=holding, factor=factor)
 
 
 def _drawn_below(share: Array, rng: np.random.Generator) -> Array:
@@ -103,7 +103,7 @@ def union_state(union: Union) -> LimitState:
         return LimitState(demands=over, strength=1.0, failed=union.broken, on_failure=policy)
     p = union.any
     with np.errstate(divide="ignore"):
-        held = np.log1p(-union.chances).sum(axis=0)
+        held = np.log1p(-union.failure_given_inputs).sum(axis=0)
     score = score_of(p, np.exp(held))
     return LimitState(
         demands=np.clip(score, -CERTAIN, CERTAIN),
@@ -150,13 +150,13 @@ def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breakin
             place = np.searchsorted(course, (np.arange(count) + rng.random()) / count)
             rows[r] = order[np.minimum(place, n - 1)]
     pick = np.arange(replicates)[:, None], rows
-    chances, normals = union.chances[:, *pick], union.holding[:, *pick].copy()
+    failure_given_inputs, normals = union.failure_given_inputs[:, *pick], union.holding[:, *pick].copy()
     # which limit, in the order of the list, is the first not to hold
-    held = np.cumprod(np.concatenate([np.ones((1, *rows.shape)), 1.0 - chances]), axis=0)
-    course = np.cumsum(held[:-1] * chances, axis=0)
+    held = np.cumprod(np.concatenate([np.ones((1, *rows.shape)), 1.0 - failure_given_inputs]), axis=0)
+    course = np.cumsum(held[:-1] * failure_given_inputs, axis=0)
     first = np.minimum((course <= rng.random(rows.shape) * course[-1]).sum(axis=0), size - 1)
     for j in range(size):
-        lower = _drawn_below(chances[j], rng)
+        lower = _drawn_below(failure_given_inputs[j], rng)
         free = rng.standard_normal(rows.shape)
         normals[j] = np.where(first == j, lower, np.where(first < j, free, normals[j]))
     scores = np.tensordot(union.factor, normals, axes=1)
