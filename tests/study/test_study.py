@@ -24,11 +24,11 @@ from uqsphere.errors import AccessError, StudyError, UsageError
 from uqsphere.study import (
     Limit,
     Study,
+    failure_modes_of,
     json_schema,
     load_study,
     reference,
     shipped_studies,
-    failure_modes_of,
     with_number,
 )
 from uqsphere.study.document import Document

@@ -41,9 +41,9 @@ def drivers(design: Design, tables: Tables) -> Answers:
         moved = None
         if state.shift is not None:
             # a strength that depends on an input stays where it was while the input moves
-            moved = np.stack([(failure_given_inputs(replace(state, shift=state.shift - w * STEP), limit.aim)
-                               - failure_given_inputs(replace(state, shift=state.shift + w * STEP), limit.aim)) / (2.0 * STEP)
-                              for w in state.weights], axis=2)  # fmt: skip
+            both = [[failure_given_inputs(replace(state, shift=state.shift + sign * w * STEP), limit.aim)
+                     for sign in (-1.0, 1.0)] for w in state.weights]  # fmt: skip
+            moved = np.stack([(below - above) / (2.0 * STEP) for below, above in both], axis=2)
         found = change_per_sd(failure_given_inputs(state, limit.aim), gradients, moved)
         for name, estimate in zip(names, found, strict=True):
             if limit_of(name) in (None, limit.name):

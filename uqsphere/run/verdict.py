@@ -20,7 +20,7 @@ from uqsphere.run.checks import Check
 from uqsphere.run.demands import strength_of
 from uqsphere.run.design import Design
 from uqsphere.run.fragility import allowable_probability, band_of, planned_value, target_of
-from uqsphere.run.limits import failure_given_inputs, failure, state_of
+from uqsphere.run.limits import failure, failure_given_inputs, state_of
 from uqsphere.study import Limit, means_fracture, strength_name
 from uqsphere.uq import Estimate, Law, target_met
 from uqsphere.uq.fitting import count_tests

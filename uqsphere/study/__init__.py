@@ -7,22 +7,22 @@ from typing import Any
 
 from uqsphere.study.study import (
     Axis,
+    FailureMode,
     Limit,
     Study,
-    FailureMode,
     breaks_by,
+    failure_modes_of,
     limit_of,
     means_fracture,
     strength_name,
-    failure_modes_of,
     with_number,
 )
 
 from uqsphere.study.load import load_study  # isort: skip
 
 __all__ = [
-    "Axis", "Limit", "Study", "FailureMode", "breaks_by", "json_schema", "limit_of", "load_study", "means_fracture",
-    "reference", "shipped_studies", "strength_name", "failure_modes_of", "with_number",
+    "Axis", "FailureMode", "Limit", "Study", "breaks_by", "failure_modes_of", "json_schema", "limit_of", "load_study",
+    "means_fracture", "reference", "shipped_studies", "strength_name", "with_number",
 ]  # fmt: skip
 
 
