@@ -28,8 +28,8 @@ class Union:
     """L limits at the same (R, n) samples.
 
     `failure_given_inputs` (L, R, n): that a limit is exceeded given the inputs and that those before it hold;
-    `holding` (L, R, n): the independent normals behind strengths that hold; `factor` (L, L): lower Cholesky factor of the correlation of
-    the strengths' normal scores given the inputs.
+    `holding` (L, R, n): the independent normals behind strengths that hold; `factor` (L, L): lower Cholesky factor of
+    the correlation of the strengths' normal scores given the inputs.
     """
 
     states: tuple[LimitState, ...]
