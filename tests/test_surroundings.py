@@ -152,7 +152,7 @@ def test_a_damaged_file_of_compiled_code_is_compiled_anew(
     tmp_path: Path, damage: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
-    made: Any = compiled.compiled()
+    made: Any = compiled.compiled(entry=True)
     assert made(double)(2.0) == 4.0
     (file,) = tmp_path.glob("*.nbc")
     content = bytearray(file.read_bytes())
@@ -174,7 +174,7 @@ def test_a_damaged_file_of_compiled_code_is_compiled_anew(
 def test_no_folder_for_compiled_code_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", "/proc/nowhere")
     assert compiled.cache_folder() is None
-    made: Any = compiled.compiled()
+    made: Any = compiled.compiled(entry=True)
     assert made(double)(2.0) == 4.0
 
 
