@@ -103,13 +103,13 @@ def _run(
     budget = study.analysis.budget.time if seconds is None else seconds
     cache = None if folder is None or not study.black_box else folder / "cache.sqlite"
     known = None if rows is None else surrogate.known_rows(design, rows)
-    # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
     model = model if known is None else known.model
 
     def stage(done: int, total: int) -> None:
         progress(opened.evaluations + opened.reused, math.nan, f"{done:,} of {total:,} rows of a table")
 
     given = open_model(design.study, model, executor=executor, threads=threads, cache=cache, stop=stop, progress=stage)
+    # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
     with threadpool_limits(limits=1, user_api="blas"), given as opened:
         if known is not None:
             tables = surrogate.tables_of(design, opened, seconds=budget, known=known.points)
