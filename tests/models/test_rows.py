@@ -16,9 +16,19 @@ from hypothesis import strategies as st
 
 from uqsphere.errors import AccessError, ModelError, UsageError
 from uqsphere.mechanics import closed_form
-from uqsphere.models import check_quantities, check_range, evaluate, load_black_box, model_digest, open_model, scene_of
+from uqsphere.mechanics.outputs import OUTPUTS
+from uqsphere.models import (
+    absent_quantity,
+    check_quantities,
+    check_range,
+    evaluate,
+    load_black_box,
+    model_digest,
+    open_model,
+    scene_of,
+)
 from uqsphere.models.black_box import call_black_box
-from uqsphere.study import Study, load_study
+from uqsphere.study import Study, load_study, shipped_studies
 
 BARS = """
 seed = 1
@@ -406,3 +416,19 @@ def test_digests_tell_models_apart(tmp_path: Path) -> None:
     before = model_digest(counted)
     counted(None)
     assert before == model_digest(counted)
+
+
+SHIPPED = ["granite", "glass_bead_small_bar", "limestone_drop_weight", "quartz_load_cell", "limestone_rotor"]
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_quantity_asked_for_by_itself_is_that_among_all(name: str) -> None:
+    study = load_study(shipped_studies()[name])
+    quantities = tuple(key for key in OUTPUTS if not absent_quantity(study, key))
+    row = {"sphere.nu": np.array([0.2])}
+    together = evaluate(study, row, quantities=quantities).iloc[0]
+    assert len(quantities) > 15
+    for key in quantities:
+        single = evaluate(study, row, quantities=(key,)).iloc[0]
+        assert single[key] == pytest.approx(together[key], rel=1e-5, nan_ok=True), key
+        assert np.isfinite(together[key]), key

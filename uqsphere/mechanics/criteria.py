@@ -374,8 +374,8 @@ CRITERIA: Final[dict[str, Criterion]] = {
             place="core",
             meaning="tension at the centre, point loads",
             formula="21 P_max/(pi (7 + 5 nu) D²)", dimension="pressure", strength="tensile strength",
-            source="degree 2 of the series, theory (19)", range_text="a/r <= 0.2", needs=("P_max", *_FIELD),
-            optional=_RATE, ranges={"a/r": (0.0, 0.2), "sphere.nu": (0.0, 0.5)},
+            source="degree 2 of the series, theory (19)", range_text="a/r <= 0.2",
+            needs=("P_max", *_FIELD, "mean_force"), optional=_RATE, ranges={"a/r": (0.0, 0.2), "sphere.nu": (0.0, 0.5)},
             formula_of=lambda columns, parameters: np.asarray(contact.centre_tension(
                 _central_force(columns), np.asarray(columns["sphere.radius"]),
                 np.asarray(columns["sphere.nu"])))),
@@ -385,7 +385,8 @@ CRITERIA: Final[dict[str, Criterion]] = {
             measures="hoop tension on the sphere's surface half-way between the contacts", place="core",
             meaning="hoop tension on the surface at the equator",
             formula="p_max (a/r)² f(a/r, nu)", dimension="pressure", strength="tensile strength of the surface",
-            source=_SERIES, range_text=_TABLE_TEXT, needs=_FIELD, optional=_RATE, ranges=_TABLE, formula_of=_equator),
+            source=_SERIES, range_text=_TABLE_TEXT, needs=(*_FIELD, "mean_force"), optional=_RATE, ranges=_TABLE,
+            formula_of=_equator),
         Criterion(
             name="hiramatsu_oka", quantity="hiramatsu_oka_tension",
             symbol="sigma_HO", display="MPa",
@@ -393,7 +394,7 @@ CRITERIA: Final[dict[str, Criterion]] = {
             meaning="tensile stress as used in practice for lumps of rock",
             formula="0.9 P_max/D²", dimension="pressure", strength="point-load (Hiramatsu-Oka) strength",
             source="Hiramatsu and Oka, Int. J. Rock Mech. Min. Sci. 3 (1966) 89", range_text="a/r <= 0.2",
-            needs=("P_max", "a_max", "sphere.radius"), optional=_RATE, ranges={"a/r": (0.0, 0.2)},
+            needs=("P_max", "a_max", "sphere.radius", "mean_force"), optional=_RATE, ranges={"a/r": (0.0, 0.2)},
             formula_of=lambda columns, parameters: hiramatsu_oka_tension(
                 _central_force(columns), columns["sphere.radius"])),
         Criterion(
@@ -403,7 +404,7 @@ CRITERIA: Final[dict[str, Criterion]] = {
             formula="P_max/D²", dimension="pressure",
             strength="characteristic stress of crushing tests on grains (37 % survive it)",
             source="McDowell and Bolton, Geotechnique 48 (1998) 667, abstract seen; Jaeger 1967, from memory",
-            range_text="a/r <= 0.2", needs=("P_max", "a_max", "sphere.radius"), optional=_RATE,
+            range_text="a/r <= 0.2", needs=("P_max", "a_max", "sphere.radius", "mean_force"), optional=_RATE,
             ranges={"a/r": (0.0, 0.2)},
             formula_of=lambda columns, parameters: np.asarray(
                 _central_force(columns) / np.square(2.0 * np.asarray(columns["sphere.radius"])))),

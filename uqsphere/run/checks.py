@@ -62,7 +62,8 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
             broken = np.resize(grades.get(result.check, np.zeros(1)), head.size) == 3
             failures = {name: float((w * broken).sum() / w.sum()) for name, w in weights.items() if w.sum() > 0.0}
             worst = max(failures.values(), default=0.0)
-            effect = f"{format_probability(worst)} of the failures lie in such rows" if worst else "bias not quantified"
+            unknown = "" if GRADES[result.grade] == "note" else "bias not quantified"
+            effect = f"{format_probability(worst)} of the failures lie in such rows" if worst else unknown
             found.append(Check(name=result.check, text=result.text, share=float(result.share),
                                grade=GRADES[result.grade], effect=effect, failures=failures))  # fmt: skip
         found += _later_loading(design, rows)

@@ -344,7 +344,7 @@ def _headline(
             theirs = answers.get(design.subject(governing), "exceedance_probability")
             more = theirs["value"] if theirs is not None else None
             what = f"At the plan: {what[:1].lower()}{what[1:]}, by the limit of the study" + (
-                "" if more is None else f", but {format_probability(more)} by {assumed}")  # fmt: skip
+                "" if more is None else f", but {100.0 * more:.3g} % by {assumed}")  # fmt: skip
             if own is not None and own["value"] is not None:
                 safe = format_conservative(own["value"], path, least=number["safe_end"] != "largest")
                 rest.append(f"By the limit of the study alone: {safe}.")
