@@ -189,7 +189,7 @@ def test_many_runs_in_one_process_leave_nothing(tmp_path: Path) -> None:
     def left() -> tuple[int, int, int]:
         uqsphere.run(study, lambda x: {"y": 3.0 * x["a"]}, out=tmp_path / "r", fresh=True, threads=1)
         gc.collect()
-        samples = sum(isinstance(one, Sample) for one in gc.get_objects())
+        samples = sum(type(one) is Sample for one in gc.get_objects())
         children = sum(len(path.read_text().split()) for path in Path("/proc/self/task").glob("*/children"))
         return samples, len(os.listdir("/proc/self/fd")), children
 
