@@ -9,7 +9,6 @@ __all__ = [
     "FolderError",
     "ModelError",
     "ModelRaised",
-    "ModelUnfit",
     "Problem",
     "StudyError",
     "TooManyFailures",
@@ -84,10 +83,6 @@ class ModelError(UqsphereError):
 
 class ModelRaised(ModelError):
     """A user's own model raised an exception: some row it was given may be the cause."""
-
-
-class ModelUnfit(ModelError):
-    """A program is declared such that no run of it can answer."""
 
 
 class FolderError(UqsphereError):

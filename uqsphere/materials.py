@@ -81,11 +81,6 @@ def library() -> dict[str, dict[str, Material]]:
     }
 
 
-def material_names(kind: str) -> tuple[str, ...]:
-    """The names that ``material = "..."`` can take in a section of a study."""
-    return tuple(library()[kind])
-
-
 def _material(name: str, kind: str, table: Mapping[str, Json]) -> Material:
     """One table of the library, which the tests hold to be complete: anything strange in it raises."""
     properties = {}

@@ -17,7 +17,6 @@ from uqsphere.mechanics.integrator.solve import solve
 from uqsphere.mechanics.outputs import PATHS, path_of
 from uqsphere.mechanics.outputs import Path as LoadingPath
 from uqsphere.mechanics.scene import Scene
-from uqsphere.mechanics.validity import check_at_fracture
 
 FORCE, ENERGY = LoadingPath(over="force"), LoadingPath(over="energy")
 
@@ -142,16 +141,6 @@ def test_every_demand_has_a_path_but_what_breaks_nothing() -> None:
     assert path_of("alpha_max") is None
     rated = path_of("core_tension.x", {"core_tension.x": ("core_tension", {"rate_0": 200.0})})
     assert rated == LoadingPath(over="force", criterion="core_tension")
-
-
-def test_balance_judged_at_fracture() -> None:
-    check = check_at_fracture(np.array([0.01, 0.06, 0.2, np.nan]), np.array([2.0, 1.0, 1.0, 9.0]))
-    assert (check.share_information, check.share_warning, check.worst) == (0.25, 0.25, 0.2)
-    assert "in 50 % of the spheres that break" in check.text
-    fine = check_at_fracture(np.array([0.01]), np.ones(1))
-    assert fine.grade == 0
-    assert "at most 0.01" in fine.text
-    assert check_at_fracture(np.array([np.nan]), np.ones(1)).worst is None
 
 
 def test_where_faces_yield_the_path_is_that_of_the_law():

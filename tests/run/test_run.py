@@ -21,6 +21,8 @@ from uqsphere.results import COLUMNS, Run
 from uqsphere.results.folder import damaged_files
 
 NORMAL = {"dist": "normal", "mean": 0.0, "sd": 1.0}
+FIXED = ("sphere.E=52 GPa", "sphere.nu=0.25", "sphere.radius=10 mm", "dependence=[]", "analysis.failure_modes=given")
+PRESSURE = ("limits.crushing.strength_is=pressure",)
 
 
 def linear(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -156,8 +158,7 @@ def test_limits_that_no_sample_reaches_are_bounds() -> None:
 
 def test_a_later_echo_that_is_harder_is_counted_or_leaves_the_verdict_open() -> None:
     """A striker of 30 mm: the run of the whole record has the peak of the history, the other says what it misses."""
-    fixed = ("striker.length=30 mm", "striker.speed=8 m/s", "pulse.rise=3 us", "pulse.fall=3 us", "sphere.E=52 GPa",
-             "sphere.nu=0.25", "sphere.radius=10 mm", "dependence=[]", "analysis.failure_modes=given",
+    fixed = (*FIXED, "striker.length=30 mm", "striker.speed=8 m/s", "pulse.rise=3 us", "pulse.fall=3 us",
              "limits.crushing.target=0.05")  # fmt: skip
     verdicts = []
     for whole, peak in (("false", "first_peak"), ("true", "later_peak")):
@@ -170,6 +171,25 @@ def test_a_later_echo_that_is_harder_is_counted_or_leaves_the_verdict_open() -> 
         assert len(later) == (whole == "false")
     assert [verdict["verdict"] for verdict in verdicts] == ["not established", "not met"]
     assert "model.whole_record" in verdicts[0]["next"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "name", "grade", "text"),
+    [
+        ((*PRESSURE, "limits.crushing.strength.mean=8 GPa"), "reachable", "failure", "lie above the hardness"),
+        (PRESSURE, "reachable", "", ""),
+        (('analysis.quantities=["p_max", "edge_tension"]',), "range_of_edge_tension", "warning", "outside its range"),
+        (('analysis.quantities=["p_max", "core_tension"]',), "range_of_core_tension", "", ""),
+    ],
+)  # fmt: skip
+def test_a_strength_out_of_reach_and_a_criterion_out_of_its_range_are_said(
+    changes: tuple[str, ...], name: str, grade: str, text: str
+) -> None:
+    speed = "striker.speed=4 m/s" if name == "range_of_edge_tension" else "striker.speed=0.5 m/s"
+    run = uqsphere.run(uqsphere.load_study("studies/granite.toml", (*FIXED, speed, *changes)))
+    found = [check for check in run.results["checks"] if check["name"] == name]
+    assert [check["grade"] for check in found] == ([grade] if grade else [])
+    assert all(text in check["text"] for check in found)
 
 
 # --- accuracy, budget, interruption --------------------------------------------------------------------------------
@@ -348,6 +368,10 @@ def test_the_verdict_names_what_decides_it(granite: Run) -> None:
     assert verdict["use"]["value"] < 0.5
     assert "Use at most" in verdict["headline"]
     assert "no margin" in verdict["headline"]
+    # a speed to use is rounded down from the low end of its interval, also that of the study's own limit
+    low = granite.margin("crushing", 0.01)["low"]
+    assert f"study alone: {math.floor(100.0 * low) / 100.0:g} m/s" in verdict["detail"]
+    assert verdict["use"]["value"] <= min(granite.margin(mode, 0.01)["low"] for mode in ("core tension", "ring crack"))
 
 
 def test_a_folder_of_another_study_is_refused(granite: Run) -> None:

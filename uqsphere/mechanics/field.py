@@ -336,21 +336,6 @@ class GaugeRecord:
         return f"{self.bar} {self.position * 1e3:.6g} mm"
 
 
-@dataclass(frozen=True, kw_only=True)
-class BarForces:
-    """Forces at the faces by wave analysis [N], (m,), over the time at the faces [s], compression positive.
-
-    one_wave: the receiving face, from the transmitted wave; two_wave: the incident face, from the incident and the
-    reflected wave; three_wave: their mean.  Valid up to `end` [s], after which an echo is in a record.
-    """
-
-    time: Array
-    one_wave: Array
-    two_wave: Array
-    three_wave: Array
-    end: float
-
-
 # --- signals ------------------------------------------------------------------------------------------
 
 
@@ -449,48 +434,6 @@ def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
 def _clean_until(motion: Motion, number: int, delay: float) -> float:
     """Time at the face [s] up to which the wave that leaves it passes a gauge before it has come back there."""
     return np.inf if not motion.echoes(number) else motion.round_trip(number) - 2.0 * delay
-
-
-# --- forces -------------------------------------------------------------------------------------------
-
-
-def bar_forces(motion: Motion, incident_position: float, receiving_position: float, *, points: int = 2000,
-               ) -> BarForces:  # fmt: skip
-    """Forces at the faces from the signals of two gauges, at distances [m] from the sphere, as taken in a laboratory.
-
-    The record of the incident bar is cut half-way between the passages of the pulse and of its reflection, and the
-    three waves are shifted to the faces by the way from the gauge:
-
-        P_B = -E F0 eps_t (one wave),   P_A = -E F0 (eps_i + eps_r) (two waves),   (P_A + P_B)/2 (three waves).
-
-    points: instants from first touch to the first echo in a record, or to the horizon.  ValueError where the incident
-    and the reflected wave overlap at the gauge, or no time is left before an echo. Source of the names: G. T. Gray III,
-    Classic split-Hopkinson pressure bar testing, ASM Handbook 8, 2000.
-    """
-    check_position(motion, "incident", incident_position)
-    check_position(motion, "receiving", receiving_position)
-    delays = [position / motion.wave_speed for position in (incident_position, receiving_position)]
-    if not np.isfinite(motion.pulse_end):
-        raise ValueError("a step never ends, so that incident and reflected wave overlap at any gauge")
-    if motion.pulse_end > 2.0 * delays[0] * (1.0 + 1e-12):
-        raise ValueError(
-            f"the pulse of {motion.pulse_end * 1e6:.6g} us overlaps with its reflection at {incident_position:g} m "
-            f"from the sphere: the gauge must be at least {0.5 * motion.wave_speed * motion.pulse_end:.4g} m away"
-        )
-    end = min(motion.horizon, *(_clean_until(motion, bar, delays[bar]) for bar in (0, 1)))
-    if not end > 0.0:
-        raise ValueError("no time is left between a wave and its return: a gauge is at the far end of its bar")
-    # up to the end and not with it, where the echo jumps in
-    times = np.linspace(0.0, end, points)
-    sides = np.where(times < end, 1.0, -1.0)
-    incident = np.zeros_like(times)
-    first = times < 2.0 * delays[0]
-    incident[first] = gauge_strain(motion, "incident", incident_position, times[first] - delays[0])
-    reflected = gauge_strain(motion, "incident", incident_position, times + delays[0], sides=sides)
-    transmitted = gauge_strain(motion, "receiving", receiving_position, times + delays[1], sides=sides)
-    stiffness = float(motion.scene.columns["bars.E"][motion.row]) * motion.section
-    one, two = -stiffness * transmitted, -stiffness * (incident + reflected)
-    return BarForces(time=times, one_wave=one, two_wave=two, three_wave=0.5 * (one + two), end=end)
 
 
 def force_imbalance(force_a: Values, force_b: Values) -> Array:

@@ -287,23 +287,6 @@ class History:
         axes: Axes = frame.plot(x="time [s]", y=shown, ax=ax)
         return axes
 
-    @property
-    def later_peak_is_larger(self) -> bool:
-        """Whether the sphere is pressed harder after the first loss of contact than before it."""
-        if self.later_peak is None or self.first_peak is None:
-            return False
-        return self.later_peak.pressure > self.first_peak.pressure
-
-    @property
-    def hardest_contact(self) -> tuple[float, float]:
-        """a/r and p_0 [Pa] at the largest contact pressure of either face; theory (15)."""
-        pressure = max((peak.pressure for peak in (self.first_peak, self.later_peak) if peak is not None), default=0.0)
-        radius = float(self.motion.scene.columns["sphere.radius"][self.motion.row])
-        if self.balance is not None and self.motion.forces is not None:
-            return float(self.balance.radius.max()) / radius, pressure
-        # Hertz: p_0 = (2/pi) E* a/r_eff
-        return pressure * 0.5 * np.pi * self.effective_radius / self.modulus / radius, pressure
-
     def pressure_over_contact(self, distance: Values, face: str = "A") -> Array:
         """p(R, t) [Pa] at the distances R (k,) [m] from the contact's centre, (m, k); theory (16)."""
         force = {"A": self.force_a, "B": self.force_b}[face]

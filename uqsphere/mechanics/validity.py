@@ -351,7 +351,7 @@ RULES: Final[tuple[Rule, ...]] = (
     Rule(name="force_balance", meaning="largest difference of the two forces over the largest force",
          measure=_imbalance, information=0.05, warning=0.1, rigs=(*_BARS, *_WEIGHTS),
          words="the forces of the two faces differ by up to {worst} of the largest at some instant (limit {limit}). "
-               "A gauge on one bar does not measure both"),
+               "What measures one of them does not measure the other"),
     Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), in the rise time",
          measure=lambda s, a: _transits(s, a, "rise_time"), warning=4.0, failure=3.0, rising=False,
          rigs=(*_BARS, *_WEIGHTS),
@@ -444,15 +444,6 @@ RULES: Final[tuple[Rule, ...]] = (
 )  # fmt: skip
 
 
-#: takes the place of force_balance where it is known when the sphere breaks
-_AT_FRACTURE: Final = Rule(
-    name="force_balance", meaning="difference of the two forces at fracture over the largest so far",
-    measure=_imbalance, information=0.05, warning=0.1,
-    words="the two forces differ by up to {worst} of the largest when it comes to fracture (limit {limit}); one gauge "
-          "does not stand for both faces, and the stress inside is not that of equal forces",
-)  # fmt: skip
-
-
 def grades(rule: Rule, measured: Array) -> Places:
     """Grade 0 to 3 of every row; a row without a number is graded 0.
 
@@ -478,17 +469,6 @@ def rules_of(scene: Scene) -> tuple[Rule, ...]:
     )
 
 
-def grades_of(scene: Scene, answers: Answers) -> dict[str, Places]:
-    """The grade of every row, by the meaning of each rule that measures rows; rows without an answer are graded 0."""
-    good = answered(answers.status)
-    found = {rule: rule.measure(scene, answers) for rule in rules_of(scene)}
-    return {
-        rule.meaning: np.where(good, grades(rule, measured), 0)
-        for rule, measured in found.items()
-        if measured is not None and not isinstance(measured, str)
-    }
-
-
 def check_validity(scene: Scene, answers: Answers) -> list[Check]:
     """Every check that is asked of a batch, on its answers, in the order of `RULES`."""
     if len(answers.status) != len(scene):
@@ -496,26 +476,6 @@ def check_validity(scene: Scene, answers: Answers) -> list[Check]:
     good = answered(answers.status)
     found = (_check(rule, scene, answers, good) for rule in rules_of(scene))
     return [check for check in found if check is not None]
-
-
-def check_at_fracture(imbalance: Array, weights: Array) -> Check:
-    """The balance of the forces where it matters: at the fracture of n spheres, and not at a peak never reached.
-
-    imbalance (n,): difference of the two forces over the largest so far at that moment, NaN is left out; weights (n,):
-    what each sphere stands for.
-
-    >>> check = check_at_fracture(np.array([0.01, 0.02, 0.2, 0.07]), np.array([3.0, 3.0, 1.0, 1.0]))
-    >>> check.share_warning, check.share_information
-    (0.125, 0.125)
-    """
-    rule, known = _AT_FRACTURE, ~np.isnan(imbalance) & (weights > 0.0)
-    if not known.any():
-        return _result(rule.name, np.zeros(3), None, "not checked: no sphere breaks")
-    measured, mass = imbalance[known], weights[known] / weights[known].sum()
-    shares = np.asarray(np.bincount(grades(rule, measured), weights=mass, minlength=4)[1:], dtype=float)
-    broken = f"{_percent(float(min(shares.sum(), 1.0)))} spheres that break".replace("all spheres", "all the spheres")
-    worst = float(measured.max())
-    return _result(rule.name, shares, worst, rule.says(worst, broken if shares.any() else ""))
 
 
 def _check(rule: Rule, scene: Scene, answers: Answers, good: Flags) -> Check | None:

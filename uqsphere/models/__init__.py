@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         absent_quantity,
         checked_rows,
         fractures_of,
+        hardness_of,
         later_loading,
         rows_under_plastic_contact,
     )
@@ -23,13 +24,20 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EvaluatedRows", "Interrupted", "Model", "absent_quantity", "check_quantities", "check_range",
-    "checked_rows", "evaluate", "fractures_of", "later_loading", "load_black_box", "model_digest", "open_model",
-    "rows_under_plastic_contact", "scene_of", "solve_scene", "status_text",
+    "checked_rows", "evaluate", "fractures_of", "hardness_of", "later_loading", "load_black_box", "model_digest",
+    "open_model", "rows_under_plastic_contact", "scene_of", "solve_scene", "status_text",
 ]  # fmt: skip
 
 _FILES: Final = {
     "black_box": ("load_black_box", "model_digest"),
-    "diagnose": ("absent_quantity", "checked_rows", "fractures_of", "later_loading", "rows_under_plastic_contact"),
+    "diagnose": (
+        "absent_quantity",
+        "checked_rows",
+        "fractures_of",
+        "hardness_of",
+        "later_loading",
+        "rows_under_plastic_contact",
+    ),
     "model": ("Model", "open_model"),
     "rows": ("EvaluatedRows", "Interrupted", "status_text"),
     "scene": ("check_quantities", "check_range", "evaluate", "scene_of", "solve_scene"),

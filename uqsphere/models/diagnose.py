@@ -27,16 +27,19 @@ def absent_quantity(study: Study, quantity: str) -> str:
     return "" if study.black_box else absent_in(scene_of(study, {}, 1), quantity)
 
 
-def checked_rows(study: Study, names: Sequence[str], rows: Array) -> tuple[list[Check], dict[str, Places]]:
-    """The validity checks of rows (n, d), and the grade of every row, (n,), by the name of its check."""
-    from uqsphere.mechanics.validity import check_validity, grades, rules_of
+def checked_rows(
+    study: Study, names: Sequence[str], rows: Array, quantities: Sequence[str]
+) -> tuple[list[Check], dict[str, Places]]:
+    """The validity checks of rows (n, d), those of the ranges of criteria among the quantities, and the grade of every
+    row, (n,), by the name of its check."""
+    from uqsphere.mechanics.validity import check_ranges, check_validity, grades, rules_of
 
     scene = _scene(study, names, rows)
     fidelity = study.model.fidelity if study.model.fidelity in ("massless", "linear") else "full"
     answers = solve_scene(scene, fidelity, tolerance=study.model.tolerance, threads=None, quantities=None)
     measured = {rule: rule.measure(scene, answers) for rule in rules_of(scene)}
     graded = {rule.name: grades(rule, row) for rule, row in measured.items() if isinstance(row, np.ndarray)}
-    return check_validity(scene, answers), graded
+    return [*check_validity(scene, answers), *check_ranges(scene, answers, quantities)], graded
 
 
 def rows_under_plastic_contact(
@@ -50,6 +53,13 @@ def rows_under_plastic_contact(
     if all(partner is None or partner.face is None for partner in scene.partners):
         return None
     return evaluate_scene(yielding, names, rows, columns)
+
+
+def hardness_of(study: Study, names: Sequence[str], rows: Array) -> Array | None:
+    """The pressure that no face exceeds, the largest of the faces' hardness, (n,) [Pa]; None where no face yields."""
+    faces = [partner.face for partner in _scene(study, names, rows).there]
+    known = [face.hardness for face in faces if face is not None]
+    return np.maximum.reduce(known) if known and len(known) == len(faces) else None
 
 
 def later_loading(study: Study, names: Sequence[str], rows: Array) -> Array:

@@ -196,7 +196,7 @@ def draw_convergence(axes: Axes, results: Results) -> None:
                   fontsize=8)  # fmt: skip
     for axis, shown in ((axes.xaxis, runs), (axes.yaxis, error)):
         _plain_logarithms(axis, shown.max() / shown.min())
-    axes.set(xlabel="model runs", ylabel="largest error / tolerance")
+    axes.set(xlabel="model runs (logarithmic)", ylabel="largest error / tolerance")
 
 
 class Plots:

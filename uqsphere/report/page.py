@@ -240,7 +240,7 @@ def _design_points(results: Results) -> list[dict[str, Any]]:
         for row in drivers[:8]:
             name, point = row["at"], points.get(row["at"])
             unit_name = entry["quantity"] if name.endswith(".strength") else name
-            change = "–" if row["value"] is None else f"{100.0 * row['value']:+.2g} %"
+            change = "–" if row["value"] is None else f"{100.0 * row['value']:+.2g}"
             at = (
                 "–"
                 if point is None or (name.endswith(".strength") and entry["tests"])

@@ -31,7 +31,7 @@ from uqsphere.run.drivers import drivers
 from uqsphere.run.fracture import fracture
 from uqsphere.run.fragility import fragility
 from uqsphere.run.grow import Tables, grow, pair_rows
-from uqsphere.run.indices import indices, named
+from uqsphere.run.indices import indices, salib_indices
 from uqsphere.run.limits import limits
 from uqsphere.run.progress import Progress, watched
 from uqsphere.run.verdict import verdicts
@@ -120,7 +120,7 @@ def _run(
         answers = Answers()
         for analysis in ANALYSES:
             answers += analysis(design, tables)
-        answers += named(design, tables, opened)
+        answers += salib_indices(design, tables, opened)
         assumed = assumptions(design, tables)
         answers += assumed.answers
         for runs, error in tables.reached:

@@ -8,16 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.models import checked_rows, later_loading
+from uqsphere.models import checked_rows, hardness_of, later_loading
 from uqsphere.quantities import format_probability
 from uqsphere.run.design import Design
 from uqsphere.run.limits import failure_given_inputs, state_of
+from uqsphere.uq import Law
 
 if TYPE_CHECKING:
     from uqsphere.run.grow import Tables
 
 #: rows that are checked
 ROWS = 512
+#: share of strengths above the hardness that is worth a word, and from which most of the strength cannot be reached
+REACH = (0.01, 0.5)
 GRADES = ("ok", "note", "warning", "failure")
 
 
@@ -51,7 +54,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
     if not design.study.black_box:
         rows = (np.stack([head.input(name).ravel() for name in design.inputs], axis=1)
                 if design.inputs else np.zeros((1, 0)))  # fmt: skip
-        results, grades = checked_rows(design.study, design.inputs, rows)
+        results, grades = checked_rows(design.study, design.inputs, rows, design.columns)
         weights = {
             limit.name: np.ravel(failure_given_inputs(state_of(design, limit, head), limit.aim))
             for limit in design.limits
@@ -66,7 +69,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
             effect = f"{format_probability(worst)} of the failures lie in such rows" if worst else unknown
             found.append(Check(name=result.check, text=result.text, share=float(result.share),
                                grade=GRADES[result.grade], effect=effect, failures=failures))  # fmt: skip
-        found += _later_loading(design, rows)
+        found += _later_loading(design, rows) + _out_of_reach(design, rows)
     failed = float(sample.failed.mean()) if tables.slow is None else tables.slow.dropped or float(sample.failed.mean())
     if failed > 0.0:
         policy = design.study.analysis.policy
@@ -105,6 +108,34 @@ def _later_loading(design: Design, rows: np.ndarray) -> list[Check]:
             "model.first_loading_only = true to ask for the first alone",
         )
     ]
+
+
+def _out_of_reach(design: Design, rows: np.ndarray) -> list[Check]:
+    """Strengths that are true pressures above the hardness, which no pressure exceeds: such spheres never break."""
+    hardness = hardness_of(design.study, design.inputs, rows)
+    found: list[Check] = []
+    if hardness is None:
+        return found
+    for limit in design.limits:
+        if limit.quantity not in ("p_max", "first_peak", "p_mean"):
+            continue
+        law = limit.strength
+        share = float(np.mean(law.sf(hardness) if isinstance(law, Law) else law > hardness))
+        if share < REACH[0]:
+            continue
+        found.append(
+            Check(
+                name="reachable",
+                share=share,
+                grade="warning" if share < REACH[1] else "failure",
+                failures={limit.name: share},
+                text=f"{format_probability(share)} of the strengths of {limit.name} lie above the hardness, which no "
+                "pressure exceeds",
+                effect="such spheres never break by it; more do if the strength was computed from a force by Hertz",
+                remedy='say strength_is = "hertz" if the strength was computed from a force, or measure the hardness',
+            )
+        )
+    return found
 
 
 def _heavy_tails(design: Design, tables: Tables) -> list[Check]:

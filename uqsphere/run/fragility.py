@@ -21,7 +21,7 @@ from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from uqsphere.arrays import Array
     from uqsphere.run.grow import Tables
@@ -78,15 +78,20 @@ def planned_value(design: Design) -> float | None:
     return design.study.at_means().get(axis.path)
 
 
-def table_along(design: Design, tables: Tables, chance: Callable[[Sample, float], Array]) -> tuple[Array, Array]:
-    """Values (K,) of the free number and what `chance(sample, value)` (R, n) gives there, by replicate (K, R)."""
+def _along(
+    design: Design, tables: Tables, chance: Callable[[Sample, float], Array], targets: tuple[float, ...]
+) -> Fragility:
+    """The curve of what `chance(sample, value)` (R, n) gives along the free number, each replicate by itself."""
     margins = design.study.margins
     assert margins is not None
     if margins.axis.moves_rows:
-        pairs = [(value, sample) for value, sample in tables.line.items()]
+        pairs = list(tables.line.items())
     else:
         pairs = [(value, tables.sample) for value in margins.axis.grid(VALUES)]
-    return np.array([value for value, _ in pairs]), np.array([chance(s, v).mean(axis=1) for v, s in pairs])
+    table = np.array([chance(sample, value).mean(axis=1) for value, sample in pairs])
+    counts = [sample.count for _, sample in pairs]
+    return fragility_of(np.array([value for value, _ in pairs]), np.clip(table, 0.0, 1.0), targets,
+                        samples=min(counts), evaluations=table.shape[1] * sum(counts))  # fmt: skip
 
 
 def curve_of(
@@ -103,11 +108,8 @@ def curve_of(
             state = replace(state, demands=state.demands * factor)
         return failure_given_inputs(state, "survive")
 
-    grid, table = table_along(design, tables, exceeded)
     wanted = targets or tuple(sorted({*margins.for_probability, allowable_probability(design, limit)}))
-    table = np.clip(table, 0.0, 1.0)
-    counts = [sample.count for sample in tables.line.values()] or [tables.sample.count]
-    return fragility_of(grid, table, wanted, samples=min(counts), evaluations=table.shape[1] * sum(counts))
+    return _along(design, tables, exceeded, wanted)
 
 
 def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Estimate, float | None]:
@@ -118,13 +120,6 @@ def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Esti
     return values[wanted], None if low is None or high is None or low == high else 0.5 * abs(high - low)
 
 
-def band_of(design: Design, tables: Tables, chance: Callable[[Sample, float], Array], target: float) -> float | None:
-    """The free number at which what `chance` gives takes a probability; None where it does nowhere."""
-    grid, table = table_along(design, tables, chance)
-    found = fragility_of(grid, np.clip(table, 0.0, 1.0), (target,), samples=tables.sample.count, evaluations=0)
-    return found.values[target].value
-
-
-def curves(answers: Answers, subject: str) -> Mapping[float, float]:
-    """The stored curve of a subject: probability of exceedance by value."""
-    return {float(row["at"]): float(row["value"]) for row in answers.where(subject, "curve")}
+def margin_of(design: Design, tables: Tables, chance: Callable[[Sample, float], Array], target: float) -> Estimate:
+    """The free number at which what `chance` gives takes a probability; absent where it does nowhere."""
+    return _along(design, tables, chance, (target,)).values[target]

@@ -42,7 +42,7 @@ def indices(design: Design, tables: Tables) -> Answers:
 TRAJECTORIES, GIVEN = 64, 4096
 
 
-def named(design: Design, tables: Tables, model: Model) -> Answers:
+def salib_indices(design: Design, tables: Tables, model: Model) -> Answers:
     """The measures of SALib that a study names in `analysis.methods`: Morris by a design of its own, which a slow model
     is not asked for, the others from the rows that are there."""
     from uqsphere.uq.interop import SALIB_METHODS, morris_rows, salib_measures

@@ -19,7 +19,7 @@ from uqsphere.run.assumptions import Assumptions, along_line, other_distribution
 from uqsphere.run.checks import Check
 from uqsphere.run.demands import strength_of
 from uqsphere.run.design import Design
-from uqsphere.run.fragility import allowable_probability, band_of, planned_value, target_of
+from uqsphere.run.fragility import allowable_probability, margin_of, planned_value, target_of
 from uqsphere.run.limits import failure, failure_given_inputs, state_of
 from uqsphere.study import Limit, means_fracture, strength_name
 from uqsphere.uq import Estimate, Law, target_met
@@ -262,15 +262,9 @@ def _number_to_use(
     if yielding is not None and yielding["value"] is not None:
         candidates.append((yielding["value"], limit))
     for one in modes:
-        row = answers.get(design.subject(one), "margin", target if survive else 1.0 - target)
-        if row is None or row["value"] is None:
-            continue
-        ends = [row["low"], row["high"]]
-        tests = answers.get(design.subject(one), "margin", "tests")
-        if tests is not None and tests["value"] is not None:
-            ends += [tests["low"], tests["high"]]
-        known = [end for end in ends if end is not None] or [row["value"]]
-        candidates.append((min(known) if _rising(answers, design.subject(one)) == survive else max(known), one))
+        safe = _conservative_margin(answers, design.subject(one), target if survive else 1.0 - target, survive=survive)
+        if safe is not None:
+            candidates.append((safe, one))
     if not candidates:
         return None
     pick = min if _rising(answers, design.subject(limit)) == survive else max
@@ -278,9 +272,10 @@ def _number_to_use(
     together_less = False
     if survive and len(modes) > 1:
         # all modes together ask for a little less than the worst of them
-        joint = band_of(design, tables, along_line(design, modes), target)
-        together_less = joint is not None and pick(value, joint) != value
-        value = value if joint is None else pick(value, joint)
+        joint = margin_of(design, tables, along_line(design, modes), target)
+        safe = joint.low if pick is min else joint.high
+        together_less = safe is not None and pick(value, safe) != value
+        value = value if safe is None else pick(value, safe)
     row = answers.get(design.subject(governing), "margin", target if survive else 1.0 - target)
     factor = None
     if planned and value > 0.0:
@@ -289,6 +284,16 @@ def _number_to_use(
     return {"value": value, "low": row and row["low"], "high": row and row["high"], "safe_end": end,
             "path": axis.path, "text": format_value(value, axis.path, 2), "governing": governing,
             "factor": factor, "joint": together_less}  # fmt: skip
+
+
+def _conservative_margin(answers: Answers, subject: str, probability: float, *, survive: bool) -> float | None:
+    """The safe end of the free number at a probability, of the computation and of what the tests leave open."""
+    row, tests = (answers.get(subject, "margin", at) for at in (probability, "tests"))
+    if row is None or row["value"] is None:
+        return None
+    ends = [one[end] for one in (row, tests) if one is not None and one["value"] is not None for end in ("low", "high")]
+    known = [end for end in ends if end is not None] or [row["value"]]
+    return float(min(known) if _rising(answers, subject) == survive else max(known))
 
 
 def _rising(answers: Answers, subject: str) -> bool:
@@ -339,14 +344,14 @@ def _headline(
             end = "lower" if number["safe_end"] == "largest" else "upper"
             rest.append(f"That is the conservative, {end} end of its interval{joint}; best estimate "
                         f"{format_value(best['value'], path, 2)} ({by}).")  # fmt: skip
-        own = answers.get(design.subject(limit), "margin", wanted)
         if assumed:
             theirs = answers.get(design.subject(governing), "exceedance_probability")
             more = theirs["value"] if theirs is not None else None
             what = f"At the plan: {what[:1].lower()}{what[1:]}, by the limit of the study" + (
                 "" if more is None else f", but {100.0 * more:.3g} % by {assumed}")  # fmt: skip
-            if own is not None and own["value"] is not None:
-                safe = format_conservative(own["value"], path, least=number["safe_end"] != "largest")
+            own = _conservative_margin(answers, design.subject(limit), wanted, survive=limit.aim == "survive")
+            if own is not None:
+                safe = format_conservative(own, path, least=number["safe_end"] != "largest")
                 rest.append(f"By the limit of the study alone: {safe}.")
         rest.append(what + ".")
     else:

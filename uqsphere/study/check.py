@@ -153,7 +153,7 @@ def resolve(document: Document, data: Mapping[str, Any], reader: Reader, path: P
         reader.note("sphere", said)
     else:
         of_scene = (_tables, _library, _pulse, _forms, _rig, _contact, _together, _gauges)
-        for check in (*((_black_box,) if draft.box else of_scene), _limits, _asked, _dependence, _margins):
+        for check in (*((_black_box,) if draft.box else of_scene), _limits, _analysis, _dependence, _margins):
             for place, message in check(draft):
                 reader.note(place, message)
     if reader.faults:
@@ -650,10 +650,11 @@ def _share_of_sphere(draft: Draft, E: float, nu: float) -> float:
     return (1.0 - nu * nu) / E * sum(moduli) / len(moduli) if moduli else 1.0
 
 
-# --- what is asked -------------------------------------------------------------------------------------------------
+# --- [analysis] ----------------------------------------------------------------------------------------------------
 
 
-def _asked(draft: Draft) -> Faults:
+def _analysis(draft: Draft) -> Faults:
+    """Quantities that the model has, and keys that only a black box takes."""
     analysis, known = draft.document.analysis, draft.known
     for index, name in enumerate(analysis.quantities):
         if known and name not in known:

@@ -501,7 +501,7 @@ _NODES, _WEIGHTS = (array.copy() for array in np.polynomial.legendre.leggauss(WA
 
 
 @compiled
-def note_carried(s, j, theta):
+def note_squared_forces(s, j, theta):
     """Add the integrals of both squared forces over a step up to theta."""
     apart()
     for i in range(WAVE):

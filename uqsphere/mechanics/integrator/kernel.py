@@ -397,7 +397,7 @@ def _events(s, j):
                 s.places[face] = ending
         events.note_peaks(s, j)
     if s.wanted & tracked.WANT_CARRIED:
-        events.note_carried(s, j, ending)
+        events.note_squared_forces(s, j, ending)
     if s.wanted & tracked.WANT_DURATION and not s.rigged:
         power, pushed = ending * s.h[j], s.pushed[j]
         for k in range(TERMS):
