@@ -120,9 +120,10 @@ def _smooth(x: Array, y: Array, *, logarithmic: bool) -> tuple[Array, Array]:
 
 def _plain_logarithms(axis: Axis, ratio: float) -> None:
     """Plain ticks of a logarithmic axis over a ratio: powers of ten, 2 and 5 times these where there is room."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 1e3 else (1.0,)))
+    few = MaxNLocator(4) if ratio < 5.0 else LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 1e3 else (1.0,))
+    axis.set_major_locator(few)
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
     axis.set_minor_locator(NullLocator())
 
