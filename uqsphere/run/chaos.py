@@ -111,7 +111,7 @@ def expansions(
         else:
             fit, known = fit_chaos(points[0, :rows], outputs[0, :rows], germs, plain=True), None
         values = predict(fit, points[1:].reshape(-1, size)).reshape(outputs[1:].shape)
-        if known is None and not design.study.analysis.second_order and _left(outputs, values) > CONTROL:
+        if known is None and not design.study.analysis.second_order and _left(outputs, values) > GOOD:
             other = fit_chaos(points[0, :rows], outputs[0, :rows], germs)
             others = predict(other, points[1:].reshape(-1, size)).reshape(outputs[1:].shape)
             if other.log and _left(outputs, others) < 0.5 * _left(outputs, values):
