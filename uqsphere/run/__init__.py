@@ -102,33 +102,33 @@ def _run(
     design = Design.of(study)
     budget = study.analysis.budget.time if seconds is None else seconds
     cache = None if folder is None or not study.black_box else folder / "cache.sqlite"
-    known = None if rows is None else surrogate.known_rows(design, rows)
-    model = model if known is None else known.model
+    evaluated = None if rows is None else surrogate.known_rows(design, rows)
 
     def stage(done: int, total: int) -> None:
-        progress(opened.evaluations + opened.reused, math.nan, f"{done:,} of {total:,} rows of a table")
+        progress(evaluator.evaluations + evaluator.reused, math.nan, f"{done:,} of {total:,} rows of a table")
 
-    given = open_model(design.study, model, executor=executor, threads=threads, cache=cache, stop=stop, progress=stage)
+    evaluator = open_model(design.study, model if evaluated is None else evaluated.model, executor=executor,
+                            threads=threads, cache=cache, stop=stop, progress=stage)  # fmt: skip
     # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
-    with threadpool_limits(limits=1, user_api="blas"), given as opened:
-        if known is not None:
-            tables = surrogate.tables_of(design, opened, seconds=budget, known=known.points)
-        elif surrogate.is_slow(design, opened, budget):
-            tables = surrogate.tables_of(design, opened, seconds=budget, progress=progress)
+    with threadpool_limits(limits=1, user_api="blas"), evaluator:
+        if evaluated is not None:
+            tables = surrogate.tables_of(design, evaluator, seconds=budget, known=evaluated.points)
+        elif surrogate.is_slow(design, evaluator, budget):
+            tables = surrogate.tables_of(design, evaluator, seconds=budget, progress=progress)
         else:
-            tables = grow(design, opened, seconds=budget, progress=progress)
+            tables = grow(design, evaluator, seconds=budget, progress=progress)
         answers = Answers()
         for analysis in ANALYSES:
             answers += analysis(design, tables)
-        answers += salib_indices(design, tables, opened)
+        answers += salib_indices(design, tables, evaluator)
         assumed = assumptions(design, tables)
         answers += assumed.answers
         for runs, error in tables.reached:
             answers.row("run", "error", float(runs), error, unit="1", method="half-width over what is required")
-        checked = checks(design, tables, opened.notes)
+        checked = checks(design, tables, evaluator.notes)
         judged = verdicts(design, tables, answers, assumed, checked)
         took = time.monotonic() - started
-        results = results_of(design, tables, answers, judged, checked, opened, took)
+        results = results_of(design, tables, answers, judged, checked, evaluator, took)
     log.write(f"ended: {tables.stopped} after {took:.1f} s")
     return written(folder, study, results, samples_of(design, tables), _live(design, tables))
 
