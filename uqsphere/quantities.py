@@ -27,6 +27,9 @@ __all__ = [
     "lookup",
 ]
 
+#: the unit that is read in place of a larger one
+SMALLER = {"m": "mm", "kN": "N"}
+
 
 def lookup(name: str) -> Quantity:
     """The nomenclature entry of an input or an output; a black-box name gets a plain entry without unit."""
@@ -37,11 +40,18 @@ def lookup(name: str) -> Quantity:
     return found or Quantity(name=name, symbol=name, dimension="number", lower=-math.inf, meaning=name)
 
 
-def display_unit(name: str) -> tuple[str, float]:
-    """The unit people read for a quantity, and the factor that turns an SI value into it."""
+def display_unit(name: str, magnitude: float = math.inf) -> tuple[str, float]:
+    """The unit people read for a quantity, and the factor that turns an SI value into it; a `magnitude` (SI) below one
+    such unit chooses a smaller one.
+
+    >>> display_unit("striker.length"), display_unit("striker.length", 0.03)
+    (('m', 1.0), ('mm', 1000.0))
+    """
     quantity = lookup(name)
-    unit = quantity.display or quantity.unit
-    return unit, 1.0 / UNITS[quantity.dimension].get(unit, 1.0)
+    unit, factors = quantity.display or quantity.unit, UNITS[quantity.dimension]
+    if 0.0 < abs(magnitude) < 0.9999 * factors.get(unit, 1.0):
+        unit = SMALLER.get(unit, unit)
+    return unit, 1.0 / factors.get(unit, 1.0)
 
 
 def format_value(value: float, name: str, digits: int = 4) -> str:
@@ -50,7 +60,7 @@ def format_value(value: float, name: str, digits: int = 4) -> str:
     >>> format_value(2.5541e9, "p_max")
     '2.554 GPa'
     """
-    unit, factor = display_unit(name)
+    unit, factor = display_unit(name, value)
     return f"{value * factor:.{digits}g} {unit}".rstrip()
 
 
@@ -60,7 +70,7 @@ def format_conservative(value: float, name: str, *, least: bool, digits: int = 2
     >>> [format_conservative(0.458, "striker.speed", least=least) for least in (False, True)]
     ['0.45 m/s', '0.46 m/s']
     """
-    unit, factor = display_unit(name)
+    unit, factor = display_unit(name, value)
     scaled = value * factor
     step = 10.0 ** (math.floor(math.log10(abs(scaled))) - digits + 1) if scaled else 1.0
     rounded = (math.ceil(scaled / step - 1e-9) if least else math.floor(scaled / step + 1e-9)) * step
@@ -94,7 +104,7 @@ def format_estimate(value: float, low: float, high: float, name: str = "", most:
     >>> format_estimate(2.55412e9, 2.5502e9, 2.5581e9, "p_max")
     '2.5541 (2.5502 to 2.5581) GPa'
     """
-    unit, factor = display_unit(name) if name else ("", 1.0)
+    unit, factor = display_unit(name, value) if name else ("", 1.0)
     scaled = [number * factor for number in (value, low, high)]
     if low == high:
         return f"{scaled[0]:.6g} {unit}".rstrip()

@@ -29,7 +29,7 @@ def value(number: float | None, name: str, digits: int = 3) -> str:
     """
     if number is None:
         return "–"
-    scaled = abs(number * display_unit(name)[1])
+    scaled = abs(number * display_unit(name, number)[1])
     # no power of ten where the digits before the point say it
     digits = max(digits, math.floor(math.log10(scaled)) + 1) if 1.0 <= scaled < 1e6 else digits
     return format_value(number, name, digits)

@@ -15,14 +15,14 @@ import numpy as np
 
 from uqsphere.quantities import format_conservative, format_probability, format_value
 from uqsphere.results import Answers
-from uqsphere.run.assumptions import Assumptions, along_line, other_distributions, together
+from uqsphere.run.assumptions import MOST, Assumptions, along_line, other_distributions, together
 from uqsphere.run.checks import Check
 from uqsphere.run.demands import strength_of
 from uqsphere.run.design import Design
 from uqsphere.run.fragility import allowable_probability, margin_of, planned_value, target_of
 from uqsphere.run.limits import failure, failure_given_inputs, state_of
 from uqsphere.study import Limit, means_fracture, strength_name
-from uqsphere.uq import Estimate, Law, target_met
+from uqsphere.uq import Estimate, Law, absent, complement, target_met
 from uqsphere.uq.fitting import count_tests
 
 if TYPE_CHECKING:
@@ -63,18 +63,37 @@ def _verdict(
         *(mode.limit for mode in design.modes if limit.aim == "survive" and means_fracture(limit)),
     ]
     governing = max(modes, key=lambda one: failure(design, tables, one).value or 0.0)
-    number = _number_to_use(design, tables, answers, limit, judged, modes)
+    joint = _joint(design, tables, answers, limit, judged, modes, p)
+    number = _number_to_use(design, answers, limit, modes, joint)
     verdict = {
         "verdict": word, "aim": limit.aim, "target": target,
-        "probability": {"value": p.value, "low": p.low, "high": p.high},
+        "probability": _ends(p), "all_modes": {name: _ends(one) for name, one in joint.items()},
         "governing": design.subject(number["governing"] if number else governing),
         "reasons": [{"code": reason.code, "text": reason.text} for reason in reasons],
         "use": None if number is None else {k: number[k] for k in ("value", "low", "high", "safe_end", "path", "text")},
         "safety_factor": None if number is None else number["factor"],
-        "next": _next(design, limit, p, reasons, assumed),
+        "next": _next(word, limit, reasons),
     }  # fmt: skip
-    headline, detail = _headline(design, answers, limit, p, word, reasons, number)
+    headline, detail = _headline(design, answers, limit, p, word, reasons, number, joint)
     return {**verdict, "headline": headline, "detail": detail}
+
+
+def _ends(one: Estimate) -> dict[str, float | None]:
+    return {"value": one.value, "low": one.low, "high": one.high}
+
+
+def _joint(
+    design: Design, tables: Tables, answers: Answers, limit: Limit, judged: Sequence[Limit], modes: Sequence[Limit],
+    p: Estimate,
+) -> dict[str, Estimate]:  # fmt: skip
+    """Failure probability by all modes together, and the free number at the target; empty for a single mode."""
+    if limit.aim != "survive" or len(modes) < 2:
+        return {}
+    head = tables.sample.head(min(tables.sample.count, MOST))
+    found = {"probability": _added(p, together(design, head, modes) - together(design, head, judged))}
+    if answers.where(design.subject(limit), "curve"):
+        found["margin"] = margin_of(design, tables, along_line(design, modes), target_of(design, limit))
+    return found
 
 
 def _judged_together(design: Design, limit: Limit) -> list[Limit]:
@@ -205,18 +224,13 @@ def _assumed_modes(
             deciding.append(mode.called)
         worst = worst + (1.0 - worst) * max(each, key=lambda c: float(c.mean()))
     if deciding:
-        names = _listed(deciding)
-        said = (
-            f"strength for {names} is assumed, and decides"
-            if len(deciding) == 1
-            else (f"strengths for {names} are assumed, and decide")
-        )
+        names, plural = _listed(deciding), "s" * (len(deciding) > 1)
         return [
             Reason(
                 code="assumed strength",
                 decides=names,
-                remedy=f"measure the strength for {names} on this rock",
-                text=f"the {said}",
+                remedy=f"measure the strength{plural} for {names} on this rock",
+                text=f"it depends on the assumed strength{plural} for {names}",
             )
         ]
     value = min((p.value or 0.0) + float((worst - base).mean()), 1.0)
@@ -248,13 +262,13 @@ def _more_tests(n: int, ends: Sequence[float], target: float) -> str:
 
 
 def _number_to_use(
-    design: Design, tables: Tables, answers: Answers, limit: Limit, judged: Sequence[Limit], modes: Sequence[Limit]
+    design: Design, answers: Answers, limit: Limit, modes: Sequence[Limit], joint: dict[str, Estimate]
 ) -> dict[str, Any] | None:
     """The conservative value of the free number: by all modes, at the unsafe end of what the tests leave open."""
     margins = design.study.margins
     if margins is None:
         return None
-    target = target_of(design, limit)
+    wanted = allowable_probability(design, limit)
     survive = limit.aim == "survive"
     axis, planned = margins.axis, planned_value(design)
     candidates: list[tuple[float, Limit]] = []
@@ -262,28 +276,27 @@ def _number_to_use(
     if yielding is not None and yielding["value"] is not None:
         candidates.append((yielding["value"], limit))
     for one in modes:
-        safe = _conservative_margin(answers, design.subject(one), target if survive else 1.0 - target, survive=survive)
+        safe = _conservative_margin(answers, design.subject(one), wanted, survive=survive)
         if safe is not None:
             candidates.append((safe, one))
     if not candidates:
         return None
     pick = min if _rising(answers, design.subject(limit)) == survive else max
     value, governing = pick(candidates, key=lambda pair: pair[0])
-    together_less = False
-    if survive and len(modes) > 1:
+    best = answers.get(design.subject(governing), "margin", wanted) or _ends(absent("", "", 0))
+    by = _called(design, governing)
+    all_modes = joint.get("margin")
+    if all_modes is not None:
         # all modes together ask for a little less than the worst of them
-        joint = margin_of(design, tables, along_line(design, modes), target)
-        safe = joint.low if pick is min else joint.high
-        together_less = safe is not None and pick(value, safe) != value
-        value = value if safe is None else pick(value, safe)
-    row = answers.get(design.subject(governing), "margin", target if survive else 1.0 - target)
+        safe = all_modes.low if pick is min else all_modes.high
+        if safe is not None and pick(value, safe) != value:
+            value, best, by = safe, _ends(all_modes), "all failure modes together"
     factor = None
     if planned and value > 0.0:
         factor = value / planned if pick is min else planned / value
-    end = "largest" if pick is min else "smallest"
-    return {"value": value, "low": row and row["low"], "high": row and row["high"], "safe_end": end,
-            "path": axis.path, "text": format_value(value, axis.path, 2), "governing": governing,
-            "factor": factor, "joint": together_less}  # fmt: skip
+    return {"value": value, "low": best["low"], "high": best["high"], "best": best["value"], "by": by,
+            "safe_end": "largest" if pick is min else "smallest", "path": axis.path,
+            "text": format_value(value, axis.path, 2), "governing": governing, "factor": factor}  # fmt: skip
 
 
 def _conservative_margin(answers: Answers, subject: str, probability: float, *, survive: bool) -> float | None:
@@ -305,64 +318,57 @@ def _rising(answers: Answers, subject: str) -> bool:
 # --- words ----------------------------------------------------------------------------------------------------------
 
 
-def _next(design: Design, limit: Limit, p: Estimate, reasons: Sequence[Reason], assumed: Assumptions) -> str:
-    """What to measure next: told only where it can settle what is open."""
+def _next(word: str, limit: Limit, reasons: Sequence[Reason]) -> str:
+    """What to do next; a measurement only where it can settle what is open."""
     if not reasons:
-        if limit.target is not None and target_met(p, limit.target) is None:
-            return "run again with a tighter analysis.accuracy.probability: the target lies inside the interval"
-        return ""
+        return {
+            "no target": f"Set limits.{limit.name}.target for a verdict.",
+            "met": "Nothing is open for this target.",
+            "not met": "Change the plan, or the target: measuring more settles nothing.",
+            "undecided": "Run again with a tighter analysis.accuracy.probability.",
+        }[word]
     order = ("contact law", "model", "assumed strength", "tests", "distribution", "synthetic")
-    first = min(reasons, key=lambda reason: order.index(reason.code))
-    remedy = first.remedy
+    remedy = min(reasons, key=lambda reason: order.index(reason.code)).remedy
     return remedy[:1].upper() + remedy[1:] + "." if remedy else ""
 
 
 def _headline(
     design: Design, answers: Answers, limit: Limit, p: Estimate, word: str, reasons: Sequence[Reason],
-    number: dict[str, Any] | None,
+    number: dict[str, Any] | None, joint: dict[str, Estimate],
 ) -> tuple[str, str]:  # fmt: skip
     """The sentence to act on, and what stands behind it."""
-    name = "Fracture probability" if means_fracture(limit) else "Failure probability"
-    what = f"{name if limit.aim == 'survive' else 'P(not broken)'} {format_probability(p.value, p.high)}"
-    if limit.target is not None:
-        what += f", target at most {format_probability(limit.target)}"
-    first, rest = [], []
-    if number is not None:
-        path, planned, governing = number["path"], planned_value(design), number["governing"]
-        assumed = next((mode.called for mode in design.modes if mode.limit.name == governing.name), None)
-        verb = "Use at most" if number["safe_end"] == "largest" else "Use at least"
-        first.append(f"{verb} {format_conservative(number['value'], path, least=number['safe_end'] != 'largest')}.")
-        if planned is not None:
-            factor = number["factor"]
-            margin = "no margin" if factor is None or factor < 1.0 else f"safety factor {factor:.3g}"
-            first.append(f"Planned {format_value(planned, path, 3)}: {margin}.")
-        wanted = allowable_probability(design, limit)
-        best = answers.get(design.subject(governing), "margin", wanted)
-        by = f"{assumed}, by an assumed strength" if assumed else governing.name
-        if best is not None and best["value"] is not None:
-            joint = ", with all failure modes together" if number["joint"] else ""
-            end = "lower" if number["safe_end"] == "largest" else "upper"
-            rest.append(f"That is the conservative, {end} end of its interval{joint}; best estimate "
-                        f"{format_value(best['value'], path, 2)} ({by}).")  # fmt: skip
-        if assumed:
-            theirs = answers.get(design.subject(governing), "exceedance_probability")
-            more = theirs["value"] if theirs is not None else None
-            what = f"At the plan: {what[:1].lower()}{what[1:]}, by the limit of the study" + (
-                "" if more is None else f", but {100.0 * more:.3g} % by {assumed}")  # fmt: skip
-            own = _conservative_margin(answers, design.subject(limit), wanted, survive=limit.aim == "survive")
-            if own is not None:
-                safe = format_conservative(own, path, least=number["safe_end"] != "largest")
-                rest.append(f"By the limit of the study alone: {safe}.")
-        rest.append(what + ".")
-    else:
-        first.append(what + ".")
+    of = "the limits of the study" if len(_judged_together(design, limit)) > 1 else "the limit of the study"
+    what, rest = _probability_text(limit, p, joint, of), list[str]()
+    margins = design.study.margins
+    if number is None:
+        first = [f"{what}."]
         curve = answers.where(design.subject(limit), "curve")
-        if curve and design.study.margins is not None:
-            path = design.study.margins.axis.path
+        if curve and margins is not None:
+            path = margins.axis.path
             (low, p_low), (high, p_high) = ((end["at"], end["value"]) for end in (curve[0], curve[-1]))
             rest.append(f"No value to use: between {format_value(low, path, 3)} and {format_value(high, path, 3)} the "
                         f"probability of exceedance runs from {format_probability(p_low)} to "
                         f"{format_probability(p_high)}; widen margins.between.")  # fmt: skip
+        elif limit.target is not None:
+            rest.append("The study asks for no value to use: it has no [margins].")
+    else:
+        path, planned, most = number["path"], planned_value(design), number["safe_end"] == "largest"
+        first = [f"Use at {'most' if most else 'least'} {format_conservative(number['value'], path, least=not most)}."]
+        if planned is not None:
+            factor = number["factor"]
+            margin = "no margin" if factor is None or factor < 1.0 else f"safety factor {factor:.3g}"
+            first.append(f"Planned {format_value(planned, path, 3)}: {margin}.")
+        if number["best"] is not None:
+            best = format_value(number["best"], path, 3)
+            rest.append(f"That is the conservative, {'lower' if most else 'upper'} end of its interval; best estimate "
+                        f"{best}, by {number['by']}.")  # fmt: skip
+        if number["by"] != limit.name:
+            safe = _conservative_margin(
+                answers, design.subject(limit), allowable_probability(design, limit), survive=limit.aim == "survive"
+            )
+            if safe is not None:
+                rest.append(f"By {limit.name}: {format_conservative(safe, path, least=not most)}.")
+        rest.append(f"At the plan: {what[:1].lower()}{what[1:]}.")
     if word == "not established":
         rest.append("Not established: " + "; ".join(reason.text for reason in reasons) + ".")
     elif word == "undecided":
@@ -370,6 +376,31 @@ def _headline(
     elif word != "no target":
         rest.append(f"Target {word}.")
     return " ".join(first), " ".join(rest)
+
+
+def _probability_text(limit: Limit, p: Estimate, joint: dict[str, Estimate], of: str) -> str:
+    """The failure probability with its target, by the limit and by all failure modes together."""
+    if limit.aim == "break":
+        broken = complement(p).value
+        what = f"P(not broken) {format_probability(None, p.high)}"
+        if broken is not None:
+            what = f"Fracture probability {format_probability(broken)}"
+        if limit.target is not None:
+            what += f", target at least {format_probability(1.0 - limit.target)}"
+        return what
+    what = "Fracture" if means_fracture(limit) else "Failure"
+    what += f" probability {format_probability(p.value, p.high)}"
+    if joint:
+        every = joint["probability"]
+        what += f" by {of}, {format_probability(every.value, every.high)} by all failure modes"
+    if limit.target is not None:
+        what += f"{';' if joint else ','} target at most {format_probability(limit.target)}"
+    return what
+
+
+def _called(design: Design, limit: Limit) -> str:
+    """A limit by its name, a failure mode with an assumed strength by that it is."""
+    return next((f"{m.called} (assumed strength)" for m in design.modes if m.limit.name == limit.name), limit.name)
 
 
 def _listed(words: Sequence[str]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
@@ -187,10 +188,22 @@ def _input(design: Design, name: str) -> Any:
         law = study.laws()[name]
         low, high = (float(x) for x in law.ppf(np.array([0.05, 0.95])))
         return as_json({**about, "mean": law.mean(), "sd": law.sd(), "p05": low, "p95": high, "fixed": False,
-                        "distribution": law.family.name.replace("_", " ")})  # fmt: skip
+                        "distribution": _distribution_text(law, name)})  # fmt: skip
     value = study.fixed[name]
     return as_json({**about, "mean": value, "sd": 0.0, "p05": value, "p95": value, "fixed": True,
                     "distribution": "fixed"})  # fmt: skip
+
+
+def _distribution_text(law: Law, name: str) -> str:
+    """The family with what mean and standard deviation leave open: shapes and bounds."""
+    parts = [law.family.name.replace("_", " ")]
+    parts += [f"{key} {law.parameters[key]:.3g}" for key in ("modulus", "shape", "dof") if key in law.parameters]
+    low, high = (None if math.isinf(end) else format_value(end, name) for end in (law.lower, law.upper))
+    if low and high:
+        parts.append(f"{low} to {high}")
+    elif low or high:
+        parts.append(f"from {low}" if low else f"up to {high}")
+    return ", ".join(parts)
 
 
 def _versions() -> dict[str, str]:
