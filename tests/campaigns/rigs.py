@@ -46,15 +46,16 @@ def random_row(rng: np.random.Generator, kind: str, yields: bool) -> Row:
 
 def errors_of(answers: np.ndarray, row: Row) -> dict[str, float]:
     """Errors over the tolerance of one row's answers."""
-    other, poles = second(row, rtol=1e-11)
+    other = second(row, rtol=1e-11)
     found = {}
-    for k, pole in enumerate(poles):
-        if pole.law is not None and other.largest[k] > 0.0:
-            found[f"x_{'ab'[k]}"] = answers[tracked.ANSWER_FACES + k] / other.largest[k] - 1.0
+    for k, pole in enumerate(other.poles):
+        largest = other.top(lambda rows, k=k: rows[k])
+        if pole.law is not None and largest > 0.0:
+            found[f"x_{'ab'[k]}"] = answers[tracked.ANSWER_FACES + k] / largest - 1.0
     found["contact"] = answers[tracked.ANSWER_CONTACT] / other.first_loss - 1.0
-    found["parting"] = answers[tracked.ANSWER_PARTING] / other.parting - 1.0
+    found["parting"] = answers[tracked.ANSWER_PARTING] / other.end - 1.0
     speeds = answers[[tracked.ANSWER_SPEED, tracked.ANSWER_SPEEDS, tracked.ANSWER_SPEEDS + 1]]
-    found["speeds"] = float(np.abs(speeds - other.speeds).max())
+    found["speeds"] = float(np.abs(speeds - other.state[2:5]).max())
     return {name: abs(value) / TOLERANCE for name, value in found.items()}
 
 

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.independent.rigs import Pole, strike, strike_rod
-from tests.independent.yielding import Law
+from tests.independent.motion import Law, Motion, Pole, march
 from tests.scenes import EXAMPLE, example
 from uqsphere.mechanics.closed_form import solve_blow
 from uqsphere.mechanics.integrator import tracked
@@ -46,21 +45,18 @@ def arguments(rows: list[Row]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def march(rows: list[Row], tolerance: float = 1e-8) -> Scaled:
+def kernel(rows: list[Row], tolerance: float = 1e-8) -> Scaled:
     return march_rows(arguments(rows), 0, tolerance, asked=tolerance)
 
 
-def second(row: Row, rtol: float = 1e-12) -> Any:
+def second(row: Row, rtol: float = 1e-12) -> Motion:
     poles = [
-        Pole()
-        if pole is None
-        else Pole(
-            gives=pole["zeta"], mass=pole["mu"], speed=pole["V"],
-            law=Law(onset=pole["onset"], b=pole["b"], pile_up=pole["C"], stiffness=pole["kappa"]),
-        )
+        Pole() if pole is None
+        else Pole(gives=pole["zeta"], mass=pole["mu"], speed=pole["V"],
+                  law=Law(onset=pole["onset"], b=pole["b"], pile_up=pole["C"], stiffness=pole["kappa"]))
         for pole in row["poles"]
     ]  # fmt: skip
-    return strike(row["mu"], row["speed"], poles, rtol=rtol), poles
+    return march(row["mu"], row["speed"], (poles[0], poles[1]), rtol=rtol)
 
 
 SCENES = {
@@ -81,25 +77,26 @@ SCENES = {
 
 @pytest.mark.parametrize("row", SCENES.values(), ids=SCENES)
 def test_a_second_integrator_of_another_method_agrees(row: Row) -> None:
-    found, (other, poles) = march([row]), second(row)
+    found, other = kernel([row]), second(row)
     answers = found.answers[0]
     assert found.status[0] == 0
-    for k, pole in enumerate(poles):
-        assert answers[tracked.ANSWER_FACES + k] == pytest.approx(other.largest[k], rel=1e-7)
-        assert answers[tracked.ANSWER_OTHERS + k] == pytest.approx(other.other[k], abs=1e-6)
+    for k, pole in enumerate(other.poles):
         if pole.law is not None:
-            assert answers[tracked.ANSWER_CARRIED + k] * pole.gives == pytest.approx(other.carried[k], rel=1e-7)
-    assert answers[tracked.ANSWER_MEAN] == pytest.approx(other.mean, rel=1e-7)
-    assert answers[tracked.ANSWER_DURATION] == pytest.approx(other.impulse.mean() / other.mean, rel=1e-7)
-    assert answers[tracked.ANSWER_DIFFERENCE] == pytest.approx(other.difference, rel=1e-7)
+            at = other.peak(lambda rows, k=k: rows[2 + k])[1]
+            assert answers[tracked.ANSWER_FACES + k] == pytest.approx(at[k], rel=1e-7)
+            assert answers[tracked.ANSWER_OTHERS + k] == pytest.approx(at[3 - k], abs=1e-6)
+            assert answers[tracked.ANSWER_CARRIED + k] * pole.gives == pytest.approx(other.state[5 + k], rel=1e-7)
+    mean = other.top(lambda rows: 0.5 * (rows[2] + rows[3]))
+    assert answers[tracked.ANSWER_MEAN] == pytest.approx(mean, rel=1e-7)
+    assert answers[tracked.ANSWER_DURATION] == pytest.approx(other.state[7:9].mean() / mean, rel=1e-7)
+    difference = other.top(lambda rows: np.abs(rows[2] - rows[3]))
+    assert answers[tracked.ANSWER_DIFFERENCE] == pytest.approx(difference, rel=1e-7)
     assert answers[tracked.ANSWER_CONTACT] == pytest.approx(other.first_loss, rel=1e-7)
-    assert answers[tracked.ANSWER_PARTING] == pytest.approx(other.parting, rel=2e-7)
+    assert answers[tracked.ANSWER_PARTING] == pytest.approx(other.end, rel=2e-7)
     speeds = answers[[tracked.ANSWER_SPEED, tracked.ANSWER_SPEEDS, tracked.ANSWER_SPEEDS + 1]]
-    assert speeds == pytest.approx(other.speeds, abs=1e-7)
+    assert speeds == pytest.approx(other.state[2:5], abs=1e-7)
 
 
-#: three scenes of the theory (R...): spheres of 10 mm (5 mm: quartz) of granite or limestone; and what a converged
-#: integration with another code gives: peak forces at A and B, first loss, parting, energy, the sphere's, end speeds
 STEEL = {"E": 210e9, "nu": 0.3, "density": 7850.0}
 
 
@@ -121,28 +118,29 @@ def test_echoes_of_a_rod_agree_with_a_second_integrator(kind: str, end: float) -
     found = motion(scene, 0, tolerance=1e-10)
     scales, rod = scene.scales, scene.partners[1]
     behind, unit = scene.partners[0], float(scales.time[0])
-    light = math.inf if behind is None else float(behind.mass[0] * scales.speed[0] / (scales.force[0] * unit))
-    zeta = float(scales.force[0] / (rod.impedance[0] * scales.speed[0]))
-    start = (1.0, 0.0) if behind is None else (0.0, 1.0)
-    kappa = float(rod.hertz_constant[0] / scales.hertz_constant[0])
-    echo = (float(rod.round_trip[0]) / unit, end)
-    largest, first, state = strike_rod(float(scales.mass_number[0]), start, light, zeta, kappa, echo, found.end)
+    ahead = Pole(gives=float(scales.force[0] / (rod.impedance[0] * scales.speed[0])), end=end,
+                 trip=float(rod.round_trip[0]) / unit,
+                 law=Law(stiffness=float(rod.hertz_constant[0] / scales.hertz_constant[0])))  # fmt: skip
+    weight = Pole() if behind is None else Pole(
+        law=Law(), speed=1.0, mass=float(behind.mass[0] * scales.speed[0] / (scales.force[0] * unit))
+    )  # fmt: skip
+    other = march(float(scales.mass_number[0]), 1.0 if behind is None else 0.0, (weight, ahead), stop="end",
+                  jumps=np.arange(ahead.trip, found.end, ahead.trip).tolist(), record=found.end)  # fmt: skip
+    largest = [other.top(lambda rows, k=k: rows[2 + k]) for k in (0, 1)]
     times = np.linspace(0.0, found.horizon, 20_001)
     pushes = found.forces_at(times).max(axis=0) / scales.force[0]
-    assert pushes == pytest.approx(np.array(largest) * (0.0 if behind is None else 1.0, 1.0), rel=2e-6)
+    assert pushes == pytest.approx(np.array(largest), rel=2e-6)
     at_end = found.states_at(np.array([found.horizon]))[0]
     units = np.array([scales.approach[0], scales.approach[0], scales.speed[0]])
     kept = slice(1 if behind is None else 0, 3)
-    assert (at_end / units)[kept] == pytest.approx(state[:3][kept], abs=2e-7)
+    assert (at_end / units)[kept] == pytest.approx(other.state[:3][kept], abs=2e-7)
     answers = solve(scene, tolerance=1e-9, quantities=("time_to_first_loss", "P_max"))
-    assert answers.values["time_to_first_loss"][0] == pytest.approx(first * unit, rel=1e-7)
-    assert answers.values["P_max"][0] == pytest.approx(
-        max(largest[0 if behind else 1], largest[1]) * scales.force[0], rel=2e-6
-    )
+    assert answers.values["time_to_first_loss"][0] == pytest.approx(other.first_loss * unit, rel=1e-7)
+    assert answers.values["P_max"][0] == pytest.approx(max(largest) * scales.force[0], rel=2e-6)
 
 
 def test_the_bodies_never_close() -> None:
-    found = march([rig(speed=-1.0, B={}), rig(A={"mu": 1.0}, B={}), rig(speed=1.0, B={"V": 2.0})])
+    found = kernel([rig(speed=-1.0, B={}), rig(A={"mu": 1.0}, B={}), rig(speed=1.0, B={"V": 2.0})])
     assert found.status.tolist() == [tracked.NEVER_CLOSES] * 3
 
 
@@ -177,7 +175,7 @@ def random_rigs(count: int, seed: int) -> list[Row]:
 def test_energy_and_momentum_of_random_rigs() -> None:
     """(R8) and (R9): what the bodies lose is carried off or is plastic; nothing is stored after parting."""
     rows, tolerance = random_rigs(500, 3), 1e-7
-    found = march(rows, tolerance)
+    found = kernel(rows, tolerance)
     assert (found.status == 0).all()
     for row, answers in zip(rows, found.answers, strict=True):
         speeds = answers[[tracked.ANSWER_SPEED, tracked.ANSWER_SPEEDS, tracked.ANSWER_SPEEDS + 1]]
@@ -205,7 +203,7 @@ def test_mirrored_rigs_have_mirrored_answers() -> None:
     for row in random_rigs(12, 5):
         mirror = {**row, "speed": -row["speed"], "poles": [pole and {**pole, "V": -pole["V"]} for pole in row["poles"]]}
         mirror["poles"].reverse()
-        one, other = march([row, mirror], 1e-7).answers
+        one, other = kernel([row, mirror], 1e-7).answers
         for column in (tracked.ANSWER_FACES, tracked.ANSWER_CARRIED, tracked.ANSWER_OTHERS):
             assert one[[column, column + 1]] == pytest.approx(other[[column + 1, column]], rel=1e-9, abs=1e-12)
         for column in (tracked.ANSWER_CONTACT, tracked.ANSWER_PARTING, tracked.ANSWER_ENERGY, tracked.ANSWER_MEAN):

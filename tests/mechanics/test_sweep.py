@@ -13,7 +13,7 @@ from tests.campaigns.sweep import (
     against_reference,
     balances,
     design,
-    table,
+    report,
     unbalanced,
     with_law,
 )
@@ -26,22 +26,22 @@ SHORT = {"mu": (3e-4, 1e3, True), "theta": (1e-4, 30.0, True), "ratio": (0.1, 10
 
 
 def test_no_hard_scene_is_wrong_and_silent() -> None:
-    found = against_reference(design(22, 5, narrower=SHORT), budget=150)
-    assert found.silent == (), table(found)
+    found = against_reference(design(22, 5, narrower=SHORT), budget=500)
+    assert found.silent == (), report(found)
     assert found.judged.sum() >= 14
     assert (found.status[found.judged] == 0).mean() > 0.9
 
 
 def test_kernel_against_itself_over_the_whole_range_of_mass_and_pulse() -> None:
     found = against_itself(design(55, 3, narrower={"theta": (1e-4, 30.0, True)}), quantities=("p_max", "energy"))
-    assert found.silent == (), table(found)
+    assert found.silent == (), report(found)
     assert answered(found.status).mean() > 0.95
 
 
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-9])
 def test_other_tolerances_hold_too(tolerance: float) -> None:
-    found = against_reference(design(11, 8, narrower=SHORT), tolerance=tolerance, budget=200)
-    assert found.silent == (), table(found)
+    found = against_reference(design(11, 8, narrower=SHORT), tolerance=tolerance, budget=500)
+    assert found.silent == (), report(found)
 
 
 def test_the_sweep_finds_a_wrong_row(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,7 +61,7 @@ def test_the_sweep_finds_a_wrong_row(monkeypatch: pytest.MonkeyPatch) -> None:
     assert row.quantities["time_to_first_loss"][2] == pytest.approx(10.0, abs=ALLOWED)
     again = Scene(**{**row.inputs, "columns": {n: np.array([v]) for n, v in row.inputs["columns"].items()}})
     assert again.scales.mass_number[0] == pytest.approx(row.mu, rel=1e-12)
-    assert "wrong: 1 rows" in table(found)
+    assert "wrong: 1 rows" in report(found)
 
 
 # ---- the design
