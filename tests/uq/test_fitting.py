@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqsphere.uq.families.standard import weibull_estimates
 from uqsphere.uq.fitting import (
     LEAST_TESTS,
     STRENGTHS,
@@ -175,7 +174,7 @@ def test_the_law_of_large_samples_continues_the_simulated_one(kind: str, monkeyp
     levels = [0.025, 0.5, 0.975]
     ways = []
     for many in (300, 299):
-        monkeypatch.setattr("uqsphere.uq.families.family.MANY", many)
+        monkeypatch.setattr("uqsphere.uq.location_scale.MANY", many)
         found = STRENGTHS[kind].pivots(leaving, 8000, np.random.default_rng(4))
         ways.append([np.quantile(part, levels) for part in found])
     spread = np.ptp(ways[0], axis=1)[:, None]
@@ -264,7 +263,8 @@ def test_the_bootstrap_covers_nearly_so(
 
 def test_weibull_estimates_are_those_of_the_likelihood() -> None:
     data = stats.weibull_min.rvs(5.0, scale=2.0, size=(3, 9), random_state=1)
-    modulus, scale = weibull_estimates(np.log(data))
+    location, spread = STRENGTHS["weibull"].maximum(np.log(data), np.ones(9))
+    modulus, scale = 1.0 / spread, np.exp(location)
     for k, row in enumerate(data):
         around = [
             stats.weibull_min.logpdf(row, modulus[k] * (1.0 + a), scale=scale[k] * (1.0 + b)).sum()

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqsphere.uq.families import LawError
 from uqsphere.uq.foreign import as_law, law_table
+from uqsphere.uq.forms import LawError, form_of
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -108,11 +108,6 @@ class _Broken(stats.rv_continuous):
 
 
 def test_a_tail_that_contradicts_itself_is_refused() -> None:
-    from types import SimpleNamespace
-
-    from uqsphere.uq.families.family import wrapped
-
-    own = {name: getattr(stats.norm, name) for name in ("cdf", "ppf", "isf", "pdf", "stats")}
-    wrong = SimpleNamespace(**own, sf=lambda x: np.maximum(stats.norm.sf(x), 1e-8))
+    own, wrong = stats.norm, lambda x: np.maximum(stats.norm.sf(x), 1e-8)
     with pytest.raises(LawError, match="upper tail of w is wrong from the probability 1e-09 on"):
-        wrapped("w", wrong).parameters({}, -np.inf, np.inf)
+        form_of("w", (own.cdf, wrong, own.ppf, own.isf, own.pdf), lambda: (0.0, 1.0))

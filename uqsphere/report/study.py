@@ -63,8 +63,8 @@ def _strengths(study: Study) -> str:
         for key, said in (("modulus", "modulus"), ("log_sd", "sd of the logarithm")):
             if key in law.parameters:
                 text += f", {said} {law.parameters[key]:.3g}"
-                if law.data and law.family.strength is not None:
-                    low, high = fit_strength(series_behind(law), law.family.strength, draws=1000).shape_interval
+                if law.data and law.family.location_scale is not None:
+                    low, high = fit_strength(series_behind(law), law.family.location_scale, draws=1000).shape_interval
                     text += f" ({low:.3g} to {high:.3g})"
         rows.append((limit.name, tests, ends, text, "-" if mean is None else format_value(mean, name),
                      span, lookup(name).meaning))  # fmt: skip

@@ -33,7 +33,7 @@ from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.units import UNITS, Quantity, UnitError, bare_number, parse_value
 from uqsphere.uq import Law, LawError, discrete_law, make_law
-from uqsphere.uq.families import FAMILIES, family_named
+from uqsphere.uq.families import DIMENSIONAL, FAMILIES, family_named
 
 if TYPE_CHECKING:
     from uqsphere.study.study import Tested
@@ -286,7 +286,7 @@ def _law_of(raw: Mapping[str, Any], quantity: Quantity) -> Number:
     for key in keys:
         if key not in raw:
             continue
-        entry = quantity if key in family.dimensional else plain_quantity(quantity.name)
+        entry = quantity if key in DIMENSIONAL else plain_quantity(quantity.name)
         if key not in ends and entry.dimension != "number":
             entry = replace(entry, plausible=(0.0, math.inf), display=beside)
         with within(key):
@@ -295,7 +295,7 @@ def _law_of(raw: Mapping[str, Any], quantity: Quantity) -> Number:
     try:
         return Number(value=make_law(family.name, given, *bounds), given=given)
     except LawError as error:
-        spoken = (error.key == "" or error.key in family.dimensional) and any(map(str.isdigit, error.message))
+        spoken = (error.key == "" or error.key in DIMENSIONAL) and any(map(str.isdigit, error.message))
         said = f" (numbers in {quantity.unit})" if spoken and quantity.unit else ""
         raise Fault(f"{error.message}{said}", error.key if error.key in raw else "") from None
 
@@ -346,7 +346,7 @@ def _check_law(law: Law, given: Mapping[str, float], quantity: Quantity, reader:
     import numpy as np
 
     outside = 0.0
-    if max(law.lower, law.family.least(law.parameters, law.lower, law.upper)) < quantity.lower:
+    if law.lower < quantity.lower:
         outside += float(law.cdf(np.array([quantity.lower]))[0])
     if law.upper > quantity.upper:
         outside += float(law.sf(np.array([quantity.upper]))[0])

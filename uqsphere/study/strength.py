@@ -267,7 +267,7 @@ def observed_law(raw: Mapping[str, Any], quantity: Quantity, reader: Reader, pla
 
 def _drawn(table: Observations, quantity: Quantity, reader: Reader) -> Number:
     """The mean of the distributions that a fit allows, each a draw of its parameters."""
-    from uqsphere.uq.families.observed import LOGNORMAL, WEIBULL
+    from uqsphere.uq.observed import LOGNORMAL, WEIBULL
 
     assert table.draws is not None
     found = open_table(table.draws, reader, "draws", table.decimal)

@@ -9,7 +9,7 @@ Knows only arrays and callables rows -> rows; the physics is somewhere else.  By
 from __future__ import annotations
 
 from uqsphere.uq.estimate import NORMAL, REPLICATES, Estimate, absent, exact, from_replicates, spread, student
-from uqsphere.uq.families import LawError
+from uqsphere.uq.forms import LawError
 from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import Law, discrete_law, make_law
 from uqsphere.uq.limit_state import (

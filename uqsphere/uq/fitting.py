@@ -1,17 +1,16 @@
 """Laws from observations, tests with stops among them, and what few observations leave open of a law.
 
 Scatter is what a law describes; epistemic uncertainty is that its parameters come from n observations.  For laws with a
-location and a scale the parameters that the same tests allow follow from pivots (`families.standard`), with stopped
-tests among them from simulated series (`Strength.pivots`).  Gamma, beta and triangular laws are fitted again to samples
-of their own; a kernel density or a step function is made again from the observations drawn with repetition, which says
-too little in the tails.
+location and a scale the parameters that the same tests allow follow from pivots (`location_scale`), with stopped tests
+among them from simulated series.  The others are fitted again to samples of their own; a kernel density or a step
+function is made again from the observations drawn with repetition, which says too little in the tails.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
@@ -19,16 +18,18 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.families import FAMILIES, Family, LawError
-from uqsphere.uq.families.family import MANY, Strength
-from uqsphere.uq.families.observed import DRAWN, MOST_KERNELS, WEIBULL, bandwidth
+from uqsphere.uq import location_scale
+from uqsphere.uq.families import DRAWN, FAMILIES, Family
+from uqsphere.uq.forms import LawError
 from uqsphere.uq.law import Law, bounds_of, checked
+from uqsphere.uq.location_scale import MANY, LocationScale
+from uqsphere.uq.observed import MOST_KERNELS, WEIBULL, bandwidth
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 #: laws that can be fitted with stopped tests among them
-STRENGTHS: Final = {name: family.strength for name, family in FAMILIES.items() if family.strength is not None}
+STRENGTHS: Final = {"lognormal": location_scale.LOGNORMAL, "weibull": location_scale.WEIBULL}
 #: fewer failures than this say nothing of scatter
 LEAST_FAILURES: Final = 2
 #: relative difference of strengths that are taken for equal: half of the digits of a double, so that a scatter is known
@@ -100,25 +101,29 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
     return StrengthTests(values=different, failures=failures, stopped=ended)
 
 
-def unbiasing(law: Strength, leaving: Array, inverse: Array | None = None) -> float:
+def unbiasing(law: LocationScale, leaving: Array, inverse: Array | None = None) -> float:
     """Factor that takes the bias out of the modulus of a Weibull law, or of log_sd of a lognormal law.
 
     Of the modulus: 1/E[m*/m] (D. R. Thoman, L. J. Bain, C. E. Antle, Technometrics 11, 1969, 445, table it for complete
     series).  Of log_sd: it makes the variance right on average, sqrt(n/(n - 1)) for complete series.  `leaving` as of
-    `Strength.series`; inverse: 1/s* of simulated series.
+    `LocationScale.series`; inverse: 1/s* of simulated series.
 
     >>> round(unbiasing(STRENGTHS["weibull"], np.ones(20)), 2)
     0.93
     """
-    if law.complete is not None and (leaving == 1.0).all():
-        return law.complete(leaving.size)
+    n = leaving.size
+    if not law.inverse and (leaving == 1.0).all():
+        return math.sqrt(n / (n - 1.0))
     if inverse is None:
         inverse = _inverse(law, tuple(leaving.tolist()))
-    return law.unbiased(inverse, leaving.size)
+    if law.inverse:
+        # E[m*/m] has no bound for two failures; there the median takes its place
+        return 1.0 / float(np.mean(inverse) if n > 3 else np.median(inverse))
+    return 1.0 / math.sqrt(float(np.mean(inverse**-2.0)))
 
 
 @lru_cache(maxsize=32)
-def _inverse(law: Strength, leaving: tuple[float, ...]) -> Array:
+def _inverse(law: LocationScale, leaving: tuple[float, ...]) -> Array:
     return law.pivots(np.array(leaving), DRAWS, np.random.default_rng(_SERIES_SEED))[1]
 
 
@@ -134,7 +139,7 @@ class StrengthFit:
     likelihood.  `p_value`: probability of a larger distance from the Kaplan-Meier estimate if the law were right.
     """
 
-    law: Strength = field(repr=False)
+    law: LocationScale = field(repr=False)
     tests: int
     failures: int
     shape: float
@@ -153,13 +158,13 @@ class StrengthFit:
         return DataFrame.from_dict(rows, orient="index", columns=["value", "low", "high"]).rename_axis("parameter")
 
 
-def _best(tests: StrengthTests, law: Strength) -> tuple[float, float]:
+def _best(tests: StrengthTests, law: LocationScale) -> tuple[float, float]:
     """Location and scale of the logarithm by the largest likelihood."""
-    location, spread = law.maximum(np.log(tests.values)[None, :], tests.failures, tests.stopped)
+    location, spread = law.maximum(law.u(tests.values)[None, :], tests.failures, tests.stopped)
     return float(location[0]), float(spread[0])
 
 
-def fit_strength(tests: StrengthTests, law: Strength = STRENGTHS["weibull"], *, draws: int = DRAWS) -> StrengthFit:
+def fit_strength(tests: StrengthTests, law: LocationScale = STRENGTHS["weibull"], *, draws: int = DRAWS) -> StrengthFit:
     """The law of the largest likelihood, its bias and its intervals, those from `draws` simulated series.
 
     >>> found = fit_strength(make_tests([0.62, 0.81, 0.93, 1.02, 1.1, 1.21, 1.3], [0, 0, 0, 0, 0, 0, 1]))
@@ -171,7 +176,7 @@ def fit_strength(tests: StrengthTests, law: Strength = STRENGTHS["weibull"], *, 
     best = law.log_likelihood(y, tests.failures, tests.stopped, np.array([1.0 / spread]), np.array([location / spread]))
     centre, inverse = law.pivots(tests.leaving, draws, np.random.default_rng(_SERIES_SEED))
     # s = s* inverse and mu = mu* - s* centre are what the tests allow
-    shapes = np.quantile(1.0 / (spread * inverse) if law.inverse else spread * inverse, [0.025, 0.975])
+    shapes = np.quantile(law.shape(spread * inverse), [0.025, 0.975])
     places = np.exp(np.quantile(location - spread * centre, [0.025, 0.975]))
     return StrengthFit(
         law=law, tests=int((tests.failures + tests.stopped).sum()), failures=int(tests.failures.sum()),
@@ -182,10 +187,11 @@ def fit_strength(tests: StrengthTests, law: Strength = STRENGTHS["weibull"], *, 
     )  # fmt: skip
 
 
-def fitted_parameters(tests: StrengthTests, law: Strength, *, unbiased: bool = False) -> dict[str, float]:
+def fitted_parameters(tests: StrengthTests, law: LocationScale, *, unbiased: bool = False) -> dict[str, float]:
     """Canonical parameters alone, without the price of the intervals."""
     location, spread = _best(tests, law)
-    return law.parameters(location, law.shape(spread) * (unbiasing(law, tests.leaving) if unbiased else 1.0))
+    shape = law.shape(spread) * (unbiasing(law, tests.leaving) if unbiased else 1.0)
+    return law.parameters(location, law.shape(shape))
 
 
 def _distance(below: Array, leaving: Array) -> Array:
@@ -195,7 +201,7 @@ def _distance(below: Array, leaving: Array) -> Array:
     return np.asarray(np.maximum(np.abs(below - after), np.abs(below - before)).max(axis=1))
 
 
-def probability_of(tests: StrengthTests, law: Strength) -> float:
+def probability_of(tests: StrengthTests, law: LocationScale) -> float:
     """Probability that tests of the fitted law lie farther from it: simulated series, fitted in the same way.
 
     Of more than `MANY` failures series of so many stand for all: the distance falls as the root of their number.
@@ -214,7 +220,7 @@ def probability_of(tests: StrengthTests, law: Strength) -> float:
 # --- a law from a column -------------------------------------------------------------------------------------
 
 #: what a column of observations can become: a kernel density, a step function, or a member of a family
-FITS: Final = ("kde", "steps", *(name for name, family in FAMILIES.items() if not family.observed))
+FITS: Final = ("kde", "steps", *(name for name, family in FAMILIES.items() if family.observed is None))
 #: fewer observations than this say nothing of scatter that could be trusted
 LEAST_TESTS: Final = 3
 
@@ -284,7 +290,7 @@ def _of_known_modulus(data: Sequence[float], fit: str | None, censored: Sequence
 def _member(family: Family, values: Array, a: float, b: float) -> Law:
     """The member of a family that the observations have the largest likelihood by."""
     name = family.name
-    if family.spanned:
+    if family.bounded and not family.parameters_of:
         a = float(values[0]) if math.isinf(a) else a
         b = float(values[-1]) if math.isinf(b) else b
     if family.bounded and not (math.isfinite(a) and math.isfinite(b)):
@@ -292,9 +298,17 @@ def _member(family: Family, values: Array, a: float, b: float) -> Law:
     if not a < b:
         raise LawError(f"lower ({a:g}) must be below upper ({b:g})", "lower")
     try:
+        if family.bounded and family.parameters_of and not (a < values[0] and values[-1] < b):
+            found, allowed = f"{values[0]:g} to {values[-1]:g}", f"{a:g} to {b:g}"
+            raise ValueError(f"the observations ({found}) must lie between the bounds ({allowed})")
         if family.positive and values[0] <= 0.0:
             raise ValueError(f"{name} needs positive observations, the smallest is {values[0]:g}")
-        parameters = family.parameters(family.fit(values, a, b), a, b)
+        if family.location_scale is not None:
+            fitted = family.location_scale.parameters(*family.location_scale.fitted(values))
+        else:
+            assert family.fit is not None
+            fitted = family.fit(values, a, b)
+        parameters = family.parameters(fitted, a, b)
     except ValueError as error:
         raise LawError(f"{name} does not fit the observations: {error}", "fit") from None
     return Law(family=family, parameters=parameters, lower=a, upper=b, data=tuple(values.tolist()))
@@ -355,20 +369,27 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> list[
     if n < LEAST_TESTS:
         raise LawError(f"{n} observations are too few to say what they leave open: at least {LEAST_TESTS} are needed",
                        "file")  # fmt: skip
-    if family.observed:
+    if family.observed is not None:
         return [_redrawn(law, generator) for _ in range(count)]
-    if family.strength is not None:
+    if family.location_scale is None:
+        return _refitted(law, count, generator)
+    if family.name in STRENGTHS:
         # whether or not the bias was taken out of the law
         tests = series_behind(law)
-        pivots = family.strength.pivots(tests.leaving, count, generator)
-        return _laws(law, family.strength.moved(fitted_parameters(tests, family.strength), *pivots))
-    if family.pivots is not None:
-        return _laws(law, family.pivots(law.parameters, n, count, generator))
-    return _refitted(law, count, generator)
+        (location, scale), leaving = _best(tests, family.location_scale), tests.leaving
+    else:
+        (location, scale), leaving = family.location_scale.fitted(np.array(law.data)), np.ones(n)
+    centre, inverse = family.location_scale.pivots(leaving, count, generator)
+    columns = family.location_scale.parameters(location - scale * centre, scale * inverse)
+    values = np.column_stack(list(columns.values())).tolist()
+    return [replace(law, parameters=dict(zip(columns, row, strict=True))) for row in values]
 
 
 def _refitted(law: Law, count: int, generator: np.random.Generator) -> list[Law]:
-    """Laws fitted to samples of the law, of as many observations: the parametric bootstrap."""
+    """Laws fitted to samples of the law, of as many observations: the parametric bootstrap.
+
+    The estimate of a scale, or of a rate, is in a fixed ratio to the truth: that ratio turned round is exact.
+    """
     name, found = law.family.name, list[Law]()
     if not law.family.keys:
         raise LawError(f"a {name} law takes its bounds as known: there is nothing to be unsure of", "fit")
@@ -376,25 +397,19 @@ def _refitted(law: Law, count: int, generator: np.random.Generator) -> list[Law]
         raise LawError("what tests leave open of a student_t law is not known: fit a normal or lognormal law", "fit")
     for _ in range(4 * count):
         with contextlib.suppress(LawError):
-            found.append(_member(law.family, np.sort(law.sample(len(law.data), generator)), law.lower, law.upper))
+            again = _member(law.family, np.sort(law.sample(len(law.data), generator)), law.lower, law.upper).parameters
+            if len(again) == 1 and not law.family.bounded:
+                again = {key: law.parameters[key] ** 2 / value for key, value in again.items()}
+            found.append(replace(law, parameters=again))
         if len(found) == count:
-            return [replace(one, data=law.data) for one in found]
+            return found
     raise LawError(f"samples of this {name} law cannot be fitted again", "fit")
-
-
-def _laws(law: Law, columns: Mapping[str, Array]) -> list[Law]:
-    """The law with every row of parameters, and of bounds, (count,) each."""
-    rows = [dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True)]
-    return [
-        replace(law, lower=row.pop("lower", law.lower), upper=row.pop("upper", law.upper), parameters=row)
-        for row in rows
-    ]
 
 
 def law_of_draws(draws: Sequence[Sequence[float]], tests: int) -> Law:
     """The law that is the mean of the laws of draws (n, 5) of a posterior that rests on so many tests, in SI.
 
-    A draw is (kind, least, scale, shape, bound), as in `families.observed`: kind 0 a lognormal law with the median
+    A draw is (kind, least, scale, shape, bound), as in `observed`: kind 0 a lognormal law with the median
     `scale` and the standard deviation `shape` of its logarithm, with an upper end scale/bound where bound is not 0;
     kind 1 a Weibull law with the threshold `least`, `scale` and modulus `shape`.  `possible_laws` gives single draws.
 

@@ -6,16 +6,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from types import SimpleNamespace
+from dataclasses import replace
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.families import LawError
-from uqsphere.uq.families.family import PREFIX, named_family, wrapped
+from uqsphere.uq.families import PREFIX, Family, family_named
 from uqsphere.uq.fitting import fitted_law
+from uqsphere.uq.forms import LawError, form_of
 from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import Law, checked, discrete_law, make_law
 
@@ -92,17 +92,11 @@ def law_table(given: LawLike) -> Table:
     law = as_law(given)
     if law.family.name == "discrete":
         return {"dist": "discrete", "values": list(law.data)}
-    if law.data or law.draws or (named_family(law.family.name) is None and law.family.name not in _names()):
+    if law.data or law.draws or family_named(law.family.name) is None:
         raise LawError("a study file has no table for it: write a sample or the observations to a CSV and name that, "
                        '{ file = "rows.csv", column = "x" }, or give it to uqsphere.analysis')  # fmt: skip
     ends = {"lower": law.lower, "upper": law.upper}
     return {"dist": law.family.name, **law.parameters, **{key: end for key, end in ends.items() if math.isfinite(end)}}
-
-
-def _names() -> Mapping[str, object]:
-    from uqsphere.uq.families import FAMILIES
-
-    return FAMILIES
 
 
 def as_law(given: LawLike) -> Law:
@@ -123,21 +117,12 @@ def as_law(given: LawLike) -> Law:
     if isinstance(given, Law):
         return given
     if isinstance(given, Mapping):
-        numbers = {key: value for key, value in given.items() if key != "dist"}
-        if given.get("dist") == "discrete" and set(numbers) <= {"values", "weights"}:
-            return discrete_law(given.get("values", ()), given.get("weights"))
-        if wrong := [key for key, value in numbers.items() if not isinstance(value, int | float | np.number)]:
-            raise LawError(
-                f"{wrong[0]} of a law must be a number; observations are given as an array in its place", wrong[0]
-            )
-        rest = {key: float(value) for key, value in numbers.items()}
-        bounds = rest.pop("lower", None), rest.pop("upper", None)
-        return make_law(str(given.get("dist")), rest, *bounds)
+        return _of_table(given)
     origin, kind = type(given).__module__.partition(".")[0], type(given).__name__
     if origin == "scipy":
         return _of_scipy(given, kind)
     if origin == "chaospy" and hasattr(given, "inv") and hasattr(given, "pdf"):
-        return _of_chaospy(given)
+        return _of_chaospy(given, kind)
     try:
         values = np.asarray(given, dtype=float)
     except (TypeError, ValueError):
@@ -149,96 +134,79 @@ def as_law(given: LawLike) -> Law:
     )
 
 
+def _of_table(given: Mapping[str, Any]) -> Law:
+    numbers = {key: value for key, value in given.items() if key != "dist"}
+    if given.get("dist") == "discrete" and set(numbers) <= {"values", "weights"}:
+        return discrete_law(given.get("values", ()), given.get("weights"))
+    if wrong := [key for key, value in numbers.items() if not isinstance(value, int | float | np.number)]:
+        said = f"{wrong[0]} of a law must be a number; observations are given as an array in its place"
+        raise LawError(said, wrong[0])
+    rest = {key: float(value) for key, value in numbers.items()}
+    bounds = rest.pop("lower", None), rest.pop("upper", None)
+    return make_law(str(given.get("dist")), rest, *bounds)
+
+
 def _of_scipy(given: Any, kind: str) -> Law:
     if kind == "gaussian_kde":
         if given.d != 1:
             raise LawError(f"a gaussian_kde of several numbers: {EACH}")
-        law = fitted_law(given.dataset[0].tolist())
         width = float(np.sqrt(given.covariance[0, 0]))
-        return checked(Law(family=law.family, parameters={"bandwidth": width}, data=law.data))
+        return checked(replace(fitted_law(given.dataset[0].tolist()), parameters={"bandwidth": width}))
     if any(base.__name__ == "DiscreteDistribution" for base in type(given).__mro__):
         return _steps(f"{kind} of SciPy", given.support(), given.pmf)
-    if kind == "rv_histogram":
-        return _wrapped("scipy histogram", given)
+    if hasattr(given, "dist") and hasattr(given, "kwds") and not hasattr(given.dist, "pdf"):
+        return _steps(f"{given.dist.name} of SciPy", given.support(), given.pmf)
+    if "rv_histogram" in (kind, type(getattr(given, "dist", None)).__name__):
+        return _wrapped("scipy histogram", (given.cdf, given.sf, given.ppf, given.isf, given.pdf),
+                        lambda: given.stats(moments="mv"))  # fmt: skip
     if hasattr(given, "dist") and hasattr(given, "kwds"):
-        if not hasattr(given.dist, "pdf"):
-            return _steps(f"{given.dist.name} of SciPy", given.support(), given.pmf)
-        if type(given.dist).__name__ == "rv_histogram":
-            return _wrapped("scipy histogram", given)
         shapes, loc, scale = given.dist._parse_args(*given.args, **given.kwds)
         return _compared(_by_name(given.dist.name, *shapes, loc, scale), given.ppf)
     if hasattr(given, "icdf") and hasattr(given, "ccdf"):
         if kind in ("Normal", "StandardNormal") and np.ndim(given.mean()) == 0:
-            mean, sd = float(given.mean()), float(given.standard_deviation())
-            return _compared(as_law({"dist": "normal", "mean": mean, "sd": sd}), given.icdf)
+            return _compared(_by_name("norm", given.mean(), given.standard_deviation()), given.icdf)
         if kind == "Uniform":
-            low, high = (float(end) for end in given.support())
-            return _compared(as_law({"dist": "uniform", "lower": low, "upper": high}), given.icdf)
-        functions = SimpleNamespace(
-            cdf=given.cdf, sf=given.ccdf, ppf=given.icdf, isf=given.iccdf, pdf=given.pdf,
-            stats=lambda moments: (float(given.mean()), float(given.variance())),
-        )  # fmt: skip
-        return _wrapped(f"scipy {kind}", functions)
+            low, high = given.support()
+            return _compared(_by_name("uniform", low, high - low), given.icdf)
+        return _wrapped(f"scipy {kind}", (given.cdf, given.ccdf, given.icdf, given.iccdf, given.pdf),
+                        lambda: (given.mean(), given.variance()))  # fmt: skip
     if hasattr(given, "rvs") and hasattr(given, "dim"):
         raise LawError(f"{kind} of several numbers: {EACH}")
     raise LawError(f"{kind} of SciPy: freeze it with its parameters, as scipy.stats.norm(1.0, 0.1)")
 
 
-def _steps(name: str, ends: Sequence[npt.ArrayLike], share: Callable[[Array], Array]) -> Law:
-    """A discrete law whose whole numbers are all as probable as each other."""
-    low, high = (_number(end) for end in ends)
-    if 1.0 <= high - low < 1e4:
-        values: Array = np.arange(math.ceil(low), math.floor(high) + 1, dtype=float)
-        if np.ptp(shares := np.ravel(share(values))) <= 1e-9 * shares.max():
-            return discrete_law(values.tolist())
-    table = '{"dist": "discrete", "values": [1, 2, 3], "weights": [2, 3, 5]}'
-    raise LawError(f"{name} is discrete, and its values are not equally probable: give them as {table}")
-
-
-def _wrapped(name: str, functions: Any) -> Law:
-    family = wrapped(name, functions)
-    return checked(Law(family=family, parameters=family.parameters({}, -math.inf, math.inf)))
-
-
-def _by_name(name: str, *given: float) -> Law:
-    """The law by its name, shapes, loc and scale in SciPy."""
-    numbers = [float(np.asarray(value)) for value in given]
-    made = TABLES.get({"reciprocal": "loguniform"}.get(name, name))
-    table = None if made is None else made(*numbers)
-    if table is None:
-        family = named_family(PREFIX + name)
-        if family is None:
-            raise LawError(f"scipy.stats has no law {name!r} by this name: give it by rows of its values")
-        table = {"dist": family.name} | dict(zip((*family.alternatives[0], "loc", "scale"), numbers, strict=True))
-    return as_law(table)
-
-
-def _compared(law: Law, quantile: Callable[[Array], Array]) -> Law:
-    """The law, once its quantiles are those of what it was made from."""
-    ours, theirs = law.ppf(PLACES), np.asarray(quantile(PLACES), dtype=float).ravel()
-    if not np.abs(ours - theirs).max() <= SAME * np.ptp(ours):
-        raise LawError(f"{law.family.name} with the same parameters has other quantiles: give the law by its table")
-    return law
-
-
-def _of_chaospy(given: Any) -> Law:
+def _of_chaospy(given: Any, kind: str) -> Law:
     """The law of chaospy by its parameters where these are known here, else by its functions."""
     if len(given) != 1:
         raise LawError(f"a joint distribution of chaospy: {EACH}")
-    if type(given).__name__ == "Trunc" and given.lower > given._dist.lower and given.upper < given._dist.upper:
+    if kind == "Trunc" and given.lower > given._dist.lower and given.upper < given._dist.upper:
         raise LawError("chaospy's Trunc with two ends has wrong quantiles: write Trunc(Trunc(d, lower=a), upper=b)")
     if given.interpret_as_integer:
-        return _steps(f"{type(given).__name__} of chaospy", (given.lower, given.upper), given.pdf)
-    law = _unrolled(given)
-    if law is not None:
+        return _steps(f"{kind} of chaospy", (given.lower, given.upper), given.pdf)
+    if (law := _unrolled(given)) is not None:
         return _compared(law, given.inv)
+
+    def shaped(function: Callable[[Array], Any]) -> Callable[[Array], Array]:
+        # chaospy takes values (n,) or (1, n)
+        return lambda values: np.asarray(function(np.ravel(values)), dtype=float).reshape(np.shape(values))
+
+    cdf, ppf = shaped(given.cdf), shaped(given.inv)
+
+    def moments() -> tuple[float, float]:
+        """Mean and variance, by the trapezoidal rule over normal scores."""
+        z = np.linspace(-6.0, 6.0, 1537)
+        weights, values = np.exp(-0.5 * z * z), ppf(np.asarray(special.ndtr(z)))
+        weights /= weights.sum()
+        return float(weights @ values), float(weights @ (values - weights @ values) ** 2)
+
+    far = np.abs(ppf(np.array([1e-6, 1e-9, 1.0 - 1e-6, 1.0 - 1e-9])))
+    if max(far[1] / far[0], far[3] / far[2]) > 10.0:
+        raise LawError(f"{given} has a heavy tail, which chaospy cuts off: give the law of scipy.stats")
+    functions = (cdf, lambda x: 1.0 - cdf(x), ppf, lambda q: ppf(1.0 - np.asarray(q)), shaped(given.pdf))
     try:
-        law = _wrapped("chaospy", _functions(given))
+        return _wrapped("chaospy", functions, moments)
     except LawError as error:
         raise LawError(f"{error}: give the distribution of scipy.stats, or observations") from None
-    if not all(map(math.isinf, law.tail_orders())):
-        raise LawError(f"{given} has a heavy tail, which chaospy cuts off: give the law of scipy.stats")
-    return law
 
 
 def _unrolled(given: Any) -> Law | None:
@@ -264,30 +232,46 @@ def _unrolled(given: Any) -> Law | None:
     return _by_name(str(name), *map(float, shapes), shift + scale * float(loc), scale * float(unit))
 
 
+def _by_name(name: str, *given: Any) -> Law:
+    """The law by its name, shapes, loc and scale in SciPy."""
+    numbers = list(map(_number, given))
+    made = TABLES.get({"reciprocal": "loguniform"}.get(name, name))
+    table = None if made is None else made(*numbers)
+    if table is None:
+        family = family_named(PREFIX + name)
+        if family is None:
+            raise LawError(f"scipy.stats has no law {name!r} by this name: give it by rows of its values")
+        table = {"dist": family.name} | dict(zip(family.parameters_of, numbers, strict=True))
+    return as_law(table)
+
+
+def _compared(law: Law, quantile: Callable[[Array], Any]) -> Law:
+    """The law, once its quantiles are those of what it was made from."""
+    ours, theirs = law.ppf(PLACES), np.ravel(np.asarray(quantile(PLACES), dtype=float))
+    if not np.abs(ours - theirs).max() <= SAME * np.ptp(ours):
+        raise LawError(f"{law.family.name} with the same parameters has other quantiles: give the law by its table")
+    return law
+
+
+def _wrapped(name: str, functions: tuple[Callable[..., Any], ...], moments: Callable[[], Any]) -> Law:
+    """The law of functions cdf, sf, ppf, isf, pdf, and of its mean and variance."""
+    form = form_of(name, functions, moments)
+    return checked(Law(family=Family(name=name, form=lambda own, lower, upper: (0.0, 1.0, form))))
+
+
+def _steps(name: str, ends: Sequence[npt.ArrayLike], share: Callable[[Array], Array]) -> Law:
+    """A discrete law whose whole numbers are all as probable as each other."""
+    low, high = map(_number, ends)
+    if 1.0 <= high - low < 1e4:
+        values: Array = np.arange(math.ceil(low), math.floor(high) + 1, dtype=float)
+        if np.ptp(shares := np.ravel(share(values))) <= 1e-9 * shares.max():
+            return discrete_law(values.tolist())
+    table = '{"dist": "discrete", "values": [1, 2, 3], "weights": [2, 3, 5]}'
+    raise LawError(f"{name} is discrete, and its values are not equally probable: give them as {table}")
+
+
 def _number(value: npt.ArrayLike) -> float:
     return float(np.ravel(value)[0])
-
-
-def _functions(law: Any) -> SimpleNamespace:
-    """The functions of a distribution of chaospy; its upper tail is what its distribution function leaves of 1."""
-
-    def shaped(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
-        # chaospy takes values (n,) or (1, n)
-        return lambda values: np.asarray(function(np.ravel(values)), dtype=float).reshape(np.shape(values))
-
-    cdf, ppf = shaped(law.cdf), shaped(law.inv)
-
-    def stats(moments: str) -> tuple[float, float]:
-        """Mean and variance, by the trapezoidal rule over normal scores; no variance where a tail is heavy."""
-        z = np.linspace(-6.0, 6.0, 1537)
-        weights, values = np.exp(-0.5 * z * z), ppf(np.asarray(special.ndtr(z)))
-        weights /= weights.sum()
-        far = np.abs(ppf(np.array([1e-6, 1e-9, 1.0 - 1e-6, 1.0 - 1e-9])))
-        heavy = max(far[1] / far[0], far[3] / far[2]) > 10.0
-        return float(weights @ values), math.inf if heavy else float(weights @ (values - weights @ values) ** 2)
-
-    sf, isf = (lambda values: 1.0 - cdf(values)), (lambda shares: ppf(1.0 - np.asarray(shares)))
-    return SimpleNamespace(cdf=cdf, sf=sf, ppf=ppf, isf=isf, pdf=shaped(law.pdf), stats=stats)
 
 
 def joint_of(laws: Joint | Mapping[str, LawLike], dependence: Sequence[Dependence] = ()) -> Joint:

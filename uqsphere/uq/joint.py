@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.families import LawError
+from uqsphere.uq.forms import LawError
 from uqsphere.uq.law import Law
 
 COPULAS: Final = ("gaussian", "student_t")

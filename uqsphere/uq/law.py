@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.families import FAMILIES, Family, LawError, family_named, family_stored
-from uqsphere.uq.families.observed import steps_ppf, steps_share_below
+from uqsphere.uq.families import DRAWN, FAMILIES, Family, family_named
+from uqsphere.uq.forms import GAUSS, Form, LawError
 
 #: sum of the weights of a discrete law
 _MOST_STEPS: Final = 10_000
@@ -26,11 +26,11 @@ _MOST_STEPS: Final = 10_000
 class Law:
     """A probability law in SI: a member of a family, between the bounds where it is in force.
 
-    `parameters` are the canonical ones of the family.  `lower` and `upper` truncate, or are the bounds of a bounded
+    `parameters` are those that the family keeps.  `lower` and `upper` truncate, or are the bounds of a bounded
     family.  `data` are the sorted observations of an empirical law (kept when a family was fitted to them); `censored`
-    are those that are known only to be larger than this.  `draws` are those of a posterior (`families.observed`), with
-    the parameter `tests`: how many it rests on.  An empirical law has the parameter `bandwidth`: of the Gaussian
-    kernel, 0 for the step function.
+    are those that are known only to be larger than this.  `draws` are those of a fit (`observed`), with the parameter
+    `tests`: how many it rests on.  An empirical law has the parameter `bandwidth`: of the Gaussian kernel, 0 for the
+    step function.
     Make one with `make_law` or `fitted_law`, which validate.
 
     >>> law = Law(family=FAMILIES["gumbel"], parameters={"location": 0.0, "scale": 1.0})
@@ -53,72 +53,61 @@ class Law:
 
     def __reduce__(self) -> tuple[object, ...]:
         # a family is known by its name, and is not sent along
-        return _named, (self.family.name, dict(self.parameters), self.lower, self.upper, self.data, self.censored,
-                        self.draws)  # fmt: skip
+        return _named, (self.family.name, {one.name: getattr(self, one.name) for one in fields(self)[1:]})
 
     # --- what it is in standard form ------------------------------------------------------------------
 
     @cached_property
-    def _form(self) -> tuple[float, float, tuple[float, ...]]:
-        """Location, scale and shapes."""
-        location, scale, shapes = self.family.resolve(self.parameters, self.lower, self.upper)
-        own = (*self.data, *(number for draw in self.draws for number in draw))
-        return location, scale, (*shapes, *own) if self.family.observed else shapes
+    def _form(self) -> tuple[float, float, Form]:
+        """Location, scale and standard form."""
+        if self.family.observed is not None:
+            return 0.0, 1.0, self.family.observed(self)
+        assert self.family.form is not None
+        return self.family.form(self.parameters, self.lower, self.upper)
 
-    @cached_property
-    def _steps(self) -> Array | None:
-        """Observations of a step law inside its truncation; None for the others."""
-        if not self.family.observed or self.draws or self.parameters["bandwidth"] > 0.0:
-            return None
-        values = np.asarray(self.data)
-        return values[(values >= self.lower) & (values <= self.upper)]
+    @property
+    def is_steps(self) -> bool:
+        """Whether it is a step function, which has no density."""
+        return self._form[2].pdf is None
 
     @cached_property
     def _truncated(self) -> bool:
         """Whether the bounds cut anything off, or may: those of a bounded family are its own, steps are left out."""
         cut = self.lower > -math.inf or self.upper < math.inf
-        return cut and not self.family.bounded and self._steps is None
+        return cut and not self.family.bounded and not self.is_steps
+
+    def _standard(self, x: Array) -> Array:
+        location, scale, _ = self._form
+        return np.asarray(((np.log(np.maximum(x, 0.0)) if self.family.logarithmic else x) - location) / scale)
+
+    def _physical(self, y: Array) -> Array:
+        location, scale, _ = self._form
+        x = location + scale * y
+        return np.exp(x) if self.family.logarithmic else x
 
     def _whole_tails(self, x: Array) -> tuple[Array, Array]:
         """(P(X <= x), P(X > x)) before truncation."""
-        if self._steps is not None:
-            return steps_share_below(self._steps, x), 1.0 - steps_share_below(self._steps, x)
-        location, scale, shapes = self._form
+        form = self._form[2]
         with np.errstate(divide="ignore", over="ignore"):
-            y = ((np.log(np.maximum(x, 0.0)) if self.family.logarithmic else x) - location) / scale
-            return self.family.cdf(y, shapes), self.family.sf(y, shapes)
-
-    def _whole_inverse(self, p: Array, q: Array) -> Array:
-        """x from its lower (p) and upper (q) tail before truncation, through the smaller of the two."""
-        if self._steps is not None:
-            return steps_ppf(self._steps, p)
-        location, scale, shapes = self._form
-        y, below = np.empty_like(p), p <= 0.5
-        y[below] = self.family.ppf(p[below], shapes)
-        y[~below] = self.family.isf(q[~below], shapes)
-        x = location + scale * y
-        return np.exp(x) if self.family.logarithmic else x
+            y = self._standard(x)
+            return form.cdf(y), form.sf(y)
 
     @cached_property
     def _window(self) -> tuple[float, float, float, float, float]:
         """(F, S) at the lower bound, (F, S) at the upper bound, and the mass between them."""
+        if self.is_steps:
+            inside = sum(self.lower <= value <= self.upper for value in self.data)
+            return 0.0, 1.0, 1.0, 0.0, inside / len(self.data)
         ends = np.array([self.lower, self.upper])
-        known = self._truncated and np.isfinite(ends)
-        below, above = (np.where(known, tail, own) for tail, own in zip(
-            self._whole_tails(np.where(known, ends, 1.0)), ([0.0, 1.0], [1.0, 0.0]), strict=True))  # fmt: skip
-        (below_a, below_b), (above_a, above_b) = below.tolist(), above.tolist()
-        if self._steps is not None:
-            mass = self._steps.size / len(self.data)
-        elif above_a < 0.5:
+        known = self._truncated & np.isfinite(ends)
+        below, above = self._whole_tails(np.where(known, ends, 1.0))
+        below_a, below_b = np.where(known, below, [0.0, 1.0]).tolist()
+        above_a, above_b = np.where(known, above, [1.0, 0.0]).tolist()
+        if above_a < 0.5:
             mass = above_a - above_b
         else:
             mass = below_b - below_a if below_b < 0.5 else 1.0 - below_a - above_b
         return below_a, above_a, below_b, above_b, mass
-
-    @property
-    def is_steps(self) -> bool:
-        """Whether it is a step function, which has no density."""
-        return self._steps is not None
 
     @property
     def mass(self) -> float:
@@ -151,14 +140,19 @@ class Law:
         return self.tails(x)[1]
 
     def _inverse(self, p: Array, q: Array) -> Array:
-        """x from p and q = 1 - p, each exact where it is small."""
+        """x from p and q = 1 - p, each exact where it is small, through the smaller of the two."""
         if self._truncated:
             below_a, _, _, above_b, mass = self._window
             lower = below_a + p * mass if below_a < 0.5 else 1.0 - (above_b + q * mass)
             upper = above_b + q * mass if above_b < 0.5 else 1.0 - (below_a + p * mass)
             p, q = lower, upper
+        form, y, below = self._form[2], np.empty_like(p), p <= 0.5
+        if form.pdf is None:
+            return form.ppf(p)
         with np.errstate(divide="ignore", over="ignore"):
-            return np.clip(self._whole_inverse(p, q), self.lower, self.upper)
+            y[below] = form.ppf(p[below])
+            y[~below] = form.isf(q[~below])
+            return np.clip(self._physical(y), self.lower, self.upper)
 
     def ppf(self, p: Array) -> Array:
         """Quantile function: x with P(X <= x) = p, exact for small p; p in [0, 1], any shape."""
@@ -173,32 +167,29 @@ class Law:
     def from_normal(self, z: Array) -> Array:
         """x with the same probability below it as the standard normal z has, exact in both tails; any shape."""
         z = np.asarray(z, dtype=float)
-        if self.family.gaussian and not self._truncated:
-            location, scale, _ = self._form
-            x = location + scale * z
-            return np.exp(x) if self.family.logarithmic else x
+        if self._form[2] is GAUSS and not self._truncated:
+            return self._physical(z)
         return self._inverse(np.asarray(special.ndtr(z)), np.asarray(special.ndtr(-z)))
 
     def pdf(self, x: Array) -> Array:
         """Density of the law in force; a step law has none and raises LawError.  Any shape."""
         values = np.asarray(x, dtype=float)
-        if self._steps is not None:
+        _, scale, form = self._form
+        if form.pdf is None:
             raise LawError("a step function has no density", "fit")
-        family, (location, scale, shapes) = self.family, self._form
+        inside = np.isfinite(values) & (values >= self.lower) & (values <= self.upper)
+        if self.family.logarithmic:
+            inside &= values > 0.0
+        safe = np.where(inside, values, 1.0)
         with np.errstate(divide="ignore", over="ignore"):
-            known = np.isfinite(values) & (values > 0.0) if family.logarithmic else np.isfinite(values)
-            safe = np.where(known, values, 1.0)
-            y = ((np.log(safe) if family.logarithmic else safe) - location) / scale
-            density = family.pdf(y, shapes) / scale / (safe if family.logarithmic else 1.0)
-            density = np.where(known, density, 0.0)
-        inside = (values >= self.lower) & (values <= self.upper)
+            density = form.pdf(self._standard(safe)) / scale / (safe if self.family.logarithmic else 1.0)
         return np.where(inside, density / self.mass, 0.0)
-
-    # --- moments ------------------------------------------------------------------------------------------
 
     def sample(self, count: int, rng: np.random.Generator) -> Array:
         """Independent values (count,)."""
         return self.ppf(rng.random(count))
+
+    # --- moments ------------------------------------------------------------------------------------------
 
     def median(self) -> float:
         """Median of the law in force."""
@@ -206,18 +197,14 @@ class Law:
 
     def nominal_mean(self) -> float:
         """Mean before truncation; the median where there is no mean."""
-        cut = math.isfinite(self.lower) or math.isfinite(self.upper)
-        whole = replace(self, lower=-math.inf, upper=math.inf) if cut and not self.family.bounded else self
+        whole = replace(self, lower=-math.inf, upper=math.inf) if self._truncated or self.is_steps else self
         mean = whole.mean()
         return mean if math.isfinite(mean) or all(map(math.isinf, whole.tail_orders())) else whole.median()
 
     def tail_orders(self) -> tuple[float, float]:
         """Order from which on the law in force has no moments, of its lower and its upper tail; inf if it has all."""
-        shapes = self._form[2]
-        return (
-            self.family.heavy_lower(shapes) if math.isinf(self.lower) else math.inf,
-            self.family.heavy_upper(shapes) if math.isinf(self.upper) else math.inf,
-        )
+        low, high = self._form[2].orders
+        return low if math.isinf(self.lower) else math.inf, high if math.isinf(self.upper) else math.inf
 
     def _missing(self, order: int) -> float | None:
         """nan or ±inf where the moment of this order does not exist for the law in force."""
@@ -236,14 +223,9 @@ class Law:
         The integrand is smooth and dies out faster than exponentially at both ends, where the trapezoidal rule
         converges geometrically; a mean about its own start loses no digits.
         """
-        location, scale, shapes = self._form
-        if self._steps is not None:
-            return float(np.mean(self._steps)), float(np.std(self._steps))
-        if self.family.moments is not None and not self._truncated:
-            mean, sd = self.family.moments(shapes)
-            return location + scale * mean, scale * sd
-        if self.family.gaussian and not (self._truncated or self.family.logarithmic):
-            return location, scale
+        location, scale, form = self._form
+        if form.moments is not None and not (self._truncated or self.family.logarithmic):
+            return location + scale * form.moments[0], scale * form.moments[1]
         z = np.linspace(-37.0, 37.0, 37 * 128 + 1)
         weights = np.exp(-0.5 * z * z)
         weights /= weights.sum()
@@ -289,9 +271,9 @@ class Law:
         return make_law(self.family.name, {**given, "mean": mean}, ratio * self.lower, ratio * self.upper)
 
 
-def _named(name: str, *rest: object) -> Law:
-    keys = ("parameters", "lower", "upper", "data", "censored", "draws")
-    return Law(family=family_stored(name), **dict(zip(keys, rest, strict=True)))  # type: ignore[arg-type]
+def _named(name: str, own: Mapping[str, object]) -> Law:
+    family = DRAWN if name == DRAWN.name else family_named(name)
+    return Law(family=family, **own)  # type: ignore[arg-type]
 
 
 def make_law(name: str, given: Mapping[str, float], lower: float | None = None, upper: float | None = None) -> Law:
@@ -309,7 +291,7 @@ def make_law(name: str, given: Mapping[str, float], lower: float | None = None, 
     family = family_named(name)
     if family is None:
         raise LawError(f"unknown distribution {name!r}; known: {', '.join(FAMILIES)}", "dist")
-    if family.observed:
+    if family.observed is not None:
         raise LawError(f"an {name} law is made from observations", "file")
     a, b = bounds_of(lower, upper)
     return checked(Law(family=family, parameters=family.parameters(given, a, b), lower=a, upper=b))
@@ -350,23 +332,18 @@ def discrete_law(values: Sequence[float], weights: Sequence[float] | None = None
 def checked(law: Law) -> Law:
     """The law, once it is known to have mass, a finite centre, and scatter that floating point can hold."""
     name = law.family.name
-    beyond = LawError(f"these parameters of {name} give numbers beyond floating point", "")
     try:
         centre = law.nominal_mean()
     except OverflowError:
         centre = math.inf
-    if not math.isfinite(centre):
-        raise beyond
     # a truncation that leaves less cannot be told from nothing in floating point
-    if not law.mass > 1e-290:
+    if math.isfinite(centre) and not law.mass > 1e-290:
         bounds = f"[{law.lower:g}, {law.upper:g}]"
         key = "lower" if math.isfinite(law.lower) else "upper"
         raise LawError(f"the truncation {bounds} leaves no mass of the {name} law", key)
-    steps = law._steps
-    ends = law.ppf(np.array([0.25, 0.75])) if steps is None else steps[[0, -1]]
-    low, high = float(ends[0]), float(ends[1])
-    if not (math.isfinite(low) and math.isfinite(high) and np.isfinite(law.isf(np.array([1e-9]))[0])):
-        raise beyond
+    low, high = law.ppf(np.array([0.0, 1.0] if law.is_steps else [0.25, 0.75])).tolist()
+    if not np.isfinite([centre, low, high, law.isf(np.array([1e-9]))[0]]).all():
+        raise LawError(f"these parameters of {name} give numbers beyond floating point", "")
     if not high > low:
         raise LawError("the law has no scatter: give the number itself where a fixed value is meant", "dist")
     return law

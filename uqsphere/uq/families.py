@@ -1,0 +1,330 @@
+"""Families of probability laws: one row each in `FAMILIES`, which is all that a new distribution takes.
+
+A row says which keys a study gives, and makes of them a location, a scale and the standard form (`forms`) of
+y = (x - location)/scale.  Labels, the schema, the tables of the docs and fits to observations follow from the rows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+import numpy as np
+
+from uqsphere.arrays import Array, special
+from uqsphere.uq import forms, location_scale, observed
+from uqsphere.uq.forms import Form, LawError
+from uqsphere.uq.location_scale import LocationScale
+
+if TYPE_CHECKING:
+    from uqsphere.uq.law import Law
+
+Keys: TypeAlias = dict[str, float]
+
+
+# --- what a family is --------------------------------------------------------------------------------------------
+
+#: keys in the unit of the quantity; the others are plain numbers (log_mean is the logarithm of the SI value, rate is
+#: per SI unit)
+DIMENSIONAL: Final = frozenset({"mean", "sd", "scale", "location", "threshold", "mode", "loc", "lower", "upper"})
+#: keys that must be above zero in every family that has them
+_POSITIVE: Final = ("sd", "cov", "log_sd", "scale", "modulus", "shape", "dof", "rate", "alpha", "beta")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Family:
+    """A family of laws.
+
+    Attributes
+    ----------
+    name : its name in a study
+    alternatives : key sets of a study's table, of which exactly one must be given
+    parameters_of : keys of the parameters that a law keeps
+    optional : further keys with their defaults
+    bounded : `lower` and `upper` are required, and are the law's own bounds; those of other laws truncate
+    logarithmic : the standard form is that of ln x
+    positive : only positive observations can come from it
+    form : (parameters, lower, upper) -> (location, scale, standard form)
+    from_moments : (keys given, sd for cov, lower, upper) -> parameters, of another key set; raises LawError
+    check : (parameters, lower, upper); raises LawError
+    location_scale : how it is fitted, and what few tests leave open, where some u(x) has a location and a scale
+    fit : (observations (n,) in rising order, lower, upper) -> parameters of the largest likelihood, of the others
+    observed : law -> standard form, in place of `form`, where laws are made from observations or draws
+    """
+
+    name: str
+    alternatives: tuple[tuple[str, ...], ...] = ((),)
+    parameters_of: tuple[str, ...] = ()
+    optional: Mapping[str, float] = field(default_factory=dict)
+    bounded: bool = False
+    logarithmic: bool = False
+    positive: bool = False
+    form: Callable[[Mapping[str, float], float, float], tuple[float, float, Form]] | None = None
+    from_moments: Callable[[Keys, float, float], Keys] | None = None
+    check: Callable[[Keys, float, float], None] | None = None
+    location_scale: LocationScale | None = None
+    fit: Callable[[Array, float, float], Keys] | None = None
+    observed: Callable[[Law], Form] | None = None
+
+    def __repr__(self) -> str:
+        return f"<family {self.name}>"
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Every key of the parameters, without lower and upper, in the order of the alternatives."""
+        seen = dict.fromkeys(key for keys in self.alternatives for key in keys)
+        return tuple(seen | dict.fromkeys(self.optional))
+
+    @property
+    def gaussian(self) -> bool:
+        """Whether the standard form is the normal law."""
+        return self.location_scale is not None and self.location_scale.terms is location_scale.NORMAL.terms
+
+    @property
+    def germ(self) -> str:
+        """What an expansion is in: "uniform" (Legendre polynomials) between bounds, else "normal" (Hermite)."""
+        return "uniform" if self.bounded else "normal"
+
+    def allowed(self) -> str:
+        """The alternatives in words."""
+        sets = " or ".join("(" + ", ".join(keys) + ")" for keys in self.alternatives if keys)
+        extra = ", ".join(f"{key} = {value:g}" for key, value in self.optional.items())
+        bounds = "lower, upper" if self.bounded else ""
+        return "; ".join(part for part in (sets, extra, bounds) if part)
+
+    def parameters(self, given: Mapping[str, float], lower: float, upper: float) -> Keys:
+        """The parameters that a law keeps, from one of the alternative key sets; raises LawError."""
+        if self.bounded and not (math.isfinite(lower) and math.isfinite(upper)):
+            missing = "lower" if math.isinf(lower) else "upper"
+            raise LawError(f"{self.name} needs lower and upper; {missing} is missing", missing)
+        own = self._own(given)
+        try:
+            if self.from_moments is not None and not set(self.parameters_of) <= set(own):
+                own |= self.from_moments(own, lower, upper)
+            found = {key: float(own[key]) for key in self.parameters_of}
+            beyond = not all(map(math.isfinite, found.values()))
+        except (OverflowError, ZeroDivisionError):
+            beyond = True
+        if beyond:
+            raise LawError(f"these parameters of {self.name} give numbers beyond floating point", "")
+        if self.check is not None:
+            self.check(found, lower, upper)
+        return found
+
+    def _own(self, given: Mapping[str, float]) -> Keys:
+        """One whole alternative of what was given, sd in place of cov, and the optional keys."""
+        for key, value in given.items():
+            if key not in self.keys:
+                raise LawError(f"unknown key {key!r} for {self.name}; allowed: {self.allowed()}", key)
+            if not math.isfinite(value):
+                raise LawError(f"{key} must be a finite number, found {value}", key)
+        own = {key: value for key, value in given.items() if key not in self.optional}
+        if set(own) not in map(set, self.alternatives):
+            best = max(self.alternatives, key=lambda keys: len(set(keys) & set(own)))
+            odd = next((key for key in own if key not in best), "")
+            raise LawError(f"{self.name} takes {self.allowed()}; found {', '.join(own) or 'none of them'}", odd)
+        for key in (key for key in _POSITIVE if own.get(key, 1.0) <= 0.0):
+            hint = "; give the number itself where a fixed value is meant" if own[key] == 0.0 else ""
+            raise LawError(f"{key} must be positive, found {own[key]:g}{hint}", key)
+        if own.get("mean") == 0.0 and "cov" in own:
+            raise LawError("cov has no meaning for a mean of 0: give sd instead", "cov")
+        if "cov" in own:
+            own["sd"] = own.pop("cov") * abs(own["mean"])
+        return {**own, **{key: given.get(key, default) for key, default in self.optional.items()}}
+
+
+# --- how keys become parameters, and observations a fit ----------------------------------------------------------
+
+
+def _positive_mean(name: str, given: Keys) -> float:
+    """The mean that was given; raises LawError where it is not above zero."""
+    if given["mean"] <= 0.0:
+        raise LawError(f"mean of a {name} law must be positive, found {given['mean']:g}", "mean")
+    return given["mean"]
+
+
+def _inside(key: str, given: Keys, lower: float, upper: float) -> None:
+    if not lower <= given[key] <= upper:
+        raise LawError(f"{key} ({given[key]:g}) must lie between lower ({lower:g}) and upper ({upper:g})", key)
+
+
+def _lognormal_keys(given: Keys, lower: float, upper: float) -> Keys:
+    mean = _positive_mean("lognormal", given)
+    variance = math.log1p((given["sd"] / mean) ** 2)
+    return {"log_mean": math.log(mean) - 0.5 * variance, "log_sd": math.sqrt(variance)}
+
+
+def _weibull_keys(given: Keys, lower: float, upper: float) -> Keys:
+    above = given["mean"] - given["threshold"]
+    if above <= 0.0:
+        raise LawError(f"mean ({given['mean']:g}) must exceed the threshold ({given['threshold']:g})", "mean")
+    return {"scale": above / math.gamma(1.0 + 1.0 / given["modulus"])}
+
+
+def _gumbel_keys(given: Keys, lower: float, upper: float) -> Keys:
+    scale = given["sd"] * math.sqrt(6.0) / math.pi
+    return {"location": given["mean"] - float(np.euler_gamma) * scale, "scale": scale}
+
+
+def _gamma_keys(given: Keys, lower: float, upper: float) -> Keys:
+    mean = _positive_mean("gamma", given)
+    return {"shape": (mean / given["sd"]) ** 2, "scale": given["sd"] * (given["sd"] / mean)}
+
+
+def _beta_keys(given: Keys, lower: float, upper: float) -> Keys:
+    _inside("mean", given, lower, upper)
+    centre = (given["mean"] - lower) / (upper - lower)
+    total = centre * (1.0 - centre) * ((upper - lower) / given["sd"]) ** 2 - 1.0
+    if total <= 0.0:
+        most = (upper - lower) * math.sqrt(centre * (1.0 - centre))
+        raise LawError(f"no beta law here has sd = {given['sd']:g}: it must be below {most:g}", "sd")
+    return {"alpha": centre * total, "beta": (1.0 - centre) * total}
+
+
+def _above_zero(given: Keys, lower: float, upper: float) -> None:
+    if lower <= 0.0:
+        raise LawError(f"lower of a loguniform law must be positive, found {lower:g}", "lower")
+
+
+def _gamma_fit(data: Array, lower: float, upper: float) -> Keys:
+    from scipy.optimize import brentq
+
+    # ln k - digamma(k) = ln(mean) - mean(ln), which lies between 1/(2 k) and 1/k
+    gap = math.log(float(data.mean())) - float(np.log(data).mean())
+    shape = float(brentq(lambda k: math.log(k) - float(special.digamma(k)) - gap, 0.4 / gap, 1.1 / gap, rtol=1e-14))
+    return {"shape": shape, "scale": float(data.mean()) / shape}
+
+
+def _student_fit(data: Array, lower: float, upper: float) -> Keys:
+    from scipy import stats
+
+    # Pascals and micrometres meet the same optimiser
+    size = float(np.mean(np.abs(data)))
+    dof, location, scale = stats.t.fit(data / size)
+    return {"dof": dof, "location": location * size, "scale": scale * size}
+
+
+def _triangular_fit(data: Array, lower: float, upper: float) -> Keys:
+    """The most likely mode of a triangle on known bounds is one of the observations (Oliver 1972)."""
+    below = np.tril(np.log(data - lower) - np.log(data - lower)[:, None], -1).sum(axis=1)
+    above = np.triu(np.log(upper - data) - np.log(upper - data)[:, None], 1).sum(axis=1)
+    return {"mode": float(data[np.argmax(below + above)])}
+
+
+def _beta_fit(data: Array, lower: float, upper: float) -> Keys:
+    from scipy import stats
+
+    alpha, beta, _, _ = stats.beta.fit(data, floc=lower, fscale=upper - lower)
+    return {"alpha": alpha, "beta": beta}
+
+
+# --- the families ------------------------------------------------------------------------------------------------
+
+_MOMENTS: Final = (("mean", "sd"), ("mean", "cov"))
+
+FAMILIES: Final = {family.name: family for family in (
+    Family(
+        name="normal", alternatives=_MOMENTS, parameters_of=("mean", "sd"), location_scale=location_scale.NORMAL,
+        form=lambda own, a, b: (own["mean"], own["sd"], forms.GAUSS),
+    ),
+    Family(
+        name="lognormal", alternatives=(*_MOMENTS, ("log_mean", "log_sd")), parameters_of=("log_mean", "log_sd"),
+        logarithmic=True, positive=True, from_moments=_lognormal_keys, location_scale=location_scale.LOGNORMAL,
+        form=lambda own, a, b: (own["log_mean"], own["log_sd"], forms.GAUSS),
+    ),
+    Family(
+        name="weibull", alternatives=(("modulus", "scale"), ("mean", "modulus")), optional={"threshold": 0.0},
+        parameters_of=("modulus", "scale", "threshold"), positive=True, from_moments=_weibull_keys,
+        location_scale=location_scale.WEIBULL,
+        form=lambda own, a, b: (own["threshold"], own["scale"], forms.weibull(own["modulus"])),
+    ),
+    Family(
+        name="exponential", alternatives=(("rate",), ("mean",)), parameters_of=("rate",), positive=True,
+        from_moments=lambda given, a, b: {"rate": 1.0 / _positive_mean("exponential", given)},
+        form=lambda own, a, b: (0.0, 1.0 / own["rate"], forms.weibull(1.0)),
+        fit=lambda data, a, b: {"rate": 1.0 / float(np.mean(data))},
+    ),
+    Family(
+        name="rayleigh", alternatives=(("scale",), ("mean",)), parameters_of=("scale",), positive=True,
+        from_moments=lambda given, a, b: {"scale": _positive_mean("rayleigh", given) * math.sqrt(2.0 / math.pi)},
+        form=lambda own, a, b: (0.0, own["scale"] * math.sqrt(2.0), forms.weibull(2.0)),
+        fit=lambda data, a, b: {"scale": np.sqrt(0.5 * np.mean(data**2))},
+    ),
+    Family(
+        name="frechet", alternatives=(("shape", "scale"),), optional={"location": 0.0}, positive=True,
+        parameters_of=("shape", "scale", "location"), location_scale=location_scale.FRECHET,
+        form=lambda own, a, b: (own["location"], own["scale"], forms.frechet(own["shape"])),
+    ),
+    Family(
+        name="gumbel", alternatives=(("location", "scale"), *_MOMENTS), parameters_of=("location", "scale"),
+        from_moments=_gumbel_keys, location_scale=location_scale.GUMBEL,
+        form=lambda own, a, b: (own["location"], own["scale"], forms.GUMBEL),
+    ),
+    Family(
+        name="uniform", bounded=True, form=lambda own, a, b: (a, b - a, forms.UNIFORM), fit=lambda data, a, b: {},
+    ),
+    Family(
+        name="loguniform", bounded=True, logarithmic=True, positive=True, check=_above_zero,
+        form=lambda own, a, b: (math.log(a), math.log(b / a), forms.UNIFORM), fit=lambda data, a, b: {},
+    ),
+    Family(
+        name="triangular", alternatives=(("mode",),), parameters_of=("mode",), bounded=True,
+        check=partial(_inside, "mode"), fit=_triangular_fit,
+        form=lambda own, a, b: (a, b - a, forms.triangular((own["mode"] - a) / (b - a))),
+    ),
+    Family(
+        name="beta", alternatives=(("alpha", "beta"), *_MOMENTS), parameters_of=("alpha", "beta"), bounded=True,
+        from_moments=_beta_keys, form=lambda own, a, b: (a, b - a, forms.beta(own["alpha"], own["beta"])),
+        fit=_beta_fit,
+    ),
+    Family(
+        name="gamma", alternatives=(("shape", "scale"), *_MOMENTS), parameters_of=("shape", "scale"), positive=True,
+        from_moments=_gamma_keys, form=lambda own, a, b: (0.0, own["scale"], forms.gamma(own["shape"])), fit=_gamma_fit,
+    ),
+    Family(
+        name="student_t", alternatives=(("dof", "location", "scale"),), parameters_of=("dof", "location", "scale"),
+        form=lambda own, a, b: (own["location"], own["scale"], forms.student_t(own["dof"])), fit=_student_fit,
+    ),
+    Family(name="empirical", observed=observed.empirical),
+    # numbers that are given, each with a whole number as its weight: a step function that no test is behind
+    Family(name="discrete", observed=observed.empirical),
+)}  # fmt: skip
+
+#: draws of a fit, which a study reads from a file
+DRAWN: Final = Family(name="draws", logarithmic=True, positive=True, observed=observed.drawn)
+
+
+# --- laws of others: every continuous law of SciPy by its name, such as `scipy.johnsonsu` -------------------------
+
+PREFIX: Final = "scipy."
+
+
+@lru_cache(maxsize=64)
+def _of_scipy(name: str) -> Family | None:
+    """The family of a continuous law of SciPy, by `scipy.NAME`; None where SciPy has none of that name."""
+    from scipy import stats
+
+    found = getattr(stats, name.removeprefix(PREFIX), None)
+    if not isinstance(found, stats.rv_continuous):
+        return None
+    law: Any = found
+    shapes = tuple((law.shapes or "").replace(",", " ").split())
+
+    @lru_cache(maxsize=64)
+    def standard(*numbers: float) -> Form:
+        functions = tuple(lambda values, f=f: f(values, *numbers) for f in (law.cdf, law.sf, law.ppf, law.isf, law.pdf))
+        return forms.form_of(name, functions, lambda: law.stats(*numbers, moments="mv"), (*shapes, "")[0])
+
+    def form(own: Mapping[str, float], lower: float, upper: float) -> tuple[float, float, Form]:
+        return own["loc"], own["scale"], standard(*(own[key] for key in shapes))
+
+    return Family(name=name, alternatives=(shapes,), optional={"loc": 0.0, "scale": 1.0}, form=form,
+                  parameters_of=(*shapes, "loc", "scale"))  # fmt: skip
+
+
+def family_named(name: str) -> Family | None:
+    """A family by its name in a study: one of `FAMILIES`, or a law of SciPy."""
+    return FAMILIES.get(name) or (_of_scipy(name) if name.startswith(PREFIX) else None)
