@@ -205,13 +205,12 @@ def _new(given: argparse.Namespace) -> int:
 
 
 def _check(given: argparse.Namespace) -> int:
-    from uqsphere.models import check_quantities, check_range
+    from uqsphere.models.scene import check_scene
     from uqsphere.report.study import described
 
     study = _loaded(given)
     if study.black_box or study.rig:
-        check_range(study)
-        check_quantities(study)
+        check_scene(study)
     print(described(study))
     return 0
 

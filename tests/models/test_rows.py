@@ -17,17 +17,10 @@ from hypothesis import strategies as st
 from uqsphere.errors import AccessError, ModelError, UsageError
 from uqsphere.mechanics import closed_form
 from uqsphere.mechanics.outputs import OUTPUTS
-from uqsphere.models import (
-    absent_quantity,
-    check_quantities,
-    check_range,
-    evaluate,
-    load_black_box,
-    model_digest,
-    open_model,
-    scene_of,
-)
-from uqsphere.models.black_box import call_black_box
+from uqsphere.models.black_box import call_black_box, load_black_box, model_digest
+from uqsphere.models.evaluate import evaluate
+from uqsphere.models.model import Model
+from uqsphere.models.scene import absent_quantity, check_scene, scene_of
 from uqsphere.study import Study, load_study, shipped_studies
 
 BARS = """
@@ -161,7 +154,7 @@ def test_blocks_and_threads_change_no_bit(bars: Study, monkeypatch: pytest.Monke
     found = []
     for sizes, options in (((16_384, 2_048), {}), ((100, 50), {"threads": 2}), ((1, 33), {"executor": Reversed()})):
         monkeypatch.setattr("uqsphere.models.model._SCENE_ROWS", sizes)
-        with open_model(bars, **options) as model:
+        with Model(bars, **options) as model:
             answers = model.evaluate(names, rows.to_numpy(), ("p_max", "P_max"))
             assert (model.evaluations, model.reused) == (700, 0)
         found.append(answers.values.tobytes())
@@ -174,7 +167,7 @@ def test_blocks_and_threads_change_no_bit(bars: Study, monkeypatch: pytest.Monke
 )
 def test_a_row_without_meaning_has_a_status_a_reason_and_no_number(bars: Study, column: str, bad: float) -> None:
     good = bars.at_means()[column]
-    with open_model(bars) as model:
+    with Model(bars) as model:
         answers = model.evaluate((column,), np.array([[good], [bad], [good]]), ("p_max",))
     assert answers.status.tolist() == [0, 1, 0]
     assert np.isnan(answers.values[:, 0]).tolist() == [False, True, False]
@@ -187,13 +180,13 @@ def test_a_row_without_meaning_has_a_status_a_reason_and_no_number(bars: Study, 
 
 
 def test_what_the_rig_has_not_is_refused_by_its_place(blow: Study, bars: Study) -> None:
-    check_quantities(blow)
-    check_range(bars)
+    check_scene(blow)
+    check_scene(bars)
     wrong = load_study(text=BLOW.replace('quantities = ["p_max"]', 'quantities = ["mean_force_max", "dent"]'))
     with pytest.raises(UsageError, match=r"analysis\.quantities"):
-        check_quantities(wrong)
+        check_scene(wrong)
     with pytest.raises(UsageError, match=r"margins\.between: 0 m/s|margins\.between"):
-        check_range(load_study(text=BARS.replace('solve = "striker.speed"', 'solve = "sphere.radius"').replace(
+        check_scene(load_study(text=BARS.replace('solve = "striker.speed"', 'solve = "sphere.radius"').replace(
             '["0.1 m/s", "5 m/s"]', '["1 mm", "40 mm"]')))  # fmt: skip
     with pytest.raises(UsageError, match=r"sphere\.colour"):
         scene_of(bars, {"sphere.colour": np.array([1.0])})
@@ -217,7 +210,7 @@ def test_names_and_labels_count_not_the_order(order: list[int], rows: list[int],
     pd.testing.assert_frame_equal(by_index.loc[frame.index], expected)
     arrays = {name: mixed[name].to_numpy() for name in mixed.columns}
     assert (evaluate(study, arrays, "p_max")["p_max"].to_numpy() == found["p_max"].to_numpy()).all()
-    with open_model(study) as model:
+    with Model(study) as model:
         names = tuple(mixed.columns)
         assert (model.evaluate(names, mixed.to_numpy(), ("p_max",)).values[:, 0] == found["p_max"].to_numpy()).all()
 
@@ -242,7 +235,7 @@ def test_numbers_spread_and_what_a_dict_leaves_out_is_the_mean(bars: Study) -> N
         ({"limits.crushing.strength": [1.0]}, {}, "unknown input"),
         ({"hammer.speed": [1.0]}, {}, "unknown input"),
         ({"sphere.E": [5e10, 6e10], "striker.speed": [1.0, 2.0, 3.0]}, {}, "the same shape"),
-        ({"sphere.E": [[5e10, 6e10]]}, {}, r"shape \(n,\)"),
+        ({"sphere.E": [[5e10, 6e10]]}, {}, "numbers in SI are needed, not list"),
         ({"striker.speed": ["0.5 m/s"]}, {}, "numbers in SI are needed"),
         ({"striker.speed": ["0.5"]}, {}, "numbers in SI are needed"),
         ({"sphere.E": pd.Series([5e10], ["a"]), "striker.speed": pd.Series([1.0], ["b"])}, {}, "another index"),
@@ -324,7 +317,7 @@ def test_answers_may_come_in_many_forms(form: str, capsys: pytest.CaptureFixture
         return FORMS[form](x)
 
     study = load_study(text=BOX)
-    with open_model(study, box) as model:
+    with Model(study, box) as model:
         answers = model.evaluate(("a",), A[:, None], ("y", "z"))
         assert (answers.values == EXPECTED).all()
         assert (model.evaluate(("a",), A[:, None], ("z",)).values == EXPECTED[:, 1:]).all()
@@ -351,7 +344,7 @@ def test_one_output_and_one_row_need_no_dict() -> None:
 
 
 def test_unknown_inputs_and_outputs_are_refused() -> None:
-    with open_model(load_study(text=BOX), FORMS["a dict"]) as model:
+    with Model(load_study(text=BOX), FORMS["a dict"]) as model:
         for names, columns, text in ((("q",), ("y",), "unknown input 'q'"), (("a",), ("q",), "unknown output 'q'")):
             with pytest.raises(UsageError, match=text):
                 model.evaluate(names, A[:, None], columns)

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 from uqsphere.errors import StudyError
 from uqsphere.mechanics import contact
-from uqsphere.models import open_model
+from uqsphere.models.model import Model
 from uqsphere.report.study import described
 from uqsphere.run.demands import column_of, demands_of, strength_of
 from uqsphere.run.design import Design
@@ -194,7 +194,7 @@ def evaluated(tmp_path: Path, scatter: tuple[str, str], rig: str, demand: str) -
     (tmp_path / "b.csv").write_text(TESTED)
     study = load_study(tmp_path / "s.toml", text=BASALT % (*scatter, rig, demand))
     design = Design.of(study)
-    sample = evaluate(design, open_model(design.study), design.points(8))
+    sample = evaluate(design, Model(design.study), design.points(8))
     return study.limits[0], sample, sample.answer(column_of(study.limits[0]))
 
 
@@ -314,7 +314,7 @@ def test_pellets_and_a_hammer_are_those_by_hand(case: str, tmp_path: Path) -> No
     (tmp_path / "p.csv").write_text("\n".join(["D,F", *ALL_PELLETS.split()]))
     study = load_study(tmp_path / "s.toml", text=SPHERES[case].replace(",\n", ","))
     design = Design.of(study)
-    sample = evaluate(design, open_model(design.study), design.points(256))
+    sample = evaluate(design, Model(design.study), design.points(256))
     limit = study.limits[0]
     names = ("sphere.E", "sphere.radius", "rig.drop_height" if case == "pellets" else "rig.speed")
     normals = np.array([sample.scores[:, :, sample.names.index(name)].ravel() for name in names])
@@ -337,7 +337,7 @@ def test_rows_and_the_free_number_have_one_size_law(load: Load, tmp_path: Path) 
         study = load(quantity=core, scene=scene)
         design = Design.of(study)
         points = design.points(8)
-        forces.append(evaluate(design, open_model(design.study), points, moving).answer(column_of(study.limits[0])))
+        forces.append(evaluate(design, Model(design.study), points, moving).answer(column_of(study.limits[0])))
     assert forces[0] == pytest.approx(forces[1], rel=1e-9)
     assert forces[2] != pytest.approx(forces[1], rel=1e-3)
 

@@ -6,11 +6,13 @@ import contextlib
 import functools
 import hashlib
 import inspect
+import os
 import re
 import sys
 import sysconfig
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
@@ -19,6 +21,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.errors import AccessError, ModelError, ModelRaised, UsageError, told
+from uqsphere.models.rows import Code, EvaluatedRows
 
 #: takes columns (n,) by the names of the inputs; returns columns (n,) by the names of the outputs as a dict or a
 #: DataFrame, an array (n, outputs) in the order of the study's outputs, or (n,) where there is one output
@@ -74,6 +77,55 @@ def _described(error: BaseException) -> str:
         and _INSTALLED.isdisjoint(Path(frame.filename).parts)
     ]
     return f"{type(error).__name__}: {told(error)}{places[-1] if places else ''}"
+
+
+@lru_cache(maxsize=4)
+def _loaded(reference: str, digest: str) -> BlackBox:
+    """The function of a reference, once in the life of a process."""
+    if model_digest(reference) != digest:
+        raise ModelError(f"the file of {told(reference, 120)} has changed since the run began, or is another here")
+    return load_black_box(reference)
+
+
+@lru_cache(maxsize=1)
+def _linear_algebra(modules: int) -> Any:
+    """Libraries with threads of their own; looked for again when more modules are loaded, since that takes a while."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
+def answer_rows(
+    rows: Array, *, box: str | BlackBox, digest: str, names: Sequence[str], outputs: Sequence[str], row_by_row: bool,
+    threads: int | None = None,
+) -> EvaluatedRows:  # fmt: skip
+    """Answers of all outputs to rows (n, d); without rows the model is loaded.
+
+    box : a function, or a reference with the digest of its file.
+    row_by_row : a call that raises is repeated row by row, so that one bad row does not take the others with it.
+    threads : one, whatever is asked for.
+    """
+    box = _loaded(box, digest) if isinstance(box, str) else box
+    process = os.getpid()
+    try:
+        with _linear_algebra(len(sys.modules) // 64).limit(limits=1, user_api="blas"):
+            # a number that is not finite is no failure yet, for it may not be needed
+            return EvaluatedRows.plain(call_black_box(box, names, rows, outputs) if len(rows) else np.zeros((0, 0)))
+    except ModelRaised as error:
+        if not row_by_row:
+            raise
+        if len(rows) == 1:
+            return EvaluatedRows.plain(np.full((1, len(outputs)), np.nan), Code.RAISED, str(error))
+    finally:
+        if os.getpid() != process:
+            os._exit(1)  # the model forked, and its child came back from the call
+    parts = [answer_rows(rows[k : k + 1], box=box, digest=digest, names=names, outputs=outputs, row_by_row=True)
+             for k in range(len(rows))]  # fmt: skip
+    return EvaluatedRows.plain(
+        np.concatenate([part.values for part in parts]),
+        np.concatenate([part.status for part in parts]),
+        next((part.note for part in parts if part.note), ""),
+    )
 
 
 def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Sequence[str]) -> Array:

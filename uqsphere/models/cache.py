@@ -1,8 +1,8 @@
 """What a slow black box has answered, in one SQLite file, so that no row is evaluated twice.
 
 A cache may be lost at any time without changing an answer: whatever is wrong with its file, rows are evaluated anew and
-`notes` says why. SQLite sees to a process that is killed while it writes and to two runs that write at once; each
-record carries a checksum against damage.
+a note says why. SQLite sees to a process that is killed while it writes and to two runs that write at once; each record
+carries a checksum against damage.
 """
 
 from __future__ import annotations
@@ -12,15 +12,14 @@ import hashlib
 import json
 import os
 import sqlite3
-import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places
+from uqsphere.arrays import Array, Flags
 from uqsphere.models.rows import Code, EvaluatedRows
 
 #: marks the file as ours, and the form of its records
@@ -32,95 +31,81 @@ _WAIT: Final = 30.0
 class Cache:
     """Answers of the black box of a study, by its digest, names and numbers of the inputs, names of the outputs.
 
-    Keys depend on no order of the inputs, nor on which of them a study scatters.
+    Keys depend on no order of the inputs, nor on which of them a study scatters. `note` is told what is wrong.
     """
 
-    def __init__(self, path: Path, digest: str, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        self.path = path
-        self._outputs = len(outputs)
+    def __init__(
+        self, path: Path, digest: str, inputs: Sequence[str], outputs: Sequence[str], note: Callable[[str], None]
+    ) -> None:
+        self.path, self._outputs, self._note = path, len(outputs), note
         self._order = sorted(range(len(inputs)), key=lambda k: inputs[k])
-        about = json.dumps([digest, sorted(inputs), list(outputs)])
-        self._about = hashlib.blake2b(about.encode()).digest()
-        self.notes: list[str] = []
+        self._about = hashlib.blake2b(json.dumps([digest, sorted(inputs), list(outputs)]).encode()).digest()
         self._database: sqlite3.Connection | None = None
-        try:
-            self._database = self._opened()
-        except (sqlite3.Error, ValueError) as error:
-            self._give_up(error)
+        with self._guarded():
+            self._open()
 
-    def _opened(self) -> sqlite3.Connection:
+    def _open(self) -> None:
         """Raises ValueError for what is no cache; sqlite3.DatabaseError for what is no database."""
         if self.path.is_symlink():
             raise ValueError("it is a link")
         database = sqlite3.connect(self.path, timeout=_WAIT, isolation_level=None, check_same_thread=False)
-        try:
-            # what a killed process has written stays; what a power cut damages is evaluated anew
-            database.execute("PRAGMA synchronous = OFF")
-            if database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-                if any(database.execute(f"PRAGMA {name}").fetchone()[0] != mark for name, mark in _MARKS.items()):
-                    raise ValueError("it is no cache of this version")
-                if (state := database.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
-                    raise ValueError(f"it is damaged: {state}")
-            else:
-                database.execute("BEGIN IMMEDIATE")
-                database.execute("CREATE TABLE IF NOT EXISTS answers (key BLOB PRIMARY KEY, record BLOB) WITHOUT ROWID")
-                for name, mark in _MARKS.items():
-                    database.execute(f"PRAGMA {name} = {mark}")
-                database.execute("COMMIT")
-        except BaseException:
-            database.close()
-            raise
-        return database
+        self._database = database
+        # what a killed process has written stays; what a power cut damages is evaluated anew
+        database.execute("PRAGMA synchronous = OFF")
+        if database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+            if any(database.execute(f"PRAGMA {name}").fetchone()[0] != mark for name, mark in _MARKS.items()):
+                raise ValueError("it is no cache of this version")
+            if (state := database.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+                raise ValueError(f"it is damaged: {state}")
+        else:
+            database.execute("BEGIN IMMEDIATE")
+            database.execute("CREATE TABLE IF NOT EXISTS answers (key BLOB PRIMARY KEY, record BLOB) WITHOUT ROWID")
+            for name, mark in _MARKS.items():
+                database.execute(f"PRAGMA {name} = {mark}")
+            database.execute("COMMIT")
 
-    def _give_up(self, error: Exception) -> None:
+    @contextlib.contextmanager
+    def _guarded(self) -> Iterator[None]:
         """Start another file where this one is damaged or foreign; store nothing where none can be written."""
-        if self._database is not None:
-            with contextlib.suppress(sqlite3.Error):
-                self._database.close()
-        self._database = None
-        aside = self.path.with_name(f"{self.path.name}.damaged")
         try:
-            if isinstance(error, sqlite3.OperationalError):
-                raise error  # a full disk, a folder that cannot be written, a lock: the file is as it should be
-            os.replace(self.path, aside)
-            self.path.with_name(f"{self.path.name}-journal").unlink(missing_ok=True)
-            self._database = self._opened()
-            self.notes.append(
-                f"{self.path} was not used ({error}): it is {aside.name} now, and its rows are evaluated anew"
-            )
-        except (OSError, sqlite3.Error, ValueError) as reason:
-            self.notes.append(f"{self.path} cannot be used ({reason}): evaluated rows are not stored")
+            yield
+        except (sqlite3.Error, ValueError) as error:
+            self.close()  # which takes back what was begun
+            aside = self.path.with_name(f"{self.path.name}.damaged")
+            try:
+                if isinstance(error, sqlite3.OperationalError):
+                    raise error  # a full disk, a folder that cannot be written, a lock: the file is as it should be
+                os.replace(self.path, aside)
+                self.path.with_name(f"{self.path.name}-journal").unlink(missing_ok=True)
+                self._open()
+                self._note(
+                    f"{self.path} was not used ({error}): it is {aside.name} now, and its rows are evaluated anew"
+                )
+            except (OSError, sqlite3.Error, ValueError) as reason:
+                self.close()
+                self._note(f"{self.path} cannot be used ({reason}): evaluated rows are not stored")
 
     def _keys(self, rows: Array) -> Iterator[bytes]:
         for row in np.ascontiguousarray(rows[:, self._order] + 0.0, dtype="<f8"):  # + 0.0: -0 is 0
             yield hashlib.blake2b(row.tobytes(), key=self._about, digest_size=16).digest()
 
-    def read(self, rows: Array) -> tuple[Array, Places, Flags]:
-        """Of rows (n, inputs): stored answers (n, outputs), status (n,), and which rows are stored, (n,)."""
-        values, status = np.full((len(rows), self._outputs), np.nan), np.zeros(len(rows), dtype=np.int64)
-        stored, damaged = np.zeros(len(rows), dtype=bool), 0
-        if self._database is None:
-            return values, status, stored
-        try:
-            if self._database.execute("SELECT 1 FROM answers LIMIT 1").fetchone() is None:
-                return values, status, stored
-            for k, key in enumerate(self._keys(rows)):
-                entry = self._database.execute("SELECT record FROM answers WHERE key = ?", (key,)).fetchone()
-                if entry is None:
-                    continue
-                record = bytes(entry[0])
-                if (
-                    len(record) != 5 + 8 * self._outputs
-                    or struct.pack("<I", zlib.crc32(record[4:] + key)) != record[:4]
-                ):
-                    damaged += 1
-                    continue
-                status[k], values[k], stored[k] = record[4], np.frombuffer(record, dtype="<f8", offset=5), True
-        except sqlite3.Error as error:
-            self._give_up(error)
-        if damaged:
-            self.notes.append(f"{self.path}: {damaged} damaged rows are evaluated anew")
-        return values, status, stored
+    def read(self, rows: Array) -> tuple[EvaluatedRows, Flags]:
+        """Of rows (n, inputs) the answers that are stored, (m, outputs), and whether each row is, (n,)."""
+        contents: list[bytes] = []
+        stored = np.zeros(len(rows), dtype=bool)
+        with self._guarded():
+            if self._database is not None and self._database.execute("SELECT 1 FROM answers LIMIT 1").fetchone():
+                for k, key in enumerate(self._keys(rows)):
+                    for (record,) in self._database.execute("SELECT record FROM answers WHERE key = ?", (key,)):
+                        check, content = bytes(record[:4]), bytes(record[4:])
+                        stored[k] = check == _checksum(content + key) and len(content) == 1 + 8 * self._outputs
+                        if stored[k]:
+                            contents.append(content)
+                        else:
+                            self._note(f"{self.path} has damaged rows, which are evaluated anew")
+        values = np.frombuffer(b"".join(content[1:] for content in contents), dtype="<f8")
+        status = np.array([content[0] for content in contents], dtype=np.int64)
+        return EvaluatedRows.plain(values.reshape(-1, self._outputs), status), stored
 
     def write(self, rows: Array, answers: EvaluatedRows) -> None:
         """Store answers; rows that took too long or ended their process are tried again another time."""
@@ -128,17 +113,20 @@ class Cache:
         for key, row, code in zip(self._keys(rows), values, answers.status.tolist(), strict=True):
             if code not in (Code.TIME_OVER, Code.DIED):
                 content = bytes([code]) + row.tobytes()
-                records.append((key, struct.pack("<I", zlib.crc32(content + key)) + content))
+                records.append((key, _checksum(content + key) + content))
         if self._database is not None and records:
-            try:
+            with self._guarded():
                 self._database.execute("BEGIN IMMEDIATE")
                 self._database.executemany("INSERT OR REPLACE INTO answers VALUES (?, ?)", records)
                 self._database.execute("COMMIT")
-            except sqlite3.Error as error:
-                self._give_up(error)  # closing takes back what was begun
 
     def close(self) -> None:
         """Let go of the file."""
         if self._database is not None:
-            self._database.close()
+            with contextlib.suppress(sqlite3.Error):
+                self._database.close()
         self._database = None
+
+
+def _checksum(content: bytes) -> bytes:
+    return zlib.crc32(content).to_bytes(4, "little")

@@ -1,4 +1,4 @@
-"""Rows of answers, the states that a row can be in, and the note on a row that failed."""
+"""Rows of answers, the states that a row can be in, and the words for a row that failed."""
 
 from __future__ import annotations
 
@@ -21,8 +21,7 @@ class Code(IntEnum):
     DIED = 10
 
 
-_TEXTS: Final[dict[int, str]] = {
-    Code.NOT_FINITE: "the model gave a number that is not finite",
+TEXTS: Final[dict[int, str]] = {
     Code.RAISED: "the model raised an exception",
     Code.TIME_OVER: "the model took longer than analysis.time_limit",
     Code.DIED: "the model ended the process it ran in",
@@ -41,8 +40,8 @@ class EvaluatedRows:
 
     values : (n, q), SI, in the order of the columns that were requested; NaN where a row failed.
     censored : (n, q); the value is a lower bound, since the record ended first.
-    status : (n,); 0 for an answer, else a code of `status_text`.
-    note : what happened at the first row that failed, with its inputs; empty if none failed.
+    status : (n,); 0 for an answer, else a code of `mechanics.scene.STATUS` or `Code`.
+    note : what happened at the first row that failed; empty if none failed.
     """
 
     values: Array
@@ -58,7 +57,9 @@ class EvaluatedRows:
     @classmethod
     def plain(cls, values: Array, status: Places | int = 0, note: str = "") -> EvaluatedRows:
         """Answers (n, q) of which none is censored; one status (n,) for all rows, or each its own."""
-        codes = np.broadcast_to(np.asarray(status, dtype=np.int64), len(values)).copy()
+        codes = np.zeros(len(values), dtype=np.int64)
+        if np.any(status):
+            codes[:] = status
         return cls(values=values, censored=np.zeros(values.shape, dtype=bool), status=codes, note=note)
 
 
@@ -71,14 +72,3 @@ def where_of(names: Sequence[str], row: Array) -> str:
     shown = [f"{name} = {value:.6g}" for name, value in zip(names, row.tolist(), strict=True)]
     more = f" and {len(shown) - _MOST_NAMED} more inputs" if len(shown) > _MOST_NAMED else ""
     return f"at {', '.join(shown[:_MOST_NAMED])}{more}" if shown else "in the only row"
-
-
-def status_text(code: int, *, black_box: bool) -> str:
-    """What the status of a row means.
-
-    >>> status_text(9, black_box=True)
-    'the model took longer than analysis.time_limit'
-    """
-    from uqsphere.mechanics.scene import STATUS
-
-    return (_TEXTS if black_box else STATUS).get(code, f"status {code}")

@@ -1,39 +1,36 @@
 """Where rows are evaluated: in this process, in processes that can be ended, or by an executor that the user gave.
 
-Each takes a task and a block of rows by `submit` and answers by a future. Where it happens changes no answer: blocks
-follow from the study and the number of rows.
+Each has `submit(task, rows, limit)`, which returns a future of `concurrent.futures`, and `result(future)`: the answers
+and the seconds that they took. `result` raises TimeoutError where a call was ended by its limit, Died where its process
+ended, AccessError where no answer will come any more. Where rows are evaluated changes no answer.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import pickle
 import select
 import signal
-import sys
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib import metadata
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from loky.backend.context import LokyContext  # type: ignore[import-untyped]
 from loky.backend.process import LokyProcess  # type: ignore[import-untyped]
-from pebble import ProcessPool
+from pebble import ProcessExpired, ProcessPool
 
 from uqsphere.arrays import Array
-from uqsphere.errors import AccessError, ModelError, ModelRaised, UqsphereError, UsageError, told
+from uqsphere.errors import AccessError, ModelError, UqsphereError, UsageError, told
 from uqsphere.models import black_box
-from uqsphere.models.black_box import BlackBox, call_black_box, load_black_box, model_digest
-from uqsphere.models.rows import Code, EvaluatedRows
-
-if TYPE_CHECKING:
-    from uqsphere.study import Study
+from uqsphere.models.rows import EvaluatedRows
 
 #: seconds in which a model's file must have been loaded
 LOADING: Final = 60.0
@@ -41,77 +38,20 @@ LOADING: Final = 60.0
 ALONE: Final = 60.0
 #: exit code of a process that ended at work without one
 _ENDED: Final = 256
-#: how pebble, concurrent.futures, loky and Dask name the end of a process at work
-_DEATHS: Final = ("ProcessExpired", "BrokenProcessPool", "TerminatedWorkerError", "KilledWorker")
+
+#: answers `rows` (n, d) with `threads`, and loads what it needs when n is 0
+Task: TypeAlias = Callable[..., EvaluatedRows]
+#: answers, and the seconds that they took
+Timed: TypeAlias = tuple[EvaluatedRows, float]
 
 
 class Died(Exception):
     """The process that evaluated a block ended."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class SceneTask:
-    """Evaluate the impact model."""
-
-    study: Study
-    names: tuple[str, ...]
-    columns: tuple[str, ...]
-    tolerance: float | None = None
-
-    def answer(self, rows: Array, threads: int | None) -> EvaluatedRows:
-        from uqsphere.models.scene import evaluate_scene
-
-        return evaluate_scene(self.study, self.names, rows, self.columns, tolerance=self.tolerance, threads=threads)
-
-
-@dataclass(frozen=True, kw_only=True)
-class BoxTask:
-    """Call a black box: given as a reference with the digest of its file, or as a function pickled by value.
-
-    row_by_row : a call that raises is repeated row by row, so that one bad row does not take the others with it.
-    """
-
-    reference: str | None = None
-    digest: str = ""
-    function: bytes | None = None
-    names: tuple[str, ...]
-    outputs: tuple[str, ...]
-    row_by_row: bool = True
-
-    def answer(self, rows: Array, threads: int | None) -> EvaluatedRows:
-        return self.answer_by(_loaded(self), rows)
-
-    def answer_by(self, box: BlackBox, rows: Array) -> EvaluatedRows:
-        """Answers of all outputs; a number that is not finite is no failure yet, for it may not be needed."""
-        process = os.getpid()
-        try:
-            with _linear_algebra(len(sys.modules) // 64).limit(limits=1, user_api="blas"):
-                values = call_black_box(box, self.names, rows, self.outputs)
-        except ModelRaised as error:
-            if not self.row_by_row:
-                raise
-            if len(rows) == 1:
-                return EvaluatedRows.plain(np.full((1, len(self.outputs)), np.nan), Code.RAISED, str(error))
-            parts = [self.answer_by(box, rows[k : k + 1]) for k in range(len(rows))]
-            note = next((part.note for part in parts if part.note), "")
-            return EvaluatedRows.plain(
-                np.concatenate([part.values for part in parts]), np.concatenate([part.status for part in parts]), note
-            )
-        finally:
-            if os.getpid() != process:
-                os._exit(1)  # the model forked, and its child came back from the call
-        return EvaluatedRows.plain(values)
-
-
-Task: TypeAlias = SceneTask | BoxTask
-
-
-@lru_cache(maxsize=1)
-def _linear_algebra(modules: int) -> Any:
-    """Libraries with threads of their own; looked for again when more modules are loaded, since that takes a while."""
-    from threadpoolctl import ThreadpoolController
-
-    return ThreadpoolController()
+def _timed(task: Task, rows: Array, threads: int | None) -> Timed:
+    began = time.perf_counter()
+    return task(rows, threads=threads), time.perf_counter() - began
 
 
 @lru_cache(maxsize=1)
@@ -121,66 +61,37 @@ def _versions() -> dict[str, str]:
     return {"uqsphere": __version__, **{name: metadata.version(name) for name in ("numpy", "numba")}}
 
 
-@lru_cache(maxsize=4)
-def _loaded(task: BoxTask) -> BlackBox:
-    """The black box of a task, once in the life of a process."""
-    if task.function is not None:
-        return pickle.loads(task.function)  # type: ignore[no-any-return]
-    if task.reference is None or model_digest(task.reference) != task.digest:
-        raise ModelError(f"the file of {told(task.reference, 120)} has changed since the run began, or is another here")
-    return load_black_box(task.reference)
-
-
-def evaluate_remote(packed: bytes, rows: Array | None) -> tuple[EvaluatedRows | None, float]:
-    """Answers of rows in a worker, with one thread, and the seconds they took; no rows: those to load the model."""
-    versions, task = pickle.loads(packed)
-    if versions != _versions():
-        raise AccessError(f"a worker has other versions, and answers could differ: {versions}, not {_versions()}")
-    began = time.perf_counter()
-    if isinstance(task, BoxTask):
-        _loaded(task)
-    if rows is None:
-        return None, time.perf_counter() - began
-    began = time.perf_counter()
-    return task.answer(rows, 1), time.perf_counter() - began
-
-
+@lru_cache(maxsize=2)
 def _packed(task: Task) -> bytes:
-    return pickle.dumps((_versions(), task), protocol=5)
-
-
-def pickled(box: Any) -> bytes:
-    """A function by value, as other processes take it. Raises UsageError where that is not possible."""
+    """A task with its function by value. Raises UsageError where what it holds cannot be sent."""
     import cloudpickle  # type: ignore[import-untyped]
 
     try:
-        return cloudpickle.dumps(box)  # type: ignore[no-any-return]
+        return cloudpickle.dumps((_versions(), task))  # type: ignore[no-any-return]
     except Exception as error:  # what a function holds refuses as it likes
         text = f"the model cannot be sent to another process ({type(error).__name__}: {told(error, 120)})"
         raise UsageError(f"{text}: give it as FILE.py:FUNCTION") from error
 
 
-class Here:
-    """This process."""
+@lru_cache(maxsize=4)
+def _unpacked(packed: bytes) -> tuple[Task, float]:
+    """The task that a process was sent, and the seconds that loading its model took; once in the life of a process."""
+    began = time.perf_counter()
+    versions, task = pickle.loads(packed)
+    if versions != _versions():
+        raise AccessError(f"a worker has other versions, and answers could differ: {versions}, not {_versions()}")
+    task(np.zeros((0, 0)), threads=1)
+    return task, time.perf_counter() - began
 
-    window = 1
 
-    def __init__(self, *, box: Any = None, threads: int | None = None) -> None:
-        self.box, self.threads = box, threads
+def evaluate_remote(packed: bytes, rows: Array) -> Timed:
+    """Answers of rows in a worker, with one thread."""
+    return _timed(_unpacked(packed)[0], rows, 1)
 
-    def submit(self, task: Task, rows: Array, limit: float | None) -> Future[tuple[EvaluatedRows, float]]:
-        """A future of the answers and the seconds that they took."""
-        future: Future[tuple[EvaluatedRows, float]] = Future()
-        began = time.perf_counter()
-        if isinstance(task, BoxTask):
-            answers = task.answer_by(self.box, rows)
-        else:
-            answers = task.answer(rows, self.threads)
-        future.set_result((answers, time.perf_counter() - began))
-        return future
 
-    def close(self) -> None:
-        """Nothing was started."""
+def load_remote(packed: bytes) -> float:
+    """Load the model in a worker."""
+    return _unpacked(packed)[1]
 
 
 def _prepare(parent: int) -> None:
@@ -208,6 +119,26 @@ def _prepare(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
+class Here:
+    """This process: `submit` returns once the rows are evaluated."""
+
+    count = window = 1
+
+    def __init__(self, threads: int | None = None) -> None:
+        self.threads = threads
+
+    def submit(self, task: Task, rows: Array, limit: float | None) -> Future[Timed]:
+        future: Future[Timed] = Future()
+        future.set_result(_timed(task, rows, self.threads))
+        return future
+
+    def result(self, future: Future[Timed]) -> Timed:
+        return future.result()
+
+    def close(self) -> None:
+        """Nothing was started."""
+
+
 class _Process(LokyProcess):  # type: ignore[misc]
     """One that has ended at work, even with exit code 0, which pebble would wait for."""
 
@@ -223,41 +154,57 @@ class _Context(LokyContext):  # type: ignore[misc]
 class Processes:
     """Processes of this machine, by pebble: one that dies, or is ended by a limit of time, is replaced.
 
-    They are started as loky does it, which does not run the user's main module again.
+    They are started as loky does it, which does not run the user's main module again. The model is loaded before its
+    calls are timed: ModelError where its file raises, ends the process, or has not come to an end after `LOADING`.
     """
 
-    def __init__(self, count: int) -> None:
-        self.count, self.window, self.broken = count, 2 * count + 2, False
-        #: seconds that a process may need until the model is there
-        self._start = LOADING
-        self._pool = ProcessPool(max_workers=count, initializer=_prepare, initargs=(os.getpid(),),
-                                 context=_Context())  # fmt: skip
-
-    def load(self, task: Task) -> None:
-        """Load a model before its calls are timed.
-
-        Raises ModelError where its file raises, ends the process, or has not come to an end after `LOADING` seconds.
-        """
+    def __init__(self, count: int, task: Task) -> None:
+        self.count, self.window = count, 2 * count + 2
+        packed, self._pool = _packed(task), self._new_pool()
         try:
-            _, seconds = self._pool.schedule(evaluate_remote, (_packed(task), None), timeout=LOADING).result()
-        except TimeoutError as error:
-            raise ModelError(f"the model was not loaded after {LOADING:g} s: its file hangs") from error
-        except UqsphereError:
-            raise
+            loaded = self._pool.schedule(load_remote, (packed,), timeout=LOADING)
+            #: seconds that a new process may need until the model is there
+            self._start = 0.2 + 3.0 * loaded.result()
         except Exception as error:
+            self.close()
+            if isinstance(error, UqsphereError):
+                raise
+            if isinstance(error, TimeoutError):
+                raise ModelError(f"the model was not loaded after {LOADING:g} s: its file hangs") from error
             text = f"{type(error).__name__}: {told(error, 120)}"
             raise ModelError(f"the model could not be loaded in a process of its own ({text})") from error
-        self._start = 0.2 + 3.0 * seconds
 
-    def submit(self, task: Task, rows: Array, limit: float | None) -> Any:
-        """As `Here.submit`; limit: seconds after which the call is ended."""
+    def _new_pool(self) -> ProcessPool:
+        return ProcessPool(max_workers=self.count, initializer=_prepare, initargs=(os.getpid(),), context=_Context())
+
+    def submit(self, task: Task, rows: Array, limit: float | None) -> Future[Timed]:
+        timeout = None if limit is None else limit + self._start
         try:
-            timeout = None if limit is None else limit + self._start
-            return self._pool.schedule(evaluate_remote, (_packed(task), rows), timeout=timeout)
-        except RuntimeError as error:  # the pool has lost all its processes at once
-            future: Future[Any] = Future()
-            future.set_exception(BrokenProcessPool(str(error)))
-            return future
+            future: Any = self._pool.schedule(evaluate_remote, (_packed(task), rows), timeout=timeout)
+        except RuntimeError:  # the pool has lost all its processes at once
+            self._replace(self._pool)
+            future = self._pool.schedule(evaluate_remote, (_packed(task), rows), timeout=timeout)
+        future.pool = self._pool
+        return future  # type: ignore[no-any-return]
+
+    def result(self, future: Any) -> Timed:
+        try:
+            return future.result()  # type: ignore[no-any-return]
+        except (UqsphereError, TimeoutError):
+            raise
+        except ProcessExpired as error:
+            raise Died(f"exit code {0 if error.exitcode == _ENDED else error.exitcode}") from error
+        except BrokenProcessPool as error:
+            self._replace(future.pool)
+            raise Died("exit code unknown") from error
+        except Exception as error:
+            raise AccessError(f"a process could not evaluate: {type(error).__name__}: {told(error)}") from error
+
+    def _replace(self, broken: ProcessPool) -> None:
+        """Start a new pool in place of a broken one, once."""
+        if broken is self._pool:
+            self.close()
+            self._pool = self._new_pool()
 
     def close(self) -> None:
         self._pool.stop()  # type: ignore[no-untyped-call]
@@ -265,76 +212,58 @@ class Processes:
 
 
 class Given:
-    """An executor of the user: anything with `submit` of concurrent.futures, or a `distributed.Client`."""
+    """An executor of the user, as those of `concurrent.futures`, or a `distributed.Client`."""
 
-    window = 1024
+    count, window = 0, 1024
 
     def __init__(self, executor: Any) -> None:
         if not callable(getattr(executor, "submit", None)):
             raise UsageError(f"an executor has a method submit(), which {type(executor).__name__} has not")
-        self.executor = executor
-        self.dask = type(executor).__module__.partition(".")[0] == "distributed"
-        #: whether it has answered, and when it last had a worker
-        self.answered, self._manned = False, time.monotonic()
+        self._client = executor if type(executor).__module__.partition(".")[0] == "distributed" else None
+        # the same call twice is two evaluations, which Dask would not make
+        self._executor = executor.get_executor(pure=False) if self._client is not None else executor
+        #: when a cluster that has answered last had a worker: before its first answer it may wait in a queue
+        self._manned = math.inf
 
-    def submit(self, task: Task, rows: Array, limit: float | None) -> Any:
-        """As `Here.submit`. Raises AccessError where nothing is taken any more."""
-        try:  # the same call twice is two evaluations, which Dask would not make
-            return self.executor.submit(evaluate_remote, _packed(task), rows, **({"pure": False} if self.dask else {}))
+    def submit(self, task: Task, rows: Array, limit: float | None) -> Future[Timed]:
+        packed = _packed(task)
+        try:
+            return self._executor.submit(evaluate_remote, packed, rows)  # type: ignore[no-any-return]
         except Exception as error:
-            raise self.lost(f"{type(error).__name__}: {told(error)}") from error
+            raise self._lost(error) from error
+
+    def result(self, future: Future[Timed]) -> Timed:
+        try:
+            answers = future.result()
+        except (UqsphereError, KeyboardInterrupt):
+            raise
+        except BaseException as error:  # CancelledError is no Exception in Dask
+            if type(error).__name__ == "KilledWorker":
+                raise Died("exit code unknown") from error
+            raise self._lost(error) from error
+        self._manned = time.monotonic()
+        return answers
 
     def check(self) -> None:
-        """Raise AccessError where no answer will come any more: none before the first, which may wait in a queue."""
-        if not self.dask:
-            return
-        if self.executor.status not in ("running", "connecting"):
-            raise self.lost("the connection to its scheduler is closed")
+        """Raise AccessError where a Dask cluster has had no worker for `ALONE` seconds: no answer will come."""
         idle = time.monotonic() - self._manned
-        if idle > 2.0:
-            try:
-                manned = bool(self.executor.nthreads())
-            except Exception as error:
-                raise self.lost(f"{type(error).__name__}: {told(error)}") from error
-            if manned or not self.answered:
+        if self._client is None or idle < 2.0:
+            return
+        try:
+            if self._client.nthreads():
                 self._manned = time.monotonic()
             elif idle > ALONE:
-                raise self.lost(f"it has had no worker for {ALONE:g} s")
+                raise TimeoutError(f"it has had no worker for {ALONE:g} s")
+        except Exception as error:
+            raise self._lost(error) from error
 
-    def lost(self, why: str) -> AccessError:
-        what = "the Dask cluster" if self.dask else f"the executor {type(self.executor).__name__}"
-        return AccessError(f"{what} was lost ({why}); the cache has what was evaluated, and the same run goes on there")
+    def _lost(self, why: BaseException) -> AccessError:
+        what = f"the executor {type(self._executor).__name__}" if self._client is None else "the Dask cluster"
+        return AccessError(f"{what} was lost ({type(why).__name__}: {told(why)}); the cache has what was evaluated, "
+                           "and the same run goes on there")  # fmt: skip
 
     def close(self) -> None:
         """Nothing: it is the user's."""
 
 
 Workers: TypeAlias = Here | Processes | Given
-
-
-def outcome(workers: Workers, future: Any) -> tuple[EvaluatedRows, float]:
-    """What a finished future holds.
-
-    Raises TimeoutError where a process was ended by the limit; Died where it ended; an error of this package where the
-    model failed or the executor was lost.
-    """
-    try:
-        answers: tuple[EvaluatedRows, float] = future.result()
-        if isinstance(workers, Given):
-            workers.answered = True
-        return answers
-    except (UqsphereError, KeyboardInterrupt):
-        raise
-    except BaseException as error:  # CancelledError is no Exception in Dask
-        name = type(error).__name__
-        own = isinstance(workers, Processes)
-        if isinstance(workers, Processes) and name == "BrokenProcessPool":
-            workers.broken = True
-        if own and isinstance(error, TimeoutError):
-            raise
-        if name in _DEATHS and (own or name == "KilledWorker"):
-            code = getattr(error, "exitcode", "unknown")
-            raise Died(f"exit code {0 if code == _ENDED else code}") from error
-        if isinstance(workers, Given):
-            raise workers.lost(f"{name}: {told(error)}") from error
-        raise AccessError(f"a process could not evaluate: {name}: {told(error)}") from error

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uqsphere.errors import UsageError
-from uqsphere.models import scene_of
 from uqsphere.models.model import say_if_compiling
-from uqsphere.models.scene import evaluate_scene
+from uqsphere.models.scene import evaluate_scene, scene_of
 from uqsphere.quantities import format_value, lookup
 from uqsphere.report.figures import COLOURS, svg
 from uqsphere.results.folder import write_files

@@ -73,7 +73,7 @@ def _strengths(study: Study) -> str:
 
 def _cost(study: Study) -> str:
     """About how long the first size of a run takes: 64 rows are timed, and multiplied."""
-    from uqsphere.models import open_model
+    from uqsphere.models.model import Model
     from uqsphere.run.design import Design
     from uqsphere.run.grow import first_rows
 
@@ -84,7 +84,7 @@ def _cost(study: Study) -> str:
             text += f", {first * study.analysis.cost:,.0f} s by analysis.cost"
         return f"{text}; a model too slow for its budget is answered by one design of fewer runs"
     design = Design.of(study)
-    with open_model(design.study, threads=1) as model:
+    with Model(design.study, threads=1) as model:
         names = design.inputs
         rows = design.points(4).inputs[:, :, : len(names)].reshape(-1, len(names)) if names else np.zeros((1, 0))
         model.evaluate(names, rows, design.columns)

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from uqsphere.errors import UsageError
-from uqsphere.models import check_quantities, check_range, open_model
+from uqsphere.models.model import Model
+from uqsphere.models.scene import check_scene
 from uqsphere.results import Answers, Run
 from uqsphere.results.folder import Log, clear, locked, read_results
 from uqsphere.run import surrogate
@@ -76,8 +77,7 @@ def run(
     """
     if not isinstance(study, Study):
         raise UsageError(f"run takes a study of uqsphere.load_study or uqsphere.Study, found {type(study).__name__}")
-    check_range(study)
-    check_quantities(study)
+    check_scene(study)
     if progress is None:
         with watched() as progress:
             return run(study, model, out=out, executor=executor, threads=threads, seconds=seconds, progress=progress,
@@ -107,8 +107,8 @@ def _run(
     def stage(done: int, total: int) -> None:
         progress(evaluator.evaluations + evaluator.reused, math.nan, f"{done:,} of {total:,} rows of a table")
 
-    evaluator = open_model(design.study, model if evaluated is None else evaluated.model, executor=executor,
-                            threads=threads, cache=cache, stop=stop, progress=stage)  # fmt: skip
+    evaluator = Model(design.study, model if evaluated is None else evaluated.model, executor=executor,
+                      threads=threads, cache_file=cache, stop=stop, progress=stage)  # fmt: skip
     # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
     with threadpool_limits(limits=1, user_api="blas"), evaluator:
         if evaluated is not None:

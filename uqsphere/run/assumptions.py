@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.models import rows_under_plastic_contact
+from uqsphere.models.scene import rows_under_plastic_contact
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers
 from uqsphere.run.demands import strength_of, with_test_forces

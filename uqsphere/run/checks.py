@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.models import checked_rows, hardness_of, later_loading
+from uqsphere.models.scene import checked_rows, hardness_of, later_loading
 from uqsphere.quantities import format_probability
 from uqsphere.run.design import Design
 from uqsphere.run.limits import failure_given_inputs, state_of

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.models import absent_quantity
+from uqsphere.models.scene import absent_quantity
 from uqsphere.run.demands import by_force
 from uqsphere.study import FailureMode, Limit, Study, failure_modes_of, limit_of, means_fracture
 from uqsphere.uq import Joint, Law, Sample, sobol_points

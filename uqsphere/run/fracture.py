@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uqsphere.models import fractures_of
+from uqsphere.models.scene import fractures_of
 from uqsphere.results import Answers
 from uqsphere.run.assumptions import _common_factor
 from uqsphere.run.design import Design

@@ -21,7 +21,8 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.errors import ModelError, TooManyFailures
-from uqsphere.models import Interrupted, Model
+from uqsphere.models.model import Model
+from uqsphere.models.rows import Interrupted
 from uqsphere.quantities import format_probability
 from uqsphere.run.chaos import Expansion, expansions
 from uqsphere.run.demands import with_test_forces

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uqsphere.arrays import special
-from uqsphere.models import Model
+from uqsphere.models.model import Model
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers
 from uqsphere.run import chaos, surrogate

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.models import Model
+from uqsphere.models.model import Model
 from uqsphere.run.chaos import MOST_LEFT, values_at
 from uqsphere.run.demands import strength_of, with_test_forces
 from uqsphere.run.design import Design, at_normals

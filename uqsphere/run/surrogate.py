@@ -23,7 +23,8 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
-from uqsphere.models import Interrupted, Model
+from uqsphere.models.model import Model
+from uqsphere.models.rows import Interrupted
 from uqsphere.run.design import REPLICATES, VALUES, Design, at_normals, normal_scores
 from uqsphere.study import Axis
 from uqsphere.uq import Estimate, Sample, absent, sobol_points

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from uqsphere.models import Model
+from uqsphere.models.model import Model
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.results import Answers, Run
 from uqsphere.results.answers import as_json, frame_of

@@ -1,0 +1,146 @@
+"""The public function of rows: a table of inputs in, a table of quantities out."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from decimal import Decimal
+from numbers import Real
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from uqsphere.errors import UsageError, told
+from uqsphere.models.black_box import BlackBox
+from uqsphere.models.model import Model
+from uqsphere.quantities import INPUTS, OUTPUTS, format_value
+from uqsphere.study import Study
+
+#: how far outside its usual range a single number is worth a warning
+_FAR: Final = 10.0
+
+
+def evaluate(
+    study: Study,
+    frame: Any,
+    quantities: str | Sequence[str] | None = None,
+    tolerance: float | None = None,
+    threads: int | None = 1,
+    model: str | BlackBox | None = None,
+) -> pd.DataFrame:
+    """Quantities of n scenes, or outputs of a model of one's own at n rows.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame, or mapping of name to array (n,), Series or number
+        Numbers of the scene by their dotted paths, or inputs of the black box, in SI. Names are what counts, not the
+        order. A DataFrame has every random input of the study; what a mapping leaves out stands at the study's mean.
+        Several Series are matched by their index. A Series by itself is one row, its index the names.
+    quantities : str or sequence of str
+        Names of `uqsphere.quantities.OUTPUTS` and of demands of the study's limits, or outputs of the black box; those
+        of the study if None.
+    tolerance : float
+        Relative error of every quantity, 1e-12 to 1e-2; the study's if None.
+    threads : int
+        All processors if None. No answer depends on it.
+    model : "FILE.py:FUNCTION" or function
+        The black box of a black-box study.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The index of `frame`; a column for each quantity (SI, NaN where a row has no answer) and `censored`: whether any
+        of them is a lower bound, since the record ended first.
+
+    Raises
+    ------
+    UsageError
+        For an unknown, missing or repeated name, a column that has no numbers, an unknown quantity, a wrong tolerance.
+    ModelError
+        When the model raises or returns something of the wrong form.
+
+    Warns
+    -----
+    UserWarning
+        For a number far outside its usual range (is the unit right?), and for rows without an answer.
+    """
+    names = list((quantities,) if isinstance(quantities, str) else quantities or study.analysis.quantities)
+    allowed = study.outputs if study.black_box else (*OUTPUTS, *study.demands)
+    for name in names:
+        if name not in allowed:
+            kind = "output" if study.black_box else "quantity"
+            raise UsageError(f"unknown {kind} {told(name, 60)!r} (allowed: {', '.join(allowed)})")
+        if names.count(name) > 1:
+            raise UsageError(f"{name!r} is asked for twice")
+    if tolerance is not None and not 1e-12 <= tolerance <= 1e-2:
+        raise UsageError(f"tolerance must lie between 1e-12 and 1e-2, not {tolerance!r}")
+    table = _table(study, frame)
+    if not study.black_box:
+        _warn_of_unusual(table)
+    with Model(study, model, threads=threads, tolerance=tolerance) as opened:
+        answers = opened.evaluate(list(table.columns), table.to_numpy(float), names)
+    if not answers.good.all():
+        count = int((~answers.good).sum())
+        warnings.warn(f"{count} of {len(table)} rows have no answer; the first: {answers.note}", stacklevel=2)
+    found = pd.DataFrame(answers.values, columns=names, index=table.index)
+    found["censored"] = np.asarray(answers.censored.any(axis=1))
+    return found
+
+
+def _table(study: Study, frame: Any) -> pd.DataFrame:
+    """The rows that a caller gave, as numbers by the names of inputs."""
+    if isinstance(frame, pd.Series):
+        frame = pd.DataFrame([frame.to_numpy()], columns=frame.index)
+    if not isinstance(frame, (pd.DataFrame, Mapping)):
+        raise UsageError(f"rows are a DataFrame or a dict of arrays by name, not {type(frame).__name__}")
+    names = list(frame)
+    tables = {"pulse", "contact", *(name.partition(".")[0] for name in study.at_means())}
+    allowed = [name for name in INPUTS if name.partition(".")[0] in tables]
+    allowed = list(study.at_means()) if study.black_box else allowed
+    for name in names:
+        if name not in allowed:
+            raise UsageError(f"unknown input {told(name, 60)!r} (allowed: {', '.join(allowed)})")
+        if names.count(name) > 1:
+            raise UsageError(f"the column {name!r} is there {names.count(name)} times")
+    if isinstance(frame, pd.DataFrame):
+        if missing := [name for name in study.random if name not in names]:
+            raise UsageError(
+                f"the column {missing[0]!r} is missing: a table has every random input of the study "
+                f"({', '.join(study.random)}); a dict leaves the others at the study's means"
+            )
+        table = frame
+    else:
+        labelled = {name: value for name, value in frame.items() if isinstance(value, pd.Series)}
+        index = next((value.index for value in labelled.values()), pd.RangeIndex(1))
+        for name, value in labelled.items():
+            alike = value.index.is_unique and len(value.index.symmetric_difference(index)) == 0
+            if not (alike or value.index.equals(index)):
+                raise UsageError(f"the Series {name!r} has another index than the Series before it")
+        columns = {name: value.item() if np.ndim(value) == 0 and hasattr(value, "item") else value
+                   for name, value in frame.items()}  # fmt: skip
+        try:
+            table = pd.DataFrame(columns, index=index if labelled or not any(map(np.ndim, columns.values())) else None)
+        except ValueError as error:
+            raise UsageError(f"all columns must have the same shape (n,): {told(error, 120)}") from error
+    for name, column in table.items():
+        for cell in () if column.dtype.kind in "fiub" else column:
+            if not isinstance(cell, Real | Decimal | None):
+                raise UsageError(f"{name}: numbers in SI are needed, not {type(cell).__name__}")
+    try:
+        return table.astype(float)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"numbers in SI are needed: {told(error, 120)}") from error
+
+
+def _warn_of_unusual(table: pd.DataFrame) -> None:
+    """Warn where the median of a column lies outside the usual range, or any number by more than a factor of ten."""
+    for name, column in table.items():
+        low, high = INPUTS[str(name)].plausible
+        known = column[np.isfinite(column)]
+        far, median = known[(known < low / _FAR) | (known > high * _FAR)], known.median()
+        if len(far) or median < low or median > high:
+            value = f"{far.iloc[0] if len(far) else median:g} {INPUTS[str(name)].unit}".rstrip()
+            usual = f"{format_value(low, str(name))} to {format_value(high, str(name))}"
+            warnings.warn(f"{name} = {value} is unusual (usual: {usual}); numbers are in SI: is the unit right?",
+                          stacklevel=3)  # fmt: skip
