@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 from scipy.special import ndtri
 
-from uqsphere.uq.describe import describe, hazen, hill
-from uqsphere.uq.estimate import Estimate, absent, from_replicates, share
+from uqsphere.uq.describe import describe, hill
+from uqsphere.uq.estimate import Estimate, absent, from_replicates, sample_reader, share
 from uqsphere.uq.points import sobol_points
 
 QUANTILES = (0.05, 0.5, 0.95)
@@ -158,5 +158,5 @@ def test_too_few_samples_are_said() -> None:
 @pytest.mark.parametrize("p", [0.001, 0.1, 0.37, 0.5, 0.9, 0.999])
 def test_a_quantile_of_samples_is_hazens(total: int, p: float) -> None:
     ordered = np.sort(np.random.default_rng(total).standard_normal(total))
-    found = hazen(ordered, p)
+    found = sample_reader(ordered)(p)
     assert found == pytest.approx(float(np.quantile(ordered, p, method="hazen")), abs=1e-12)

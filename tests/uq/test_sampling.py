@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.stats import qmc
 
+from uqsphere.uq import points
 from uqsphere.uq.points import MOST_DIMENSIONS, _seed, sobol_points
 from uqsphere.uq.sample import Sample
 
@@ -98,3 +102,12 @@ def test_a_head_and_the_rows_that_continue_it_are_the_whole() -> None:
     assert joined.count == 5
     assert np.array_equal(joined.answers[:, 2:], rest.answers)
     assert np.array_equal(joined.inputs[:, :2], sample.inputs[:, :2])
+
+
+def test_every_stream_of_random_numbers_is_listed_once_where_they_are_made() -> None:
+    package = Path(points.__file__).parents[1]
+    tasks = {task for file in package.rglob("*.py") if file.name != "points.py"
+             for task in re.findall(r'task(?:: str)? ?= ?f?"([^"{]+)"', file.read_text(encoding="utf-8"))}  # fmt: skip
+    missing = [task for task in sorted(tasks) if task not in (points.__doc__ or "")]
+    assert len(tasks) > 15
+    assert not missing

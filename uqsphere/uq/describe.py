@@ -20,10 +20,10 @@ from uqsphere.uq.estimate import (
     Estimate,
     absent,
     around,
-    between,
     corrected,
     from_replicates,
     quantile,
+    sample_reader,
     share,
     spread,
     student,
@@ -49,15 +49,6 @@ class Description:
     censored_share: Estimate
     scale: float
     exempt: tuple[float, ...] = ()
-
-
-def hazen(ordered: Array, p: float) -> float:
-    """Quantile at p of samples in rising order by Hazen's rule: the i-th stands at (i - 1/2)/N."""
-    total = ordered.size
-    lower = min(max(math.floor(p * total - 0.5), 0), total - 1)
-    fraction = min(max(p * total - 0.5 - lower, 0.0), 1.0)
-    left, right = float(ordered[lower]), float(ordered[min(lower + 1, total - 1)])
-    return left if fraction == 0.0 or left == right else left + fraction * (right - left)
 
 
 def hill(outputs: Array) -> float:
@@ -143,8 +134,8 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
     largest = float(squares.max()) / (one * total) if one > 0.0 else 0.0
     if largest > DOMINANT and total >= CONVERGES:
         reason = f"does not converge: one sample of {total:.0f} makes {100.0 * largest:.0f} % of the variance"
-        ordered = np.sort(samples[kept])
-        return mean, absent(reason, method, evaluations), 0.5 * (hazen(ordered, 0.84) - hazen(ordered, 0.16))
+        read = sample_reader(np.sort(samples[kept]))
+        return mean, absent(reason, method, evaluations), 0.5 * (read(0.84) - read(0.16))
     return mean, sd, deviation
 
 
@@ -162,8 +153,7 @@ def quantile_estimates(
 ) -> tuple[dict[float, Estimate], tuple[float, ...]]:
     """Quantiles of (R, n) samples, and those that censoring leaves unanswered.
 
-    The interval follows Woodruff (1952): the replicates' distribution functions at the pooled quantile give an interval
-    of the probability, whose ends are read off the pooled sample.
+    The replicates' distribution functions at the pooled quantile give the standard error of its probability.
     """
     replicates, n = samples.shape
     total = samples.size
@@ -171,29 +161,24 @@ def quantile_estimates(
     kept = np.ones_like(failed) if bound else ~failed
     # doubtful samples at the least and at the largest value they may have had
     least = np.where(failed, -math.inf, samples) if bound else samples
-    ordered = upper = np.sort(least[kept])
+    read = upper = sample_reader(np.sort(least[kept]))
     if censored.any() or bound:
-        upper = np.sort(np.where(failed | censored, math.inf, samples)[kept])
+        upper = sample_reader(np.sort(np.where(failed | censored, math.inf, samples)[kept]))
     counts = kept.sum(axis=1)
     answers: dict[float, Estimate] = {}
     exempt: list[float] = []
     for p in quantiles:
-        value, highest = hazen(ordered, p), hazen(upper, p)
-        if min(p, 1.0 - p) * ordered.size < LEAST_BEYOND:
+        if min(p, 1.0 - p) * counts.sum() < LEAST_BEYOND:
             answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total)
             continue
-        at = value if math.isfinite(value) else highest
-        below = ((least <= at) & kept).sum(axis=1) / counts
-        reach = student(replicates) * spread(below, 1.0 / n)
-        low, high = hazen(ordered, max(p - reach, 0.0)), hazen(upper, min(p + reach, 1.0))
-        if not (math.isfinite(low) and math.isfinite(high) and math.isfinite(value)):
+        at = read(p) if math.isfinite(read(p)) else upper(p)
+        error = spread(((least <= at) & kept).sum(axis=1) / counts, 1.0 / n)
+        answers[p] = quantile(read, p, error, replicates, method, total, upper=upper)
+        if answers[p].value is None:
             shares = {"censored": float(censored.mean()), "failed": float((failed & kept).mean())}
             parts = [f"the {what} share ({100.0 * part:.2f} %)" for what, part in shares.items() if part]
             answers[p] = absent("beyond " + " and ".join(parts), method, total)
             exempt += [p] * bool(shares["censored"])
-            continue
-        middle = value if highest == value else 0.5 * (value + highest)
-        answers[p] = between(middle, low, high, replicates, method, total)
     return answers, tuple(exempt)
 
 

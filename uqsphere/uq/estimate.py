@@ -215,16 +215,35 @@ def share(flags: Flags, method: str = "share of the samples") -> Estimate:
 
 
 def quantile(
-    read: Callable[[float], float], p: float, error: float, replicates: int, method: str, evaluations: int
-) -> Estimate:
+    read: Callable[[float], float], p: float, error: float, replicates: int, method: str, evaluations: int,
+    *, upper: Callable[[float], float] | None = None,
+) -> Estimate:  # fmt: skip
     """A quantile at p off a function that reads a distribution at a probability, where that has a standard error.
 
     The ends are read off those of the interval of the probability (R. S. Woodruff, J. Amer. Statist. Assoc. 47, 1952,
-    635): nothing is asked of the density.
+    635): nothing is asked of the density.  Where samples are known between bounds only, `read` has them at their least
+    and `upper` at their largest: each reads the end on its side, and the value lies between the two.
     """
-    half = student(replicates) * error
-    value, low, high = (read(min(max(x, 0.0), 1.0)) for x in (p, p - half, p + half))
-    return between(value, low, high, replicates, method, evaluations)
+    half, upper = student(replicates) * error, upper or read
+    value, highest, low, high = read(p), upper(p), read(max(p - half, 0.0)), upper(min(p + half, 1.0))
+    return between(value if highest == value else 0.5 * (value + highest), low, high, replicates, method, evaluations)
+
+
+def sample_reader(ordered: Array) -> Callable[[float], float]:
+    """Reads samples in rising order at a probability by Hazen's rule: the i-th of N stands at (i - 1/2)/N.
+
+    >>> sample_reader(np.array([1.0, 2.0, 4.0]))(0.5)
+    2.0
+    """
+
+    def read(p: float) -> float:
+        total = ordered.size
+        lower = min(max(math.floor(p * total - 0.5), 0), total - 1)
+        fraction = min(max(p * total - 0.5 - lower, 0.0), 1.0)
+        left, right = float(ordered[lower]), float(ordered[min(lower + 1, total - 1)])
+        return left if fraction == 0.0 or left == right else left + fraction * (right - left)
+
+    return read
 
 
 def weighted_reader(values: Array, weights: Array) -> Callable[[float], float]:

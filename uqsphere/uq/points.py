@@ -3,6 +3,18 @@
 Every randomisation is a linear matrix scramble with a digital shift (Matoušek 1998) of one Sobol'
 sequence, seeded by the study's seed, a hash of the task's name and the number of the replicate: nothing
 depends on the order in which things are drawn, and a sequence can be continued at any time.
+
+The streams of a study's seed, by the names of their tasks:
+
+    sample              the points of a run, and of its free number              run.design
+    pairs               the design of Sobol' indices                             run.grow
+    slow, factors       the rows of a slow model; model factors of given rows    run.surrogate
+    limits together     strengths of several limits at once                      run.assumptions
+    tests of NAME       strengths that the tests of a limit allow                run.assumptions
+    strengths of samples, fracture, study sample                                 run.write, run.fracture, study
+    form starts, few, wide look, first mixture, adapt, adapt fits, subset, subset chains, importance   uq.rare
+    chaos rows, expansion, polynomial chaos, shapley, shapley orders, sensitivity                      uq
+    fragility, shpb plan                                                         analysis, labs.shpb.plan
 """
 
 from __future__ import annotations

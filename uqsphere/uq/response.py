@@ -19,7 +19,7 @@ An event that none of n rows shows, rarer than about 3/n, is in no interval (`un
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -28,8 +28,8 @@ import numpy as np
 from uqsphere.arrays import Array, special
 from uqsphere.uq.chaos import Chaos, GermLike, fit_chaos, integrals, predict, projections, remainder
 from uqsphere.uq.chaos.select import Order, folds_of
-from uqsphere.uq.describe import Description, describe, hazen
-from uqsphere.uq.estimate import Estimate, absent, around, between, student
+from uqsphere.uq.describe import Description, describe
+from uqsphere.uq.estimate import Estimate, absent, around, quantile, sample_reader, student
 
 METHOD: Final = "polynomial chaos, corrected by its residuals"
 #: largest share of the variance that a response may leave and still be used: above, rows by themselves know as much
@@ -175,22 +175,22 @@ def describe_corrected(table: Array, rows: Array, levels: Array, quantiles: Sequ
     for estimate, value, half in zip((base.mean, base.sd), (mean, sd), halves, strict=True):
         whole = math.hypot(half, estimate.half_width if math.isfinite(estimate.half_width) else 0.0)
         found.append(around(value, whole, 0.5 * whole, note, n))
-    ordered = np.sort(table, axis=None)
+    read = sample_reader(np.sort(table, axis=None))
     return Description(mean=found[0], sd=found[1], censored_share=base.censored_share, scale=sd,
-                       quantiles={p: _quantile(p, e, ordered, rows, levels, note)
+                       quantiles={p: _quantile(p, e, read, rows, levels, note)
                                   for p, e in base.quantiles.items()})  # fmt: skip
 
 
-def _quantile(p: float, base: Estimate, ordered: Array, rows: Array, levels: Array, note: str) -> Estimate:
-    """A quantile of the table, whose interval has room for what the rows say of its probability (Woodruff 1952)."""
+def _quantile(
+    p: float, base: Estimate, read: Callable[[float], float], rows: Array, levels: Array, note: str
+) -> Estimate:
+    """A quantile of the table, whose interval has room for what the rows say of its probability."""
     n, side = len(rows), 0.5 * min(p, 1.0 - p, 0.1)
     if min(p, 1.0 - p) * n < 1.0:
         return absent(f"{n} runs show nothing of the {p:g} quantile: {unseen(n)}", METHOD, n)
-    at = hazen(ordered, p)
-    width = 0.5 * (hazen(ordered, p + side) - hazen(ordered, p - side)) or 1e-300
+    at, width = read(p), 0.5 * (read(p + side) - read(p - side)) or 1e-300
     half = half_width(special.ndtr((at - rows) / width) - special.ndtr((at - levels) / width))
-    low, high = (hazen(ordered, min(max(p + s * half, 0.0), 1.0)) for s in (-1.0, 1.0))
-    found = between(at, low, high, n, note, n)
+    found = quantile(read, p, half / student(n), n, note, n)
     return found if base.value is None else found.holding(base)
 
 
