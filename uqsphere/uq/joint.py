@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
 from typing import Final
@@ -21,12 +21,14 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.forms import LawError
+from uqsphere.uq.forms import LawError, student_t
 from uqsphere.uq.law import Law
 
 COPULAS: Final = ("gaussian", "student_t")
 #: normal scores beyond which a tail is taken for certain: the largest whose tail is a normal number
 CERTAIN: Final = 37.0
+#: least eigenvalue of a correlation matrix that is taken for positive definite
+_SMALLEST: Final = 1e-10
 
 
 # --- one copula ------------------------------------------------------------------------------------------
@@ -45,7 +47,7 @@ class Copula:
 
     def among(self, members: Sequence[int]) -> Copula:
         """The copula of some of the members, in the order given."""
-        return replace(self, correlation=self.correlation[np.ix_(members, members)])
+        return Copula(correlation=self.correlation[np.ix_(members, members)], dof=self.dof)
 
     def _given(self, target: int, given: Sequence[int], known: Array) -> tuple[Array, Array]:
         """Centre and scale (n,) of the (t) variate of a member, given others at the scores `known` (n, j)."""
@@ -53,7 +55,7 @@ class Copula:
         across = self.correlation[list(given), target]
         weights = inverse @ across
         remaining = math.sqrt(max(0.0, 1.0 - float(across @ weights)))
-        x = _student(known, self.dof)
+        x = _variate(known, self.dof)
         if math.isinf(self.dof):
             return np.asarray(x @ weights), np.full(len(known), remaining)
         # scale of the conditional t law: sqrt((dof + x' R⁻¹ x)/(dof + j))
@@ -66,43 +68,43 @@ class Copula:
         if not len(given):
             return score
         centre, scale = self._given(target, given, known)
-        return _score((_student(score, self.dof) - centre) / scale, self.dof + len(given))
+        return _score((_variate(score, self.dof) - centre) / scale, self.dof + len(given))
 
     def score_at(self, target: int, given: Sequence[int], known: Array, normal: Array) -> Array:
         """Score (n,) of a member whose conditional score is `normal` (n,): the inverse of `conditional_score`."""
         if not len(given):
             return np.asarray(normal, dtype=float)
         centre, scale = self._given(target, given, known)
-        return _score(centre + scale * _student(normal, self.dof + len(given)), self.dof)
+        return _score(centre + scale * _variate(normal, self.dof + len(given)), self.dof)
 
     def conditional_scores(self, given: Sequence[int], known: Array, normals: Array) -> Array:
         """Scores (n, size - j) of the members not given, in their order, from independent standard normals."""
         rest = [member for member in range(self.size) if member not in given]
         held, before = list(given), np.asarray(known, dtype=float)
-        found = np.empty((len(normals), len(rest)))
         for column, member in enumerate(rest):
-            found[:, column] = self.score_at(member, held, before, np.asarray(normals)[:, column])
+            found = self.score_at(member, held, before, np.asarray(normals)[:, column])
             held.append(member)
-            before = np.concatenate([before, found[:, column : column + 1]], axis=1)
-        return found
+            before = np.concatenate([before, found[:, None]], axis=1)
+        return before[:, len(given) :]
 
     def score_gradient(self, scores: Array) -> Array:
         """-∂ ln f/∂s (n, size) of the joint density f of the scores s (n, size)."""
         inverse = np.linalg.inv(self.correlation)
         if math.isinf(self.dof):
             return np.asarray(scores @ inverse)
-        x, nu, k = _student(scores, self.dof), self.dof, self.size
+        x, nu = _variate(scores, self.dof), self.dof
         distance = np.einsum("ni,ij,nj->n", x, inverse, x)
-        # ln f = ln c(x) + Σ ln phi(s), c the density of x over its marginals; dx/ds = phi(s)/t(x)
-        joint = (nu + k) * (x @ inverse) / (nu + distance)[:, None]
+        # ln f = ln c(x) + Σ ln phi(s), c the density of x over its marginals t(x); dx/ds = phi(s)/t(x)
+        joint = (nu + self.size) * (x @ inverse) / (nu + distance)[:, None]
         single = (nu + 1.0) * x / (nu + x**2)
-        constant = math.lgamma(0.5 * (nu + 1.0)) - math.lgamma(0.5 * nu) - 0.5 * math.log(nu * math.pi)
-        density = constant - 0.5 * (nu + 1.0) * np.log1p(x**2 / nu)
-        rate = np.exp(-0.5 * scores**2 - 0.5 * math.log(2.0 * math.pi) - density)
+        density = student_t(nu).pdf
+        assert density is not None
+        with np.errstate(over="ignore"):
+            rate = np.exp(-0.5 * scores**2) / math.sqrt(2.0 * math.pi) / density(x)
         return np.asarray((joint - single) * rate + scores)
 
 
-def _student(score: Array, dof: float) -> Array:
+def _variate(score: Array, dof: float) -> Array:
     """Student's t variate with the same probability below it as a normal score.
 
     By the incomplete beta function from whichever side has the digits: SciPy's own quantile fails in far tails
@@ -128,66 +130,67 @@ def _score(variate: Array, dof: float) -> Array:
     return np.clip(-np.sign(variate) * far, -CERTAIN, CERTAIN)
 
 
-def make_copula(
-    kind: str, size: int, *, spearman: float | None = None, kendall: float | None = None, dof: float | None = None
-) -> Copula:
-    """The copula all of whose pairs have one rank correlation, Spearman's or Kendall's.
+@dataclass(frozen=True, kw_only=True)
+class Dependence:
+    """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a Student t copula."""
 
-    Raises LawError (keys "copula", "of", "spearman", "kendall", "dof").
+    of: tuple[str, ...]
+    spearman: float | None = None
+    kendall: float | None = None
+    copula: str = "gaussian"
+    dof: float | None = None
 
-    >>> make_copula("gaussian", 2, kendall=0.5).correlation.round(6).tolist()
-    [[1.0, 0.707107], [0.707107, 1.0]]
-    """
-    if kind not in COPULAS:
-        raise LawError(f"unknown copula {kind!r}; known: {', '.join(COPULAS)}", "copula")
-    if size < 2:
-        raise LawError(f"a dependence needs two or more different inputs, found {size}", "of")
-    if (spearman is None) == (kendall is None):
-        raise LawError("a dependence is given by one of spearman and kendall", "spearman")
-    key, value = ("kendall", kendall) if spearman is None else ("spearman", spearman)
-    assert value is not None
-    if not (math.isfinite(value) and -1.0 < value < 1.0):
-        raise LawError(f"{key} must lie strictly between -1 and 1, found {value:g}", key)
-    if kind == "student_t" and (dof is None or not 1.0 <= dof <= 1000.0):
-        raise LawError(f"dof must lie between 1 and 1000, found {dof}", "dof")
-    if kind == "gaussian" and dof is not None:
-        raise LawError("dof belongs to the Student t copula, not to gaussian", "dof")
-    if key == "kendall":
-        # for every dof (Lindskog, McNeil, Schmock 2003)
-        rho = math.sin(0.5 * math.pi * value)
-    elif kind == "gaussian":
-        rho = 2.0 * math.sin(math.pi * value / 6.0)
-    else:
-        assert dof is not None
-        rho = math.copysign(_correlation_of_t(abs(value), dof), value)
-    if 1.0 + (size - 1) * min(rho, 0.0) < 1e-10 or rho > 1.0 - 1e-10:
-        raise LawError(f"{size} inputs cannot all have {key} {value:g} with each other (not positive definite)", key)
-    correlation = np.full((size, size), rho)
-    np.fill_diagonal(correlation, 1.0)
-    return Copula(correlation=correlation, dof=math.inf if dof is None else dof)
+    def make_copula(self) -> Copula:
+        """The copula of all pairs; raises LawError (keys "copula", "of", "spearman", "kendall", "dof").
+
+        >>> Dependence(of=("a", "b"), kendall=0.5).make_copula().correlation.round(6).tolist()
+        [[1.0, 0.707107], [0.707107, 1.0]]
+        """
+        size, dof = len(self.of), self.dof
+        if self.copula not in COPULAS:
+            raise LawError(f"unknown copula {self.copula!r}; known: {', '.join(COPULAS)}", "copula")
+        if size < 2 or len(set(self.of)) != size:
+            raise LawError(f"a dependence needs two or more different inputs, found {list(self.of)}", "of")
+        key, value = ("kendall", self.kendall) if self.spearman is None else ("spearman", self.spearman)
+        if value is None or None not in (self.spearman, self.kendall):
+            raise LawError("a dependence is given by one of spearman and kendall", "spearman")
+        if not -1.0 < value < 1.0:
+            raise LawError(f"{key} must lie strictly between -1 and 1, found {value:g}", key)
+        if self.copula == "student_t" and (dof is None or not 1.0 <= dof <= 1000.0):
+            raise LawError(f"dof must lie between 1 and 1000, found {dof}", "dof")
+        if self.copula == "gaussian" and dof is not None:
+            raise LawError("dof belongs to the Student t copula, not to gaussian", "dof")
+        if key == "kendall":
+            # for every dof (Lindskog, McNeil, Schmock 2003)
+            rho = math.sin(0.5 * math.pi * value)
+        elif dof is None:
+            rho = 2.0 * math.sin(math.pi * value / 6.0)
+        else:
+            rho = math.copysign(_correlation_of_t(abs(value), dof), value)
+        if 1.0 + (size - 1) * min(rho, 0.0) < _SMALLEST or rho > 1.0 - _SMALLEST:
+            said = f"{size} inputs cannot all have {key} {value:g} with each other (not positive definite)"
+            raise LawError(said, key)
+        correlation = np.full((size, size), rho)
+        np.fill_diagonal(correlation, 1.0)
+        return Copula(correlation=correlation, dof=math.inf if dof is None else dof)
 
 
 @lru_cache(maxsize=256)
 def _correlation_of_t(spearman: float, dof: float) -> float:
     """The t copula's correlation with this Spearman's rho >= 0: rho = 12 E[U V] - 3 by the trapezoidal rule over
     independent normal scores, which converges geometrically for smooth integrands."""
-    if spearman == 0.0:
-        return 0.0
-    grid = np.linspace(-7.5, 7.5, 61)
-    weight = np.exp(-0.5 * grid**2)
-    weight /= weight.sum()
-    first, second = (axis.reshape(-1) for axis in np.meshgrid(grid, grid, indexing="ij"))
-    mass = (weight[:, None] * weight[None, :]).reshape(-1) * special.ndtr(first)
+    from scipy.optimize import brentq
 
-    def gap(tau: float) -> float:
-        rho = math.sin(0.5 * math.pi * tau)
+    grid = np.linspace(-7.5, 7.5, 61)
+    first, second = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
+    weight = np.exp(-0.5 * (first**2 + second**2))
+    mass = weight / weight.sum() * special.ndtr(first)
+
+    def gap(rho: float) -> float:
         pair = Copula(correlation=np.array([[1.0, rho], [rho, 1.0]]), dof=dof)
         return 12.0 * float(mass @ special.ndtr(pair.score_at(1, (0,), first[:, None], second))) - 3.0 - spearman
 
-    from scipy.optimize import brentq
-
-    # tau lies below rho, and not below a third of it (Daniels 1950 bounds their distance)
-    return math.sin(0.5 * math.pi * float(brentq(gap, spearman / 3.0, 0.5 * (1.0 + spearman), xtol=1e-10)))
+    return float(brentq(gap, 0.0, 1.0 - 1e-12, xtol=1e-12)) if spearman > 0.0 else 0.0
 
 
 # --- several inputs ----------------------------------------------------------------------------------------
@@ -203,17 +206,6 @@ class Tie:
     copula: Copula
     given: Array
     of: tuple[int, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Dependence:
-    """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a Student t copula."""
-
-    of: tuple[str, ...]
-    spearman: float | None = None
-    kendall: float | None = None
-    copula: str = "gaussian"
-    dof: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -247,19 +239,18 @@ class Joint:
     @property
     def correlation(self) -> Array | None:
         """Correlation (d, d) of the normal scores under the Gaussian copula; None if no two are tied so."""
-        found = np.eye(len(self.names))
         for columns, copula in self.blocks:
             if math.isinf(copula.dof):
+                found = np.eye(len(self.names))
                 found[np.ix_(columns, columns)] = copula.correlation
-        return found if np.any(found - np.eye(len(found))) else None
+                return found if np.any(found - np.eye(len(found))) else None
+        return None
 
     def scores(self, normals: Array) -> Array:
         """Independent standard normals (..., d) -> dependent normal scores (..., d)."""
         normals = np.asarray(normals, dtype=float)
-        if not self.blocks:
-            return normals
         flat = normals.reshape(-1, len(self.names))
-        return self.given((), flat, flat).reshape(normals.shape)
+        return self.given((), flat, flat).reshape(normals.shape) if self.blocks else normals
 
     def marginal(self, scores: Array) -> Array:
         """Dependent normal scores (..., d) -> inputs (..., d) in SI: the laws, without what ties them."""
@@ -301,11 +292,6 @@ class Joint:
                 blocks.append((tuple(at.index(columns[k]) for k in kept), copula))
         return Joint(names=tuple(names), laws=tuple(self.laws[k] for k in at), blocks=tuple(blocks))
 
-    def tied(self) -> list[str]:
-        """Names that depend on another one, in order."""
-        tied = {column for columns, _ in self.blocks for column in columns}
-        return [name for column, name in enumerate(self.names) if column in tied]
-
     def given(self, columns: Sequence[int], scores: Array, normals: Array) -> Array:
         """Dependent scores (n, d): `columns` as in `scores` (n, d), the others drawn afresh given those.
 
@@ -316,9 +302,8 @@ class Joint:
         for block, copula in self.blocks:
             fixed = [k for k, column in enumerate(block) if column in columns]
             free = [column for column in block if column not in columns]
-            if free:
-                known = found[:, [block[k] for k in fixed]]
-                found[:, free] = copula.conditional_scores(fixed, known, normals[:, free])
+            known = found[:, [block[k] for k in fixed]]
+            found[:, free] = copula.conditional_scores(fixed, known, normals[:, free])
         return found
 
     def score_gradients(self, scores: Array) -> Array:
@@ -333,11 +318,12 @@ class Joint:
 
         z_target | z_given is normal with mean weights · z_given and this standard deviation; independent: 0, 1.
         """
-        if self.correlation is None or not given:
+        correlation = self.correlation
+        if correlation is None or not given:
             return np.zeros(len(given)), 1.0
         at, others = self.names.index(target), [self.names.index(name) for name in given]
-        across = self.correlation[others, at]
-        weights = np.asarray(np.linalg.solve(self.correlation[np.ix_(others, others)], across), dtype=np.float64)
+        across = correlation[others, at]
+        weights = np.asarray(np.linalg.solve(correlation[np.ix_(others, others)], across), dtype=np.float64)
         return weights, math.sqrt(max(0.0, 1.0 - float(across @ weights)))
 
     def tie(self, target: str, drawn: Sequence[str], scores: Array) -> Tie | None:
@@ -361,21 +347,18 @@ def make_joint(names: Sequence[str], laws: Sequence[Law], dependences: Sequence[
 
     >>> from uqsphere.uq.law import make_law
     >>> law = make_law("normal", {"mean": 0.0, "sd": 1.0})
-    >>> make_joint(("a", "b", "c"), (law,) * 3, [Dependence(of=("a", "c"), spearman=0.5)]).tied()
-    ['a', 'c']
+    >>> make_joint(("a", "b", "c"), (law,) * 3, [Dependence(of=("a", "c"), spearman=0.5)])
+    <Joint of a, b, c, dependent>
     """
     correlation, pairs, blocks = np.eye(len(names)), set[tuple[int, int]](), []
-    taken: list[str] = []
+    taken: list[int] = []
     for tie in dependences:
-        if len(set(tie.of)) != len(tie.of):
-            raise LawError(f"a dependence needs two or more different inputs, found {list(tie.of)}", "of")
         if unknown := [name for name in tie.of if name not in names]:
             raise LawError(f"{unknown[0]!r} is not a random input; random are: {', '.join(names) or 'none'}", "of")
-        copula = make_copula(tie.copula, len(tie.of), spearman=tie.spearman, kendall=tie.kendall, dof=tie.dof)
-        columns = [list(names).index(name) for name in tie.of]
+        copula, columns = tie.make_copula(), [list(names).index(name) for name in tie.of]
         if tie.copula != "gaussian":
             blocks.append((tuple(columns), copula))
-            taken += tie.of
+            taken += columns
             continue
         for pair in combinations(sorted(columns), 2):
             if pair in pairs:
@@ -383,13 +366,12 @@ def make_joint(names: Sequence[str], laws: Sequence[Law], dependences: Sequence[
             pairs.add(pair)
             correlation[pair] = correlation[pair[::-1]] = copula.correlation[0, 1]
     tied = sorted({column for pair in pairs for column in pair})
-    for name in names:
-        if taken.count(name) + (list(names).index(name) in tied) > 1:
-            raise LawError(f"{name} is in more than one dependence, and one of them is not Gaussian: name all of them "
-                           "in one dependence, or take Gaussian copulas", "of")  # fmt: skip
+    if twice := [column for column in range(len(names)) if taken.count(column) + tied.count(column) > 1]:
+        raise LawError(f"{names[twice[0]]} is in more than one dependence, and one of them is not Gaussian: name all "
+                       "of them in one dependence, or take Gaussian copulas", "of")  # fmt: skip
     if tied:
         gaussian = correlation[np.ix_(tied, tied)]
-        if (smallest := float(np.linalg.eigvalsh(gaussian)[0])) < 1e-10:
+        if (smallest := float(np.linalg.eigvalsh(gaussian)[0])) < _SMALLEST:
             raise LawError("the dependences cannot hold together: the correlation matrix is not positive definite "
                            f"(least eigenvalue {smallest:.3g}); weaken or remove some of them", "spearman")  # fmt: skip
         blocks.insert(0, (tuple(tied), Copula(correlation=gaussian)))
