@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq import location_scale
 from uqsphere.uq.families import DRAWN, FAMILIES, Family
 from uqsphere.uq.forms import LawError
 from uqsphere.uq.law import Law, bounds_of, checked
 from uqsphere.uq.location_scale import MANY, LocationScale
-from uqsphere.uq.observed import MOST_KERNELS, WEIBULL, bandwidth
+from uqsphere.uq.observed import MOST_KERNELS, WEIBULL, WIDTH, bandwidth
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -43,7 +43,7 @@ _SERIES_SEED: Final = 20261121
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StrengthTests:
-    """Different values (k,) > 0 of tests in rising order, and how many failed or were stopped at each (k,)."""
+    """Different values (k,) of tests in rising order, and how many failed or were stopped at each (k,)."""
 
     values: Array
     failures: Array
@@ -78,8 +78,7 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
     for name, one in (("stopped", flags), ("counts", many)):
         if one.shape != found.shape:
             raise ValueError(f"values and {name} differ in number: {found.size} and {one.size}")
-    strange = [flag for flag in flags.tolist() if flag not in (0, 1)]
-    if strange:
+    if strange := [flag for flag in flags.tolist() if flag not in (0, 1)]:
         raise ValueError(f"stopped must be 0 (failed) or 1 (stopped), found {strange[0]!r}: tests known only to lie "
                          "below a value, or between two, cannot be given")  # fmt: skip
     if not (np.isfinite(many).all() and (many >= 1.0).all() and (many % 1.0 == 0.0).all()):
@@ -88,16 +87,19 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
         raise ValueError("the tests hold values that are not finite numbers")
     if found.min() <= 0.0:
         raise ValueError(f"a strength must be positive, the smallest found is {found.min():g}")
-    different, at = np.unique(found, return_inverse=True)
-    ended = np.bincount(at, many * flags.astype(bool), different.size).astype(float)
-    failures = np.bincount(at, many, different.size).astype(float) - ended
-    broke = different[failures > 0.0]
+    tests = _gathered(found, flags.astype(bool), many)
+    broke, total = tests.values[tests.failures > 0.0], tests.failures.sum()
     if broke.size == 0:
         raise ValueError(f"all {many.sum():.0f} tests were stopped before a failure: they tell no strength")
     if broke[-1] - broke[0] <= SAME * broke[-1]:
-        total = failures.sum()
         what = "only one failure" if total < LEAST_FAILURES else f"all {total:.0f} failures are equal"
         raise ValueError(f"{what}: the scatter is not known, at least two different failures are needed")
+    return tests
+
+
+def _gathered(values: Array, stopped: Flags, counts: Array) -> StrengthTests:
+    different, at = np.unique(values, return_inverse=True)
+    failures, ended = (np.bincount(at, counts * flags, different.size) for flags in (~stopped, stopped))
     return StrengthTests(values=different, failures=failures, stopped=ended)
 
 
@@ -159,7 +161,7 @@ class StrengthFit:
 
 
 def _best(tests: StrengthTests, law: LocationScale) -> tuple[float, float]:
-    """Location and scale of the logarithm by the largest likelihood."""
+    """Location and scale of u(x) by the largest likelihood."""
     location, spread = law.maximum(law.u(tests.values)[None, :], tests.failures, tests.stopped)
     return float(location[0]), float(spread[0])
 
@@ -188,7 +190,7 @@ def fit_strength(tests: StrengthTests, law: LocationScale = STRENGTHS["weibull"]
 
 
 def fitted_parameters(tests: StrengthTests, law: LocationScale, *, unbiased: bool = False) -> dict[str, float]:
-    """Canonical parameters alone, without the price of the intervals."""
+    """Parameters alone, without the price of the intervals."""
     location, spread = _best(tests, law)
     shape = law.shape(spread) * (unbiasing(law, tests.leaving) if unbiased else 1.0)
     return law.parameters(location, law.shape(shape))
@@ -254,7 +256,15 @@ def fitted_law(
     if how not in FITS:
         raise LawError(f"unknown fit {how!r}; allowed: {', '.join(FITS)}; a threshold is not fitted", "fit")
     if len(censored) or unbiased:
-        return checked(_by_tests(data, how, a, b, censored, unbiased))
+        if how not in STRENGTHS:
+            why = "the bias can be taken out of" if unbiased else "tests that were stopped need"
+            allowed = " or ".join(f'"{name}"' for name in STRENGTHS)
+            raise LawError(f"{why} a fit = {allowed} alone; found {how}", "fit")
+        try:
+            make_tests([*data, *censored], [False] * len(data) + [True] * len(censored))
+        except ValueError as error:
+            raise LawError(str(error), "column") from None
+        return checked(_member(FAMILIES[how], np.sort(data), a, b, censored, unbiased=unbiased))
     values = np.sort(np.asarray(data, dtype=float))
     if values.ndim != 1 or values.size < 2:
         raise LawError(f"an empirical law needs at least 2 observations, found {values.size}", "file")
@@ -287,46 +297,33 @@ def _of_known_modulus(data: Sequence[float], fit: str | None, censored: Sequence
     return law_of_draws([(WEIBULL, 0.0, float(scale), modulus, 0.0) for scale in scales], x.size)
 
 
-def _member(family: Family, values: Array, a: float, b: float) -> Law:
-    """The member of a family that the observations have the largest likelihood by."""
-    name = family.name
-    if family.bounded and not family.parameters_of:
+def _member(
+    family: Family, values: Array, a: float, b: float, censored: Sequence[float] = (), *, unbiased: bool = False
+) -> Law:
+    """The member of a family that the observations (n,), in rising order, have the largest likelihood by."""
+    name, own_bounds = family.name, family.bounded and not family.parameters_of
+    if own_bounds:
         a = float(values[0]) if math.isinf(a) else a
         b = float(values[-1]) if math.isinf(b) else b
     if family.bounded and not (math.isfinite(a) and math.isfinite(b)):
         raise LawError(f"{name} needs lower and upper", "lower" if math.isinf(a) else "upper")
     if not a < b:
         raise LawError(f"lower ({a:g}) must be below upper ({b:g})", "lower")
+    law = Law(family=family, lower=a, upper=b, data=tuple(values.tolist()), censored=tuple(sorted(censored)))
     try:
-        if family.bounded and family.parameters_of and not (a < values[0] and values[-1] < b):
+        if family.bounded and not own_bounds and not (a < values[0] and values[-1] < b):
             found, allowed = f"{values[0]:g} to {values[-1]:g}", f"{a:g} to {b:g}"
             raise ValueError(f"the observations ({found}) must lie between the bounds ({allowed})")
         if family.positive and values[0] <= 0.0:
             raise ValueError(f"{name} needs positive observations, the smallest is {values[0]:g}")
         if family.location_scale is not None:
-            fitted = family.location_scale.parameters(*family.location_scale.fitted(values))
+            fitted = fitted_parameters(series_behind(law), family.location_scale, unbiased=unbiased)
         else:
             assert family.fit is not None
             fitted = family.fit(values, a, b)
-        parameters = family.parameters(fitted, a, b)
+        return replace(law, parameters=family.parameters(fitted, a, b))
     except ValueError as error:
         raise LawError(f"{name} does not fit the observations: {error}", "fit") from None
-    return Law(family=family, parameters=parameters, lower=a, upper=b, data=tuple(values.tolist()))
-
-
-def _by_tests(data: Sequence[float], fit: str, a: float, b: float, censored: Sequence[float], unbiased: bool) -> Law:
-    """A law fitted to strength tests: without the bias of few tests, or with tests that ended without a failure."""
-    if fit not in STRENGTHS:
-        why = "the bias can be taken out of" if unbiased else "tests that were stopped need"
-        allowed = " or ".join(f'"{name}"' for name in STRENGTHS)
-        raise LawError(f"{why} a fit = {allowed} alone; found {fit}", "fit")
-    law = Law(family=FAMILIES[fit], parameters={}, lower=a, upper=b, data=tuple(sorted(data)),
-              censored=tuple(sorted(censored)))  # fmt: skip
-    try:
-        parameters = fitted_parameters(series_behind(law), STRENGTHS[fit], unbiased=unbiased)
-    except ValueError as error:
-        raise LawError(str(error), "column") from None
-    return replace(law, parameters=law.family.parameters(parameters, a, b))
 
 
 def is_fitted(law: object) -> bool:
@@ -341,8 +338,8 @@ def count_tests(law: Law) -> int:
 
 def series_behind(law: Law) -> StrengthTests:
     """The tests behind a law, those included that ended without a failure."""
-    stopped = [False] * len(law.data) + [True] * len(law.censored)
-    return make_tests([*law.data, *law.censored], stopped)
+    values = np.array([*law.data, *law.censored])
+    return _gathered(values, np.arange(values.size) >= len(law.data), np.ones(values.size))
 
 
 # --- laws that the observations allow ----------------------------------------------------------------------
@@ -373,14 +370,11 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> list[
         return [_redrawn(law, generator) for _ in range(count)]
     if family.location_scale is None:
         return _refitted(law, count, generator)
-    if family.name in STRENGTHS:
-        # whether or not the bias was taken out of the law
-        tests = series_behind(law)
-        (location, scale), leaving = _best(tests, family.location_scale), tests.leaving
-    else:
-        (location, scale), leaving = family.location_scale.fitted(np.array(law.data)), np.ones(n)
-    centre, inverse = family.location_scale.pivots(leaving, count, generator)
-    columns = family.location_scale.parameters(location - scale * centre, scale * inverse)
+    # the parameters of the largest likelihood, whether or not the bias was taken out of the law
+    tests, kind = series_behind(law), family.location_scale
+    location, scale = _best(tests, kind)
+    centre, inverse = kind.pivots(tests.leaving, count, generator)
+    columns = kind.parameters(location - scale * centre, scale * inverse)
     values = np.column_stack(list(columns.values())).tolist()
     return [replace(law, parameters=dict(zip(columns, row, strict=True))) for row in values]
 
@@ -418,7 +412,7 @@ def law_of_draws(draws: Sequence[Sequence[float]], tests: int) -> Law:
     ([2.0], 12)
     """
     table = np.asarray(draws, dtype=float)
-    if table.ndim != 2 or table.shape[1] != 5 or not len(table) or not np.isfinite(table).all():
+    if table.ndim != 2 or table.shape[1] != WIDTH or not len(table) or not np.isfinite(table).all():
         said = f"draws must be finite and (n, 5): kind, least, scale, shape, bound; found {table.shape}"
         raise LawError(said, "draws")
     if not (np.isin(table[:, 0], (0.0, 1.0)).all() and (table[:, 2:4] > 0.0).all() and (table[:, [1, 4]] >= 0.0).all()):

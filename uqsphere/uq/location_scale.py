@@ -89,11 +89,6 @@ class LocationScale:
                 break
         return g / h * spread[:, 0] + centre[:, 0], spread[:, 0] / h
 
-    def fitted(self, data: Array) -> tuple[float, float]:
-        """Location and scale of the largest likelihood of observations (n,)."""
-        location, scale = self.maximum(self.u(data)[None, :], np.ones(data.size))
-        return float(location[0]), float(scale[0])
-
     def series(self, leaving: Array, count: int, generator: np.random.Generator) -> Array:
         """Failures (count, r) of simulated series of the standard law, in rising order.
 
