@@ -110,4 +110,4 @@ class _Broken(stats.rv_continuous):
 def test_a_tail_that_contradicts_itself_is_refused() -> None:
     own, wrong = stats.norm, lambda x: np.maximum(stats.norm.sf(x), 1e-8)
     with pytest.raises(LawError, match="upper tail of w is wrong from the probability 1e-09 on"):
-        form_of("w", (own.cdf, wrong, own.ppf, own.isf, own.pdf), lambda: (0.0, 1.0))
+        form_of("w", (own.cdf, wrong, own.ppf, own.isf, own.pdf), (0.0, 1.0))

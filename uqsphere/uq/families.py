@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array
 from uqsphere.uq import forms, location_scale, observed
 from uqsphere.uq.forms import Form, LawError
 from uqsphere.uq.location_scale import LocationScale
@@ -129,6 +129,8 @@ class Family:
         for key in (key for key in _POSITIVE if own.get(key, 1.0) <= 0.0):
             hint = "; give the number itself where a fixed value is meant" if own[key] == 0.0 else ""
             raise LawError(f"{key} must be positive, found {own[key]:g}{hint}", key)
+        if self.positive and not self.optional and own.get("mean", 1.0) <= 0.0:
+            raise LawError(f"mean of a {self.name} law must be positive, found {own['mean']:g}", "mean")
         if own.get("mean") == 0.0 and "cov" in own:
             raise LawError("cov has no meaning for a mean of 0: give sd instead", "cov")
         if "cov" in own:
@@ -139,22 +141,14 @@ class Family:
 # --- how keys become parameters, and observations a fit ----------------------------------------------------------
 
 
-def _positive_mean(name: str, given: Keys) -> float:
-    """The mean that was given; raises LawError where it is not above zero."""
-    if given["mean"] <= 0.0:
-        raise LawError(f"mean of a {name} law must be positive, found {given['mean']:g}", "mean")
-    return given["mean"]
-
-
 def _inside(key: str, given: Keys, lower: float, upper: float) -> None:
     if not lower <= given[key] <= upper:
         raise LawError(f"{key} ({given[key]:g}) must lie between lower ({lower:g}) and upper ({upper:g})", key)
 
 
 def _lognormal_keys(given: Keys, lower: float, upper: float) -> Keys:
-    mean = _positive_mean("lognormal", given)
-    variance = math.log1p((given["sd"] / mean) ** 2)
-    return {"log_mean": math.log(mean) - 0.5 * variance, "log_sd": math.sqrt(variance)}
+    variance = math.log1p((given["sd"] / given["mean"]) ** 2)
+    return {"log_mean": math.log(given["mean"]) - 0.5 * variance, "log_sd": math.sqrt(variance)}
 
 
 def _weibull_keys(given: Keys, lower: float, upper: float) -> Keys:
@@ -162,16 +156,6 @@ def _weibull_keys(given: Keys, lower: float, upper: float) -> Keys:
     if above <= 0.0:
         raise LawError(f"mean ({given['mean']:g}) must exceed the threshold ({given['threshold']:g})", "mean")
     return {"scale": above / math.gamma(1.0 + 1.0 / given["modulus"])}
-
-
-def _gumbel_keys(given: Keys, lower: float, upper: float) -> Keys:
-    scale = given["sd"] * math.sqrt(6.0) / math.pi
-    return {"location": given["mean"] - float(np.euler_gamma) * scale, "scale": scale}
-
-
-def _gamma_keys(given: Keys, lower: float, upper: float) -> Keys:
-    mean = _positive_mean("gamma", given)
-    return {"shape": (mean / given["sd"]) ** 2, "scale": given["sd"] * (given["sd"] / mean)}
 
 
 def _beta_keys(given: Keys, lower: float, upper: float) -> Keys:
@@ -189,22 +173,14 @@ def _above_zero(given: Keys, lower: float, upper: float) -> None:
         raise LawError(f"lower of a loguniform law must be positive, found {lower:g}", "lower")
 
 
-def _gamma_fit(data: Array, lower: float, upper: float) -> Keys:
-    from scipy.optimize import brentq
-
-    # ln k - digamma(k) = ln(mean) - mean(ln), which lies between 1/(2 k) and 1/k
-    gap = math.log(float(data.mean())) - float(np.log(data).mean())
-    shape = float(brentq(lambda k: math.log(k) - float(special.digamma(k)) - gap, 0.4 / gap, 1.1 / gap, rtol=1e-14))
-    return {"shape": shape, "scale": float(data.mean()) / shape}
-
-
-def _student_fit(data: Array, lower: float, upper: float) -> Keys:
+def _scipy_fit(name: str, data: Array, *keys: str, **fixed: float) -> Keys:
+    """What scipy.stats fits: its shapes, loc and scale by our keys, "" for none."""
     from scipy import stats
 
     # Pascals and micrometres meet the same optimiser
     size = float(np.mean(np.abs(data)))
-    dof, location, scale = stats.t.fit(data / size)
-    return {"dof": dof, "location": location * size, "scale": scale * size}
+    *shapes, loc, scale = getattr(stats, name).fit(data / size, **{key: value / size for key, value in fixed.items()})
+    return {key: value for key, value in zip(keys, (*shapes, loc * size, scale * size), strict=True) if key}
 
 
 def _triangular_fit(data: Array, lower: float, upper: float) -> Keys:
@@ -212,13 +188,6 @@ def _triangular_fit(data: Array, lower: float, upper: float) -> Keys:
     below = np.tril(np.log(data - lower) - np.log(data - lower)[:, None], -1).sum(axis=1)
     above = np.triu(np.log(upper - data) - np.log(upper - data)[:, None], 1).sum(axis=1)
     return {"mode": float(data[np.argmax(below + above)])}
-
-
-def _beta_fit(data: Array, lower: float, upper: float) -> Keys:
-    from scipy import stats
-
-    alpha, beta, _, _ = stats.beta.fit(data, floc=lower, fscale=upper - lower)
-    return {"alpha": alpha, "beta": beta}
 
 
 # --- the families ------------------------------------------------------------------------------------------------
@@ -243,13 +212,13 @@ FAMILIES: Final = {family.name: family for family in (
     ),
     Family(
         name="exponential", alternatives=(("rate",), ("mean",)), parameters_of=("rate",), positive=True,
-        from_moments=lambda given, a, b: {"rate": 1.0 / _positive_mean("exponential", given)},
+        from_moments=lambda given, a, b: {"rate": 1.0 / given["mean"]},
         form=lambda own, a, b: (0.0, 1.0 / own["rate"], forms.weibull(1.0)),
         fit=lambda data, a, b: {"rate": 1.0 / float(np.mean(data))},
     ),
     Family(
         name="rayleigh", alternatives=(("scale",), ("mean",)), parameters_of=("scale",), positive=True,
-        from_moments=lambda given, a, b: {"scale": _positive_mean("rayleigh", given) * math.sqrt(2.0 / math.pi)},
+        from_moments=lambda given, a, b: {"scale": given["mean"] * math.sqrt(2.0 / math.pi)},
         form=lambda own, a, b: (0.0, own["scale"] * math.sqrt(2.0), forms.weibull(2.0)),
         fit=lambda data, a, b: {"scale": np.sqrt(0.5 * np.mean(data**2))},
     ),
@@ -260,7 +229,11 @@ FAMILIES: Final = {family.name: family for family in (
     ),
     Family(
         name="gumbel", alternatives=(("location", "scale"), *_MOMENTS), parameters_of=("location", "scale"),
-        from_moments=_gumbel_keys, location_scale=location_scale.GUMBEL,
+        from_moments=lambda given, a, b: {
+            "location": given["mean"] - float(np.euler_gamma) * math.sqrt(6.0) / math.pi * given["sd"],
+            "scale": given["sd"] * math.sqrt(6.0) / math.pi,
+        },
+        location_scale=location_scale.GUMBEL,
         form=lambda own, a, b: (own["location"], own["scale"], forms.GUMBEL),
     ),
     Family(
@@ -278,15 +251,20 @@ FAMILIES: Final = {family.name: family for family in (
     Family(
         name="beta", alternatives=(("alpha", "beta"), *_MOMENTS), parameters_of=("alpha", "beta"), bounded=True,
         from_moments=_beta_keys, form=lambda own, a, b: (a, b - a, forms.beta(own["alpha"], own["beta"])),
-        fit=_beta_fit,
+        fit=lambda data, a, b: _scipy_fit("beta", data, "alpha", "beta", "", "", floc=a, fscale=b - a),
     ),
     Family(
         name="gamma", alternatives=(("shape", "scale"), *_MOMENTS), parameters_of=("shape", "scale"), positive=True,
-        from_moments=_gamma_keys, form=lambda own, a, b: (0.0, own["scale"], forms.gamma(own["shape"])), fit=_gamma_fit,
+        from_moments=lambda given, a, b: {
+            "shape": (given["mean"] / given["sd"]) ** 2, "scale": given["sd"] * (given["sd"] / given["mean"]),
+        },
+        form=lambda own, a, b: (0.0, own["scale"], forms.gamma(own["shape"])),
+        fit=lambda data, a, b: _scipy_fit("gamma", data, "shape", "", "scale", floc=0.0),
     ),
     Family(
         name="student_t", alternatives=(("dof", "location", "scale"),), parameters_of=("dof", "location", "scale"),
-        form=lambda own, a, b: (own["location"], own["scale"], forms.student_t(own["dof"])), fit=_student_fit,
+        form=lambda own, a, b: (own["location"], own["scale"], forms.student_t(own["dof"])),
+        fit=lambda data, a, b: _scipy_fit("t", data, "dof", "location", "scale"),
     ),
     Family(name="empirical", observed=observed.empirical),
     # numbers that are given, each with a whole number as its weight: a step function that no test is behind
@@ -316,7 +294,7 @@ def _of_scipy(name: str) -> Family | None:
     @lru_cache(maxsize=64)
     def standard(*numbers: float) -> Form:
         functions = tuple(lambda values, f=f: f(values, *numbers) for f in (law.cdf, law.sf, law.ppf, law.isf, law.pdf))
-        return forms.form_of(name, functions, lambda: law.stats(*numbers, moments="mv"), (*shapes, "")[0])
+        return forms.form_of(name, functions, law.stats(*numbers, moments="mv"), (*shapes, "")[0])
 
     def form(own: Mapping[str, float], lower: float, upper: float) -> tuple[float, float, Form]:
         return own["loc"], own["scale"], standard(*(own[key] for key in shapes))

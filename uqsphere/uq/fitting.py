@@ -99,7 +99,7 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
 
 def _gathered(values: Array, stopped: Flags, counts: Array) -> StrengthTests:
     different, at = np.unique(values, return_inverse=True)
-    failures, ended = (np.bincount(at, counts * flags, different.size) for flags in (~stopped, stopped))
+    failures, ended = (np.bincount(at, counts * flags, different.size).astype(float) for flags in (~stopped, stopped))
     return StrengthTests(values=different, failures=failures, stopped=ended)
 
 
@@ -174,8 +174,8 @@ def fit_strength(tests: StrengthTests, law: LocationScale = STRENGTHS["weibull"]
     (4.66, 1.108, 6)
     """
     location, spread = _best(tests, law)
-    y = np.log(tests.values)[None, :]
-    best = law.log_likelihood(y, tests.failures, tests.stopped, np.array([1.0 / spread]), np.array([location / spread]))
+    y = np.log(tests.values)
+    terms = law.terms((y - location) / spread, tests.failures, tests.stopped)[0]
     centre, inverse = law.pivots(tests.leaving, draws, np.random.default_rng(_SERIES_SEED))
     # s = s* inverse and mu = mu* - s* centre are what the tests allow
     shapes = np.quantile(law.shape(spread * inverse), [0.025, 0.975])
@@ -185,7 +185,8 @@ def fit_strength(tests: StrengthTests, law: LocationScale = STRENGTHS["weibull"]
         shape=law.shape(spread), scale=math.exp(location),
         unbiased=law.shape(spread) * unbiasing(law, tests.leaving, inverse),
         shape_interval=(float(shapes[0]), float(shapes[1])), scale_interval=(float(places[0]), float(places[1])),
-        log_likelihood=float(best[0] - (tests.failures * y).sum()), p_value=probability_of(tests, law),
+        log_likelihood=float((terms - tests.failures * (y + math.log(spread))).sum()),
+        p_value=probability_of(tests, law),
     )  # fmt: skip
 
 

@@ -1,8 +1,8 @@
 """Standard forms of probability laws on scipy.special: what `Family` and `Law` compute with.
 
-The lower and the upper tail have functions of their own, so that neither is a difference from one: each keeps its
-relative accuracy however small it is.  The functions of a law of somebody else, such as SciPy's, become a form by
-`form_of`, which holds their tails to account.
+The lower and the upper tail p and q = 1 - p are always both there, so that neither is a difference from the other: each
+keeps its relative accuracy however small it is.  A form is cut off by `truncated`; the functions of a law of somebody
+else, such as SciPy's, become a form by `form_of`, which holds their tails to account.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ import numpy as np
 from uqsphere.arrays import Array, special
 
 Function: TypeAlias = Callable[[Array], Array]
+Quantile: TypeAlias = Callable[[Array, Array], Array]
 
+ROOT: Final = math.sqrt(2.0 * math.pi)
 #: tail probabilities at which quantiles and probabilities are held against each other: a sample of 1e6 points reaches
 #: 1e-7, and what is rarer is looked for by importance sampling
 _TAILS: Final = np.array([0.3, 1e-3, 1e-6, 1e-9])
@@ -40,100 +42,147 @@ class Form:
 
     Attributes
     ----------
-    cdf, sf, ppf, isf, pdf : lower and upper tail, their inverses, density; a step function has no density
+    tails : y -> P(Y <= y), P(Y > y)
+    quantile : p and q = 1 - p, each exact where it is small -> y
+    pdf : density; a step function has none
     moments : mean and sd, where quadrature in normal scores is slow or inexact
     orders : of the lower and the upper tail, the order from which on moments do not exist
+    mass : probability that truncation has left
     """
 
-    cdf: Function
-    sf: Function
-    ppf: Function
-    isf: Function
+    tails: Callable[[Array], tuple[Array, Array]]
+    quantile: Quantile
     pdf: Function | None
     moments: tuple[float, float] | None = None
     orders: tuple[float, float] = (math.inf, math.inf)
+    mass: float = 1.0
+
+
+def truncated(form: Form, a: float, b: float) -> Form:
+    """The form between a and b, from whichever tail is the smaller one: no digits are lost however far out they are."""
+    ends = np.array([a, b])
+    known = np.isfinite(ends)
+    with np.errstate(divide="ignore", over="ignore"):
+        below, above = form.tails(np.where(known, ends, 0.0))
+    below_a, below_b = np.where(known, below, ends > 0.0).tolist()
+    above_a, above_b = np.where(known, above, ends < 0.0).tolist()
+    if above_a < 0.5:
+        mass = above_a - above_b
+    else:
+        mass = below_b - below_a if below_b < 0.5 else 1.0 - below_a - above_b
+
+    def tails(y: Array) -> tuple[Array, Array]:
+        below, above = form.tails(y)
+        lower_side = below <= 0.5
+        p = np.clip(np.where(lower_side, below - below_a, above_a - above) / mass, 0.0, 1.0)
+        q = np.clip(np.where(lower_side, below_b - below, above - above_b) / mass, 0.0, 1.0)
+        low, high = y < a, y > b
+        return np.where(low, 0.0, np.where(high, 1.0, p)), np.where(low, 1.0, np.where(high, 0.0, q))
+
+    def quantile(p: Array, q: Array) -> Array:
+        lower = below_a + p * mass if below_a < 0.5 else 1.0 - (above_b + q * mass)
+        upper = above_b + q * mass if above_b < 0.5 else 1.0 - (below_a + p * mass)
+        return form.quantile(lower, upper)
+
+    density, (low, high) = form.pdf, form.orders
+    assert density is not None
+    return Form(tails=tails, quantile=quantile, pdf=lambda y: density(y) / mass, mass=mass,
+                orders=(low if a == -math.inf else math.inf, high if b == math.inf else math.inf))  # fmt: skip
+
+
+def either(ppf: Function, isf: Function) -> Quantile:
+    """Quantiles by the smaller tail, from the inverses of both."""
+
+    def quantile(p: Array, q: Array) -> Array:
+        y, below = np.empty_like(p), p <= 0.5
+        y[below] = ppf(p[below])
+        y[~below] = isf(q[~below])
+        return y
+
+    return quantile
 
 
 def symmetric(cdf: Function, ppf: Function, pdf: Function, order: float = math.inf) -> Form:
     """A form that is the same for -y."""
-    return Form(cdf=cdf, sf=lambda y: cdf(-y), ppf=ppf, isf=lambda q: -ppf(q), pdf=pdf, orders=(order, order))
+
+    def quantile(p: Array, q: Array) -> Array:
+        y = ppf(np.minimum(p, q))
+        return np.where(p <= 0.5, y, -y)
+
+    return Form(tails=lambda y: (cdf(y), cdf(-y)), quantile=quantile, pdf=pdf, orders=(order, order))
 
 
-def by_hazard(
-    hazard: Function, inverse: Function, log_rate: Function, *, falling: bool = False, order: float = math.inf
-) -> Form:
-    """P(Y > y) = exp(-H(y)), or P(Y <= y) where the hazard H is falling; `log_rate`: ln |dH/dy|, nan off the law."""
+def by_hazard(hazard: Function, inverse: Function, log_rate: Function) -> Form:
+    """P(Y > y) = exp(-H(y)) of a hazard H; `log_rate`: ln |dH/dy|, nan off the law."""
 
-    def survival(y: Array) -> Array:
-        return np.exp(-hazard(y))
-
-    def failure(y: Array) -> Array:
-        return np.asarray(-np.expm1(-hazard(y)))
-
-    def of_survival(q: Array) -> Array:
-        return inverse(-np.log(q))
-
-    def of_failure(p: Array) -> Array:
-        return inverse(-np.log1p(-p))
+    def tails(y: Array) -> tuple[Array, Array]:
+        h = hazard(y)
+        return -np.expm1(-h), np.exp(-h)
 
     @np.errstate(invalid="ignore")
     def pdf(y: Array) -> Array:
         density = np.exp(log_rate(y) - hazard(y))
         return np.where(density > 0.0, density, 0.0)
 
-    if falling:
-        return Form(cdf=survival, sf=failure, ppf=of_survival, isf=of_failure, pdf=pdf, orders=(math.inf, order))
-    return Form(cdf=failure, sf=survival, ppf=of_failure, isf=of_survival, pdf=pdf)
+    return Form(tails=tails, quantile=lambda p, q: inverse(np.where(p <= 0.5, -np.log1p(-p), -np.log(q))), pdf=pdf)
 
 
-def between(cdf: Callable[..., Array], ppf: Callable[..., Array], pdf: Function, *shapes: float,
-             moments: tuple[float, float] | None = None) -> Form:  # fmt: skip
+def falling(form: Form, order: float = math.inf) -> Form:
+    """The form whose tails are exchanged: that of a hazard that falls."""
+    return replace(form, tails=lambda y: form.tails(y)[::-1], quantile=lambda p, q: form.quantile(q, p),
+                   orders=(math.inf, order))  # fmt: skip
+
+
+def between(cdf: Callable[..., Array], ppf: Callable[..., Array], pdf: Function, *shapes: float) -> Form:
     """A form on [0, 1] that for 1 - y has its shapes in reverse order."""
     back = shapes[::-1]
-    return Form(cdf=lambda y: cdf(y, *shapes), sf=lambda y: cdf(1.0 - y, *back), ppf=lambda p: ppf(p, *shapes),
-                isf=lambda q: 1.0 - ppf(q, *back), pdf=pdf, moments=moments)  # fmt: skip
+    return Form(tails=lambda y: (cdf(y, *shapes), cdf(1.0 - y, *back)), pdf=pdf,
+                quantile=either(lambda p: ppf(p, *shapes), lambda q: 1.0 - ppf(q, *back)))  # fmt: skip
 
+
+# --- the forms that families are made of ---------------------------------------------------------------------------
 
 GAUSS: Final = replace(
-    symmetric(lambda y: special.ndtr(y), lambda p: special.ndtri(p),
-               lambda y: np.exp(-0.5 * y * y) / math.sqrt(2.0 * math.pi)),
+    symmetric(lambda y: special.ndtr(y), lambda p: special.ndtri(p), lambda y: np.exp(-0.5 * y * y) / ROOT),
     moments=(0.0, 1.0),
+)
+GUMBEL: Final = falling(by_hazard(lambda y: np.exp(-y), lambda h: -np.log(h), lambda y: -y))
+UNIFORM: Final = Form(
+    tails=lambda y: (np.clip(y, 0.0, 1.0), np.clip(1.0 - y, 0.0, 1.0)), quantile=lambda p, q: p,
+    pdf=lambda y: np.where(abs(y - 0.5) <= 0.5, 1.0, 0.0), moments=(0.5, 12.0**-0.5),
 )  # fmt: skip
-GUMBEL: Final = by_hazard(lambda y: np.exp(-y), lambda h: -np.log(h), lambda y: -y, falling=True)
-UNIFORM: Final = between(lambda y: np.clip(y, 0.0, 1.0), lambda p: p, lambda y: np.where(abs(y - 0.5) <= 0.5, 1.0, 0.0),
-                         moments=(0.5, 12.0**-0.5))  # fmt: skip
 
 
-def weibull(m: float) -> Form:
+def weibull(m: float | Array) -> Form:
     return by_hazard(
         lambda y: np.maximum(y, 0.0) ** m,
         lambda h: h ** (1.0 / m),
-        lambda y: math.log(m) + special.xlogy(m - 1.0, np.where(y < 0.0, math.nan, y)),
+        lambda y: np.log(m) + special.xlogy(m - 1.0, np.where(y < 0.0, math.nan, y)),
     )
 
 
 def frechet(a: float) -> Form:
-    return by_hazard(
-        lambda y: np.maximum(y, 0.0) ** -a,
-        lambda h: h ** (-1.0 / a),
-        lambda y: math.log(a) - (a + 1.0) * np.log(y),
-        falling=True,
+    return falling(
+        by_hazard(
+            lambda y: np.maximum(y, 0.0) ** -a,
+            lambda h: h ** (-1.0 / a),
+            lambda y: math.log(a) - (a + 1.0) * np.log(y),
+        ),
         order=a,
     )
 
 
 def gamma(k: float) -> Form:
+    def tails(y: Array) -> tuple[Array, Array]:
+        inside = np.maximum(y, 0.0)
+        return special.gammainc(k, inside), special.gammaincc(k, inside)
+
     def pdf(y: Array) -> Array:
         inside = np.maximum(y, 0.0)
         return np.where(y >= 0.0, np.exp(special.xlogy(k - 1.0, inside) - inside - special.gammaln(k)), 0.0)
 
-    return Form(
-        cdf=lambda y: special.gammainc(k, np.maximum(y, 0.0)),
-        sf=lambda y: special.gammaincc(k, np.maximum(y, 0.0)),
-        ppf=lambda p: special.gammaincinv(k, p),
-        isf=lambda q: special.gammainccinv(k, q),
-        pdf=pdf,
-    )
+    quantile = either(lambda p: special.gammaincinv(k, p), lambda q: special.gammainccinv(k, q))
+    return Form(tails=tails, quantile=quantile, pdf=pdf)
 
 
 def student_t(dof: float) -> Form:
@@ -150,8 +199,6 @@ def student_t(dof: float) -> Form:
 
 
 def triangular(mode: float) -> Form:
-    """Of the rise to the mode a and the fall b = 1 - a."""
-
     def cdf(y: Array, a: float, b: float) -> Array:
         inside = np.clip(y, 0.0, 1.0)
         rising = inside * inside / a if a > 0.0 else 0.0 * inside
@@ -168,20 +215,24 @@ def triangular(mode: float) -> Form:
 
     # its quantiles have a kink, and quadrature fewer digits
     moments = (1.0 + mode) / 3.0, math.sqrt((1.0 - mode + mode**2) / 18.0)
-    return between(cdf, ppf, pdf, mode, 1.0 - mode, moments=moments)
+    return replace(between(cdf, ppf, pdf, mode, 1.0 - mode), moments=moments)
 
 
 def beta(a: float, b: float) -> Form:
+    def cdf(y: Array, a: float, b: float) -> Array:
+        return special.betainc(a, b, np.clip(y, 0.0, 1.0))
+
     def pdf(y: Array) -> Array:
         inside = np.clip(y, 0.0, 1.0)
         log_density = special.xlogy(a - 1.0, inside) + special.xlog1py(b - 1.0, -inside) - special.betaln(a, b)
         return np.where(y == inside, np.exp(log_density), 0.0)
 
-    return between(lambda y, a, b: special.betainc(a, b, np.clip(y, 0.0, 1.0)),
-                    lambda p, a, b: special.betaincinv(a, b, p), pdf, a, b)  # fmt: skip
+    return between(cdf, lambda p, a, b: special.betaincinv(a, b, p), pdf, a, b)
 
 
-def form_of(name: str, functions: tuple[Callable[..., Any], ...], moments: Callable[[], Any], key: str = "") -> Form:
+def form_of(
+    name: str, functions: tuple[Callable[..., Any], ...], moments: tuple[Any, Any] | None = None, key: str = ""
+) -> Form:
     """A form from the functions cdf, sf, ppf, isf, pdf of somebody else, and its mean and variance.
 
     Raises LawError, for a key, where quantiles and probabilities of a tail do not belong to each other.
@@ -191,6 +242,8 @@ def form_of(name: str, functions: tuple[Callable[..., Any], ...], moments: Calla
         return lambda values: np.asarray(function(values), dtype=float)
 
     cdf, sf, ppf, isf, pdf = map(plain, functions)
+    mean, variance = map(float, moments or (0.0, 0.0))
+    orders = []
     for quantile, share, called in ((ppf, cdf, "lower"), (isf, sf, "upper")):
         with np.errstate(all="ignore"):
             places = quantile(_TAILS)
@@ -202,13 +255,8 @@ def form_of(name: str, functions: tuple[Callable[..., Any], ...], moments: Calla
         if wrong.any():
             raise LawError(f"the {called} tail of {name} is wrong from the probability {_TAILS[wrong][0]:g} on: "
                            "its quantile there has another probability")  # fmt: skip
-    mean, variance = (float(value) for value in moments())
-
-    def order(quantile: Function) -> float:
-        """The first moment that a tail does not have, 1 or 2; infinite where both are there."""
         far = np.abs(quantile(np.array([1e-6, 1e-12])))
-        missing = (n for n, moment in ((1.0, mean), (2.0, variance)) if not math.isfinite(moment))
-        return next(missing, math.inf) if far[1] > _HEAVY * far[0] else math.inf
-
-    return Form(cdf=cdf, sf=sf, ppf=ppf, isf=isf, pdf=pdf, moments=(mean, math.sqrt(variance)),
-                orders=(order(ppf), order(isf)))  # fmt: skip
+        missing = [order for order, moment in ((1.0, mean), (2.0, variance)) if not math.isfinite(moment)]
+        orders.append(missing[0] if missing and far[1] > _HEAVY * far[0] else math.inf)
+    return Form(tails=lambda y: (cdf(y), sf(y)), quantile=either(ppf, isf), pdf=pdf, orders=(orders[0], orders[1]),
+                moments=(mean, math.sqrt(variance)) if moments else None)  # fmt: skip

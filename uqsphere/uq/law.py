@@ -16,7 +16,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, special
 from uqsphere.uq.families import DRAWN, FAMILIES, Family, family_named
-from uqsphere.uq.forms import GAUSS, Form, LawError
+from uqsphere.uq.forms import GAUSS, Form, LawError, truncated
 
 #: sum of the weights of a discrete law
 _MOST_STEPS: Final = 10_000
@@ -55,81 +55,49 @@ class Law:
         # a family is known by its name, and is not sent along
         return _named, (self.family.name, {one.name: getattr(self, one.name) for one in fields(self)[1:]})
 
-    # --- what it is in standard form ------------------------------------------------------------------
+    # --- probabilities and quantiles ------------------------------------------------------------------
 
     @cached_property
-    def _form(self) -> tuple[float, float, Form]:
-        """Location, scale and standard form."""
+    def _whole(self) -> tuple[float, float, Form]:
+        """Location, scale and standard form before truncation."""
         if self.family.observed is not None:
             return 0.0, 1.0, self.family.observed(self)
         assert self.family.form is not None
         return self.family.form(self.parameters, self.lower, self.upper)
 
-    @property
-    def is_steps(self) -> bool:
-        """Whether it is a step function, which has no density."""
-        return self._form[2].pdf is None
-
     @cached_property
-    def _truncated(self) -> bool:
-        """Whether the bounds cut anything off, or may: those of a bounded family are its own, steps are left out."""
-        cut = self.lower > -math.inf or self.upper < math.inf
-        return cut and not self.family.bounded and not self.is_steps
+    def _form(self) -> Form:
+        """The standard form in force: the bounds of a bounded family are its own, and steps are left out."""
+        form = self._whole[2]
+        if self.family.bounded or form.pdf is None or (math.isinf(self.lower) and math.isinf(self.upper)):
+            return form
+        with np.errstate(divide="ignore"):
+            a, b = self._standard(np.array([self.lower, self.upper])).tolist()
+        return truncated(form, a, b)
 
     def _standard(self, x: Array) -> Array:
-        location, scale, _ = self._form
+        location, scale, _ = self._whole
         return np.asarray(((np.log(np.maximum(x, 0.0)) if self.family.logarithmic else x) - location) / scale)
 
     def _physical(self, y: Array) -> Array:
-        location, scale, _ = self._form
+        location, scale, _ = self._whole
         x = location + scale * y
         return np.exp(x) if self.family.logarithmic else x
 
-    def _whole_tails(self, x: Array) -> tuple[Array, Array]:
-        """(P(X <= x), P(X > x)) before truncation."""
-        form = self._form[2]
-        with np.errstate(divide="ignore", over="ignore"):
-            y = self._standard(x)
-            return form.cdf(y), form.sf(y)
-
-    @cached_property
-    def _window(self) -> tuple[float, float, float, float, float]:
-        """(F, S) at the lower bound, (F, S) at the upper bound, and the mass between them."""
-        if self.is_steps:
-            inside = sum(self.lower <= value <= self.upper for value in self.data)
-            return 0.0, 1.0, 1.0, 0.0, inside / len(self.data)
-        ends = np.array([self.lower, self.upper])
-        known = self._truncated & np.isfinite(ends)
-        below, above = self._whole_tails(np.where(known, ends, 1.0))
-        below_a, below_b = np.where(known, below, [0.0, 1.0]).tolist()
-        above_a, above_b = np.where(known, above, [1.0, 0.0]).tolist()
-        if above_a < 0.5:
-            mass = above_a - above_b
-        else:
-            mass = below_b - below_a if below_b < 0.5 else 1.0 - below_a - above_b
-        return below_a, above_a, below_b, above_b, mass
+    @property
+    def is_steps(self) -> bool:
+        """Whether it is a step function, which has no density."""
+        return self._form.pdf is None
 
     @property
     def mass(self) -> float:
         """Probability between the bounds before truncation."""
-        return self._window[4]
-
-    # --- probabilities and quantiles ------------------------------------------------------------------
+        return self._form.mass
 
     def tails(self, x: Array) -> tuple[Array, Array]:
         """P(X <= x) and P(X > x) of the law in force, each to full relative accuracy where it is small; any shape."""
-        values = np.asarray(x, dtype=float)
-        below, above = self._whole_tails(values)
-        if not self._truncated:
-            return below, above
-        below_a, above_a, below_b, above_b, mass = self._window
-        # Differences are taken between tails of the smaller kind: no digits are lost far out.
-        lower_side = below <= 0.5
-        p = np.clip(np.where(lower_side, below - below_a, above_a - above) / mass, 0.0, 1.0)
-        q = np.clip(np.where(lower_side, below_b - below, above - above_b) / mass, 0.0, 1.0)
-        for beyond, ends in ((values < self.lower, (0.0, 1.0)), (values > self.upper, (1.0, 0.0))):
-            p, q = np.where(beyond, ends[0], p), np.where(beyond, ends[1], q)
-        return p, q
+        with np.errstate(divide="ignore", over="ignore"):
+            return self._form.tails(self._standard(np.asarray(x, dtype=float)))
 
     def cdf(self, x: Array) -> Array:
         """P(X <= x) of the law in force, to full relative accuracy in the lower tail; any shape."""
@@ -140,19 +108,9 @@ class Law:
         return self.tails(x)[1]
 
     def _inverse(self, p: Array, q: Array) -> Array:
-        """x from p and q = 1 - p, each exact where it is small, through the smaller of the two."""
-        if self._truncated:
-            below_a, _, _, above_b, mass = self._window
-            lower = below_a + p * mass if below_a < 0.5 else 1.0 - (above_b + q * mass)
-            upper = above_b + q * mass if above_b < 0.5 else 1.0 - (below_a + p * mass)
-            p, q = lower, upper
-        form, y, below = self._form[2], np.empty_like(p), p <= 0.5
-        if form.pdf is None:
-            return form.ppf(p)
+        """x from p and q = 1 - p, each exact where it is small."""
         with np.errstate(divide="ignore", over="ignore"):
-            y[below] = form.ppf(p[below])
-            y[~below] = form.isf(q[~below])
-            return np.clip(self._physical(y), self.lower, self.upper)
+            return np.clip(self._physical(self._form.quantile(p, q)), self.lower, self.upper)
 
     def ppf(self, p: Array) -> Array:
         """Quantile function: x with P(X <= x) = p, exact for small p; p in [0, 1], any shape."""
@@ -167,23 +125,23 @@ class Law:
     def from_normal(self, z: Array) -> Array:
         """x with the same probability below it as the standard normal z has, exact in both tails; any shape."""
         z = np.asarray(z, dtype=float)
-        if self._form[2] is GAUSS and not self._truncated:
+        if self._form is GAUSS:
             return self._physical(z)
         return self._inverse(np.asarray(special.ndtr(z)), np.asarray(special.ndtr(-z)))
 
     def pdf(self, x: Array) -> Array:
         """Density of the law in force; a step law has none and raises LawError.  Any shape."""
         values = np.asarray(x, dtype=float)
-        _, scale, form = self._form
-        if form.pdf is None:
+        scale, pdf = self._whole[1], self._form.pdf
+        if pdf is None:
             raise LawError("a step function has no density", "fit")
         inside = np.isfinite(values) & (values >= self.lower) & (values <= self.upper)
         if self.family.logarithmic:
             inside &= values > 0.0
         safe = np.where(inside, values, 1.0)
         with np.errstate(divide="ignore", over="ignore"):
-            density = form.pdf(self._standard(safe)) / scale / (safe if self.family.logarithmic else 1.0)
-        return np.where(inside, density / self.mass, 0.0)
+            density = pdf(self._standard(safe)) / scale / (safe if self.family.logarithmic else 1.0)
+        return np.where(inside, density, 0.0)
 
     def sample(self, count: int, rng: np.random.Generator) -> Array:
         """Independent values (count,)."""
@@ -197,14 +155,14 @@ class Law:
 
     def nominal_mean(self) -> float:
         """Mean before truncation; the median where there is no mean."""
-        whole = replace(self, lower=-math.inf, upper=math.inf) if self._truncated or self.is_steps else self
+        cut = math.isfinite(self.lower) or math.isfinite(self.upper)
+        whole = replace(self, lower=-math.inf, upper=math.inf) if cut and not self.family.bounded else self
         mean = whole.mean()
         return mean if math.isfinite(mean) or all(map(math.isinf, whole.tail_orders())) else whole.median()
 
     def tail_orders(self) -> tuple[float, float]:
         """Order from which on the law in force has no moments, of its lower and its upper tail; inf if it has all."""
-        low, high = self._form[2].orders
-        return low if math.isinf(self.lower) else math.inf, high if math.isinf(self.upper) else math.inf
+        return self._form.orders
 
     def _missing(self, order: int) -> float | None:
         """nan or ±inf where the moment of this order does not exist for the law in force."""
@@ -223,9 +181,9 @@ class Law:
         The integrand is smooth and dies out faster than exponentially at both ends, where the trapezoidal rule
         converges geometrically; a mean about its own start loses no digits.
         """
-        location, scale, form = self._form
-        if form.moments is not None and not (self._truncated or self.family.logarithmic):
-            return location + scale * form.moments[0], scale * form.moments[1]
+        location, scale, _ = self._whole
+        if self._form.moments is not None and not self.family.logarithmic:
+            return location + scale * self._form.moments[0], scale * self._form.moments[1]
         z = np.linspace(-37.0, 37.0, 37 * 128 + 1)
         weights = np.exp(-0.5 * z * z)
         weights /= weights.sum()

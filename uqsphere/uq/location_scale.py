@@ -50,11 +50,6 @@ class LocationScale:
         """Shape of the law with the scale s, and the other way round."""
         return 1.0 / s if self.inverse else s
 
-    def log_likelihood(self, u: Array, failures: Array, stopped: Any, h: Array, g: Array) -> Array:
-        """(rows,) at h = 1/s and g = m/s, of u (rows, n)."""
-        value = self.terms(h[:, None] * u - g[:, None], failures, stopped)[0].sum(axis=1)
-        return np.asarray(value + failures.sum() * np.log(h))
-
     def maximum(self, u: Array, failures: Array, stopped: Any = 0.0) -> tuple[Array, Array]:
         """Location and scale (rows,) of the largest likelihood of u (rows, n).
 
@@ -66,8 +61,13 @@ class LocationScale:
         centre = (u @ failures / count)[:, None]
         spread = np.sqrt(np.square(u - centre) @ failures / count)[:, None]
         y = (u - centre) / spread
+
+        def likelihood(h: Array, g: Array) -> Array:
+            value = self.terms(h[:, None] * y - g[:, None], failures, stopped)[0].sum(axis=1)
+            return np.asarray(value + count * np.log(h))
+
         h, g = np.ones(len(y)), np.zeros(len(y))
-        best = self.log_likelihood(y, failures, stopped, h, g)
+        best = likelihood(h, g)
         for _ in range(100):
             _, first, second = self.terms(h[:, None] * y - g[:, None], failures, stopped)
             slope_h, slope_g = (first * y).sum(axis=1) + count / h, -first.sum(axis=1)
@@ -79,7 +79,7 @@ class LocationScale:
             # a step that leaves h > 0, or does not climb, is halved
             size = np.where(step_h < -0.9 * h, -0.9 * h / np.where(step_h < 0.0, step_h, -1.0), 1.0)
             for _ in range(40):
-                following = self.log_likelihood(y, failures, stopped, h + size * step_h, g + size * step_g)
+                following = likelihood(h + size * step_h, g + size * step_g)
                 worse = ~(following >= best - 1e-12 * np.abs(best))
                 if not worse.any():
                     break
