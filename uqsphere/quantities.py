@@ -55,13 +55,16 @@ def display_unit(name: str, magnitude: float = math.inf) -> tuple[str, float]:
 
 
 def format_value(value: float, name: str, digits: int = 4) -> str:
-    """`value` (SI) of the named quantity for people, in its display unit, to `digits` significant digits.
+    """`value` (SI) of the named quantity for people, in its display unit, to `digits` significant digits; no power of
+    ten where the digits before the point say it.
 
-    >>> format_value(2.5541e9, "p_max")
-    '2.554 GPa'
+    >>> format_value(2.5541e9, "p_max"), format_value(0.001091, "contact_duration", 3)
+    ('2.554 GPa', '1091 us')
     """
     unit, factor = display_unit(name, value)
-    return f"{value * factor:.{digits}g} {unit}".rstrip()
+    scaled = value * factor
+    before = math.floor(math.log10(abs(scaled))) + 1 if 1.0 <= abs(scaled) < 1e6 else 0
+    return f"{scaled:.{max(digits, before)}g} {unit}".rstrip()
 
 
 def format_conservative(value: float, name: str, *, least: bool, digits: int = 2) -> str:

@@ -50,7 +50,8 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              meaning="largest contact force at either face", needs=("force", "x_max"),
              formula=lambda c: c["force"] * c["x_max"] ** c["power"]),
     Quantity(name="p_hertz", symbol="p_H", dimension="pressure", display="GPa", follows="force", fracture=True,
-             meaning="elastic (Hertz) pressure at peak force", place="contact",
+             meaning="elastic (Hertz) pressure at peak force: what that force would give without yield; a measure "
+                     "of the force, as strengths from forces are, so it may exceed the hardness", place="contact",
              needs=("P_max", "modulus", "effective_radius"),
              formula=lambda c: contact.pressure_at_force(c["P_max"], c["modulus"], c["effective_radius"])),
     Quantity(name="alpha_max", symbol="alpha_max", dimension="length", display="um", follows="force",

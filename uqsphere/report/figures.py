@@ -6,6 +6,7 @@ Each `draw_...` takes axes and the results; `svg` makes a small, self-contained 
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Callable, Mapping
 from textwrap import fill
@@ -48,7 +49,8 @@ def svg(draw: Callable[[Axes], None], width: float = 6.6, height: float = 3.1) -
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
     body = re.sub(r"^.*?(?=<svg)", "", text.getvalue(), flags=re.S)
-    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.S)
+    # a curve outside the frame leaves a path without places
+    body = re.sub(r"<metadata>.*?</metadata>|<path (?![^>]*\bd=)[^>]*/>", "", body, flags=re.S)
     # coordinates to a tenth of a point: a third of the bytes
     return re.sub(r'\bd="[^"]*"', lambda found: re.sub(r"(\d+\.\d)\d+", r"\1", found[0]), body)
 
@@ -62,7 +64,7 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
                 if limit is None or s in (f"limits.{limit}", f"modes.{limit}")]  # fmt: skip
     if free is None or not subjects:
         raise UsageError("this run has no curve: a study with [margins] has one")
-    unit, factor = display_unit(free["path"])
+    unit, factor = display_unit(free["path"], free["planned"] or free["high"])
     least = TICKS[0] / 3.0
     for k, subject in enumerate(subjects):
         rows = of(results["answers"], subject, "curve")
@@ -103,7 +105,7 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
     axes.set_yticks(ndtri(np.array(TICKS)), [format_probability(t) for t in TICKS])
     axes.set(xlabel=f"{free['meaning']} [{unit}]" if unit else free["meaning"], ylim=(ndtri(least), ndtri(1.0 - least)),
              ylabel=_probability_name(results), xlim=(free["low"] * factor, free["high"] * factor))  # fmt: skip
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, fontsize=8)
 
 
 def _smooth(x: Array, y: Array, *, logarithmic: bool) -> tuple[Array, Array]:
@@ -138,10 +140,11 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     entry = results["study"]["quantities"].get(quantity)
     if entry is None:
         raise UsageError(f"the run has no quantity {quantity!r} (known: {', '.join(results['study']['quantities'])})")
-    unit, factor = display_unit(quantity)
+    middle = entry["range"][1]
+    unit, factor = display_unit(quantity, middle or math.inf)
     shown = []
     if entry["density"]:
-        shown.append((short(entry["meaning"]), entry["density"], COLOURS[0], "-"))
+        shown.append(("demand", entry["density"], COLOURS[0], "-"))
     for k, (name, limit) in enumerate(results["study"]["limits"].items()):
         if limit["quantity"] == quantity and limit["strength"].get("density"):
             shown.append((f"strength, {name}", limit["strength"]["density"], COLOURS[1 + k % 5], "--"))
@@ -153,9 +156,8 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
         strength = limit["strength"]
         if limit["quantity"] == quantity and not strength.get("density") and strength["median"] is not None:
             axes.axvline(strength["median"] * factor, color=COLOURS[1 + k % 5], ls="--", label=f"strength, {name}")
-    middle = entry["range"][1]
     if not shown and middle is not None:
-        axes.axvline(middle * factor, color=COLOURS[0], label=f"{short(entry['meaning'])} (no scatter)")
+        axes.axvline(middle * factor, color=COLOURS[0], label="demand (no scatter)")
     text = fill(short(entry["meaning"]), 40)
     axes.set(xlabel=f"{text} [{unit}]" if unit else text, ylabel="probability density")
     axes.set_ylim(bottom=0.0)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from uqsphere.quantities import display_unit, format_estimate, format_probability, format_value, lookup
+from uqsphere.quantities import format_estimate, format_probability, format_value, lookup
 
 Row = Mapping[str, Any]
+Results = Mapping[str, Any]
 
 
 def find(rows: Sequence[Row], subject: str, answer: str, at: float | str = "") -> Row | None:
@@ -21,18 +23,57 @@ def of(rows: Sequence[Row], subject: str, answer: str) -> list[Row]:
     return [row for row in rows if row["subject"] == subject and row["answer"] == answer]
 
 
+def verdicts(results: Results) -> list[tuple[str, Mapping[str, Any]]]:
+    """Limits with their verdict, those that say the same together; those without a target where none has one."""
+    known = results["verdicts"]
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name, one in ({n: v for n, v in known.items() if v["target"] is not None} or known).items():
+        groups.setdefault((one["headline"], one["detail"]), []).append(name)
+    return [(", ".join(names), known[names[0]]) for names in groups.values()]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mode:
+    """A limit, a failure mode beside it, or all of them together (no `entry`): rows of the answers that stand side by
+    side, `margin` being the free number at the target."""
+
+    subject: str
+    name: str
+    entry: Mapping[str, Any]
+    fracture: Row | None
+    index: Row | None
+    margin: Row | None
+
+
+def failure_modes(results: Results) -> list[Mode]:
+    """Limits of the study, failure modes beside them, and all together where there are several."""
+    study, answers, modes = results["study"], results["answers"], list[Mode]()
+    targets = [verdict["target"] for verdict in results["verdicts"].values()]
+    for kind in ("limits", "modes"):
+        for name, entry in study[kind].items():
+            subject, margin = f"{kind}.{name}", None
+            target = next((target for target in (entry["target"], *targets) if target is not None), None)
+            if target is not None:
+                at = target if entry["aim"] == "survive" else 1.0 - target
+                rows = (row for row in of(answers, subject, "margin") if isinstance(row["at"], float))
+                margin = next((row for row in rows if abs(row["at"] - at) <= 1e-9), None)
+            modes.append(Mode(subject=subject, name=label(subject), entry=entry, margin=margin,
+                              fracture=find(answers, subject, "exceedance_probability"),
+                              index=find(answers, subject, "reliability_index")))  # fmt: skip
+    joint = next((verdict["all_modes"] for _, verdict in verdicts(results) if verdict.get("all_modes")), None)
+    if joint is not None:
+        modes.append(Mode(subject="", name="all together", entry={}, fracture=joint["probability"],
+                          index=joint["reliability_index"], margin=joint.get("margin")))  # fmt: skip
+    return modes
+
+
 def value(number: float | None, name: str, digits: int = 3) -> str:
     """A number of a quantity with its unit; a dash where there is none.
 
     >>> value(2.5541e9, "p_max"), value(None, "p_max")
     ('2.55 GPa', '–')
     """
-    if number is None:
-        return "–"
-    scaled = abs(number * display_unit(name, number)[1])
-    # no power of ten where the digits before the point say it
-    digits = max(digits, math.floor(math.log10(scaled)) + 1) if 1.0 <= scaled < 1e6 else digits
-    return format_value(number, name, digits)
+    return "–" if number is None else format_value(number, name, digits)
 
 
 def estimate(row: Row | None, name: str = "", most: int = 4) -> str:
@@ -52,6 +93,18 @@ def estimate(row: Row | None, name: str = "", most: int = 4) -> str:
     ends, _, unit = rest.partition(")")
     # an interval that rounds to the value says nothing more
     return f"{middle}{unit}" if ends == f"{middle} to {middle}" else text
+
+
+def index(row: Row | None) -> str:
+    """A Sobol' index with its interval, to three decimals.
+
+    >>> index({"value": 0.98412, "low": 0.981, "high": 0.987}), index({"value": 4e-5, "low": 0.0, "high": 9e-5})
+    ('0.984 (0.981 to 0.987)', '0.000')
+    """
+    if row is None or row["value"] is None:
+        return "–"
+    low, middle, high = (f"{row['value'] if row[key] is None else row[key]:.3f}" for key in ("low", "value", "high"))
+    return middle if low == middle == high else f"{middle} ({low} to {high})"
 
 
 def probability(row: Row | None) -> str:

@@ -12,14 +12,29 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from uqsphere.quantities import lookup
 from uqsphere.report import figures
-from uqsphere.report.format import estimate, find, label, meaning, of, probability, short, value
+from uqsphere.report.format import (
+    Mode,
+    Results,
+    estimate,
+    failure_modes,
+    find,
+    index,
+    meaning,
+    of,
+    probability,
+    short,
+    value,
+    verdicts,
+)
 from uqsphere.results.folder import read_results, write_files
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-Results = Mapping[str, Any]
+#: a number without an interval
+_BARE = {"low": None, "high": None, "note": ""}
 #: limits and quantities that get figures of their own; the tables have all of them
 MOST_FIGURES = 6
 MOST_ROWS = 16
@@ -47,19 +62,19 @@ def _rendered(results: Results) -> tuple[str, dict[str, str]]:
     from jinja2 import Environment
     from markupsafe import Markup
 
-    drawn = dict(_figures(results))
+    drawn = _figures(results)
     template = resources.files("uqsphere.report").joinpath("page.html").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters["stacked"] = _stacked
     html = environment.from_string(template).render(
-        study=results["study"], verdicts=_verdicts(results), modes=_modes(results), quantities=_quantities(results),
+        study=results["study"], verdicts=verdicts(results), modes=_modes(results), quantities=_quantities(results),
         indices=_indices(results), margins=_margins(results), checks=results["checks"], accuracy=_accuracy(results),
-        inputs=_inputs(results), fixed=_inputs(results, fixed=True), design=_design_points(results),
+        inputs=_inputs(results), fixed=_inputs(results, fixed=True), drivers=_drivers(results),
         assumptions=_assumptions(results), fracture=_fracture(results), versions=results["versions"],
-        dependence=_dependence(results), missing=_missing(results),
-        figures={name: Markup(_own_ids(text, name)) for name, text in drawn.items()}, meaning=meaning,
+        dependence=_dependence(results), missing=_missing(results), meaning=meaning,
+        figures={name: Markup(_embedded(text, name, alt)) for name, (alt, text) in drawn.items()},
     )  # fmt: skip
-    return html, drawn
+    return html, {name: text for name, (_, text) in drawn.items()}
 
 
 def _stacked(text: str) -> Markup:
@@ -68,94 +83,63 @@ def _stacked(text: str) -> Markup:
 
     found = re.fullmatch(r"(.*?) \((.+ to .+?)\)(.*)", text)
     if found is None:
-        return Markup('<span class="v">{}</span>').format(text) if len(text) < 20 else Markup("{}").format(text)
+        return Markup('<span class="v">{}</span>').format(text) if len(text) < 24 else Markup("{}").format(text)
     return Markup('<span class="v">{}</span><br><small class="v soft">{}</small>').format(found[1] + found[3], found[2])
 
 
-def _own_ids(text: str, name: str) -> str:
-    """An SVG whose ids are of its own: several stand in one page."""
+def _embedded(text: str, name: str, alt: str) -> str:
+    """An SVG with a text for who cannot see it, and ids of its own: several stand in one page."""
+    from markupsafe import escape
+
     text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', text)
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", text)
     text = re.sub(r'(xlink:)?href="#([^"]+)"', rf'\1href="#{name}-\2"', text)
-    return text.replace("<svg ", '<svg role="img" aria-hidden="true" ', 1)
+    return text.replace("<svg ", f'<svg role="img" aria-label="{escape(alt)}" ', 1)
 
 
-def _figures(results: Results) -> list[tuple[str, str]]:
-    """Names and SVG texts of all figures that there are."""
-    drawn = []
-    if results["study"]["free"] and any(row["answer"] == "curve" for row in results["answers"]):
-        drawn.append(("fragility", figures.svg(lambda axes: figures.draw_fragility(axes, results), height=3.6)))
-    for number, name in enumerate(list(results["study"]["quantities"])[:MOST_FIGURES]):
-        drawn.append(
-            (
-                f"density-{number + 1}",
-                figures.svg(partial(figures.draw_density, results=results, quantity=name), 3.25, 2.3),
-            )
-        )
-        known = [row for row in of(results["answers"], name, "sobol_total") if row["value"] is not None]
+def _figures(results: Results) -> dict[str, tuple[str, str]]:
+    """By name, what each figure shows in words, and its SVG text."""
+    answers, drawn = results["answers"], dict[str, tuple[str, str]]()
+    free = results["study"]["free"]
+    if free and any(row["answer"] == "curve" for row in answers):
+        alt = f"Fragility: probability over {free['meaning']}"
+        drawn["fragility"] = alt, figures.svg(partial(figures.draw_fragility, results=results), 5.0, 3.3)
+    for number, (name, entry) in enumerate(list(results["study"]["quantities"].items())[:MOST_FIGURES], 1):
+        draw = partial(figures.draw_density, results=results, quantity=name)
+        drawn[f"density-{number}"] = f"Density of {short(entry['meaning'])}", figures.svg(draw, 3.25, 2.3)
+        known = [row for row in of(answers, name, "sobol_total") if row["value"] is not None]
         if known:
-            height = 1.0 + 0.32 * min(len(known), 12)
-            drawn.append(
-                (
-                    f"sobol-{number + 1}",
-                    figures.svg(partial(figures.draw_sobol, results=results, quantity=name), 3.25, height),
-                )
-            )
+            draw = partial(figures.draw_sobol, results=results, quantity=name)
+            alt = f"Sobol’ indices of {short(entry['meaning'])}"
+            drawn[f"sobol-{number}"] = alt, figures.svg(draw, 3.25, 1.0 + 0.32 * min(len(known), 12))
     if len([row for row in results["accuracy"]["reached"] if row["error"]]) > 1:
-        drawn.append(("convergence", figures.svg(lambda axes: figures.draw_convergence(axes, results), 3.25, 2.0)))
+        draw = partial(figures.draw_convergence, results=results)
+        drawn["convergence"] = "Largest error over tolerance, against model runs", figures.svg(draw, 3.25, 2.0)
     return drawn
-
-
-def _verdicts(results: Results) -> list[dict[str, Any]]:
-    """Verdicts by what they say: limits judged together share one."""
-    found: dict[tuple[Any, ...], dict[str, Any]] = {}
-    for name, verdict in results["verdicts"].items():
-        key = verdict["headline"], verdict["detail"], verdict["aim"]
-        if key in found:
-            found[key]["limits"].append(name)
-        else:
-            found[key] = {**verdict, "limits": [name]}
-    return list(found.values())
-
-
-def _subjects(results: Results) -> list[tuple[str, Mapping[str, Any]]]:
-    study = results["study"]
-    own = [(f"limits.{name}", entry) for name, entry in study["limits"].items()]
-    return own + [(f"modes.{name}", entry) for name, entry in study["modes"].items()]
 
 
 def _modes(results: Results) -> list[dict[str, str]]:
     """The table of limits and failure modes."""
     rows, answers = [], results["answers"]
-    free = results["study"]["free"]
-    for subject, entry in _subjects(results):
-        index = find(answers, subject, "reliability_index")
-        target = entry["target"]
-        margin = None
-        if free is not None:
-            own = [v for v in results["verdicts"].values() if v["target"] is not None]
-            wanted = target if target is not None else own[0]["target"] if own else None
-            if wanted is not None:
-                at = wanted if entry["aim"] == "survive" else 1.0 - wanted
-                margin = next((r for r in of(answers, subject, "margin") if _close(r["at"], at)), None)
-        tests = find(answers, subject, "failure_probability", "tests")
+    path = (results["study"]["free"] or {}).get("path", "")
+    for mode in failure_modes(results):
+        entry = mode.entry
+        tests = find(answers, mode.subject, "failure_probability", "tests")
+        ends = [] if tests is None else [probability({**_BARE, "value": tests[end]}) for end in ("low", "high")]
+        sources = {"assumed": "library, not this rock", "tests": f"{entry.get('tests')} tests"}
         rows.append({
-            "name": label(subject), "mode": entry["mode"], "aim": entry["aim"],
-            "p": probability(find(answers, subject, "exceedance_probability")),
-            "missed": probability(find(answers, subject, "failure_probability")) if entry["aim"] == "break" else "",
-            "tests": "" if tests is None else f"{probability({**tests, 'value': tests['low']}).split(' (')[0]} to "
-                     f"{probability({**tests, 'value': tests['high']}).split(' (')[0]}",
-            "index": "–" if index is None else f"{index['value']:.2f}",
-            "margin": "–" if margin is None else estimate(margin, free["path"], 3),
-            "strength": entry["strength"]["text"],
-            "source": (f"{entry['tests']} tests" if entry["tests"] else "study") if not entry["assumed"] else
-                      "library, not this rock",
+            "name": mode.name, "mode": entry.get("mode", "together"),
+            "demand": short(lookup(entry["quantity"]).meaning) if entry else "",
+            "p": probability(mode.fracture), "tests": " to ".join(ends),
+            "missed": probability(find(answers, mode.subject, "failure_probability"))
+                      if entry.get("aim") == "break" else "",
+            "index": "–" if mode.index is None else f"{mode.index['value']:.2f}",
+            "margin": "not in the range" if mode.margin and mode.margin["value"] is None else
+                      estimate(mode.margin, path, 3),
+            "strength": entry["strength"]["text"] if entry else "–",
+            "source": next((text for key, text in sources.items() if entry[key]), "study") if entry else "–",
         })  # fmt: skip
     return rows
-
-
-def _close(one: Any, other: float) -> bool:
-    return isinstance(one, float) and abs(one - other) <= 1e-9
 
 
 def _quantities(results: Results) -> list[dict[str, Any]]:
@@ -178,7 +162,7 @@ def _quantities(results: Results) -> list[dict[str, Any]]:
 def _indices(results: Results) -> dict[str, Any]:
     """First-order and total Sobol' indices: a row an input, the largest total first, and two columns a quantity."""
     answers, columns, largest = results["answers"], [], dict[str, float]()
-    methods = {"chaos": "from polynomial chaos, corrected by model runs", "pairs": "from pairs of model runs"}
+    methods = {"chaos": "from polynomial chaos corrected by model runs", "pairs": "from pairs of model runs"}
     for number, (name, entry) in enumerate(results["study"]["quantities"].items()):
         total = of(answers, name, "sobol_total")
         if total:
@@ -188,68 +172,59 @@ def _indices(results: Results) -> dict[str, Any]:
         for row in total:
             largest[row["at"]] = max(largest.get(row["at"], -1.0), row["value"] if row["value"] is not None else -1.0)
     ranked = sorted(largest, key=lambda at: -largest[at])
-    rows = [(meaning(at, results["inputs"]), [estimate(find(answers, column["name"], f"sobol_{order}", at), "", 3)
+    rows = [(meaning(at, results["inputs"]), [index(find(answers, column["name"], f"sobol_{order}", at))
                                               for column in columns for order in ("first", "total")])
             for at in ranked[:MOST_ROWS]]  # fmt: skip
     return {"columns": columns, "rows": rows, "more": max(len(ranked) - MOST_ROWS, 0)}
 
 
-def _margins(results: Results) -> list[dict[str, Any]]:
-    """The free number at the probabilities that were asked for, of the study's own limits."""
-    free = results["study"]["free"]
-    if free is None:
-        return []
-    tables = []
-    for name in results["study"]["limits"]:
-        rows = [row for row in of(results["answers"], f"limits.{name}", "margin") if isinstance(row["at"], float)]
-        if rows:
-            tables.append(
-                {
-                    "name": name,
-                    "rows": [
-                        (
-                            probability({"value": r["at"], "low": None, "high": None, "note": ""}),
-                            estimate(r, free["path"]),
-                        )
-                        for r in rows
-                    ],
-                }
-            )
-    return tables
+def _margins(results: Results) -> dict[str, Any] | None:
+    """The free number at the probabilities that were asked for, a column for each of the study's own limits."""
+    free, answers = results["study"]["free"], results["answers"]
+    names = [name for name in results["study"]["limits"]
+             if free and any(row["value"] is not None for row in of(answers, f"limits.{name}", "margin"))]  # fmt: skip
+    at = sorted({row["at"] for name in names for row in of(answers, f"limits.{name}", "margin")
+                 if isinstance(row["at"], float)})  # fmt: skip
+    rows = []
+    for p in at:
+        found = [find(answers, f"limits.{name}", "margin", p) for name in names]
+        rows.append((probability({**_BARE, "value": p}), [estimate(row, free["path"]) for row in found]))
+    return {"names": names, "rows": rows} if rows else None
 
 
 def _assumptions(results: Results) -> list[tuple[str, str, str]]:
     """Failure probabilities with something taken otherwise."""
-    rows = []
-    for subject, _ in _subjects(results):
-        for row in of(results["answers"], subject, "failure_probability"):
-            if isinstance(row["at"], str) and row["at"].startswith("assumed: "):
-                rows.append((label(subject), row["at"].removeprefix("assumed: "), probability(row)))
-    return rows
+    return [(mode.name, row["at"].removeprefix("assumed: "), probability(row)) for mode in failure_modes(results)
+            for row in of(results["answers"], mode.subject, "failure_probability")
+            if str(row["at"]).startswith("assumed: ")]  # fmt: skip
 
 
-def _design_points(results: Results) -> list[dict[str, Any]]:
-    """The most probable failure of every limit, and what drives its failure probability."""
-    tables = []
-    for subject, entry in _subjects(results):
-        if entry["assumed"]:
-            continue
-        points = {row["at"]: row for row in of(results["answers"], subject, "design_point")}
-        drivers = sorted(of(results["answers"], subject, "driver"), key=lambda row: -abs(row["value"] or 0.0))
-        rows = []
-        for row in drivers[:8]:
-            name, point = row["at"], points.get(row["at"])
-            unit_name = entry["quantity"] if name.endswith(".strength") else name
-            change = "–" if row["value"] is None else f"{100.0 * row['value']:+.2g}"
-            at = (
-                "–"
-                if point is None or (name.endswith(".strength") and entry["tests"])
-                else value(point["value"], unit_name)
-            )
-            rows.append((meaning(name, results["inputs"]), change, at))
-        if rows:
-            tables.append({"name": label(subject), "rows": rows, "breaks": entry["aim"] == "break"})
-    return tables
+def _drivers(results: Results) -> dict[str, Any] | None:
+    """What drives each failure probability, a column a mode, and the most probable failure by the study's limits."""
+    answers, inputs = results["answers"], results["inputs"]
+    changes: dict[str, dict[str, float]] = {}
+    modes = []
+    for mode in failure_modes(results):
+        moved = {row["at"]: row["value"] or 0.0 for row in of(answers, mode.subject, "driver")}
+        if any(moved.values()):
+            modes.append(mode)
+            for name, change in moved.items():
+                changes.setdefault("" if name.endswith(".strength") else name, {})[mode.name] = 100.0 * change
+    points = [(mode, {row["at"]: row["value"] for row in of(answers, mode.subject, "design_point")}) for mode in modes]
+    points = [(mode, known) for mode, known in points if known]
+
+    def at(mode: Mode, known: Mapping[str, float | None], name: str) -> str:
+        if name:
+            return value(known.get(name), name)
+        strength = known.get(f"{mode.subject}.strength")
+        return value(None if mode.entry["tests"] else strength, mode.entry["quantity"])
+
+    ranked = sorted(changes, key=lambda name: -max(map(abs, changes[name].values())))[:MOST_ROWS]
+    rows = [(meaning(name, inputs) if name else "strength of the mode",
+             [f"{changes[name][mode.name]:+.2g}" if mode.name in changes[name] else "–" for mode in modes],
+             [at(mode, known, name) for mode, known in points]) for name in ranked]  # fmt: skip
+    heads = [mode.name + (": P(not broken)" if mode.entry["aim"] == "break" else "") for mode in modes]
+    return {"modes": heads, "points": [mode.name for mode, _ in points], "rows": rows} if rows else None
 
 
 def _fracture(results: Results) -> list[tuple[str, str]]:
@@ -285,7 +260,7 @@ def _accuracy(results: Results) -> dict[str, Any]:
 
 def _missing(results: Results) -> str:
     """What a failure probability is of: a sphere that must break fails where it does not."""
-    aims = {entry["aim"] for _, entry in _subjects(results)}
+    aims = {mode.entry["aim"] for mode in failure_modes(results) if mode.entry}
     if "break" not in aims:
         return "Failure probability"
     return "P(not broken)" if aims == {"break"} else "Failure probability (of not breaking, where that is the aim)"

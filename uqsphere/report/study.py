@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from uqsphere.quantities import display_unit, format_value, lookup
+from uqsphere.report.format import short
 from uqsphere.study import Study
 from uqsphere.uq import Law
 from uqsphere.uq.fitting import count_tests, fit_strength, is_fitted, series_behind
@@ -43,8 +44,11 @@ def _strengths(study: Study) -> str:
     rows = [("strength", "tests", "range of the tests", "distribution", "mean", "5-95 % range", "held against")]
     for limit in study.limits:
         law, name = limit.strength, limit.quantity
+        against = short(lookup(name).meaning)
         if not isinstance(law, Law):
-            rows.append((limit.name, "-", "-", "fixed", format_value(float(law), name), "-", lookup(name).meaning))
+            rows.append(
+                (limit.name, "-", "-", "fixed", format_value(float(law), name), "-", short(lookup(name).meaning))
+            )
             continue
         span = " to ".join(format_value(float(x), name) for x in law.ppf(np.array([0.05, 0.95])))
         tests, ends = "-", "-"
@@ -67,7 +71,7 @@ def _strengths(study: Study) -> str:
                     low, high = fit_strength(series_behind(law), law.family.location_scale, draws=1000).shape_interval
                     text += f" ({low:.3g} to {high:.3g})"
         rows.append((limit.name, tests, ends, text, "-" if mean is None else format_value(mean, name),
-                     span, lookup(name).meaning))  # fmt: skip
+                     span, against))  # fmt: skip
     return table(rows)
 
 

@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping
-from typing import Any
 
-from uqsphere.report.format import estimate, find, label, meaning, of, probability, short, value
+from uqsphere.report.format import (
+    Results,
+    estimate,
+    failure_modes,
+    find,
+    meaning,
+    of,
+    probability,
+    short,
+    value,
+    verdicts,
+)
 
 #: lines at most, and rows of each table
 LINES, ROWS = 40, 8
 
 
-def summary(results: Mapping[str, Any], width: int = 79) -> str:
+def summary(results: Results, width: int = 79) -> str:
     """The summary as text of at most 40 lines."""
     lines = textwrap.wrap(results["study"]["title"], width)
-    told = set()
-    for name, verdict in results["verdicts"].items():
-        said = f"{verdict['headline']} {verdict['detail']}".strip()
-        if said in told:
-            continue
-        told.add(said)
-        lines += ["", *textwrap.wrap(f"{name}: {said}", width)]
-        if verdict["next"]:
-            lines += textwrap.wrap(f"Next: {verdict['next']}", width)
+    for names, verdict in verdicts(results):
+        lines += ["", *textwrap.wrap(f"{names}: {verdict['headline']} {verdict['detail']}".strip(), width)]
+        lines += textwrap.wrap(f"Next: {verdict['next']}", width) if verdict["next"] else []
     if modes := _modes(results):
         lines += ["", *_table(("failure mode", "probability", "beta", "at the target"), modes[:ROWS], width)]
         if any(row[0].endswith("*") for row in modes):
@@ -40,33 +43,20 @@ def summary(results: Mapping[str, Any], width: int = 79) -> str:
     return "\n".join(lines if len(lines) <= LINES else [*lines[: LINES - 1], "... the rest is in the report"])
 
 
-def results_names(results: Mapping[str, Any]) -> list[str]:
+def results_names(results: Results) -> list[str]:
     """Quantities that have indices."""
     return [name for name in results["study"]["quantities"] if of(results["answers"], name, "sobol_total")][:3]
 
 
-def _modes(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = []
-    free = results["study"]["free"]
-    for kind, entries in (("limits", results["study"]["limits"]), ("modes", results["study"]["modes"])):
-        for name, entry in entries.items():
-            subject = f"{kind}.{name}"
-            index = find(results["answers"], subject, "reliability_index")
-            targets = [v["target"] for v in results["verdicts"].values() if v["target"]]
-            target = entry["target"] or (targets[0] if targets else None)
-            at = None
-            if free and target:
-                wanted = target if entry["aim"] == "survive" else 1.0 - target
-                at = next((r for r in of(results["answers"], subject, "margin")
-                           if isinstance(r["at"], float) and abs(r["at"] - wanted) < 1e-9), None)  # fmt: skip
-            chance = find(results["answers"], subject, "exceedance_probability")
-            rows.append((label(subject).replace(" (assumed)", "*"), probability(chance),
-                         "–" if index is None else f"{index['value']:.2f}",
-                         "–" if at is None or at["value"] is None else value(at["value"], free["path"])))  # fmt: skip
-    return rows
+def _modes(results: Results) -> list[tuple[str, ...]]:
+    path = (results["study"]["free"] or {}).get("path", "")
+    return [(mode.name.replace(" (assumed)", "*"), probability(mode.fracture),
+             "–" if mode.index is None else f"{mode.index['value']:.2f}",
+             "–" if mode.margin is None else value(mode.margin["value"], path))
+            for mode in failure_modes(results)]  # fmt: skip
 
 
-def _quantities(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def _quantities(results: Results) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for name, entry in results["study"]["quantities"].items():
         low, _, high = entry["range"]
@@ -75,7 +65,7 @@ def _quantities(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return rows
 
 
-def _indices(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def _indices(results: Results) -> list[tuple[str, ...]]:
     names = results_names(results)
     if not names:
         return []

@@ -24,6 +24,7 @@ from uqsphere.run.limits import failure, failure_given_inputs, state_of
 from uqsphere.study import Limit, means_fracture, strength_name
 from uqsphere.uq import Estimate, Law, absent, complement, target_met
 from uqsphere.uq.fitting import count_tests
+from uqsphere.uq.limit_state import reliability_index
 
 if TYPE_CHECKING:
     from uqsphere.arrays import Array
@@ -67,7 +68,8 @@ def _verdict(
     number = _number_to_use(design, answers, limit, modes, joint)
     verdict = {
         "verdict": word, "aim": limit.aim, "target": target,
-        "probability": _ends(p), "all_modes": {name: _ends(one) for name, one in joint.items()},
+        "probability": _ends(p), "all_modes": {name: _ends(e) for name, e in joint.items()} | (
+            {"reliability_index": {"value": reliability_index(joint["probability"].value)}} if joint else {}),
         "governing": design.subject(number["governing"] if number else governing),
         "reasons": [{"code": reason.code, "text": reason.text} for reason in reasons],
         "use": None if number is None else {k: number[k] for k in ("value", "low", "high", "safe_end", "path", "text")},
@@ -78,8 +80,8 @@ def _verdict(
     return {**verdict, "headline": headline, "detail": detail}
 
 
-def _ends(one: Estimate) -> dict[str, float | None]:
-    return {"value": one.value, "low": one.low, "high": one.high}
+def _ends(one: Estimate) -> dict[str, Any]:
+    return {"value": one.value, "low": one.low, "high": one.high, "note": one.reason or ""}
 
 
 def _joint(
@@ -287,6 +289,8 @@ def _number_to_use(
     by = _called(design, governing)
     all_modes = joint.get("margin")
     if all_modes is not None:
+        if all_modes.value is None:
+            return None  # a mode that is over the target everywhere has no margin of its own
         # all modes together ask for a little less than the worst of them
         safe = all_modes.low if pick is min else all_modes.high
         if safe is not None and pick(value, safe) != value:
@@ -339,18 +343,24 @@ def _headline(
     """The sentence to act on, and what stands behind it."""
     of = "the limits of the study" if len(_judged_together(design, limit)) > 1 else "the limit of the study"
     what, rest = _probability_text(limit, p, joint, of), list[str]()
-    margins = design.study.margins
+    margins, curve = design.study.margins, answers.where(design.subject(limit), "curve")
+    safe = _conservative_margin(
+        answers, design.subject(limit), allowable_probability(design, limit), survive=limit.aim == "survive"
+    )
     if number is None:
         first = [f"{what}."]
-        curve = answers.where(design.subject(limit), "curve")
-        if curve and margins is not None:
+        if margins is None:
+            rest += ["The study asks for no value to use: it has no [margins]."] * (limit.target is not None)
+        elif joint.get("margin") is not None and safe is not None:
+            most = _rising(answers, design.subject(limit))
+            rest.append(f"No value to use: by all failure modes, {joint['margin'].reason}; widen margins.between. By "
+                        f"{limit.name}: {format_conservative(safe, margins.axis.path, least=not most)}.")  # fmt: skip
+        elif curve:
             path = margins.axis.path
             (low, p_low), (high, p_high) = ((end["at"], end["value"]) for end in (curve[0], curve[-1]))
             rest.append(f"No value to use: between {format_value(low, path, 3)} and {format_value(high, path, 3)} the "
                         f"probability of exceedance runs from {format_probability(p_low)} to "
                         f"{format_probability(p_high)}; widen margins.between.")  # fmt: skip
-        elif limit.target is not None:
-            rest.append("The study asks for no value to use: it has no [margins].")
     else:
         path, planned, most = number["path"], planned_value(design), number["safe_end"] == "largest"
         first = [f"Use at {'most' if most else 'least'} {format_conservative(number['value'], path, least=not most)}."]
@@ -362,12 +372,8 @@ def _headline(
             best = format_value(number["best"], path, 3)
             rest.append(f"That is the conservative, {'lower' if most else 'upper'} end of its interval; best estimate "
                         f"{best}, by {number['by']}.")  # fmt: skip
-        if number["by"] != limit.name:
-            safe = _conservative_margin(
-                answers, design.subject(limit), allowable_probability(design, limit), survive=limit.aim == "survive"
-            )
-            if safe is not None:
-                rest.append(f"By {limit.name}: {format_conservative(safe, path, least=not most)}.")
+        if number["by"] != limit.name and safe is not None:
+            rest.append(f"By {limit.name}: {format_conservative(safe, path, least=not most)}.")
         rest.append(f"At the plan: {what[:1].lower()}{what[1:]}.")
     if word == "not established":
         rest.append("Not established: " + "; ".join(reason.text for reason in reasons) + ".")
