@@ -16,8 +16,7 @@ LAB_FILES = sorted((HOUSE / "labs").rglob("*.py"))
 ALLOWED = {
     "uqsphere", "uqsphere.arrays", "uqsphere.errors", "uqsphere.materials", "uqsphere.mechanics.contact",
     "uqsphere.mechanics.bars", "uqsphere.mechanics.yielding", "uqsphere.quantities", "uqsphere.study",
-    "uqsphere.tables", "uqsphere.units",
-    "uqsphere.uq",
+    "uqsphere.tables", "uqsphere.units", "uqsphere.uq", "uqsphere.uq.curve",
 }  # fmt: skip
 
 

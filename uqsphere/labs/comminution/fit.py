@@ -1,8 +1,9 @@
 """From tests to the posterior of the fracture energy, and its draws as a strength.
 
 Every specimen says that its first fracture energy lies in (lo, hi], or what it is: ln f(e), or ln(P(hi) - P(lo)) from
-the tail that both lie in.  Parameters enter by their logarithms.  Sampler: the affine-invariant ensemble of J. Goodman
-and J. Weare, Commun. Appl. Math. Comput. Sci. 5 (2010) 65, stretch moves with a = 2, four ensembles at once.
+the tail that both lie in.  Parameters enter by their logarithms.  Sampler: importance sampling from Student's t, whose
+mean and covariance follow the draws of the round before (O. Cappé, A. Guillin, J.-M. Marin, C. P. Robert, J. Comput.
+Graph. Stat. 13 (2004) 907), with truncated weights while it adapts (E. L. Ionides, same journal 17 (2008) 295).
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ PRIORS: Final = {
     "modulus": (math.log(2.1375 / 0.6), 0.5), "gamma": (math.log(4.0), 0.35),
 }  # fmt: skip
 _FLAT: Final = (0.0, math.inf)
-_ENSEMBLES, _WALKERS, _BLOCK, _MOST = 4, 32, 400, 8000
-#: what chains must reach to be believed
-R_HAT, EFFECTIVE = 1.01, 1000.0
+#: rounds of the sampler that adapt, most that are kept, degrees of freedom of its proposals
+_ADAPTING, _MOST, _FREEDOM = 6, 24, 5.0
+#: effective number that draws must reach to be believed
+EFFECTIVE: Final = 1000.0
 #: fewer tests than this choose between lognormal and Weibull too often wrongly: both are averaged by their scores
 FEW: Final = 50
 #: nodes of ln gamma between which bounds of repeated blows are interpolated
@@ -228,10 +230,8 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> Model:
 # --- sampling -----------------------------------------------------------------------------------------------------
 
 
-def sample(
-    model: Model, tests: Specimens, gamma: float | None, rng: np.random.Generator, enough: float = 4000.0
-) -> dict[str, Any]:
-    """Chains (steps, R, W, d) of the posterior until they settle, its mode, and how they settled."""
+def sample(model: Model, tests: Specimens, gamma: float | None, rng: np.random.Generator, draws: int) -> dict[str, Any]:
+    """Draws (n, d) of the posterior, its mode, and the effective number of draws that their weights leave."""
     each = log_likelihoods(model, tests, gamma)
     centre = np.array([mean for mean, _ in model.priors.values()])
     sd = np.array([sd for _, sd in model.priors.values()])
@@ -242,21 +242,36 @@ def sample(
             found = each(x).sum(axis=-1) + prior
         return np.where((np.abs(x) < 60.0).all(axis=-1) & ~np.isnan(found), found, -np.inf)
 
-    mode = _mode(model, tests, value)
-    d = len(model.names)
-    start = mode + 0.05 * rng.standard_normal((_ENSEMBLES, _WALKERS, d))
-    start = np.where(np.isfinite(value(start))[..., None], start, mode + 1e-3 * rng.standard_normal(start.shape))
-    chain = _stretch(value, start, 2 * _BLOCK, rng)
-    kept = np.empty((0, *start.shape))
-    r_hat, effective = np.full(d, np.inf), np.zeros(d)
-    while len(kept) < _MOST:
-        last = kept[-1] if len(kept) else chain[-1]
-        kept = np.concatenate([kept, _stretch(value, last, _BLOCK, rng)])
-        r_hat, effective = _settled(kept)
-        if r_hat.max() < R_HAT and effective.min() > max(enough, EFFECTIVE):
+    mode, d, n = _mode(model, tests, value), len(model.names), 1 << 12
+    middle, covariance = mode, _curvature(value, mode)
+    points, logs, effective = np.empty((0, d)), np.empty(0), 0.0
+    for turn in range(_ADAPTING + _MOST):
+        root = np.linalg.cholesky(covariance + 1e-12 * np.eye(d))
+        z = rng.standard_normal((n, d)) * np.sqrt(_FREEDOM / rng.chisquare(_FREEDOM, (n, 1)))
+        x = middle + z @ root.T
+        density = -0.5 * (_FREEDOM + d) * np.log1p(np.square(z).sum(axis=1) / _FREEDOM)
+        log = value(x) - density + np.log(np.diag(root)).sum()
+        weight = np.exp(log - log.max())
+        if turn < _ADAPTING:
+            weight = np.minimum(weight, math.sqrt(n) * weight.mean())
+            middle, covariance = np.average(x, axis=0, weights=weight), np.atleast_2d(np.cov(x.T, aweights=weight))
+            continue
+        points, logs = np.concatenate([points, x]), np.concatenate([logs, log])
+        weight = np.exp(logs - logs.max())
+        effective = float(weight.sum() ** 2 / np.square(weight).sum())
+        if effective > max(draws, EFFECTIVE):
             break
-    return {"chain": kept, "mode": mode, "log_likelihood": float(each(mode).sum()), "each": each, "value": value,
-            "r_hat": float(r_hat.max()), "effective": float(effective.min())}  # fmt: skip
+    taken = np.searchsorted(np.cumsum(weight), (np.arange(draws) + rng.random()) / draws * weight.sum())
+    return {"draws": points[rng.permutation(np.minimum(taken, len(points) - 1))], "each": each, "effective": effective,
+            "log_likelihood": float(each(mode).sum())}  # fmt: skip
+
+
+def _curvature(value: Callable[[Array], Array], mode: Array, step: float = 0.05) -> Array:
+    """Covariance (d, d) of the normal law with the second differences of `value` at its mode, none wider than 1."""
+    e = step * np.eye(len(mode))
+    corners = [a * b * value(mode + a * e[:, None] + b * e[None]) for a in (1, -1) for b in (1, -1)]
+    bend, axes = np.linalg.eigh(np.nan_to_num(-sum(corners) / (4.0 * step**2), posinf=0.0, neginf=0.0))
+    return np.asarray(axes / np.maximum(bend, 1.0) @ axes.T)
 
 
 def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> Array:
@@ -284,47 +299,6 @@ def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> Ar
     return x
 
 
-def _stretch(value: Callable[[Array], Array], x: Array, steps: int, rng: np.random.Generator) -> Array:
-    """Steps of the affine-invariant ensemble, each half moved along lines to walkers of the other."""
-    chain, half, d = np.empty((steps, *x.shape)), x.shape[1] // 2, x.shape[2]
-    x, now = x.copy(), value(x)
-    for k in range(steps):
-        for first in (slice(0, half), slice(half, 2 * half)):
-            other = x[:, half:] if first.start == 0 else x[:, :half]
-            shape = now[:, first].shape
-            z = np.square(1.0 + rng.random(shape)) / 2.0  # density 1/sqrt(z) on (1/2, 2)
-            pick = rng.integers(half, size=shape)
-            partner = np.take_along_axis(other, pick[..., None], axis=1)
-            moved = partner + z[..., None] * (x[:, first] - partner)
-            there = value(moved)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                taken = np.log(rng.random(shape)) < (d - 1) * np.log(z) + there - now[:, first]
-            x[:, first] = np.where(taken[..., None], moved, x[:, first])
-            now[:, first] = np.where(taken, there, now[:, first])
-        chain[k] = x
-    return chain
-
-
-def _settled(chain: Array) -> tuple[Array, Array]:
-    """Split R-hat over ensembles, and effective sizes, of every parameter (d,)."""
-    n = len(chain) // 2
-    halves = np.stack([chain[:n], chain[n : 2 * n]], axis=1).mean(axis=3)  # (n, 2, R, d): means over walkers
-    flat = halves.reshape(n, -1, chain.shape[-1])
-    whole = chain.reshape(-1, chain.shape[-1]).var(axis=0)
-    between = flat.mean(axis=0).var(axis=0, ddof=1)
-    r_hat = np.sqrt(1.0 + between / np.maximum(whole, 1e-300))
-    x = chain.reshape(len(chain), -1, chain.shape[-1])
-    x = x - x.mean(axis=0)
-    size = 1 << (2 * len(x) - 1).bit_length()
-    spectrum = np.abs(np.fft.rfft(x, size, axis=0)) ** 2
-    correlation = np.fft.irfft(spectrum.mean(axis=1), size, axis=0)[: len(x)]
-    correlation = correlation / np.maximum(correlation[0], 1e-300)
-    tau = 2.0 * np.cumsum(correlation, axis=0) - 1.0
-    window = (np.arange(len(tau))[:, None] >= 5.0 * tau).argmax(axis=0)
-    tau = np.take_along_axis(tau, window[None], axis=0)[0]
-    return r_hat, x.shape[0] * x.shape[1] / np.maximum(tau, 1.0)
-
-
 # --- the fit ------------------------------------------------------------------------------------------------------
 
 
@@ -337,15 +311,13 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
     chains, scores, about = [], [], {}
     for k, (law, model) in enumerate(zip(names, models, strict=True)):
         rng = np.random.default_rng([asked.seed, 731, k])
-        done = sample(model, tests, gamma, rng, float(asked.draws))
-        chain = done["chain"].reshape(-1, len(model.names))
-        chains.append(chain[rng.permutation(len(chain))[: asked.draws]])  # even strides meet the same walkers again
+        done = sample(model, tests, gamma, rng, asked.draws)
+        chains.append(done["draws"])
         # leave-one-out by importance: 1/mean(1/p) of every specimen
         each = np.exp(np.minimum(-done["each"](chains[k]) / tests.weight, 600.0))
         scores.append(float(-np.log(np.mean(each, axis=0)) @ tests.weight))
-        about[law] = {"log_likelihood": done["log_likelihood"], "loo": scores[k], "r_hat": done["r_hat"],
-                      "effective": done["effective"],
-                      "settled": done["r_hat"] < R_HAT and done["effective"] > EFFECTIVE}  # fmt: skip
+        about[law] = {"log_likelihood": done["log_likelihood"], "loo": scores[k], "effective": done["effective"],
+                      "settled": done["effective"] > EFFECTIVE}  # fmt: skip
     weights = np.exp(np.array(scores) - max(scores))
     weights /= weights.sum()
     ends = np.round(np.cumsum(weights) * asked.draws).astype(int)
@@ -404,7 +376,7 @@ def _described(
             warnings.append("too few tests to choose between lognormal and Weibull: both are averaged")
     for law, one in about.items():
         if not one["settled"]:
-            warnings.append(f"{law}: the draws did not settle (R-hat {one['r_hat']:.3f})")
+            warnings.append(f"{law}: the draws did not settle (effective number {one['effective']:.0f})")
     if asked.tests.synthetic:
         warnings.append("the tests are synthetic data: no number here is of a rock")
     content = {

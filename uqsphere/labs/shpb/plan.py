@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from uqsphere.study import Study
     from uqsphere.uq import Law
 
-#: randomisations of the Sobol' points, and Student's 97.5 % point of one less
-_SPLITS, _REACH = 8, 2.364624
+#: randomisations of the Sobol' points
+_SPLITS: Final = 8
 #: free numbers of the rigs, in the order in which one is taken where the file names none
 _FREE: Final = (
     "striker.speed", "rig.speed", "rig.drop_height", "hammer.speed", "hammer.drop_height", "platens.force",
@@ -62,6 +62,7 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
     """
     import uqsphere
     from uqsphere.uq import Law
+    from uqsphere.uq.curve import fragility
 
     study = uqsphere.load_study(folder / asked.study)
     if study.black_box:
@@ -95,12 +96,11 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
         # a row without an answer may break or not
         gone = np.isnan(demand)
         each = np.where(gone, 0.5, broken).reshape(asked.points, _SPLITS, -1).mean(axis=2)
-        mean, half = each.mean(axis=1), _REACH * each.std(axis=1, ddof=1) / math.sqrt(_SPLITS)
-        spread = np.exp(np.minimum(half / np.maximum(mean, 1e-300), 50.0))
-        open_part = 0.5 * gone.mean(axis=1)
-        ends = np.maximum(mean / spread - open_part, 0.0), np.minimum(mean + half + open_part, 1.0)
-        shares[one.name] = np.stack([mean, *ends], axis=1).tolist()
-        reached[one.name] = [{"share": share, "value": _reach(values, each, share)} for share in asked.shares]
+        found = fragility(values, each, asked.shares, samples=len(samples) // _SPLITS, evaluations=demand.size)
+        shares[one.name] = [[share, max(low - part, 0.0), min(high + part, 1.0)] for (_, share, low, high), part
+                            in zip(found.curve, 0.5 * gone.mean(axis=1), strict=True)]  # fmt: skip
+        reached[one.name] = [{"share": share, "value": None if at.value is None else (at.value, at.low, at.high)}
+                             for share, at in found.values.items()]  # fmt: skip
         lost = lost | gone
     notes = ["each failure mode by itself; at least one of them breaks at least as many"] if len(limits) > 1 else []
     notes += [f"{one.name} is to break: 1 minus its share does not" for one in limits if one.aim == "break"]
@@ -181,22 +181,3 @@ def _samples(study: Study, names: Sequence[str], rows: int) -> Array:
     uniform = [sobol_points(dimension=len(names), count=each, seed=study.seed, task="shpb plan", replicate=split)
                for split in range(_SPLITS)]  # fmt: skip
     return study.inputs().only(tuple(names)).physical(ndtri(np.concatenate(uniform))) if names else uniform[0][:_SPLITS]
-
-
-def _reach(values: Array, each: Array, share: float) -> tuple[float, float, float] | None:
-    """The value at which a share breaks, with its interval from the randomisations (m, R); None beyond the range."""
-
-    def at(course: Array) -> float | None:
-        rising = np.clip(np.maximum.accumulate(course), 1e-300, 1.0 - 1e-16)
-        if not rising[0] <= share <= rising[-1]:
-            return None
-        logit = np.log(rising) - np.log1p(-rising)
-        kept = np.concatenate([[True], np.diff(logit) > 0.0])
-        return float(np.exp(np.interp(math.log(share) - math.log1p(-share), logit[kept], np.log(values[kept]))))
-
-    middle = at(each.mean(axis=1))
-    if middle is None:
-        return None
-    known = np.log([end if (end := at(each[:, k])) is not None else middle for k in range(each.shape[1])])
-    half = _REACH * float(known.std(ddof=1)) / math.sqrt(len(known))
-    return middle, middle * math.exp(-half), middle * math.exp(half)

@@ -27,8 +27,10 @@ from uqsphere.labs.shpb.record import Change, Changes, Record, Signal, Wave, smo
 from uqsphere.mechanics.bars import correct
 
 NORMAL: Final = 1.959964
-#: samples at the faces, at the least
-_FEWEST: Final = 50
+#: samples at the faces and above 80 % of a largest force, at the least
+_FEWEST, _FEW_ON_TOP = 50, 8
+#: share of the largest force below which the force has fallen where the record ends
+_FALLEN: Final = 0.9
 #: shares of the peak at which an arrival is read, on means over so long [s]: to doubt distances; to shift a steep wave
 _SURE, _FINE = (0.15, 8e-6), (0.05, 2e-6)
 #: shares of the predicted delay by which a wave may come early, and late, before distances are doubted
@@ -128,7 +130,7 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         count = min(count, count_a)
     last = min(last, count)
 
-    disperses = document.record.dispersion and not aligned
+    disperses = document.record.dispersion
     transmitted = _at_face(rec, to_b, count, -behind.gauge, behind, step, changes if disperses else None)
     force_b = -behind.stiffness * transmitted
     gain_b = math.hypot(behind.gain_sd, _BENT if rec.single else 0.0)
@@ -398,7 +400,10 @@ def _peak(time: Array, force: Array, sd: Array, noise: float, memory: float) -> 
     if highest > value + 5.0 * noise + 0.05 * value:
         doubts.append(f"single samples reach {highest * 1e-3:.4g} kN, which those around them do not bear out")
         high = max(high, highest)
-    if at >= len(force) - max(3, width // 2):
+    if top < _FEW_ON_TOP:
+        doubts.append(f"its top has {top} samples: the record is too slow for it")
+        high = max(high, highest)
+    if at >= len(force) - max(3, width // 2) or float(curve[-1]) > _FALLEN * value:
         doubts.append("the force is largest where the record ends: it is at least this")
         high = math.inf
     return Peak(value=value, low=value - half, high=high, time=float(time[at]), doubts=tuple(doubts))
