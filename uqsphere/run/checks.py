@@ -105,7 +105,7 @@ def _later_loading(design: Design, rows: np.ndarray) -> list[Check]:
             "the force of the record, which ends at the first loss of contact",
             effect="forces, pressures and fracture probabilities are too small: set model.whole_record = true",
             remedy="set model.whole_record = true to count every loading up to the horizon, or "
-            "model.first_loading_only = true to ask for the first alone",
+            "model.first_loading_only = true to count the first only",
         )
     ]
 
@@ -132,7 +132,7 @@ def _out_of_reach(design: Design, rows: np.ndarray) -> list[Check]:
                 text=f"{format_probability(share)} of the strengths of {limit.name} lie above the hardness, which no "
                 "pressure exceeds",
                 effect="such spheres never break by it; more do if the strength was computed from a force by Hertz",
-                remedy='say strength_is = "hertz" if the strength was computed from a force, or measure the hardness',
+                remedy='set strength_is = "hertz" if the strength was computed from a force, or measure the hardness',
             )
         )
     return found
