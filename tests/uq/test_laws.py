@@ -105,7 +105,7 @@ def test_moments_agree_with_scipy(kind: str) -> None:
     assert law.mean() == pytest.approx(oracle.mean(), rel=1e-10)
     assert law.sd() == pytest.approx(oracle.std(), rel=1e-9)
     assert law.nominal_mean() == law.mean()
-    assert law.median() == pytest.approx(oracle.median(), rel=1e-10)
+    assert law.ppf(np.array([0.5])) == pytest.approx(oracle.median(), rel=1e-10)
 
 
 @pytest.mark.parametrize(("kind", "given", "lower", "upper", "mean", "sd"), BY_MOMENTS)
@@ -162,7 +162,7 @@ def test_extreme_arguments_give_an_answer_and_no_warning(kind: str) -> None:
     assert np.all(density[:-1] >= 0.0)
     assert density[0] == density[1] == density[5] == density[6] == 0.0
     ends = law.ppf(np.array([0.0, 1.0]))
-    assert ends[0] < law.median() < ends[1]
+    assert ends[0] < law.ppf(np.array([0.5]))[0] < ends[1]
     assert law.from_normal(np.array([[-3.0, 3.0]])).shape == (1, 2)
     assert law.cdf(np.float64(2.0)).shape == ()
 

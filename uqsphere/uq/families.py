@@ -100,7 +100,7 @@ class Family:
         if self.bounded and not (math.isfinite(lower) and math.isfinite(upper)):
             missing = "lower" if math.isinf(lower) else "upper"
             raise LawError(f"{self.name} needs lower and upper; {missing} is missing", missing)
-        own = self._own(given)
+        own = {**self._whole_alternative(given), **{key: given.get(key, one) for key, one in self.optional.items()}}
         try:
             if self.from_moments is not None and not set(self.parameters_of) <= set(own):
                 own |= self.from_moments(own, lower, upper)
@@ -114,8 +114,8 @@ class Family:
             self.check(found, lower, upper)
         return found
 
-    def _own(self, given: Mapping[str, float]) -> Keys:
-        """One whole alternative of what was given, sd in place of cov, and the optional keys."""
+    def _whole_alternative(self, given: Mapping[str, float]) -> Keys:
+        """One alternative of what was given, sd in place of cov."""
         for key, value in given.items():
             if key not in self.keys:
                 raise LawError(f"unknown key {key!r} for {self.name}; allowed: {self.allowed()}", key)
@@ -135,7 +135,7 @@ class Family:
             raise LawError("cov has no meaning for a mean of 0: give sd instead", "cov")
         if "cov" in own:
             own["sd"] = own.pop("cov") * abs(own["mean"])
-        return {**own, **{key: given.get(key, default) for key, default in self.optional.items()}}
+        return own
 
 
 # --- how keys become parameters, and observations a fit ----------------------------------------------------------

@@ -11,8 +11,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -61,11 +60,8 @@ class StrengthTests:
 def make_tests(values: object, stopped: object = None, counts: object = None) -> StrengthTests:
     """Tests from values (n,), flags (n,) of those stopped before the specimen failed, numbers (n,) of equal tests.
 
-    Raises
-    ------
-    ValueError
-        For no test, values that are not positive and finite, flags that are not 0 or 1, numbers that are none, only
-        stopped tests, or failures without scatter.
+    Raises ValueError for no test, values that are not positive and finite, flags that are not 0 or 1, numbers that are
+    none, only stopped tests, or failures without scatter.
 
     >>> make_tests([3.0, 1.0, 2.0, 1.0], [True, False, False, False]).failures.tolist()
     [2.0, 1.0, 0.0]
@@ -117,16 +113,11 @@ def unbiasing(law: LocationScale, leaving: Array, inverse: Array | None = None) 
     if not law.inverse and (leaving == 1.0).all():
         return math.sqrt(n / (n - 1.0))
     if inverse is None:
-        inverse = _inverse(law, tuple(leaving.tolist()))
-    if law.inverse:
-        # E[m*/m] has no bound for two failures; there the median takes its place
-        return 1.0 / float(np.mean(inverse) if n > 3 else np.median(inverse))
-    return 1.0 / math.sqrt(float(np.mean(inverse**-2.0)))
-
-
-@lru_cache(maxsize=32)
-def _inverse(law: LocationScale, leaving: tuple[float, ...]) -> Array:
-    return law.pivots(np.array(leaving), DRAWS, np.random.default_rng(_SERIES_SEED))[1]
+        inverse = law.pivots(leaving, DRAWS, np.random.default_rng(_SERIES_SEED))[1]
+    if not law.inverse:
+        return 1.0 / math.sqrt(float(np.mean(inverse**-2.0)))
+    # E[m*/m] has no bound for two failures; there the median takes its place
+    return 1.0 / float(np.mean(inverse) if n > 3 else np.median(inverse))
 
 
 # --- the fit -------------------------------------------------------------------------------------------
@@ -141,7 +132,6 @@ class StrengthFit:
     likelihood.  `p_value`: probability of a larger distance from the Kaplan-Meier estimate if the law were right.
     """
 
-    law: LocationScale = field(repr=False)
     tests: int
     failures: int
     shape: float
@@ -181,7 +171,7 @@ def fit_strength(tests: StrengthTests, law: LocationScale = STRENGTHS["weibull"]
     shapes = np.quantile(law.shape(spread * inverse), [0.025, 0.975])
     places = np.exp(np.quantile(location - spread * centre, [0.025, 0.975]))
     return StrengthFit(
-        law=law, tests=int((tests.failures + tests.stopped).sum()), failures=int(tests.failures.sum()),
+        tests=int((tests.failures + tests.stopped).sum()), failures=int(tests.failures.sum()),
         shape=law.shape(spread), scale=math.exp(location),
         unbiased=law.shape(spread) * unbiasing(law, tests.leaving, inverse),
         shape_interval=(float(shapes[0]), float(shapes[1])), scale_interval=(float(places[0]), float(places[1])),
@@ -229,24 +219,14 @@ LEAST_TESTS: Final = 3
 
 
 def fitted_law(
-    data: Sequence[float],
-    fit: str | None = None,
-    lower: float | None = None,
-    upper: float | None = None,
-    *,
-    censored: Sequence[float] = (),
-    unbiased: bool = False,
-    modulus: float | None = None,
-) -> Law:
+    data: Sequence[float], fit: str | None = None, lower: float | None = None, upper: float | None = None, *,
+    censored: Sequence[float] = (), unbiased: bool = False, modulus: float | None = None,
+) -> Law:  # fmt: skip
     """The law of a column of observations (SI): "kde" (the default), "steps" or a family by its name.
 
     `censored` are observations that are known only to be larger, and `unbiased` takes the bias out of a fitted
     scatter; both need a Weibull or lognormal fit.  `modulus`: of a Weibull law, if known; then no failure is needed.
-
-    Raises
-    ------
-    LawError
-        With the offending key, what was found and what is allowed.
+    Raises LawError with the offending key, what was found and what is allowed.
 
     >>> fitted_law([1.0, 1.2, 0.9, 1.1], "exponential").family.name
     'exponential'
@@ -302,17 +282,15 @@ def _member(
     family: Family, values: Array, a: float, b: float, censored: Sequence[float] = (), *, unbiased: bool = False
 ) -> Law:
     """The member of a family that the observations (n,), in rising order, have the largest likelihood by."""
-    name, own_bounds = family.name, family.bounded and not family.parameters_of
-    if own_bounds:
-        a = float(values[0]) if math.isinf(a) else a
-        b = float(values[-1]) if math.isinf(b) else b
-    if family.bounded and not (math.isfinite(a) and math.isfinite(b)):
+    name, known = family.name, family.bounded and bool(family.parameters_of)
+    if family.bounded and not known:
+        a, b = (float(end if math.isinf(given) else given) for end, given in ((values[0], a), (values[-1], b)))
+    if known and not (math.isfinite(a) and math.isfinite(b)):
         raise LawError(f"{name} needs lower and upper", "lower" if math.isinf(a) else "upper")
-    if not a < b:
-        raise LawError(f"lower ({a:g}) must be below upper ({b:g})", "lower")
+    a, b = bounds_of(a, b)
     law = Law(family=family, lower=a, upper=b, data=tuple(values.tolist()), censored=tuple(sorted(censored)))
     try:
-        if family.bounded and not own_bounds and not (a < values[0] and values[-1] < b):
+        if known and not (a < values[0] and values[-1] < b):
             found, allowed = f"{values[0]:g} to {values[-1]:g}", f"{a:g} to {b:g}"
             raise ValueError(f"the observations ({found}) must lie between the bounds ({allowed})")
         if family.positive and values[0] <= 0.0:
@@ -349,10 +327,7 @@ def series_behind(law: Law) -> StrengthTests:
 def possible_laws(law: Law, count: int, generator: np.random.Generator) -> list[Law]:
     """`count` laws of the same family that the observations of `law` allow, each as likely as the other.
 
-    Raises
-    ------
-    LawError
-        For a law without observations or with fewer than `LEAST_TESTS`, or one that cannot be fitted again.
+    Raises LawError for a law of fewer than `LEAST_TESTS` observations, or one that cannot be fitted again.
 
     >>> law = fitted_law([1.0, 1.2, 0.9, 1.1, 1.05], "normal")
     >>> laws = possible_laws(law, 1000, np.random.default_rng(1))
@@ -392,7 +367,9 @@ def _refitted(law: Law, count: int, generator: np.random.Generator) -> list[Law]
         raise LawError("what tests leave open of a student_t law is not known: fit a normal or lognormal law", "fit")
     for _ in range(4 * count):
         with contextlib.suppress(LawError):
-            again = _member(law.family, np.sort(law.sample(len(law.data), generator)), law.lower, law.upper).parameters
+            again = _member(
+                law.family, np.sort(law.ppf(generator.random(len(law.data)))), law.lower, law.upper
+            ).parameters
             if len(again) == 1 and not law.family.bounded:
                 again = {key: law.parameters[key] ** 2 / value for key, value in again.items()}
             found.append(replace(law, parameters=again))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import logging
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -25,33 +26,21 @@ if TYPE_CHECKING:
 
 
 def load_chaospy() -> Any:
-    """The package chaospy, imported without a trace; raises UsageError where it is not installed."""
-    with _quiet():
-        try:
-            import chaospy
-        except ImportError as error:
-            raise UsageError("this needs chaospy: pip install chaospy") from error
-    return chaospy
+    """The package chaospy; raises UsageError where it is not installed.
 
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """On import chaospy turns the root logger to DEBUG and adds a handler of its own: both are undone."""
-    import logging
-    import warnings
-
+    On import it turns the root logger to DEBUG and adds a handler of its own: both are undone.
+    """
     root = logging.getLogger()
     level, handlers = root.level, list(root.handlers)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
+        with warnings.catch_warnings(action="ignore"):
+            import chaospy
+    except ImportError as error:
+        raise UsageError("this needs chaospy: pip install chaospy") from error
     finally:
         root.setLevel(level)
-        for handler in list(root.handlers):
-            if handler not in handlers:
-                root.removeHandler(handler)
-                handler.close()
+        root.handlers[:] = handlers
+    return chaospy
 
 
 #: laws that chaospy has exactly, for its own three-term recurrences

@@ -143,35 +143,22 @@ class Law:
             density = pdf(self._standard(safe)) / scale / (safe if self.family.logarithmic else 1.0)
         return np.where(inside, density, 0.0)
 
-    def sample(self, count: int, rng: np.random.Generator) -> Array:
-        """Independent values (count,)."""
-        return self.ppf(rng.random(count))
-
     # --- moments ------------------------------------------------------------------------------------------
-
-    def median(self) -> float:
-        """Median of the law in force."""
-        return float(self.ppf(np.array([0.5]))[0])
 
     def nominal_mean(self) -> float:
         """Mean before truncation; the median where there is no mean."""
-        cut = math.isfinite(self.lower) or math.isfinite(self.upper)
-        whole = replace(self, lower=-math.inf, upper=math.inf) if cut and not self.family.bounded else self
+        cut = self._form is not self._whole[2] or self._form.mass < 1.0
+        whole = replace(self, lower=-math.inf, upper=math.inf) if cut else self
         mean = whole.mean()
-        return mean if math.isfinite(mean) or all(map(math.isinf, whole.tail_orders())) else whole.median()
+        return (
+            mean
+            if math.isfinite(mean) or all(map(math.isinf, whole.tail_orders()))
+            else float(whole.ppf(np.array([0.5]))[0])
+        )
 
     def tail_orders(self) -> tuple[float, float]:
         """Order from which on the law in force has no moments, of its lower and its upper tail; inf if it has all."""
         return self._form.orders
-
-    def _missing(self, order: int) -> float | None:
-        """nan or ±inf where the moment of this order does not exist for the law in force."""
-        low, high = (found <= order for found in self.tail_orders())
-        if low and high:
-            return math.nan if order == 1 else math.inf
-        if low or high:
-            return math.inf if high or order == 2 else -math.inf
-        return None
 
     @cached_property
     @np.errstate(over="ignore", invalid="ignore")
@@ -199,14 +186,15 @@ class Law:
 
     def mean(self) -> float:
         """Mean of the law in force; nan or ±inf where there is none."""
-        missing = self._missing(1)
-        return self._moments[0] if missing is None else missing
+        low, high = (order <= 1.0 for order in self.tail_orders())
+        if low or high:
+            return math.nan if low and high else math.inf if high else -math.inf
+        return self._moments[0]
 
     def sd(self) -> float:
         """Standard deviation of the law in force; nan or inf where there is none."""
-        if self._missing(1) is not None:
-            return math.nan
-        return self._moments[1] if self._missing(2) is None else math.inf
+        order = min(self.tail_orders())
+        return math.nan if order <= 1.0 else math.inf if order <= 2.0 else self._moments[1]
 
     # --- other laws that are like it ----------------------------------------------------------------------
 
@@ -215,12 +203,7 @@ class Law:
 
         What is cut off keeps its place relative to the mean: spheres of 10 mm sorted between 9.5 and 10.5 mm become
         spheres of 8 mm between 7.6 and 8.4 mm, and not the smallest of those of 10 mm.  The bounds of a bounded law
-        are its own and stay.
-
-        Raises
-        ------
-        LawError
-            Where the law is not given by its mean, or has no member with the new one.
+        are its own and stay.  Raises LawError for a law not given by its mean, or without a member of the new one.
         """
         if "mean" not in given:
             raise LawError("the law is not given by its mean, so there is no mean to move", "mean")
@@ -237,10 +220,7 @@ def _named(name: str, own: Mapping[str, object]) -> Law:
 def make_law(name: str, given: Mapping[str, float], lower: float | None = None, upper: float | None = None) -> Law:
     """A law from the keys of a study's table (SI): one of the alternative key sets of its family.
 
-    Raises
-    ------
-    LawError
-        With the offending key, what was found and what is allowed.
+    Raises LawError with the offending key, what was found and what is allowed.
 
     >>> law = make_law("lognormal", {"mean": 52e9, "cov": 0.12})
     >>> round(law.nominal_mean() / 1e9, 12)
