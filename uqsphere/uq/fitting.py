@@ -168,13 +168,13 @@ def fit_strength(tests: StrengthTests, law: LocationScale = STRENGTHS["weibull"]
     terms = law.terms((y - location) / spread, tests.failures, tests.stopped)[0]
     centre, inverse = law.pivots(tests.leaving, draws, np.random.default_rng(_SERIES_SEED))
     # s = s* inverse and mu = mu* - s* centre are what the tests allow
-    shapes = np.quantile(law.shape(spread * inverse), [0.025, 0.975])
-    places = np.exp(np.quantile(location - spread * centre, [0.025, 0.975]))
+    shapes = np.quantile(law.shape(spread * inverse), [0.025, 0.975]).tolist()
+    places = np.exp(np.quantile(location - spread * centre, [0.025, 0.975])).tolist()
     return StrengthFit(
         tests=int((tests.failures + tests.stopped).sum()), failures=int(tests.failures.sum()),
-        shape=law.shape(spread), scale=math.exp(location),
+        shape=law.shape(spread), shape_interval=(shapes[0], shapes[1]),
         unbiased=law.shape(spread) * unbiasing(law, tests.leaving, inverse),
-        shape_interval=(float(shapes[0]), float(shapes[1])), scale_interval=(float(places[0]), float(places[1])),
+        scale=math.exp(location), scale_interval=(places[0], places[1]),
         log_likelihood=float((terms - tests.failures * (y + math.log(spread))).sum()),
         p_value=probability_of(tests, law),
     )  # fmt: skip

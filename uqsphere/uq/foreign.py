@@ -129,21 +129,19 @@ def as_law(given: LawLike) -> Law:
         values = np.zeros(0)
     if values.ndim == 1 and values.size >= 2:
         return fitted_law(values.tolist())
-    raise LawError(
-        f"found {kind}: give a law, its table, a distribution of scipy.stats or chaospy, or observations (n,)"
-    )
+    known = "a law, its table, a distribution of scipy.stats or chaospy, or observations (n,)"
+    raise LawError(f"found {kind}: give {known}")
 
 
 def _of_table(given: Mapping[str, Any]) -> Law:
     numbers = {key: value for key, value in given.items() if key != "dist"}
     if given.get("dist") == "discrete" and set(numbers) <= {"values", "weights"}:
         return discrete_law(given.get("values", ()), given.get("weights"))
-    if wrong := [key for key, value in numbers.items() if not isinstance(value, int | float | np.number)]:
-        said = f"{wrong[0]} of a law must be a number; observations are given as an array in its place"
-        raise LawError(said, wrong[0])
-    rest = {key: float(value) for key, value in numbers.items()}
-    bounds = rest.pop("lower", None), rest.pop("upper", None)
-    return make_law(str(given.get("dist")), rest, *bounds)
+    for key, value in numbers.items():
+        if not isinstance(value, int | float | np.number):
+            raise LawError(f"{key} of a law must be a number; observations are given as an array in its place", key)
+    bounds = numbers.pop("lower", None), numbers.pop("upper", None)
+    return make_law(str(given.get("dist")), numbers, *bounds)
 
 
 def _of_scipy(given: Any, kind: str) -> Law:
@@ -152,16 +150,15 @@ def _of_scipy(given: Any, kind: str) -> Law:
             raise LawError(f"a gaussian_kde of several numbers: {EACH}")
         width = float(np.sqrt(given.covariance[0, 0]))
         return checked(replace(fitted_law(given.dataset[0].tolist()), parameters={"bandwidth": width}))
-    if any(base.__name__ == "DiscreteDistribution" for base in type(given).__mro__):
-        return _steps(f"{kind} of SciPy", given.support(), given.pmf)
-    if hasattr(given, "dist") and hasattr(given, "kwds") and not hasattr(given.dist, "pdf"):
-        return _steps(f"{given.dist.name} of SciPy", given.support(), given.pmf)
-    if "rv_histogram" in (kind, type(getattr(given, "dist", None)).__name__):
+    frozen = getattr(given, "dist", None)
+    if any(base.__name__ == "DiscreteDistribution" for base in type(given).__mro__) or hasattr(frozen, "pmf"):
+        return _steps(f"{getattr(frozen, 'name', kind)} of SciPy", given.support(), given.pmf)
+    if "rv_histogram" in (kind, type(frozen).__name__):
         return _wrapped("scipy histogram", (given.cdf, given.sf, given.ppf, given.isf, given.pdf),
                         given.stats(moments="mv"))  # fmt: skip
-    if hasattr(given, "dist") and hasattr(given, "kwds"):
-        shapes, loc, scale = given.dist._parse_args(*given.args, **given.kwds)
-        return _compared(_by_name(given.dist.name, *shapes, loc, scale), given.ppf)
+    if frozen is not None:
+        shapes, loc, scale = frozen._parse_args(*given.args, **given.kwds)
+        return _compared(_by_name(frozen.name, *shapes, loc, scale), given.ppf)
     if hasattr(given, "icdf") and hasattr(given, "ccdf"):
         if kind in ("Normal", "StandardNormal") and np.ndim(given.mean()) == 0:
             return _compared(_by_name("norm", given.mean(), given.standard_deviation()), given.icdf)
@@ -191,13 +188,11 @@ def _of_chaospy(given: Any, kind: str) -> Law:
         return lambda values: np.asarray(function(np.ravel(values)), dtype=float).reshape(np.shape(values))
 
     cdf, ppf = shaped(given.cdf), shaped(given.inv)
-
     far = np.abs(ppf(np.array([1e-6, 1e-9, 1.0 - 1e-6, 1.0 - 1e-9])))
     if max(far[1] / far[0], far[3] / far[2]) > 10.0:
         raise LawError(f"{given} has a heavy tail, which chaospy cuts off: give the law of scipy.stats")
-    functions = (cdf, lambda x: 1.0 - cdf(x), ppf, lambda q: ppf(1.0 - np.asarray(q)), shaped(given.pdf))
     try:
-        return _wrapped("chaospy", functions)
+        return _wrapped("chaospy", (cdf, lambda x: 1.0 - cdf(x), ppf, lambda q: ppf(1.0 - q), shaped(given.pdf)))
     except LawError as error:
         raise LawError(f"{error}: give the distribution of scipy.stats, or observations") from None
 
@@ -229,13 +224,11 @@ def _by_name(name: str, *given: Any) -> Law:
     """The law by its name, shapes, loc and scale in SciPy."""
     numbers = list(map(_number, given))
     made = TABLES.get({"reciprocal": "loguniform"}.get(name, name))
-    table = None if made is None else made(*numbers)
-    if table is None:
-        family = family_named(PREFIX + name)
-        if family is None:
-            raise LawError(f"scipy.stats has no law {name!r} by this name: give it by rows of its values")
-        table = {"dist": family.name} | dict(zip(family.parameters_of, numbers, strict=True))
-    return as_law(table)
+    if made is not None and (table := made(*numbers)) is not None:
+        return as_law(table)
+    if (family := family_named(PREFIX + name)) is None:
+        raise LawError(f"scipy.stats has no law {name!r} by this name: give it by rows of its values")
+    return as_law({"dist": family.name} | dict(zip(family.parameters_of, numbers, strict=True)))
 
 
 def _compared(law: Law, quantile: Callable[[Array], Any]) -> Law:
