@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
@@ -47,9 +47,8 @@ class Family:
     bounded : `lower` and `upper` are required, and are the law's own bounds; those of other laws truncate
     logarithmic : the standard form is that of ln x
     positive : only positive observations can come from it
-    form : (parameters, lower, upper) -> (location, scale, standard form)
+    form : (parameters, lower, upper) -> (location, scale, standard form); raises LawError
     from_moments : (keys given, sd for cov, lower, upper) -> parameters, of another key set; raises LawError
-    check : (parameters, lower, upper); raises LawError
     location_scale : how it is fitted, and what few tests leave open, where some u(x) has a location and a scale
     fit : (observations (n,) in rising order, lower, upper) -> parameters of the largest likelihood, of the others
     observed : law -> standard form, in place of `form`, where laws are made from observations or draws
@@ -64,7 +63,6 @@ class Family:
     positive: bool = False
     form: Callable[[Mapping[str, float], float, float], tuple[float, float, Form]] | None = None
     from_moments: Callable[[Keys, float, float], Keys] | None = None
-    check: Callable[[Keys, float, float], None] | None = None
     location_scale: LocationScale | None = None
     fit: Callable[[Array, float, float], Keys] | None = None
     observed: Callable[[Law], Form] | None = None
@@ -110,8 +108,6 @@ class Family:
             beyond = True
         if beyond:
             raise LawError(f"these parameters of {self.name} give numbers beyond floating point", "")
-        if self.check is not None:
-            self.check(found, lower, upper)
         return found
 
     def _whole_alternative(self, given: Mapping[str, float]) -> Keys:
@@ -141,9 +137,11 @@ class Family:
 # --- how keys become parameters, and observations a fit ----------------------------------------------------------
 
 
-def _inside(key: str, given: Keys, lower: float, upper: float) -> None:
-    if not lower <= given[key] <= upper:
-        raise LawError(f"{key} ({given[key]:g}) must lie between lower ({lower:g}) and upper ({upper:g})", key)
+def _share(key: str, own: Mapping[str, float], lower: float, upper: float) -> float:
+    """Where between the bounds a number lies; raises LawError."""
+    if not lower <= own[key] <= upper:
+        raise LawError(f"{key} ({own[key]:g}) must lie between lower ({lower:g}) and upper ({upper:g})", key)
+    return (own[key] - lower) / (upper - lower)
 
 
 def _lognormal_keys(given: Keys, lower: float, upper: float) -> Keys:
@@ -159,8 +157,7 @@ def _weibull_keys(given: Keys, lower: float, upper: float) -> Keys:
 
 
 def _beta_keys(given: Keys, lower: float, upper: float) -> Keys:
-    _inside("mean", given, lower, upper)
-    centre = (given["mean"] - lower) / (upper - lower)
+    centre = _share("mean", given, lower, upper)
     total = centre * (1.0 - centre) * ((upper - lower) / given["sd"]) ** 2 - 1.0
     if total <= 0.0:
         most = (upper - lower) * math.sqrt(centre * (1.0 - centre))
@@ -168,9 +165,10 @@ def _beta_keys(given: Keys, lower: float, upper: float) -> Keys:
     return {"alpha": centre * total, "beta": (1.0 - centre) * total}
 
 
-def _above_zero(given: Keys, lower: float, upper: float) -> None:
+def _loguniform(own: Mapping[str, float], lower: float, upper: float) -> tuple[float, float, Form]:
     if lower <= 0.0:
         raise LawError(f"lower of a loguniform law must be positive, found {lower:g}", "lower")
+    return math.log(lower), math.log(upper / lower), forms.UNIFORM
 
 
 def _scipy_fit(name: str, data: Array, *keys: str, **fixed: float) -> Keys:
@@ -240,13 +238,11 @@ FAMILIES: Final = {family.name: family for family in (
         name="uniform", bounded=True, form=lambda own, a, b: (a, b - a, forms.UNIFORM), fit=lambda data, a, b: {},
     ),
     Family(
-        name="loguniform", bounded=True, logarithmic=True, positive=True, check=_above_zero,
-        form=lambda own, a, b: (math.log(a), math.log(b / a), forms.UNIFORM), fit=lambda data, a, b: {},
+        name="loguniform", bounded=True, logarithmic=True, positive=True, form=_loguniform, fit=lambda data, a, b: {},
     ),
     Family(
         name="triangular", alternatives=(("mode",),), parameters_of=("mode",), bounded=True,
-        check=partial(_inside, "mode"), fit=_triangular_fit,
-        form=lambda own, a, b: (a, b - a, forms.triangular((own["mode"] - a) / (b - a))),
+        form=lambda own, a, b: (a, b - a, forms.triangular(_share("mode", own, a, b))), fit=_triangular_fit,
     ),
     Family(
         name="beta", alternatives=(("alpha", "beta"), *_MOMENTS), parameters_of=("alpha", "beta"), bounded=True,

@@ -112,12 +112,14 @@ def _mean_of(count: int, parts: list[Part], nodes: Callable[[], Array], moments:
             known = np.isfinite(score) & np.isfinite(slope) & (np.diff(score, prepend=-math.inf) >= 0.0)
         return CubicHermiteSpline(y[known], score[known], slope[known])
 
+    def inside(y: Array) -> Array:
+        return np.clip(y, table().x[0], table().x[-1])
+
     def tails(y: Array) -> tuple[Array, Array]:
         if y.size * count <= _FEW:
             return own_tails(y)
-        spline = table()
-        near = np.clip(y, spline.x[0], spline.x[-1])
-        score = spline(near) + np.where(y == near, 0.0, spline(near, 1) * (y - near))
+        near = inside(y)
+        score = table()(near) + np.where(y == near, 0.0, table()(near, 1) * (y - near))
         return special.ndtr(score), special.ndtr(-score)
 
     def quantile(p: Array, q: Array) -> Array:
@@ -142,9 +144,8 @@ def _mean_of(count: int, parts: list[Part], nodes: Callable[[], Array], moments:
     def pdf(y: Array) -> Array:
         if y.size * count <= _FEW:
             return own_density(y)
-        spline = table()
-        near = np.clip(y, spline.x[0], spline.x[-1])
-        return np.where(y == near, spline(near, 1) * np.exp(-0.5 * spline(near) ** 2) / ROOT, 0.0)
+        near = inside(y)
+        return np.where(y == near, table()(near, 1) * np.exp(-0.5 * table()(near) ** 2) / ROOT, 0.0)
 
     return Form(tails=tails, quantile=quantile, pdf=pdf, moments=moments)
 
