@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import os
 import signal
 import sys
@@ -192,6 +193,8 @@ def _new(given: argparse.Namespace) -> int:
                          + f" (known: {', '.join(shipped)})")  # fmt: skip
     source = shipped[given.template]
     target = given.output or Path(source.name)
+    if not target.parent.is_dir():
+        raise UsageError(f"{target.parent} is no folder: make it first, or choose another place with -o")
     text = source.read_text(encoding="utf-8")
     named = (path for path in sorted(source.parent.iterdir()) if path.suffix in (".csv", ".py") and path.name in text)
     for path in (source, *named):
@@ -227,6 +230,8 @@ def _run(given: argparse.Namespace) -> int:
             seconds = parse_value(given.budget, "time", "min")
         except ValueError as error:
             raise UsageError(f"--budget: {error}") from None
+        if not 0.0 < seconds < math.inf:
+            raise UsageError(f"--budget: {given.budget!r} is no time to compute: 10min, for example")
     folder = given.out or Path(f"{given.file.stem}-results")
     with _interruptible() as stop, watched(lines=True) as progress:
         found = run(study, given.model, out=folder, threads=given.processes, seconds=seconds, progress=progress,
@@ -297,7 +302,7 @@ def _history(given: argparse.Namespace) -> int:
     if given.json:
         print(json.dumps({"title": study.title, "rows": dict(rows)}, indent=1, ensure_ascii=False))
     else:
-        width = max(len(text) for text, _ in rows)
+        width = min(max(len(text) for text, _ in rows), 88)
         print(f"{study.title}: one scene, every number at its mean")
         print("\n".join(f"{text:{width}}  {value}" for text, value in rows))
     if given.out is not None:

@@ -30,7 +30,7 @@ def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
     """
 
     if len(runs) < 2:
-        raise UsageError("compare takes two runs at least")
+        raise UsageError("compare takes two runs at least: uqsphere compare BEFORE AFTER")
     keys = ["subject", "answer", "at"]
     tables: list[Any] = []
     for number, run in enumerate(runs):
@@ -90,7 +90,9 @@ def comparison_text(runs: Sequence[Run], names: Sequence[str], most: int = 20) -
                      f"({100.0 * row['change']:+.3g} %{sure})")  # fmt: skip
     if len(moved) > most:
         lines.append(f"... {len(moved) - most} more; --csv has all")
-    if moved.empty:
+    if table[list(names)].notna().sum(axis=1).max() < 2:
+        lines.append("the runs have no answer in common: runs of one study with something set otherwise are compared")
+    elif moved.empty:
         lines.append("no answer moved by more than 0.1 %")
     return "\n".join(lines)
 

@@ -19,6 +19,8 @@ from uqsphere.errors import AccessError, FolderError
 
 SUMS: Final = "SHA256SUMS"
 RESULTS: Final = "results.json"
+#: what a results.json holds beside its version
+PARTS: Final = frozenset({"study", "inputs", "answers", "verdicts", "checks", "accuracy", "versions"})
 #: files that a run may have written; another folder is not written into
 OWN: Final = frozenset({
     "study.toml", "files", RESULTS, "answers.csv", "samples.csv", "report.html", "figures", "history.csv", "log.txt",
@@ -123,7 +125,7 @@ def read_results(folder: Path) -> dict[str, Any]:
         raise AccessError(f"{path}: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
         raise FolderError(f"{path} is damaged ({type(error).__name__}): {_AGAIN}") from None
-    if not isinstance(results, dict) or results.get("schema_version") != 2:
+    if not isinstance(results, dict) or results.get("schema_version") != 2 or not results.keys() >= PARTS:
         raise FolderError(f"{path} is of another version: {_AGAIN}")
     if hashlib.sha256(content).hexdigest() != _sums(folder).get(RESULTS):
         raise FolderError(f"{path} is not as it was written: {_AGAIN}")
