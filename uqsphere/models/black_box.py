@@ -152,29 +152,29 @@ def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Se
 
 def _table(returned: Any, outputs: Sequence[str], count: int) -> Array:
     """What a model returned, as numbers (n, q)."""
+    if returned is None:
+        raise ModelError("the model returned nothing: it must return a dict of output name -> array")
     returned = by_index(returned, count)
     if hasattr(returned, "iloc") and hasattr(returned, "columns"):  # a DataFrame, without importing pandas
         names = list(returned.columns)
         if repeated := [name for name in names if names.count(name) > 1]:
             raise ModelError(f"the model returned the column {told(repeated[0], 60)!r} more than once")
         returned = {name: returned[name].to_numpy() for name in names}
-    if isinstance(returned, Mapping):
-        if missing := [name for name in outputs if name not in returned]:
-            keys = ", ".join(repr(told(key, 60)) for key in list(returned)[:6]) or "nothing"
-            raise ModelError(f"the model returned no {missing[0]!r} (it returned {keys})")
-        return np.stack([_column(by_index(returned[name], count), name, count) for name in outputs], axis=1)
-    if returned is None:
-        raise ModelError("the model returned nothing: it must return a dict of output name -> array")
-    shape = np.shape(returned)
-    if shape == (count, len(outputs)):
-        table = np.asanyarray(returned)
-        return np.stack([_column(table[:, k], name, count) for k, name in enumerate(outputs)], axis=1)
-    if len(outputs) == 1:
-        return _column(returned, outputs[0], count)[:, None]
-    raise ModelError(
-        f"the model must return a dict with {', '.join(map(repr, outputs))}, or an array of shape "
-        f"({count}, {len(outputs)}); it returned {type(returned).__name__}{f' of shape {shape}' if shape else ''}"
-    )
+    if not isinstance(returned, Mapping):
+        shape = np.shape(returned)
+        if shape == (count, len(outputs)):
+            returned = dict(zip(outputs, np.asanyarray(returned).T, strict=True))
+        elif len(outputs) == 1:
+            returned = {outputs[0]: returned}
+        else:
+            raise ModelError(
+                f"the model must return a dict with {', '.join(map(repr, outputs))}, or an array of shape ({count}, "
+                f"{len(outputs)}); it returned {type(returned).__name__}{f' of shape {shape}' if shape else ''}"
+            )
+    if missing := [name for name in outputs if name not in returned]:
+        keys = ", ".join(repr(told(key, 60)) for key in list(returned)[:6]) or "nothing"
+        raise ModelError(f"the model returned no {missing[0]!r} (it returned {keys})")
+    return np.stack([_column(by_index(returned[name], count), name, count) for name in outputs], axis=1)
 
 
 def by_index(value: Any, count: int) -> Any:

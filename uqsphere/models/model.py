@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
@@ -146,63 +147,45 @@ class Model:
         rows = np.asarray(rows, dtype=float)
         if rows.ndim != 2 or rows.shape[1] != len(names):
             raise UsageError(f"rows must have shape (n, {len(names)}), a column for each name, not {rows.shape}")
-        n = len(rows)
         if not self.study.black_box:
-            scene = partial(evaluate_scene, self.study, names, columns=columns, tolerance=self.tolerance)
-            self._workers = self._workers or Here(self.threads)
-            if not self._times and n:
-                say_if_compiling()
-                scene(rows[:1], threads=1)  # the kernel is compiled, or loaded, before anything is timed
-            size = _SCENE_ROWS[isinstance(self._workers, Given)]
-            return self._gather(scene, names, columns, columns, rows.__getitem__, _blocks(n, size, size), None)
-        numbers, outputs = self._numbers, self.study.outputs
-        for kind, given, allowed in (("input", names, numbers), ("output", columns, outputs)):
+            return self._evaluate(names, rows, columns, None)
+        for kind, given, allowed in (("input", names, self._numbers), ("output", columns, self.study.outputs)):
             if unknown := [name for name in given if name not in allowed]:
                 raise UsageError(f"unknown {kind} {told(unknown[0], 60)!r} (allowed: {', '.join(allowed)})")
-
-        def whole(places: Places) -> Array:
-            """Rows of all inputs, in the order of `numbers`."""
-            block = np.tile(np.fromiter(numbers.values(), float), (len(places), 1))
-            block[:, [[*numbers].index(name) for name in names]] = rows[places]
-            return block
-
-        task = self._task = self._task or self._begin()
-        size = max(1, min(_MOST_ROWS, n // _BLOCKS))
-        blocks = _blocks(n, size, 1 if self._limited else size)
-        answers = self._gather(task, [*numbers], outputs, columns, whole, blocks, self.cache)
+        answers = self._evaluate(names, rows, columns, self.cache)
         if not self._compared and answers.good.any():
+            self._compared, k = True, int(np.argmax(answers.good))
             # by itself: its answer may have been that of the rows next to it
-            self._compared, at = True, np.array([int(np.argmax(answers.good))])
-            single = self._gather(task, [*numbers], outputs, columns, lambda _: whole(at), [range(1)], None)
+            again = self._evaluate(names, rows[k : k + 1], columns, None)
             self.evaluations -= 1
-            if single.good[0]:
-                self._compare(columns, whole(at)[0], answers.values[at[0]], single.values[0])
+            differs = ~np.isclose(answers.values[k], again.values[0], rtol=_HALF_OF_THE_DIGITS, atol=0.0)
+            if again.good[0] and differs.any():
+                j = int(np.argmax(differs))
+                text = f"{answers.values[k, j]:.6g} and {again.values[0, j]:.6g} as {columns[j]!r}"
+                cause = "or it answers a row by the rows next to it; no interval covers that"
+                if self.reused:
+                    cause = "or what it reads or imports has changed since answers were stored; --fresh drops those"
+                self._note(f"the model gave two answers to the same row ({text} {where_of(names, rows[k])}): "
+                           f"it is not deterministic, {cause}")  # fmt: skip
         return answers
 
-    def _compare(self, columns: Sequence[str], row: Array, before: Array, now: Array) -> None:
-        """Note a model that answers the same row in two ways."""
-        differs = ~np.isclose(before, now, rtol=_HALF_OF_THE_DIGITS, atol=0.0)
-        if differs.any():
-            k = int(np.argmax(differs))
-            text = f"{before[k]:.6g} and {now[k]:.6g} as {columns[k]!r} {where_of([*self._numbers], row)}"
-            cause = "or it answers a row by the rows next to it; no interval covers that"
-            if self.reused:
-                cause = "or what it reads or imports has changed since answers were stored; --fresh drops those"
-            self._note(f"the model gave two answers to the same row ({text}): it is not deterministic, {cause}")
-
-    def _begin(self) -> Task:
-        """The task of the black box; a function is begun in this process, else in one of its own."""
-        box = self.model
-        assert box is not None
-        if isinstance(box, str):
-            file, _, name = box.rpartition(":")
-            box = f"{Path(file).resolve()}:{name}"
-        task = partial(answer_rows, box=box, digest=self._digest, names=[*self._numbers], outputs=self.study.outputs,
-                       row_by_row=self.study.analysis.on_failure != "abort")  # fmt: skip
-        if self._workers is None:
-            alone = callable(box) and not self._limited
-            self._workers = Here() if alone else Processes(self._processes if self._limited else 1, task)
-        return task
+    def _begin(self, inputs: Sequence[str], columns: Sequence[str]) -> Task:
+        """What answers rows of the inputs; a scene and a function begin in this process, a file in one of its own."""
+        if self.model is None:
+            self._workers = self._workers or Here(self.threads)
+            return partial(evaluate_scene, self.study, inputs, columns=columns, tolerance=self.tolerance)
+        if self._task is None:
+            box = self.model
+            if isinstance(box, str):
+                file, _, name = box.rpartition(":")
+                box = f"{Path(file).resolve()}:{name}"
+            self._task = partial(answer_rows, box=box, digest=self._digest, names=inputs, outputs=self.study.outputs,
+                                 row_by_row=self.study.analysis.on_failure != "abort")  # fmt: skip
+            if self._workers is None:
+                alone = callable(box) and not self._limited
+                many = self._processes if self._limited else 1
+                self._workers = Here() if alone else Processes(many, self._task)
+        return self._task
 
     def _grow(self, task: Task, left: int) -> None:
         """Start more processes where the rows that are left have proved worth it; nothing may be running."""
@@ -225,25 +208,35 @@ class Model:
             return limit
         return rows * limit if each is None else max(limit, min(rows * limit, 10.0 * rows * each))
 
-    def _gather(
-        self, task: Task, names: Sequence[str], outputs: Sequence[str], columns: Sequence[str],
-        whole: Callable[[Places], Array], blocks: Sequence[range], cache: Cache | None,
-    ) -> EvaluatedRows:  # fmt: skip
-        """The one loop over calls.
+    def _evaluate(
+        self, names: Sequence[str], rows: Array, columns: Sequence[str], cache: Cache | None
+    ) -> EvaluatedRows:
+        """The one loop over calls; what the cache has is not evaluated."""
+        is_box, total = self.study.black_box, len(rows)
+        numbers: Mapping[str, float] = self._numbers if is_box else dict.fromkeys(names, math.nan)
+        outputs, inputs = self.study.outputs if is_box else columns, list(numbers)
+        taken, given = [outputs.index(name) for name in columns], [inputs.index(name) for name in names]
 
-        names, whole : inputs of the task, and its rows at some places. outputs, columns : what it answers, and what of
-        that is requested. blocks : places of all rows; what of them is in the cache is not evaluated.
-        """
-        total = blocks[-1].stop if blocks else 0
+        def whole(places: Places) -> Array:
+            """Rows of all inputs."""
+            block = np.tile(np.fromiter(numbers.values(), float), (len(places), 1))
+            block[:, given] = rows[places]
+            return block
+
+        task = self._begin(inputs, columns)
+        size = max(1, min(_MOST_ROWS, total // _BLOCKS)) if is_box else _SCENE_ROWS[isinstance(self._workers, Given)]
+        starts = [0, *range(1 if self._limited else size, total, size), total]
+        if not is_box and not self._times and total:
+            say_if_compiling()
+            task(rows[:1], threads=1)  # the kernel is compiled, or loaded, before anything is timed
         gathered = EvaluatedRows.plain(np.full((total, len(columns)), np.nan))
-        taken = [[*outputs].index(name) for name in columns]
         done, first_failed = 0, (total, "")
         again, died, running = deque[Places](), set[int](), dict[Future[Timed], Places]()
 
         def settle(places: Places, answers: EvaluatedRows) -> None:
             nonlocal done, first_failed
             values, status = answers.values[:, taken], answers.status
-            if self.study.black_box:
+            if is_box:
                 status = np.where((status == 0) & ~np.isfinite(values).all(axis=1), Code.NOT_FINITE, status)
             gathered.values[places] = np.where((status == 0)[:, None], values, np.nan)
             if answers.censored.any():
@@ -268,8 +261,8 @@ class Model:
 
         def missing() -> Iterator[Places]:
             """Rows of each block that are not in the cache; those that are there are settled."""
-            for block in blocks:
-                places = np.arange(block.start, block.stop)
+            for start, end in pairwise(starts):
+                places = np.arange(start, end)
                 if cache is not None:
                     answers, stored = cache.read(whole(places))
                     self.reused += int(stored.sum())
@@ -299,7 +292,7 @@ class Model:
                     code = Code.DIED if dead else Code.TIME_OVER
                     text = f"{TEXTS[code]} ({error if dead else f'{self.study.analysis.time_limit:g} s'})"
                     if self._hung == _HUNG:
-                        text = f"{text} {where_of(names, whole(places)[0])}"
+                        text = f"{text} {where_of(inputs, whole(places)[0])}"
                         raise ModelError(f"{_HUNG} rows in a row have no answer, the last: {text}") from error
                     evaluated(places, EvaluatedRows.plain(np.full((1, len(outputs)), np.nan), code, text))
 
@@ -308,7 +301,7 @@ class Model:
             while done < total:
                 if self.stop is not None and self.stop():
                     raise Interrupted
-                if not running and self.study.black_box:
+                if not running and is_box:
                     self._grow(task, total - done)
                 workers = self._workers
                 assert workers is not None
@@ -318,8 +311,7 @@ class Model:
                     places = again.popleft() if again else next(due, None)
                     if places is None:
                         break
-                    rows = whole(places)
-                    running[workers.submit(task, rows, self._limit(len(rows)))] = places
+                    running[workers.submit(task, whole(places), self._limit(len(places)))] = places
                 ended, _ = wait(running, timeout=_LOOK, return_when=FIRST_COMPLETED)
                 # answers first: what is lost with an executor ends the run
                 for future in sorted(ended, key=lambda f: f.cancelled() or f.exception() is not None):
@@ -330,10 +322,5 @@ class Model:
             for future in running:
                 future.cancel()
         at, text = first_failed
-        note = f"{text} {where_of(names, whole(np.array([at]))[0])}" if at < total else ""
+        note = f"{text} {where_of(inputs, whole(np.array([at]))[0])}" if at < total else ""
         return replace(gathered, note=note)
-
-
-def _blocks(total: int, size: int, first: int) -> list[range]:
-    """The places of `total` rows in blocks of `size`, the first one of `first`."""
-    return [range(a, b) for a, b in pairwise([0, *range(first, total, size), total]) if a < b]
