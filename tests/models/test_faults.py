@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 
 from uqsphere.errors import AccessError, ModelError, UsageError
+from uqsphere.models import cache as cache_module
 from uqsphere.models import model as module
 from uqsphere.models import workers
 from uqsphere.models.cache import Cache
@@ -371,6 +372,27 @@ def test_an_executor_that_is_lost_leaves_what_is_done(place: Path) -> None:
         assert model.reused == 4
 
 
+@pytest.mark.parametrize(
+    ("answer", "error", "text"),
+    [
+        (3, UsageError, "returns a Future of concurrent.futures"),
+        (lambda *_: None, AccessError, "the executor Strange was lost"),
+        (lambda function, packed, rows: function(packed, rows[:1]), AccessError, "answers of other rows"),
+    ],
+)
+def test_an_executor_that_answers_something_else(place: Path, answer: Any, error: Any, text: str) -> None:
+    class Strange:
+        def submit(self, *given: Any) -> Any:
+            future: Future[Any] = Future()
+            if not callable(answer):
+                return answer
+            future.set_result(answer(*given))
+            return future
+
+    with Model(study(), box(place), executor=Strange()) as model, pytest.raises(error, match=text):
+        model.evaluate(["a"], np.zeros((200, 1)), ["y"])
+
+
 def test_a_dask_cluster_answers_and_may_be_lost(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All its workers gone after the first answer, then the client closed."""
     distributed = pytest.importorskip("distributed")
@@ -396,6 +418,8 @@ def test_a_dask_cluster_answers_and_may_be_lost(place: Path, monkeypatch: pytest
     [
         ({"executor": 3}, "submit"),
         ({"threads": 0}, "threads"),
+        ({"threads": 1.5}, "threads"),
+        ({"threads": "2"}, "threads"),
         ({"model": 3}, "a function or"),
         ({"model": None}, "--model"),
         ({"model": "box.txt:f"}, r"FILE\.py:FUNCTION"),
@@ -466,6 +490,18 @@ def _foreign(path: Path) -> None:
         database.execute("CREATE TABLE other (x)")
 
 
+def _view(path: Path) -> None:
+    """Marked as a cache, with a view without end in place of the table."""
+    path.unlink()
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        for name, mark in cache_module._MARKS.items():
+            database.execute(f"PRAGMA {name} = {mark}")
+        database.execute(
+            "CREATE VIEW answers AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) "
+            "SELECT x AS key, x AS record FROM c WHERE x < 0"
+        )
+
+
 def _folder(path: Path) -> None:
     path.unlink()
     path.mkdir()
@@ -484,6 +520,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], int, str]] = {
     "truncated": (lambda path: path.write_bytes(path.read_bytes()[:5000]), 0, "evaluated anew"),
     "overwritten": (lambda path: path.write_bytes(b"x" * 5000), 0, "is cache.damaged now"),
     "a bit flipped": (_flip, 0, "damaged rows"),
+    "a view without end": (_view, 0, "no cache of this version"),
     "another database": (_foreign, 0, "no cache of this version"),
     "a folder": (_folder, 0, "evaluated rows are not stored"),
     "a link": (_link, 0, "it is a link"),

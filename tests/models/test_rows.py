@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import math
+import sys
+import time
 import warnings
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -343,6 +346,23 @@ def test_one_output_and_one_row_need_no_dict() -> None:
     assert np.isnan(call_black_box(lambda x: [1.0, None], ("a",), A[:2, None], ("y",))[1, 0])
 
 
+def test_what_a_model_sets_in_this_process_is_set_back() -> None:
+    """Standard output, also where many threads print, and what NumPy does about errors."""
+
+    def box(x: dict[str, Any]) -> Any:
+        print("noise")
+        np.seterr(all="raise")
+        time.sleep(0.002 * np.random.random())  # noqa: NPY002
+        return {"y": x["a"], "z": x["b"]}
+
+    before, settings = sys.stdout, np.geterr()
+    with ThreadPoolExecutor(8) as pool, Model(load_study(text=BOX), box, executor=pool) as model:
+        model.evaluate(("a",), np.zeros((64, 1)), ("y",))
+        assert call_black_box(box, ("a", "b"), np.zeros((2, 2)), ("y", "z")).tolist() == [[0.0, 0.0], [0.0, 0.0]]
+    assert sys.stdout is before
+    assert np.geterr() == settings
+
+
 def test_unknown_inputs_and_outputs_are_refused() -> None:
     with Model(load_study(text=BOX), FORMS["a dict"]) as model:
         for names, columns, text in ((("q",), ("y",), "unknown input 'q'"), (("a",), ("q",), "unknown output 'q'")):
@@ -377,6 +397,9 @@ def test_models_that_cannot_be_had(tmp_path: Path, capsys: pytest.CaptureFixture
             load_black_box(f"{file}:f")
     file.write_text("print('loading')\ndef f(x):\n    return 2 * x['a']\n")
     assert load_black_box(f"{file}:f")({"a": np.array([1.5])}).tolist() == [3.0]
+    (tmp_path / "beside_the_model.py").write_text("K = 3.0\n")
+    file.write_text("from beside_the_model import K\ndef f(x):\n    return K * x['a']\n")
+    assert load_black_box(f"{file}:f")({"a": np.array([1.5])}).tolist() == [4.5]
     assert capsys.readouterr().out == ""
 
 
@@ -409,6 +432,41 @@ def test_digests_tell_models_apart(tmp_path: Path) -> None:
     before = model_digest(counted)
     counted(None)
     assert before == model_digest(counted)
+
+
+class Scaled:
+    def __init__(self, k: float) -> None:
+        self.k = k
+
+    def __call__(self, x: Any) -> Any:
+        return self.k * x["a"]
+
+    def method(self, x: Any) -> Any:
+        return self.k * x["a"]
+
+
+def _deep(k: float) -> Any:
+    def inner(a: Any) -> Any:
+        return k * a
+
+    return lambda x: inner(x["a"])
+
+
+#: functions of one source that a number deep in their state tells apart
+STATEFUL: dict[str, Any] = {
+    "an object": Scaled,
+    "a method": lambda k: Scaled(k).method,
+    "an object of a local class": lambda k: type("Local", (Scaled,), {})(k),
+    "a partial with a long array": lambda k: functools.partial(lambda w, x: w @ x, np.r_[np.zeros(3000), k, np.ones(3000)]),
+    "a dict outside": lambda k: (lambda d: lambda x: d["k"] * x["a"])({"k": k}),
+    "a function outside": _deep,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", STATEFUL)
+def test_a_model_of_another_state_is_another(name: str) -> None:
+    made = STATEFUL[name]
+    assert model_digest(made(1.0)) == model_digest(made(1.0)) != model_digest(made(2.0))
 
 
 SHIPPED = ["granite", "glass_bead_small_bar", "limestone_drop_weight", "quartz_load_cell", "limestone_rotor"]

@@ -7,14 +7,16 @@ import functools
 import hashlib
 import inspect
 import os
+import pickle
 import re
 import sys
 import sysconfig
+import threading
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
@@ -53,8 +55,10 @@ def load_black_box(reference: str) -> BlackBox:
     module = ModuleType(f"uqsphere_black_box_{path.stem}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module  # dataclasses and pickle look a module up by its name
+    if (folder := str(path.resolve().parent)) not in sys.path:
+        sys.path.append(folder)  # what stands beside it can be imported, as in a script
     try:
-        with contextlib.redirect_stdout(sys.stderr):
+        with _aside():
             # compiled from the file as it is: bytecode on disk may be that of the same second
             exec(compile(path.read_bytes(), str(path), "exec"), module.__dict__)
     except (Exception, SystemExit) as error:
@@ -77,6 +81,27 @@ def _described(error: BaseException) -> str:
         and _INSTALLED.isdisjoint(Path(frame.filename).parts)
     ]
     return f"{type(error).__name__}: {told(error)}{places[-1] if places else ''}"
+
+
+#: standard output as it was before the first of the calls that are running
+_BEFORE: Final[list[Any]] = []
+_LOCK: Final = threading.Lock()
+
+
+@contextlib.contextmanager
+def _aside() -> Iterator[None]:
+    """What any thread prints while it calls a model goes to stderr; settings of NumPy's errors stay as they are."""
+    with _LOCK:
+        _BEFORE.append(sys.stdout)
+        sys.stdout = sys.stderr
+    try:
+        with np.errstate():
+            yield
+    finally:
+        with _LOCK:
+            first = _BEFORE[0]
+            _BEFORE.pop()
+            sys.stdout = sys.stderr if _BEFORE else first
 
 
 @lru_cache(maxsize=4)
@@ -138,7 +163,7 @@ def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Se
     """
     columns = {name: rows[:, k].copy() for k, name in enumerate(names)}
     try:
-        with contextlib.redirect_stdout(sys.stderr):
+        with _aside():
             returned = box(columns)
     except FAULTS as error:
         raise ModelRaised(f"the model raised {_described(error)}") from error
@@ -213,27 +238,54 @@ def _column(value: Any, name: str, count: int) -> Array:
 def model_digest(model: str | BlackBox) -> str:
     """What distinguishes one black box from another, 32 hexadecimal digits.
 
-    Of a reference its file and function; of a function its source, its defaults, and the numbers and texts that it
-    takes from outside, but for those that it assigns. What it reads or imports besides is not seen.
+    Of a reference its file and function; of a function its source and defaults, and what it takes from outside but for
+    what it assigns; of an object, a method or a `functools.partial` its state too. What is read or imported besides is
+    not seen.
     """
+    digest = hashlib.sha256()
     if isinstance(model, str):
         path, name = parse_reference(model)
-        return hashlib.sha256(path.read_bytes() + b"\0" + name.encode()).hexdigest()[:32]
-    if isinstance(model, functools.partial):
-        content = f"{model_digest(model.func)}{model.args}{sorted(model.keywords.items())}"
-        return hashlib.sha256(content.encode()).hexdigest()[:32]
-    function = inspect.unwrap(model)
-    function = getattr(function if inspect.isroutine(function) else type(model).__call__, "__func__", function)
-    try:
-        source = inspect.getsource(function)
-    except (OSError, TypeError):
-        source = str(getattr(getattr(function, "__code__", None), "co_code", function))
-    parts = [source, getattr(function, "__qualname__", "")]
-    if inspect.isfunction(function):
-        parts += [repr(function.__defaults__), repr(function.__kwdefaults__)]
+        digest.update(path.read_bytes() + b"\0" + name.encode())
+    else:
+        _add_state(digest, model, {})
+    return digest.hexdigest()[:32]
+
+
+def _add_state(digest: Any, value: Any, seen: dict[int, Any]) -> None:
+    """Add functions by their source and what it names, other values as they are pickled, each once."""
+    if id(value) in seen:
+        return
+    seen[id(value)] = value  # which keeps it, and its number with it
+    parts: list[tuple[str, Any]] = []
+    if isinstance(value, functools.partial):
+        parts = [("", value.func), *(("", part) for part in value.args), *value.keywords.items()]
+    elif inspect.ismethod(value):
+        parts = [("", value.__func__), ("", value.__self__)]
+    elif inspect.isfunction(function := inspect.unwrap(value)):
+        source = _source(function)
         assigned = re.findall(r"\w+", " ".join(re.findall(r"\b(?:global|nonlocal) ([\w, ]+)", source)))
-        outside = inspect.getclosurevars(function)
-        for name, value in sorted({**outside.globals, **outside.nonlocals}.items()):
-            if name not in assigned and isinstance(value, (bool, int, float, complex, str, bytes, tuple, np.ndarray)):
-                parts.append(f"{name} = {value.tolist() if isinstance(value, np.ndarray) else value!r}")
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
+        names = inspect.getclosurevars(function)
+        digest.update(f"{function.__qualname__}\0{source}\0".encode())
+        parts = [("", function.__defaults__), ("", function.__kwdefaults__)]
+        for name, part in {**names.globals, **names.nonlocals}.items():
+            library = callable(part) and getattr(part, "__module__", None) != function.__module__
+            if name not in assigned and not library and not inspect.ismodule(part):
+                parts.append((name, part))
+    elif inspect.isclass(value):
+        digest.update(_source(value).encode())
+    else:
+        parts = [("", type(value).__call__)] if callable(value) else []
+        try:
+            pickle.Pickler(SimpleNamespace(write=digest.update), 5).dump(value)
+        except Exception:  # what refuses to be pickled is seen by its attributes
+            parts += getattr(value, "__dict__", {}).items()
+    for name, part in sorted(parts, key=lambda one: one[0]):
+        digest.update(name.encode())
+        _add_state(digest, part, seen)
+
+
+def _source(value: Any) -> str:
+    try:
+        return inspect.getsource(value)
+    except (OSError, TypeError):
+        return str(getattr(getattr(value, "__code__", None), "co_code", value))

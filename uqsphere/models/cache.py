@@ -24,6 +24,7 @@ from uqsphere.models.rows import Code, EvaluatedRows
 
 #: marks the file as ours, and the form of its records
 _MARKS: Final = {"application_id": 0x75715370, "user_version": 1}
+_TABLE: Final = "CREATE TABLE answers (key BLOB PRIMARY KEY, record BLOB) WITHOUT ROWID"
 #: seconds that another run is waited for
 _WAIT: Final = 30.0
 
@@ -52,14 +53,15 @@ class Cache:
         self._database = database
         # what a killed process has written stays; what a power cut damages is evaluated anew
         database.execute("PRAGMA synchronous = OFF")
-        if database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-            if any(database.execute(f"PRAGMA {name}").fetchone()[0] != mark for name, mark in _MARKS.items()):
+        if content := [text for (text,) in database.execute("SELECT sql FROM sqlite_master")]:
+            marks = {name: database.execute(f"PRAGMA {name}").fetchone()[0] for name in _MARKS}
+            if marks != _MARKS or content != [_TABLE]:  # a view in its place may never come to an end
                 raise ValueError("it is no cache of this version")
             if (state := database.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
                 raise ValueError(f"it is damaged: {state}")
         else:
             database.execute("BEGIN IMMEDIATE")
-            database.execute("CREATE TABLE IF NOT EXISTS answers (key BLOB PRIMARY KEY, record BLOB) WITHOUT ROWID")
+            database.execute(_TABLE.replace("TABLE", "TABLE IF NOT EXISTS"))
             for name, mark in _MARKS.items():
                 database.execute(f"PRAGMA {name} = {mark}")
             database.execute("COMMIT")

@@ -95,8 +95,10 @@ class Model:
             raise UsageError(
                 "analysis.time_limit needs local processes, which can be ended: leave out it or the executor"
             )
-        if self.threads is not None and self.threads < 1:
-            raise UsageError(f"threads must be at least 1, not {self.threads}")
+        if self.threads is not None and (
+            isinstance(self.threads, bool | str) or not self.threads >= 1 or self.threads % 1
+        ):
+            raise UsageError(f"threads must be a whole number from 1 on, not {self.threads!r}")
         means = self.study.at_means()
         #: what scatters comes first, as notes name but some inputs
         self._numbers = {name: means[name] for name in (*self.study.random, *self.study.fixed)}

@@ -228,13 +228,19 @@ class Given:
     def submit(self, task: Task, rows: Array, limit: float | None) -> Future[Timed]:
         packed = _packed(task)
         try:
-            return self._executor.submit(evaluate_remote, packed, rows)  # type: ignore[no-any-return]
+            future = self._executor.submit(evaluate_remote, packed, rows)
         except Exception as error:
             raise self._lost(error) from error
+        if not isinstance(future, Future):
+            raise UsageError(f"submit() of an executor returns a Future of concurrent.futures, not {type(future)}")
+        future.count = len(rows)  # type: ignore[attr-defined]
+        return future
 
-    def result(self, future: Future[Timed]) -> Timed:
+    def result(self, future: Any) -> Timed:
         try:
-            answers = future.result()
+            answers, seconds = future.result()
+            if len(answers.status) != future.count:
+                raise ValueError("it returned the answers of other rows")
         except (UqsphereError, KeyboardInterrupt):
             raise
         except BaseException as error:  # CancelledError is no Exception in Dask
@@ -242,7 +248,7 @@ class Given:
                 raise Died("exit code unknown") from error
             raise self._lost(error) from error
         self._manned = time.monotonic()
-        return answers
+        return answers, seconds
 
     def check(self) -> None:
         """Raise AccessError where a Dask cluster has had no worker for `ALONE` seconds: no answer will come."""
