@@ -457,7 +457,7 @@ STATEFUL: dict[str, Any] = {
     "an object": Scaled,
     "a method": lambda k: Scaled(k).method,
     "an object of a local class": lambda k: type("Local", (Scaled,), {})(k),
-    "a partial with a long array": lambda k: functools.partial(lambda w, x: w @ x, np.r_[np.zeros(3000), k, np.ones(3000)]),
+    "a partial with a long array": lambda k: functools.partial(lambda w, x: w, np.r_[np.zeros(3000), k, np.ones(3000)]),
     "a dict outside": lambda k: (lambda d: lambda x: d["k"] * x["a"])({"k": k}),
     "a function outside": _deep,
 }  # fmt: skip

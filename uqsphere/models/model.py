@@ -95,9 +95,7 @@ class Model:
             raise UsageError(
                 "analysis.time_limit needs local processes, which can be ended: leave out it or the executor"
             )
-        if self.threads is not None and (
-            isinstance(self.threads, bool | str) or not self.threads >= 1 or self.threads % 1
-        ):
+        if self.threads is not None and (type(self.threads) is not int or self.threads < 1):
             raise UsageError(f"threads must be a whole number from 1 on, not {self.threads!r}")
         means = self.study.at_means()
         #: what scatters comes first, as notes name but some inputs
