@@ -201,12 +201,12 @@ def probability_of(tests: StrengthTests, law: LocationScale) -> float:
     """
     location, spread = _best(tests, law)
     z = (np.log(np.repeat(tests.values, tests.failures.astype(int))) - location) / spread
-    own = _distance(law.below(z)[None, :], tests.leaving)[0]
+    own = _distance(law.form.tails(z)[0][None, :], tests.leaving)[0]
     firsts = np.arange(0, z.size, max(1, -(-z.size // MANY)))
     few = np.maximum(np.add.reduceat(tests.leaving, firsts) * firsts.size / z.size, 1.0)
     drawn = law.series(few, _OTHERS, np.random.default_rng(_SERIES_SEED + 1))
     centres, scales = (part[:, None] for part in law.maximum(drawn, np.ones(few.size), few - 1.0))
-    others = _distance(law.below((drawn - centres) / scales), few) * math.sqrt(few.size / z.size)
+    others = _distance(law.form.tails((drawn - centres) / scales)[0], few) * math.sqrt(few.size / z.size)
     return float((1 + (others >= own).sum()) / (_OTHERS + 1))
 
 
@@ -236,25 +236,24 @@ def fitted_law(
         return _of_known_modulus(data, fit, censored, modulus)
     if how not in FITS:
         raise LawError(f"unknown fit {how!r}; allowed: {', '.join(FITS)}; a threshold is not fitted", "fit")
+    values = np.sort(np.asarray(data, dtype=float))
     if len(censored) or unbiased:
         if how not in STRENGTHS:
             why = "the bias can be taken out of" if unbiased else "tests that were stopped need"
             allowed = " or ".join(f'"{name}"' for name in STRENGTHS)
             raise LawError(f"{why} a fit = {allowed} alone; found {how}", "fit")
         try:
-            make_tests([*data, *censored], [False] * len(data) + [True] * len(censored))
+            make_tests([*values, *censored], [0] * values.size + [1] * len(censored))
         except ValueError as error:
             raise LawError(str(error), "column") from None
-        return checked(_member(FAMILIES[how], np.sort(data), a, b, censored, unbiased=unbiased))
-    values = np.sort(np.asarray(data, dtype=float))
-    if values.ndim != 1 or values.size < 2:
+    elif values.ndim != 1 or values.size < 2:
         raise LawError(f"an empirical law needs at least 2 observations, found {values.size}", "file")
-    if not np.isfinite(values).all():
+    elif not np.isfinite(values).all():
         raise LawError("the observations hold values that are not finite numbers", "column")
-    if values[0] == values[-1]:
+    elif values[0] == values[-1]:
         raise LawError(f"all {values.size} observations are equal: there is no scatter", "column")
     if how not in ("kde", "steps"):
-        return checked(_member(FAMILIES[how], values, a, b))
+        return checked(_member(FAMILIES[how], values, a, b, censored, unbiased=unbiased))
     if how == "kde" and values.size > MOST_KERNELS:
         raise LawError(f'{values.size} observations: use fit = "steps" above {MOST_KERNELS}', "fit")
     width = {"bandwidth": bandwidth(values) if how == "kde" else 0.0}

@@ -146,6 +146,8 @@ GAUSS: Final = replace(
     symmetric(lambda y: special.ndtr(y), lambda p: special.ndtri(p), lambda y: np.exp(-0.5 * y * y) / ROOT),
     moments=(0.0, 1.0),
 )
+#: of the logarithm of an exponential variable, and the largest extreme value
+SMALLEST: Final = by_hazard(lambda y: np.exp(np.minimum(y, 700.0)), lambda h: np.log(h), lambda y: y)
 GUMBEL: Final = falling(by_hazard(lambda y: np.exp(-y), lambda h: -np.log(h), lambda y: -y))
 UNIFORM: Final = Form(
     tails=lambda y: (np.clip(y, 0.0, 1.0), np.clip(1.0 - y, 0.0, 1.0)), quantile=lambda p, q: p,
@@ -154,22 +156,14 @@ UNIFORM: Final = Form(
 
 
 def weibull(m: float | Array) -> Form:
-    return by_hazard(
-        lambda y: np.maximum(y, 0.0) ** m,
-        lambda h: h ** (1.0 / m),
-        lambda y: np.log(m) + special.xlogy(m - 1.0, np.where(y < 0.0, math.nan, y)),
-    )
+    return by_hazard(lambda y: np.maximum(y, 0.0) ** m, lambda h: h ** (1.0 / m),
+                     lambda y: np.log(m) + special.xlogy(m - 1.0, np.where(y < 0.0, math.nan, y)))  # fmt: skip
 
 
 def frechet(a: float) -> Form:
-    return falling(
-        by_hazard(
-            lambda y: np.maximum(y, 0.0) ** -a,
-            lambda h: h ** (-1.0 / a),
-            lambda y: math.log(a) - (a + 1.0) * np.log(y),
-        ),
-        order=a,
-    )
+    form = by_hazard(lambda y: np.maximum(y, 0.0) ** -a, lambda h: h ** (-1.0 / a),
+                     lambda y: math.log(a) - (a + 1.0) * np.log(y))  # fmt: skip
+    return falling(form, order=a)
 
 
 def gamma(k: float) -> Form:

@@ -198,14 +198,10 @@ def _correlation_of_t(spearman: float, dof: float) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tie:
-    """An input that is not drawn, tied to some that are: the last member of `copula`, given the scores of the others.
-
-    `given` (..., size - 1) are normal scores; `of` says which columns of the drawn inputs they are.
-    """
+    """An input that is not drawn: the last member of `copula`, given the normal scores (..., size - 1) of others."""
 
     copula: Copula
     given: Array
-    of: tuple[int, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -318,12 +314,11 @@ class Joint:
 
         z_target | z_given is normal with mean weights · z_given and this standard deviation; independent: 0, 1.
         """
-        correlation = self.correlation
-        if correlation is None or not given:
+        if self.correlation is None or not given:
             return np.zeros(len(given)), 1.0
         at, others = self.names.index(target), [self.names.index(name) for name in given]
-        across = correlation[others, at]
-        weights = np.asarray(np.linalg.solve(correlation[np.ix_(others, others)], across), dtype=np.float64)
+        across = self.correlation[others, at]
+        weights = np.asarray(np.linalg.solve(self.correlation[np.ix_(others, others)], across))
         return weights, math.sqrt(max(0.0, 1.0 - float(across @ weights)))
 
     def tie(self, target: str, drawn: Sequence[str], scores: Array) -> Tie | None:
@@ -335,8 +330,8 @@ class Joint:
         for columns, copula in self.blocks:
             known = [k for k, column in enumerate(columns) if self.names[column] in drawn]
             if math.isfinite(copula.dof) and at in columns and known:
-                of = tuple(list(drawn).index(self.names[columns[k]]) for k in known)
-                return Tie(copula=copula.among([*known, columns.index(at)]), given=scores[..., list(of)], of=of)
+                of = [list(drawn).index(self.names[columns[k]]) for k in known]
+                return Tie(copula=copula.among([*known, columns.index(at)]), given=scores[..., of])
         return None
 
 

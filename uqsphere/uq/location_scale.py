@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array, special
+from uqsphere.uq.forms import GAUSS, SMALLEST, Form
 
 #: beyond so many failures the pivots follow the law of large samples
 MANY: Final = 300
@@ -35,16 +36,14 @@ class LocationScale:
     inverse : the shape is 1/s (a modulus), else s itself
     terms : (z, failures, stopped), those numbers of tests at each z -> log-likelihood without ln(1/s), and its first
         and second derivative by z
-    from_hazard : cumulative hazards -> z
-    below : z -> P(Z <= z)
+    form : of z
     """
 
     u: Callable[[Array], Array]
     parameters: Callable[[Any, Any], dict[str, Any]]
     inverse: bool = False
     terms: Callable[[Array, Any, Any], tuple[Array, Array, Array]]
-    from_hazard: Callable[[Array], Array]
-    below: Callable[[Array], Array]
+    form: Form
 
     def shape(self, s: Any) -> Any:
         """Shape of the law with the scale s, and the other way round."""
@@ -97,13 +96,16 @@ class LocationScale:
         and s*/s depends on neither m nor s, exactly without stopped tests and with tests stopped at the r-th failure.
         """
         steps = generator.standard_exponential((count, leaving.size)) / np.cumsum(leaving[::-1])[::-1]
-        return self.from_hazard(np.cumsum(steps, axis=1))
+        return self._of_hazard(np.cumsum(steps, axis=1))
+
+    def _of_hazard(self, hazards: Array) -> Array:
+        return self.form.quantile(-np.expm1(-hazards), np.exp(-hazards))
 
     def pivots(self, leaving: Array, count: int, generator: np.random.Generator) -> tuple[Array, Array]:
         """(m*/s*, 1/s*) (count,) of the largest likelihood of such series; normal beyond `MANY` failures."""
         ones, stopped = np.ones(leaving.size), leaving - 1.0
         if leaving.size > MANY:
-            z = self.from_hazard(np.cumsum(1.0 / np.cumsum(leaving[::-1])[::-1]))
+            z = self._of_hazard(np.cumsum(1.0 / np.cumsum(leaving[::-1])[::-1]))
             second = self.terms(z, ones, stopped)[2]
             mixed = (second * z).sum()
             information = [[ones.sum() - (second * z * z).sum(), mixed], [mixed, -second.sum()]]
@@ -130,21 +132,13 @@ def _extreme_terms(z: Array, failures: Any, stopped: Any) -> tuple[Array, Array,
 
 
 NORMAL: Final = LocationScale(
-    u=np.asarray,
-    parameters=lambda m, s: {"mean": m, "sd": s},
-    terms=_normal_terms,
-    from_hazard=lambda hazards: -special.ndtri(np.exp(-hazards)),
-    below=lambda z: special.ndtr(z),
+    u=np.asarray, parameters=lambda m, s: {"mean": m, "sd": s}, terms=_normal_terms, form=GAUSS
 )
 LOGNORMAL: Final = replace(NORMAL, u=np.log, parameters=lambda m, s: {"log_mean": m, "log_sd": s})
 WEIBULL: Final = LocationScale(
-    u=np.log,
-    parameters=lambda m, s: {"modulus": 1.0 / s, "scale": np.exp(m), "threshold": 0.0 * m},
-    inverse=True,
-    terms=_extreme_terms,
-    from_hazard=np.log,
-    below=lambda z: -np.expm1(-np.exp(np.minimum(z, 700.0))),
-)
+    u=np.log, parameters=lambda m, s: {"modulus": 1.0 / s, "scale": np.exp(m), "threshold": 0.0 * m}, inverse=True,
+    terms=_extreme_terms, form=SMALLEST,
+)  # fmt: skip
 #: 1/x is Weibull with the same shape
 FRECHET: Final = replace(
     WEIBULL,
