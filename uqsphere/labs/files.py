@@ -76,6 +76,14 @@ def table(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("".join(c if c.isprintable() else "?" for c in line) for line in lines)
 
 
+def csv_text(header: Sequence[str], columns: Sequence[Any]) -> str:
+    """Columns as CSV."""
+    import pandas as pd
+
+    table = pd.DataFrame(dict(zip(header, columns, strict=True)))
+    return str(table.to_csv(index=False, float_format="%.9g", lineterminator="\n"))
+
+
 def write_files(folder: Path, texts: Mapping[str, str]) -> list[str]:
     """Files of a folder, each written whole."""
     try:

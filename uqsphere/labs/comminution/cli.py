@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from uqsphere.labs.comminution.document import ComminutionDocument
-from uqsphere.labs.files import load_document, run_command, show, table, write_files
+from uqsphere.labs.files import csv_text, load_document, run_command, show, table, write_files
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -46,22 +46,17 @@ def _run(chosen: argparse.Namespace) -> int:
     if chosen.command == "feed":
         answer = answer_feed(fitted.posterior, asked, folder)
         classes = [(c["upper"], c["size"], c["mass"], *c["broken"].values()) for c in answer.content["classes"]]
-        files |= {
-            "feed.json": _json(answer.content),
-            "classes.csv": _csv("upper [m],size [m],mass,broken,low,high", classes),
-        }
+        head = ["upper [m]", "size [m]", "mass", "broken", "low", "high"]
+        files |= {"feed.json": _json(answer.content), "classes.csv": csv_text(head, [*zip(*classes, strict=True)])}
         if product := [tuple(one.values()) for one in answer.content["product"]]:
-            files["product.csv"] = _csv("sieve [m],feed,passing,low,high", product)
+            head = ["sieve [m]", "feed", "passing", "low", "high"]
+            files["product.csv"] = csv_text(head, [*zip(*product, strict=True)])
         content, text = {"fit": content, "feed": answer.content}, _feed_text(answer.content)
         warnings = [*warnings, *answer.content["warnings"]]
     for warning in dict.fromkeys(warnings):
         print(f"note: {warning}", file=sys.stderr)
     show(chosen, content, text, write_files(out, files))
     return 0
-
-
-def _csv(head: str, rows: Sequence[Sequence[float]]) -> str:
-    return "\n".join([head, *(",".join(f"{v:.6g}" for v in row) for row in rows)]) + "\n"
 
 
 def _json(content: Any) -> str:

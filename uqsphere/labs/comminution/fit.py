@@ -19,6 +19,7 @@ from uqsphere.arrays import Array, Values
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.document import ComminutionDocument
 from uqsphere.labs.comminution.tests import Specimens
+from uqsphere.labs.files import csv_text
 
 #: priors of logarithms (mean, sd): 95 % of phi in 0.41 to 2.4 and of gamma in 2.0 to 7.9, the published ranges; the
 #: modulus is that of a Weibull law whose lognormal fit has such a sigma
@@ -117,18 +118,16 @@ class Posterior:
         """Draws of the strength of particles of one size, as a study takes them: distribution, scale, shape, bound."""
         median = self.median(diameter)[:, 0]
         exponent = np.log(self.median(1.01 * diameter) / self.median(diameter / 1.01))[:, 0] / math.log(1.01**2)
-        lines = ["distribution,scale [J/kg],shape,bound,tests,diameter [mm],size_exponent"]
-        for k in range(len(self)):
-            model = self.models[int(self.law[k])]
-            if model.law == "lognormal":
-                scale, shape = median[k], self.parameters["sigma"][k]
-                bound = 0.0 if math.isinf(model.ratio) else 1.0 / model.ratio
-            else:
-                shape = 0.6 * self.parameters["modulus"][k]
-                scale, bound = median[k] / math.log(2.0) ** (1.0 / shape), 0.0
-            lines.append(f"{model.law},{scale:.9g},{shape:.9g},{bound:.9g},{self.tests},{diameter * 1e3:.9g},"
-                         f"{0.0 if model.size == 'class' else exponent[k]:.4g}")  # fmt: skip
-        return "\n".join(lines) + "\n"
+        bounded = np.array([model.law == "lognormal" for model in self.models])[self.law.astype(int)]
+        none = np.full(len(self), np.nan)
+        shape = np.where(bounded, self.parameters.get("sigma", none), 0.6 * self.parameters.get("modulus", none))
+        columns: dict[str, Any] = {
+            "distribution": np.where(bounded, "lognormal", "weibull"),
+            "scale [J/kg]": np.where(bounded, median, median / math.log(2.0) ** (1.0 / shape)), "shape": shape,
+            "bound": bounded / self.models[0].ratio, "tests": self.tests, "diameter [mm]": diameter * 1e3,
+            "size_exponent": exponent * (self.models[0].size != "class"),
+        }  # fmt: skip
+        return csv_text(tuple(columns), [np.broadcast_to(column, len(self)) for column in columns.values()])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -278,17 +277,10 @@ def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> Ar
     from scipy.optimize import fmin
 
     x = np.array([mean for mean, _ in model.priors.values()])
-    lead = [k for k, name in enumerate(model.names) if name in ("e_inf", "C") or name.startswith("e50_")]
-    shape = model.names.index(laws.LAWS[model.law])
-    x[shape] = PRIORS[laws.LAWS[model.law]][0]
-    p = {name: np.exp(x[k]) for k, name in enumerate(model.names)}
-    for k in lead:
-        p[model.names[k]] = np.array(1.0)
-        x[k] = 0.0
-    gap = np.log(tests.last) - np.log(model.median(p, tests.diameter))
-    for k in lead:
-        x[k] = float(np.median(gap))
-    tried = x + np.linspace(-3.0, 4.0, 57)[:, None] * np.isin(np.arange(len(x)), lead)
+    lead = np.array([name in ("e_inf", "C") or name.startswith("e50_") for name in model.names])
+    x[model.names.index(laws.LAWS[model.law])] = PRIORS[laws.LAWS[model.law]][0]
+    x[lead] = np.median(np.log(tests.last))
+    tried = x + np.linspace(-10.0, 10.0, 161)[:, None] * lead
     x = tried[int(np.argmax(value(tried)))]
 
     def loss(y: Array) -> float:

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from uqsphere.errors import UsageError
-from uqsphere.labs.files import load_document, run_command, show, table, write_files
+from uqsphere.labs.files import csv_text, load_document, run_command, show, table, write_files
 from uqsphere.labs.shpb.document import RecordDocument
 
 
@@ -64,8 +64,7 @@ def _records(chosen: argparse.Namespace) -> int:
             written += write_files(chosen.out / path.stem if len(chosen.file) > 1 else chosen.out, files)
     if len(chosen.file) > 1 and chosen.out is not None:
         head = ["test", "diameter [mm]", "force [kN]", "low [kN]", "high [kN]", "doubts"]
-        text = "\n".join(",".join('"{}"'.format(cell.replace('"', "'")) for cell in row) for row in (head, *lines))
-        written += write_files(chosen.out, {"tests.csv": text + "\n"})
+        written += write_files(chosen.out, {"tests.csv": csv_text(head, [*zip(*lines, strict=True)])})
     content = contents[0] if len(contents) == 1 else {"tests": contents}
     show(chosen, content, "\n\n".join(texts), written)
     return 2 if refused == len(chosen.file) else 0

@@ -97,19 +97,16 @@ class ContactFit:
 
     def rows(self) -> list[tuple[str, str, str]]:
         """Name, value and 95 % interval."""
-        found = []
-        for name, v, unit, scale in (
-            ("onset pressure", self.onset_pressure, "GPa", 1e-9), ("hardness", self.hardness, "GPa", 1e-9),
-            ("pile-up", self.pile_up, "", 1.0), ("reduced modulus E*", self.modulus, "GPa", 1e-9),
-            ("E of the sphere", self.sphere_modulus, "GPa", 1e-9),
+        rows = []
+        for name, v in (
+            ("onset pressure", self.onset_pressure), ("hardness", self.hardness), ("pile-up", self.pile_up),
+            ("reduced modulus E*", self.modulus), ("E of the sphere", self.sphere_modulus),
         ):  # fmt: skip
             if v is not None:
-                low, high = v.low * scale, v.high * scale
-                found.append(
-                    (name, f"{v.value * scale:.4g} {unit}".rstrip(), f"{low:.4g} to {high:.4g} {unit}".rstrip())
-                )
-        found.append(("misfit of the displacement", f"{self.misfit * 1e6:.2g} um", f"{self.samples} samples"))
-        return found
+                unit, scale = ("", 1.0) if v is self.pile_up else (" GPa", 1e-9)
+                ends = f"{v.low * scale:.4g} to {v.high * scale:.4g}{unit}"
+                rows.append((name, f"{v.value * scale:.4g}{unit}", ends))
+        return [*rows, ("misfit of the displacement", f"{self.misfit * 1e6:.2g} um", f"{self.samples} samples")]
 
 
 def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, list[str]]:

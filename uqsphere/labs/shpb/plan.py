@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from uqsphere.errors import UsageError
-from uqsphere.labs.files import Section, table
+from uqsphere.labs.files import Section, csv_text, table
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.units import UnitError, parse_value
 
@@ -128,13 +128,14 @@ def plan_text(plan: dict[str, Any]) -> str:
 
 def plan_csv(plan: dict[str, Any]) -> str:
     """One row a value."""
-    rows = [[f"{plan['free']} [{plan['unit']}]", "P_max 5 % [N]", "P_max 50 % [N]", "P_max 95 % [N]",
-             *(f"{name}{end} [1]" for name in plan["shares"] for end in ("", " low", " high")),
-             "failed [1]"]]  # fmt: skip
-    for k, value in enumerate(plan["values"]):
-        numbers = [value, *plan["force"][k], *(v for share in plan["shares"].values() for v in share[k])]
-        rows.append([f"{v:.9g}" for v in (*numbers, plan["failed"][k])])
-    return "\n".join(map(",".join, rows)) + "\n"
+    names = [
+        f"{plan['free']} [{plan['unit']}]",
+        *(f"P_max {share} % [N]" for share in (5, 50, 95)),
+        *(f"{name}{end} [1]" for name in plan["shares"] for end in ("", " low", " high")),
+        "failed [1]",
+    ]
+    shares = [column for share in plan["shares"].values() for column in np.transpose(share)]
+    return csv_text(names, [plan["values"], *np.transpose(plan["force"]), *shares, plan["failed"]])
 
 
 def _below(law: Law, demand: Array, study: Study, name: str, columns: Sequence[str], samples: Array) -> Array:

@@ -116,64 +116,54 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
 
     Raises UsageError for columns, units or a clock that cannot be, and for a signal without a wave or a rest.
     """
-    changes = Changes()
-    tables = [read_table(folder / name, largest=_LARGEST, recorded=True)
-              for name in (document.record.file, *document.record.more_files)]  # fmt: skip
+    changes, asked = Changes(), document.record
+    tables = [read_table(folder / name, largest=_LARGEST, recorded=True) for name in (asked.file, *asked.more_files)]
     for text in (text for table in tables for text in table.notes):
         changes.add("read", "", text)
     time, groups = _columns(document, tables, changes)
     start, step, columns = _even(time, groups, changes)
-    for name, values, known in columns:
+    for name, (values, known) in columns.items():
         _despike(name, values, step, changes)
         _mark_clipped(name, values, known, changes)
-    by_name = {name: (values, known) for name, values, known in columns}
     names = {role: [name for name, _ in signals] for role, signals in groups.items()}
-    first, rough, lasts = _incident_foot([by_name[n][0] for n in names["incident"]], step)
+    first, rough, lasts = _incident_foot({name: columns[name][0] for name in names["incident"]}, step)
     bar, behind = document.incident_bar, document.receiving_bar
-    if bar.length is not None and lasts * step * bar.wave_speed > _PASSES * bar.length:
-        passes = lasts * step * bar.wave_speed / bar.length
+    passes = 0.0 if bar.length is None else lasts * step * bar.wave_speed / bar.length
+    if passes > _PASSES:
         raise UsageError(f"the pulse lasts {passes:.0f} passes of the incident bar: another unit (record.time_unit)?")
     # the first wave of a signal stands before the first echo of a far end
-    limits = {"incident": math.inf, "reflected": math.inf, "receiving": math.inf}
-    if not document.record.aligned and bar.length is not None:
-        limits["incident"] = rough + 2.0 * bar.length / bar.wave_speed / step
-    if not document.record.aligned:
+    limits = dict.fromkeys(names, math.inf)
+    if not asked.aligned:
         way = bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed + behind.echo
         limits["receiving"] = rough + way / step
-    sign = {"auto": 0.0, "tension": 1.0, "compression": -1.0}[document.record.polarity]
-    joined: dict[str, tuple[Signal, float]] = {}
+        limits["incident"] = rough + 2.0 * (bar.length or math.inf) / bar.wave_speed / step
+    given = {"auto": 0.0, "tension": 1.0, "compression": -1.0}[asked.polarity]
+    joined: dict[str, Signal] = {}
+    pressing = 0.0  # sign of the incident wave in the file
     for role, own in names.items():
-        gauges = []
-        for name in own:
-            values, known = by_name[name]
-            if document.record.aligned:
-                gauges.append(_cut_out(name, values, known, step, changes))
-                continue
-            gauges.append(_rested(name, values, known, step, first if role == "receiving" else None, limits[role],
-                                  changes))  # fmt: skip
+        gauges = [_cut_out(name, *columns[name], step, changes) if asked.aligned else
+                  _rested(name, *columns[name], step, first if role == "receiving" else None, limits[role], changes)
+                  for name in own]  # fmt: skip
         # one sign a bar: a reflected wave has that of the incident gauge of its place
-        if role == "reflected":
-            signs = [sign or (-joined["incident"][1])] * len(gauges)
-        else:
-            signs = [sign or -gauge.wave.sign for gauge in gauges]
-        turned = [g.name for g, s in zip(gauges, signs, strict=True) if s < 0.0 and not sign]
+        signs = [given or -(pressing if role == "reflected" else gauge.wave.sign) for gauge in gauges]
+        pressing = -signs[0] if role == "incident" else pressing
+        turned = [gauge.name for gauge, sign in zip(gauges, signs, strict=True) if sign < 0.0 and not given]
         if turned:
             changes.add("sign", ", ".join(turned), "compression is positive in the file; the sign is turned")
-        gauges = [replace(g, strain=g.strain * s, wave=replace(g.wave, sign=g.wave.sign * s))
-                  for g, s in zip(gauges, signs, strict=True)]  # fmt: skip
-        joined[role] = (_joined(gauges, step, limits[role], changes), -signs[0])
-    if document.record.window is not None:
-        signal, turned_by = joined["incident"]
-        begin, end = (round((t - start) / step) for t in document.record.window)
+        joined[role] = _joined([
+            replace(gauge, strain=gauge.strain * sign, wave=replace(gauge.wave, sign=gauge.wave.sign * sign))
+            for gauge, sign in zip(gauges, signs, strict=True)
+        ], step, limits[role], changes)  # fmt: skip
+    if asked.window is not None:
+        signal = joined["incident"]
+        begin, end = (round((t - start) / step) for t in asked.window)
         if not 0 <= begin < end < len(signal.strain):
             raise UsageError("record.window lies outside the record, or is empty")
         inside = np.zeros(len(signal.strain))
         inside[begin : end + 1] = signal.strain[begin : end + 1]
         wave = replace(first_wave(inside, step, signal.noise, signal.name), foot=begin, end=end)
-        joined["incident"] = replace(signal, wave=wave), turned_by
-    reflected = joined["reflected"][0] if "reflected" in joined else None
-    return Record(start=start, step=step, incident=joined["incident"][0], reflected=reflected,
-                    receiving=joined["receiving"][0], changes=changes)  # fmt: skip
+        joined["incident"] = replace(signal, wave=wave)
+    return Record(start=start, step=step, changes=changes, reflected=joined.pop("reflected", None), **joined)
 
 
 # --- columns, units, clock --------------------------------------------------------------------------------------
@@ -349,8 +339,8 @@ def _check_clock(time: Array, columns: Sequence[Column], clock: int, guessed: bo
 
 def _even(
     time: Array, groups: dict[str, list[tuple[str, Array]]], changes: Changes
-) -> tuple[float, float, list[tuple[str, Array, Flags]]]:
-    """Start and step [s], and every gauge as name, strain and known samples, on even steps."""
+) -> tuple[float, float, dict[str, tuple[Array, Flags]]]:
+    """Start and step [s], and strain and known samples of every gauge by its name, on even steps."""
     names = [name for signals in groups.values() for name, _ in signals]
     raw = np.stack([values for signals in groups.values() for _, values in signals], axis=1)
     there = np.isfinite(time)
@@ -392,7 +382,7 @@ def _even(
         changes.add("read", "", f"{filled} missing samples are filled by lines between their neighbours")
     if not known.all():
         changes.add("read", "", f"{int((~known).sum())} samples lie in gaps of more than {_SHORT_GAP}: not used")
-    return float(grid[0]), step, [(name, strain[:, k].copy(), known[:, k].copy()) for k, name in enumerate(names)]
+    return float(grid[0]), step, {name: (strain[:, k].copy(), known[:, k].copy()) for k, name in enumerate(names)}
 
 
 # --- spikes, clipping ---------------------------------------------------------------------------------------------
@@ -469,22 +459,30 @@ def smooth(values: Array, samples: int) -> Array:
     return np.convolve(values, np.full(samples, 1.0 / samples), mode="same")
 
 
+def _stay(values: Array, step: float, share: float, name: str) -> tuple[Array, int, int, int]:
+    """The calm course of a signal about zero; first and last sample, and rise, of its first stay above a share of its
+    largest.  Bursts of a trigger swing within a few microseconds: running medians have nothing of them."""
+    calm = smooth(median_filter(values, 2 * min(3 * round(_SHORTEST / step), 40) + 1, mode="nearest"),
+                  max(1, round(2.0 * _SHORTEST / step)))  # fmt: skip
+    size = np.abs(calm)
+    begins, lengths = _runs(size > share * float(size.max()))
+    if lengths.max(initial=0) < 3:
+        raise UsageError(f"{name}: no wave rises above the noise before it")
+    k = int(np.argmax(lengths >= max(3.0, _LASTS * lengths.max())))
+    first, last = int(begins[k]), int(begins[k] + lengths[k]) - 1
+    sign = math.copysign(1.0, calm[first])
+    low = np.flatnonzero(sign * calm[:first] < 0.2 * share * float((sign * calm[first : last + 1]).max()))
+    return calm, first, last, first - (int(low[-1]) if len(low) else 0)
+
+
 def first_wave(values: Array, step: float, noise: float, name: str) -> Wave:
     """The first wave of a signal about zero; UsageError where none rises above the noise at rest."""
+    calm, half, falling, rising = _stay(values, step, 0.5, name)
     width = max(1, round(2.0 * _SHORTEST / step))
-    # bursts of a trigger swing within a few microseconds; running medians have nothing of them
-    calm = smooth(median_filter(values, 2 * min(3 * round(_SHORTEST / step), 40) + 1, mode="nearest"), width)
-    peak = float(np.abs(calm).max())
-    high = np.abs(calm) > 0.5 * peak
-    begins, lengths = _runs(high)
-    if not peak > 5.0 * noise / math.sqrt(width) or peak == 0.0 or lengths.max() < 3:
+    if not float(np.abs(calm).max()) > 5.0 * noise / math.sqrt(width):
         raise UsageError(f"{name}: no wave rises above the noise before it")
-    first = int(np.argmax(lengths >= max(3.0, _LASTS * lengths.max())))
-    half, falling = int(begins[first]), int(begins[first] + lengths[first]) - 1
     sign = math.copysign(1.0, calm[half])
     top = float((sign * calm[half : falling + 1]).max())
-    low = np.flatnonzero(sign * calm[:half] < 0.1 * top)
-    rising = half - (int(low[-1]) if len(low) else 0)
     width = max(width, rising // 5 + 1)
     calm = sign * smooth(values, width)
     level = max(0.01 * top, 4.0 * noise / math.sqrt(width))
@@ -495,23 +493,13 @@ def first_wave(values: Array, step: float, noise: float, name: str) -> Wave:
                 peak=top, sign=sign, ended=len(behind) > 0)  # fmt: skip
 
 
-def _incident_foot(gauges: Sequence[Array], step: float) -> tuple[int, int, int]:
+def _incident_foot(gauges: dict[str, Array], step: float) -> tuple[int, int, int]:
     """The earliest foot of the incident gauges, before which every gauge of the rig is at rest, and about when the
     wave is there and how long: the first stay above a fifth of the largest, however large echoes grow later."""
-    feet, places, lasts = [], [], []
-    for values in gauges:
-        about = np.abs(values - float(np.median(values[: max(2 * _BASELINE, len(values) // 50)])))
-        calm = smooth(median_filter(about, 2 * min(3 * round(_SHORTEST / step), 40) + 1, mode="nearest"),
-                      max(1, round(2.0 * _SHORTEST / step)))  # fmt: skip
-        begins, lengths = _runs(calm > 0.2 * float(calm.max()))
-        k = int(np.argmax(lengths >= max(3.0, _LASTS * lengths.max(initial=0))))
-        half = int(begins[k])
-        low = np.flatnonzero(calm[:half] < 0.05 * float(calm.max()))
-        rising = half - (int(low[-1]) if len(low) else 0)
-        feet.append(half - 2 * rising)
-        places.append(half)
-        lasts.append(int(lengths[k]))
-    return max(min(feet), 0), min(places), min(lasts)
+    stays = [_stay(values - float(np.median(values[: max(2 * _BASELINE, len(values) // 50)])), step, 0.2, name)[1:]
+             for name, values in gauges.items()]  # fmt: skip
+    foot = min(first - 2 * rising for first, _, rising in stays)
+    return max(foot, 0), min(stay[0] for stay in stays), min(last - first + 1 for first, last, _ in stays)
 
 
 def _line(quiet: Array, place: Array) -> tuple[float, float, float, float, float]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from uqsphere.labs.files import csv_text
 from uqsphere.labs.shpb.document import RecordDocument
 from uqsphere.labs.shpb.waves import NORMAL, Reading
 
@@ -51,15 +51,6 @@ def document(test: Reading) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def write_csv(header: Sequence[str], columns: Sequence[Array]) -> str:
-    """Columns as CSV."""
-    import pandas as pd
-
-    text = io.StringIO()
-    pd.DataFrame(dict(zip(header, columns, strict=True))).to_csv(text, index=False, float_format="%.7g")
-    return text.getvalue()
-
-
 def forces_csv(test: Reading) -> str:
     """Time and forces with the ends of their 95 % intervals."""
     header, columns = ["time [us]"], [test.time * 1e6]
@@ -67,13 +58,13 @@ def forces_csv(test: Reading) -> str:
         if force is not None:
             header += [f"{name} [kN]", f"{name} low [kN]", f"{name} high [kN]"]
             columns += [force * 1e-3, (force - NORMAL * sd) * 1e-3, (force + NORMAL * sd) * 1e-3]
-    return write_csv(header, columns)
+    return csv_text(header, columns)
 
 
 def pulse_csv(test: Reading) -> str:
     """The incident pulse as a study takes it: compression positive, from rest to rest."""
     time: Array = np.asarray(test.step * np.arange(len(test.pulse)), dtype=float)
-    return write_csv(["time [us]", "strain [microstrain]"], [time * 1e6, test.pulse * 1e6])
+    return csv_text(["time [us]", "strain [microstrain]"], [time * 1e6, test.pulse * 1e6])
 
 
 def figure(test: Reading) -> str:

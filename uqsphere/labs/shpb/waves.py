@@ -246,7 +246,7 @@ def _arrivals(record: Record, document: RecordDocument, changes: Changes) -> tup
         return max(own[0], 0) - start, max(own[1], 0) - start, "", "", 1.0
     reflected = 2.0 * bar.gauge / bar.wave_speed / step
     transmitted = (bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed) / step
-    steep, doubt_a, doubt_b, fast = float(wave.rising), "", "", 1.0
+    steep, fast = float(wave.rising), 1.0
 
     def lags(share: float, window: float) -> tuple[int | None, int | None]:
         """Samples by which reflected and transmitted wave come behind the incident one; None where that is not seen."""
@@ -269,29 +269,29 @@ def _arrivals(record: Record, document: RecordDocument, changes: Changes) -> tup
     if there is not None and there < -steep:
         raise UsageError(f"{rec.name}: its wave comes {-there * step * 1e6:.4g} us before the incident wave: are the "
                          "columns exchanged?")  # fmt: skip
-    if back is not None:
-        off = back - reflected
-        if not -(_EARLY * reflected + 0.5 * steep + 3.0) <= off <= _LATE * reflected + 2.0 * steep + 5.0:
-            late_by = f"{abs(off) * step * 1e6:.4g} us too {'early' if off < 0 else 'late'}"
-            would = f"{0.5 * back * step * bar.wave_speed:.4g} m would fit (or another E or density)"
-            fast = reflected / max(back, 1)
-            doubt_a = f"the reflected wave comes {late_by} for a gauge at {bar.gauge:.4g} m; {would}"
+
+    def doubt(name: str, lag: int | None, predicted: float, late: float, gauge: float, fits: float) -> str:
+        """Why a wave that comes `lag` samples behind the incident one does not fit the distance of its gauge [m]."""
+        off = 0.0 if lag is None else lag - predicted
+        if -(_EARLY * predicted + 0.5 * steep + 3.0) <= off <= late + _LATE * predicted + 2.0 * steep:
+            return ""
+        would = f"{fits:.4g} m would fit" if fits > 0.0 else "no distance of this gauge fits"
+        by = f"{abs(off) * step * 1e6:.4g} us too {'early' if off < 0.0 else 'late'}"
+        return f"the {name} wave comes {by} for a gauge at {gauge:.4g} m; {would}"
+
+    if doubt_a := doubt("reflected", back, reflected, 5.0, bar.gauge, 0.5 * (back or 0) * step * bar.wave_speed):
+        doubt_a += " (or another E or density)"
+        fast = reflected / max(back or 0, 1)
     # the transmitted wave may be late, by the transit and the softness of the specimen, but not early
-    if there is not None:
-        off = there - transmitted
-        late = _LATE * transmitted + 2.0 * steep + 0.5 * (wave.falling - wave.half) + 50e-6 / step
-        if not -(_EARLY * transmitted + 0.5 * steep + 3.0) <= off <= late:
-            fits = there * step * behind.wave_speed - bar.gauge * behind.wave_speed / bar.wave_speed
-            would = f"{fits:.4g} m would fit" if fits > 0.0 else "no distance of this gauge fits"
-            late_by = f"{abs(off) * step * 1e6:.4g} us too {'early' if off < 0 else 'late'}"
-            doubt_b = f"the transmitted wave comes {late_by} for a gauge at {behind.gauge:.4g} m; {would}"
-            also = transmitted / max(there, 1)
-            if doubt_a and abs(also - fast) < abs(fast - 1.0) / 3.0:
-                seen = f"{fast * bar.wave_speed:.4g} m/s, not {bar.wave_speed:.4g} m/s"
-                why = "E, density or both distances are wrong"
-                raise UsageError(f"both arrivals fit a wave speed of {seen}: {why} ({doubt_a}; {doubt_b})")
-            if off < 0.0:  # no force before first touch: the incident wave itself is not where it seems
-                doubt_a = doubt_a or doubt_b
+    late, fits = 0.5 * (wave.falling - wave.half) + 50e-6 / step, ((there or 0) * step - bar.gauge / bar.wave_speed)
+    if doubt_b := doubt("transmitted", there, transmitted, late, behind.gauge, fits * behind.wave_speed):
+        also = transmitted / max(there or 0, 1)
+        if doubt_a and abs(also - fast) < abs(fast - 1.0) / 3.0:
+            seen = f"{fast * bar.wave_speed:.4g} m/s, not {bar.wave_speed:.4g} m/s"
+            why = "E, density or both distances are wrong"
+            raise UsageError(f"both arrivals fit a wave speed of {seen}: {why} ({doubt_a}; {doubt_b})")
+        if there is not None and there < transmitted:  # no force before first touch: the incident wave is elsewhere
+            doubt_a = doubt_a or doubt_b
     if steep < 0.05 * reflected and not doubt_a and not doubt_b:
         back, there = lags(*_FINE)
         for name, lag, predicted in (("reflected", back, reflected), ("transmitted", there, transmitted)):
