@@ -24,12 +24,13 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
-from uqsphere.errors import UsageError
+from uqsphere.errors import UsageError, told
 from uqsphere.files import TooLarge, read_given
 from uqsphere.units import UNITS, typed_units
 
 LARGEST: Final = 32 << 20
-_MOST_ROWS: Final = 2_000_000
+#: columns of a table, and characters of a line
+_MOST_COLUMNS, _LONGEST = 2_000, 100_000
 _MOST_LINES: Final = 8
 _COLUMN_UNIT: Final = re.compile(r"\s*[\[(/,_]\s*|\s+in\s+|\s+")
 #: other spellings of units in headings
@@ -69,7 +70,7 @@ def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
     >>> unit_in_heading("rate_kN_s", "loading_rate"), unit_in_heading("D in mm", "length")
     (('rate', 'kN/s'), ('D', 'mm'))
     """
-    for gap in _COLUMN_UNIT.finditer(heading):
+    for gap in _COLUMN_UNIT.finditer(heading[:200]):
         rest = heading[gap.end() :].strip().rstrip("])").strip()
         if rest.isdigit() and "[" not in gap.group():
             continue
@@ -201,7 +202,7 @@ class Table:
                 if math.isinf(found[k]):
                     faults[k] = "a number too large"
             elif text and not (blank and text.lower() in _NOTHING):
-                strange = strange or f"found {text!r}, where a number is required"
+                strange = strange or f"found {told(text, 60)!r}, where a number is required"
                 faults[k] = strange
             elif not blank:
                 faults[k] = "an empty cell"
@@ -225,7 +226,7 @@ class Table:
         texts = [text.lower() for text in self.texts(column, key)]
         strange = [k for k, text in enumerate(texts) if text not in words and k not in self._no_data]
         if strange:
-            self._refuse(key, f"{column}: found {texts[strange[0]]!r}, where {meant} is required", strange)
+            self._refuse(key, f"{column}: found {told(texts[strange[0]], 60)!r}, where {meant} is required", strange)
         return np.array([words.get(text, False) for text in texts], dtype=bool)
 
     def check(self) -> None:
@@ -283,74 +284,84 @@ def read_table(path: Path, *, decimal: str = "", largest: int = LARGEST, recorde
         data = read_given(path, largest)
     except TooLarge:
         raise TableError(f"{name!r} is larger than {largest >> 20} MiB") from None
-    book, text = data.startswith(b"PK\x03\x04"), ""
-    if not book:
-        text = _decoded(data, name, notes)
+    sheet = _sheet(data, name, notes) if data.startswith(b"PK\x03\x04") else None
+    # only what ends a line everywhere: a text may have other marks of Unicode
+    lines = [] if sheet is not None else re.split("\r\n|\r|\n", _decoded(data, name, notes))
+    if (longest := max(map(len, lines), default=0)) > _LONGEST:
+        raise TableError(f"{name!r} has a line of {longest:,} characters; {_LONGEST:,} are read at most")
     if recorded:
-        return _recorded(name, dict(_sheet(data, name, notes)) if book else {}, text, notes)
-    rows = _sheet(data, name, notes) if book else _lines(text, name)
+        return _recorded(name, sheet or {}, lines, notes)
+    rows = sheet or _divided(lines, name)
     if not rows:
         raise TableError(f"{name!r} is empty")
-    headings = rows.pop(0)[1]
+    headings = rows.pop(min(rows))
     while headings and not headings[-1]:
         headings = headings[:-1]
-    wide = [line for line, row in rows if any(row[len(headings) :])]
+    wide = [line for line, row in rows.items() if any(row[len(headings) :])]
     if wide:
         raise TableError(f"{name}: line {wide[0]}: more cells than headings: a decimal comma between commas? "
                          "save it with semicolons")  # fmt: skip
-    if rows and _all_units(rows[0][1]):
-        headings = _with_units(headings, rows.pop(0)[1])
+    if len(headings) > _MOST_COLUMNS:
+        raise TableError(f"{name!r} has {len(headings):,} columns; {_MOST_COLUMNS:,} are read at most")
+    if rows and _all_units(rows[min(rows)]):
+        headings = _with_units(headings, rows.pop(min(rows)))
     if not rows:
         raise TableError(f"{name!r} has no row below its headings")
-    return Table(name=name, headings=headings, rows=[row[: len(headings)] for _, row in rows],
-                 lines=[line for line, _ in rows], notes=notes, decimal=decimal)  # fmt: skip
+    width = len(headings)
+    return Table(name=name, headings=headings, lines=list(rows), notes=notes, decimal=decimal,
+                 rows=[row[:width] + [""] * (width - len(row)) for row in rows.values()])  # fmt: skip
 
 
-def _sheet(data: bytes, name: str, notes: list[str]) -> list[tuple[int, list[str]]]:
-    """Numbers and cells of the rows of the first sheet of a workbook that has any."""
-    import pandas as pd
+def _sheet(data: bytes, name: str, notes: list[str]) -> dict[int, list[str]]:
+    """Cells of the rows of the first sheet of a workbook that has any, by their numbers."""
+    from zipfile import ZipFile
 
+    from openpyxl import load_workbook
+
+    full: dict[str, dict[int, list[str]]] = {}
     try:
-        sheets = pd.read_excel(io.BytesIO(data), sheet_name=None, header=None, dtype=str, keep_default_na=False,
-                               nrows=_MOST_ROWS)  # fmt: skip
+        if (size := sum(part.file_size for part in ZipFile(io.BytesIO(data)).infolist())) > 8 * LARGEST:
+            raise TableError(f"{name!r} unpacks to {size >> 20:,} MiB; {8 * LARGEST >> 20} MiB are read at most")
+        for sheet in load_workbook(io.BytesIO(data), read_only=True, data_only=True).worksheets:
+            sheet.reset_dimensions()  # what a file says of its size may be wrong
+            rows = {k: [_cell_text(cell) for cell in row]
+                    for k, row in enumerate(sheet.iter_rows(values_only=True), 1)
+                    if any(cell is not None for cell in row)}  # fmt: skip
+            full |= {sheet.title: rows} if rows else {}
+    except TableError:
+        raise
     except Exception as error:
         raise TableError(f"{name!r} cannot be read as .xlsx: {type(error).__name__}") from None
-    full = [title for title, sheet in sheets.items() if len(sheet)]
     if len(full) > 1:
-        notes.append(f"{name} has {len(full)} sheets: the first, {full[0]!r}, is read")
-    # what Excel keeps of 7.42 may be 7.4199999999999999
-    cells = (
-        [[_shortest(str(cell).strip()) for cell in row] for row in sheets[full[0]].to_numpy().tolist()] if full else []
-    )
-    return [(k, row) for k, row in enumerate(cells, 1) if any(row) and not row[0].startswith("#")]
+        notes.append(f"{name} has {len(full)} sheets: the first, {next(iter(full))!r}, is read")
+    rows = next(iter(full.values()), {})
+    return {k: row for k, row in rows.items() if any(row) and not row[0].startswith("#")}
 
 
-def _shortest(cell: str) -> str:
+def _cell_text(cell: object) -> str:
+    """A cell as it is shown: what Excel keeps of 7.42 may be 7.4199999999999999."""
+    if isinstance(cell, float):
+        return str(int(cell)) if cell.is_integer() else f"{cell:.12g}"
+    return "" if cell is None else str(cell).strip()
+
+
+def _live(lines: list[str]) -> dict[int, str]:
+    """The lines that are neither empty nor a comment, by their numbers."""
+    return {k: line for k, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")}
+
+
+def _divided(lines: list[str], name: str) -> dict[int, list[str]]:
+    """Cells of the lines that have any, by the numbers of the lines."""
+    live = {k: line for k, line in _live(lines).items()
+            if line.strip(" ;,\t") and not (k == 1 and re.fullmatch("sep=.", line))}  # fmt: skip
+    divider = next((d for d in ";\t" if d in next(iter(live.values()), "")), ",")
     try:
-        return f"{float(cell):.12g}" if len(cell) > 12 else cell
-    except ValueError:
-        return cell
-
-
-def _lines(text: str, name: str) -> list[tuple[int, list[str]]]:
-    """Numbers and cells of the lines that are neither empty nor a comment."""
-    import pandas as pd
-
-    kept = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip(" ;,\t") and not
-            line.lstrip().startswith("#") and not (k == 1 and re.fullmatch("sep=.", line))]  # fmt: skip
-    if not kept:
-        return []
-    divider = next((d for d in ";\t" if d in kept[0][1]), ",")
-    width = max(line.count(divider) for _, line in kept) + 1
-    try:
-        frame = pd.read_csv(io.StringIO("\n".join(line for _, line in kept)), sep=divider, header=None, dtype=str,
-                            keep_default_na=False, skip_blank_lines=False, names=range(width))  # fmt: skip
-    except (ValueError, pd.errors.ParserError) as error:
-        raise TableError(f"{name!r} is no table: {' '.join(str(error).split())}") from None
-    if len(frame) != len(kept):
+        cells = [[cell.strip() for cell in row] for row in csv.reader(live.values(), delimiter=divider)]
+    except csv.Error as error:
+        raise TableError(f"{name!r} is no table: {error}") from None
+    if len(cells) != len(live):
         raise TableError(f"{name!r}: a text in quotes goes over several lines: keep every row on its line")
-    cells = frame.fillna("").to_numpy().tolist()
-    return [(line, [cell.strip() for cell in row]) for (line, _), row in zip(kept, cells, strict=True)]
+    return dict(zip(live, cells, strict=True))
 
 
 def _decoded(data: bytes, name: str, notes: list[str]) -> str:
@@ -380,10 +391,9 @@ def _with_units(headings: Sequence[str], row: Sequence[str]) -> list[str]:
     return [f"{h} [{unit}]" if unit else h for h, unit in zip(headings, units, strict=False)]
 
 
-def _recorded(name: str, sheet: dict[int, list[str]], text: str, notes: list[str]) -> Table:
+def _recorded(name: str, sheet: dict[int, list[str]], lines: list[str], notes: list[str]) -> Table:
     """The table of numbers of a recorder's file, whose divider and decimal mark its second half shows."""
-    lines = text.splitlines()
-    live = {k: line for k, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")}
+    live = _live(lines)
     keys, best = list(sheet or live), (0, 0)
     # metadata stand above or beside the first half at the most
     some = keys[len(keys) // 2 :][:200] if len(keys) > 60 else keys[1:] or keys
