@@ -65,6 +65,9 @@ CASES: dict[str, tuple[str, int, str, set[str] | None]] = {
     "moved and copied": (
         f"{RUN}; mv s-results m; cp -r m s-results; {UQ} report m && {UQ} verify m --again --model box.py:f && "
         f"{UQ} compare m s-results", 0, "(?s)answers are the same.*no answer moved", WHOLE),
+    "a log that is a link": (
+        f"mkdir s-results; echo mine > t; ln -s ../t s-results/log.txt; {RUN}; wc -l t", 0, "(?m)^1 t$", WHOLE),
+    "a log that is a pipe": (f"mkdir s-results; mkfifo s-results/log.txt; {RUN}", 0, "probability", WHOLE),
     "a link to elsewhere": (
         f"mkdir t; {RUN}; rm -r s-results/figures; ln -s ../t s-results/figures; {UQ} report s-results", 5,
         "is a link, which is not followed", WHOLE),

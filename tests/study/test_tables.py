@@ -19,6 +19,7 @@ ALIKE = {
     "tabs": PLAIN.replace(",", "\t").encode(),
     "UTF-16": PLAIN.replace(",", "\t").encode("utf-16"),
     "comments, blanks": ("# made by hand\n\n" + PLAIN + "\n,\n").encode(),
+    "marks of Unicode in a note": "D,F,n\n14.9,7.42,a\u2028b\n15.1,9.85,\x0b\n15,8.31,\x85\n".encode(),
     "Excel's own first line": b"sep=;\nD;F\n14,9;7,42\n15,1;9,85\n15;8,31\n",
     "empty last column": b"D,F,\n14.9,7.42,\n15.1,9.85,\n15,8.31,\n",
 }
@@ -53,6 +54,24 @@ def test_a_workbook_and_windows_text(tmp_path: Path) -> None:
     table = read_table(tmp_path / "u.csv")
     assert table.numbers("F", "force").tolist() == [7420.0]
     table.finish()
+
+
+def test_workbooks_that_are_larger_than_they_seem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One cell in the last place of a sheet; a sheet that unpacks to more than is read; zeros are no empty rows."""
+    from openpyxl import Workbook
+
+    book, path = Workbook(), tmp_path / "t.xlsx"
+    for row in [["D", "F"], [0, 0], [1, 2]]:
+        book.active.append(row)
+    book.save(path)
+    assert read_table(path).numbers("F").tolist() == [0.0, 2.0]
+    book.active["XFD1048576"] = 1
+    book.save(path)
+    with pytest.raises(TableError, match="line 1048576: more cells than headings"):
+        read_table(path)
+    monkeypatch.setattr("uqsphere.tables.LARGEST", 1000)
+    with pytest.raises(TableError, match="unpacks to"):
+        read_table(path, largest=1 << 20)
 
 
 @pytest.mark.parametrize(
@@ -95,6 +114,11 @@ FAULTY = {
     "nothing": ("\n\n", "'t.csv' is empty"),
     "bytes": ("\0\0\0\1\2\3", "no text"),
     "too large": ("D,F\n1,1e999\n", "a number too large"),
+    "a text in quotes over two lines": ('D,F\n1,"2\n3",4\n', "a text in quotes goes over several lines"),
+    "a long text": ("D,F\n1," + "x" * 5000 + "\n", "found '" + "x" * 59 + "…', where"),
+    "a long line": ("D,F\n1,2" + " " * 200_000 + "\n", "a line of 200,003 characters; 100,000 are read at most"),
+    "many columns": ("F" + ",x" * 9000 + "\n1" + ",2" * 9000, "9,001 columns; 2,000 are read at most"),
+    "a long heading": ("F" + "_" * 90_000 + "\n1", "the column 'F' is not in"),
 }  # fmt: skip
 
 

@@ -146,10 +146,11 @@ def damaged_files(folder: Path) -> list[str]:
 
 
 class Log:
-    """Lines of a run's log, each with its time (UTC)."""
+    """Lines of a run's log, each with its time (UTC); none where a link or no plain file stands in its place."""
 
     def __init__(self, path: Path | None) -> None:
-        self.path = path
+        plain = path is not None and not path.is_symlink() and (path.is_file() or not path.exists())
+        self.path = path if plain else None
 
     def write(self, text: str) -> None:
         """One line; a log that cannot be written stops nothing."""
